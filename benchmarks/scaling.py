@@ -1,10 +1,11 @@
-"""What more cores bring: evidence of a million systems, and a front of robust designs by one worker and by two.
+"""What more cores bring: evidence of a million systems, fronts and searches by one worker and by two.
 
-    python benchmarks/scaling.py [evidence] [sweep] [--samples N] [--designs N]
+    python benchmarks/scaling.py [evidence] [sweep] [search] [--samples N] [--designs N] [--evaluations N]
 
-Without a name, both are measured. `evidence`: `al.validate` of the suspension's robust design, compilation included:
+Without a name, all are measured. `evidence`: `al.validate` of the suspension's robust design, compilation included:
 asked are less than 60 s on two cores and less than 4 GiB. `sweep`: that many robust designs of the suspension along its
 limit on travel, workers begun anew each time, with programs that an earlier run has compiled: asked is a ratio of 1.6.
+`search`: differential evolution of the same design, whose generations are simulated here, by one worker, and by two.
 Their objectives must be the same to the last bit.
 
 Wall times mean something on an idle machine alone. CPU seconds (user and system, of this process or of the workers that
@@ -15,12 +16,16 @@ workers is shared evenly.
 import argparse
 import resource
 import time
+from contextlib import nullcontext
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 import aleator as al
 from aleator.studies.suspension import robust_problem
+
+_WHAT = ["evidence", "sweep", "search"]
 
 
 class Spent(NamedTuple):
@@ -76,17 +81,36 @@ def sweep(designs: int) -> None:
     print(f"  the same to the last bit: {objectives[0].tobytes() == objectives[1].tobytes()}")
 
 
+def search(evaluations: int) -> None:
+    """A search whose generations are simulated here by one thread, by one worker and by two, start included."""
+    al.threads(1)
+    solver = al.solvers.DifferentialEvolution(evaluations=evaluations, polish=False)
+    for count in (None, 1, 2):
+        # The first time compiles, for all.
+        for budget in (solver.population, evaluations) if count is None else (evaluations,):
+            own, begun = replace(solver, evaluations=budget), now()
+            with nullcontext() if count is None else al.workers(count) as executor:
+                found = al.solve(robust_problem(), own, executor=executor, throw=False)
+            spent = since(begun)
+        whose = "here" if count is None else f"by {count} worker(s)"
+        print(f"{evaluations} designs {whose}: {spent.wall:.1f} s, {spent.workers:.1f} CPU s of workers, ", end="")
+        print(f"{spent.own:.1f} here; the objective is {found.objective.hex()}")
+
+
 def main() -> None:
     """Measure what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="*", choices=["evidence", "sweep"], default=["evidence", "sweep"])
+    parser.add_argument("what", nargs="*", choices=_WHAT, default=_WHAT)
     parser.add_argument("--samples", type=int, default=1_000_000)
     parser.add_argument("--designs", type=int, default=40)
+    parser.add_argument("--evaluations", type=int, default=1000)
     asked = parser.parse_args()
     if "evidence" in asked.what:
         evidence(asked.samples)
     if "sweep" in asked.what:
         sweep(asked.designs)
+    if "search" in asked.what:
+        search(asked.evaluations)
 
 
 if __name__ == "__main__":

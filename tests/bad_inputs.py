@@ -497,6 +497,7 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
         {
             "solver": NO_OBJECT,
             "warm_start": NO_OBJECT,
+            "executor": NO_OBJECT,
             "deterministic_first": without(NO_OBJECT, "bool"),
             "start": without(NO_OBJECT, "dict")
             | {
@@ -569,6 +570,7 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
                 "unnamed": {1: al.value("gain"), 2: al.value("gain")},
             },
             "points": without(COUNT, "nothing") | {"one": 1},
+            "executor": NO_OBJECT,
             "method": {"unknown": "best", "nothing": None, "number": 3.5},
             "starts": without(COUNT, "nothing"),
             "evaluations": without(COUNT, "nothing"),

@@ -1,4 +1,5 @@
 from math import factorial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -6,7 +7,8 @@ import pytest
 from scipy import stats
 
 import aleator as al
-from aleator.validation import WeightedProportion
+from aleator._core import part_by_part
+from aleator.validation import WeightedProportion, _rare
 from aleator.validation._proposal import adapted, weighted
 from tiny_models import LOSS, ONE_STEP, RESPONSE, Gain, gain_problem
 
@@ -144,3 +146,27 @@ def test_rare_violations_that_make_no_sense_are_refused(options, message):
     given = {"solution": al.solve(gain_problem())} | options
     with pytest.raises(al.ProblemError, match=message):
         al.rare_violation(**given)
+
+
+def test_an_estimate_that_was_ended_goes_on_from_its_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    solution = al.solve(gain_problem())
+    undisturbed = al.rare_violation(solution, samples=4000, seed=3)
+    monkeypatch.setattr(part_by_part, "_OFTEN", 0.0)
+    simulated, beyond = [], _rare._Limits.beyond
+    monkeypatch.setattr(_rare._Limits, "beyond", lambda self, points: simulated.append(points) or beyond(self, points))
+
+    def end(task: str, done: int, total: int) -> None:
+        if done >= 0.5 * total:
+            raise KeyboardInterrupt
+
+    with al.journal(tmp_path), pytest.raises(KeyboardInterrupt):
+        al.rare_violation(solution, samples=4000, seed=3, progress=end)
+    before = len(simulated)
+    with al.journal(tmp_path):
+        resumed = al.rare_violation(solution, samples=4000, seed=3)
+    assert isinstance(resumed, WeightedProportion)
+    assert resumed == undisturbed
+    # The levels of the search and half of the batches of 250 are there already.
+    assert before > 8
+    assert len(simulated) == before + 8
+    assert not list((tmp_path / "finished").glob("*.part"))

@@ -14,9 +14,10 @@ import pytest
 from carts import cart_problem, rooted_problem
 
 import aleator as al
+from aleator._core import part_by_part
 from aleator.ensemble import draw, drawn_from
 from aleator.solution import Solution
-from aleator.validation import Evidence, _part_by_part, _stretches, _validate
+from aleator.validation import Evidence, _stretches, _validate
 from aleator.validation._folded import folds
 
 SAMPLES = 3000
@@ -113,7 +114,7 @@ def test_evidence_that_was_ended_goes_on_from_its_parts(
     solution: Solution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     undisturbed = al.validate(solution, SAMPLES, batch=100)
-    monkeypatch.setattr(_part_by_part, "_OFTEN", 0.0)
+    monkeypatch.setattr(part_by_part, "_OFTEN", 0.0)
 
     def end(task: str, done: int, total: int) -> None:
         if done >= 0.7 * total:
@@ -147,10 +148,11 @@ KILLED = """
     import sys
 
     import aleator as al
-    from aleator.validation import _part_by_part, _stretches
+    from aleator._core import part_by_part
+    from aleator.validation import _stretches
     from carts import cart_problem
 
-    _part_by_part._OFTEN, _stretches._MANY = 0.0, 0
+    part_by_part._OFTEN, _stretches._MANY = 0.0, 0
 
 
     def kill(task, done, total):

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, TypeAlias, final
+from typing import Any, TypeAlias, TypeVar, final
 
 from aleator._core.errors import AleatorError, AleatorWarning, ProblemError, SimulationError
 from aleator._core.given import refusal, shown
@@ -20,6 +20,11 @@ from aleator._core.warned import warned_of
 
 Work: TypeAlias = Callable[..., Any]
 """A function of a module of ours, so that a pickle names it."""
+
+_Item = TypeVar("_Item")
+
+# Calls of an executor at most for many items: enough to share them evenly, few enough that sending costs nothing.
+_CALLS = 32
 
 # Python hears warnings in one thread of a process at a time; several threads of one would take them from each other.
 _HEARD = threading.RLock()
@@ -57,6 +62,25 @@ def each_done(
             if isinstance(result, AleatorError):
                 raise result
             yield i, result
+
+
+def each_of(
+    executor: Executor, work: Work, items: Sequence[_Item], given: Mapping[str, Any], where: str
+) -> Iterator[tuple[_Item, Any]]:
+    """Each item with what is found for it, in order; `work(items=some, **given)` returns a list for some of them.
+
+    Neighbours are sent together, the same ones to every executor. Raises the errors of `each_done`.
+    """
+    size = max(-(-len(items) // _CALLS), 1)
+    shares = [items[first : first + size] for first in range(0, len(items), size)]
+    calls = [{**given, "items": one} for one in shares]
+    waiting: dict[int, Sequence[Any]] = {}
+    following = 0
+    for i, found in each_done(executor, work, calls, [where] * len(calls)):
+        waiting[i] = found
+        while following in waiting:
+            yield from zip(shares[following], waiting.pop(following), strict=True)
+            following += 1
 
 
 @contextmanager

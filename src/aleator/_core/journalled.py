@@ -35,7 +35,7 @@ class AbstractEntry(abc.ABC):
     @property
     def parts(self) -> AbstractParts:
         """The parts of the result so far; by default nothing is kept of these."""
-        return _NoParts()
+        return NOTHING
 
     @abc.abstractmethod
     def keep(self, result: Any) -> None:
@@ -71,6 +71,10 @@ class _NoParts(AbstractParts):
     @override
     def keep(self, number: int, part: Any) -> None:
         pass
+
+
+NOTHING: AbstractParts = _NoParts()
+"""The parts of what nobody keeps."""
 
 
 @final
@@ -163,4 +167,4 @@ def journalled(what: str, given: Mapping[str, Any], compute: Callable[[], Result
 def parts_so_far() -> AbstractParts:
     """The parts of the result that is being computed, for whoever computes it part by part."""
     entry = _begun.get()
-    return _NoParts() if entry is None else entry.parts
+    return NOTHING if entry is None else entry.parts

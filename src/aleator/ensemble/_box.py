@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from aleator._core.arrays import Pytree
 from aleator.ensemble._outputs import listed
@@ -32,3 +32,8 @@ class AbstractBox(abc.ABC):
 
         `whole`: no sample may be left out, because the method needs all of them.
         """
+
+    @property
+    def follows_from(self) -> Any:
+        """All that its outputs follow from besides the model, for a journal; None if its results are not kept there."""
+        return None

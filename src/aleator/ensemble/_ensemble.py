@@ -6,7 +6,7 @@ the same program. They share levels, batches and messages with this module, and 
 """
 
 import abc
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, ClassVar, NamedTuple, TypeAlias, final
 
 import equinox as eqx
@@ -89,13 +89,17 @@ class AbstractEnsemble(abc.ABC):
 
         Raises the same errors as a call.
         """
+        return self.in_parts(parts(levels, size), size)
+
+    def in_parts(self, some: Iterable[Part], size: int) -> Iterator[tuple[Part, Pytree]]:
+        """The same for some of the parts, of which none has more than `size` points."""
         evaluate, germs = self._of_size(size), self.places.germs.values()
 
         def outputs(part: Part) -> Pytree:
             points = at_levels(germs, part.points)
             return self._checked(evaluate(points, part.first), points, part.first)
 
-        return each(outputs, parts(levels, size), at_once=self.at_once)
+        return each(outputs, some, at_once=self.at_once)
 
     def alone(self) -> Alone:
         """What it is made of, without anything compiled."""

@@ -16,7 +16,7 @@ from aleator._core.warned import warn_outside
 from aleator.ensemble import AbstractBox, Realisation, name_of
 from aleator.foreign._campaign import Campaign
 from aleator.foreign._failures import drop_given, most_of, warn_of_dropped
-from aleator.foreign._identity import Watched
+from aleator.foreign._identity import Watched, followed
 from aleator.foreign._journal import Journal
 from aleator.foreign._runs import Runs
 
@@ -67,6 +67,12 @@ class BlackBox(AbstractBox):
         self._watched = Watched(function)
         self._journal = Journal(journal, self._watched.begun())
         self.__name__ = name_of(function).strip("'")
+
+    @property
+    @override
+    def follows_from(self) -> Any:
+        # What warns of dropped samples would be silent where a result is recalled.
+        return None if self._drop else followed(self._function)
 
     @override
     def __call__(self, realised: Pytree) -> Pytree:

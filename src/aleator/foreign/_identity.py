@@ -22,6 +22,16 @@ def identity(function: Callable[..., Any]) -> str:
     return hashlib.sha256(json.dumps(told).encode()).hexdigest()
 
 
+def followed(function: Callable[..., Any]) -> Any:
+    """What the outputs follow from, for the journal of a run: a function, which it reads; None for a command.
+
+    A command may read what nobody sees.
+    """
+    if isinstance(function, Isolated):
+        return followed(function.function)
+    return None if isinstance(function, Command) else function
+
+
 @final
 class Watched:
     """The identity of a function from call to call of its box.

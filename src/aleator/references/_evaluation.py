@@ -1,33 +1,41 @@
 """A function of uncertain inputs at a whole sample, kept in memory."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import Pytree
-from aleator._core.elsewhere import each_done
+from aleator._core.elsewhere import each_of
 from aleator._core.errors import ProblemError
 from aleator._core.given import whole as whole_given
+from aleator._core.journalled import NOTHING, AbstractParts
 from aleator._core.memory import NUMBER, refuse_beyond_memory
-from aleator._core.progress import Progress, silent
+from aleator._core.part_by_part import part_by_part
+from aleator._core.progress import Progress
 from aleator.ensemble import (
     AbstractEnsemble,
     Alone,
     BoxEnsemble,
+    CalledEnsemble,
     Function,
+    Part,
     at_levels,
     ensemble_for,
+    parts,
     uncertain_places,
 )
 
+Evaluate: TypeAlias = Callable[[Sequence[Part], int], Iterator[tuple[Part, Pytree]]]
+"""The outputs at the points of some parts, in order; none has more points than the number."""
+
 _MOST_BYTES = 2 * 2**30
-# Calls of an executor at most.
-_CALLS = 32
+# Parts of a sample at most whose points are evaluated one by one.
+_MOST = 128
 
 
 def ensemble_of(verb: str, function: Function, model: Pytree, *, traced: bool) -> AbstractEnsemble:
@@ -48,63 +56,73 @@ def refuse_large_sample(verb: str, samples: int, variables: int) -> None:
 
 
 def evaluate(
-    ensemble: AbstractEnsemble, levels: Float[np.ndarray, "n variables"], *, batch: int, progress: Progress
-) -> Pytree:
-    """The outputs at points given by their probability levels: NumPy arrays of shape (n, *shape).
-
-    Raises the errors of an ensemble, and `ProblemError` if the outputs would not fit into memory.
-    """
-    found = ensemble.in_batches(levels, min(batch, len(levels)))
-    return _gathered(len(levels), ((part.first, values) for part, values in found), progress)
-
-
-def evaluate_elsewhere(
-    verb: str,
-    executor: Executor,
     ensemble: AbstractEnsemble,
     levels: Float[np.ndarray, "n variables"],
     *,
     batch: int,
     progress: Progress,
+    by: Evaluate | None = None,
+    so_far: AbstractParts = NOTHING,
 ) -> Pytree:
-    """The same by an executor, in batches of the same size. Raises `ProblemError` for a black box: it has its own."""
+    """The outputs at points given by their probability levels: NumPy arrays of shape (n, *shape).
+
+    - `by`: another way to evaluate parts of them (see `by_executor`); `so_far`: what an earlier run has found.
+
+    Raises the errors of an ensemble, and `ProblemError` if the outputs would not fit into memory.
+    """
+    size = _together(ensemble, len(levels), batch)
+    work = by or ensemble.in_parts
+    found = part_by_part(list(parts(levels, size)), lambda some: work(some, size), so_far)
+    return _gathered(len(levels), found, progress)
+
+
+def by_executor(verb: str, executor: Executor | None, ensemble: AbstractEnsemble) -> Evaluate | None:
+    """How an executor evaluates parts; None without one. Raises `ProblemError` for a black box: it has its own."""
+    if executor is None:
+        return None
     if isinstance(ensemble, BoxEnsemble):
         raise ProblemError(
             f"{verb}: executor: expected a function; received a black box, which runs its samples in its own way: give "
             "the executor to the black box."
         )
-    batch = min(batch, len(levels))
-    size = batch * max(-(-len(levels) // (_CALLS * batch)), 1)
-    begins = range(0, len(levels), size)
-    calls = [{"ensemble": ensemble.alone(), "levels": levels[first : first + size], "batch": batch} for first in begins]
-    found = each_done(executor, _evaluated_there, calls, [verb] * len(calls))
-    return _gathered(len(levels), ((begins[i], values) for i, values in found), progress)
+    alone = ensemble.alone()
+    return lambda some, size: each_of(executor, _evaluated_there, some, {"ensemble": alone, "size": size}, verb)
 
 
-def _evaluated_there(ensemble: Alone, levels: Float[np.ndarray, "n variables"], batch: int) -> Pytree:
-    found = ensemble.again().in_batches(levels, batch)
-    return _gathered(len(levels), ((part.first, values) for part, values in found), silent)
+def _evaluated_there(ensemble: Alone, items: Sequence[Part], size: int) -> list[Pytree]:
+    return [jax.tree.map(np.asarray, values) for _, values in ensemble.again().in_parts(items, size)]
 
 
-def _gathered(total: int, found: Iterable[tuple[int, Pytree]], progress: Progress) -> Pytree:
-    """Outputs at all points, from those at some points together and the number of the first of these."""
+def _together(ensemble: AbstractEnsemble, samples: int, batch: int) -> int:
+    """How many points are one part: a called function may take long at each, and is called point by point anyway."""
+    return min(batch, -(-samples // _MOST) if isinstance(ensemble, CalledEnsemble) else samples)
+
+
+def _gathered(total: int, found: Iterable[tuple[Part, Pytree]], progress: Progress) -> Pytree:
+    """Outputs at all points, from those of each part."""
     kept, done = None, 0
     progress("Monte Carlo", 0, total)
-    for first, values in found:
+    for part, values in found:
         kept = _room(total, values) if kept is None else kept
         for whole, some in zip(jax.tree.leaves(kept), jax.tree.leaves(values), strict=True):
-            whole[first : first + len(some)] = some
+            whole[part.first : part.first + len(some)] = some
         done += len(jax.tree.leaves(values)[0])
         progress("Monte Carlo", done, total)
     return kept
 
 
 def evaluate_kept(
-    ensemble: AbstractEnsemble, levels: Float[np.ndarray, "n variables"], *, batch: int, progress: Progress
+    ensemble: AbstractEnsemble,
+    levels: Float[np.ndarray, "n variables"],
+    *,
+    batch: int,
+    progress: Progress,
+    by: Evaluate | None,
+    so_far: AbstractParts,
 ) -> Pytree:
     """The same without the samples that a box leaves out, for methods that can do without some."""
     if not isinstance(ensemble, BoxEnsemble):
-        return evaluate(ensemble, levels, batch=batch, progress=progress)
+        return evaluate(ensemble, levels, batch=batch, progress=progress, by=by, so_far=so_far)
     progress("Monte Carlo", 0, len(levels))
     values, _ = ensemble.kept(at_levels(ensemble.places.germs.values(), levels))
     progress("Monte Carlo", len(levels), len(levels))

@@ -1,6 +1,9 @@
 """Monte Carlo and randomised quasi-Monte Carlo: a function of uncertain inputs, without any expansion."""
 
+import time
+from collections.abc import Callable
 from concurrent.futures import Executor
+from typing import Any
 
 import jax
 import numpy as np
@@ -10,14 +13,15 @@ from jaxtyping import Float
 from aleator._core.arrays import Pytree
 from aleator._core.elsewhere import check_executor
 from aleator._core.errors import ProblemError
+from aleator._core.journalled import journalled, parts_so_far
 from aleator._core.progress import Progress, check_progress, silent
-from aleator.ensemble import Function, random_levels
+from aleator.ensemble import AbstractBox, Function, name_of, random_levels
 from aleator.references._estimate import group_count
 from aleator.references._evaluation import (
+    by_executor,
     check_whole,
     ensemble_of,
     evaluate,
-    evaluate_elsewhere,
     evaluate_kept,
     refuse_large_sample,
 )
@@ -50,8 +54,12 @@ def monte_carlo(
     - `executor`: evaluates batches at once (see `al.pareto`), with the same result. A black box has one of its own.
 
     Returns a `RandomSample`, whose statistics are estimates with standard errors. The whole sample is kept, at most 2
-    GiB. Standard errors fall as `samples^(-1/2)`. Raises `ProblemError` if nothing is uncertain or the sample is too
-    large, `SimulationError` if an output is not finite, naming the inputs there.
+    GiB. Standard errors fall as `samples^(-1/2)`. Within `al.journal(folder)` what takes long is kept part by part,
+    every few seconds: after a crash the same call goes on from there. A black box keeps its samples one by one (see its
+    `journal`); its whole sample is kept there as well, unless it is a command or may drop some.
+
+    Raises `ProblemError` if nothing is uncertain or the sample is too large, `SimulationError` if an output is not
+    finite, naming the inputs there.
     """
     check_whole("monte_carlo", samples=samples, seed=seed, batch=batch)
     check_progress("monte_carlo", progress)
@@ -61,11 +69,16 @@ def monte_carlo(
     ensemble = ensemble_of("monte_carlo", function, model, traced=traced)
     refuse_large_sample("monte_carlo", samples, len(ensemble.places.germs))
     levels = random_levels(np.random.default_rng(seed), samples, len(ensemble.places.germs))
-    if executor is not None:
-        values = evaluate_elsewhere("monte_carlo", executor, ensemble, levels, batch=batch, progress=progress)
-    else:
-        values = evaluate_kept(ensemble, levels, batch=batch, progress=progress)
-    return RandomSample(values, group_count(len(jax.tree.leaves(values)[0])), seed)
+    by = by_executor("monte_carlo", executor, ensemble)
+
+    def sampled() -> RandomSample:
+        began = time.perf_counter()
+        so_far = parts_so_far()
+        values = evaluate_kept(ensemble, levels, batch=batch, progress=progress, by=by, so_far=so_far)
+        groups = group_count(len(jax.tree.leaves(values)[0]))
+        return RandomSample(values, groups, seed, time.perf_counter() - began)
+
+    return _journalled("monte_carlo", function, model, (samples, seed, traced, batch), sampled)
 
 
 def quasi_monte_carlo(
@@ -93,11 +106,26 @@ def quasi_monte_carlo(
     check_executor("quasi_monte_carlo", executor)
     ensemble = ensemble_of("quasi_monte_carlo", function, model, traced=traced)
     levels = scrambled_nets("quasi_monte_carlo", len(ensemble.places.germs), samples, replicates, seed)
-    if executor is not None:
-        values = evaluate_elsewhere("quasi_monte_carlo", executor, ensemble, levels, batch=batch, progress=progress)
-    else:
-        values = evaluate(ensemble, levels, batch=batch, progress=progress)
-    return RandomSample(values, replicates, seed)
+    by = by_executor("quasi_monte_carlo", executor, ensemble)
+
+    def sampled() -> RandomSample:
+        began = time.perf_counter()
+        values = evaluate(ensemble, levels, batch=batch, progress=progress, by=by, so_far=parts_so_far())
+        return RandomSample(values, replicates, seed, time.perf_counter() - began)
+
+    how = (samples, replicates, seed, traced, batch)
+    return _journalled("quasi_monte_carlo", function, model, how, sampled)
+
+
+def _journalled(
+    verb: str, function: Function, model: Pytree, how: tuple[Any, ...], sampled: Callable[[], RandomSample]
+) -> RandomSample:
+    """A sample that the present journal has, or else a new one."""
+    follows_from = function.follows_from if isinstance(function, AbstractBox) else function
+    if follows_from is None:
+        return sampled()
+    name = name_of(function).strip("'")
+    return journalled(f"{verb} {name}", {"function": follows_from, "model": model, "how": how}, sampled)
 
 
 def scrambled_nets(

@@ -23,18 +23,19 @@ class RandomSample(AbstractMeasured[Estimates]):
     - `values`: of each output, shape (samples, *shape), in the structure that the function returns;
     - `groups`: the number of independent groups of equal size, one after the other, from which standard errors are
       computed (see `Estimate`): arbitrary for a plain Monte Carlo sample, the replicates of a quasi-random one;
-    - `seed`: of the random inputs.
+    - `seed`: of the random inputs; `seconds`: how long the evaluation took, compilation included, in the process that
+      finished it.
 
     Every statistic has the structure of the outputs, an `Estimate` or a dict of them; `sample["y"]` selects one output
     of a dict.
     """
 
-    def __init__(self, values: Pytree, groups: int, seed: int):
-        self.values, self.groups, self.seed = values, groups, seed
+    def __init__(self, values: Pytree, groups: int, seed: int, seconds: float):
+        self.values, self.groups, self.seed, self.seconds = values, groups, seed, seconds
 
     def __getitem__(self, name: str) -> "RandomSample":
         """One output by name, if the outputs are a dict."""
-        return RandomSample(part(self.values, name), self.groups, self.seed)
+        return RandomSample(part(self.values, name), self.groups, self.seed, self.seconds)
 
     @property
     def samples(self) -> int:

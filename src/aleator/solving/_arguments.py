@@ -1,10 +1,12 @@
 """Arguments of `solve`: what is refused, and where they say to start."""
 
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from typing import Any
 
 import numpy as np
 
+from aleator._core.elsewhere import check_executor
 from aleator._core.errors import ProblemError
 from aleator._core.given import whole
 from aleator.design import Problem
@@ -23,6 +25,7 @@ def check_arguments(
     deterministic_first: bool,
     between: int | None,
     accuracy: float,
+    executor: Executor | None,
 ) -> None:
     """Raise `ProblemError` unless the arguments are what `solve` expects."""
     if not isinstance(problem, Problem):
@@ -38,6 +41,7 @@ def check_arguments(
         )
     if isinstance(solver, AbstractSearch):
         check_search("solve", problem, solver)
+    _check_shared(solver, executor)
     if not isinstance(deterministic_first, bool):
         raise ProblemError(f"solve: expected True or False as `deterministic_first`; received {deterministic_first!r}.")
     if warm_start is None:
@@ -52,6 +56,17 @@ def check_arguments(
         raise ProblemError(
             "solve: a warm start is a solution of a problem with the same constraints; expected "
             f"{list(problem.names)}; received {list(warm_start.problem.names)}."
+        )
+
+
+def _check_shared(solver: AbstractSolver, executor: Executor | None) -> None:
+    """Refuse an executor that would have nothing to do."""
+    check_executor("solve", executor)
+    if executor is not None and not (isinstance(solver, AbstractSearch) and solver.at_once):
+        raise ProblemError(
+            "solve: executor: expected a solver that evaluates many designs at once, such as "
+            f"al.solvers.DifferentialEvolution(); received {type(solver).__name__}, which goes from one design to the "
+            "next. al.multistart, al.portfolio and al.pareto share several solves."
         )
 
 

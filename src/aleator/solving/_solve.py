@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -25,7 +26,7 @@ _NO_START = (*UNSOLVED, Status.EVALUATION_FAILED)
 
 
 class Call(NamedTuple):
-    """Arguments of `solve`."""
+    """Arguments of `solve`. Its result follows from all of them but the executor."""
 
     problem: Problem
     solver: AbstractSolver | None = None
@@ -36,6 +37,7 @@ class Call(NamedTuple):
     between: int | None = None
     accuracy: float = 1e-3
     refine: bool = False
+    executor: Executor | None = None
 
 
 def solve(
@@ -49,6 +51,7 @@ def solve(
     between: int | None = None,
     accuracy: float = 1e-3,
     refine: bool = False,
+    executor: Executor | None = None,
     throw: bool = True,
 ) -> Solution:
     """Solve a design problem: transcribe, compile once, optimise with exact derivatives, certify.
@@ -72,6 +75,7 @@ def solve(
       part of it, or that breaks a limit on the finer grid, is not `ok`; other errors beyond it are warned of;
     - `refine`: solve again on finer grids, each from the last solution, until the error is tolerated. The solution's
       problem then has the finest grid;
+    - `executor`: simulates the generations of a search without derivatives (see `al.pareto`), with the same result;
     - `throw`: if False, a solution that failed is returned with its status instead of raised.
 
     Raises `SolveError` (which carries the unfinished solution), `SimulationError` if the model gives numbers that are
@@ -83,9 +87,18 @@ def solve(
     """
     one_of("solve: transcription", transcription, AbstractTranscription, "al.Sequential()")
     solver = solver or transcription.solver
-    check_arguments(problem, solver, warm_start, deterministic_first, between, accuracy)
+    check_arguments(problem, solver, warm_start, deterministic_first, between, accuracy, executor)
     call = Call(
-        problem, solver, transcription, warm_start, start, deterministic_first, between, float(accuracy), refine
+        problem,
+        solver,
+        transcription,
+        warm_start,
+        start,
+        deterministic_first,
+        between,
+        float(accuracy),
+        refine,
+        executor,
     )
     solution = journalled("solve", follows_from(call), lambda: _solved(call))
     if throw and solution.status is Status.EVALUATION_FAILED:
@@ -118,7 +131,8 @@ def _solved(call: Call) -> Solution:
     solver = call.solver or transcription.solver
     # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
     with heeding() as heed, dropped_on_failure():
-        stages = Stages(transcription, solver, call.between, call.accuracy, compile_seconds(transcription), heed)
+        compiled = compile_seconds(transcription)
+        stages = Stages(transcription, solver, call.between, call.accuracy, compiled, heed, call.executor)
         at_means = None
         if call.deterministic_first:
             stages, first, at_means = _from_means(stages, problem, first)

@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -21,9 +22,16 @@ from aleator.certification import (
     whether_misled,
 )
 from aleator.design import Problem, is_over_time
-from aleator.nlp import AbstractSolver, Outcome, Status, feasible_elsewhere, moved_on
+from aleator.nlp import AbstractSearch, AbstractSolver, Outcome, Status, feasible_elsewhere, moved_on
 from aleator.solution import TOLERATED, Between, Solution, WorstCase
-from aleator.transcription import AbstractTranscribed, AbstractTranscription, blind_decisions, refuse_blind, transcribe
+from aleator.transcription import (
+    AbstractTranscribed,
+    AbstractTranscription,
+    blind_decisions,
+    refuse_blind,
+    transcribe,
+    valued_by,
+)
 
 UNSOLVED = (Status.INFEASIBLE, Status.FAILED, Status.ITERATION_LIMIT)
 """Ends of a search that a grid which is far off may have led astray."""
@@ -54,6 +62,7 @@ class Stages(NamedTuple):
     accuracy: float
     compiled_before: float
     heed: Callable[[], None]
+    executor: Executor | None
 
     @property
     def compiled(self) -> float:
@@ -114,7 +123,7 @@ class Stages(NamedTuple):
         """The problem on a mesh that is fine enough, and its outcome; where one fails, it stays."""
         while True:
             self.heed()
-            outcome = _optimise(transcribed, self.solver, begun, None)
+            outcome = self._optimise(transcribed, self.solver, begun, None)
             if outcome.status is Status.INTERRUPTED:
                 raise KeyboardInterrupt
             finer = transcribed.refined(outcome.point) if outcome.status is Status.SOLVED else None
@@ -139,26 +148,31 @@ class Stages(NamedTuple):
     ) -> tuple[Outcome, tuple[Between | None, Reference | None]]:
         self.heed()
         known = meshed.outcome if transcribed is meshed.transcribed else None
-        outcome = _optimise(transcribed, solver, start, multipliers) if known is None else known
+        outcome = self._optimise(transcribed, solver, start, multipliers) if known is None else known
         if multipliers is None and outcome.status is not Status.INTERRUPTED:
             outcome = _looked_around(transcribed, solver.local, outcome, start)
         self.heed()
         outcome, between, finer = held_between(transcribed, solver.local, outcome, self.between)
         return outcome, (between, finer)
 
+    def _optimise(
+        self,
+        transcribed: AbstractTranscribed,
+        solver: AbstractSolver,
+        start: np.ndarray | None,
+        multipliers: np.ndarray | None,
+    ) -> Outcome:
+        rows = transcribed.program.constraint_lower.shape
+        # Multipliers at the instants of another grid say nothing here.
+        known = multipliers if multipliers is not None and multipliers.shape == rows else None
+        executor = self.executor if isinstance(solver, AbstractSearch) else None
+        program = valued_by(executor, transcribed.program, "solve")
+        return solver.solve(program, start=start, multipliers=known)
+
 
 def compile_seconds(transcription: AbstractTranscription) -> float:
     """How long all compilations that a solution waits for have taken so far, s."""
     return transcription.compile_seconds() + REACHED.seconds
-
-
-def _optimise(
-    transcribed: AbstractTranscribed, solver: AbstractSolver, start: np.ndarray | None, multipliers: np.ndarray | None
-) -> Outcome:
-    rows = transcribed.program.constraint_lower.shape
-    # Multipliers at the instants of another grid say nothing here.
-    known = multipliers if multipliers is not None and multipliers.shape == rows else None
-    return solver.solve(transcribed.program, start=start, multipliers=known)
 
 
 def _looked_around(

@@ -1,6 +1,7 @@
 """A population that spreads over a front: designs from which lines lead to the front itself."""
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,17 +14,18 @@ from aleator.nlp import NonlinearProgram, load_pymoo, population_front
 from aleator.sweep._hypervolume import efficient
 from aleator.sweep._places import far_apart
 from aleator.sweep._wishes import LEVEL, Design, Wishes, pressed, without_level
-from aleator.transcription import DEFAULT, AbstractTranscribed, transcribe
+from aleator.transcription import DEFAULT, AbstractTranscribed, transcribe, valued_by
 
 # Violations of at most this part of a constraint's magnitude count as none.
 _HELD = 1e-6
 
 
 class Budget(NamedTuple):
-    """Simulations of a population, and the seed of its random numbers."""
+    """Simulations of a population, the seed of its random numbers, and the executor that simulates, if any."""
 
     evaluations: int
     seed: int
+    executor: Executor | None
 
 
 class Member(NamedTuple):
@@ -55,7 +57,7 @@ def crowd(
     - `anchors`: the best designs of the wishes, of its first generation; `heed`: called with the evaluations done.
     """
     transcribed = transcribe(wishes.unscaled().problem, DEFAULT)
-    program, places = transcribed.program, transcribed.places
+    program, places = valued_by(budget.executor, transcribed.program, "trade_off"), transcribed.places
     is_level = np.array([name == LEVEL for name in places.entry_names()])
     known = np.array([one.values for one in anchors])
     rows = np.array([_row(transcribed, pressed(name)) for name in wishes.names])

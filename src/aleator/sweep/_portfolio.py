@@ -168,7 +168,8 @@ def portfolio(
 
     - `starts`: local searches in all; `search`: None leaves the global search out;
     - `solver`: of the local searches, `al.solvers.FilterSQP()` by default; `seed`: of the random starts;
-    - `executor`: does several local searches at once (see `al.pareto`), with the same results.
+    - `executor`: simulates generations of the global search, and does several local searches at once (see `al.pareto`),
+      with the same results.
 
     Within `al.journal(folder)` the global search and each local one are kept as soon as they have ended.
 
@@ -191,7 +192,7 @@ def portfolio(
     try:
         with heeding() as heed:
             if search is not None:
-                found_by = searched_globally(problem, program, search, max(starts // 2, 1))
+                found_by = searched_globally(problem, program, search, max(starts // 2, 1), executor)
                 found, searched = found_by.candidates, found_by.searched
                 if found_by.status is Status.INTERRUPTED:
                     raise KeyboardInterrupt

@@ -13,7 +13,7 @@ from aleator._core.journalled import entry_of, journalled
 from aleator._core.progress import silent
 from aleator.design import Problem, refuse_other_code
 from aleator.nlp import AbstractSearch, AbstractSolver, NonlinearProgram, Outcome, Searched, Status
-from aleator.transcription import DEFAULT, transcribe
+from aleator.transcription import DEFAULT, transcribe, valued_by
 
 
 @final
@@ -29,11 +29,16 @@ class FoundGlobally:
     status: Status
 
 
-def searched_globally(problem: Problem, program: NonlinearProgram, search: AbstractSearch, count: int) -> FoundGlobally:
-    """At most `count` points of a global search; from a journal, if one has them."""
+def searched_globally(
+    problem: Problem, program: NonlinearProgram, search: AbstractSearch, count: int, executor: Executor | None
+) -> FoundGlobally:
+    """At most `count` points of a global search; from a journal, if one has them.
+
+    An executor finds the values of whole generations, not those of one point after the other.
+    """
 
     def found() -> FoundGlobally:
-        sought, searched = search.seek(program)
+        sought, searched = search.seek(valued_by(executor if search.at_once else None, program, "portfolio"))
         status = Status.SOLVED if sought.halt is None else Status.INTERRUPTED
         return FoundGlobally(sought.candidates(count), searched, status)
 

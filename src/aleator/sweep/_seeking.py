@@ -1,6 +1,7 @@
 """Solving the problems that lead to points of a front."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any, TypeAlias, final
 
@@ -8,10 +9,10 @@ import numpy as np
 
 from aleator._core.warned import warned_of
 from aleator.design import Problem
-from aleator.nlp import AbstractSolver, DifferentialEvolution, Slsqp
+from aleator.nlp import AbstractSearch, AbstractSolver, DifferentialEvolution, Slsqp
 from aleator.solution import Solution
 from aleator.solving import solve
-from aleator.sweep._portfolio import portfolio
+from aleator.sweep._portfolio import Portfolio, portfolio
 from aleator.sweep._wishes import Compromise, Design, Found
 from aleator.transcription import AbstractTranscription
 
@@ -21,11 +22,15 @@ Start: TypeAlias = Solution | Mapping[str, Any] | None
 @final
 @dataclass(frozen=True)
 class Seeker:
-    """Solves problems of a front: by a solver, or the default ones for None; with so many local searches each."""
+    """Solves problems of a front: by a solver, or the default ones for None; with so many local searches each.
+
+    An executor does several of these at once.
+    """
 
     transcription: AbstractTranscription
     solver: AbstractSolver | None
     starts: int
+    executor: Executor | None
 
     def add(self, compromise: Compromise, found: Found, start: Start) -> Design | None:
         """Find the design of a compromise, which is kept with the others, or why there is none."""
@@ -41,7 +46,7 @@ class Seeker:
         solution = self._local(compromise.problem, start)
         if self.starts > 1:
             with warned_of("trade_off"):
-                other = portfolio(compromise.problem, self.starts, search=None, solver=self.solver).best
+                other = self._portfolio(compromise.problem, None).best
             solution = min((one for one in (solution, other)), key=lambda one: (not one.ok, one.objective))
         return (compromise.design(solution), "") if solution.ok else (None, solution.why())
 
@@ -51,7 +56,10 @@ class Seeker:
             return None
         lower, upper = (problem.placements.vector(name) for name in ("lower", "upper"))
         search = DifferentialEvolution() if np.isfinite(upper - lower).all() else None
-        return portfolio(problem, self.starts, search=search, solver=self.solver).best.decisions
+        return self._portfolio(problem, search).best.decisions
+
+    def _portfolio(self, problem: Problem, search: AbstractSearch | None) -> Portfolio:
+        return portfolio(problem, self.starts, search=search, solver=self.solver, executor=self.executor)
 
     def _local(self, problem: Problem, start: Start) -> Solution:
         """The first solution of the ways tried; the last one if none is."""

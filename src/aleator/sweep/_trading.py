@@ -1,8 +1,10 @@
 """`trade_off`: designs of which none is better in all wishes, and how their front is found."""
 
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from typing import get_args
 
+from aleator._core.elsewhere import check_executor
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, one_of, refusal, whole
 from aleator._core.heard import heeding
@@ -29,6 +31,7 @@ def trade_off(
     seed: int = 0,
     solver: AbstractSolver | None = None,
     transcription: AbstractTranscription = DEFAULT,
+    executor: Executor | None = None,
     progress: Progress = silent,
 ) -> TradeOff:
     """Find designs of which none is better in one wish without being worse in another.
@@ -52,7 +55,9 @@ def trade_off(
       given. One that ends at a known design is sought again from between its neighbours;
     - `starts`: local searches for each point, all but one from random starts, for problems with several optima, whose
       fronts may be in parts; the best designs of the wishes are then searched for globally (see `al.portfolio`);
-    - `evaluations`, `seed`: of a population: simulated designs, and its random numbers.
+    - `evaluations`, `seed`: of a population: simulated designs, and its random numbers;
+    - `executor`: simulates the generations of a population, and does the local searches of `starts` at once (see
+      `al.pareto`), with the same front.
 
     At the best design of a wish, the others are improved as far as they can be without making it worse (lexicographic
     order). Everything is compiled once. Ctrl-C returns the points found so far; in a population it ends that, whose
@@ -67,13 +72,19 @@ def trade_off(
     starts = whole("trade_off: starts", starts)
     if method not in get_args(Method):
         raise refusal("trade_off: method", '"boundary", "limits", "weights" or "population"', method)
-    budget = Budget(whole("trade_off: evaluations", evaluations), whole("trade_off: seed", seed, least=0))
+    budget = Budget(whole("trade_off: evaluations", evaluations), whole("trade_off: seed", seed, least=0), executor)
+    check_executor("trade_off", executor)
+    if executor is not None and method != "population" and starts == 1:
+        raise ProblemError(
+            'trade_off: executor: expected method="population" or starts= of at least 2, whose simulations or searches '
+            f"can be shared; received method={method!r} with one start, where each design follows from those before."
+        )
     if method == "population":
         check_crowd(problem)
     check_progress("trade_off", progress)
     one_of("trade_off: transcription", transcription, AbstractTranscription, "al.Sequential()")
     _check_problem(problem, wishes)
-    front = FrontInTheMaking(Wishes(current(problem), wishes), Seeker(transcription, solver, starts), points)
+    front = FrontInTheMaking(Wishes(current(problem), wishes), Seeker(transcription, solver, starts, executor), points)
     interrupted = True
     try:
         with heeding() as heed:

@@ -17,4 +17,5 @@ from aleator.transcription._unsatisfiable import blind_decisions as blind_decisi
 from aleator.transcription._unsatisfiable import refuse_blind as refuse_blind
 from aleator.transcription._warm_start import started_from as started_from
 from aleator.transcription.sequential import Sequential as Sequential
+from aleator.transcription.sequential import valued_by as valued_by
 from aleator.transcription.simultaneous import Simultaneous as Simultaneous

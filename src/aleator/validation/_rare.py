@@ -9,7 +9,8 @@ from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
-from aleator._core.journalled import journalled
+from aleator._core.journalled import journalled, parts_so_far
+from aleator._core.part_by_part import call_by_call
 from aleator._core.progress import Progress, check_progress, silent
 from aleator.ensemble import Part, at_levels, each, fill, parts
 from aleator.solution import Solution
@@ -46,6 +47,9 @@ def rare_violation(
     `Proportion`. No sampling method can account for a way of breaking a limit that it never met; the fewer uncertain
     numbers, the less likely that is. Where much depends on it, count with `al.validate`.
 
+    Within `al.journal(folder)` what takes long is kept part by part, every few seconds: after a crash the same call
+    goes on from there.
+
     Raises `ProblemError` as `al.validate` does, and for names against which no system is counted.
     """
     if not isinstance(solution, Solution):
@@ -70,8 +74,9 @@ def _estimated(solution: Solution, limits: "_Limits", samples: int, seed: int, p
 
     tell(0)
     level = max(1000, samples // 10)
-    proposal = adapted(limits.beyond, len(limits.systems.germs), _REACH, level, generator)
-    found = weighted(limits.beyond, proposal, samples, limits.batch, generator, tell)
+    beyond = call_by_call(limits.beyond, parts_so_far())
+    proposal = adapted(beyond, len(limits.systems.germs), _REACH, level, generator)
+    found = weighted(beyond, proposal, samples, limits.batch, generator, tell)
     tell(samples)
     if found.effective >= _ENOUGH:
         return found

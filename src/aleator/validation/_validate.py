@@ -2,26 +2,30 @@
 
 import time
 import warnings
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 from aleator._core.beside import working
-from aleator._core.elsewhere import check_executor
+from aleator._core.elsewhere import check_executor, each_of
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator._core.given import whole
 from aleator._core.journalled import journalled, parts_so_far
 from aleator._core.memory import NUMBER, refuse_beyond_memory
+from aleator._core.part_by_part import part_by_part
 from aleator._core.progress import Progress, check_progress, silent
-from aleator.design import functionals_of, refuse_large_histories, uncertain
+from aleator.design import functionals_of, refuse_large_histories, refuse_other_code, uncertain
 from aleator.solution import Solution
 from aleator.validation._alone import alone
 from aleator.validation._counted import tolerances
 from aleator.validation._evidence import Evidence
-from aleator.validation._part_by_part import Simulate, part_by_part, simulated_elsewhere
-from aleator.validation._stretches import Plan, simulated
+from aleator.validation._stretches import Plan, Simulated, Stretch, simulated
 from aleator.validation._systems import Systems
 from aleator.validation._tally import Tally
+
+_Simulate: TypeAlias = Callable[[Sequence[Stretch]], Iterator[tuple[Stretch, Simulated]]]
+"""What each of some stretches finds, in order."""
 
 
 def validate(
@@ -89,11 +93,17 @@ def _sampled(
     return tally.evidence(solution, seed, time.perf_counter() - started)
 
 
-def _by(executor: Executor | None, solution: Solution, systems: Systems, plan: Plan) -> Simulate:
+def _by(executor: Executor | None, solution: Solution, systems: Systems, plan: Plan) -> _Simulate:
     """How stretches are simulated: here, or by an executor."""
     if executor is None:
         return lambda stretches: simulated(systems, plan, stretches)
-    return lambda stretches: simulated_elsewhere(executor, solution, plan, stretches)
+    given = {"solution": solution, "plan": plan}
+    return lambda stretches: each_of(executor, _simulated_there, stretches, given, "validate")
+
+
+def _simulated_there(solution: Solution, plan: Plan, items: Sequence[Stretch]) -> list[Simulated]:
+    refuse_other_code(solution.problem)
+    return [found for _, found in simulated(Systems(solution, "validate"), plan, items)]
 
 
 def _told(evidence: Evidence) -> Evidence:

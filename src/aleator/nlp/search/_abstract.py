@@ -77,6 +77,8 @@ class AbstractSearch(AbstractSolver):
     progress: Progress = silent
 
     needs_bounds: ClassVar[bool] = True
+    at_once: ClassVar[bool] = True
+    """Whether it asks for many points in one call, which an executor can share."""
     first_points: ClassVar[int] = 32
 
     def __post_init__(self) -> None:

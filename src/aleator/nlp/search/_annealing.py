@@ -1,7 +1,7 @@
 """Generalised simulated annealing."""
 
 from dataclasses import dataclass
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 import scipy
@@ -22,6 +22,8 @@ class DualAnnealing(AbstractSearch):
 
     Arguments: see `AbstractSearch`.
     """
+
+    at_once: ClassVar[bool] = False
 
     @property
     @override

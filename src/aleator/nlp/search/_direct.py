@@ -1,7 +1,7 @@
 """DIRECT: division of rectangles."""
 
 from dataclasses import dataclass
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 import scipy
@@ -24,6 +24,8 @@ class Direct(AbstractSearch):
 
     Arguments: see `AbstractSearch`.
     """
+
+    at_once: ClassVar[bool] = False
 
     @property
     @override

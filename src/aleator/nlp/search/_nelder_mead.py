@@ -28,6 +28,7 @@ class NelderMead(AbstractSearch):
     """
 
     needs_bounds: ClassVar[bool] = False
+    at_once: ClassVar[bool] = False
 
     @property
     @override

@@ -143,21 +143,19 @@ def compare_methods(results: ClutchResults, progress: Progress) -> None:
         results.methods.append(Method(f"gPC, order {order}", 3 * float(expanded.std), None, count, seconds))
     progress("quasi-Monte Carlo", 2, 4)
     samples = effort.quasi_samples
-    drawn, seconds = _timed(lambda: al.references.quasi_monte_carlo(_angle, model, samples))
-    results.methods.append(_sampled("quasi-Monte Carlo", drawn, samples, seconds))
+    results.methods.append(_sampled("quasi-Monte Carlo", al.references.quasi_monte_carlo(_angle, model, samples)))
     progress("Monte Carlo", 3, 4)
     samples = effort.samples
-    drawn, seconds = _timed(lambda: al.references.monte_carlo(_angle, model, samples))
-    results.methods.append(_sampled("Monte Carlo", drawn, samples, seconds))
+    results.methods.append(_sampled("Monte Carlo", al.references.monte_carlo(_angle, model, samples)))
 
 
 def _angle(model: al.AlgebraicSystem) -> Any:
     return al.simulate(model)["chi"][0]
 
 
-def _sampled(name: str, drawn: al.references.RandomSample, samples: int, seconds: float) -> Method:
+def _sampled(name: str, drawn: al.references.RandomSample) -> Method:
     std = drawn.std
-    return Method(name, 3 * float(std.value), 3 * float(std.standard_error), samples, seconds)
+    return Method(name, 3 * float(std.value), 3 * float(std.standard_error), drawn.samples, drawn.seconds)
 
 
 def _timed(work: Callable[[], Any], repeats: int = 0) -> tuple[Any, float]:

@@ -1,5 +1,6 @@
 """The values of a problem at many decisions in few calls, on all cores, without derivatives."""
 
+from collections.abc import Sequence
 from typing import Any, final
 
 import jax
@@ -16,6 +17,8 @@ from aleator.transcription._scope import scope_of
 
 # Systems simulated together: more are slower, because their histories leave the cache.
 _SYSTEMS = 128
+# Designs simulated together: of more, many would often be repetitions, and there would be no calls to share.
+_DESIGNS = 16
 
 # Calls by one thread before it waits for the others, which takes time.
 _CALLS = 8
@@ -47,23 +50,39 @@ VALUES = Compiled(_values, use=_use, unchanged=refuse_changed_code)
 class Population:
     """The objective and the rows of the constraints at any number of decisions.
 
-    Compiled for one design and for as many as are worth one call.
+    Compiled for one design and for as many as are worth one call. Digits depend on the size that a program is compiled
+    for, and so on whether one design is asked for or several, but neither on how many these are nor on who evaluates
+    which.
     """
 
     def __init__(self, traced: Problem, collocation: Collocation, constants: Constants):
-        self._together = max(1, _SYSTEMS // len(collocation.points))
+        self.made_of = {"traced": traced, "collocation": collocation, "constants": constants}
+        self._together = min(max(1, _SYSTEMS // len(collocation.points)), _DESIGNS)
         self._of_size = {size: VALUES.bound(traced, collocation, constants) for size in {1, self._together}}
 
     def __call__(self, decisions: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
         """The objectives, shape (k,), and the rows of the constraints, shape (k, rows)."""
-        size = self._together if len(decisions) > 1 else 1
-        program = self._of_size[size]
-        # Traced here, because only the calling thread may run a user's code.
-        program.prepare(fill(decisions[:size], size))
+        size = self.size(len(decisions))
+        self._prepare(decisions, size)
 
         def values(part: Part) -> Float[np.ndarray, "some rows"]:
-            some = [np.asarray(program(fill(one.points, size))) for one in parts(part.points, size)]
-            return np.concatenate(some)[: len(part.points)]
+            return np.concatenate([self._rows(one.points, size) for one in parts(part.points, size)])
 
         rows = np.concatenate([found for _, found in each(values, parts(decisions, size * _CALLS))])
         return rows[:, 0], rows[:, 1:]
+
+    def size(self, count: int) -> int:
+        """How many designs are evaluated in one call, of so many in all."""
+        return self._together if count > 1 else 1
+
+    def rows(self, some: Sequence[Float[np.ndarray, "few n"]], size: int) -> list[Float[np.ndarray, "few rows"]]:
+        """The objective and the constraints at some designs, for each call: no more than `size` designs in one."""
+        self._prepare(some[0], size)
+        return [self._rows(one, size) for one in some]
+
+    def _prepare(self, decisions: Float[np.ndarray, "k n"], size: int) -> None:
+        # Traced here, because only the calling thread may run a user's code.
+        self._of_size[size].prepare(fill(decisions[:size], size))
+
+    def _rows(self, decisions: Float[np.ndarray, "few n"], size: int) -> Float[np.ndarray, "few rows"]:
+        return np.asarray(self._of_size[size](fill(decisions, size)))[: len(decisions)]
