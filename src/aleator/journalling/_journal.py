@@ -250,7 +250,10 @@ def _place(entry: Entry) -> str:
 
 
 def _state_of(result: Any) -> State:
+    """How far a result is, of whatever kind: also of arrays, whose attributes of these names are no truth values."""
     status = getattr(result, "status", Status.SOLVED)
-    if status in (Status.INFEASIBLE, Status.INTERRUPTED):
-        return State.INFEASIBLE if status is Status.INFEASIBLE else State.INTERRUPTED
-    return State.DONE if getattr(result, "ok", True) else State.FAILED
+    if status is Status.INTERRUPTED or getattr(result, "interrupted", False) is True:
+        return State.INTERRUPTED
+    if status is Status.INFEASIBLE:
+        return State.INFEASIBLE
+    return State.FAILED if getattr(result, "ok", True) is False else State.DONE

@@ -1,7 +1,7 @@
 """The clutch study, run: the methods of table 7.2 and more, tolerance analysis, allocation and its front."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
@@ -11,6 +11,7 @@ import numpy as np
 
 import aleator as al
 from aleator._core.progress import Progress
+from aleator.journalling import kept
 from aleator.studies._declared import Stage
 from aleator.studies._study import stop_if_interrupted
 from aleator.studies.clutch import (
@@ -128,36 +129,53 @@ def exact_variation() -> float:
 def compare_methods(results: ClutchResults, progress: Progress) -> None:
     """Table 7.2 and its extension. The expansions are timed warm, as is Monte Carlo: each after a first small run."""
     results.exact = exact_variation()
-    model, effort = clutch(), results.effort
+    found, effort = results.methods, results.effort
     progress("linearisation", 0, 4)
-    linear, seconds = _timed(lambda: al.references.linearise(_angle, model), effort.repeats)
-    results.methods.append(Method("DLM", 3 * float(linear.std), None, 1, seconds))
+    found.append(kept("DLM", by_linearisation, effort.repeats))
     if effort.second_order:
-        second, seconds = _timed(lambda: al.references.second_order(_angle, model), effort.repeats)
-        results.methods.append(Method("second order", 3 * float(second.std), None, 1, seconds))
+        found.append(kept("second order", by_second_order, effort.repeats))
     progress("expansions", 1, 4)
-    for order in effort.orders:
-        wish = published_expansion(order)
-        expanded, seconds = _timed(lambda wish=wish: al.expand(_angle, model, wish), effort.repeats)
-        count = len(expanded.collocation.points)
-        results.methods.append(Method(f"gPC, order {order}", 3 * float(expanded.std), None, count, seconds))
-    progress("quasi-Monte Carlo", 2, 4)
-    samples = effort.quasi_samples
-    drawn, seconds = _timed(lambda: al.references.quasi_monte_carlo(_angle, model, samples))
-    results.methods.append(_sampled("quasi-Monte Carlo", drawn, samples, seconds))
-    progress("Monte Carlo", 3, 4)
-    samples = effort.samples
-    drawn, seconds = _timed(lambda: al.references.monte_carlo(_angle, model, samples))
-    results.methods.append(_sampled("Monte Carlo", drawn, samples, seconds))
+    found += [kept(f"gPC, order {order}", by_expansion, order, effort.repeats) for order in effort.orders]
+    draws = {
+        "quasi-Monte Carlo": (al.references.quasi_monte_carlo, effort.quasi_samples),
+        "Monte Carlo": (al.references.monte_carlo, effort.samples),
+    }
+    for i, (name, (draw, samples)) in enumerate(draws.items()):
+        progress(name, 2 + i, 4)
+        found.append(kept(name, by_samples, name, draw, samples))
+
+
+def by_linearisation(repeats: int) -> Method:
+    """The row of direct linearisation."""
+    model = clutch()
+    linear, seconds = _timed(lambda: al.references.linearise(_angle, model), repeats)
+    return Method("DLM", 3 * float(linear.std), None, 1, seconds)
+
+
+def by_second_order(repeats: int) -> Method:
+    """The row of an expansion in Taylor's series."""
+    model = clutch()
+    second, seconds = _timed(lambda: al.references.second_order(_angle, model), repeats)
+    return Method("second order", 3 * float(second.std), None, 1, seconds)
+
+
+def by_expansion(order: int, repeats: int) -> Method:
+    """The row of a polynomial chaos expansion."""
+    model, wish = clutch(), published_expansion(order)
+    expanded, seconds = _timed(lambda: al.expand(_angle, model, wish), repeats)
+    return Method(f"gPC, order {order}", 3 * float(expanded.std), None, len(expanded.collocation.points), seconds)
+
+
+def by_samples(name: str, draw: Callable[..., al.references.RandomSample], samples: int) -> Method:
+    """The row of random or quasi-random systems."""
+    model = clutch()
+    drawn, seconds = _timed(lambda: draw(_angle, model, samples))
+    std = drawn.std
+    return Method(name, 3 * float(std.value), 3 * float(std.standard_error), samples, seconds)
 
 
 def _angle(model: al.AlgebraicSystem) -> Any:
     return al.simulate(model)["chi"][0]
-
-
-def _sampled(name: str, drawn: al.references.RandomSample, samples: int, seconds: float) -> Method:
-    std = drawn.std
-    return Method(name, 3 * float(std.value), 3 * float(std.standard_error), samples, seconds)
 
 
 def _timed(work: Callable[[], Any], repeats: int = 0) -> tuple[Any, float]:
@@ -174,11 +192,15 @@ def _timed(work: Callable[[], Any], repeats: int = 0) -> tuple[Any, float]:
 def analyse_tolerances(results: ClutchResults, progress: Progress) -> None:
     """Contributions, capability and rejects under both specifications; the given and the safe tolerances counted."""
     for name, (lower, upper) in {"limits": LIMITS, "deviation": DEVIATION}.items():
-        results.analyses[name] = al.tolerance_analysis(
-            clutch(), "chi", lower=lower, upper=upper, expansion=published_expansion(3)
-        )
+        wanted = {"lower": lower, "upper": upper, "expansion": published_expansion(3)}
+        results.analyses[name] = kept(f"tolerances, {name}", al.tolerance_analysis, clutch(), "chi", **wanted)
     for name, tolerances in {GIVEN: TOLERANCES, SAFE: worst_case_tolerances()}.items():
-        results.counts[name] = count_rejects(tolerances, results.effort.counted, progress=progress)
+        _count(results, name, tolerances, progress)
+
+
+def _count(results: ClutchResults, name: str, tolerances: Mapping[str, float], progress: Progress) -> None:
+    samples = results.effort.counted
+    results.counts[name] = kept(f"rejects, {name}", count_rejects, tolerances, samples, progress=progress)
 
 
 def allocate(results: ClutchResults, progress: Progress) -> None:
@@ -186,8 +208,7 @@ def allocate(results: ClutchResults, progress: Progress) -> None:
     results.allocation = al.solve(allocation_problem(results.given))
     results.evidence = al.validate(results.allocation, results.effort.evidence_samples, seed=1, progress=progress)
     if results.allocation.ok:
-        chosen = tolerances_of(results.allocation)
-        results.counts[CHEAPEST] = count_rejects(chosen, results.effort.counted, progress=progress)
+        _count(results, CHEAPEST, tolerances_of(results.allocation), progress)
 
 
 def sweep_rejects(results: ClutchResults, progress: Progress) -> None:
