@@ -44,13 +44,13 @@ def kept(
     try:
         bound = inspect.signature(function).bind(*arguments, **named, **reported).arguments
     except TypeError as error:
-        raise ProblemError(f"kept: expected arguments of '{function.__qualname__}'; received others: {error}.") from None
+        raise ProblemError(f"kept: expected the arguments of {function.__name__}; received others: {error}.") from None
     given = {f"argument {one}": value for one, value in bound.items() if one not in reported}
 
     def found() -> Result:
         result = function(*arguments, **named, **reported)
         if result is None:
-            raise ProblemError(f"kept: '{name}': expected a function that returns what is to be kept; it returned None.")
+            raise ProblemError(f"kept: '{name}': expected a function that returns what is kept; it returned None.")
         return result
 
     with calling(name):
