@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, refusal
-from aleator._core.journalled import calling, journalled
+from aleator._core.journalled import journalled
 from aleator._core.progress import Progress, check_progress
 
 Result = TypeVar("Result")
@@ -24,7 +24,7 @@ def kept(
     a count, an enumeration, an `al.expand`. The work is the same if the name, the arguments, and the function's code
     with all that this reads are the same. What it asks of `al.solve` and the like is a part of this one result.
 
-    - `name`: by which the journal lists the result;
+    - `name`: by which the journal lists the result, as `work` of this name;
     - `function`: gets all that it works with as arguments, and returns what Python can pickle;
     - `progress`: given to the function as its own `progress`, if any; the result does not follow from it.
 
@@ -53,8 +53,7 @@ def kept(
             raise ProblemError(f"kept: '{name}': expected a function that returns what is kept; it returned None.")
         return result
 
-    with calling(name):
-        return journalled("kept", {"name": name, "function": _identified(function), **given}, found)
+    return journalled(f"work {name}", {"function": _identified(function), **given}, found)
 
 
 def _identified(function: FunctionType) -> Any:
