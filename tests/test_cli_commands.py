@@ -167,7 +167,7 @@ def test_a_folder_that_does_not_say_how_to_go_on_is_refused(here: Path, damage, 
 
 def test_a_script_that_runs_its_own_study_leaves_no_command_to_resume(here: Path):
     cli._record.Record("bar.py").write(here)
-    assert cli.run_study(Partial(), here) == 0
+    assert cli.run_study(Further(), here) == 0
     assert "There is no 'command.json'" in said(aleator("resume", str(here)))
 
 
@@ -448,7 +448,7 @@ def test_work_of_a_studys_own_is_on_its_page_without_being_done_again(here: Path
     lines = (here / "there" / FILE).read_text().splitlines(keepends=True)
     (here / "there" / FILE).write_text("".join(line for line in lines if "work thrice" not in line))
     result = aleator("report", "there", "--json")
-    assert document(result)["missing"] == ["'other' is not finished: work thrice and what it follows from is missing."]
+    assert document(result)["missing"] == ["'other' is not finished: work thrice is missing."]
     assert "Not reached or not completed: other." in (here / "there/report-so-far.html").read_text()
     checked = aleator("check", "further", "--json")
     assert checked.exit_code == 0, checked.output
@@ -458,13 +458,17 @@ def test_work_of_a_studys_own_is_on_its_page_without_being_done_again(here: Path
 
 @pytest.mark.parametrize(
     ("problems", "told"),
-    [({}, "'Partly kept' declares no problems"), ([1], "problems by their names"), ({"a": 1}, "'a': expected Problem")],
+    [
+        ({}, "'With work of its own' declares no problems"),
+        ([1], "problems by their names"),
+        ({"a": 1}, "'a': expected Problem"),
+    ],
 )
 def test_a_study_without_proper_problems_is_refused_where_they_are_needed(
     here: Path, monkeypatch: pytest.MonkeyPatch, problems, told: str
 ):
-    monkeypatch.setattr(Partial, "problems", problems)
-    monkeypatch.setattr(studies, "load", lambda name, quick=False: Partial())
+    monkeypatch.setattr(Further, "problems", problems)
+    monkeypatch.setattr(studies, "load", lambda name, quick=False: Further())
     for command in (("check",), ("validate",), ("sweep", "--bound", "stress", "--values", "1")):
         result = aleator(command[0], "partial", *command[1:])
         assert result.exit_code == 2

@@ -59,9 +59,9 @@ def test_a_run_that_was_killed_after_its_first_stage_has_a_page_of_that(finished
     (killed / FILE).write_text("".join(lines[: next(i for i, one in enumerate(lines) if "work tolerances" in one)]))
     found = aleator("report", str(killed))
     assert found["missing"] == [
-        "'tolerances' is not finished: work tolerances, limits and what it follows from is missing.",
+        "'tolerances' is not finished: work tolerances, limits is missing.",
         "'allocation' is not finished: what it follows from is missing.",
-        "'front' is not finished: solve Assembly and what it follows from is missing.",
+        "'front' is not finished: solve Assembly is missing.",
     ]
     assert found["verdict"].startswith("The study was stopped")
     page = (killed / PAGE).read_text(encoding="utf-8")
