@@ -191,11 +191,16 @@ def _timed(work: Callable[[], Any], repeats: int = 0) -> tuple[Any, float]:
 
 def analyse_tolerances(results: ClutchResults, progress: Progress) -> None:
     """Contributions, capability and rejects under both specifications; the given and the safe tolerances counted."""
-    for name, (lower, upper) in {"limits": LIMITS, "deviation": DEVIATION}.items():
-        wanted = {"lower": lower, "upper": upper, "expansion": published_expansion(3)}
-        results.analyses[name] = kept(f"tolerances, {name}", al.tolerance_analysis, clutch(), "chi", **wanted)
+    results.analyses = {
+        name: _analysed(name, *ends) for name, ends in {"limits": LIMITS, "deviation": DEVIATION}.items()
+    }
     for name, tolerances in {GIVEN: TOLERANCES, SAFE: worst_case_tolerances()}.items():
         _count(results, name, tolerances, progress)
+
+
+def _analysed(name: str, lower: float, upper: float) -> al.results.ToleranceAnalysis:
+    wanted = {"lower": lower, "upper": upper, "expansion": published_expansion(3)}
+    return kept(f"tolerances, {name}", al.tolerance_analysis, clutch(), "chi", **wanted)
 
 
 def _count(results: ClutchResults, name: str, tolerances: Mapping[str, float], progress: Progress) -> None:
