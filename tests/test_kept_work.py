@@ -1,5 +1,6 @@
 """Work of one's own within a journal: done once for the same code and numbers, and not kept where that is uncertain."""
 
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -115,6 +116,20 @@ def test_what_was_ended_early_is_continued_and_not_taken_for_the_whole(tmp_path)
     assert not entry.is_finished
 
 
+def swallowing(number: int) -> int:
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt:
+        return number
+    return -number
+
+
+def test_work_in_which_ctrl_c_was_pressed_is_not_kept_whatever_it_returns(tmp_path, python_interrupts):
+    with al.journal(tmp_path), pytest.raises(KeyboardInterrupt):
+        kept("numbers", swallowing, 3)
+    assert [one.state.value for one in al.load(tmp_path).entries] == ["interrupted"]
+
+
 def test_designs_found_by_kept_work_are_parts_of_its_result(tmp_path):
     found = []
     for _ in range(2):
@@ -124,6 +139,22 @@ def test_designs_found_by_kept_work_are_parts_of_its_result(tmp_path):
     assert first == again == recalled.objective
     assert design.vector.tobytes() == recalled.vector.tobytes()
     assert [one.what for one in al.load(tmp_path).entries] == ["work the lightest"]
+
+
+def squared(model):
+    return model["width"] ** 2
+
+
+def test_a_verb_that_no_journal_keeps_by_itself_is_kept_by_name(tmp_path):
+    """The mean of a square is one third of a uniform width's square."""
+    found = []
+    for _ in range(2):
+        with al.journal(tmp_path) as journal:
+            found.append(kept("expansion", al.expand, squared, {"width": al.Uniform.bounds(0.0, 1.0)}))
+    assert journal.recalled == 1
+    first, again = found
+    assert float(first.mean) == float(again.mean) == pytest.approx(1 / 3, rel=1e-12)
+    assert float(again.std) == pytest.approx(np.sqrt(1 / 5 - 1 / 9), rel=1e-12)
 
 
 def test_without_a_journal_work_is_done_each_time(calls):

@@ -12,7 +12,7 @@ from aleator.cli._options import AsJson, Folder
 from aleator.cli._record import RECORD, recorded
 from aleator.cli._terminal import Terminal
 from aleator.journalling import Recalled, recalling
-from aleator.reporting import PAGE, Page, Section, Text, footer, sections, verdict, words, write_page
+from aleator.reporting import PAGE, Page, Section, Text, by_place, footer, sections, verdict, words, write_page
 from aleator.studies import AbstractStudy
 
 SO_FAR = "report-so-far.html"
@@ -56,7 +56,7 @@ def _page(folder: Path, kept: Recalled, missing: list[str]) -> Page:
     study = recorded(folder).made() if (folder / RECORD).is_file() else None
     if study is not None:
         missing += _recalled(study, kept)
-        if any(study.results().values()):
+        if any(one is not None for one in by_place(study.results()).values()):
             return study.page()
     return _bare_page(folder, kept, study, missing)
 

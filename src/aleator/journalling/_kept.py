@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, refusal
+from aleator._core.heard import heeding
 from aleator._core.journalled import journalled
 from aleator._core.progress import Progress, check_progress
 
@@ -30,7 +31,7 @@ def kept(
 
     Work that another run could not recognise is done each time, with a `JournalWarning`: by a function that draws
     random numbers, reads a clock or a file (let it take the numbers as arguments), say. So is work whose result no
-    other process could read.
+    other process could read. Ctrl-C ends the work, whatever the function makes of it.
 
     Raises `ProblemError` for arguments that the function does not take, and if it returns None.
     """
@@ -48,7 +49,9 @@ def kept(
     given = {f"argument {one}": value for one, value in bound.items() if one not in reported}
 
     def found() -> Result:
-        result = function(*arguments, **named, **reported)
+        with heeding() as heed:  # what it asks for may have ended early without saying so
+            result = function(*arguments, **named, **reported)
+            heed()
         if result is None:
             raise ProblemError(f"kept: '{name}': expected a function that returns what is kept; it returned None.")
         return result
