@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 import aleator as al
 import bars
-from aleator import cli, solving, studies
+from aleator import cli, extending, solving, studies
 from aleator.cli._record import Record
 from aleator.journalling import FILE, Entry
 from aleator.reporting import Section, Table, Verdict, only_writer
@@ -167,7 +167,7 @@ def test_a_folder_that_does_not_say_how_to_go_on_is_refused(here: Path, damage, 
 
 def test_a_script_that_runs_its_own_study_leaves_no_command_to_resume(here: Path):
     cli._record.Record("bar.py").write(here)
-    assert cli.run_study(Partial(), here) == 0
+    assert cli.run_study(Further(), here) == 0
     assert "There is no 'command.json'" in said(aleator("resume", str(here)))
 
 
@@ -383,14 +383,19 @@ def test_after_an_edit_the_page_is_written_beside_the_complete_one(here: Path, f
     assert (here / "results/report.html").read_bytes() != complete
 
 
-class Partial(AbstractStudy):
-    """A study with a stage of its own that no journal keeps, after a design."""
+def thrice(number: float, progress) -> float:
+    progress("thrice", 0, 1)
+    return 3.0 * number
 
-    title = "Partly kept"
+
+class Further(AbstractStudy):
+    """A study with work of its own, after a design."""
+
+    title = "With work of its own"
 
     def __init__(self) -> None:
         self.found: dict[str, al.Solution] = {}
-        self.others = 0
+        self.others, self.thrice = 0, 0.0
 
     @property
     def problems(self):
@@ -404,6 +409,10 @@ class Partial(AbstractStudy):
         self.found["robust"] = al.solve(self.problems["robust"])
 
     def other(self, progress):
+        mass = self.found["robust"].objective
+        self.thrice = extending.kept("thrice", thrice, mass, progress=self.noted)
+
+    def noted(self, task, done, total):
         self.others += 1
 
     def results(self):
@@ -413,27 +422,35 @@ class Partial(AbstractStudy):
         return Verdict("good", "Done", "as far as it went.")
 
     def sections(self):
-        return [Section("Own", [Table("Own", ["a"], [["b"]])])]
+        return [Section("Own", [Table("Own", ["a"], [[f"thrice {self.thrice:.4f}"]])])]
 
     def tables(self):
         return []
 
 
-def test_a_study_that_no_journal_keeps_as_a_whole_is_told_by_its_designs(
-    here: Path, monkeypatch: pytest.MonkeyPatch, nothing_solved: None
-):
-    monkeypatch.undo()
-    monkeypatch.chdir(here)
-    study = Partial()
-    monkeypatch.setattr(studies, "load", lambda name, quick=False: study)
-    assert aleator("run", "partial", "--out", "there").exit_code == 0
-    assert study.others == 1
+def test_work_of_a_studys_own_is_on_its_page_without_being_done_again(here: Path, monkeypatch: pytest.MonkeyPatch):
+    made = list[Further]()
+
+    def fresh(name, quick=False):
+        made.append(Further())
+        return made[-1]
+
+    monkeypatch.setattr(studies, "load", fresh)
+    assert aleator("run", "further", "--out", "there").exit_code == 0
+    told = f"thrice {3 * NEEDED / 0.5:.4f}"
+    assert told in (here / "there/report.html").read_text()
+    (here / "there/report.html").unlink()
     result = aleator("report", "there", "--json")
     assert result.exit_code == 0, result.output
-    assert study.others == 1
-    assert "aleator resume" in document(result)["missing"][0]
-    assert "Partly kept" in (here / "there/report-so-far.html").read_text()
-    checked = aleator("check", "partial", "--json")
+    assert document(result)["missing"] == []
+    assert told in (here / "there/report.html").read_text()
+    assert [one.others for one in made] == [1, 0]
+    lines = (here / "there" / FILE).read_text().splitlines(keepends=True)
+    (here / "there" / FILE).write_text("".join(line for line in lines if "work thrice" not in line))
+    result = aleator("report", "there", "--json")
+    assert document(result)["missing"] == ["'other' is not finished: work thrice is missing."]
+    assert "Not reached or not completed: other." in (here / "there/report-so-far.html").read_text()
+    checked = aleator("check", "further", "--json")
     assert checked.exit_code == 0, checked.output
     assert document(checked)["problems"]["robust"]["points"] >= 4
     assert document(checked)["problems"]["robust"]["samples"] is None
@@ -441,13 +458,17 @@ def test_a_study_that_no_journal_keeps_as_a_whole_is_told_by_its_designs(
 
 @pytest.mark.parametrize(
     ("problems", "told"),
-    [({}, "'Partly kept' declares no problems"), ([1], "problems by their names"), ({"a": 1}, "'a': expected Problem")],
+    [
+        ({}, "'With work of its own' declares no problems"),
+        ([1], "problems by their names"),
+        ({"a": 1}, "'a': expected Problem"),
+    ],
 )
 def test_a_study_without_proper_problems_is_refused_where_they_are_needed(
     here: Path, monkeypatch: pytest.MonkeyPatch, problems, told: str
 ):
-    monkeypatch.setattr(Partial, "problems", problems)
-    monkeypatch.setattr(studies, "load", lambda name, quick=False: Partial())
+    monkeypatch.setattr(Further, "problems", problems)
+    monkeypatch.setattr(studies, "load", lambda name, quick=False: Further())
     for command in (("check",), ("validate",), ("sweep", "--bound", "stress", "--values", "1")):
         result = aleator(command[0], "partial", *command[1:])
         assert result.exit_code == 2

@@ -357,6 +357,18 @@ def test_of_a_module_only_what_is_named_is_read(monkeypatch):
     assert read_code([FROM_MODULES["an attribute"]]) == before
 
 
+def test_a_part_of_a_library_that_is_loaded_at_its_first_use_reads_the_same_before_and_after(monkeypatch):
+    monkeypatch.delitem(vars(al), "tolerance_analysis", raising=False)
+    before = read_code([analysed])
+    al.tolerance_analysis  # noqa: B018 -- loads it
+    assert read_code([analysed]) == before
+    assert any(place.name == "al.tolerance_analysis" for place, _ in before.reads)
+
+
+def analysed(model):
+    return al.tolerance_analysis(model, "gap", lower=0.0)
+
+
 class Noted(np.ndarray):
     pass
 

@@ -16,6 +16,7 @@ from aleator.design import AbstractFunctional as AbstractFunctional
 from aleator.design import AbstractIntegral as AbstractIntegral
 from aleator.design import Taken as Taken
 from aleator.expansion import Basis as Basis
+from aleator.journalling import kept as kept
 from aleator.nlp import AbstractLocalSolver as AbstractLocalSolver
 from aleator.nlp import AbstractSearch as AbstractSearch
 from aleator.nlp import Answer as Answer

@@ -6,17 +6,28 @@ from dataclasses import replace
 import pytest
 
 import aleator as al
+from aleator.journalling import recalling
 from aleator.studies._second_way import collocated, found_both_ways, second_way
 from tiny_models import oscillator_problem
 
 
-@pytest.fixture(scope="module")
-def found():
+def both_ways():
     said = []
     problem = oscillator_problem(grid=al.Grid(4.0, 80))
     both = found_both_ways("dOpt", problem, lambda *told: said.append(told))
     assert said[0][0] == "dOpt by direct collocation"
     return both
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("journal")
+
+
+@pytest.fixture(scope="module")
+def found(folder):
+    with al.journal(folder):
+        return both_ways()
 
 
 def read(text):
@@ -59,3 +70,11 @@ def test_what_does_not_agree_and_what_cannot_be_compared_is_said(found):
 def test_decisions_at_their_bounds_are_left_out(found):
     fixed = replace(found, first=replace(found.first, at_bounds=("c",)))
     assert "c" not in rows(fixed)[1]
+
+
+def test_both_answers_are_taken_from_their_journal(found, folder):
+    with recalling(folder):
+        again = both_ways()
+    assert again.objective == found.objective
+    assert again.statistics == found.statistics
+    assert again.second.vector.tobytes() == found.second.vector.tobytes()

@@ -333,6 +333,9 @@ class _Reader:
             if is_moody(f"{it.__name__}.{name}") or (name == "__dict__" and is_library(it.__name__)):
                 self.doubts.append(further)
                 return
+            if is_library(it.__name__):
+                with contextlib.suppress(Exception):  # what its code would raise too, when it runs
+                    getattr(it, name)  # a part that is loaded at its first use reads as it will after that
             if name not in vars(it):  # all of it, for whatever makes the attribute
                 break
             it, place = vars(it)[name], further

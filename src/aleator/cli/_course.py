@@ -1,7 +1,7 @@
 """The course of a study: stages in order, saved one by one, its page and its tables, whatever ends it."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, final
@@ -14,7 +14,7 @@ from aleator.cli._progress import shown
 from aleator.cli._record import RECORD, Record
 from aleator.cli._terminal import FAILED, USAGE, Terminal
 from aleator.journalling import Journal, journal
-from aleator.reporting import PAGE, Table, check_writable, only_writer, save_study, words
+from aleator.reporting import PAGE, Table, by_place, check_writable, only_writer, save_study, words
 from aleator.solution import Solution
 from aleator.studies import AbstractStudy, PartlySavedError, tables_of
 from aleator.validation import Evidence
@@ -188,7 +188,8 @@ class _Course:
         except PartlySavedError as error:
             self._paths, self._finished = error.paths, finished
             raise
-        self._kept.call(dict(_journalled_results("", job.results())))
+        found = by_place(job.results())
+        self._kept.call({place: one for place, one in found.items() if isinstance(one, Solution | Evidence)})
 
     def _ask_tables(self, job: AbstractStudy) -> None:
         self._tables = tables_of(job)
@@ -233,13 +234,3 @@ def _told(seconds: float, recalled: int, begun: int) -> str:
     if not recalled:
         return f"{seconds:.1f} s"
     return f"{seconds:.1f} s, {recalled} of {recalled + begun} recalled" if begun else "recalled from an earlier run"
-
-
-def _journalled_results(place: str, results: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """The designs and the evidence among a study's results, each by its place."""
-    for name, one in results.items():
-        here = f"{place}/{name}".lstrip("/")
-        if isinstance(one, Mapping):
-            yield from _journalled_results(here, one)
-        elif isinstance(one, Solution | Evidence):
-            yield here, one

@@ -1,10 +1,9 @@
 """Results as the values of a JSON document: documented keys, finite numbers or null."""
 
-from collections.abc import Mapping
 from typing import Any
 
 from aleator._core.errors import ProblemError
-from aleator.reporting import designs_document, savable
+from aleator.reporting import by_place, designs_document, savable
 from aleator.solution import Solution
 from aleator.studies import AbstractStudy
 from aleator.sweep import Front
@@ -17,18 +16,8 @@ def facts_of(job: AbstractStudy) -> dict[str, Any]:
     except ProblemError:  # told already, where it was saved and printed
         results, verdict = {}, None
     named = {"title": job.title, "verdict": verdict}
-    return {**named, "designs": designs_document(results), "fronts": dict(_fronts("", results))}
-
-
-def _fronts(place: str, results: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    found = []
-    for name, one in results.items():
-        here = f"{place}/{name}".lstrip("/")
-        if isinstance(one, Mapping):
-            found += _fronts(here, one)
-        elif isinstance(one, Front):
-            found.append((here, front_facts(one)))
-    return found
+    fronts = {place: front_facts(one) for place, one in by_place(results).items() if isinstance(one, Front)}
+    return {**named, "designs": designs_document(results), "fronts": fronts}
 
 
 def front_facts(front: Front) -> dict[str, Any]:

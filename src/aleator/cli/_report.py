@@ -12,7 +12,7 @@ from aleator.cli._options import AsJson, Folder
 from aleator.cli._record import RECORD, recorded
 from aleator.cli._terminal import Terminal
 from aleator.journalling import Recalled, recalling
-from aleator.reporting import PAGE, Page, Section, Text, footer, sections, verdict, words, write_page
+from aleator.reporting import PAGE, Page, Section, Text, by_place, footer, sections, verdict, words, write_page
 from aleator.studies import AbstractStudy
 
 SO_FAR = "report-so-far.html"
@@ -54,9 +54,9 @@ def _place(folder: Path, missing: Sequence[str]) -> Path:
 def _page(folder: Path, kept: Recalled, missing: list[str]) -> Page:
     """The page; what is missing from it is added, a sentence each."""
     study = recorded(folder).made() if (folder / RECORD).is_file() else None
-    if study is not None and study.stages_are_journalled:
+    if study is not None:
         missing += _recalled(study, kept)
-        if any(study.results().values()):
+        if any(one is not None for one in by_place(study.results()).values()):
             return study.page()
     return _bare_page(folder, kept, study, missing)
 
@@ -72,6 +72,11 @@ def _recalled(study: AbstractStudy, kept: Recalled) -> list[str]:
             missing.append(f"'{name}' is not finished: {absent} is missing.")
         except AleatorError as error:
             missing.append(f"'{name}' failed: {error}")
+        except Exception:  # of whatever kind, where a stage works with what an earlier one would have found
+            if not missing:
+                raise
+            study.failed_parts = ()
+            missing.append(f"'{name}' is not finished: what it follows from is missing.")
         kept.missing.clear()
     return missing
 
@@ -83,7 +88,7 @@ def _bare_page(folder: Path, kept: Recalled, study: AbstractStudy | None, missin
     if not designs:
         raise ProblemError(f"report: nothing is finished yet in '{folder}': there is no design to show.")
     if study is not None:
-        missing.append(_OF_ANOTHER_FORM if study.stages_are_journalled else _HARD_TO_SEE)
+        missing.append(_OF_ANOTHER_FORM)
     return Page(
         title=study.title if study is not None else folder.resolve().name,
         subtitle=f"Kept in {folder.resolve().name}: {words(list(designs))}",
@@ -96,8 +101,4 @@ def _bare_page(folder: Path, kept: Recalled, study: AbstractStudy | None, missin
 _OF_ANOTHER_FORM = (
     "These are designs of an earlier form of the study, or of its fronts: the study as it is now has no result here "
     "yet; `aleator resume` computes them."
-)
-_HARD_TO_SEE = (
-    "This page has the designs and the evidence that the journal keeps; the study's own chapters follow with "
-    "`aleator resume`."
 )

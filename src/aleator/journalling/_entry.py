@@ -38,7 +38,8 @@ class Entry:
     """One result of a journal.
 
     - `key`: a digest of all that it follows from; `parts`: digests of these by name, such as `code` and `versions`;
-    - `what`: `solve` or `validate`, with the model's name; `state`; `why`: the reason of a failure;
+    - `what`: `solve` or `validate` with the model's name, or `work` with its own; `state`;
+    - `why`: the reason of a failure;
     - `name`: what the study calls it, such as `designs/robust` or `stress = 0.4`, if it has a name for it;
     - `host`, `process`, `since`: who began it, and when (UTC); `seconds`: how long it took;
     - `file`: where its result is, relative to the folder; `digest`: of that file.

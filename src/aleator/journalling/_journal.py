@@ -38,8 +38,9 @@ def journal(folder: str | Path, *, afresh: bool = False) -> "Iterator[Journal]":
             evidence = al.validate_all(front)
 
     The same script, started again after a crash or a Ctrl-C, takes from there what has the same code, numbers and
-    versions, down to the last bit, and computes the rest: single solves, fronts, calibrations, starts, and evidence.
-    `al.load(folder)` gives the results back. Nothing in it is overwritten by other numbers.
+    versions, down to the last bit, and computes the rest: single solves, fronts, calibrations, starts, evidence, and
+    work of your own (`aleator.extending.kept`). `al.load(folder)` gives the results back. Nothing in it is overwritten
+    by other numbers.
 
     With `afresh`, what is asked for is computed again all the same. What an earlier run found stays until its
     replacement is there; results that are not asked for stay as they are.
@@ -250,7 +251,10 @@ def _place(entry: Entry) -> str:
 
 
 def _state_of(result: Any) -> State:
+    """How far a result is, of whatever kind: also of arrays, whose attributes of these names are no truth values."""
     status = getattr(result, "status", Status.SOLVED)
-    if status in (Status.INFEASIBLE, Status.INTERRUPTED):
-        return State.INFEASIBLE if status is Status.INFEASIBLE else State.INTERRUPTED
-    return State.DONE if getattr(result, "ok", True) else State.FAILED
+    if status is Status.INTERRUPTED or getattr(result, "interrupted", False) is True:
+        return State.INTERRUPTED
+    if status is Status.INFEASIBLE:
+        return State.INFEASIBLE
+    return State.FAILED if getattr(result, "ok", True) is False else State.DONE

@@ -2,6 +2,7 @@
 
 import weakref
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any, NamedTuple, final
 
 from aleator._core.lasting import joined, lasting_parts
@@ -24,8 +25,9 @@ class Keys:
         self._keys = dict[int, tuple[weakref.ref[Any], str]]()
 
     def remember(self, result: Any, key: str) -> None:
-        """Note the key of a result."""
-        self._keys[id(result)] = weakref.ref(result), key
+        """Note the key of a result. A plain value, such as a list, is told by its content instead."""
+        with suppress(TypeError):
+            self._keys[id(result)] = weakref.ref(result), key
 
     def of(self, result: Any) -> str:
         """The key of a known result; empty for anything else."""

@@ -44,6 +44,7 @@ from aleator.reporting._motion import Scene as Scene
 from aleator.reporting._motion import bands_figure as bands_figure
 from aleator.reporting._motion import linkage_animation as linkage_animation
 from aleator.reporting._motion import plane_figure as plane_figure
+from aleator.reporting._nested import by_place as by_place
 from aleator.reporting._numbers import count as count
 from aleator.reporting._numbers import given as given
 from aleator.reporting._numbers import interval as interval

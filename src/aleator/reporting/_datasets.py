@@ -7,6 +7,7 @@ import numpy as np
 
 from aleator.design import statistics_in
 from aleator.reporting import _units
+from aleator.reporting._nested import leaves
 from aleator.solution import Solution
 from aleator.statistics import Mean, Std
 from aleator.sweep import Calibration, Front, TradeOff
@@ -273,20 +274,14 @@ def tree(results: Mapping[str, Any]) -> "xarray.DataTree":
     """Nested mappings of results as a tree of datasets, without empty branches."""
     import xarray
 
-    nodes: dict[str, xarray.Dataset] = {}
-    _fill(nodes, "", results)
+    nodes = {
+        "/".join(["", *map(_key, names)]): dataset(one)
+        for names, one in leaves(results)
+        if one is not None and not _is_empty(one)
+    }
     return xarray.DataTree.from_dict(nodes)
 
 
 def _is_empty(one: Any) -> bool:
     """Whether a sweep was interrupted before its first point."""
     return isinstance(one, Front) and not one.solutions
-
-
-def _fill(nodes: "dict[str, xarray.Dataset]", place: str, results: Mapping[str, Any]) -> None:
-    for name, one in results.items():
-        here = f"{place}/{_key(str(name))}"
-        if isinstance(one, Mapping):
-            _fill(nodes, here, one)
-        elif one is not None and not _is_empty(one):
-            nodes[here] = dataset(one)

@@ -11,6 +11,7 @@ import numpy as np
 
 from aleator.design import equations_digest
 from aleator.reporting._blocks import Block, Section, Table
+from aleator.reporting._nested import leaves
 from aleator.reporting._numbers import count, number
 from aleator.solution import Solution
 from aleator.sweep import Calibration, Front, TradeOff
@@ -33,7 +34,7 @@ def design_digest(solution: Solution) -> str:
 
 def provenance(results: Mapping[str, Any]) -> Section:
     """The section of a page on where its numbers come from, with lines to sign; empty without results."""
-    rows = list(_rows("", results))
+    rows = list(_rows(results))
     note = (
         "A design's digest changes with its equations, its decisions or its objective, and stands in designs.json as "
         "well. The same seed draws the same systems."
@@ -68,12 +69,10 @@ def _is_installed(name: str) -> bool:
     return True
 
 
-def _rows(place: str, results: Mapping[str, Any]) -> Iterator[list[str]]:
-    for name, one in results.items():
-        here = f"{place}: {name}" if place else str(name)
-        if isinstance(one, Mapping):
-            yield from _rows(here, one)
-        elif isinstance(one, Solution):
+def _rows(results: Mapping[str, Any]) -> Iterator[list[str]]:
+    for names, one in leaves(results):
+        here = ": ".join(names)
+        if isinstance(one, Solution):
             yield [here, design_digest(one), one.effort.solver, "–", _seconds(_time_of(one))]
         elif isinstance(one, Evidence):
             yield [here, design_digest(one.solution), *_sampled(one)]

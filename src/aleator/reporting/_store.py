@@ -12,6 +12,7 @@ import numpy as np
 from aleator.reporting import _units
 from aleator.reporting._datasets import tree
 from aleator.reporting._files import write_together
+from aleator.reporting._nested import by_place
 from aleator.reporting._provenance import design_digest, environment
 from aleator.reporting._savable import savable
 from aleator.solution import ConstraintResult, Solution
@@ -86,19 +87,11 @@ def strict(value: Any) -> Any:
 
 def designs_document(results: Mapping[str, Any]) -> dict[str, Any]:
     """Every solution among the results by its place, in human-readable form."""
-    found = dict(_leaves("", results))
+    found = by_place(results)
     judged = {id(one.solution): one for one in found.values() if isinstance(one, Evidence)}
     return {
         place: solution_document(one, judged.get(id(one))) for place, one in found.items() if isinstance(one, Solution)
     }
-
-
-def _leaves(place: str, results: Mapping[str, Any]) -> "list[tuple[str, Any]]":
-    leaves = []
-    for name, one in results.items():
-        here = f"{place}/{name}".lstrip("/")
-        leaves += _leaves(here, one) if isinstance(one, Mapping) else [(here, one)]
-    return leaves
 
 
 def solution_document(solution: Solution, evidence: Evidence | None = None) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any, ClassVar, NamedTuple, TypeVar, final
+from typing import Any, NamedTuple, TypeVar, final
 
 from typing_extensions import override
 
@@ -64,8 +64,6 @@ class Study(AbstractStudy):
 
     Raises `ProblemError` for anything else, and for sweeps over bounds that the last design does not have.
     """
-
-    stages_are_journalled: ClassVar = True
 
     def __init__(
         self,

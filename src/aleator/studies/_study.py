@@ -43,9 +43,10 @@ class AbstractStudy(abc.ABC):
     - `title`, `subtitle`: of the page;
     - `glossary`: its terms and their meanings;
     - `finished`: the completed stages;
-    - `failed_parts`: what failed, and why;
-    - `stages_are_journalled`: whether a journal keeps all that its stages compute, so that a page can be written of
-      what is in a folder without computing anything.
+    - `failed_parts`: what failed, and why.
+
+    Its stages are run again on what is in a folder (`aleator resume`, `aleator report`): what takes long in them goes
+    through a verb that a journal keeps, such as `solve` and `validate`, or through `aleator.extending.kept`.
     """
 
     title: str = "A case study"
@@ -53,7 +54,6 @@ class AbstractStudy(abc.ABC):
     glossary: ClassVar[Sequence[tuple[str, str]]] = ()
     finished: tuple[str, ...] = ()
     failed_parts: tuple[Failure, ...] = ()
-    stages_are_journalled: ClassVar[bool] = False
 
     @property
     def problems(self) -> Mapping[str, Problem]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import numpy as np
 from typing_extensions import override
@@ -42,8 +42,6 @@ class SweptStudy(AbstractStudy):
 
     Raises `ProblemError` for a design or a bound that is not there, and for values that are no numbers.
     """
-
-    stages_are_journalled: ClassVar = True
 
     def __init__(
         self,

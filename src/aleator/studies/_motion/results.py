@@ -6,6 +6,7 @@ from typing import Any, final
 
 import aleator as al
 from aleator._core.progress import Progress
+from aleator.journalling import kept
 from aleator.studies._motion.build import CALIBRATED, TARGET
 from aleator.studies._motion.family import Family, fly
 from aleator.studies._study import stop_if_interrupted
@@ -91,9 +92,9 @@ class MotionResults:
         """Fly each plan on its family and keep every output."""
         for i, (name, plan) in enumerate(self.plans.items()):
             progress(f"family, {name}", i, len(self.plans))
-            self.families[name] = self.flown(plan, plan.problem, seed=2)
+            self.families[name] = self.flown(f"family, {name}", plan, plan.problem, seed=2)
 
-    def flown(self, plan: al.Solution, problem: al.Problem, *, seed: int) -> Family:
+    def flown(self, called: str, plan: al.Solution, problem: al.Problem, *, seed: int) -> Family:
         """A plan on the systems of a problem, with extremes between the instants too, except in a quick run."""
         between = finer_by(plan) if self.effort.whole else 1
-        return fly(problem, plan.vector, self.effort.family, seed=seed, between=between)
+        return kept(called, fly, problem, plan.vector, self.effort.family, seed=seed, between=between)

@@ -22,7 +22,7 @@ from aleator.reporting import (
     linked_front,
 )
 from aleator.studies.clutch import LIMITS, MEANS, NAMES, TOLERANCES, clutch
-from aleator.studies.clutch._counts import CHEAPEST, GIVEN, SAFE, tolerances_of
+from aleator.studies.clutch._counts import CHEAPEST, GIVEN, SAFE, tolerances_of, worst_case_tolerances
 from aleator.studies.clutch._drawing import clutch_drawing
 from aleator.studies.clutch._facts import (
     allocation_table,
@@ -164,7 +164,7 @@ def _allocation(results: ClutchResults) -> Iterator[Block]:
         yield counts_table(results)
     if results.allocation.ok:
         chosen = tolerances_of(results.allocation)
-        sets = {GIVEN: TOLERANCES, CHEAPEST: chosen, SAFE: results.counts[SAFE].tolerances}
+        sets = {GIVEN: TOLERANCES, CHEAPEST: chosen, SAFE: worst_case_tolerances()}
         bars = {name: {NAMES[part]: value for part, value in one.items()} for name, one in sets.items()}
         yield Drawing([bars_figure(bars, y="Tolerance ±T", unit="mm")], "Tolerances before and after")
     if results.front is not None:

@@ -1,7 +1,7 @@
 """The clutch study, run: the methods of table 7.2 and more, tolerance analysis, allocation and its front."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
@@ -11,6 +11,7 @@ import numpy as np
 
 import aleator as al
 from aleator._core.progress import Progress
+from aleator.journalling import kept
 from aleator.studies._declared import Stage
 from aleator.studies._study import stop_if_interrupted
 from aleator.studies.clutch import (
@@ -128,25 +129,41 @@ def exact_variation() -> float:
 def compare_methods(results: ClutchResults, progress: Progress) -> None:
     """Table 7.2 and its extension. The expansions are timed warm, as is Monte Carlo: each after a first small run."""
     results.exact = exact_variation()
-    model, effort = clutch(), results.effort
+    found, effort = results.methods, results.effort
     progress("linearisation", 0, 4)
-    linear, seconds = _timed(lambda: al.references.linearise(_angle, model), effort.repeats)
-    results.methods.append(Method("DLM", 3 * float(linear.std), None, 1, seconds))
+    found.append(kept("DLM", by_linearisation, effort.repeats))
     if effort.second_order:
-        second, seconds = _timed(lambda: al.references.second_order(_angle, model), effort.repeats)
-        results.methods.append(Method("second order", 3 * float(second.std), None, 1, seconds))
+        found.append(kept("second order", by_second_order, effort.repeats))
     progress("expansions", 1, 4)
-    for order in effort.orders:
-        wish = published_expansion(order)
-        expanded, seconds = _timed(lambda wish=wish: al.expand(_angle, model, wish), effort.repeats)
-        count = len(expanded.collocation.points)
-        results.methods.append(Method(f"gPC, order {order}", 3 * float(expanded.std), None, count, seconds))
-    progress("quasi-Monte Carlo", 2, 4)
-    samples = effort.quasi_samples
-    results.methods.append(_sampled("quasi-Monte Carlo", al.references.quasi_monte_carlo(_angle, model, samples)))
-    progress("Monte Carlo", 3, 4)
-    samples = effort.samples
-    results.methods.append(_sampled("Monte Carlo", al.references.monte_carlo(_angle, model, samples)))
+    found += [kept(f"gPC, order {order}", by_expansion, order, effort.repeats) for order in effort.orders]
+    draws = {
+        "quasi-Monte Carlo": (al.references.quasi_monte_carlo, effort.quasi_samples),
+        "Monte Carlo": (al.references.monte_carlo, effort.samples),
+    }
+    for i, (name, (draw, samples)) in enumerate(draws.items()):
+        progress(name, 2 + i, 4)
+        found.append(_sampled(name, draw(_angle, clutch(), samples)))
+
+
+def by_linearisation(repeats: int) -> Method:
+    """The row of direct linearisation."""
+    model = clutch()
+    linear, seconds = _timed(lambda: al.references.linearise(_angle, model), repeats)
+    return Method("DLM", 3 * float(linear.std), None, 1, seconds)
+
+
+def by_second_order(repeats: int) -> Method:
+    """The row of an expansion in Taylor's series."""
+    model = clutch()
+    second, seconds = _timed(lambda: al.references.second_order(_angle, model), repeats)
+    return Method("second order", 3 * float(second.std), None, 1, seconds)
+
+
+def by_expansion(order: int, repeats: int) -> Method:
+    """The row of a polynomial chaos expansion."""
+    model, wish = clutch(), published_expansion(order)
+    expanded, seconds = _timed(lambda: al.expand(_angle, model, wish), repeats)
+    return Method(f"gPC, order {order}", 3 * float(expanded.std), None, len(expanded.collocation.points), seconds)
 
 
 def _angle(model: al.AlgebraicSystem) -> Any:
@@ -171,12 +188,21 @@ def _timed(work: Callable[[], Any], repeats: int = 0) -> tuple[Any, float]:
 
 def analyse_tolerances(results: ClutchResults, progress: Progress) -> None:
     """Contributions, capability and rejects under both specifications; the given and the safe tolerances counted."""
-    for name, (lower, upper) in {"limits": LIMITS, "deviation": DEVIATION}.items():
-        results.analyses[name] = al.tolerance_analysis(
-            clutch(), "chi", lower=lower, upper=upper, expansion=published_expansion(3)
-        )
+    results.analyses = {
+        name: _analysed(name, *ends) for name, ends in {"limits": LIMITS, "deviation": DEVIATION}.items()
+    }
     for name, tolerances in {GIVEN: TOLERANCES, SAFE: worst_case_tolerances()}.items():
-        results.counts[name] = count_rejects(tolerances, results.effort.counted, progress=progress)
+        _count(results, name, tolerances, progress)
+
+
+def _analysed(name: str, lower: float, upper: float) -> al.results.ToleranceAnalysis:
+    wanted = {"lower": lower, "upper": upper, "expansion": published_expansion(3)}
+    return kept(f"tolerances, {name}", al.tolerance_analysis, clutch(), "chi", **wanted)
+
+
+def _count(results: ClutchResults, name: str, tolerances: Mapping[str, float], progress: Progress) -> None:
+    samples = results.effort.counted
+    results.counts[name] = kept(f"rejects, {name}", count_rejects, tolerances, samples, progress=progress)
 
 
 def allocate(results: ClutchResults, progress: Progress) -> None:
@@ -184,8 +210,7 @@ def allocate(results: ClutchResults, progress: Progress) -> None:
     results.allocation = al.solve(allocation_problem(results.given))
     results.evidence = al.validate(results.allocation, results.effort.evidence_samples, seed=1, progress=progress)
     if results.allocation.ok:
-        chosen = tolerances_of(results.allocation)
-        results.counts[CHEAPEST] = count_rejects(chosen, results.effort.counted, progress=progress)
+        _count(results, CHEAPEST, tolerances_of(results.allocation), progress)
 
 
 def sweep_rejects(results: ClutchResults, progress: Progress) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 import aleator as al
 from aleator._core.progress import Progress
+from aleator.journalling import kept
 from aleator.studies._declared import Stage
 from aleator.studies._second_way import SECOND_WAY, found_both_ways
 from aleator.studies._study import stop_if_interrupted
@@ -80,7 +81,9 @@ def sample_designs(results: FourBarResults, progress: Progress) -> None:
 def count_designs(results: FourBarResults, progress: Progress) -> None:
     """The path of each design, and of the published linkage with the given tolerances."""
     for name, (lengths, widths) in dimensions(results).items():
-        results.counts[name] = count_linkages(lengths, widths, results.effort.counted, progress=progress)
+        samples = results.effort.counted
+        counted = kept(f"linkages, {name}", count_linkages, lengths, widths, samples, progress=progress)
+        results.counts[name] = counted
 
 
 def dimensions(results: FourBarResults) -> dict[str, tuple[dict[str, float], dict[str, float]]]:

@@ -21,7 +21,7 @@ def verdict(results: FourBarResults) -> Verdict:
     missing = no_recommendation(results.designs, results.evidence, DESIGNS, sentences, cards)
     if missing:
         return missing
-    if not results.counts or len(results.designs) < len(DESIGNS):
+    if not {*DESIGNS} <= {*results.counts}:
         return Verdict("caution", "Incomplete", "The study was stopped before its counts.", sentences, cards)
     joint, headline = results.evidence[ALLOCATED].joint, _headline(results)
     if joint.upper <= TARGET:

@@ -4,9 +4,11 @@ from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 import aleator as al
 from aleator._core.progress import Progress
+from aleator.journalling import kept
 from aleator.studies._motion.build import TRIED
 from aleator.studies._motion.facts import named
 from aleator.studies._motion.family import Family
@@ -80,13 +82,16 @@ class Spread(NamedTuple):
 def on_payload(done: MotionResults, payload: al.Uniform) -> tuple[Family, dict[str, Spread]]:
     """The robust plan on another payload: its family, and its joints' final spread, sampled and by the expansion."""
     plan, problem = done.plans[ROBUST], named(robust_problem(payload=payload), TOGETHER)
-    family = done.flown(plan, problem, seed=3)
-    resolved = transcribe(problem).resolve(plan.vector)
+    family = done.flown(f"family of payload {payload}", plan, problem, seed=3)
+    ends = kept(f"expansion on payload {payload}", expanded_ends, problem, plan.vector)
+    return family, {name: Spread(float(family.systems[name][:, -1].std()), *one) for name, one in ends.items()}
+
+
+def expanded_ends(problem: al.Problem, decisions: Float[np.ndarray, " n"]) -> dict[str, tuple[float, float]]:
+    """The standard deviation of each joint's final angle by the expansion, rad, and its leave-one-out error."""
+    resolved = transcribe(problem).resolve(decisions)
     ends = {name: resolved[f"{name}(t_f)"] for name in ("q1", "q2")}
-    return family, {
-        name: Spread(float(family.systems[name][:, -1].std()), float(one.std), float(one.leave_one_out))
-        for name, one in ends.items()
-    }
+    return {name: (float(one.std), float(one.leave_one_out)) for name, one in ends.items()}
 
 
 PAYLOADS = (PAYLOAD, WIDE)

@@ -8,6 +8,7 @@ import numpy as np
 
 import aleator as al
 from aleator._core.progress import Progress
+from aleator.journalling import kept
 from aleator.studies._motion.build import TRIED
 from aleator.studies._motion.facts import named
 from aleator.studies._motion.family import Family, fly
@@ -71,15 +72,15 @@ def margin_problem(plan: al.Solution) -> al.Problem:
     return named(robust_problem(TRIED, guess=plan.decisions["motion.q1.free"], duration=duration), _TOGETHER)
 
 
-def flown_finer(plan: al.Solution, count: int) -> Family:
+def flown_finer(name: str, plan: al.Solution, count: int) -> Family:
     """The same pendulums as those of the plan's family, with smaller steps."""
-    return fly(plan.problem, plan.vector, count, seed=2, finer=FINER)
+    return kept(f"finer steps, {name}", fly, plan.problem, plan.vector, count, seed=2, finer=FINER)
 
 
-def flown_frictionless(plan: al.Solution, count: int) -> Family:
+def flown_frictionless(name: str, plan: al.Solution, count: int) -> Family:
     """The same pendulums without friction."""
     bare: Any = eqx.tree_at(lambda tree: tree.system.model.damping, plan.problem, 0.0)
-    return fly(bare, plan.vector, count, seed=2)
+    return kept(f"frictionless, {name}", fly, bare, plan.vector, count, seed=2)
 
 
 def _start(duration: float, halves: int, width: float, late: int) -> dict[str, np.ndarray | float]:

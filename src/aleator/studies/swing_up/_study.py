@@ -73,8 +73,8 @@ class SwingUp(AbstractMotionStudy):
         count = self.done.effort.family
         for i, (name, plan) in enumerate(self.done.plans.items()):
             progress(f"finer steps, {name}", i, len(self.done.plans))
-            self.finer[name] = _run.flown_finer(plan, count)
-            self.frictionless[name] = _run.flown_frictionless(plan, count)
+            self.finer[name] = _run.flown_finer(name, plan, count)
+            self.frictionless[name] = _run.flown_frictionless(name, plan, count)
 
     @override
     def published(self) -> Table:
