@@ -231,6 +231,7 @@ def test_work_that_always_kills_its_worker_ends():
 
 
 AT_CTRL_C = """
+    import multiprocessing
     import os
     import signal
 
@@ -240,8 +241,10 @@ AT_CTRL_C = """
         with al.workers(2) as executor:
             try:
                 print([one.result() for one in [executor.submit(abs, -number) for number in range(4)]])
-                os.killpg(0, signal.SIGINT)
-                signal.pause()
+                # One by one, because a signal of the whole group may reach this process a little later.
+                for one in multiprocessing.active_children():
+                    os.kill(one.pid, signal.SIGINT)
+                signal.raise_signal(signal.SIGINT)
             except KeyboardInterrupt:
                 print("interrupted")
 """

@@ -1,5 +1,6 @@
 """`workers`: processes on this machine, one a core, that outlive the death of any of them."""
 
+import contextlib
 import os
 import signal
 import threading
@@ -9,6 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context
 from multiprocessing.queues import Queue
+from pathlib import Path
 from types import FrameType
 from typing import Any, TypeVar, final
 
@@ -21,6 +23,8 @@ _Result = TypeVar("_Result")
 
 # How often work is begun again after its worker, or another one, has died.
 _AGAIN = 3
+# Environment variables of the libraries that NumPy and SciPy may use.
+_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def workers(count: int | None = None) -> Executor:
@@ -67,7 +71,7 @@ class Workers(Executor):
     def _send(self, future: "Future[Any]", submit: Callable[[ProcessPoolExecutor], "Future[Any]"], tries: int) -> None:
         with self._lock:
             pool = self._pool = self._pool or self._begun()
-            with _interrupts_wait():  # which `submit` begins processes in
+            with _interrupts_wait(), _single_threads():  # which `submit` begins processes in
                 try:
                     inner = submit(pool)
                 except BrokenProcessPool:
@@ -129,20 +133,45 @@ def _interrupts_wait() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
+@contextmanager
+def _single_threads() -> Iterator[None]:
+    """Let the linear algebra of processes that begin within a block have one thread, unless the user says otherwise.
+
+    A second one on the same core would wait by turning in circles.
+    """
+    fresh = [name for name in _THREADS if name not in os.environ]
+    os.environ.update(dict.fromkeys(fresh, "1"))
+    try:
+        yield
+    finally:
+        for name in fresh:
+            os.environ.pop(name, None)
+
+
 # Whether this process, a worker, is doing something.
 _busy = threading.Event()
 
 
 def _settle(cores: "Queue[int]") -> None:
-    """Begin a worker: one core, which XLA's threads keep to as well, and one thread of ours."""
+    """Begin a worker: one core, which the threads of libraries keep to as well, and one thread of ours."""
     signal.signal(signal.SIGINT, _interrupt)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     core = cores.get()
     if hasattr(os, "sched_setaffinity"):
         mine = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, {mine[core % len(mine)]})
+        for thread in _begun_here():
+            with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+                os.sched_setaffinity(thread, {mine[core % len(mine)]})
     threads(1)
+
+
+def _begun_here() -> list[int]:
+    """The threads of this process; those begun later keep to the cores of the one that begins them."""
+    try:
+        return [int(one.name) for one in Path("/proc/self/task").iterdir()]
+    except OSError:  # no Linux
+        return [0]
 
 
 def _worked(fn: Callable[..., _Result], /, *args: Any, **kwargs: Any) -> _Result:
