@@ -238,10 +238,10 @@ AT_CTRL_C = """
     import aleator as al
 
     if __name__ == "__main__":
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # which a run in the background ignores
         with al.workers(2) as executor:
             try:
                 print([one.result() for one in [executor.submit(abs, -number) for number in range(4)]])
-                # One by one, because a signal of the whole group may reach this process a little later.
                 for one in multiprocessing.active_children():
                     os.kill(one.pid, signal.SIGINT)
                 signal.raise_signal(signal.SIGINT)

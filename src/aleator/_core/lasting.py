@@ -32,8 +32,8 @@ from aleator._core.equations import array_digest
 from aleator._core.libraries import is_library
 from aleator._core.readings import Again, Place, Plain, Reading, Same
 
-# Libraries besides JAX that trace and compile; the folder is separate for each version of JAX.
-_TRACING = ("equinox", "numpy", "scipy", "diffrax", "lineax", "optimistix")
+# Libraries that trace and compile. The folder of programs is separate for each version of JAX; a journal's is not.
+_TRACING = ("jax", "jaxlib", "equinox", "numpy", "scipy", "diffrax", "lineax", "optimistix")
 _PLAIN = (str, bytes, int, bool, float, complex, type(None), type(Ellipsis), range, Decimal, Fraction, np.dtype)
 _OF_NAMED_TUPLE = type(Place.who)  # a field of a named tuple, in its class
 # Settings of JAX that do not affect a program.
