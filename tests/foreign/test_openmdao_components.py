@@ -134,6 +134,19 @@ def test_names_are_those_that_openmdao_allows_and_each_is_used_once():
     assert _openmdao._names(given) == expected
 
 
+def test_a_limit_with_the_name_of_a_decision_has_a_name_of_its_own():
+    problem = al.Problem(
+        Truss(areas=al.Decision(np.array([2.0, 3.0]), 0.1, 10.0), load=al.Uniform.bounds(3.5, 4.5)),
+        minimize=al.output("volume").mean,
+        subject_to=[(al.output("first").mean <= 2.5).named("areas")],
+        expansion=al.Expansion(order=2),
+    )
+    model, _ = built(problem)
+    run(model)
+    np.testing.assert_allclose(model.get_val("areas"), [2.0, 3.0])
+    np.testing.assert_allclose(model.get_val("areas_2"), 2.0, rtol=1e-12)  # the mean load of 4 over an area of 2
+
+
 class Plate(al.AlgebraicSystem):
     """The sag of a plate under an uncertain pressure, in declared units."""
 

@@ -2,7 +2,7 @@
 
 import functools
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import numpy as np
@@ -63,8 +63,8 @@ def _component() -> Any:
             self._transcribed, self._declared = transcribe(problem), declared
             places, constraints = self._transcribed.places, self._transcribed.problem.constraints
             self._decisions = dict(zip(_names(places.decisions), places.decisions.values(), strict=True))
-            rows = zip(_names(one.name for one in constraints), self._transcribed.rows, strict=True)
-            self._rows: dict[str, slice] = dict(rows)
+            limits = _names((one.name for one in constraints), taken=self._decisions)
+            self._rows: dict[str, slice] = dict(zip(limits, self._transcribed.rows, strict=True))
             units = [number_unit(name, problem) for name in places.decisions]
             units += [
                 one.unit(units_of(one, problem)) for one in (problem.objective, *(c.expression for c in constraints))
@@ -128,14 +128,14 @@ def _openmdao() -> Any:
     return openmdao.api
 
 
-def _names(given: Iterable[str]) -> list[str]:
-    """Names that OpenMDAO allows, each once; `objective` is taken."""
+def _names(given: Iterable[str], taken: Collection[str] = ()) -> list[str]:
+    """Names that OpenMDAO allows, each once, and none of those `taken`, of which `objective` always is one."""
     found: list[str] = []
     for name in given:
         plain = re.sub(r"[^\w:]+", "_", name.replace(".", ":")).strip("_") or "constraint"
         plain = plain if plain[0].isalpha() else f"of_{plain}"
         count, free = 1, plain
-        while free in (*found, _OBJECTIVE):
+        while free in (*found, *taken, _OBJECTIVE):
             count += 1
             free = f"{plain}_{count}"
         found.append(free)
