@@ -99,26 +99,26 @@ class Sent:
 
     def __init__(self, executor: Executor):
         self._executor = executor
-        self._futures: dict[Future[bytes], Callable[[], Any]] = {}
-        self._open: dict[Future[bytes], int] = {}
+        self._known = set[Future[bytes]]()
+        self._open: dict[Future[bytes], tuple[int, Callable[[], Any]]] = {}
 
     def send(self, index: int, pack: bytes, where: str) -> None:
         """Send a pack. Raises `SimulationError` if the executor does not take it."""
         future = _submitted(self._executor, pack, where)
-        if future in self._futures:
+        if future in self._known:
             raise _lost(where, "the executor gave the same future for two pieces of work")
-        self._futures[future] = partial(received, future, pack, where)
-        self._open[future] = index
+        self._known.add(future)
+        self._open[future] = index, partial(received, future, pack, where)
 
     def done(self) -> "Iterator[tuple[int, Callable[[], Any]]]":
         """What is finished, as soon as it is, that sent meanwhile too: its index, and `received` for it."""
         while self._open:
             finished, _ = wait(self._open, return_when=FIRST_COMPLETED)
-            yield from [(self._open.pop(future), self._futures[future]) for future in finished]
+            yield from [self._open.pop(future) for future in finished]
 
     def cancel(self) -> None:
         """Cancel what has not begun."""
-        for future in self._futures:
+        for future in self._open:
             future.cancel()
 
 

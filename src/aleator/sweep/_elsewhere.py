@@ -22,13 +22,8 @@ def each_elsewhere(
     work: Work, executor: Executor, calls: Sequence[Mapping[str, Any]], where: Sequence[str]
 ) -> Iterator[tuple[int, Any]]:
     """The results of `solve` or `validate` for some arguments, each with its index: see `as_they_come`."""
-    waiting = list(zip(calls, where, strict=True))
-
-    def once() -> list[tuple[Mapping[str, Any], str]]:
-        given, waiting[:] = waiting[:], []
-        return given
-
-    return as_they_come(work, executor, once)
+    at_first = iter([list(zip(calls, where, strict=True))])
+    return as_they_come(work, executor, lambda: next(at_first, []))
 
 
 def as_they_come(
