@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.sweep import _multistart as multistart_module
+from aleator.sweep import _each as each_module
 from aleator.transcription.sequential import EVALUATE
 
 
@@ -109,7 +109,7 @@ def test_an_interrupted_search_returns_what_is_finished():
 )
 def test_starts_that_make_no_sense_are_refused_before_anything_is_solved(starts, message, monkeypatch):
     solved = []
-    monkeypatch.setattr(multistart_module, "solve", lambda *arguments, **options: solved.append(arguments))
+    monkeypatch.setattr(each_module, "solve", lambda *arguments, **options: solved.append(arguments))
     with pytest.raises(al.ProblemError, match=message):
         al.multistart(wells(), starts)
     assert solved == []

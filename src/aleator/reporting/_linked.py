@@ -13,7 +13,7 @@ from aleator.reporting._numbers import given, number, share_text, words
 from aleator.reporting._tables import STATUS_WORDS, objective_text
 from aleator.reporting._trade_offs import told_values, trade_off_figure, unit_of
 from aleator.solution import Solution
-from aleator.sweep import Front, Refused, TradeOff
+from aleator.sweep import SAME, Front, Refused, TradeOff
 from aleator.validation import Evidence
 
 if TYPE_CHECKING:
@@ -56,8 +56,28 @@ def linked_front(
     points = [point for front in fronts.values() for point in front.points]
     places = zip(_places(fronts), points, strict=True)
     choices = [choice(name, point, evidence_on(point, known)) for name, point in places]
-    caption = f"{caption} {_CHOOSE}".strip()
+    doubts = [f"{name}: {one}." for name, front in fronts.items() for one in front.doubts()]
+    caption = " ".join(filter(None, [caption, *doubts, _CHOOSE]))
     return Linked(figures, heading, _front_table(fronts, known), choices, _first_solved(points), caption, number)
+
+
+def disagreements(designs: Mapping[str, Solution], fronts: Mapping[str, Front]) -> list[str]:
+    """Where a design and a point of a front solve the same problem, but one is better: the other is a local optimum."""
+    found = []
+    for name, design in designs.items():
+        for front in fronts.values():
+            for value, point in zip(front.values, front.points, strict=True):
+                if not (design.ok and isinstance(point, Solution) and point.ok and point.problem == design.problem):
+                    continue
+                gap = abs(design.objective - point.objective)
+                if gap > SAME * max(abs(design.objective), abs(point.objective)):
+                    told = f"'{name}' and the front at {front.bound} = {given(value, bound_unit(front))}"
+                    both = f"{objective_text(design)} and {objective_text(point)}"
+                    found.append(
+                        f"{told} are optima of one problem, {both}: the higher one is local, and neither need be the "
+                        "least. al.multistart and al.portfolio look for others."
+                    )
+    return found
 
 
 def _places(group: Mapping[str, Front]) -> list[str]:

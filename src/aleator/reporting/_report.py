@@ -12,7 +12,7 @@ from aleator.reporting import _units
 from aleator.reporting._blocks import Block, Code, Drawing, Section, Text
 from aleator.reporting._choices import evidence_on
 from aleator.reporting._files import as_path, check_writable
-from aleator.reporting._linked import front_blocks, trade_off_blocks
+from aleator.reporting._linked import disagreements, front_blocks, trade_off_blocks
 from aleator.reporting._meshes import mesh_drawing
 from aleator.reporting._numbers import words
 from aleator.reporting._page import Page, write_page
@@ -145,12 +145,20 @@ def sections(
     every = [
         Section("Designs", _design_blocks(designs, evidence)),
         Section("Trajectories", _trajectory_blocks(evidence)),
-        Section("Trade-offs", [*front_blocks(fronts, known), *trade_off_blocks(trade_offs, known)]),
+        Section(
+            "Trade-offs",
+            [*_disagreements(designs, fronts), *front_blocks(fronts, known), *trade_off_blocks(trade_offs, known)],
+        ),
         Section("Evidence", _evidence_blocks(evidence)),
         Section("Certificate", [certificate_table(designs), *_mesh_blocks(designs), *search_drawings(designs)]),
         Section("The problem as mathematics", [Code(name, one.problem_text, True) for name, one in designs.items()]),
     ]
     return [one for one in every if one.blocks]
+
+
+def _disagreements(designs: Mapping[str, Solution], fronts: Mapping[str, Front]) -> list[Text]:
+    said = disagreements(designs, fronts)
+    return [Text(said, lead="Several local optima.")] if said else []
 
 
 def _page(

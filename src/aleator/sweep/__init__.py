@@ -13,6 +13,7 @@ from aleator.sweep._harden import Hardened as Hardened
 from aleator.sweep._harden import harden as harden
 from aleator.sweep._multistart import Starts as Starts
 from aleator.sweep._multistart import multistart as multistart
+from aleator.sweep._neighbours import SAME as SAME
 from aleator.sweep._portfolio import Optimum as Optimum
 from aleator.sweep._portfolio import Portfolio as Portfolio
 from aleator.sweep._portfolio import portfolio as portfolio

@@ -1,9 +1,9 @@
 """`pareto`: one problem for many values of a bound (the constraint form of multi-objective design, section 3.5.1)."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
@@ -15,14 +15,11 @@ from aleator._core.heard import heeding
 from aleator._core.journalled import expected
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn, Printed
-from aleator._core.warned import warned_of
-from aleator.design import Problem, current, refuse_changed
+from aleator.design import Problem, current
 from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution, in_brief
-from aleator.solving import solve
-from aleator.sweep._elsewhere import as_they_come, solving_of
-from aleator.sweep._plan import Plan
-from aleator.sweep._workers import Workers
+from aleator.sweep._each import each
+from aleator.sweep._neighbours import SAME, Place, doubtful
 from aleator.transcription import DEFAULT, AbstractTranscription
 
 
@@ -63,13 +60,15 @@ class Front(Drawn):
     - `bound`: the name of the constraint; `values`: its bounds, shape (points,);
     - `points`: the result at each: a solution, even where the problem is infeasible (see `Solution.status` and
       `Solution.why()`), or `Refused`;
-    - `interrupted`: whether the sweep was stopped early; the points finished by then are included.
+    - `interrupted`: whether the sweep was stopped early; the points finished by then are included;
+    - `neighbours`: for each point the bound whose design led to it; None if that was the problem's own start.
     """
 
     bound: str
     values: Float[np.ndarray, " points"]
     points: tuple[Solution | Refused, ...]
     interrupted: bool = False
+    neighbours: tuple[float | None, ...] = ()
 
     @property
     def solutions(self) -> tuple[Solution, ...]:
@@ -104,6 +103,17 @@ class Front(Drawn):
         """
         return self._numbers(lambda one: one.certificate.violation)
 
+    def doubts(self) -> tuple[str, ...]:
+        """What speaks for better designs than these: sentences, without a capital letter and a full stop."""
+        bettered = [f"{value:.6g}" for value, one in zip(self.values, self.neighbours, strict=False) if one is not None]
+        if not bettered:
+            return ()
+        return (
+            f"several local optima: at {self.bound} = {', '.join(bettered)} the design of a neighbour led to a better "
+            "one than the problem's own start, and others may be better still; al.multistart and al.portfolio look for "
+            "them",
+        )
+
     def _numbers(self, measure: Callable[[Solution], float]) -> Float[np.ndarray, " points"]:
         """A number for each point; NaN where it was refused."""
         return np.array([measure(one) if isinstance(one, Solution) else np.nan for one in self.points])
@@ -111,6 +121,7 @@ class Front(Drawn):
     def __str__(self) -> str:
         rows = [f"{self.bound:>10} {'objective':>12} {'shadow price':>12}  active"]
         rows += [_row(self, *point) for point in zip(self.values, self.points, strict=True)]
+        rows += [f"{one[0].upper()}{one[1:]}." for one in self.doubts()]
         return "\n".join([*rows, *(["interrupted by the user"] if self.interrupted else [])])
 
 
@@ -131,17 +142,18 @@ def pareto(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> Front:
-    """Solve a problem for each value of the bound called `bound`, starting from the nearest solution so far.
+    """Solve a problem for each value of the bound called `bound`, and let neighbours better each other.
 
-    The problem is compiled once, since bounds are data. A point that fails is tried again from the problem's own start,
-    and then kept with its status, its smallest violation and the reason. One that is refused, because no decision can
-    meet the bound, is kept as `Refused` with the message. Ctrl-C ends the sweep and returns the finished points, if
-    there are any. `solver` and `transcription` are those of `al.solve`.
+    The problem is compiled once, since bounds are data. Each point is solved from the problem's own start, so that none
+    is worse than what `al.solve` finds there. A point that fails, that is worse than one with a tighter limit, or that
+    is above what its own price and a neighbour's say, is solved again from that neighbour's design, and the better of
+    both is kept (`Front.neighbours`). A point that fails from everywhere is kept with its status, its smallest
+    violation and the reason. One that is refused, because no decision can meet the bound, is kept as `Refused` with the
+    message. Ctrl-C ends the sweep and returns the finished points, if there are any. `solver` and `transcription` are
+    those of `al.solve`.
 
     With an `executor` (`al.workers(2)`, loky's, Dask's `client.get_executor()`, any of `concurrent.futures`), its
-    workers solve points from coarse to fine: the first value, then the ends, then the middles between, each from the
-    nearest of those before, as soon as this one is there; those that fail are tried again here. The front is the same
-    for every executor.
+    workers solve several points at once. The front is the same as without one.
 
     A value given twice is solved once. Raises `ProblemError` if there is no such constraint or no value, or if every
     point is refused.
@@ -158,11 +170,10 @@ def pareto(
     interrupted = True
     try:
         with expected("solve", sweep.named), heeding() as heed:
-            sweep.solve_here(heed) if executor is None else sweep.solve_by(executor, heed)
+            sweep.solve(executor, heed)
         interrupted = False
-        sweep.tell()
     except KeyboardInterrupt:
-        if not sweep.solutions:
+        if sweep.is_empty:
             raise
     return sweep.front(interrupted)
 
@@ -173,97 +184,126 @@ class _Sweep:
 
     def __init__(self, bound: str, problems: Mapping[float, Problem], own: Mapping[str, Any], progress: Progress):
         self._bound, self._problems, self._own, self._progress = bound, problems, own, progress
-        self.solutions: dict[float, Solution] = {}
-        self._refused: dict[float, Refused] = {}
+        self._points: dict[float, Solution | Refused] = {}
+        self._neighbours: dict[float, float | None] = {}
         self._first: ProblemError | None = None
-        self._last = ""
 
     @property
     def named(self) -> dict[str, Problem]:
         """The problems by the values of their bounds, in words."""
-        return {f"{self._bound} = {value:.6g}": one for value, one in self._problems.items()}
+        return {self._place(value): one for value, one in self._problems.items()}
 
-    def solve_here(self, heed: Callable[[], None]) -> None:
-        """Solve each point in this process, from the nearest one before."""
-        for value in self._problems:
-            self._point(value)
-            heed()
+    def solve(self, executor: Executor | None, heed: Callable[[], None]) -> None:
+        """Solve each point from the problem's own start, then those from a neighbour that this may better.
 
-    def solve_by(self, executor: Executor, heed: Callable[[], None]) -> None:
-        """Solve points by workers, each once the one is known from which it starts, then those that failed here."""
-        plan, begun = Plan(list(self._problems)), list[float]()
-
-        def more() -> Iterator[tuple[Mapping[str, Any], str]]:
-            finished = {value: one.ok for value, one in (self.solutions | self._refused).items()}
-            for value, nearest in plan.ready(finished):
-                begun.append(value)
-                yield self._call(value, None if nearest is None else self.solutions[nearest]), self._place(value)
-
-        if isinstance(executor, Workers):
-            executor.rehearse(*solving_of(self._call(plan.first, None)))
-        for i, found in as_they_come("solve", executor, more):
-            self._keep(begun[i], found)
-            self.tell()
-            heed()
-        for value in [value for value, one in self.solutions.items() if not one.ok]:
-            self._point(value)
-            heed()
+        A point is tried from each design of a neighbour once, until none is bettered any more.
+        """
+        self._each([_Try(value) for value in self._problems], executor, heed)
+        tried, bettered = set[tuple[float, ...]](), True
+        while bettered and (again := [one for one in self._doubtful() if one.key not in tried]):
+            tried.update(one.key for one in again)
+            bettered = self._each(again, executor, heed)
 
     def front(self, interrupted: bool) -> Front:
         """What was found, in the order of the bounds. Raises the first refusal if every point was refused."""
-        if self._first is not None and not self.solutions:
+        if self._first is not None and not self._solutions:
             raise self._first
-        points = self.solutions | self._refused
-        finished = [value for value in self._problems if value in points]
-        return Front(self._bound, np.array(finished), tuple(points[value] for value in finished), interrupted)
+        finished = [value for value in self._problems if value in self._points]
+        points = tuple(self._points[value] for value in finished)
+        neighbours = tuple(self._neighbours[value] for value in finished)
+        return Front(self._bound, np.array(finished), points, interrupted, neighbours)
 
-    def _call(self, value: float, neighbour: Solution | None) -> dict[str, Any]:
-        return {"problem": self._problems[value], "warm_start": neighbour, **self._own}
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing has been solved."""
+        return not self._solutions
 
-    def _place(self, value: float) -> str:
-        return f"pareto, at {self._bound} = {value:g}"
+    @property
+    def _solutions(self) -> dict[float, Solution]:
+        return {value: one for value, one in self._points.items() if isinstance(one, Solution)}
 
-    def tell(self) -> None:
-        """Report how far the front is, and its last point."""
-        done = len(self.solutions) + len(self._refused)
-        self._progress(f"front over {self._bound}{self._last}", done, len(self._problems))
+    def _doubtful(self) -> list["_Try"]:
+        relaxing = _relaxing(self._problems, self._bound)
+        places = [Place(value, *_optimum(one, self._bound, relaxing)) for value, one in self._solutions.items()]
+        pairs = doubtful(places, relaxing, self._size)
+        return [_Try(value, neighbour, self._solutions[neighbour]) for value, neighbour in pairs]
 
-    def _point(self, value: float) -> None:
-        """Solve one point here; if it fails from the neighbour and the start, keep the less violated of the two."""
-        self.tell()
-        refuse_changed("pareto", self._problems[value], "when the front was begun")
-        neighbour = _nearest(self.solutions, value)
-        try:
-            with warned_of(self._place(value)):
-                found = solve(**self._call(value, neighbour), throw=False)
-                if found.status is Status.INTERRUPTED:
-                    self._keep(value, found)
-                    raise KeyboardInterrupt
-                if not found.ok and neighbour is not None:
-                    found = _better(solve(**self._call(value, None), throw=False), found)
-        except ProblemError as error:
-            self._keep(value, error)
-        else:
-            self._keep(value, found)
+    @property
+    def _size(self) -> float:
+        return max((abs(one.objective) for one in self._solutions.values() if one.ok), default=0.0)
 
-    def _keep(self, value: float, found: Solution | AleatorError) -> None:
+    def _each(self, tries: Sequence["_Try"], executor: Executor | None, heed: Callable[[], None]) -> bool:
+        """Solve some points; whether one has been bettered."""
+        calls = [{"problem": self._problems[one.value], "warm_start": one.design, **self._own} for one in tries]
+        where = [f"pareto, at {self._place(one.value, one.neighbour)}" for one in tries]
+        what, bettered = f"front over {self._bound}" + ", from neighbours" * (tries[0].design is not None), False
+        self._progress(what, 0, len(tries))
+        for done, (i, found) in enumerate(each("solve", calls, where, executor), 1):
+            bettered |= self._keep(tries[i], found)
+            self._progress(f"{what}: {self._in_brief(tries[i].value)}", done, len(tries))
+            if isinstance(found, Solution) and found.status is Status.INTERRUPTED:
+                raise KeyboardInterrupt
+            heed()
+        return bettered
+
+    def _place(self, value: float, neighbour: float | None = None) -> str:
+        """A point in words."""
+        return f"{self._bound} = {value:.6g}" + (f", from {neighbour:.6g}" if neighbour is not None else "")
+
+    def _in_brief(self, value: float) -> str:
+        point = self._points[value]
+        return f"{self._place(value)}, {in_brief(point) if isinstance(point, Solution) else 'no design'}"
+
+    def _keep(self, begun: "_Try", found: Solution | AleatorError) -> bool:
+        """Keep what is better than what was known; whether it is."""
+        known = self._points.get(begun.value)
         if isinstance(found, Solution):
-            before = self.solutions.get(value)
-            self.solutions[value] = found if before is None else _better(found, before)
-            self._last = f": {self._bound} = {value:.6g}, {in_brief(self.solutions[value])}"
-        elif isinstance(found, ProblemError):
-            self._first = self._first or found
-            self._refused[value] = Refused(self._problems[value], str(found))
-            self._last = f": {self._bound} = {value:.6g}, no design"
-        else:
+            if isinstance(known, Solution) and not _is_better(found, known, SAME * self._size):
+                return False
+            self._points[begun.value], self._neighbours[begun.value] = found, begun.neighbour
+            return True
+        if not isinstance(found, ProblemError):
             raise found
+        self._first = self._first or found
+        self._points.setdefault(begun.value, Refused(self._problems[begun.value], str(found)))
+        self._neighbours.setdefault(begun.value, None)
+        return False
 
 
-def _nearest(solutions: Mapping[float, Solution], value: float) -> Solution | None:
-    """The solved point whose bound is nearest."""
-    solved = {bound: solution for bound, solution in solutions.items() if solution.ok}
-    return solved[min(solved, key=lambda bound: abs(bound - value))] if solved else None
+class _Try(NamedTuple):
+    """A point to be solved: from the design of a neighbour, or from the problem's own start."""
+
+    value: float
+    neighbour: float | None = None
+    design: Solution | None = None
+
+    @property
+    def key(self) -> tuple[float, ...]:
+        """What tells it from other tries from neighbours."""
+        assert self.neighbour is not None
+        assert self.design is not None
+        return self.value, self.neighbour, self.design.objective
 
 
-def _better(second: Solution, first: Solution) -> Solution:
-    return second if second.ok or second.certificate.violation < first.certificate.violation else first
+def _relaxing(problems: Mapping[float, Problem], bound: str) -> int:
+    """1 if a larger value of the bound is a weaker limit, -1 if a smaller one is, 0 for equalities."""
+    tops, bottoms = (
+        {value: [np.asarray(getattr(one, side)) for one in problem.named(bound)] for value, problem in problems.items()}
+        for side in ("upper", "lower")
+    )
+    first, last = min(problems), max(problems)
+    rises = [any(np.any(b > a) for a, b in zip(one[first], one[last], strict=True)) for one in (tops, bottoms)]
+    return int(rises[0]) - int(rises[1])
+
+
+def _optimum(solution: Solution, bound: str, relaxing: int) -> tuple[float, float]:
+    """The certified optimum, and its slope by the bound: a shadow price is the decrease for each unit of relaxation."""
+    if not solution.ok:
+        return np.nan, np.nan
+    return solution.objective, -(relaxing or 1) * solution.multiplier(bound)
+
+
+def _is_better(found: Solution, known: Solution, same: float) -> bool:
+    if found.ok and known.ok:
+        return found.objective < known.objective - same
+    return found.ok or (not known.ok and found.certificate.violation < known.certificate.violation)

@@ -1,6 +1,6 @@
 """`multistart`: one problem solved from several starts, with its local optima in order."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any, final
@@ -14,12 +14,10 @@ from aleator._core.given import one_of, positive, whole
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn
-from aleator._core.warned import warned_of
-from aleator.design import Problem, current, refuse_changed
+from aleator.design import Problem, current
 from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution
-from aleator.solving import solve
-from aleator.sweep._elsewhere import each_elsewhere
+from aleator.sweep._each import each
 from aleator.transcription import DEFAULT, AbstractTranscription
 
 # Objectives, or decisions, with a smaller relative difference belong to one local optimum.
@@ -124,7 +122,9 @@ def multistart(
     progress("starts", 0, len(given))
     try:
         with heeding() as heed:
-            for i, found in _each_here(calls) if executor is None else _each_by(executor, calls):
+            for i, found in each("solve", calls, [_place(i) for i in range(len(calls))], executor):
+                if isinstance(found, AleatorError):
+                    raise found
                 solutions[i] = found
                 progress("starts", len(solutions), len(given))
                 if found.status is Status.INTERRUPTED:
@@ -135,21 +135,6 @@ def multistart(
         if not solutions:
             raise
     return Starts(tuple(solutions[i] for i in sorted(solutions)), interrupted)
-
-
-def _each_here(calls: Sequence[Mapping[str, Any]]) -> Iterator[tuple[int, Solution]]:
-    for i, call in enumerate(calls):
-        refuse_changed("multistart", call["problem"], "at the first start")
-        with warned_of(_place(i)):
-            found = solve(**call, throw=False)
-        yield i, found
-
-
-def _each_by(executor: Executor, calls: Sequence[Mapping[str, Any]]) -> Iterator[tuple[int, Solution]]:
-    for i, found in each_elsewhere("solve", executor, calls, [_place(i) for i in range(len(calls))]):
-        if isinstance(found, AleatorError):
-            raise found
-        yield i, found
 
 
 def _place(i: int) -> str:

@@ -1,6 +1,6 @@
 """`validate_all`: evidence at every design of a front, with its intervals."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any, TypeAlias, final
@@ -11,13 +11,12 @@ from aleator._core.given import refusal, whole
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn
-from aleator._core.warned import warned_of
 from aleator.solution import Solution
-from aleator.sweep._elsewhere import each_elsewhere
+from aleator.sweep._each import each
 from aleator.sweep._front import Front
 from aleator.sweep._multistart import Starts
 from aleator.sweep._trade_off import TradeOff
-from aleator.validation import Evidence, validate
+from aleator.validation import Evidence
 
 Designs: TypeAlias = Front | TradeOff | Starts | Sequence[Solution]
 
@@ -94,7 +93,7 @@ def validate_all(
     progress("evidence", 0, len(chosen))
     try:
         with heeding() as heed:
-            for i, evidence in _each_here(calls) if executor is None else _each_by(executor, calls):
+            for i, evidence in each("validate", calls, [_place(i) for i in range(len(calls))], executor):
                 found[i] = evidence
                 progress("evidence", len(found), len(chosen))
                 heed()
@@ -111,20 +110,6 @@ def validate_all(
         {i: str(one) for i, one in enumerate(results) if isinstance(one, AleatorError)},
         interrupted,
     )
-
-
-def _each_here(calls: Sequence[Mapping[str, Any]]) -> Iterator[tuple[int, Evidence | AleatorError]]:
-    for i, call in enumerate(calls):
-        try:
-            with warned_of(_place(i)):
-                found = validate(**call)
-        except AleatorError as error:
-            found = error
-        yield i, found
-
-
-def _each_by(executor: Executor, calls: Sequence[Mapping[str, Any]]) -> Iterator[tuple[int, Evidence | AleatorError]]:
-    yield from each_elsewhere("validate", executor, calls, [_place(i) for i in range(len(calls))])
 
 
 def _place(i: int) -> str:

@@ -57,17 +57,6 @@ class Workers(Executor):
         self._send(future, lambda pool: pool.submit(_worked, fn, *args, **kwargs), 0)
         return future
 
-    def rehearse(self, fn: Callable[..., Any], /, *args: Any) -> None:
-        """Let all workers but one begin with work that is submitted next, alone, and more of its kind later.
-
-        Each begins, traces and compiles while that one works, instead of after it. Its results are of no use. Where
-        nothing can be submitted any more, that is told of the work itself.
-        """
-        if self._closed:
-            return
-        for _ in range(self._count - 1):
-            self.submit(fn, *args)
-
     def _send(self, future: "Future[Any]", submit: Callable[[ProcessPoolExecutor], "Future[Any]"], tries: int) -> None:
         with self._lock:
             pool = self._pool = self._pool or self._begun()
