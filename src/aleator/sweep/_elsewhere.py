@@ -6,7 +6,7 @@ from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple, TypeAlias, cast
 
-from aleator._core.elsewhere import Sent, packed, run, sending
+from aleator._core.elsewhere import AbstractPack, Sent, is_of_this_process, packed, run, sending
 from aleator._core.errors import AleatorError, SimulationError
 from aleator._core.journalled import AbstractEntry, entry_of
 from aleator.design import Problem, refuse_other_code
@@ -39,7 +39,7 @@ def as_they_come(
     """
     made = list[_Made]()
     with sending(executor) as sent:
-        yield from _recalled(work, sent, made, more)
+        yield from _recalled(work, executor, sent, made, more)
         for i, receive in sent.done():
             call, entry = made[i]
             try:
@@ -50,10 +50,10 @@ def as_they_come(
             if isinstance(result, AleatorError):
                 entry.failed(result)
             else:
-                result = _of_here(result, call)
+                result = result if is_of_this_process(executor) else _of_here(result, call)
                 entry.keep(result)
             yield i, result
-            yield from _recalled(work, sent, made, more)
+            yield from _recalled(work, executor, sent, made, more)
 
 
 class _Made(NamedTuple):
@@ -64,7 +64,11 @@ class _Made(NamedTuple):
 
 
 def _recalled(
-    work: Work, sent: Sent, made: list[_Made], more: Callable[[], Iterable[tuple[Mapping[str, Any], str]]]
+    work: Work,
+    executor: Executor,
+    sent: Sent,
+    made: list[_Made],
+    more: Callable[[], Iterable[tuple[Mapping[str, Any], str]]],
 ) -> Iterator[tuple[int, Any]]:
     """Make the calls that can be made by now: those results that a journal has; the others are sent for."""
     done = {"solve": _solved, "validate": _validated}[work]
@@ -72,15 +76,15 @@ def _recalled(
         first = len(made)
         made += [_Made(call, entry_of(work, _GIVEN[work](**call))) for call, _ in calls]
         fresh = range(first, len(made))
-        packs = {i: packed(done, made[i].call) for i in fresh if made[i].entry.recalled is None}
+        packs = {i: packed(executor, done, made[i].call) for i in fresh if made[i].entry.recalled is None}
         for i, pack in packs.items():
             sent.send(i, pack, calls[i - first][1])
         yield from ((i, made[i].entry.recalled) for i in fresh if i not in packs)
 
 
-def solving_of(call: Mapping[str, Any]) -> tuple[Callable[[bytes], bytes], bytes]:
+def solving_of(executor: Executor, call: Mapping[str, Any]) -> tuple[Callable[[AbstractPack], Any], AbstractPack]:
     """What an executor is given for one call of `solve`."""
-    return run, packed(_solved, call)
+    return run, packed(executor, _solved, call)
 
 
 def _solved(**call: Any) -> Solution:

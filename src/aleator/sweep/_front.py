@@ -200,7 +200,7 @@ class _Sweep:
                 yield self._call(value, None if nearest is None else self.solutions[nearest]), self._place(value)
 
         if isinstance(executor, Workers):
-            executor.rehearse(*solving_of(self._call(plan.first, None)))
+            executor.rehearse(*solving_of(executor, self._call(plan.first, None)))
         for i, found in as_they_come("solve", executor, more):
             self._keep(begun[i], found)
             self.tell()
