@@ -739,3 +739,70 @@ def test_a_model_that_diverges_ends_with_its_reason_and_a_page(here: Path):
     assert "is not finite: output 'x' from t = 1.3 s on" in told
     assert "cannot convert" not in told
     assert "model failed" in (here / "results/bar/report.html").read_text()
+
+
+MODEL_BESIDE = """import aleator as al
+from bars import bar
+
+study = al.Study(bar(), title="Bar", samples=500)
+"""
+
+
+@pytest.fixture
+def run_of_a_module(here: Path) -> Path:
+    """The folder of a run whose study stands in `bar.py`, and its model in another module, which stays."""
+    (here / "bar.py").write_text(MODEL_BESIDE)
+    result = aleator("run", "bar.py")
+    assert result.exit_code == 0, result.output
+    return here / "results/bar"
+
+
+@pytest.mark.parametrize(
+    ("lose", "why"),
+    [
+        (Path.unlink, "The study of 'results/bar' has gone"),
+        (lambda file: file.write_text("import nowhere_to_be_found"), "No module named 'nowhere_to_be_found'"),
+        (lambda file: file.write_text("raise ValueError('no more')"), "ValueError: no more"),
+        (lambda file: file.write_text("study ="), "invalid syntax"),
+    ],
+)
+def test_where_the_study_has_gone_the_page_shows_what_the_folder_keeps(run_of_a_module: Path, lose, why: str):
+    lose(Path("bar.py"))
+    result = aleator("report", "results/bar", "--json")
+    assert result.exit_code == 0, result.output
+    found = document(result)
+    assert why in found["missing"][0]
+    assert "the study's title, chapters, fronts and tables are missing" in found["missing"][0]
+    assert found["files"] == ["results/bar/report-so-far.html"]
+    page = (run_of_a_module / "report-so-far.html").read_text()
+    assert "Systems that violate stress" in page
+    assert why.split("'")[0] in page
+    assert aleator("validate", "results/bar", "--samples", "100").exit_code == 0
+    (run_of_a_module / "designs.json").unlink()
+    assert aleator("compare", "results/bar", "results/bar/../bar").exit_code == 0
+
+
+@pytest.mark.filterwarnings("default::aleator.JournalWarning")
+def test_where_the_model_has_gone_too_the_page_shows_the_numbers_that_were_written(here: Path, finished: Path):
+    shutil.copytree(finished, here / "results")
+    Record("bar.py", quick=True).write(here / "results")
+    (here / "bar.py").unlink()
+    sys.modules.pop("bar", None)
+    sys.path[:] = [one for one in sys.path if one != str(finished.parent)]
+    result = aleator("report", "results", "--json")
+    assert result.exit_code == 0, result.output
+    missing = " ".join(document(result)["missing"])
+    assert "The study of 'results' has gone" in missing
+    assert "needs the module 'bar', in which its model is written" in missing
+    assert "the page shows what designs.json says" in missing
+    page = (here / "results/report-so-far.html").read_text()
+    objective = json.loads((here / "results/designs.json").read_text())["designs/robust"]["objective"]["value"]
+    assert f"{objective:.6g}" in page
+    assert "Systems that violate stress" in page
+    (here / "results/designs.json").unlink()
+    refused = aleator("report", "results", "--json")
+    assert refused.exit_code == 2
+    assert "no design in 'results' can be read" in document(refused)["errors"][0]
+    sampled = aleator("validate", "results")
+    assert sampled.exit_code == 2
+    assert "has gone" in said(sampled)

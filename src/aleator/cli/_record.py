@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, final
 
 from aleator import studies
-from aleator._core.errors import ProblemError
+from aleator._core.errors import AleatorError, ProblemError
 from aleator.cli._options import folder_over
 from aleator.reporting import json_text, write_whole
 from aleator.studies import AbstractStudy, SweptStudy
@@ -109,6 +109,19 @@ def _relative(file: Path, folder: Path) -> str:
         return ""
 
 
+def study_of(folder: Path) -> tuple[AbstractStudy | None, str]:
+    """The study that began the run of a folder; or none, and why, if the folder says one that cannot be had any more.
+
+    Modules beside its file can be imported from now on, also where the file has gone.
+    """
+    if not (folder / RECORD).is_file():
+        return None, ""
+    try:
+        return recorded(folder).made(), ""
+    except AleatorError as error:
+        return None, f"{error}"
+
+
 def recorded(folder: Path) -> Record:
     """What began the run of a folder, whose modules can be imported from now on.
 
@@ -152,6 +165,7 @@ def _found(record: Record, folder: Path) -> Record:
     for place in places:
         if place.is_file():
             return replace(record, study=str(place))
+    sys.path[:0] = [f"{one.parent.resolve()}" for one in places if one.parent.is_dir()]
     raise ProblemError(
         f"The study of '{folder}' has gone: there is no file '{places[0]}', nor '{places[1]}'. Put it back, or run it "
         "where it is now, with --out for this folder."

@@ -16,7 +16,7 @@ from aleator._core.progress import Progress
 from aleator.cli._kept import sorted_by_kind
 from aleator.cli._options import AsJson, Design, StudyOrFolder, folder_of
 from aleator.cli._progress import shown
-from aleator.cli._record import RECORD, Record, recorded
+from aleator.cli._record import Record, study_of
 from aleator.cli._terminal import FAILED, Terminal
 from aleator.design import Problem
 from aleator.journalling import Journal, journal
@@ -27,6 +27,7 @@ from aleator.studies import AbstractStudy, Study, problems_of
 from aleator.validation import Evidence
 from aleator.validation import validate as validated
 
+_NAME_IT = "Name the study to solve it first."
 _KEPT = "Interrupted: finished evidence is kept."
 
 
@@ -48,8 +49,8 @@ def validate(
         held.enter_context(sampling.interruptions)
         held.enter_context(terminal.warning())
         with terminal.refusing():
-            study, folder = _meant(place)
-            designs = _wanted(study, held.enter_context(journal(folder)), folder, design)
+            study, folder, why = _meant(place)
+            designs = _wanted(study, why, held.enter_context(journal(folder)), folder, design)
         code = sampling.of(designs, {} if study is None else study.solving)
     terminal.note(folder=str(folder), samples=samples, seed=seed, designs=sampling.document())
     if sampling.found:
@@ -58,18 +59,19 @@ def validate(
     terminal.conclude(code)
 
 
-def _meant(place: str) -> tuple[AbstractStudy | None, Path]:
-    """The study and the folder of a name: a folder's study if it says which it is, a study's folder."""
+def _meant(place: str) -> tuple[AbstractStudy | None, Path, str]:
+    """The study and the folder of a name: a folder's study, or why it cannot be had; a study's folder."""
     folder = Path(place)
     if not folder.is_dir():
         study, folder = studies.load(place), folder_of(place)
         Record(place).check_owns(folder)
-        return study, folder
-    return (recorded(folder).made() if (folder / RECORD).is_file() else None), folder
+        return study, folder, ""
+    study, why = study_of(folder)
+    return study, folder, why
 
 
 def _wanted(
-    study: AbstractStudy | None, kept: Journal, folder: Path, design: str | None
+    study: AbstractStudy | None, why: str, kept: Journal, folder: Path, design: str | None
 ) -> Mapping[str, Solution | Problem]:
     """Designs of a folder, and problems that are to be solved first, by name."""
     found: dict[str, Solution | Problem] = {}
@@ -81,7 +83,7 @@ def _wanted(
         known = f"expected one of {list(found)}.{meant(design, found)}"
         raise ProblemError(f"validate: there is no design '{design}' in '{folder}'; {known}")
     if not found:
-        raise ProblemError(f"validate: there is no finished design in '{folder}': name the study to solve it first.")
+        raise ProblemError(f"validate: there is no finished design in '{folder}' that can be read. {why or _NAME_IT}")
     return found if design is None else {design: found[design]}
 
 
