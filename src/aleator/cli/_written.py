@@ -12,7 +12,7 @@ _DESIGNS = "designs.json"
 
 
 def written_designs(folder: Path) -> Mapping[str, Any]:
-    """The designs of a run as documents, by name; none if there is no file. Raises `ProblemError` for nonsense in it."""
+    """The designs of a run as documents, by name; none if there is no file. Raises `ProblemError` for nonsense."""
     path = folder / _DESIGNS
     if not path.is_file():
         return {}
