@@ -541,6 +541,41 @@ def test_a_refusal_is_a_document_too():
     assert "There is no study 'suspention'" in document(result)["errors"][0]
 
 
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("run",), "Missing argument 'study'"),
+        (("run", "bar.py", "more"), "unexpected extra argument"),
+        (("run", "bar.py", "--ut", "x"), "No such option: --ut"),
+        (("validate", "bar.py", "--samples", "1"), "Invalid value for '--samples'"),
+        (("validate", "bar.py", "--seed", "few"), "Invalid value for '--seed'"),
+        (("sweep", "bar.py", "--bound", "stress"), "Missing option '--values'"),
+        (("compare",), "Missing argument 'FOLDER"),
+        (("new", "bar.py"), "No such option: --json"),
+        (("runn", "bar.py"), "No such command 'runn'"),
+        ((), "No such option: --json"),
+        (("run", "bar.toml"), "There is no file 'bar.toml'"),
+        (("check", "nowhere"), "There is no study 'nowhere'"),
+        (("resume", "nowhere"), "There is no 'command.json' in 'nowhere'"),
+        (("report", "nowhere"), "there is no journal in 'nowhere'"),
+        (("list", "nowhere"), "there is no journal in 'nowhere'"),
+        (("compare", "nowhere", "there"), "there are no results in 'nowhere'"),
+    ],
+)
+def test_whatever_is_refused_stdout_is_a_document(
+    arguments: tuple[str, ...], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    result = aleator(*arguments, "--json")
+    assert result.exit_code == 2
+    found = document(result)
+    assert found["exit_code"] == 2
+    assert found["command"] == (arguments[0] if arguments else "")
+    assert told in found["errors"][0]
+    assert " ".join(told.split()[:2]) in " ".join(result.stderr.split())
+    assert aleator(*arguments, "--json-not").stdout == ""
+
+
 @pytest.mark.parametrize("name", list(studies.STUDIES))
 def test_every_case_study_declares_its_problems(name: str):
     study = load(name, quick=True)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import typer
 
 from aleator.cli._check import check
+from aleator.cli._commands import Commands
 from aleator.cli._compare import compare
 from aleator.cli._list import list_studies
 from aleator.cli._new import new
@@ -15,7 +16,7 @@ from aleator.cli._schema import print_schema
 from aleator.cli._sweep import sweep
 from aleator.cli._validate import validate
 
-application = typer.Typer(help="Optimal design of uncertain dynamical systems.", no_args_is_help=True)
+application = typer.Typer(cls=Commands, help="Optimal design of uncertain dynamical systems.", no_args_is_help=True)
 
 _COMMANDS: dict[str, tuple[Callable[..., None], tuple[str, ...]]] = {
     "new": (new, ("aleator new bracket.py",)),
