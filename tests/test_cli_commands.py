@@ -99,6 +99,19 @@ def nothing_solved(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(solving._solve, "_solved", never)
 
 
+@pytest.fixture
+def begun(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many workers were begun each time; they are threads here."""
+    counts = list[int]()
+
+    def threads(count: int) -> ThreadPoolExecutor:
+        counts.append(count)
+        return ThreadPoolExecutor(count)
+
+    monkeypatch.setattr(_swept, "workers", threads)
+    return counts
+
+
 def test_a_sweep_that_was_interrupted_tells_what_waits_and_is_resumed_from_its_folder(here: Path, interrupted):
     values = [0.5, 0.6, 0.8]
     result = aleator("sweep", "bar.py", "--bound", "stress", "--values", "0.5,0.6,0.8", "--out", "there")
@@ -186,14 +199,7 @@ def test_a_front_is_printed_kept_and_written_as_a_page(here: Path):
     assert f"objective {NEEDED / 0.5:.6g}" in page
 
 
-def test_a_front_by_several_workers_is_that_of_pareto_with_an_executor(here: Path, monkeypatch: pytest.MonkeyPatch):
-    begun = list[int]()
-
-    def threads(count: int) -> ThreadPoolExecutor:
-        begun.append(count)
-        return ThreadPoolExecutor(count)
-
-    monkeypatch.setattr(_swept, "workers", threads)
+def test_a_front_by_several_workers_is_that_of_pareto_with_an_executor(here: Path, begun: list[int]):
     result = aleator("sweep", "bar.py", "--bound", "stress", "--values", "0.5,0.6,0.8", "--workers", "2", "--json")
     assert result.exit_code == 0, result.output
     points = document(result)["fronts"]["fronts/robust"]["points"]
@@ -201,6 +207,59 @@ def test_a_front_by_several_workers_is_that_of_pareto_with_an_executor(here: Pat
         front = al.pareto(load("bar.py").problems["robust"], "stress", [0.5, 0.6, 0.8], executor=executor)
     assert begun == [2]
     assert [one["objective"] for one in points] == front.objectives.tolist()
+
+
+def test_the_command_line_says_how_many_workers_share_a_run_before_the_study_does(here: Path, begun: list[int]):
+    (here / "bar.py").write_text(BAR.replace("samples=2000,", "samples=200, workers=2,"))
+    assert aleator("run", "bar.py", "--quick").exit_code == 0
+    assert begun == [2, 2], "the front, and the evidence along it"
+    result = aleator("run", "bar.py", "--quick", "--workers", "3", "--out", "there", "--json")
+    assert result.exit_code == 0, result.output
+    assert begun == [2, 2, 3, 3]
+    assert aleator("resume", "there").exit_code == 0
+    assert aleator("resume", "there", "--workers", "4").exit_code == 0
+    assert begun[4:] == [3, 3, 4, 4]
+    assert aleator("sweep", "bar.py", "--bound", "stress", "--values", "0.5").exit_code == 0
+    assert begun[8:] == [2]
+    points = document(result)["fronts"]["fronts/stress"]["points"]
+    with ThreadPoolExecutor(2) as executor:
+        front = al.pareto(load("bar.py").problems["robust"], "stress", [0.5], executor=executor)
+    assert [one["objective"] for one in points] == front.objectives.tolist()
+
+
+def test_evidence_by_workers_is_that_of_this_process(here: Path, finished: Path, begun: list[int]):
+    shutil.copytree(finished, here / "one")
+    shutil.copytree(finished, here / "two")
+    arguments = ("--samples", "300", "--seed", "11", "--json")
+    alone, shared = (aleator("validate", *one, *arguments) for one in (["one"], ["two", "--workers", "2"]))
+    assert begun == [2]
+    assert document(alone)["designs"] == document(shared)["designs"]
+
+
+@pytest.mark.parametrize(
+    ("study", "told"),
+    [
+        ("bar.py", "nothing to share among processes: expected `sweeps` or `wishes`"),
+        ("suspension", "`aleator sweep` takes --workers for a front of any study"),
+    ],
+)
+def test_workers_without_work_are_refused(here: Path, study: str, told: str):
+    (here / "bar.py").write_text(BAR.replace('sweeps={"stress": [0.5, 0.6, 0.8]},', ""))
+    result = aleator("run", study, "--workers", "2")
+    assert result.exit_code == 2
+    assert told in said(result)
+    assert not (here / "results").exists()
+
+
+@pytest.mark.slow
+def test_processes_share_a_run_and_what_they_found_is_recalled_without_them(here: Path):
+    command = [sys.executable, "-m", "aleator", "run", "bar.py", "--workers", "2", "--json"]
+    done = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    points = json.loads(done.stdout)["fronts"]["fronts/stress"]["points"]
+    np.testing.assert_allclose([one["objective"] for one in points], NEEDED / np.array([0.5, 0.6, 0.8]), rtol=1e-6)
+    again = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False, timeout=300)
+    assert json.loads(again.stdout)["fronts"] == json.loads(done.stdout)["fronts"]
 
 
 @pytest.mark.parametrize(

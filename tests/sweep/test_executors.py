@@ -339,6 +339,17 @@ def test_the_first_point_of_a_front_is_rehearsed_by_all_other_workers(
     assert sent[0] == sent[1] == sent[2]
 
 
+def test_what_a_journal_has_begins_no_worker(tmp_path: Path, travelling: Executor, monkeypatch: pytest.MonkeyPatch):
+    with al.journal(tmp_path):
+        first = al.pareto(bar(), "stress", VALUES[:2], executor=travelling)
+    executor = al.workers(3)
+    monkeypatch.setattr(executor, "submit", lambda *_: pytest.fail("nothing is left to do"))
+    with al.journal(tmp_path):
+        assert (
+            al.pareto(bar(), "stress", VALUES[:2], executor=executor).objectives.tobytes() == first.objectives.tobytes()
+        )
+
+
 @pytest.mark.slow
 def test_fronts_of_processes_are_those_of_threads_down_to_the_last_bit(threads: Executor):
     with al.workers(2) as two, al.workers(1) as one:

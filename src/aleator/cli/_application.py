@@ -27,10 +27,11 @@ _COMMANDS: dict[str, tuple[Callable[..., None], tuple[str, ...]]] = {
             "aleator run suspension --quick",
             "aleator run bracket.py --out results/first",
             "aleator run bracket.toml --afresh",
+            "aleator run bracket.py --workers 4",
             "aleator run package.module:problem --json",
         ),
     ),
-    "resume": (resume, ("aleator resume results/bracket",)),
+    "resume": (resume, ("aleator resume results/bracket", "aleator resume results/bracket --workers 2")),
     "sweep": (
         sweep,
         (
@@ -43,6 +44,7 @@ _COMMANDS: dict[str, tuple[Callable[..., None], tuple[str, ...]]] = {
         (
             "aleator validate results/bracket --samples 100000",
             "aleator validate bracket.py --seed 7 --design robust",
+            "aleator validate results/bracket --samples 10000000 --workers 4",
         ),
     ),
     "report": (report, ("aleator report results/bracket", "aleator report results/bracket --out so-far.html")),

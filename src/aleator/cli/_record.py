@@ -26,7 +26,8 @@ class Record:
 
     - `study`: its name, file or module, as given; `quick`: of `aleator run`;
     - `directory`: where the command was given; `beside`: the study's file, relative to the run's folder;
-    - `bound`, `values`, `design`, `workers`: of `aleator sweep`; empty for `aleator run`.
+    - `workers`: processes that share the work, none if the study shall say;
+    - `bound`, `values`, `design`: of `aleator sweep`; empty for `aleator run`.
     """
 
     study: str
@@ -47,7 +48,7 @@ class Record:
         """The study, ready to run. Raises `ProblemError` if there is no such study, or none such."""
         study = studies.load(self.study, quick=self.quick)
         if not self.bound:
-            return study
+            return study.with_workers(self.workers) if self.workers else study
         return SweptStudy(study, self.bound, self.values, design=self.design or None, workers=self.workers or None)
 
     def check_owns(self, folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any, final
@@ -23,7 +24,7 @@ from aleator.journalling import Journal, journal
 from aleator.reporting import Table, evidence_document, evidence_table, share_text
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
-from aleator.studies import AbstractStudy, Study, problems_of
+from aleator.studies import AbstractStudy, Study, executor_of, problems_of
 from aleator.validation import Evidence
 from aleator.validation import validate as validated
 
@@ -36,6 +37,9 @@ def validate(
     samples: Annotated[int, typer.Option(min=2, help="Fresh random systems for each design.")] = 20_000,
     seed: Annotated[int, typer.Option(min=0, help="Of the random systems.")] = 0,
     design: Design = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes that simulate the systems.", show_default="this one")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Count on fresh random systems how often designs break their limits, with 95 % intervals.
@@ -44,8 +48,8 @@ def validate(
     evidence is kept there too; the study's page stays as it is.
     """
     terminal = Terminal("validate", as_json)
-    sampling = _Sampling(terminal, samples, seed)
     with ExitStack() as held:
+        sampling = _Sampling(terminal, samples, seed, held.enter_context(executor_of(workers)))
         held.enter_context(sampling.interruptions)
         held.enter_context(terminal.warning())
         with terminal.refusing():
@@ -99,8 +103,8 @@ def _shares(found: Mapping[str, Evidence]) -> Table:
 class _Sampling:
     """Designs that are solved where needed, and sampled one after another; `found` is the evidence so far."""
 
-    def __init__(self, terminal: Terminal, samples: int, seed: int):
-        self._terminal, self._samples, self._seed = terminal, samples, seed
+    def __init__(self, terminal: Terminal, samples: int, seed: int, executor: Executor | None):
+        self._terminal, self._samples, self._seed, self._executor = terminal, samples, seed, executor
         self.interruptions = Interruptions(lambda: terminal.ended_at_once(_KEPT, self.interruptions.exit_code))
         self.found: dict[str, Evidence] = {}
         self._refused: dict[str, str] = {}
@@ -132,7 +136,9 @@ class _Sampling:
             progress(f"{name}: {in_brief(design)}", 0, self._samples)
             if not design.ok:
                 raise ProblemError(design.why())
-            self.found[name] = validated(design, self._samples, seed=self._seed, progress=progress)
+            self.found[name] = validated(
+                design, self._samples, seed=self._seed, executor=self._executor, progress=progress
+            )
         except AleatorError as error:
             self._refused[name] = f"{error}"
             self._terminal.complain(f"error with '{name}'", error)

@@ -6,12 +6,13 @@ from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple, TypeAlias, cast
 
-from aleator._core.elsewhere import AbstractPack, Sent, is_of_this_process, packed, run, sending
+from aleator._core.elsewhere import Sent, is_of_this_process, packed, run, sending
 from aleator._core.errors import AleatorError, SimulationError
 from aleator._core.journalled import AbstractEntry, entry_of
 from aleator.design import Problem, refuse_other_code
 from aleator.solution import Solution
 from aleator.solving import Call, follows_from, solve
+from aleator.sweep._workers import Workers
 from aleator.validation import validate, validated_from
 
 Work: TypeAlias = Literal["solve", "validate"]
@@ -27,19 +28,24 @@ def each_elsewhere(
 
 
 def as_they_come(
-    work: Work, executor: Executor, more: Callable[[], Iterable[tuple[Mapping[str, Any], str]]]
+    work: Work,
+    executor: Executor,
+    more: Callable[[], Iterable[tuple[Mapping[str, Any], str]]],
+    *,
+    rehearsed: bool = False,
 ) -> Iterator[tuple[int, Any]]:
     """The results of `solve` or `validate`, each with the number of its call, as soon as they are there.
 
     `more`: the further calls that can be made by now, each with its place in words, with which its warnings begin. It
     is asked at first, and again whenever a result has been taken. A refusal or a failure of a model is a result: the
-    exception. What a journal has is not computed. Where the caller stops, what has not begun is cancelled.
+    exception. What a journal has is not computed. With `rehearsed`, all of `al.workers` begin with the first calls, so
+    that they compile while these are answered. Where the caller stops, what has not begun is cancelled.
 
     Raises `ProblemError` for models that cannot travel, and `SimulationError` if workers keep dying.
     """
     made = list[_Made]()
     with sending(executor) as sent:
-        yield from _recalled(work, executor, sent, made, more)
+        yield from _recalled(work, executor, sent, made, more, rehearsed=rehearsed)
         for i, receive in sent.done():
             call, entry = made[i]
             try:
@@ -69,6 +75,8 @@ def _recalled(
     sent: Sent,
     made: list[_Made],
     more: Callable[[], Iterable[tuple[Mapping[str, Any], str]]],
+    *,
+    rehearsed: bool = False,
 ) -> Iterator[tuple[int, Any]]:
     """Make the calls that can be made by now: those results that a journal has; the others are sent for."""
     done = {"solve": _solved, "validate": _validated}[work]
@@ -77,14 +85,12 @@ def _recalled(
         made += [_Made(call, entry_of(work, _GIVEN[work](**call))) for call, _ in calls]
         fresh = range(first, len(made))
         packs = {i: packed(executor, done, made[i].call) for i in fresh if made[i].entry.recalled is None}
+        if rehearsed and not first and isinstance(executor, Workers):
+            for pack in packs.values():
+                executor.rehearse(run, pack)
         for i, pack in packs.items():
             sent.send(i, pack, calls[i - first][1])
         yield from ((i, made[i].entry.recalled) for i in fresh if i not in packs)
-
-
-def solving_of(executor: Executor, call: Mapping[str, Any]) -> tuple[Callable[[AbstractPack], Any], AbstractPack]:
-    """What an executor is given for one call of `solve`."""
-    return run, packed(executor, _solved, call)
 
 
 def _solved(**call: Any) -> Solution:

@@ -20,9 +20,8 @@ from aleator.design import Problem, current, refuse_changed
 from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
-from aleator.sweep._elsewhere import as_they_come, solving_of
+from aleator.sweep._elsewhere import as_they_come
 from aleator.sweep._plan import Plan
-from aleator.sweep._workers import Workers
 from aleator.transcription import DEFAULT, AbstractTranscription
 
 
@@ -199,9 +198,7 @@ class _Sweep:
                 begun.append(value)
                 yield self._call(value, None if nearest is None else self.solutions[nearest]), self._place(value)
 
-        if isinstance(executor, Workers):
-            executor.rehearse(*solving_of(executor, self._call(plan.first, None)))
-        for i, found in as_they_come("solve", executor, more):
+        for i, found in as_they_come("solve", executor, more, rehearsed=True):
             self._keep(begun[i], found)
             self.tell()
             heed()
