@@ -99,6 +99,19 @@ def nothing_solved(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(solving._solve, "_solved", never)
 
 
+@pytest.fixture
+def begun(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many workers were begun each time; they are threads here."""
+    counts = list[int]()
+
+    def threads(count: int) -> ThreadPoolExecutor:
+        counts.append(count)
+        return ThreadPoolExecutor(count)
+
+    monkeypatch.setattr(_swept, "workers", threads)
+    return counts
+
+
 def test_a_sweep_that_was_interrupted_tells_what_waits_and_is_resumed_from_its_folder(here: Path, interrupted):
     values = [0.5, 0.6, 0.8]
     result = aleator("sweep", "bar.py", "--bound", "stress", "--values", "0.5,0.6,0.8", "--out", "there")
@@ -186,14 +199,7 @@ def test_a_front_is_printed_kept_and_written_as_a_page(here: Path):
     assert f"objective {NEEDED / 0.5:.6g}" in page
 
 
-def test_a_front_by_several_workers_is_that_of_pareto_with_an_executor(here: Path, monkeypatch: pytest.MonkeyPatch):
-    begun = list[int]()
-
-    def threads(count: int) -> ThreadPoolExecutor:
-        begun.append(count)
-        return ThreadPoolExecutor(count)
-
-    monkeypatch.setattr(_swept, "workers", threads)
+def test_a_front_by_several_workers_is_that_of_pareto_with_an_executor(here: Path, begun: list[int]):
     result = aleator("sweep", "bar.py", "--bound", "stress", "--values", "0.5,0.6,0.8", "--workers", "2", "--json")
     assert result.exit_code == 0, result.output
     points = document(result)["fronts"]["fronts/robust"]["points"]
@@ -201,6 +207,59 @@ def test_a_front_by_several_workers_is_that_of_pareto_with_an_executor(here: Pat
         front = al.pareto(load("bar.py").problems["robust"], "stress", [0.5, 0.6, 0.8], executor=executor)
     assert begun == [2]
     assert [one["objective"] for one in points] == front.objectives.tolist()
+
+
+def test_the_command_line_says_how_many_workers_share_a_run_before_the_study_does(here: Path, begun: list[int]):
+    (here / "bar.py").write_text(BAR.replace("samples=2000,", "samples=200, workers=2,"))
+    assert aleator("run", "bar.py", "--quick").exit_code == 0
+    assert begun == [2, 2], "the front, and the evidence along it"
+    result = aleator("run", "bar.py", "--quick", "--workers", "3", "--out", "there", "--json")
+    assert result.exit_code == 0, result.output
+    assert begun == [2, 2, 3, 3]
+    assert aleator("resume", "there").exit_code == 0
+    assert aleator("resume", "there", "--workers", "4").exit_code == 0
+    assert begun[4:] == [3, 3, 4, 4]
+    assert aleator("sweep", "bar.py", "--bound", "stress", "--values", "0.5").exit_code == 0
+    assert begun[8:] == [2]
+    points = document(result)["fronts"]["fronts/stress"]["points"]
+    with ThreadPoolExecutor(2) as executor:
+        front = al.pareto(load("bar.py").problems["robust"], "stress", [0.5], executor=executor)
+    assert [one["objective"] for one in points] == front.objectives.tolist()
+
+
+def test_evidence_by_workers_is_that_of_this_process(here: Path, finished: Path, begun: list[int]):
+    shutil.copytree(finished, here / "one")
+    shutil.copytree(finished, here / "two")
+    arguments = ("--samples", "300", "--seed", "11", "--json")
+    alone, shared = (aleator("validate", *one, *arguments) for one in (["one"], ["two", "--workers", "2"]))
+    assert begun == [2]
+    assert document(alone)["designs"] == document(shared)["designs"]
+
+
+@pytest.mark.parametrize(
+    ("study", "told"),
+    [
+        ("bar.py", "nothing to share among processes: expected `sweeps` or `wishes`"),
+        ("suspension", "`aleator sweep` takes --workers for a front of any study"),
+    ],
+)
+def test_workers_without_work_are_refused(here: Path, study: str, told: str):
+    (here / "bar.py").write_text(BAR.replace('sweeps={"stress": [0.5, 0.6, 0.8]},', ""))
+    result = aleator("run", study, "--workers", "2")
+    assert result.exit_code == 2
+    assert told in said(result)
+    assert not (here / "results").exists()
+
+
+@pytest.mark.slow
+def test_processes_share_a_run_and_what_they_found_is_recalled_without_them(here: Path):
+    command = [sys.executable, "-m", "aleator", "run", "bar.py", "--workers", "2", "--json"]
+    done = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    points = json.loads(done.stdout)["fronts"]["fronts/stress"]["points"]
+    np.testing.assert_allclose([one["objective"] for one in points], NEEDED / np.array([0.5, 0.6, 0.8]), rtol=1e-6)
+    again = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False, timeout=300)
+    assert json.loads(again.stdout)["fronts"] == json.loads(done.stdout)["fronts"]
 
 
 @pytest.mark.parametrize(
@@ -541,6 +600,41 @@ def test_a_refusal_is_a_document_too():
     assert "There is no study 'suspention'" in document(result)["errors"][0]
 
 
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("run",), "Missing argument 'study'"),
+        (("run", "bar.py", "more"), "unexpected extra argument"),
+        (("run", "bar.py", "--ut", "x"), "No such option: --ut"),
+        (("validate", "bar.py", "--samples", "1"), "Invalid value for '--samples'"),
+        (("validate", "bar.py", "--seed", "few"), "Invalid value for '--seed'"),
+        (("sweep", "bar.py", "--bound", "stress"), "Missing option '--values'"),
+        (("compare",), "Missing argument 'FOLDER"),
+        (("new", "bar.py"), "No such option: --json"),
+        (("runn", "bar.py"), "No such command 'runn'"),
+        ((), "No such option: --json"),
+        (("run", "bar.toml"), "There is no file 'bar.toml'"),
+        (("check", "nowhere"), "There is no study 'nowhere'"),
+        (("resume", "nowhere"), "There is no 'command.json' in 'nowhere'"),
+        (("report", "nowhere"), "there is no journal in 'nowhere'"),
+        (("list", "nowhere"), "there is no journal in 'nowhere'"),
+        (("compare", "nowhere", "there"), "there are no results in 'nowhere'"),
+    ],
+)
+def test_whatever_is_refused_stdout_is_a_document(
+    arguments: tuple[str, ...], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    result = aleator(*arguments, "--json")
+    assert result.exit_code == 2
+    found = document(result)
+    assert found["exit_code"] == 2
+    assert found["command"] == (arguments[0] if arguments else "")
+    assert told in found["errors"][0]
+    assert " ".join(told.split()[:2]) in " ".join(result.stderr.split())
+    assert aleator(*arguments, "--json-not").stdout == ""
+
+
 @pytest.mark.parametrize("name", list(studies.STUDIES))
 def test_every_case_study_declares_its_problems(name: str):
     study = load(name, quick=True)
@@ -739,3 +833,70 @@ def test_a_model_that_diverges_ends_with_its_reason_and_a_page(here: Path):
     assert "is not finite: output 'x' from t = 1.3 s on" in told
     assert "cannot convert" not in told
     assert "model failed" in (here / "results/bar/report.html").read_text()
+
+
+MODEL_BESIDE = """import aleator as al
+from bars import bar
+
+study = al.Study(bar(), title="Bar", samples=500)
+"""
+
+
+@pytest.fixture
+def run_of_a_module(here: Path) -> Path:
+    """The folder of a run whose study stands in `bar.py`, and its model in another module, which stays."""
+    (here / "bar.py").write_text(MODEL_BESIDE)
+    result = aleator("run", "bar.py")
+    assert result.exit_code == 0, result.output
+    return here / "results/bar"
+
+
+@pytest.mark.parametrize(
+    ("lose", "why"),
+    [
+        (Path.unlink, "The study of 'results/bar' has gone"),
+        (lambda file: file.write_text("import nowhere_to_be_found"), "No module named 'nowhere_to_be_found'"),
+        (lambda file: file.write_text("raise ValueError('no more')"), "ValueError: no more"),
+        (lambda file: file.write_text("study ="), "invalid syntax"),
+    ],
+)
+def test_where_the_study_has_gone_the_page_shows_what_the_folder_keeps(run_of_a_module: Path, lose, why: str):
+    lose(Path("bar.py"))
+    result = aleator("report", "results/bar", "--json")
+    assert result.exit_code == 0, result.output
+    found = document(result)
+    assert why in found["missing"][0]
+    assert "the study's title, chapters, fronts and tables are missing" in found["missing"][0]
+    assert found["files"] == ["results/bar/report-so-far.html"]
+    page = (run_of_a_module / "report-so-far.html").read_text()
+    assert "Systems that violate stress" in page
+    assert why.split("'")[0] in page
+    assert aleator("validate", "results/bar", "--samples", "100").exit_code == 0
+    (run_of_a_module / "designs.json").unlink()
+    assert aleator("compare", "results/bar", "results/bar/../bar").exit_code == 0
+
+
+@pytest.mark.filterwarnings("default::aleator.JournalWarning")
+def test_where_the_model_has_gone_too_the_page_shows_the_numbers_that_were_written(here: Path, finished: Path):
+    shutil.copytree(finished, here / "results")
+    Record("bar.py", quick=True).write(here / "results")
+    (here / "bar.py").unlink()
+    sys.modules.pop("bar", None)
+    sys.path[:] = [one for one in sys.path if one != str(finished.parent)]
+    result = aleator("report", "results", "--json")
+    assert result.exit_code == 0, result.output
+    missing = " ".join(document(result)["missing"])
+    assert "The study of 'results' has gone" in missing
+    assert "needs the module 'bar', in which its model is written" in missing
+    assert "the page shows what designs.json says" in missing
+    page = (here / "results/report-so-far.html").read_text()
+    objective = json.loads((here / "results/designs.json").read_text())["designs/robust"]["objective"]["value"]
+    assert f"{objective:.6g}" in page
+    assert "Systems that violate stress" in page
+    (here / "results/designs.json").unlink()
+    refused = aleator("report", "results", "--json")
+    assert refused.exit_code == 2
+    assert "no design in 'results' can be read" in document(refused)["errors"][0]
+    sampled = aleator("validate", "results")
+    assert sampled.exit_code == 2
+    assert "has gone" in said(sampled)

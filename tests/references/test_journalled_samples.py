@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from aleator._core import part_by_part
 from aleator.ensemble import CalledEnsemble
 from aleator.journalling import FILE
 from bars import scattered
+from executors import AsProcesses
 
 MODEL = {"off": al.Uniform(0.0, half_width=1.0), "more": al.Normal(2.0, 0.1)}
 METHODS = [al.references.monte_carlo, al.references.quasi_monte_carlo]
@@ -25,8 +26,8 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def threads() -> Iterator[Executor]:
-    with ThreadPoolExecutor(2) as executor:
+def travelling() -> Iterator[Executor]:
+    with AsProcesses(2) as executor:
         yield executor
 
 
@@ -44,12 +45,12 @@ def ended(done_before: float):
     return end
 
 
-@pytest.mark.parametrize("by", ["here", "threads"])
+@pytest.mark.parametrize("by", ["here", "an executor"])
 @pytest.mark.parametrize("method", METHODS)
 def test_a_sample_that_was_ended_goes_on_from_its_parts(
-    method, by: str, threads: Executor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    method, by: str, travelling: Executor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    executor = threads if by == "threads" else None
+    executor = travelling if by == "an executor" else None
     undisturbed = method(scattered, MODEL, 2048, batch=100)
     with al.journal(tmp_path), pytest.raises(KeyboardInterrupt):
         method(scattered, MODEL, 2048, batch=100, executor=executor, progress=ended(0.5))

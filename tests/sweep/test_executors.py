@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 import aleator as al
-from bars import NEEDED, Bar, Wave, bar, dies, dies_once
+from bars import NEEDED, Wave, bar, dies, dies_once
+from executors import AsProcesses
 
 VALUES = [0.5, 0.4, 0.6, 0.7, 0.45]
 posix = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by a signal")
@@ -26,8 +27,14 @@ def threads() -> Iterator[Executor]:
         yield executor
 
 
-def test_a_front_by_an_executor_is_that_of_the_closed_form_in_the_order_of_its_values(threads: Executor):
-    front = al.pareto(bar(), "stress", VALUES, executor=threads)
+@pytest.fixture
+def travelling() -> Iterator[Executor]:
+    with AsProcesses(2) as executor:
+        yield executor
+
+
+def test_a_front_by_an_executor_is_that_of_the_closed_form_in_the_order_of_its_values(travelling: Executor):
+    front = al.pareto(bar(), "stress", VALUES, executor=travelling)
     assert front.values.tolist() == VALUES
     np.testing.assert_allclose(front.objectives, NEEDED / np.array(VALUES), rtol=1e-6)
     assert all(point.problem.with_bound("stress", 0.5) == bar() for point in front.points)
@@ -36,27 +43,27 @@ def test_a_front_by_an_executor_is_that_of_the_closed_form_in_the_order_of_its_v
     assert here.shadow_prices.tobytes() == front.shadow_prices.tobytes()
 
 
-def test_starts_and_evidence_by_an_executor_are_those_of_this_process(threads: Executor):
+def test_starts_and_evidence_by_an_executor_are_those_of_this_process(travelling: Executor):
     problem = bar()
-    here, there = (al.multistart(problem, 4, executor=executor) for executor in (None, threads))
+    here, there = (al.multistart(problem, 4, executor=executor) for executor in (None, travelling))
     assert [one.objective for one in here.solutions] == [one.objective for one in there.solutions]
     assert [one.vector.tolist() for one in here.solutions] == [one.vector.tolist() for one in there.solutions]
     front = al.pareto(problem, "stress", VALUES[:2])
-    counted = [al.validate_all(front, 1000, executor=executor) for executor in (None, threads)]
+    counted = [al.validate_all(front, 1000, executor=executor) for executor in (None, travelling)]
     assert str(counted[0]) == str(counted[1])
     assert all(one.solution is point for one, point in zip(counted[1].evidence, counted[1].designs, strict=True))
 
 
-def test_a_journal_keeps_what_workers_found(tmp_path: Path, threads: Executor, monkeypatch: pytest.MonkeyPatch):
+def test_a_journal_keeps_what_workers_found(tmp_path: Path, travelling: Executor, monkeypatch: pytest.MonkeyPatch):
     with al.journal(tmp_path):
-        first = al.pareto(bar(), "stress", VALUES, executor=threads)
-    monkeypatch.setattr(threads, "submit", lambda *_: pytest.fail("nothing is left to do"))
+        first = al.pareto(bar(), "stress", VALUES, executor=travelling)
+    monkeypatch.setattr(travelling, "submit", lambda *_: pytest.fail("nothing is left to do"))
     with al.journal(tmp_path):
-        second = al.pareto(bar(), "stress", VALUES, executor=threads)
+        second = al.pareto(bar(), "stress", VALUES, executor=travelling)
     assert first.objectives.tobytes() == second.objectives.tobytes()
 
 
-def test_warnings_and_failures_of_workers_are_told_with_their_place(threads: Executor):
+def test_warnings_and_failures_of_workers_are_told_with_their_place(travelling: Executor):
     rough = al.Problem(
         Wave(al.Decision(2.0, 1.0, 4.0), al.Uniform(0.0, half_width=1.0)),
         minimize=al.output("wave").std,
@@ -64,9 +71,9 @@ def test_warnings_and_failures_of_workers_are_told_with_their_place(threads: Exe
         expansion=al.Expansion(order=2),
     )
     with pytest.warns(al.ExpansionWarning) as heard:
-        al.pareto(rough, "width", [1.5, 3.0], executor=threads)
+        al.pareto(rough, "width", [1.5, 3.0], executor=travelling)
     assert {str(one.message).split(":")[0] for one in heard} == {f"pareto, at width = {at}" for at in (1.5, 3)}
-    front = al.pareto(bar(), "stress", [0.5, -1.0], executor=threads)
+    front = al.pareto(bar(), "stress", [0.5, -1.0], executor=travelling)
     assert [one.ok for one in front.points] == [True, False]
     assert front.points[1].status is al.Status.INFEASIBLE
 
@@ -112,12 +119,14 @@ def test_what_is_no_result_of_the_work_that_was_sent_is_never_believed(tmp_path:
         assert one.objective == pytest.approx(NEEDED / float(one.problem.named("stress")[0].upper), rel=1e-6)
 
 
-def test_an_executor_that_gives_no_futures_or_one_twice_is_refused(threads: Executor, monkeypatch: pytest.MonkeyPatch):
+def test_an_executor_that_gives_no_futures_or_one_twice_is_refused(
+    travelling: Executor, monkeypatch: pytest.MonkeyPatch
+):
     one = Future()
     for given, said in ((lambda *_: 5, "expected a future of concurrent.futures"), (lambda *_: one, "the same future")):
-        monkeypatch.setattr(threads, "submit", given)
+        monkeypatch.setattr(travelling, "submit", given)
         with pytest.raises(al.SimulationError, match=f"start .*{said}"):
-            al.multistart(bar(), 2, executor=threads)
+            al.multistart(bar(), 2, executor=travelling)
     assert one.cancelled()
 
 
@@ -128,7 +137,9 @@ def test_workers_outside_their_block_are_refused_with_the_place():
         al.pareto(bar(), "stress", [0.5, 0.6], executor=executor)
 
 
-def test_what_was_sent_is_cancelled_where_an_executor_takes_no_more(threads: Executor, monkeypatch: pytest.MonkeyPatch):
+def test_what_was_sent_is_cancelled_where_an_executor_takes_no_more(
+    travelling: Executor, monkeypatch: pytest.MonkeyPatch
+):
     taken = [Future()]
 
     def submit(*_):
@@ -137,9 +148,9 @@ def test_what_was_sent_is_cancelled_where_an_executor_takes_no_more(threads: Exe
         taken.append(Future())
         return taken[-1]
 
-    monkeypatch.setattr(threads, "submit", submit)
+    monkeypatch.setattr(travelling, "submit", submit)
     with pytest.raises(al.SimulationError, match="cannot schedule new futures after shutdown"):
-        al.multistart(bar(), 3, executor=threads)
+        al.multistart(bar(), 3, executor=travelling)
     assert [one.cancelled() for one in taken] == [False, True, True]
 
 
@@ -152,24 +163,74 @@ class Local(al.AlgebraicSystem):
         return {"y": (self.a - 1.0) ** 2}
 
 
-def test_classes_of_the_script_itself_are_refused_with_what_to_do(threads: Executor, monkeypatch: pytest.MonkeyPatch):
+def of_the_script_itself(monkeypatch: pytest.MonkeyPatch) -> type:
     monkeypatch.setattr(Local, "__module__", "__main__")
     monkeypatch.setattr(sys.modules["__main__"], "Local", Local, raising=False)
-    problem = al.Problem(Local(al.Decision(3.0, -5.0, 5.0)), minimize=al.output("y").mean)
-    with pytest.raises(al.ProblemError, match="Move them into a module"):
-        al.multistart(problem, 2, executor=threads)
+    return Local
 
 
-def test_classes_within_functions_are_refused_with_what_to_do(threads: Executor):
-    class Inner(Bar.__base__):
+def within_a_function(monkeypatch: pytest.MonkeyPatch) -> type:
+    square = lambda number: number**2  # noqa: E731 -- has no name that a pickle could tell
+
+    class Inner(al.AlgebraicSystem):
         a: al.Number
 
         def outputs(self):
-            return {"y": (self.a - 1.0) ** 2}
+            return {"y": square(self.a - 1.0)}
 
-    problem = al.Problem(Inner(al.Decision(3.0, -5.0, 5.0)), minimize=al.output("y").mean)
-    with pytest.raises(al.ProblemError, match="Write its classes and functions in a module"):
-        al.multistart(problem, 2, executor=threads)
+    return Inner
+
+
+UNTRAVELLED = [
+    (of_the_script_itself, "Move them into a module"),
+    (within_a_function, "Write its classes and functions in a module"),
+]
+
+
+@pytest.mark.parametrize(("kind", "told"), UNTRAVELLED)
+def test_processes_are_refused_classes_that_they_would_not_have(kind, told: str, monkeypatch: pytest.MonkeyPatch):
+    problem = al.Problem(kind(monkeypatch)(al.Decision(3.0, -5.0, 5.0)), minimize=al.output("y").mean)
+    with al.workers(2) as executor, pytest.raises(al.ProblemError, match=told):
+        al.multistart(problem, 2, executor=executor)
+
+
+@pytest.mark.parametrize("kind", [kind for kind, _ in UNTRAVELLED])
+def test_threads_of_this_process_take_any_model(kind, threads: Executor, monkeypatch: pytest.MonkeyPatch):
+    model = kind(monkeypatch)(al.Uniform(al.Decision(3.0, -5.0, 5.0), half_width=0.5))
+    problem = al.Problem(
+        model, minimize=al.output("y").mean, subject_to=[al.output("y").at_most(9.0, sigmas=1.0).named("most")]
+    )
+    here, there = (al.multistart(problem, 3, executor=executor) for executor in (None, threads))
+    assert here.best.vector == pytest.approx(1.0, abs=1e-6)
+    assert [one.vector.tolist() for one in here.solutions] == [one.vector.tolist() for one in there.solutions]
+    fronts = [al.pareto(problem, "most", [9.0, 0.02], executor=executor) for executor in (threads, threads)]
+    assert fronts[0].objectives.tobytes() == fronts[1].objectives.tobytes()
+    assert all(one.problem.system == model for one in fronts[0].points)
+    counted = [al.validate(there.best, 500, executor=executor) for executor in (None, threads)]
+    assert counted[0].joint == counted[1].joint
+    samples = [
+        al.references.monte_carlo(lambda one: one.outputs(), model, 64, batch=10, executor=executor)
+        for executor in (None, threads)
+    ]
+    assert samples[0].values["y"].tobytes() == samples[1].values["y"].tobytes()
+    search = al.solvers.DifferentialEvolution(evaluations=60)
+    sought = [al.solve(problem, search, executor=executor) for executor in (None, threads)]
+    assert sought[0].vector.tobytes() == sought[1].vector.tobytes()
+
+
+def test_a_thread_that_gives_the_result_of_other_work_is_not_believed(
+    threads: Executor, monkeypatch: pytest.MonkeyPatch
+):
+    first, submit = list[Future](), threads.submit
+    monkeypatch.setattr(threads, "submit", lambda *given: first.append(submit(*given)) or copied(first[0]))
+    with pytest.raises(al.SimulationError, match=r"start 2.*the result of other work"):
+        al.multistart(bar(), 2, executor=threads)
+
+
+def copied(future: Future) -> Future:
+    again = Future()
+    again.set_result(future.result())
+    return again
 
 
 @posix
@@ -219,6 +280,17 @@ def test_workers_without_work_end_at_ctrl_c_without_a_word(tmp_path: Path):
     assert ended.returncode == 0
 
 
+def test_what_a_journal_has_begins_no_worker(tmp_path: Path, travelling: Executor, monkeypatch: pytest.MonkeyPatch):
+    with al.journal(tmp_path):
+        first = al.pareto(bar(), "stress", VALUES[:2], executor=travelling)
+    executor = al.workers(3)
+    monkeypatch.setattr(executor, "submit", lambda *_: pytest.fail("nothing is left to do"))
+    with al.journal(tmp_path):
+        assert (
+            al.pareto(bar(), "stress", VALUES[:2], executor=executor).objectives.tobytes() == first.objectives.tobytes()
+        )
+
+
 @pytest.mark.slow
 def test_fronts_of_processes_are_those_of_threads_down_to_the_last_bit(threads: Executor):
     with al.workers(2) as two, al.workers(1) as one:
@@ -264,7 +336,7 @@ ON_A_CLUSTER = """
 
 @posix
 @pytest.mark.slow
-def test_fronts_of_loky_and_of_a_cluster_whose_worker_is_killed_are_the_same(tmp_path: Path, threads: Executor):
+def test_fronts_of_loky_and_of_a_cluster_whose_worker_is_killed_are_the_same(tmp_path: Path, travelling: Executor):
     (tmp_path / "swept.py").write_text(textwrap.dedent(ON_A_CLUSTER))
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
     done = subprocess.run(
@@ -272,5 +344,5 @@ def test_fronts_of_loky_and_of_a_cluster_whose_worker_is_killed_are_the_same(tmp
     )
     assert done.returncode == 0, done.stderr
     loky, dask = np.load(tmp_path / "fronts.npy")
-    here = al.pareto(bar(), "stress", [0.5, 0.4, 0.6, 0.7, 0.45, 0.55, 0.65], executor=threads)
+    here = al.pareto(bar(), "stress", [0.5, 0.4, 0.6, 0.7, 0.45, 0.55, 0.65], executor=travelling)
     assert loky.tobytes() == dask.tobytes() == here.objectives.tobytes()

@@ -1,7 +1,6 @@
 """Generations of a search by executors: the same designs as here, whatever becomes of a worker."""
 
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -19,26 +18,27 @@ from aleator.sweep import _crowd
 from aleator.transcription import transcribe, valued_by
 from aleator.transcription.sequential import _population_elsewhere
 from bars import Bar, two_valleys
+from executors import AsProcesses
 
 SEARCH = al.solvers.DifferentialEvolution(evaluations=150, population=40)
 
 
 @pytest.fixture
-def threads() -> Iterator[Executor]:
-    with ThreadPoolExecutor(2) as executor:
+def travelling() -> Iterator[Executor]:
+    with AsProcesses(2) as executor:
         yield executor
 
 
 @pytest.fixture
-def sent(threads: Executor, monkeypatch: pytest.MonkeyPatch) -> list[dict]:
-    """What the threads were given, in order."""
-    given, submit = [], threads.submit
+def sent(travelling: Executor, monkeypatch: pytest.MonkeyPatch) -> list[dict]:
+    """What the executor was given, in order."""
+    given, submit = [], travelling.submit
 
     def noted(work, pack):
-        given.append(pickle.loads(pack)[1])
+        given.append(pack.opened()[1])
         return submit(work, pack)
 
-    monkeypatch.setattr(threads, "submit", noted)
+    monkeypatch.setattr(travelling, "submit", noted)
     return given
 
 
@@ -56,8 +56,10 @@ def roofed() -> al.Problem:
 
 
 @pytest.mark.parametrize("problem", [two_valleys, roofed])
-def test_a_search_by_an_executor_is_that_of_this_process_to_the_last_bit(problem, threads: Executor, sent: list[dict]):
-    here, there = (al.solve(problem(), SEARCH, executor=executor) for executor in (None, threads))
+def test_a_search_by_an_executor_is_that_of_this_process_to_the_last_bit(
+    problem, travelling: Executor, sent: list[dict]
+):
+    here, there = (al.solve(problem(), SEARCH, executor=executor) for executor in (None, travelling))
     assert bits(here) == bits(there)
     assert there.ok
     # Every evaluation was sent, of one problem, in calls of one size.
@@ -67,11 +69,11 @@ def test_a_search_by_an_executor_is_that_of_this_process_to_the_last_bit(problem
     assert len(sent) > there.effort.searched.evaluations / 16
 
 
-def test_a_worker_makes_a_population_once_for_all_generations(threads: Executor, monkeypatch: pytest.MonkeyPatch):
+def test_a_worker_makes_a_population_once_for_all_generations(travelling: Executor, monkeypatch: pytest.MonkeyPatch):
     made, kind = [], _population_elsewhere.Population
     monkeypatch.setattr(_population_elsewhere, "refuse_other_code", made.append)
     program = transcribe(al.deterministic(two_valleys())).program
-    shared = valued_by(threads, program, "here")
+    shared = valued_by(travelling, program, "here")
     assert isinstance(program.values, kind)
     assert shared.values is not None
     for number in (40, 17, 1, 100):
@@ -83,18 +85,18 @@ def test_a_worker_makes_a_population_once_for_all_generations(threads: Executor,
     assert len(made) == 1
 
 
-def test_a_journal_does_not_ask_who_evaluates(tmp_path: Path, threads: Executor, sent: list[dict]):
+def test_a_journal_does_not_ask_who_evaluates(tmp_path: Path, travelling: Executor, sent: list[dict]):
     with al.journal(tmp_path):
-        first = al.solve(two_valleys(), SEARCH, executor=threads)
+        first = al.solve(two_valleys(), SEARCH, executor=travelling)
     calls = len(sent)
     with al.journal(tmp_path):
         assert bits(al.solve(two_valleys(), SEARCH)) == bits(first)
-        assert bits(al.solve(two_valleys(), SEARCH, executor=threads)) == bits(first)
+        assert bits(al.solve(two_valleys(), SEARCH, executor=travelling)) == bits(first)
     assert len(sent) == calls > 0
 
 
-def test_the_global_search_of_a_portfolio_is_shared_as_well(threads: Executor, sent: list[dict]):
-    here, there = (al.portfolio(two_valleys(), 4, search=SEARCH, executor=executor) for executor in (None, threads))
+def test_the_global_search_of_a_portfolio_is_shared_as_well(travelling: Executor, sent: list[dict]):
+    here, there = (al.portfolio(two_valleys(), 4, search=SEARCH, executor=executor) for executor in (None, travelling))
     assert here.searched is not None
     assert there.searched is not None
     assert here.searched.objectives.tobytes() == there.searched.objectives.tobytes()
@@ -102,17 +104,17 @@ def test_the_global_search_of_a_portfolio_is_shared_as_well(threads: Executor, s
     assert sum(len(one) for call in sent if "items" in call for one in call["items"]) == 150
 
 
-def test_one_point_after_the_other_is_searched_here(threads: Executor, sent: list[dict]):
+def test_one_point_after_the_other_is_searched_here(travelling: Executor, sent: list[dict]):
     search = al.solvers.NelderMead(evaluations=60)
-    here, there = (al.portfolio(two_valleys(), 4, search=search, executor=executor) for executor in (None, threads))
+    here, there = (al.portfolio(two_valleys(), 4, search=search, executor=executor) for executor in (None, travelling))
     assert here.best.vector.tobytes() == there.best.vector.tobytes()
     assert not [call for call in sent if "items" in call]
 
 
 @pytest.mark.parametrize("solver", [None, al.solvers.FilterSQP(), al.solvers.NelderMead(), al.solvers.DualAnnealing()])
-def test_an_executor_is_refused_where_designs_follow_from_one_another(threads: Executor, solver):
+def test_an_executor_is_refused_where_designs_follow_from_one_another(travelling: Executor, solver):
     with pytest.raises(al.ProblemError, match=r"executor: expected a solver that evaluates many designs at once"):
-        al.solve(two_valleys(), solver, executor=threads)
+        al.solve(two_valleys(), solver, executor=travelling)
 
 
 def test_what_is_no_executor_is_refused():
@@ -125,11 +127,11 @@ def test_what_is_no_executor_is_refused():
         al.trade_off(two_valleys(), wishes, executor=executor)
 
 
-def test_values_of_another_kind_are_refused(threads: Executor):
+def test_values_of_another_kind_are_refused(travelling: Executor):
     program = transcribe(two_valleys()).program
     others = type(program)(**{**vars(program), "values": lambda points: (points[:, 0], points[:, :0])})
     with pytest.raises(al.ProblemError, match=r"executor: expected transcription=al.Sequential\(\)"):
-        valued_by(threads, others, "solve")
+        valued_by(travelling, others, "solve")
     assert valued_by(None, others, "solve") is others
 
 
@@ -171,10 +173,10 @@ class Odd(al.AlgebraicSystem):
         return {"far": jnp.where(self.place > 0.0, self.place, jnp.nan) ** 2}
 
 
-def test_designs_that_cannot_be_evaluated_are_none_there_either(threads: Executor):
+def test_designs_that_cannot_be_evaluated_are_none_there_either(travelling: Executor):
     problem = al.Problem(Odd(al.Decision(1.0, -1.0, 2.0)), minimize=al.output("far").mean)
     search = al.solvers.DifferentialEvolution(evaluations=80, population=20, polish=False)
-    here, there = (al.solve(problem, search, executor=executor, throw=False) for executor in (None, threads))
+    here, there = (al.solve(problem, search, executor=executor, throw=False) for executor in (None, travelling))
     assert bits(here) == bits(there)
     searched = there.effort.searched
     assert searched is not None
@@ -182,7 +184,7 @@ def test_designs_that_cannot_be_evaluated_are_none_there_either(threads: Executo
 
 
 def test_a_front_of_a_population_by_an_executor_is_that_of_this_process(
-    threads: Executor, sent: list[dict], monkeypatch: pytest.MonkeyPatch
+    travelling: Executor, sent: list[dict], monkeypatch: pytest.MonkeyPatch
 ):
     pytest.importorskip("pymoo")
     model = Bar(al.Decision(4.0, 1.0, 10.0), al.Uniform(1.0, half_width=0.3))
@@ -196,7 +198,7 @@ def test_a_front_of_a_population_by_an_executor_is_that_of_this_process(
 
     monkeypatch.setattr(_crowd, "_population", noted)
     own = {"method": "population", "evaluations": 160}
-    here, there = (al.trade_off(problem, wishes, 4, executor=executor, **own) for executor in (None, threads))
+    here, there = (al.trade_off(problem, wishes, 4, executor=executor, **own) for executor in (None, travelling))
     assert here.values.tobytes() == there.values.tobytes()
     # Stress times mass is the mean load, one.
     np.testing.assert_allclose(there.values[:, 0] * there.values[:, 1], 1.0, rtol=1e-6)

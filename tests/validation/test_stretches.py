@@ -6,7 +6,7 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from aleator.ensemble import draw, drawn_from
 from aleator.solution import Solution
 from aleator.validation import Evidence, _stretches, _validate
 from aleator.validation._folded import folds
+from executors import AsProcesses
 
 SAMPLES = 3000
 
@@ -35,8 +36,8 @@ def folded(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def threads() -> Iterator[Executor]:
-    with ThreadPoolExecutor(2) as executor:
+def travelling() -> Iterator[Executor]:
+    with AsProcesses(2) as executor:
         yield executor
 
 
@@ -102,10 +103,10 @@ def test_a_system_that_is_not_finite_is_named_where_it_is_folded(folded: None):
 
 @pytest.mark.parametrize("many", [0, np.inf])
 def test_evidence_by_an_executor_is_that_of_this_process_to_the_last_bit(
-    solution: Solution, threads: Executor, many: float, monkeypatch: pytest.MonkeyPatch
+    solution: Solution, travelling: Executor, many: float, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(_stretches, "_MANY", many)
-    here, there = (al.validate(solution, SAMPLES, batch=20, executor=executor) for executor in (None, threads))
+    here, there = (al.validate(solution, SAMPLES, batch=20, executor=executor) for executor in (None, travelling))
     assert there.solution is solution
     assert bits(here) == bits(there)
 

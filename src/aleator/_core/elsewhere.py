@@ -1,18 +1,23 @@
-"""Work by an executor of `concurrent.futures`: in other processes, or on other machines.
+"""Work by an executor of `concurrent.futures`: in other processes, on other machines, or in threads of this process.
 
 Arguments and results travel as pickles of our own, so that every executor gives the same, and what cannot travel is
-told before anything is sent.
+told before anything is sent. Threads of this process are handed the objects themselves, so that any model will do.
 """
 
+import abc
+import concurrent.futures
 import hashlib
 import pickle
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeAlias, TypeVar, final
+
+from typing_extensions import override
 
 from aleator._core.errors import AleatorError, AleatorWarning, ProblemError, SimulationError
 from aleator._core.given import refusal, shown
@@ -25,6 +30,9 @@ _Item = TypeVar("_Item")
 
 # Calls of an executor at most for many items: enough to share them evenly, few enough that sending costs nothing.
 _CALLS = 32
+
+# Executors whose threads have interpreters of their own, which share no objects: since Python 3.14.
+_APART: Any = getattr(concurrent.futures, "InterpreterPoolExecutor", ())
 
 # Python hears warnings in one thread of a process at a time; several threads of one would take them from each other.
 _HEARD = threading.RLock()
@@ -46,6 +54,11 @@ def check_executor(who: str, executor: Any) -> None:
         )
 
 
+def is_of_this_process(executor: Executor) -> bool:
+    """Whether an executor works in threads of this process, which have its objects without any journey."""
+    return isinstance(executor, ThreadPoolExecutor) and not isinstance(executor, _APART)
+
+
 def each_done(
     executor: Executor, work: Work, calls: Sequence[Mapping[str, Any]], where: Sequence[str]
 ) -> Iterator[tuple[int, Any]]:
@@ -55,7 +68,7 @@ def each_done(
     work raises, `ProblemError` for arguments that cannot travel, and `SimulationError` if workers keep dying.
     """
     with sending(executor) as sent:
-        for i, (pack, place) in enumerate(zip([packed(work, one) for one in calls], where, strict=True)):
+        for i, (pack, place) in enumerate(zip([packed(executor, work, one) for one in calls], where, strict=True)):
             sent.send(i, pack, place)
         for i, receive in sent.done():
             result = receive()
@@ -99,10 +112,10 @@ class Sent:
 
     def __init__(self, executor: Executor):
         self._executor = executor
-        self._known = set[Future[bytes]]()
-        self._open: dict[Future[bytes], tuple[int, Callable[[], Any]]] = {}
+        self._known = set[Future[Any]]()
+        self._open: dict[Future[Any], tuple[int, Callable[[], Any]]] = {}
 
-    def send(self, index: int, pack: bytes, where: str) -> None:
+    def send(self, index: int, pack: "AbstractPack", where: str) -> None:
         """Send a pack. Raises `SimulationError` if the executor does not take it."""
         future = _submitted(self._executor, pack, where)
         if future in self._known:
@@ -122,7 +135,7 @@ class Sent:
             future.cancel()
 
 
-def _submitted(executor: Executor, pack: bytes, where: str) -> "Future[bytes]":
+def _submitted(executor: Executor, pack: "AbstractPack", where: str) -> "Future[Any]":
     try:
         future = executor.submit(run, pack)
     except Exception as error:  # every executor has its own
@@ -136,26 +149,93 @@ def _lost(where: str, why: str) -> SimulationError:
     return SimulationError(f"{where}: {why}. Finished results are kept within al.journal(folder), for the next run.")
 
 
-def packed(work: Work, call: Mapping[str, Any]) -> bytes:
+class AbstractPack(abc.ABC):
+    """Some work with its arguments, as an executor is given it."""
+
+    @abc.abstractmethod
+    def opened(self) -> tuple[Work, Mapping[str, Any]]:
+        """The work and its arguments by name, where it is done."""
+
+    @abc.abstractmethod
+    def answer(self, found: Any) -> Any:
+        """What is found there, as it is sent back."""
+
+    @abc.abstractmethod
+    def read(self, answer: Any) -> tuple[bool, Any]:
+        """Whether an answer is one to this pack, and what was found. Raises anything for what is no answer at all."""
+
+
+@final
+@dataclass(frozen=True)
+class _Pickle(AbstractPack):
+    """Work for other processes."""
+
+    content: bytes
+
+    @override
+    def opened(self) -> tuple[Work, Mapping[str, Any]]:
+        return pickle.loads(self.content)
+
+    @override
+    def answer(self, found: Any) -> bytes:
+        return pickle.dumps((self._digest(), found))
+
+    @override
+    def read(self, answer: Any) -> tuple[bool, Any]:
+        digest, found = pickle.loads(answer)
+        return digest == self._digest(), found
+
+    def _digest(self) -> bytes:
+        """Tells one piece of work from another, so that no result is believed that is given for another one."""
+        return hashlib.sha256(self.content).digest()
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class _Handed(AbstractPack):
+    """Work for a thread of this process."""
+
+    work: Work
+    call: Mapping[str, Any]
+
+    @override
+    def opened(self) -> tuple[Work, Mapping[str, Any]]:
+        return self.work, self.call
+
+    @override
+    def answer(self, found: Any) -> tuple[AbstractPack, Any]:
+        return self, found
+
+    @override
+    def read(self, answer: Any) -> tuple[bool, Any]:
+        pack, found = answer
+        return pack is self, found
+
+
+def packed(executor: Executor, work: Work, call: Mapping[str, Any]) -> AbstractPack:
     """Some work with its arguments by name. Raises `ProblemError` for what other processes could not read."""
+    if is_of_this_process(executor):
+        return _Handed(work, dict(call))
     try:
-        pack = pickle.dumps((work, dict(call)))
+        content = pickle.dumps((work, dict(call)))
     except Exception as error:  # of whatever kind a user's object raises
         raise ProblemError(
             f"executor: the model cannot be sent to another process ({error}). Write its classes and functions in a "
-            "module, not inside functions."
+            "module, not inside functions; or give it to threads of this process, ThreadPoolExecutor(2), which take "
+            "any model."
         ) from error
-    if b"__main__" in pack:
+    if b"__main__" in content:
         raise ProblemError(
             "executor: the model has classes or functions of the script itself (`__main__`), which other processes do "
-            "not have. Move them into a module, a file of their own beside the script, and import them from there."
+            "not have. Move them into a module, a file of their own beside the script, and import them from there; or "
+            "give it to threads of this process, ThreadPoolExecutor(2), which take any model."
         )
-    return pack
+    return _Pickle(content)
 
 
-def run(pack: bytes) -> bytes:
-    """Do some work in another process: a digest of it, the result or our own exception, and the warnings."""
-    work, call = pickle.loads(pack)
+def run(pack: AbstractPack) -> Any:
+    """Do some work where an executor does it: the result or our own exception, and the warnings, as an answer."""
+    work, call = pack.opened()
     with _HEARD, warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
         try:
@@ -163,15 +243,10 @@ def run(pack: bytes) -> bytes:
         except AleatorError as error:
             result = error
     told = [(one.category, str(one.message)) for one in heard if issubclass(one.category, AleatorWarning)]
-    return pickle.dumps((_digest(pack), result, told))
+    return pack.answer((result, told))
 
 
-def _digest(pack: bytes) -> bytes:
-    """Tells one piece of work from another, so that no result is believed that an executor gives for another one."""
-    return hashlib.sha256(pack).digest()
-
-
-def received(future: "Future[bytes]", pack: bytes, where: str) -> Any:
+def received(future: "Future[Any]", pack: AbstractPack, where: str) -> Any:
     """The result of `run` for a pack, or our own exception as a result, with its warnings told here.
 
     Raises `SimulationError` if the worker was lost, or gave what is no result of this pack.
@@ -184,10 +259,10 @@ def received(future: "Future[bytes]", pack: bytes, where: str) -> Any:
             "al.journal(folder); is there enough memory for as many workers?"
         ) from error
     try:
-        digest, result, told = pickle.loads(given)
+        is_its_own, (result, told) = pack.read(given)
     except Exception as error:  # of whatever kind nonsense raises
         raise _lost(where, f"expected what a worker has found; received {shown(given)} from the executor") from error
-    if digest != _digest(pack):
+    if not is_its_own:
         raise _lost(where, "the executor gave the result of other work, which is not used")
     with _HEARD, warned_of(where):
         for category, message in told:

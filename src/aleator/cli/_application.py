@@ -5,6 +5,7 @@ from collections.abc import Callable
 import typer
 
 from aleator.cli._check import check
+from aleator.cli._commands import Commands
 from aleator.cli._compare import compare
 from aleator.cli._list import list_studies
 from aleator.cli._new import new
@@ -15,7 +16,7 @@ from aleator.cli._schema import print_schema
 from aleator.cli._sweep import sweep
 from aleator.cli._validate import validate
 
-application = typer.Typer(help="Optimal design of uncertain dynamical systems.", no_args_is_help=True)
+application = typer.Typer(cls=Commands, help="Optimal design of uncertain dynamical systems.", no_args_is_help=True)
 
 _COMMANDS: dict[str, tuple[Callable[..., None], tuple[str, ...]]] = {
     "new": (new, ("aleator new bracket.py",)),
@@ -26,10 +27,11 @@ _COMMANDS: dict[str, tuple[Callable[..., None], tuple[str, ...]]] = {
             "aleator run suspension --quick",
             "aleator run bracket.py --out results/first",
             "aleator run bracket.toml --afresh",
+            "aleator run bracket.py --workers 4",
             "aleator run package.module:problem --json",
         ),
     ),
-    "resume": (resume, ("aleator resume results/bracket",)),
+    "resume": (resume, ("aleator resume results/bracket", "aleator resume results/bracket --workers 2")),
     "sweep": (
         sweep,
         (
@@ -42,6 +44,7 @@ _COMMANDS: dict[str, tuple[Callable[..., None], tuple[str, ...]]] = {
         (
             "aleator validate results/bracket --samples 100000",
             "aleator validate bracket.py --seed 7 --design robust",
+            "aleator validate results/bracket --samples 10000000 --workers 4",
         ),
     ),
     "report": (report, ("aleator report results/bracket", "aleator report results/bracket --out so-far.html")),

@@ -1,6 +1,5 @@
 """`aleator compare`: runs side by side."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -10,12 +9,11 @@ import typer
 from aleator._core.errors import ProblemError
 from aleator.cli._kept import evidence_on, sorted_by_kind
 from aleator.cli._options import AsJson
-from aleator.cli._record import RECORD, recorded
+from aleator.cli._record import study_of
 from aleator.cli._terminal import Terminal
+from aleator.cli._written import interval_text, value_text, violated, written_designs
 from aleator.journalling import FILE, Entry, Recalled, entries_in, load, named
-from aleator.reporting import Table, percent, solution_document, values_text, words
-
-_DESIGNS = "designs.json"
+from aleator.reporting import Table, solution_document, words
 
 # Parts of a key, in words.
 _PARTS = {
@@ -97,8 +95,7 @@ def _run(label: str, folder: Path) -> _Run:
     """A run's designs, as the run has written them, or as its journal keeps them."""
     entries = entries_in(folder) if (folder / FILE).is_file() else ()
     known = {one.name or name: one for name, one in named(entries).items() if one.what.startswith("solve ")}
-    written = _written(folder / _DESIGNS) if (folder / _DESIGNS).is_file() else {}
-    if written:
+    if written := written_designs(folder):
         return _Run(label, folder, written, known)
     if not entries:
         raise ProblemError(
@@ -111,8 +108,7 @@ def _run(label: str, folder: Path) -> _Run:
 
 
 def _finished(folder: Path) -> Mapping[str, Any]:
-    if (folder / RECORD).is_file():
-        recorded(folder).made()  # so that its models' modules are there
+    study_of(folder)  # so that its models' modules are there, if they are
     return Recalled(folder).finished()
 
 
@@ -128,45 +124,22 @@ def _document(run: _Run, name: str) -> Any:
         return None
 
 
-def _written(path: Path) -> Mapping[str, Any]:
-    try:
-        found = json.loads(path.read_bytes())
-        return {name: found[name] for name in found if isinstance(found[name]["decisions"], dict)}
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise ProblemError(
-            f"'{path}' cannot be read as the designs of a run ({type(error).__name__}: {error})."
-        ) from error
-
-
 def _table(name: str, runs: Sequence[_Run], called: Sequence[str | None], found: Sequence[Any]) -> Table:
     """One design in every run."""
     rows = [["Status", *("–" if one is None else one["status"].partition(":")[0] for one in found)]]
     if any(one not in (None, name) for one in called):
         rows = [["There as", *(one or "–" for one in called)], *rows]
     for decision in _union([one["decisions"] for one in found if one]):
-        rows.append([decision, *(_value(one and one["decisions"].get(decision)) for one in found)])
-    rows.append(["Objective", *(_value(one and one["objective"]) for one in found)])
+        rows.append([decision, *(value_text(one and one["decisions"].get(decision)) for one in found)])
+    rows.append(["Objective", *(value_text(one and one["objective"]) for one in found)])
     shares = [(one or {}).get("evidence", {}).get("violations", {}) for one in found]
     for limit in _union(shares):
-        label = "any limit" if limit == "any" else limit
-        rows.append([f"Systems that violate {label}", *(_share(one.get(limit)) for one in shares)])
+        rows.append([f"Systems that violate {violated(limit)}", *(interval_text(one.get(limit)) for one in shares)])
     return Table(name, ["", *(one.label for one in runs)], rows, "")
 
 
 def _union(groups: Sequence[Mapping[str, Any]]) -> list[str]:
     return list(dict.fromkeys(name for group in groups for name in group))
-
-
-def _value(told: Mapping[str, Any] | None) -> str:
-    if told is None or told["value"] is None:
-        return "–"
-    return values_text(told["value"], 6, told["unit"])
-
-
-def _share(told: Mapping[str, Any] | None) -> str:
-    if told is None:
-        return "–"
-    return f"{percent(told['estimate'])} [{percent(told['lower'])} to {percent(told['upper'])}]"
 
 
 def _differences(runs: Sequence[_Run], called: Sequence[str | None]) -> dict[str, list[str] | None]:

@@ -36,6 +36,10 @@ AsJson: TypeAlias = Annotated[
     bool, typer.Option("--json", help="Print one JSON document on stdout, and all else on stderr.")
 ]
 Afresh: TypeAlias = Annotated[bool, typer.Option("--afresh", help="Compute everything anew.")]
+Workers: TypeAlias = Annotated[
+    int | None,
+    typer.Option("--workers", min=1, help="Processes that share the work.", show_default="as many as the study says"),
+]
 Design: TypeAlias = Annotated[
     str | None, typer.Option("--design", help="Name of one of its designs.", show_default=False)
 ]

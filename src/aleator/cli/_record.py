@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, final
 
 from aleator import studies
-from aleator._core.errors import ProblemError
+from aleator._core.errors import AleatorError, ProblemError
 from aleator.cli._options import folder_over
 from aleator.reporting import json_text, write_whole
 from aleator.studies import AbstractStudy, SweptStudy
@@ -26,7 +26,8 @@ class Record:
 
     - `study`: its name, file or module, as given; `quick`: of `aleator run`;
     - `directory`: where the command was given; `beside`: the study's file, relative to the run's folder;
-    - `bound`, `values`, `design`, `workers`: of `aleator sweep`; empty for `aleator run`.
+    - `workers`: processes that share the work, none if the study shall say;
+    - `bound`, `values`, `design`: of `aleator sweep`; empty for `aleator run`.
     """
 
     study: str
@@ -47,7 +48,7 @@ class Record:
         """The study, ready to run. Raises `ProblemError` if there is no such study, or none such."""
         study = studies.load(self.study, quick=self.quick)
         if not self.bound:
-            return study
+            return study.with_workers(self.workers) if self.workers else study
         return SweptStudy(study, self.bound, self.values, design=self.design or None, workers=self.workers or None)
 
     def check_owns(self, folder: Path) -> None:
@@ -109,6 +110,19 @@ def _relative(file: Path, folder: Path) -> str:
         return ""
 
 
+def study_of(folder: Path) -> tuple[AbstractStudy | None, str]:
+    """The study that began the run of a folder; or none, and why, if the folder says one that cannot be had any more.
+
+    Modules beside its file can be imported from now on, also where the file has gone.
+    """
+    if not (folder / RECORD).is_file():
+        return None, ""
+    try:
+        return recorded(folder).made(), ""
+    except AleatorError as error:
+        return None, f"{error}"
+
+
 def recorded(folder: Path) -> Record:
     """What began the run of a folder, whose modules can be imported from now on.
 
@@ -152,6 +166,7 @@ def _found(record: Record, folder: Path) -> Record:
     for place in places:
         if place.is_file():
             return replace(record, study=str(place))
+    sys.path[:0] = [f"{one.parent.resolve()}" for one in places if one.parent.is_dir()]
     raise ProblemError(
         f"The study of '{folder}' has gone: there is no file '{places[0]}', nor '{places[1]}'. Put it back, or run it "
         "where it is now, with --out for this folder."

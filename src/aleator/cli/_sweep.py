@@ -7,7 +7,7 @@ import typer
 
 from aleator._core.given import refusal
 from aleator.cli._course import executed
-from aleator.cli._options import Afresh, AsJson, Design, StudyName, folder_of, folder_over
+from aleator.cli._options import Afresh, AsJson, Design, StudyName, Workers, folder_of, folder_over
 from aleator.cli._record import Record
 from aleator.cli._terminal import Terminal
 
@@ -16,9 +16,7 @@ def sweep(
     study: StudyName,
     bound: Annotated[str, typer.Option(help="Name of the limit whose bound is varied.", show_default=False)],
     values: Annotated[str, typer.Option(help="Its bounds: numbers with commas between them.", show_default=False)],
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Processes that solve points at once.", show_default="this one")
-    ] = None,
+    workers: Workers = None,
     design: Design = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for the results.", show_default="results/STUDY-over-BOUND")

@@ -84,6 +84,11 @@ class Terminal:
         if self._document is not None:
             typer.echo(self._finished_document(code), nl=False)
 
+    def print_refusal(self, said: str, code: int) -> None:
+        """Print the JSON document, if there is one, of an error that has been told to people elsewhere."""
+        self._said.append(said)
+        self.print_document(code)
+
     def _finished_document(self, code: int) -> str:
         return json_text({**(self._document or {}), "exit_code": code, "errors": self._said})
 

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any, final
@@ -16,17 +17,18 @@ from aleator._core.progress import Progress
 from aleator.cli._kept import sorted_by_kind
 from aleator.cli._options import AsJson, Design, StudyOrFolder, folder_of
 from aleator.cli._progress import shown
-from aleator.cli._record import RECORD, Record, recorded
+from aleator.cli._record import Record, study_of
 from aleator.cli._terminal import FAILED, Terminal
 from aleator.design import Problem
 from aleator.journalling import Journal, journal
 from aleator.reporting import Table, evidence_document, evidence_table, share_text
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
-from aleator.studies import AbstractStudy, Study, problems_of
+from aleator.studies import AbstractStudy, Study, executor_of, problems_of
 from aleator.validation import Evidence
 from aleator.validation import validate as validated
 
+_NAME_IT = "Name the study to solve it first."
 _KEPT = "Interrupted: finished evidence is kept."
 
 
@@ -35,6 +37,9 @@ def validate(
     samples: Annotated[int, typer.Option(min=2, help="Fresh random systems for each design.")] = 20_000,
     seed: Annotated[int, typer.Option(min=0, help="Of the random systems.")] = 0,
     design: Design = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes that simulate the systems.", show_default="this one")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Count on fresh random systems how often designs break their limits, with 95 % intervals.
@@ -43,13 +48,13 @@ def validate(
     evidence is kept there too; the study's page stays as it is.
     """
     terminal = Terminal("validate", as_json)
-    sampling = _Sampling(terminal, samples, seed)
     with ExitStack() as held:
+        sampling = _Sampling(terminal, samples, seed, held.enter_context(executor_of(workers)))
         held.enter_context(sampling.interruptions)
         held.enter_context(terminal.warning())
         with terminal.refusing():
-            study, folder = _meant(place)
-            designs = _wanted(study, held.enter_context(journal(folder)), folder, design)
+            study, folder, why = _meant(place)
+            designs = _wanted(study, why, held.enter_context(journal(folder)), folder, design)
         code = sampling.of(designs, {} if study is None else study.solving)
     terminal.note(folder=str(folder), samples=samples, seed=seed, designs=sampling.document())
     if sampling.found:
@@ -58,18 +63,19 @@ def validate(
     terminal.conclude(code)
 
 
-def _meant(place: str) -> tuple[AbstractStudy | None, Path]:
-    """The study and the folder of a name: a folder's study if it says which it is, a study's folder."""
+def _meant(place: str) -> tuple[AbstractStudy | None, Path, str]:
+    """The study and the folder of a name: a folder's study, or why it cannot be had; a study's folder."""
     folder = Path(place)
     if not folder.is_dir():
         study, folder = studies.load(place), folder_of(place)
         Record(place).check_owns(folder)
-        return study, folder
-    return (recorded(folder).made() if (folder / RECORD).is_file() else None), folder
+        return study, folder, ""
+    study, why = study_of(folder)
+    return study, folder, why
 
 
 def _wanted(
-    study: AbstractStudy | None, kept: Journal, folder: Path, design: str | None
+    study: AbstractStudy | None, why: str, kept: Journal, folder: Path, design: str | None
 ) -> Mapping[str, Solution | Problem]:
     """Designs of a folder, and problems that are to be solved first, by name."""
     found: dict[str, Solution | Problem] = {}
@@ -81,7 +87,7 @@ def _wanted(
         known = f"expected one of {list(found)}.{meant(design, found)}"
         raise ProblemError(f"validate: there is no design '{design}' in '{folder}'; {known}")
     if not found:
-        raise ProblemError(f"validate: there is no finished design in '{folder}': name the study to solve it first.")
+        raise ProblemError(f"validate: there is no finished design in '{folder}' that can be read. {why or _NAME_IT}")
     return found if design is None else {design: found[design]}
 
 
@@ -97,8 +103,8 @@ def _shares(found: Mapping[str, Evidence]) -> Table:
 class _Sampling:
     """Designs that are solved where needed, and sampled one after another; `found` is the evidence so far."""
 
-    def __init__(self, terminal: Terminal, samples: int, seed: int):
-        self._terminal, self._samples, self._seed = terminal, samples, seed
+    def __init__(self, terminal: Terminal, samples: int, seed: int, executor: Executor | None):
+        self._terminal, self._samples, self._seed, self._executor = terminal, samples, seed, executor
         self.interruptions = Interruptions(lambda: terminal.ended_at_once(_KEPT, self.interruptions.exit_code))
         self.found: dict[str, Evidence] = {}
         self._refused: dict[str, str] = {}
@@ -130,7 +136,9 @@ class _Sampling:
             progress(f"{name}: {in_brief(design)}", 0, self._samples)
             if not design.ok:
                 raise ProblemError(design.why())
-            self.found[name] = validated(design, self._samples, seed=self._seed, progress=progress)
+            self.found[name] = validated(
+                design, self._samples, seed=self._seed, executor=self._executor, progress=progress
+            )
         except AleatorError as error:
             self._refused[name] = f"{error}"
             self._terminal.complain(f"error with '{name}'", error)

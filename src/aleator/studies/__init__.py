@@ -26,6 +26,7 @@ from aleator.studies._own import Study as Study
 from aleator.studies._study import AbstractStudy as AbstractStudy
 from aleator.studies._study import stop_if_interrupted as stop_if_interrupted
 from aleator.studies._swept import SweptStudy as SweptStudy
+from aleator.studies._swept import executor_of as executor_of
 from aleator.studies._swept import problems_of as problems_of
 from aleator.studies._toml import load_toml as load_toml
 from aleator.studies._toml import schema as schema

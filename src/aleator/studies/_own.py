@@ -17,7 +17,7 @@ from aleator.solution import Solution, in_brief
 from aleator.solving import solve
 from aleator.studies._declared import Stage
 from aleator.studies._study import AbstractStudy, stop_if_interrupted
-from aleator.studies._swept import check_sweepable, distinct, front_of
+from aleator.studies._swept import check_sweepable, distinct, executor_of, front_of
 from aleator.sweep import EvidenceOfAll, Front, TradeOff, trade_off, validate_all
 from aleator.transcription import DEFAULT, AbstractTranscription
 from aleator.validation import Evidence, validate
@@ -59,7 +59,8 @@ class Study(AbstractStudy):
       (`al.pareto`); `wishes`: what is traded off in the last design (`al.trade_off`), at `points` places; each solved
       point is validated on as many systems as a design;
     - `title`, `subtitle`: of the page; `solver`, `transcription`: see `al.solve`;
-    - `workers`: processes that solve the points of `sweeps` (`al.workers`); in this one if it is left out;
+    - `workers`: processes that solve the points of `sweeps`, and count the evidence along these and trade-offs
+      (`al.workers`); this one does if it is left out;
     - `quick`: for a first look: a twentieth of the samples, and every third point of fronts.
 
     Raises `ProblemError` for anything else, and for sweeps over bounds that the last design does not have.
@@ -101,20 +102,43 @@ class Study(AbstractStudy):
 
     def quickened(self) -> "Study":
         """The same study, small enough for a first look."""
-        return Study(
-            self.problems,
-            title=self.title,
-            subtitle=self.subtitle,
+        return self._with(
             samples=max(self._samples // _QUICK_SAMPLES, 2),
-            seed=self._seed,
             sweeps={name: one[::_QUICK_POINTS].tolist() for name, one in self._sweeps.items()},
-            wishes=self._wishes or None,
             points=max(self._points // _QUICK_POINTS, max(2, len(self._wishes))),
-            solver=self._solver,
-            transcription=self._transcription,
-            workers=self._workers,
             quick=True,
         )
+
+    @property
+    @override
+    def workers(self) -> int | None:
+        return self._workers
+
+    @override
+    def with_workers(self, count: int) -> "Study":
+        if not (self._sweeps or self._wishes):
+            raise ProblemError(
+                f"--workers {count}: the study '{self.title}' has nothing to share among processes: expected "
+                "`sweeps` or `wishes`. A single solve takes all cores of the machine by itself."
+            )
+        return self._with(workers=count)
+
+    def _with(self, **changed: Any) -> "Study":
+        """The same study with other settings."""
+        settings: dict[str, Any] = {
+            "title": self.title,
+            "subtitle": self.subtitle,
+            "samples": self._samples,
+            "seed": self._seed,
+            "sweeps": {name: one.tolist() for name, one in self._sweeps.items()},
+            "wishes": self._wishes or None,
+            "points": self._points,
+            "solver": self._solver,
+            "transcription": self._transcription,
+            "workers": self._workers,
+            "quick": self._is_quick,
+        }
+        return Study(self.problems, **{**settings, **changed})
 
     @property
     @override
@@ -234,7 +258,8 @@ class Study(AbstractStudy):
         """Count on the same systems at each solved point, so that whoever chooses one sees how often it fails."""
         front = _there(fronts, name)
         if any(one.ok for one in front.solutions):
-            found = validate_all(front, self._samples, seed=self._seed, progress=progress)
+            with executor_of(self._workers) as executor:
+                found = validate_all(front, self._samples, seed=self._seed, executor=executor, progress=progress)
             self._found.along[name] = found
             stop_if_interrupted(found)
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
 
+from aleator._core.errors import ProblemError
 from aleator._core.given import one_of, refusal
 from aleator._core.progress import Progress, check_progress, silent
 from aleator.design import Problem
@@ -64,6 +65,18 @@ class AbstractStudy(abc.ABC):
     def solving(self) -> Mapping[str, Any]:
         """How its problems are solved: arguments of `al.solve` by name, of its solver and transcription."""
         return {}
+
+    @property
+    def workers(self) -> int | None:
+        """How many processes share its solves (`al.workers`); None if this one does all, as by default."""
+        return None
+
+    def with_workers(self, count: int) -> "AbstractStudy":
+        """The same study, whose solves are shared by `count` processes. Raises `ProblemError` if it shares none."""
+        raise ProblemError(
+            f"--workers {count}: the study '{self.title}' solves in its own way, by this process: expected an "
+            "`al.Study` or a study file. `aleator sweep` takes --workers for a front of any study."
+        )
 
     @property
     @abc.abstractmethod

@@ -1,7 +1,8 @@
 """`SweptStudy`: one design of another study, along one bound."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from concurrent.futures import Executor
+from contextlib import contextmanager
 from typing import Any, final
 
 import numpy as np
@@ -18,6 +19,16 @@ from aleator.studies._study import AbstractStudy, stop_if_interrupted
 from aleator.sweep import Front, Refused, pareto, workers
 
 
+@contextmanager
+def executor_of(processes: int | None) -> Iterator[Executor | None]:
+    """So many processes within a block (`al.workers`); none where the work is this one's."""
+    if processes is None:
+        yield None
+        return
+    with workers(processes) as executor:
+        yield executor
+
+
 def front_of(
     problem: Problem,
     bound: str,
@@ -28,8 +39,7 @@ def front_of(
     progress: Progress,
 ) -> Front:
     """The front of a problem over one bound, by this process or by several; `solving` as for `al.solve`."""
-    with ExitStack() as held:
-        executor = None if processes is None else held.enter_context(workers(processes))
+    with executor_of(processes) as executor:
         return pareto(problem, bound, values, executor=executor, progress=progress, **solving)
 
 
@@ -38,7 +48,8 @@ class SweptStudy(AbstractStudy):
     """One design of a study, solved again for each value of a bound.
 
     - `study`: any with `problems`; `design`: one of them by name, the last if it is left out;
-    - `bound`, `values`: as for `al.pareto`; `workers`: processes that solve points (`al.workers`), this one if none.
+    - `bound`, `values`: as for `al.pareto`; `workers`: processes that solve points (`al.workers`), as many as the
+      study says if it is left out.
 
     Raises `ProblemError` for a design or a bound that is not there, and for values that are no numbers.
     """
@@ -58,7 +69,7 @@ class SweptStudy(AbstractStudy):
         if not self._values.size or not np.isfinite(self._values).all():
             raise refusal("sweep: values", "one finite value of the bound at least", self._values.tolist())
         check_sweepable("sweep", problem, bound, self._values)
-        self._workers = None if workers is None else whole("sweep: workers", workers)
+        self._workers = study.workers if workers is None else whole("sweep: workers", workers)
         self._name, self._problem, self._bound, self._solving = name, problem, bound, study.solving
         self.front: Front | None = None
 

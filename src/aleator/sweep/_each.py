@@ -6,7 +6,7 @@ from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any, Literal, TypeAlias, cast
 
-from aleator._core.elsewhere import packed, sending
+from aleator._core.elsewhere import is_of_this_process, packed, sending
 from aleator._core.errors import AleatorError, SimulationError
 from aleator._core.journalled import AbstractEntry, calling, entry_of
 from aleator._core.warned import warned_of
@@ -50,7 +50,7 @@ def _elsewhere(
 ) -> Iterator[tuple[int, Any]]:
     done = {"solve": _solved, "validate": _validated}[work]
     entries = [_entry(work, call, place) for call, place in zip(calls, where, strict=True)]
-    packs = {i: packed(done, calls[i]) for i, entry in enumerate(entries) if entry.recalled is None}
+    packs = {i: packed(executor, done, calls[i]) for i, entry in enumerate(entries) if entry.recalled is None}
     yield from ((i, entry.recalled) for i, entry in enumerate(entries) if entry.recalled is not None)
     with sending(executor) as sent:
         for i, pack in packs.items():
@@ -64,7 +64,7 @@ def _elsewhere(
             if isinstance(result, AleatorError):
                 entries[i].failed(result)
             else:
-                result = _of_here(result, calls[i])
+                result = result if is_of_this_process(executor) else _of_here(result, calls[i])
                 entries[i].keep(result)
             yield i, result
 

@@ -1,7 +1,6 @@
 """A population whose designs are shared among the workers of an executor."""
 
 import functools
-import pickle
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
@@ -10,7 +9,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.elsewhere import each_of, packed
+from aleator._core.elsewhere import AbstractPack, each_of, packed
 from aleator._core.errors import ProblemError
 from aleator.design import refuse_other_code
 from aleator.ensemble import parts
@@ -44,7 +43,7 @@ class _Elsewhere:
 
     def __init__(self, population: Population, executor: Executor, where: str):
         self._population, self._executor, self._where = population, executor, where
-        self._given = {"made_of": packed(Population, population.made_of)}
+        self._given = {"made_of": packed(executor, Population, population.made_of)}
 
     def __call__(self, decisions: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
         size = self._population.size(len(decisions))
@@ -55,14 +54,14 @@ class _Elsewhere:
 
 
 def _rows_there(
-    items: Sequence[Float[np.ndarray, "few n"]], made_of: bytes, size: int
+    items: Sequence[Float[np.ndarray, "few n"]], made_of: AbstractPack, size: int
 ) -> list[Float[np.ndarray, "few rows"]]:
     return _population(made_of).rows(items, size)
 
 
 @functools.lru_cache(_KEPT)
-def _population(made_of: bytes) -> Population:
+def _population(made_of: AbstractPack) -> Population:
     """A population in this process, which is made and compiled once for all generations."""
-    kind, given = pickle.loads(made_of)
+    kind, given = made_of.opened()
     refuse_other_code(given["traced"])
     return kind(**given)
