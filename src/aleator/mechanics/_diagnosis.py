@@ -194,8 +194,8 @@ def diagnosis_along(
             return (
                 f"The constraints of {type(model).__name__} cannot be obeyed right after the start "
                 f"({_posture(model, path[0])}): accelerations that are not finite there, a dead centre, or lengths "
-                "that do not reach. Check forces and energies in this posture, or begin in another one: by start=, or by "
-                "guess= for coordinates that follow from the constraints; or take shorter steps."
+                "that do not reach. Check forces and energies in this posture, or begin in another one: by start=, or "
+                "by guess= for coordinates that follow from the constraints; or take shorter steps."
             )
         return (
             f"The constraints of {type(model).__name__} cannot be obeyed beyond about t = {times[last]:.4g} s "
