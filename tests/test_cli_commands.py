@@ -155,7 +155,7 @@ def test_a_run_is_resumed_as_it_was_begun_wherever_its_project_has_moved(here: P
     finally:
         moved.rename(finished.parent)
     assert found["designs"]["designs/robust"]["evidence"]["samples"] == 100
-    assert found["recalled"] == 6, "two designs with evidence, a point with evidence"
+    assert found["recalled"] == 4, "two designs with evidence, of which one is the front's point too"
     for name, one in before.items():
         assert found["designs"][name]["objective"] == one["objective"]
 
@@ -688,6 +688,25 @@ def test_the_list_tells_names_the_dead_and_what_is_lost(here: Path, finished: Pa
     with only_writer(place):
         assert states()[-1] == "running"
     assert (place / FILE).read_bytes() == before
+
+
+def test_every_name_that_the_list_shows_is_one_of_load(finished: Path):
+    loaded = al.load(finished)
+    for one in document(aleator("list", str(finished), "--json"))["results"]:
+        assert one["load"] in said(aleator("list", str(finished)))
+        assert type(loaded[one["load"]]) is type(loaded[one["name"]])
+    assert loaded["designs/robust"].ok
+
+
+def test_a_result_that_is_asked_for_twice_is_counted_once(here: Path):
+    # The front's first point starts where the design does, with the same bound: the same result.
+    (here / "bar.py").write_text(BAR.replace("[0.5, 0.6, 0.8]", "[0.5, 0.6]"))
+    assert aleator("run", "bar.py").exit_code == 0
+    again = aleator("run", "bar.py", "--json")
+    listed = document(aleator("list", "results/bar", "--json"))["results"]
+    assert document(again)["recalled"] == len(listed)
+    assert f"{len(listed)} results were taken from an earlier run" in said(again)
+    assert f"{len(listed)} results" in said(aleator("list", "results/bar"))
 
 
 def test_another_study_of_the_same_name_does_not_share_a_folder(here: Path):

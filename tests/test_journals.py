@@ -310,6 +310,24 @@ def test_a_folder_without_a_journal_and_a_name_without_a_result_are_refused(tmp_
         al.load(tmp_path)["solve Bar 2"]
 
 
+def test_names_that_a_study_gives_are_names_of_results_and_double_ones_are_told(tmp_path: Path):
+    with al.journal(tmp_path) as kept:
+        front = al.pareto(bar(), "stress", [0.5, 0.6])
+        kept.call({"designs/robust": front.points[0]})
+        al.pareto(al.deterministic(bar()), "stress", [0.6])
+    found = al.load(tmp_path)
+    assert list(found) == [f"solve Bar {number}" for number in range(1, 4)]
+    assert found["designs/robust"].objective == front.points[0].objective == found["solve Bar 1"].objective
+    assert "designs/robust" in found
+    assert "stress = 0.6" not in found
+    with pytest.raises(al.ProblemError, match=r"several results .* ask for one of 'solve Bar 2' and 'solve Bar 3'"):
+        _ = found["stress = 0.6"]
+    with pytest.raises(al.ProblemError, match="Did you mean 'designs/robust'"):
+        _ = found["designs/robost"]
+    assert "" not in found
+    assert "solve Bar 2  stress = 0.6" in str(found)
+
+
 KILLS = 6  # thirty were measured once: they take minutes
 
 SWEPT = """

@@ -158,6 +158,21 @@ def test_the_two_sides_of_one_limit_keep_one_name():
     assert {one.name for one in pair} == {"x"}
 
 
+def test_both_sides_of_a_range_are_named_at_once():
+    pair = LOSS.within(-1.0, 2.0, sigmas=1.0)
+    system = Gain(gain=al.Decision(0.5, 0.0, 10.0), theta=al.Uniform(1.0, half_width=0.3))
+    problem = al.Problem(
+        system, grid=ONE_STEP, minimize=LOSS.mean, subject_to=[pair.named("stroke"), RESPONSE.within(0.0, 5.0)]
+    )
+    assert problem.names == ("stroke", "response")
+    assert [(float(one.lower), float(one.upper)) for one in problem.named("stroke")] == [(-np.inf, 2.0), (-1.0, np.inf)]
+    moved = problem.with_bound("stroke", (-3.0, 4.0)).named("stroke")
+    assert [(float(one.lower), float(one.upper)) for one in moved] == [(-np.inf, 4.0), (-3.0, np.inf)]
+    assert {one.name for one in pair.named("stroke")} == {"stroke"}
+    with pytest.raises(al.ProblemError, match="Constraint: name"):
+        pair.named(3)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("sigmas", [-1.0, np.nan, np.inf])
 def test_a_margin_that_is_negative_or_not_finite_is_refused(sigmas):
     with pytest.raises(al.ProblemError, match=r"sigmas must not be negative|Only finite numbers can multiply"):

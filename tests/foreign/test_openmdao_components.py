@@ -80,6 +80,30 @@ def test_partials_hold_in_the_check_of_openmdao():
     assert_check_partials(checked, atol=1e-8, rtol=1e-8)
 
 
+def test_a_complex_step_is_refused_with_what_to_do():
+    model, _ = built(truss())
+    model.setup(force_alloc_complex=True)
+    model.run_model()
+    said = r"'design' expected real inputs; received complex ones, of a complex step.*check_partials\(method='fd'\)"
+    with pytest.raises(al.ProblemError, match=said):
+        model.check_partials(out_stream=None, method="cs")
+    assert_check_partials(model.check_partials(out_stream=None, form="central", step=1e-6), atol=1e-8, rtol=1e-8)
+
+
+def test_a_larger_model_is_differentiated_by_finite_differences_but_not_by_complex_steps():
+    for method in ("cs", "fd"):
+        model, _ = built(truss(), declared=False)
+        model.model.approx_totals(method=method)
+        model.setup(force_alloc_complex=method == "cs")
+        model.run_model()
+        if method == "cs":
+            with pytest.raises(al.ProblemError, match="approximate a model that contains it by method='fd'"):
+                model.compute_totals(of=["objective"], wrt=["areas"])
+            continue
+        found = model.compute_totals(of=["objective"], wrt=["areas"])
+        np.testing.assert_allclose(found["objective", "areas"], [[1.5, 1.5]], rtol=1e-5)
+
+
 def test_partials_of_limits_along_time_hold_too():
     decay = Decay(rate=al.Uniform(al.Decision(2.0, 1.0, 5.0), half_width=0.1), start=al.Decision(1.0, 0.5, 2.0))
     x = al.path("x")

@@ -1,5 +1,8 @@
 """What is refused of constraints, in words, before anything is compiled; and problems on closed loops."""
 
+from typing import Any
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from closed_loops import NEAR, FourBar, SliderCrank, slider_crank_by_hand
@@ -82,6 +85,69 @@ class Lost(FourBar):
 class NoTuple(FourBar):
     def closures(self):
         return al.joints.Closure("pin", parent="coupler", child="rocker", joint=al.joints.Ball())
+
+
+class Hung(al.Lagrangian):
+    """A mass on a rod of length 1, whose height follows."""
+
+    names = ("x", "y")
+    constraint_names = ("rod",)
+
+    def kinetic_energy(self, q, v):
+        return 0.5 * v @ v
+
+    def constraint(self, q) -> Any:
+        return (q @ q - 1.0,)
+
+
+class HungByItsLength(Hung):
+    """Without a slope where x = y = 0."""
+
+    def constraint(self, q):
+        return (jnp.sqrt(q @ q) - 1.0,)
+
+
+class Sprung(Hung):
+    """Whose force is not finite where x = y = 0, which its constraint allows."""
+
+    def potential_energy(self, q):
+        return jnp.sqrt(q @ q)
+
+    def constraint(self, q):
+        return (q[0] - q[1],)
+
+
+@pytest.mark.parametrize(
+    ("model", "said"),
+    [
+        (Hung, "no start near x = 0, y = 0 satisfies its constraints"),
+        (HungByItsLength, "or their derivatives, are not finite at x = 0, y = 0"),
+    ],
+)
+def test_a_start_that_is_not_found_names_the_guess_that_helps(model, said: str):
+    for make in (
+        lambda: al.simulate(al.ForwardDynamics(model()), GRID),
+        lambda: problem(al.ForwardDynamics(model()), output="x"),
+        lambda: al.simulate(al.InverseDynamics(model(), motion={"x": al.PowerSeries(start=(2.0,), end=(0.5,))}), GRID),
+        lambda: al.simulate(al.HybridDynamics(model(), motion={"x": al.PowerSeries(start=(2.0,), end=(0.5,))}), GRID),
+    ):
+        told = refused(make)
+        assert "guess=" in told
+        assert "constraints" in told
+    assert said in refused(lambda: al.simulate(al.ForwardDynamics(model()), GRID))
+    found = al.simulate(al.ForwardDynamics(model(), start={"x": 0.6}, guess={"y": -0.8}), GRID)
+    np.testing.assert_allclose(found["x"] ** 2 + found["y"] ** 2, 1.0, atol=1e-6)
+
+
+def test_accelerations_that_are_not_finite_at_the_start_name_the_guess_that_helps():
+    told = refused(lambda: problem(al.ForwardDynamics(Sprung()), output="x"))
+    assert "right after the start (x = 0, y = 0): accelerations that are not finite there" in told
+    assert "guess=" in told
+    with pytest.warns(al.SimulationWarning, match="guess="):
+        al.simulate(al.ForwardDynamics(Sprung()), GRID)
+    assert np.isfinite(
+        al.simulate(al.ForwardDynamics(Sprung(), guess={"x": 1.0, "y": 1.0}), al.Grid(0.1, 10))["x"]
+    ).all()
 
 
 REFUSED = {

@@ -62,8 +62,8 @@ def executed(
             return USAGE
         try:
             code = course.execute(job, folder, kept)
-            if kept.recalled:
-                told = "1 result was" if kept.recalled == 1 else f"{kept.recalled} results were"
+            if taken := len(kept.taken):
+                told = "1 result was" if taken == 1 else f"{taken} results were"
                 hint = "" if afresh is None else "; --afresh computes anew"
                 terminal.tell(f"{told} taken from an earlier run{hint}.")
             return code
@@ -95,7 +95,7 @@ class _Course:
         self._folder, self._kept = folder, kept
         with self._terminal.warning():
             code = self._run_through(job)
-        self._terminal.note(**self._facts(job), recalled=kept.recalled)
+        self._terminal.note(**self._facts(job), recalled=len(kept.taken))
         return code
 
     def _run_through(self, job: AbstractStudy) -> int:

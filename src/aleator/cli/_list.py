@@ -8,7 +8,7 @@ from rich.table import Table as RichTable
 
 from aleator.cli._options import AsJson
 from aleator.cli._terminal import Terminal
-from aleator.journalling import Entry, examined, listing
+from aleator.journalling import Entry, examined, listing, names_of
 from aleator.studies import STUDIES
 
 
@@ -25,8 +25,9 @@ def list_studies(
     else:
         with terminal.refusing():
             found = examined(folder)
+        names = names_of(found)
         terminal.tell(listing(folder, found))
-        terminal.note(folder=str(folder), results=[_row(one) for one in found])
+        terminal.note(folder=str(folder), results=[_row(one, names.get(one.key)) for one in found])
     terminal.conclude(0)
 
 
@@ -38,6 +39,13 @@ def _tell_studies(terminal: Terminal) -> None:
     terminal.note(studies=[{"name": name, "about": entry.about} for name, entry in STUDIES.items()])
 
 
-def _row(one: Entry) -> dict[str, Any]:
-    told = {"name": one.name, "what": one.what, "state": one.state.value, "why": one.why, "file": one.file}
+def _row(one: Entry, called: str | None) -> dict[str, Any]:
+    told = {
+        "name": one.name,
+        "load": called,
+        "what": one.what,
+        "state": one.state.value,
+        "why": one.why,
+        "file": one.file,
+    }
     return {**told, "host": one.host, "process": one.process, "since": one.since, "seconds": one.seconds or None}

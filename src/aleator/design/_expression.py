@@ -4,7 +4,7 @@ All of it is data: an expression can be evaluated on any source of statistics (a
 differentiated, swept and printed as mathematics. The two classes refer to each other, hence one module.
 """
 
-from typing import Any, ClassVar, Self, final
+from typing import Any, ClassVar, NamedTuple, Self, final
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -269,6 +269,17 @@ class Constraint(eqx.Module):
             above = f" ≤ {upper:g}" if np.isfinite(upper) else f" ≥ {lower:g}"
             relation = f"{below}{self.expression}{above}"
         return f"{relation} for all t" if self.is_path else relation
+
+
+class Range(NamedTuple):
+    """The two constraints of one range, which belong together."""
+
+    at_most: Constraint
+    at_least: Constraint
+
+    def named(self, name: str) -> "Range":
+        """The same range with another name."""
+        return Range(self.at_most.named(name), self.at_least.named(name))
 
 
 def ordered(name: str, lower: Scalar, upper: Scalar) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from typing_extensions import override
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
 from aleator._core.libraries import is_library
-from aleator.design._expression import Constraint, Expression, ordered
+from aleator.design._expression import Constraint, Expression, Range, ordered
 from aleator.design._extreme import Extreme
 from aleator.design._numbers import number_given
 from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Units
@@ -136,8 +136,10 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
         probability: float | None = None,
         worst_case: bool = False,
         at_points: bool = False,
-    ) -> tuple[Constraint, Constraint]:
+    ) -> Range:
         """Both `at_most(upper)` and `at_least(lower)`, under one name; `probability` is that of each side alone.
+
+        Another name is given to both at once: `y.within(-1, 1).named("stroke")`.
 
         Raises `ProblemError` for bounds in the wrong order.
         """
@@ -148,7 +150,7 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
             "worst_case": worst_case,
             "at_points": at_points,
         }
-        return self.at_most(upper, **margin), self.at_least(lower, **margin)
+        return Range(self.at_most(upper, **margin), self.at_least(lower, **margin))
 
     def _end(
         self, side: int, sigmas: float, probability: float | None, worst_case: bool, at_points: bool

@@ -107,7 +107,11 @@ class Simulation(eqx.Module):
         refuse_unrealised(system=system, grid=self.grid, inputs=self.inputs)
         grid, signals = self._checked_grid(system), {**system.signals(), **self.inputs}
         now = {name: values[0] for name, values in sampled(signals, grid, grid.fractions[:1]).items()}
-        t, z = grid.times[0], initial_state(system, grid.times[0], now)
+        t = grid.times[0]
+        try:
+            z = initial_state(system, t, now)
+        except ProblemError as error:
+            raise ProblemError(system.diagnose(grid) or f"{error}") from error
         jax.eval_shape(lambda: (derivative(system, t, z, now) if system.states else (), observation(system, t, z, now)))
 
     def _checked_grid(self, system: System) -> Grid:

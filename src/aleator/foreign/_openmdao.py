@@ -33,6 +33,8 @@ def openmdao_component(problem: Problem, *, declared: bool = True) -> Any:
     - `declared`: whether the component declares its design variables, objective and constraints, with their bounds and
       typical magnitudes. Say False if the larger model has others.
 
+    Its inputs are real: a complex step through it (`method="cs"`) is refused, finite differences are not.
+
     Limits hold at the instants of the problem's grid, as in `al.solve` before it looks between them: a design found is
     certified by `al.solve` of the problem that starts there. Raises `ProblemError` for limits on the worst case and on
     single realisations, which need a search of their own, `MissingExtraError` without OpenMDAO.
@@ -109,6 +111,12 @@ def _component() -> Any:
 
         def _evaluated(self, inputs: Any) -> Evaluation:
             decisions = np.concatenate([np.ravel(inputs[name]) for name in self._decisions])
+            if np.iscomplexobj(decisions):
+                raise ProblemError(
+                    f"openmdao_component: '{self.pathname}' expected real inputs; received complex ones, of a complex "
+                    "step. Its partials are exact by themselves: check them by check_partials(method='fd'), and "
+                    "approximate a model that contains it by method='fd'."
+                )
             found = self._transcribed.program.evaluate(decisions)
             if not found.is_finite:
                 values = {name: np.array(inputs[name]) for name in self._decisions}

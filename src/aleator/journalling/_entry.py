@@ -90,7 +90,11 @@ class Entry:
         return json.dumps({**vars(self), "state": self.state.value}, ensure_ascii=False) + "\n"
 
     def __str__(self) -> str:
-        told = [self.what, self.name, self._when(), self.why]
+        return self.told(self.what)
+
+    def told(self, what: str) -> str:
+        """The entry as a line for people, in which what it is is called `what`."""
+        told = [what, self.name, self._when(), self.why]
         return f"{self.state.value:<12} {'  '.join(one for one in told if one)}"
 
     def _when(self) -> str:

@@ -60,11 +60,12 @@ def journal(folder: str | Path, *, afresh: bool = False) -> "Iterator[Journal]":
 class Journal(AbstractJournal):
     """The journal of one folder, of which this process is the only writer.
 
-    - `recalled`: how many results of earlier processes were taken from there so far; `begun`: how many were not there.
+    - `recalled`: how often work was answered by a result of an earlier process so far, `begun`: how often it was not;
+    - `taken`: the keys of these results, of which each may answer several times.
     """
 
     def __init__(self, folder: Path, *, afresh: bool = False):
-        self.folder, self.recalled, self.begun = folder, 0, 0
+        self.folder, self.recalled, self.begun, self.taken = folder, 0, 0, set[str]()
         entries, size = read(folder / FILE)
         self._known = dict(entries)
         self._earlier = {key for key, one in entries.items() if one.is_finished}
@@ -95,7 +96,9 @@ class Journal(AbstractJournal):
             self.begun += 1
             begun = begun.instead_of(self._known[key]) if key in self._outdated else begun
         else:
-            self.recalled += key in self._earlier
+            if key in self._earlier:
+                self.recalled += 1
+                self.taken.add(key)
             self._keys.remember(found, key)
             if self._known[key].state is State.STALE:
                 self.append(replace(self._known[key], state=_state_of(found), why=""))

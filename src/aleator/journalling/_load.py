@@ -13,7 +13,7 @@ from aleator._core.given import meant
 from aleator.journalling import _results
 from aleator.journalling._entry import FILE, Entry, State, named, read, seen, unfinished
 from aleator.journalling._keys import Keys
-from aleator.reporting import as_path, has_writer
+from aleator.reporting import as_path, has_writer, words
 
 
 @final
@@ -23,7 +23,7 @@ class Loaded(Mapping[str, Any]):
     - `entries`: every result that was begun, with its state, who began it and when, how long it took, and its file.
 
     Names are those of what was done, counted in the order of their beginnings: `"solve Cushion 1"`,
-    `"validate Cushion 1"`.
+    `"validate Cushion 1"`; those that a study gives, such as `"designs/robust"`, are known as well.
     """
 
     def __init__(self, folder: Path, entries: tuple[Entry, ...]):
@@ -32,10 +32,14 @@ class Loaded(Mapping[str, Any]):
 
     @override
     def __getitem__(self, name: str) -> Any:
-        if name not in self._named:
-            hint = meant(name, self._named) if isinstance(name, str) else ""
+        found = self._of(name)
+        if not found:
+            hint = meant(name, self._known()) if isinstance(name, str) else ""
             raise ProblemError(f"load: there is no result '{name}' in '{self._folder}'.{hint}")
-        entry = self._named[name]
+        if len(found) > 1:
+            each = words([f"'{one}'" for one in found])
+            raise ProblemError(f"load: several results in '{self._folder}' are called '{name}': ask for one of {each}.")
+        (entry,) = found.values()
         return _results.read(self._folder / entry.file, entry.digest, entry.key)
 
     @override
@@ -48,19 +52,38 @@ class Loaded(Mapping[str, Any]):
 
     @override
     def __contains__(self, name: object) -> bool:
-        return name in self._named
+        return len(self._of(name)) == 1
+
+    def _of(self, name: object) -> dict[str, Entry]:
+        """The results that a name may mean."""
+        if name in self._named:
+            return {str(name): self._named[str(name)]}
+        return {own: one for own, one in self._named.items() if name and one.name == name}
+
+    def _known(self) -> list[str]:
+        """All names."""
+        return [*self._named, *(one.name for one in self._named.values() if one.name)]
 
     def __str__(self) -> str:
         return listing(self._folder, self.entries)
 
 
 def listing(folder: Path, entries: Iterable[Entry]) -> str:
-    """How many results a folder has, and all entries, a line each."""
+    """How many results a folder has, and all entries, a line each, with the names by which `load` knows them."""
     entries = list(entries)
+    keys = names_of(entries)
     there = sum(one.is_finished and one.state not in (State.STALE, State.LOST) for one in entries)
     return "\n".join(
-        [f"{folder}: {'1 result' if there == 1 else f'{there} results'}", *(f"  {one}" for one in entries)]
+        [
+            f"{folder}: {'1 result' if there == 1 else f'{there} results'}",
+            *(f"  {one.told(keys.get(one.key, one.what))}" for one in entries),
+        ]
     )
+
+
+def names_of(entries: Iterable[Entry]) -> dict[str, str]:
+    """The names of results in `load`, by their keys in the journal."""
+    return {one.key: name for name, one in named(entries).items()}
 
 
 def load(folder: str | Path) -> Loaded:

@@ -23,6 +23,8 @@ _LEFT = 1e-8
 
 _MOST_STEPS = 50
 
+_ELSEWHERE = "Coordinates near a posture that it can take, from which its start is found, are given by guess=."
+
 
 def start_diagnosis(model: AbstractMechanical, near: Any, found: Any, loose: Loose) -> str:
     """Why no posture at the start obeys the constraints, or why they do not determine one; empty if all is well.
@@ -30,14 +32,19 @@ def start_diagnosis(model: AbstractMechanical, near: Any, found: Any, loose: Loo
     `near` is the start as it is given, with coordinates that stay and those that are `loose`; `found` are the
     coordinates and velocities that were found from it, not a number where they were not.
     """
-    q, left, slope, jacobian = _brought_near(model, np.asarray(near, dtype=float), np.array(loose.coordinates))
-    what = type(model).__name__
+    what, near = type(model).__name__, np.asarray(near, dtype=float)
+    if not all(np.isfinite(one).all() for one in _LINEARISED(numbers_to_arrays(model), jnp.asarray(near))):
+        return (
+            f"{what}: its constraints, or their derivatives, are not finite at {_listed(model.coordinates, near)}, "
+            f"from where a start is sought. {_ELSEWHERE}"
+        )
+    q, left, slope, jacobian = _brought_near(model, near, np.array(loose.coordinates))
     size = np.abs(slope).max(axis=1, initial=0.0) * (1 + np.abs(q).max(initial=0.0))
     if not (np.abs(left) <= _LEFT * size).all():
         return (
             f"{what}: no start near {_listed(model.coordinates, near)} satisfies its constraints: at "
             f"{_listed(model.coordinates, q)} they are left with {_listed(model.constraints, left)}. Check its "
-            "lengths, keep less in start, or guess nearer to a posture that it can take."
+            f"lengths, or keep less in start=. {_ELSEWHERE}"
         )
     if _rank(jacobian) < len(jacobian):
         return _dependence(what, model, q, jacobian)
@@ -45,7 +52,7 @@ def start_diagnosis(model: AbstractMechanical, near: Any, found: Any, loose: Loo
         return (
             f"{what}: at {_listed(model.coordinates, q)} its constraints do not determine how "
             f"{_named([model.coordinates[i] for i in loose.coordinates])} follow the rest (a dead centre). Keep or "
-            "prescribe another coordinate, or start beside this posture."
+            f"prescribe another coordinate, or begin beside this posture. {_ELSEWHERE}"
         )
     return ""
 
@@ -95,8 +102,8 @@ def _dependence(what: str, model: AbstractMechanical, q: np.ndarray, jacobian: n
     if reached and _rank(elsewhere) == len(jacobian):
         return (
             f"{what}: its {len(jacobian)} constraints have only rank {rank} at {_listed(model.coordinates, q)}, where "
-            f"{_dependent_text(names)} (a singular posture, in which it may go on in several ways). Start "
-            "beside it, or choose lengths that keep away from it."
+            f"{_dependent_text(names)} (a singular posture, in which it may go on in several ways). Begin "
+            f"beside it, or choose lengths that keep away from it. {_ELSEWHERE}"
         )
     return (
         f"{what}: redundant constraints: expected {len(jacobian)} that are independent; their rank is {rank}, for "

@@ -190,6 +190,13 @@ def diagnosis_along(
     following = int(np.argmin(moderate))
     last = max(following - 1, 0)
     if loose is not None and np.isnan(path[following]).all():
+        if last == 0:
+            return (
+                f"The constraints of {type(model).__name__} cannot be obeyed right after the start "
+                f"({_posture(model, path[0])}): accelerations that are not finite there, a dead centre, or lengths "
+                "that do not reach. Check forces and energies in this posture, or begin in another one: by start=, or "
+                "by guess= for coordinates that follow from the constraints; or take shorter steps."
+            )
         return (
             f"The constraints of {type(model).__name__} cannot be obeyed beyond about t = {times[last]:.4g} s "
             f"({_posture(model, path[last])}): a dead centre, or lengths that do not reach. Change lengths or motion "

@@ -241,7 +241,7 @@ def problem(widths: Mapping[str, Any], *, zone: float, weight: float, sigmas: fl
             al.path("transmission").at_least(TRANSMISSION, sigmas=sigmas).named("transmission"),
             al.path("crank_pin").at_most(FORCE, sigmas=sigmas).named("crank pin"),
             al.path("rocker_pin").at_most(FORCE, sigmas=sigmas).named("rocker pin"),
-            *(one.named("torque") for one in al.path("crank_torque").within(-TORQUE, TORQUE, sigmas=sigmas)),
+            al.path("crank_torque").within(-TORQUE, TORQUE, sigmas=sigmas).named("torque"),
         ],
         # Where a pin's force almost vanishes its size is curved, and its derivatives by tolerances are off by 8 %.
         expansion=al.Expansion(order=1, tolerance=0.15),
