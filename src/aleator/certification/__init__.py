@@ -2,6 +2,7 @@
 
 from aleator.certification._ahead import prepare_judges as prepare_judges
 from aleator.certification._diagnosis import diagnose as diagnose
+from aleator.certification._error_of_the_grid import grid_error as grid_error
 from aleator.certification._finer import refinement as refinement
 from aleator.certification._finer import unconverged as unconverged
 from aleator.certification._held import held_between as held_between
@@ -12,7 +13,7 @@ from aleator.certification._quality import doubts as doubts
 from aleator.certification._quality import untrusted as untrusted
 from aleator.certification._reference import Reference as Reference
 from aleator.certification._reference import bound_size as bound_size
-from aleator.certification._reference import grid_error as grid_error
+from aleator.certification._reference import reference as reference
 from aleator.certification._reference import reference_factor as reference_factor
 from aleator.certification._second_opinion import second_opinion as second_opinion
 from aleator.certification._solution import solution_of as solution_of

@@ -44,8 +44,8 @@ def probed(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variable
         if not beyond <= worst[0]:
             worst = beyond, name, float(times[0] + fraction * (times[-1] - times[0]))
     functionals = zip(functionals_of(problem.expressions), finer.alone.functionals, seen.functionals, strict=True)
-    numbers = {one.text(): _shown(own, other) for one, own, other in functionals if not one.is_path}
-    return Probed(*worst, numbers | {"": _shown(finer.alone.expressions[0], seen.expressions[0])})
+    numbers = {one.text(): difference_shown(own, other) for one, own, other in functionals if not one.is_path}
+    return Probed(*worst, numbers | {"": difference_shown(finer.alone.expressions[0], seen.expressions[0])})
 
 
 def whether_misled(
@@ -83,7 +83,7 @@ def _misled(
     return ""
 
 
-def _shown(own: np.ndarray, other: np.ndarray) -> float:
+def difference_shown(own: np.ndarray, other: np.ndarray) -> float:
     """How far two numbers differ; zero if no more than grids may."""
     if not np.isfinite(own).all():
         return 0.0  # A ratio to a spread, which tells nothing.

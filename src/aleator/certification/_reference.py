@@ -1,7 +1,6 @@
 """A problem on a finer grid with an integrator of another order, by which its own grid is judged."""
 
-from collections.abc import Iterator, Mapping
-from types import MappingProxyType
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax
@@ -15,33 +14,24 @@ from aleator.certification._alone import Alone, alone, alone_elsewhere, middle
 from aleator.certification._jumps import splines_in
 from aleator.design import (
     Constraint,
-    Expression,
     Peak,
     Problem,
     Statistic,
     functionals_of,
     grid_at,
-    is_over_time,
     refuse_changed_code,
 )
 from aleator.dynamics import Grid
 from aleator.expansion import Collocation
-from aleator.solution import Deviation, GridError
-from aleator.statistics import Constants, Mean, Std, Variance
+from aleator.statistics import Constants, Mean, Std
 from aleator.trajectories import AbstractTrajectory, least_steps, piecewise_in
 from aleator.transcription import AbstractTranscribed, Discretised, scope_of
 
 # Factor of steps for systems that follow trajectories, whose limits are enforced between instants, and for others;
 # then the least number of steps in all, and between two knots.
 _FOLLOWING, _PLAIN, _FEWEST, _BY_PIECE = 10, 2, 100, 4
-# An excess on a finer grid is an error of the grid if the grids differ by at least this part of it.
-_OF_THE_GRID = 0.1
-# Allowance for the error of the finer grid itself, which is much smaller.
-_OWN_ERROR = 1.25
-# A magnitude below this part of its possible size is zero up to integration error.
-_NEGLIGIBLE_SPREAD, _NEGLIGIBLE_VALUE, _ROUNDING = 1e-6, 1e-3, 1e-9
-# Avoids a division of zero by zero.
-_TINY = 1e-30
+# Rounding, as a part of the magnitude of a row.
+_ROUNDING = 1e-9
 
 
 class Reference(NamedTuple):
@@ -143,60 +133,6 @@ def _arguments(
     return numbers_to_arrays(finer), collocation, constants, which, jnp.asarray(decisions)
 
 
-def grid_error(
-    transcribed: AbstractTranscribed,
-    point: Float[np.ndarray, " variables"],
-    finer: Reference,
-    accuracy: float,
-    shown: Mapping[str, float] = MappingProxyType({}),
-) -> GridError:
-    """The error of a problem's own grid at a point, by comparison with a finer one.
-
-    `shown`: differences of functionals at instants that the finer one does not have either; of the objective under "".
-    """
-    problem, resolved = transcribed.problem, transcribed.resolve(point)
-    assert isinstance(problem.grid, Grid)
-    meaning = transcribed.at(point)
-    times = meaning.times
-    functionals = functionals_of(problem.expressions)
-    reaches = dict(zip(functionals, finer.reaches, strict=True))
-    sizes_of_rows = row_sizes(transcribed, point)
-    rounding = rounding_of(transcribed, sizes_of_rows)
-    deviations = {}
-    for i, one in enumerate(functionals):
-        own = resolved[one.text()]
-        mean, std = (np.asarray(part)[:: finer.factor if one.is_path else 1] for part in _at_least_1d(finer, i))
-        change = np.maximum(np.abs(own.mean - mean), np.abs(own.std - std))
-        limits = _limits(problem, one)
-        spread, value, reach = float(np.max(std)), float(np.max(np.abs(mean))), reaches[one]
-        sizes = [*limits, *([spread] if spread > _NEGLIGIBLE_SPREAD * reach else [])]
-        # A quantity that has to be zero, and is, has no magnitude of its own.
-        alone = value if value > _NEGLIGIBLE_VALUE * reach else reach
-        size = max(min(sizes, default=alone), max(_ROUNDING * reach, rounding.get(one, 0.0), _TINY) / accuracy)
-        when = float(times[int(np.argmax(change.reshape(len(times), -1).max(axis=1)))]) if one.is_path else np.nan
-        largest = max(float(np.max(change)), shown.get(one.text(), 0.0))
-        deviations[one.text()] = Deviation(_OWN_ERROR * largest, accuracy * size, when, one.order)
-    objective = meaning.objective
-    away = _OWN_ERROR * max(abs(objective - float(finer.values[0])), shown.get("", 0.0))
-    floor = _NEGLIGIBLE_VALUE * _reach_of(problem.objective, reaches)
-    return GridError(
-        steps=problem.grid.steps,
-        factor=finer.factor,
-        integrator=finer.integrator,
-        accuracy=accuracy,
-        objective=Deviation(away, max(accuracy * max(abs(objective), floor), _TINY), order=_order(problem.objective)),
-        functionals=deviations,
-        broken=_broken(transcribed, meaning.constraints, finer, reaches, sizes_of_rows, accuracy),
-        pieces=pieces(problem) or 1,
-        by_tolerances=problem.integrator.refined() is not problem.integrator,
-    )
-
-
-def _order(objective: Expression) -> int:
-    """The order of convergence of the objective: the lowest among its parts."""
-    return min([one.order for one in functionals_of((objective,))], default=Deviation.order)
-
-
 def rounding_of(transcribed: AbstractTranscribed, sizes: Float[np.ndarray, " rows"]) -> dict[Any, float]:
     """The rounding of functionals, as far as constraints on them show it, whose rows have the magnitudes `sizes`.
 
@@ -205,7 +141,7 @@ def rounding_of(transcribed: AbstractTranscribed, sizes: Float[np.ndarray, " row
     found: dict[Any, float] = {}
     for one, rows in zip(transcribed.problem.constraints, transcribed.rows, strict=True):
         size = float(np.max(sizes[rows], initial=0.0))
-        for functional, factor in _bounded_by(one):
+        for functional, factor in bounded_by(one):
             found[functional] = max(found.get(functional, 0.0), _ROUNDING * size / factor)
     return found
 
@@ -218,71 +154,11 @@ def row_sizes(transcribed: AbstractTranscribed, point: Float[np.ndarray, " varia
     return program.magnitudes(point, program.evaluate(point)).size
 
 
-def _bounded_by(constraint: Constraint) -> Iterator[tuple[Any, float]]:
+def bounded_by(constraint: Constraint) -> Iterator[tuple[Any, float]]:
     """The functionals that a constraint bounds in their own unit, and the magnitudes of their factors."""
     for factor, atom in zip(constraint.expression.factors, constraint.expression.atoms, strict=True):
         if isinstance(atom, Statistic) and atom.kind.speaks_of_one_system and float(factor) != 0:
             yield from ((one, abs(float(factor))) for one in atom.functionals)
-
-
-def _at_least_1d(finer: Reference, which: int) -> tuple[np.ndarray, np.ndarray]:
-    return np.atleast_1d(finer.means[which]), np.atleast_1d(finer.stds[which])
-
-
-def _limits(problem: Problem, functional: Any) -> list[float]:
-    """The bounds other than zero that a functional is held to, in its own unit."""
-    found = []
-    for one in problem.constraints:
-        sizes = [abs(float(bound)) for bound in (one.lower, one.upper)]
-        for bounded, factor in _bounded_by(one):
-            found += [size / factor for size in sizes if bounded == functional and 0 < size < np.inf]
-    return found
-
-
-def _reach_of(expression: Expression, reaches: dict[Any, float]) -> float:
-    """The possible size of an expression, from that of its functionals; zero if unknown."""
-    return sum(
-        abs(float(factor)) * sum(_reach(part, reaches) for part in atom.parts)
-        for factor, atom in zip(expression.factors, expression.atoms, strict=True)
-    )
-
-
-def _reach(atom: Any, reaches: dict[Any, float]) -> float:
-    """The possible size of a statistic; a spread is no larger than the functional itself."""
-    if not isinstance(atom, Statistic):
-        return 0.0
-    reach = reaches[atom.functionals[0]]
-    if isinstance(atom.kind, Variance):
-        return reach**2
-    return reach if atom.kind.speaks_of_one_system or isinstance(atom.kind, Std) else 0.0
-
-
-def _broken(
-    transcribed: AbstractTranscribed,
-    own: list[Float[np.ndarray, " rows"]],
-    finer: Reference,
-    reaches: dict[Any, float],
-    sizes: Float[np.ndarray, " rows"],
-    accuracy: float,
-) -> str:
-    """A sentence on the constraint, no limit over time, that is broken most on the finer grid; empty if all hold.
-
-    A difference that is equal on both grids is no error of the grid, however small its tolerance.
-    """
-    problem = transcribed.problem
-    worst, sentence = accuracy, ""
-    for one, rows, before, value in zip(problem.constraints, transcribed.rows, own, finer.values[1:], strict=True):
-        if is_over_time(one):
-            continue
-        if not np.isfinite(value).all():
-            return f"on a finer grid '{one.name}' ({one}) is not a number"
-        excess = float(np.max(np.maximum(value - float(one.upper), float(one.lower) - value)))
-        changed = float(np.max(np.abs(np.ravel(value) - before)))
-        size = bound_size(one) or max(_reach_of(one.expression, reaches), float(np.max(sizes[rows])))
-        if excess > worst * size > 0 and changed > _OF_THE_GRID * excess:
-            worst = excess / size
-            sentence = f"on a finer grid '{one.name}' ({one}) exceeds its bound by {excess:.2g}"
-    return sentence
 
 
 def bound_size(constraint: Constraint) -> float:

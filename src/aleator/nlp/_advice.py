@@ -34,6 +34,13 @@ _REMEDIES = {
     ),
 }
 
+STRAYED = (
+    "The constraints hold at this design, which the search saw on its way, but it ended where they do not and no small "
+    "step returns: they seem to jump. See what al.examine tells of jumps and make these smooth, search by values alone "
+    "with al.solvers.DifferentialEvolution, or try other starts with al.multistart"
+)
+"""What to tell of a search that ended where the constraints do not hold, although it had seen a point where they do."""
+
 
 def held(tolerance: float) -> float:
     """The largest violation of a constraint that holds, over its size."""

@@ -60,7 +60,7 @@ def checked_answer(who: str, answer: Any, scaled: ScaledProgram) -> Answer:
 class Verdict(NamedTuple):
     """The result to report: a point with its evaluation in user units, scaled multipliers and their certificate.
 
-    `sizes`: of the useful constraints at the point, in user units, shape (m_useful,).
+    `sizes`: of the useful constraints at the point, in user units, shape (m_useful,); `strayed`: see `Outcome`.
     """
 
     status: Status
@@ -70,3 +70,4 @@ class Verdict(NamedTuple):
     certificate: Certificate
     message: str
     sizes: np.ndarray
+    strayed: bool = False

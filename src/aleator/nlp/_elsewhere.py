@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from aleator.nlp._advice import HELD
 from aleator.nlp._outcome import Outcome, Status
 from aleator.nlp._program import NonlinearProgram
 
@@ -30,20 +31,32 @@ def feasible_elsewhere(
     """The outcome, or that from another start if it is infeasible although some other point violates less.
 
     `again` solves a program from a start: the least violated of the points evaluated, which include `start` (shape
-    (n,)), with variables scaled by their values there.
+    (n,)) and the program's own, with variables scaled by their values there. A search that strayed from points that
+    meet all constraints starts from the best of these. Where a point meets them, the outcome is not infeasible.
     """
-    if outcome.status is not Status.INFEASIBLE:
+    if outcome.strayed:
+        best, is_feasible = outcome.point, True
+    elif outcome.status is Status.INFEASIBLE:
+        points = [start, program.start, *_points(program, start)]
+        violations = [_violation(program, outcome, point) for point in points]
+        least = int(np.argmin(violations))
+        if not violations[least] < (1 - _LESS) * outcome.violation:
+            return outcome
+        best, is_feasible = points[least], violations[least] <= HELD
+    else:
         return outcome
-    points = [start, *_points(program, start)]
-    violations = [_violation(program, outcome, point) for point in points]
-    best = int(np.argmin(violations))
-    if not violations[best] < (1 - _LESS) * outcome.violation:
-        return outcome
-    scale = np.max(np.abs([program.variable_scale, outcome.point, points[best]]), axis=0)
-    found = again(replace(program, variable_scale=scale), points[best])
-    if found.status in (Status.SOLVED, Status.INTERRUPTED):
+    scale = np.max(np.abs([program.variable_scale, outcome.point, best]), axis=0)
+    found = again(replace(program, variable_scale=scale), best)
+    if found.status in (Status.SOLVED, Status.INTERRUPTED) or (is_feasible and _is_better(found, outcome)):
         return found.with_effort_of(outcome)
     return outcome.with_effort_of(found)
+
+
+def _is_better(found: Outcome, outcome: Outcome) -> bool:
+    """Whether an outcome whose search began at a feasible point tells more than the one before it."""
+    if not outcome.strayed:
+        return found.status is not Status.INFEASIBLE
+    return found.violation <= HELD and found.evaluation.objective < outcome.evaluation.objective
 
 
 def variable_range(

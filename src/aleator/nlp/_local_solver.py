@@ -194,5 +194,6 @@ def _outcome(scaled: ScaledProgram, answer: Answer, verdict: Verdict, solver: st
         active_bounds=active_bounds,
         sizes=scaled.sizes(verdict.sizes),
         failed_at=scaled.evaluations.failed_at if verdict.status is Status.EVALUATION_FAILED else None,
+        strayed=verdict.strayed,
         visited=Searched(solver, objectives, violations, answer.message, seconds),
     )

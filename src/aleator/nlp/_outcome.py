@@ -61,6 +61,8 @@ class Outcome:
       else None;
     - `idle`: variables left at their start that change nothing at the points checked; `blind`: those by which a value
       changes although all of its derivatives by them are zero;
+    - `strayed`: whether the search ended where the constraints do not hold and no small step helps, although it had
+      seen points where they do: `point` is the best of these, and the status FAILED, since INFEASIBLE would be false;
     - `searched`: the points of a search without derivatives; None if there was none;
     - `visited`: the points of the local solver, over all restarts; None if there was none.
     """
@@ -84,6 +86,7 @@ class Outcome:
     failed_at: np.ndarray | None = None
     idle: tuple[int, ...] = ()
     blind: tuple[int, ...] = ()
+    strayed: bool = False
     searched: Searched | None = None
     visited: Searched | None = None
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from aleator.nlp._advice import LOST, advice, has_run_away, held
+from aleator.nlp._advice import LOST, STRAYED, advice, has_run_away, held
 from aleator.nlp._answer import Answer, Verdict
 from aleator.nlp._certificate import (
     Certificate,
@@ -48,9 +48,21 @@ def judge(scaled: ScaledProgram, answer: Answer, tolerance: float) -> Verdict:
     verdict = verdict._replace(status=status)
     if status is Status.INFEASIBLE:
         least = _at_best(scaled, answer._replace(claim=status), tolerance)
+        if _holds(least, np.minimum(least.sizes, verdict.sizes), scaled, tolerance):
+            said = f"{STRAYED} (the solver said: {answer.message})"
+            return least._replace(status=Status.FAILED, message=said, strayed=True)
         verdict = least if least.certificate.violation > held(tolerance) else verdict
     said = advice(scaled, verdict, answer.unfinished, tolerance)
     return verdict._replace(message=f"{said} (the solver said: {answer.message})") if said else verdict
+
+
+def _holds(verdict: Verdict, sizes: np.ndarray, scaled: ScaledProgram, tolerance: float) -> bool:
+    """Whether the constraints hold at a verdict's point, by sizes of shape (m_useful,) in user units.
+
+    At a point where the terms of a constraint are large, its own size alone would let pass what is seen elsewhere.
+    """
+    outside = scaled.violation(scaled.scale(verdict.user).constraints) * scaled.scales.constraints
+    return bool(np.all(outside <= held(tolerance) * sizes))
 
 
 def _status(scaled: ScaledProgram, answer: Answer, certificate: Certificate, tolerance: float) -> Status:

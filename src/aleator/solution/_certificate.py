@@ -24,7 +24,8 @@ class Certificate(Printed):
     - `worst_case`: the worst realisations of limits on the worst case; None if there are no such limits;
     - `opinion`: fresh simulations at the answer, compared with the expansions; None if nothing is uncertain or nothing
       was solved;
-    - `misled`: if nothing was solved, a sentence on large errors of the grid at the start of the search; else empty.
+    - `misled`: if nothing was solved, a sentence on large errors of the grid at the start of the search, or, of an
+      infeasible problem, on a limit that the grid does not resolve at the least violated point; else empty.
     """
 
     violation: float

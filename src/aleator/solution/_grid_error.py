@@ -54,6 +54,8 @@ class GridError(Printed):
     - `objective`: its deviation; the tolerated error is `accuracy` times its magnitude;
     - `functionals`: deviations by the texts of the functionals;
     - `broken`: a sentence on the constraint that does not hold on the finer grid; empty if all hold;
+    - `unresolved`: a sentence on the constraint that differs so much on the finer grid, or at other instants, that this
+      grid does not tell whether it holds, though it does there; empty if there is none;
     - `at_start`: a sentence on large errors of the grid at the initial design, which may have misled the search; empty
       if there are none, or if that was not checked;
     - `pieces`: the number of polynomial pieces of the splines that the system follows, whose ends should be instants;
@@ -67,6 +69,7 @@ class GridError(Printed):
     objective: Deviation
     functionals: Mapping[str, Deviation]
     broken: str = ""
+    unresolved: str = ""
     at_start: str = ""
     pieces: int = 1
     by_tolerances: bool = False
@@ -84,13 +87,15 @@ class GridError(Printed):
     @property
     def is_met(self) -> bool:
         """Whether all deviations are tolerated."""
-        return self.ratio <= 1 and not self.broken and not self.at_start
+        return self.ratio <= 1 and not self.broken and not self.unresolved and not self.at_start
 
     @property
     def is_usable(self) -> bool:
-        """Whether the solution holds on the finer grid: all limits, the objective to tolerance, and no NaN."""
+        """Whether the solution holds on the finer grid: all limits, the objective to tolerance, and no NaN; and whether
+        this grid resolves the limits.
+        """
         finite = all(np.isfinite(one.error) for one in self.functionals.values())
-        return self.objective.ratio <= 1 and not self.broken and finite
+        return self.objective.ratio <= 1 and not self.broken and not self.unresolved and finite
 
     @property
     def steps_needed(self) -> int:
@@ -114,8 +119,8 @@ class GridError(Printed):
 
     def sentence(self) -> str:
         """What deviates most, by how much, and how much would be tolerated."""
-        if self.broken:
-            return self.broken
+        if self.broken or self.unresolved:
+            return self.broken or self.unresolved
         if self.at_start and self.ratio <= 1:
             return self.at_start
         if self.objective.ratio > 1 or not self.functionals:

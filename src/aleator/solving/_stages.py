@@ -17,6 +17,7 @@ from aleator.certification import (
     held_between,
     prepare_judges,
     probed,
+    reference,
     reference_factor,
     solution_of,
     whether_misled,
@@ -116,6 +117,9 @@ class Stages(NamedTuple):
         if between is not None and between.worst > TOLERATED:
             outcome = replace(outcome, status=Status.NOT_HELD)
         misled = at_start if outcome.status in UNSOLVED else ""
+        if outcome.status is Status.INFEASIBLE and is_judged and factor > 1 and not misled:
+            finer = reference(transcribed, outcome.point, factor)
+            misled = grid_error(transcribed, outcome.point, finer, self.accuracy).unresolved
         found = solution_of(transcribed, outcome, between, error, worst_case, misled, self.compiled)
         return Answer(found, transcribed, outcome.point)
 

@@ -231,13 +231,13 @@ class AbstractSearch(AbstractSolver):
         best = min([one for one in outcomes if one.ok] or outcomes, key=_rank)
         lowest, reached = sought.least_held(HELD), best.evaluation.objective
         if not (best.violation <= HELD and reached <= lowest + _LOWER * max(abs(lowest), abs(reached))):
-            # Polishing may end above the search's best point where the model is not smooth.
+            # Polishing may end above the search's best point, or at none that holds, where the model is not smooth.
             outcomes.append(self._as_it_is(program, sought))
             best = min(outcomes, key=_rank)
         return best.with_effort_of(*(one for one in outcomes if one is not best))
 
     def _as_it_is(self, program: NonlinearProgram, sought: Sought) -> Outcome:
-        return _AsItIs(self.tolerance).solve(program, start=sought.candidates(1)[0])
+        return _AsItIs(self.tolerance).solve(program, start=sought.best_held(HELD))
 
 
 def _rank(outcome: Outcome) -> tuple[bool, float]:

@@ -180,6 +180,16 @@ class Sought:
         kept = self._gathered()
         return float(np.min(kept.objectives[kept.violations <= violation], initial=np.inf))
 
+    def best_held(self, violation: float) -> Float[np.ndarray, " n"]:
+        """That of least objective among the points kept that violate nothing by more, in the user's units; the first of
+        the candidates if there is none.
+        """
+        kept = self._gathered()
+        held = kept.violations <= violation
+        if not held.any():
+            return self.candidates(1)[0]
+        return self._unscaled(kept.points[[np.argmin(np.where(held, kept.objectives, np.inf))]])[0]
+
     def _merits(self, found: _Candidates) -> Float[np.ndarray, " k"]:
         if not self._spread:
             self._spread = _spread(found.objectives)
