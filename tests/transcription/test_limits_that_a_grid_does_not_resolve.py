@@ -73,7 +73,9 @@ def test_a_pulse_between_the_steps_is_no_solution_though_the_limit_holds_by_luck
     # Not a part of the truth is seen.
     assert abs(float(np.max(told)) - true) > 0.25 * max(5.0, abs(true))
     assert solution.status is Status.COARSE
-    assert not solution.certificate.grid_error.broken
+    error = solution.certificate.grid_error
+    assert error is not None
+    assert not error.broken
     assert "'end'" in solution.why()
     assert "do not tell whether it holds" in solution.why()
     assert "refine=True" in solution.why()
@@ -148,5 +150,7 @@ def test_a_coarse_grid_that_resolves_its_limits_is_usable(limits, steps):
         subject_to=limits,
     )
     solution = solved(problem)
-    assert not solution.certificate.grid_error.unresolved
+    error = solution.certificate.grid_error
+    assert error is not None
+    assert not error.unresolved
     assert solution.ok
