@@ -694,7 +694,7 @@ def test_every_name_that_the_list_shows_is_one_of_load(finished: Path):
     loaded = al.load(finished)
     for one in document(aleator("list", str(finished), "--json"))["results"]:
         assert one["load"] in said(aleator("list", str(finished)))
-        assert type(loaded[one["load"]]) is type(loaded[one["name"]])
+        assert type(loaded[one["load"]]) is type(loaded[one["name"] or one["load"]])  # a sample of `validate` has none
     assert loaded["designs/robust"].ok
 
 
