@@ -8,16 +8,14 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.certification._limits_on_grids import broken, limit_sizes, reach_of, unresolved
-from aleator.certification._reference import Reference, bounded_by, pieces, rounding_of, row_sizes
+from aleator.certification._reference import OWN_ERROR, ROUNDING, Reference, bounded_by, pieces, rounding_of, row_sizes
 from aleator.design import Expression, Problem, functionals_of
 from aleator.dynamics import Grid
 from aleator.solution import Deviation, GridError
 from aleator.transcription import AbstractTranscribed
 
-# Allowance for the error of the finer grid itself, which is much smaller.
-_OWN_ERROR = 1.25
 # A magnitude below this part of its possible size is zero up to integration error.
-_NEGLIGIBLE_SPREAD, _NEGLIGIBLE_VALUE, _ROUNDING = 1e-6, 1e-3, 1e-9
+_NEGLIGIBLE_SPREAD, _NEGLIGIBLE_VALUE = 1e-6, 1e-3
 # Avoids a division of zero by zero.
 _TINY = 1e-30
 
@@ -51,12 +49,12 @@ def grid_error(
         magnitudes = [*limits, *([spread] if spread > _NEGLIGIBLE_SPREAD * reach else [])]
         # A quantity that has to be zero, and is, has no magnitude of its own.
         alone = value if value > _NEGLIGIBLE_VALUE * reach else reach
-        size = max(min(magnitudes, default=alone), max(_ROUNDING * reach, rounding.get(one, 0.0), _TINY) / accuracy)
+        size = max(min(magnitudes, default=alone), max(ROUNDING * reach, rounding.get(one, 0.0), _TINY) / accuracy)
         when = float(times[int(np.argmax(change.reshape(len(times), -1).max(axis=1)))]) if one.is_path else np.nan
         largest = max(float(np.max(change)), shown.get(one.text(), 0.0))
-        deviations[one.text()] = Deviation(_OWN_ERROR * largest, accuracy * size, when, one.order)
+        deviations[one.text()] = Deviation(OWN_ERROR * largest, accuracy * size, when, one.order)
     objective = meaning.objective
-    away = _OWN_ERROR * max(abs(objective - float(finer.values[0])), shown.get("", 0.0))
+    away = OWN_ERROR * max(abs(objective - float(finer.values[0])), shown.get("", 0.0))
     floor = _NEGLIGIBLE_VALUE * reach_of(problem.objective, reaches)
     sizes = limit_sizes(transcribed, reaches, sizes_of_rows)
     return GridError(

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.certification._probe import difference_shown
-from aleator.certification._reference import Reference, bound_size
+from aleator.certification._reference import OWN_ERROR, Reference, bound_size
 from aleator.design import Constraint, Expression, Peak, Statistic, functionals_of, is_over_time
 from aleator.statistics import Std, Variance
 from aleator.transcription import AbstractTranscribed, Meaning
@@ -17,8 +17,6 @@ _OF_THE_GRID = 0.1
 # A grid that differs from a finer one by more than these parts of a limit's size does not tell whether it holds: by
 # the first if it is no further from its bound than that, by the second wherever it is.
 _NEAR_BOUND, _ANYWHERE = 0.05, 0.25
-# Allowance for the error of the finer grid itself.
-_OWN_ERROR = 1.25
 
 
 class _Difference(NamedTuple):
@@ -94,7 +92,7 @@ def _differences(
     k = int(np.argmax(changed))
     # What a peak exceeds between the instants is held there by margins.
     is_peak = any(isinstance(part, Peak) for part in functionals_of((one.expression,)))
-    yield _Difference(_OWN_ERROR * float(changed[k]), np.inf if is_peak else float(slacks[k]), np.nan)
+    yield _Difference(OWN_ERROR * float(changed[k]), np.inf if is_peak else float(slacks[k]), np.nan)
     if not is_over_time(one):
         alike, there = finer.alone.expressions[1 + which], finer.elsewhere.expressions[1 + which]
         yield _Difference(difference_shown(alike, there), float(slacks.min()), np.nan)
@@ -110,7 +108,7 @@ def _on_paths(
     rows, fine = own.reshape(len(times), -1), value.reshape(len(value), -1)
     windows = np.arange(len(times))[:, None] * factor + np.arange(-factor, factor + 1)[None, :]
     around = fine[np.clip(windows, 0, len(fine) - 1)]
-    away = _OWN_ERROR * np.maximum(rows - around.max(axis=1), around.min(axis=1) - rows)
+    away = OWN_ERROR * np.maximum(rows - around.max(axis=1), around.min(axis=1) - rows)
     there = fine[::factor]
     slacks = np.minimum(float(one.upper) - there, there - float(one.lower))
     for worst in (away, np.where(away > np.abs(slacks), away, -np.inf)):

@@ -30,8 +30,10 @@ from aleator.transcription import AbstractTranscribed, Discretised, scope_of
 # Factor of steps for systems that follow trajectories, whose limits are enforced between instants, and for others;
 # then the least number of steps in all, and between two knots.
 _FOLLOWING, _PLAIN, _FEWEST, _BY_PIECE = 10, 2, 100, 4
-# Rounding, as a part of the magnitude of a row.
-_ROUNDING = 1e-9
+# Rounding, as a part of a magnitude.
+ROUNDING = 1e-9
+# Allowance for the error of the finer grid itself, which is much smaller.
+OWN_ERROR = 1.25
 
 
 class Reference(NamedTuple):
@@ -142,7 +144,7 @@ def rounding_of(transcribed: AbstractTranscribed, sizes: Float[np.ndarray, " row
     for one, rows in zip(transcribed.problem.constraints, transcribed.rows, strict=True):
         size = float(np.max(sizes[rows], initial=0.0))
         for functional, factor in bounded_by(one):
-            found[functional] = max(found.get(functional, 0.0), _ROUNDING * size / factor)
+            found[functional] = max(found.get(functional, 0.0), ROUNDING * size / factor)
     return found
 
 

@@ -184,8 +184,7 @@ class _Sweep:
 
     def __init__(self, bound: str, problems: Mapping[float, Problem], own: Mapping[str, Any], progress: Progress):
         self._bound, self._problems, self._own, self._progress = bound, problems, own, progress
-        self._points: dict[float, Solution | Refused] = {}
-        self._neighbours: dict[float, float | None] = {}
+        self._kept: dict[float, _Kept] = {}
         self._first: ProblemError | None = None
 
     @property
@@ -208,9 +207,8 @@ class _Sweep:
         """What was found, in the order of the bounds. Raises the first refusal if every point was refused."""
         if self._first is not None and not self._solutions:
             raise self._first
-        finished = [value for value in self._problems if value in self._points]
-        points = tuple(self._points[value] for value in finished)
-        neighbours = tuple(self._neighbours[value] for value in finished)
+        finished = [value for value in self._problems if value in self._kept]
+        points, neighbours = zip(*(self._kept[value] for value in finished), strict=True)
         return Front(self._bound, np.array(finished), points, interrupted, neighbours)
 
     @property
@@ -220,7 +218,7 @@ class _Sweep:
 
     @property
     def _solutions(self) -> dict[float, Solution]:
-        return {value: one for value, one in self._points.items() if isinstance(one, Solution)}
+        return {value: one.point for value, one in self._kept.items() if isinstance(one.point, Solution)}
 
     def _doubtful(self) -> list["_Try"]:
         relaxing = _relaxing(self._problems, self._bound)
@@ -251,22 +249,21 @@ class _Sweep:
         return f"{self._bound} = {value:.6g}" + (f", from {neighbour:.6g}" if neighbour is not None else "")
 
     def _in_brief(self, value: float) -> str:
-        point = self._points[value]
+        point = self._kept[value].point
         return f"{self._place(value)}, {in_brief(point) if isinstance(point, Solution) else 'no design'}"
 
     def _keep(self, begun: "_Try", found: Solution | AleatorError) -> bool:
         """Keep what is better than what was known; whether it is."""
-        known = self._points.get(begun.value)
+        known = self._solutions.get(begun.value)
         if isinstance(found, Solution):
-            if isinstance(known, Solution) and not _is_better(found, known, SAME * self._size):
+            if known is not None and not _is_better(found, known, SAME * self._size):
                 return False
-            self._points[begun.value], self._neighbours[begun.value] = found, begun.neighbour
+            self._kept[begun.value] = _Kept(found, begun.neighbour)
             return True
         if not isinstance(found, ProblemError):
             raise found
         self._first = self._first or found
-        self._points.setdefault(begun.value, Refused(self._problems[begun.value], str(found)))
-        self._neighbours.setdefault(begun.value, None)
+        self._kept.setdefault(begun.value, _Kept(Refused(self._problems[begun.value], str(found)), None))
         return False
 
 
@@ -285,14 +282,18 @@ class _Try(NamedTuple):
         return self.value, self.neighbour, self.design.objective
 
 
+class _Kept(NamedTuple):
+    """A point of a front, and the neighbour from whose design it was found; None for the problem's own start."""
+
+    point: Solution | Refused
+    neighbour: float | None
+
+
 def _relaxing(problems: Mapping[float, Problem], bound: str) -> int:
     """1 if a larger value of the bound is a weaker limit, -1 if a smaller one is, 0 for equalities."""
-    tops, bottoms = (
-        {value: [np.asarray(getattr(one, side)) for one in problem.named(bound)] for value, problem in problems.items()}
-        for side in ("upper", "lower")
-    )
-    first, last = min(problems), max(problems)
-    rises = [any(np.any(b > a) for a, b in zip(one[first], one[last], strict=True)) for one in (tops, bottoms)]
+    first, last = (problems[end(problems)].named(bound) for end in (min, max))
+    pairs = list(zip(first, last, strict=True))
+    rises = [any(np.any(getattr(b, side) > getattr(a, side)) for a, b in pairs) for side in ("upper", "lower")]
     return int(rises[0]) - int(rises[1])
 
 
