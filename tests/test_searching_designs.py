@@ -186,11 +186,12 @@ def rounded():
 def test_values_choose_where_derivatives_cannot():
     with pytest.raises(al.ProblemError, match=r"no solver by derivatives can choose.*let a search compare values"):
         al.solve(rounded())
-    # This search ends where `a` began, so that nothing has moved it.
-    found = al.solve(rounded(), al.solvers.DualAnnealing(evaluations=300, seed=0))
-    assert found.objective == pytest.approx(0.0, abs=1e-9)
-    assert found.decisions["a"] == 1.5
-    assert "its values alone chose 'a', by which its derivatives are zero" in str(found)
+    # Where this search ends on the stretch of `a` that rounds to 2 is by rounding: near the jumps or far from them.
+    for seed in range(3):
+        found = al.solve(rounded(), al.solvers.DualAnnealing(evaluations=300, seed=seed))
+        assert found.objective == pytest.approx(0.0, abs=1e-9)
+        assert round(found.decisions["a"]) == 2
+        assert "its values alone chose 'a', by which its derivatives are zero" in str(found)
     several = al.portfolio(rounded(), 4, search=al.solvers.DifferentialEvolution(evaluations=300, population=24))
     assert several.best.ok
     assert several.best.objective == pytest.approx(0.0, abs=1e-9)

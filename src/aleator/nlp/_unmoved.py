@@ -1,7 +1,8 @@
 """Variables that an answer left at their start, where a maximum, a saddle or a flat model satisfies the conditions.
 
 First-order conditions hold at maxima, at saddles (a start on a line of symmetry never leaves it), and wherever a model
-is flat. Solvers descend, so that they end there only if they began there: a few points nearby are checked.
+is flat. Solvers descend, so that they end there only if they began there: a few points nearby are checked. A search by
+values may end anywhere that is flat, so that all flat variables of its answer are checked.
 """
 
 from collections.abc import Callable
@@ -102,8 +103,11 @@ def _lower(program: NonlinearProgram, outcome: Outcome, probes: dict[int, list[_
 
 
 def _still(program: NonlinearProgram, outcome: Outcome, start: np.ndarray) -> np.ndarray:
-    """The free variables that have not moved and are not held by an active bound, or alone by a row."""
-    still = (np.abs(outcome.point - start) <= _STILL * program.variable_scale) & ~_is_bound(program, outcome)
+    """The free variables that no descent has moved and that are not held by an active bound, or alone by a row."""
+    still = np.abs(outcome.point - start) <= _STILL * program.variable_scale
+    if outcome.searched is not None:
+        still |= np.array([_is_flat(outcome.evaluation, one) for one in range(len(start))])
+    still &= ~_is_bound(program, outcome)
     equal = program.constraint_lower == program.constraint_upper
     return np.flatnonzero(still & ~alone_in_a_row(outcome.evaluation.jacobian[np.flatnonzero(equal)]))
 
