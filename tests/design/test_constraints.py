@@ -156,6 +156,7 @@ def test_constraints_on_one_output_that_measure_different_things_are_told_apart(
 def test_the_two_sides_of_one_limit_keep_one_name():
     pair = al.path("x").within(-1.0, 1.0, sigmas=2.0)
     assert {one.name for one in pair} == {"x"}
+    assert str(pair) == f"{pair.at_least} and {pair.at_most}"
 
 
 def test_both_sides_of_a_range_are_named_at_once():

@@ -14,9 +14,9 @@ from typing_extensions import override
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name, real_array
+from aleator._core.given import a_name
 from aleator._core.units import common
-from aleator.design._numbers import number_given
+from aleator.design._numbers import number_given, ordered
 from aleator.design._rules import AbstractRule, Norm, Power, Product, Quotient
 from aleator.design._scope import AbstractAtom, AbstractComposite, AbstractRandom, AbstractScope, Units, Value
 
@@ -281,20 +281,8 @@ class Range(NamedTuple):
         """The same range with another name."""
         return Range(self.at_most.named(name), self.at_least.named(name))
 
-
-def ordered(name: str, lower: Scalar, upper: Scalar) -> tuple[float, float]:
-    """The bounds as floats. Raises `ProblemError` if they are in the wrong order or NaN."""
-    lower, upper = (real_array(f"Constraint '{name}'", bound, "numbers as bounds") for bound in (lower, upper))
-    if lower.ndim or upper.ndim:
-        raise ProblemError(f"Constraint '{name}': expected one number as a bound; received {lower} and {upper}.")
-    lower, upper = float(lower), float(upper)
-    if np.isnan(lower) or np.isnan(upper):
-        raise ProblemError(f"Constraint '{name}': expected numbers as bounds; received lower={lower}, upper={upper}.")
-    if lower > upper:
-        raise ProblemError(
-            f"Constraint '{name}': expected lower <= upper; received lower={lower:g}, upper={upper:g}. Swap them."
-        )
-    return lower, upper
+    def __str__(self) -> str:
+        return f"{self.at_least} and {self.at_most}"
 
 
 def _product(factor: float, atom: str) -> str:

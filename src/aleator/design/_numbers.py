@@ -6,8 +6,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array
 
+from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
-from aleator._core.given import is_masked
+from aleator._core.given import is_masked, real_array
 
 
 def number_given(value: Any, action: str) -> float:
@@ -30,3 +31,18 @@ def smoothing_given(who: str, value: Any) -> float:
     if number < 0:
         raise ProblemError(f"{who}: expected a smoothing of at least 0; received {number:g}.")
     return number
+
+
+def ordered(name: str, lower: Scalar, upper: Scalar) -> tuple[float, float]:
+    """The bounds as floats. Raises `ProblemError` if they are in the wrong order or NaN."""
+    lower, upper = (real_array(f"Constraint '{name}'", bound, "numbers as bounds") for bound in (lower, upper))
+    if lower.ndim or upper.ndim:
+        raise ProblemError(f"Constraint '{name}': expected one number as a bound; received {lower} and {upper}.")
+    lower, upper = float(lower), float(upper)
+    if np.isnan(lower) or np.isnan(upper):
+        raise ProblemError(f"Constraint '{name}': expected numbers as bounds; received lower={lower}, upper={upper}.")
+    if lower > upper:
+        raise ProblemError(
+            f"Constraint '{name}': expected lower <= upper; received lower={lower:g}, upper={upper:g}. Swap them."
+        )
+    return lower, upper

@@ -13,7 +13,8 @@ from aleator._core.given import a_name, one_of, positive, real, refusal
 from aleator.design._check import check, equations_now
 from aleator.design._control import on_grid
 from aleator.design._declaration import AbstractProblem
-from aleator.design._expression import Constraint, Expression, as_expression, ordered
+from aleator.design._expression import Constraint, Expression, as_expression
+from aleator.design._numbers import ordered
 from aleator.design._physics import changes
 from aleator.design._scope import Value
 from aleator.design._statistic import Statistic

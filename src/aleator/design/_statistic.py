@@ -13,9 +13,9 @@ from typing_extensions import override
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
 from aleator._core.libraries import is_library
-from aleator.design._expression import Constraint, Expression, Range, ordered
+from aleator.design._expression import Constraint, Expression, Range
 from aleator.design._extreme import Extreme
-from aleator.design._numbers import number_given
+from aleator.design._numbers import number_given, ordered
 from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Units
 from aleator.dynamics import AbstractGrid, History
 from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance, Std, a_statistic
