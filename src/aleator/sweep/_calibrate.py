@@ -52,12 +52,13 @@ def calibrate(
 ) -> Calibration:
     """Find the `sigmas` at which systems violate the constraints called `names` no more often than `target`.
 
-    With several names, a system that violates any of them counts once, and the ratios between their multiples are kept
-    (for each name the largest multiple in it, set as by `Problem.with_sigmas`); `sigmas` is the largest. Each trial
-    solves the problem, warm-started and compiled once, and counts violations of its design on the same `samples` random
-    systems. The search is a bracketed secant method on the normal quantile of the probability, which is nearly linear.
-    It ends within `precision` (relative) below an aim, which lies far enough below the target that fresh systems are
-    likely to confirm the design.
+    With several names, a system that violates any of them counts once, and the ratios between their multiples are
+    kept (for each name the largest multiple in it, set as by `Problem.with_sigmas`); `sigmas` is the largest. Each
+    trial solves the problem, warm-started and compiled once, and counts violations of its design on the same
+    `samples` random systems. So it stays near the local optimum of its first trial; whether another one is better,
+    `al.portfolio` tells of the problem with the multiple found. The search is a bracketed secant method on the normal
+    quantile of the probability, which is nearly linear. It ends within `precision` (relative) below an aim, which
+    lies far enough below the target that fresh systems are likely to confirm the design.
 
     Then twice as many fresh systems are drawn: the design is confirmed if the upper end of their confidence interval
     lies below the target. If it does not, up to four times as many again are drawn where that is likely to suffice, or
