@@ -6,8 +6,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.stats
 
 import aleator as al
+from aleator.certification._fresh_systems import fresh_systems
 from aleator.transcription._discretisation import RESPOND
 from aleator.transcription.sequential import EVALUATE
 from tiny_models import LOSS, ONE_STEP, gain_problem, oscillator_problem
@@ -77,7 +79,7 @@ def test_the_correction_is_that_of_the_closed_form():
 
 def test_small_teeth_are_warned_of_and_leave_a_design_a_solution():
     with pytest.warns(al.ExpansionWarning, match="fresh simulations disagree"):
-        solution = al.solve(comb_problem(0.05))
+        solution = al.solve(comb_problem(0.04))
     assert solution.ok
     assert not solution.certificate.opinion.agrees
     assert solution.certificate.opinion.broken == ""
@@ -96,6 +98,48 @@ def test_limits_over_time_and_norms_are_judged_with_the_rest():
     assert "∫μ[y(t)] dt" in told
     # Far from their bounds, they break nothing.
     assert solution.ok
+
+
+class Square(al.AlgebraicSystem):
+    x: al.Number
+
+    def outputs(self):
+        return {"y": self.x**2}
+
+
+@pytest.mark.parametrize("alpha", [0.466, 0.4])
+def test_a_spread_that_lies_in_one_tail_is_wrong_by_no_more_than_is_told(alpha):
+    # The least spread is at the lower bound. A decided shape makes `y` no polynomial of its germ, and one point in a hundred holds much of its spread.
+    shaped = al.Beta(alpha=al.Decision(0.65, alpha, 5.0), beta=8.0, lower=0.0, upper=1.0)
+    problem = al.Problem(Square(shaped), minimize=al.output("y").std, expansion=al.Expansion(order=4))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", al.ExpansionWarning)
+        solution = al.solve(problem, throw=False)
+    moment = scipy.stats.beta(alpha, 8.0).moment
+    exact = np.sqrt(moment(4) - moment(2) ** 2)
+    wrong = abs(solution.objective / exact - 1)
+    assert solution.decisions["x.alpha"] == pytest.approx(alpha)
+    assert wrong > 0.05
+    assert max(solution.certificate.opinion.misses.values()) > wrong
+    assert not solution.certificate.opinion.agrees
+
+
+@pytest.mark.parametrize(
+    "germs", [(al.Uniform(0.5, half_width=0.5),), (al.Normal(0.0, 1.0), al.Uniform(0.0, half_width=1.0))]
+)
+def test_weights_of_fresh_systems_give_the_moments_of_all(germs):
+    basis = [one.germ() for one in germs]
+    several = [fresh_systems(basis, 32, np.random.default_rng(seed)) for seed in range(400)]
+    weights, first = (
+        np.array(part) for part in ([one.weights for one in several], [one.points[:, 0] for one in several])
+    )
+    assert weights.max() <= 2.0
+    for power, exact in ((0, 1.0), (1, 0.0), (2, 1.0 if len(germs) == 2 else 1 / 3)):
+        means = np.mean(weights * first**power, axis=1)
+        assert abs(means.mean() - exact) < 4 * means.std() / np.sqrt(400)
+    # Each of them has systems at which random ones hardly ever arrive.
+    beyond = scipy.stats.norm.ppf(0.999) if len(germs) == 2 else 0.998
+    assert all((one.points[:, 0] > beyond).any() and (one.points[:, 0] < -beyond).any() for one in several)
 
 
 def test_nothing_is_asked_where_nothing_is_uncertain():

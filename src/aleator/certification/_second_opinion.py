@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import numbers_to_arrays
+from aleator.certification._fresh_systems import FreshSystems, fresh_systems
 from aleator.design import (
     AbstractScopeOfInstants,
     Problem,
@@ -24,7 +25,6 @@ from aleator.design import (
     sizes,
     statistics_in,
 )
-from aleator.ensemble import draw
 from aleator.solution import SecondOpinion
 from aleator.statistics import (
     AbstractStatistic,
@@ -58,10 +58,14 @@ _FOLLOW_THE_SPREAD = (Quantile, CornishFisher, ConditionalValueAtRisk, Supremum,
 
 
 class _Fresh(NamedTuple):
-    """A functional at the fresh points, simulated and predicted, with its mean and variance by the expansion."""
+    """A functional at the fresh points, simulated and predicted, with its mean and variance by the expansion.
+
+    `weights`: those of the fresh points, with an axis for each of the values.
+    """
 
     values: Float[np.ndarray, "fresh ..."]
     predicted: Float[np.ndarray, "fresh ..."]
+    weights: Float[np.ndarray, "fresh ..."]
     mean: Float[np.ndarray, "..."]
     variance: Float[np.ndarray, "..."]
 
@@ -70,7 +74,8 @@ class _Fresh(NamedTuple):
         total, size = float(np.sum(self.variance)), float(np.sum(self.mean**2 + self.variance))
         if total <= _ROUNDING**2 * size:
             return 0.0
-        return float(np.sqrt(np.sum(np.mean((self.values - self.predicted) ** 2, axis=0)) / total))
+        squares = self.weights * (self.values - self.predicted) ** 2
+        return float(np.sqrt(np.sum(squares) / np.sum(self.weights) / total))
 
     def is_rounding(self, size: float) -> bool:
         """Whether a number spreads by no more than rounding of its terms, which have the magnitude `size`."""
@@ -78,10 +83,17 @@ class _Fresh(NamedTuple):
 
     def corrections(self) -> "_Corrections":
         """The corrections of mean and variance by the fresh systems."""
-        shift = _means(self.values - self.predicted)
-        squares = _means((self.values - self.mean) ** 2 - (self.predicted - self.mean) ** 2) - shift**2
+        shift = self.means(self.values - self.predicted)
+        squares = self.means((self.values - self.mean) ** 2 - (self.predicted - self.mean) ** 2) - shift**2
         wider = np.sqrt(np.maximum(self.variance[..., None] + squares, 0.0)) - np.sqrt(self.variance)[..., None]
         return _Corrections(shift, squares, wider)
+
+    def means(self, missed: Float[np.ndarray, "fresh ..."]) -> Float[np.ndarray, "... replicates"]:
+        """The mean error along a last axis of replicates: zero, of all, and of all but one (the jackknife)."""
+        weighted, weight = self.weights * missed, self.weights.sum(axis=0)
+        every = weighted.sum(axis=0) / weight
+        rest = (weighted.sum(axis=0) - weighted) / (weight - self.weights)
+        return np.moveaxis(np.concatenate([0 * every[None], every[None], rest]), 0, -1)
 
 
 class _Corrections(NamedTuple):
@@ -92,16 +104,9 @@ class _Corrections(NamedTuple):
     std: Float[np.ndarray, "... replicates"]
 
 
-def _means(missed: Float[np.ndarray, "fresh ..."]) -> Float[np.ndarray, "... replicates"]:
-    """The mean error along a last axis of replicates: zero, of all, and of all but one (the jackknife)."""
-    every, count = missed.mean(axis=0), len(missed)
-    rest = (count * every[None] - missed) / (count - 1)
-    return np.moveaxis(np.concatenate([0 * every[None], every[None], rest]), 0, -1)
-
-
 @final
 class _Replicated(AbstractScopeOfInstants):
-    """Statistics with a last axis of replicates: those of `_means`, then one for each statistic that is moved."""
+    """Statistics with a last axis of replicates: those of `_Fresh.means`, then one for each statistic that is moved."""
 
     def __init__(self, known: Mapping[str, np.ndarray], numbers: Callable[[], Mapping[str, Array]], step: float):
         # The model's numbers take longer than all the rest, and few problems need any.
@@ -124,17 +129,17 @@ def second_opinion(transcribed: AbstractTranscribed, point: Float[np.ndarray, " 
     problem, basis, meaning = transcribed.problem, transcribed.basis, transcribed.at(point)
     if basis.variables == 0 or not functionals_of(problem.expressions):
         return None
-    points = draw(basis.germs.values(), _FRESH, np.random.default_rng(2))
+    systems = fresh_systems(basis.germs.values(), _FRESH, np.random.default_rng(2))
     decisions = jnp.asarray(meaning.decisions)
-    values = _simulated(transcribed, jnp.asarray(points), decisions)
-    fresh = _fresh(transcribed, points, values, point)
+    values = _simulated(transcribed, jnp.asarray(systems.points), decisions)
+    fresh = _fresh(transcribed, systems, values, point)
     bad = [text for text, one in fresh.items() if not np.isfinite(one.values).all()]
     if bad:
         return SecondOpinion(_FRESH, {}, (f"fresh simulations of {bad[0]} are not finite",), "")
     found = _opinion(transcribed, fresh, point)
     if found.agrees:
         return found
-    magnitudes = sizes(problem, jnp.asarray(points[0]), decisions)
+    magnitudes = sizes(problem, jnp.asarray(systems.points[0]), decisions)
     allowed_for = {
         text: one._replace(values=one.predicted) if one.is_rounding(float(size)) else one
         for (text, one), size in zip(fresh.items(), magnitudes, strict=True)
@@ -179,17 +184,18 @@ def _opinion(
 
 def _fresh(
     transcribed: AbstractTranscribed,
-    points: Float[np.ndarray, "fresh variables"],
+    systems: FreshSystems,
     values: list[np.ndarray],
     point: Float[np.ndarray, " variables"],
 ) -> dict[str, _Fresh]:
     samples, resolved = transcribed.at(point).samples, transcribed.resolve(point)
-    predict = transcribed.basis.matrix(points) @ np.asarray(transcribed.collocation.pseudo_inverse)
+    predict = transcribed.basis.matrix(systems.points) @ np.asarray(transcribed.collocation.pseudo_inverse)
     found = {}
     for text, seen, known in zip(transcribed.texts.functionals, values, samples, strict=True):
         predicted = (predict @ np.asarray(known).reshape(len(known), -1)).reshape(seen.shape)
         moments = resolved[text]
-        found[text] = _Fresh(seen, predicted, np.asarray(moments.mean), np.asarray(moments.std) ** 2)
+        weights = systems.weights.reshape(-1, *[1] * (seen.ndim - 1))
+        found[text] = _Fresh(seen, predicted, weights, np.asarray(moments.mean), np.asarray(moments.std) ** 2)
     return found
 
 
@@ -212,7 +218,7 @@ def _corrected(
         return base + off.mean + (base - one.mean[..., None]) / safe * off.std, std
     if isinstance(kind, Probability):
         inside = [_inside(kind, part) for part in (one.values, one.predicted)]
-        return base + _means(inside[0] - inside[1]), np.sqrt(np.clip(base[..., 0] * (1 - base[..., 0]), 0.0, None))
+        return base + one.means(inside[0] - inside[1]), np.sqrt(np.clip(base[..., 0] * (1 - base[..., 0]), 0.0, None))
     return base + 0 * off.mean, 0 * std
 
 
