@@ -109,7 +109,8 @@ class Square(al.AlgebraicSystem):
 
 @pytest.mark.parametrize("alpha", [0.466, 0.4])
 def test_a_spread_that_lies_in_one_tail_is_wrong_by_no_more_than_is_told(alpha):
-    # The least spread is at the lower bound. A decided shape makes `y` no polynomial of its germ, and one point in a hundred holds much of its spread.
+    # The least spread is at the lower bound, where `y` is no polynomial of its germ, whose shape is that of the start:
+    # one point in a hundred holds much of the spread.
     shaped = al.Beta(alpha=al.Decision(0.65, alpha, 5.0), beta=8.0, lower=0.0, upper=1.0)
     problem = al.Problem(Square(shaped), minimize=al.output("y").std, expansion=al.Expansion(order=4))
     with warnings.catch_warnings():
