@@ -16,6 +16,8 @@ import jax
 import pytest
 from jaxtyping import install_import_hook
 
+import shape_checker
+
 # The hook rewrites modules as they are imported: it must come first. Uncertainty, expansion and statistics are left
 # out: written for JAX arrays, they rightly work on plain floats and NumPy arrays too, on which their tests call them,
 # and a check of array types would refuse those.
@@ -35,6 +37,7 @@ CHECKED = [
         "sweep",
     )
 ]
+shape_checker.check_only_shapes()
 install_import_hook(CHECKED, "shape_checker.check")
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
