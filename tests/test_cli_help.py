@@ -11,6 +11,8 @@ from typer.testing import CliRunner
 from aleator import cli
 from aleator.cli._options import names_of_studies
 from aleator.cli._progress import _Lines, shown
+from aleator.cli._record import Record
+from aleator.cli._sweep import numbers
 
 COMMANDS = [one.name for one in cli.application.registered_commands]
 
@@ -20,6 +22,26 @@ def test_every_command_shows_an_example_on_one_line(name: str):
     result = CliRunner().invoke(cli.application, [f"{name}", "--help"])
     assert result.exit_code == 0
     assert re.search(rf"^\s*aleator {name}\b", result.output, re.MULTILINE)
+
+
+def examples_of(command: str) -> list[str]:
+    """The examples of a command's help."""
+    shown = CliRunner().invoke(cli.application, [command, "--help"], terminal_width=200).output
+    return [line.strip() for line in shown.splitlines() if line.strip().startswith(f"aleator {command} ")]
+
+
+def test_examples_name_limits_and_designs_that_their_studies_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(cli.application, ["new", "bracket.py"]).exit_code == 0
+    over = [re.fullmatch(r"aleator sweep (\S+) --bound (\S+) --values (\S+).*", line) for line in examples_of("sweep")]
+    assert over
+    for one in over:
+        assert one is not None
+        study, bound, values = one.groups()
+        assert Record(study, bound=bound, values=numbers(values)).made().stages
+    named = [re.search(r"(bracket\.py).* --design (\S+)", line) for line in examples_of("validate")]
+    for study, design in [one.groups() for one in named if one]:
+        assert design in Record(study).made().problems
 
 
 def test_the_shell_completes_names_of_studies():

@@ -303,3 +303,11 @@ def test_systems_that_are_sound_are_not_refused():
         al.InverseDynamics(Tendons(m_2=uncertain), motion=MOTION),
     ):
         assert problem(system, grid=al.Grid(al.Decision(1.0, 0.5, 2.0), 4)).physics
+
+
+@pytest.mark.parametrize("name", ["shoulder_torque", "torque", "parameters"])
+def test_torques_that_are_no_inputs_are_asked_for_where_the_system_is_made(name):
+    given = {name: al.Tabulated([0.0, 1.0], [0.0, 1.0])}
+    words = rf"ForwardDynamics takes no inputs: .* as its `torque`; received the inputs \['{name}'\]"
+    with pytest.raises(al.ProblemError, match=words):
+        al.simulate(al.ForwardDynamics(Matrices(), torque=TORQUE), GRID, inputs=given)

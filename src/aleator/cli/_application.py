@@ -35,7 +35,7 @@ _COMMANDS: dict[str, tuple[Callable[..., None], tuple[str, ...]]] = {
     "sweep": (
         sweep,
         (
-            "aleator sweep bracket.py --bound mass --values 1,1.2,1.4",
+            "aleator sweep bracket.py --bound force --values 0.6,0.8,1",
             "aleator sweep clutch --bound rejects --values 0.01,0.001 --workers 2",
         ),
     ),
