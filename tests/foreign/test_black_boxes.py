@@ -610,6 +610,46 @@ def test_arrays_reach_a_command_by_its_input_file(script):
 
 
 @pytest.mark.parametrize(
+    ("printed", "either"),
+    [
+        ('{"y": 1.5}\n0', "the last line '0' after '{\"y\": 1.5}', and either"),
+        ('{"y": 1.5}\n\n  0  \n\n', "the last line '0' after '{\"y\": 1.5}', and either"),
+        ('{"y": 1.5}\ndone\n0', "the last line '0' after '{\"y\": 1.5}', and either"),
+        ('{\n  "y": 1.5\n}\n0', "the last line '0' after '{', and either"),
+        ('{"v": [\n1.5,\n2.5', "the last line '2.5' after '{\"v\": [', and either"),
+        ("{'y': 1.5}\n0", "the last line '0' after \"{'y': 1.5}\", and either"),
+        ('{"y": 1.5}\n[0, 0]', "the last line '[0, 0]' after '{\"y\": 1.5}', and either"),
+        ("[1.5, 2.5]\n0", "the last line '0' after '[1.5, 2.5]', and either"),
+        ("[\n  1.5,\n  2.5\n]\n0", "the last line '0' after '[', and either"),
+    ],
+)
+@pytest.mark.parametrize("output_file", [None, "out.json"])
+def test_a_number_after_what_may_be_the_output_is_refused(script, printed, either, output_file):
+    where = "sys.stdout" if output_file is None else f"open({output_file!r}, 'w')"
+    command = script(f"import sys; print({printed!r}, file={where})", "{x}", output_file=output_file)
+    with pytest.raises(al.SimulationError, match=re.escape(either)) as caught:
+        command({"x": 1.0})
+    assert 'Write an object, such as {"y": 1.5}, in the last line' in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("printed", "output"),
+    [
+        ('{"progress": 0.5}\n{"progress": 1}\n{"y": 1.5}', {"y": 1.5}),
+        ('[0.1, 0.2]\n0\n{"y": 1.5}\n', {"y": 1.5}),
+        ("[info] begun\n[1] of [2]\n1.5", 1.5),
+        ("residual\n0.5\n0.1\n1.5", 1.5),
+        ("0\n[0.5, 0.1]\n[1.5, 2.5]", [1.5, 2.5]),
+        ('{\n  "y": 1.5\n}\n', {"y": 1.5}),
+        ("[\n  1.5,\n  2.5\n]", [1.5, 2.5]),
+    ],
+)
+def test_what_a_program_prints_before_its_output_is_no_output(script, printed, output):
+    found = script(f"print({printed!r})", "--x={x}")({"x": 1.0})
+    assert jax.tree.map(np.ndarray.tolist, found) == output
+
+
+@pytest.mark.parametrize(
     ("text", "said"),
     [
         ("print('all is well')", "expected JSON in its standard output; received 'all is well'"),

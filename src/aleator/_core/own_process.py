@@ -1,4 +1,4 @@
-"""Processes that can be ended with all those that they started.
+"""Processes that can be ended with all those that they started, and that end when nobody waits for them any more.
 
 A process that only runs a user's function imports this module and none of the parts of the package that are slow to
 import.
@@ -7,9 +7,11 @@ import.
 import os
 import signal
 import subprocess
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from multiprocessing.connection import Connection
+from multiprocessing import parent_process
+from multiprocessing.connection import Connection, wait
 from typing import Any
 
 # The processes that threads of this one are waiting for, and how often all of them have been ended.
@@ -73,10 +75,29 @@ def exit_told(code: int | None) -> str:
         return f"the signal {-code}"
 
 
+def end_with_parent(end: Callable[[], None] = end_running) -> None:
+    """In a process that `multiprocessing` has begun: end as soon as the one that began it is gone, however that ended.
+
+    Without this it waits for work, or works for nobody, for ever after a `kill -9` there. `end` comes before.
+    """
+    parent = parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        wait([parent.sentinel])
+        try:
+            end()
+        finally:
+            os._exit(1)  # from a thread: the main one may be within a library
+
+    threading.Thread(target=watch, name="end with parent", daemon=True).start()
+
+
 def report(sender: Connection, function: Callable[[Any], Any], argument: Any) -> None:
     """In a process of its own: call a function and send what it returns, or what it raises as text."""
     if os.name != "nt":
         os.setsid()
+    end_with_parent(lambda: end_group(os.getpid()))
     try:
         sender.send((function(argument), None))
     except Exception as error:

@@ -32,16 +32,18 @@ class Command:
     - `arguments`: the program and its arguments, without a shell. `{name}` is replaced by the input of that name, with
       all its digits. Arguments that name a file are made absolute at once, because each run has a folder of its own;
     - `input_file`: the name of a file in that folder, into which all inputs are written as a JSON object;
-    - `output_file`: the name of the JSON file that the program writes there; without one, its standard output is read,
-      or the last line of that if all of it is no JSON. Outputs are a number, a list of numbers (of lists, ...), or an
-      object of these by name;
+    - `output_file`: the name of the JSON file that the program writes there; without one, its standard output is read.
+      Where all of it is no JSON, its last line is. Outputs are a number, a list of numbers (of lists, ...), or an
+      object of these by name. A number in the last line is refused after a list or an object, and a list after an
+      object, since either may be meant;
     - `time_limit`: seconds after which a run is ended, with all processes that it started.
 
     Each run has a temporary folder, which is deleted after it. Processes that a program leaves behind when it ends by
     itself, such as a licence server, live on.
 
     Raises `ProblemError` if the program is not found, or if an input reaches it nowhere; a call raises
-    `SimulationError` if a run exceeds its time, ends with another exit code than 0, or writes no JSON of numbers.
+    `SimulationError` if a run exceeds its time, ends with another exit code than 0, writes no JSON of numbers, or
+    leaves open which of two lines is its output.
     """
 
     arguments: Sequence[str]
@@ -163,16 +165,44 @@ def _end_of(errors: IO[bytes]) -> str:
 
 
 def _numbers(text: str, source: str) -> Pytree:
-    """JSON as arrays of numbers. Raises `SimulationError` for anything else."""
-    last = next((line for line in reversed(text.splitlines()) if line.strip()), "")
+    """JSON as arrays of numbers. Raises `SimulationError` for anything else, and where either of two may be meant."""
+    *before, last = [line.strip() for line in text.splitlines() if line.strip()] or [""]
     for part in (text, last):
         try:
             parsed = json.loads(part, object_pairs_hook=_once_each)
         except (ValueError, RecursionError):
             continue
+        if part is last and (other := _rival(before, parsed)) is not None:
+            raise SimulationError(
+                f"expected one output in {source}; received the last line {last[-_SHOWN:]!r} after "
+                f'{other[:_SHOWN]!r}, and either may be meant. Write an object, such as {{"y": 1.5}}, in the last line'
+            )
         return _arrays(parsed, "the output")
-    said = f"received {last.strip()[-_SHOWN:]!r}" if last else "received nothing"
+    said = f"received {last[-_SHOWN:]!r}" if last else "received nothing"
     raise SimulationError(f"expected JSON in {source}; {said}")
+
+
+def _rival(before: list[str], parsed: Any) -> str | None:
+    """The last line before the parsed one that rather looks like an output: an object, or a list before a number."""
+    if isinstance(parsed, dict):
+        return None
+    begins = _begins_object if isinstance(parsed, list) else _begins_object_or_list
+    return next(filter(begins, reversed(before)), None)
+
+
+def _begins_object(line: str) -> bool:
+    """Whether an object begins in a line: it may go on in others, or be printed as Python does."""
+    return line.startswith("{")
+
+
+def _begins_object_or_list(line: str) -> bool:
+    """The same for lists too; `[info] ...` is none."""
+    if _begins_object(line) or line == "[":
+        return True
+    try:
+        return isinstance(json.loads(line), list)
+    except (ValueError, RecursionError):
+        return False
 
 
 def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from typing_extensions import override
 
 from aleator._core.beside import CORES, threads
 from aleator._core.given import whole
+from aleator._core.own_process import end_with_parent
 
 _Result = TypeVar("_Result")
 
@@ -143,6 +144,7 @@ _busy = threading.Event()
 
 def _settle(cores: "Queue[int]") -> None:
     """Begin a worker: one core, which the threads of libraries keep to as well, and one thread of ours."""
+    end_with_parent()  # first, while the thread that watches inherits that Ctrl-C waits
     signal.signal(signal.SIGINT, _interrupt)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
