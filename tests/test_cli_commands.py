@@ -56,6 +56,16 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place / "results"
 
 
+@pytest.fixture(scope="module")
+def front(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run with its front, complete, which no test changes; `bar.py` stands beside it."""
+    place = tmp_path_factory.mktemp("front")
+    (place / "bar.py").write_text(BAR.replace("samples=2000", "samples=200"))
+    result = aleator("run", str(place / "bar.py"), "--out", str(place / "results"))
+    assert result.exit_code == 0, result.output
+    return place / "results"
+
+
 def aleator(*arguments: str):
     return CliRunner().invoke(cli.application, list(arguments))
 
@@ -440,6 +450,32 @@ def test_after_an_edit_the_page_is_written_beside_the_complete_one(here: Path, f
         assert (here / "results/report.html").read_bytes() == complete
     assert document(aleator("report", "results", "--out", "results/report.html", "--json"))["exit_code"] == 0
     assert (here / "results/report.html").read_bytes() != complete
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (Path.unlink, r"cannot be read \(No such file or directory\)"),
+        (lambda path: path.write_bytes(b""), "is not what was written there"),
+    ],
+)
+def test_a_front_without_one_of_its_points_is_on_the_page_with_the_others(
+    here: Path, front: Path, begun: list[int], nothing_solved, damage, told: str, workers: int
+):
+    shutil.copytree(front, here / "results")
+    shutil.copy(front.parent / "bar.py", here)
+    Record("bar.py", workers=workers).write(here / "results")
+    (lost,) = (one.file for one in al.load(here / "results").entries if one.name == "stress = 0.6")
+    damage(here / "results" / lost)
+    result = aleator("report", "results", "--json")
+    assert result.exit_code == 0, result.output
+    missing = document(result)["missing"]
+    assert re.fullmatch(rf"'front over stress' is not finished: 'results/{lost}' {told}\.", missing[0])
+    assert len(missing) == 1, "the evidence on the other points is there"
+    page = (here / "results/report-so-far.html").read_text()
+    assert "2 of 3 points of the front over stress are available" in page
+    assert "Optimum against the limit of stress" in page
 
 
 def thrice(number: float, progress) -> float:
