@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.extending import kept
 from aleator._core.journalled import NotKeptError
+from aleator.extending import kept
 from aleator.journalling import recalling
 from bars import bar
 
