@@ -1,9 +1,10 @@
 """`aleator validate`: fresh evidence on the designs of a study or of a folder."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, final
 
@@ -26,7 +27,7 @@ from aleator.journalling import Journal, journal
 from aleator.reporting import Table, evidence_document, evidence_table, share_text, solution_document
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
-from aleator.studies import AbstractStudy, Study, executor_of, problems_of
+from aleator.studies import AbstractStudy, Study, SweptStudy, executor_of, problems_of
 from aleator.validation import Evidence
 from aleator.validation import validate as validated
 
@@ -47,8 +48,8 @@ def validate(
     """Count on fresh random systems how often designs break their limits, with 95 % intervals.
 
     Designs are taken from the folder (of a study: results/STUDY), and solved first where they are not there, or where
-    the study has changed since: which of these is told of each. The evidence is kept there too; the study's page stays
-    as it is.
+    an `al.Study` has changed since: which of these is told of each. The evidence is kept there too; the study's page
+    stays as it is.
     """
     terminal = Terminal("validate", as_json)
     with ExitStack() as held:
@@ -59,7 +60,8 @@ def validate(
             study, folder, why = _meant(place)
             kept = held.enter_context(journal(folder))
             designs = _wanted(study, why, kept, folder, design)
-        code = sampling.of(designs, kept, {} if study is None else study.solving)
+            declared, solving = ({}, {}) if study is None else (_declared(study), study.solving)
+        code = sampling.of(designs, kept, declared, solving)
     terminal.note(folder=str(folder), samples=samples, seed=seed, designs=sampling.document())
     if sampling.found:
         terminal.table(_decisions(sampling.found))
@@ -99,6 +101,12 @@ def _wanted(
     return found if design is None else {design: found[design]}
 
 
+def _declared(study: AbstractStudy) -> Mapping[str, Problem]:
+    """What a study says now of its designs, or of the points of its front, by name."""
+    problems = study.points if isinstance(study, SweptStudy) else study.problems
+    return problems if isinstance(problems, Mapping) else {}
+
+
 def _decisions(found: Mapping[str, Evidence]) -> Table:
     """What was sampled, a column for each design."""
     told = [solution_document(one.solution) for one in found.values()]
@@ -127,14 +135,27 @@ class _Sampling:
         self._refused: dict[str, str] = {}
         self._origins: dict[str, Origin] = {}
 
-    def of(self, designs: Mapping[str, Solution | Problem], kept: Journal, solving: Mapping[str, Any]) -> int:
-        """Sample designs, those not kept solved first; returns the exit code."""
+    def of(
+        self,
+        designs: Mapping[str, Solution | Problem],
+        kept: Journal,
+        declared: Mapping[str, Problem],
+        solving: Mapping[str, Any],
+    ) -> int:
+        """Sample designs, those not kept solved first; returns the exit code.
+
+        `declared`: what the study says of its designs now, by name; `solving`: how it solves them.
+        """
         try:
             with shown(self._terminal.console, len(designs)) as progress, self.interruptions.work():
                 for name, one in designs.items():
                     begun = time.perf_counter()
                     progress.begin(f"evidence on {name}")
-                    self._sample(name, one, kept, solving, progress.show)
+                    with self._telling(name):
+                        design, origin = with_origin(
+                            kept, name, one, declared.get(name), partial(solve, **solving, throw=False)
+                        )
+                        self._sample(name, design, origin, progress.show)
                     progress.end(f"evidence on {name}", 1.0, f"{time.perf_counter() - begun:.1f} s")
         except KeyboardInterrupt:
             self.interruptions.conclude()
@@ -153,20 +174,20 @@ class _Sampling:
         told = {"solved": origin.solved, "origin": origin.told, "differs": origin.differs}
         return {**told, "decisions": document["decisions"], "objective": document["objective"]}
 
-    def _sample(
-        self, name: str, one: Solution | Problem, kept: Journal, solving: Mapping[str, Any], progress: Progress
-    ) -> None:
+    def _sample(self, name: str, design: Solution, origin: Origin, progress: Progress) -> None:
+        self._origins[name] = origin
+        say = self._terminal.tell if origin.as_declared else self._terminal.look_at
+        say(f"design {name}: {origin.told}")
+        progress(f"{name}: {in_brief(design)}", 0, self._samples)
+        if not design.ok:
+            raise ProblemError(design.why())
+        self.found[name] = validated(design, self._samples, seed=self._seed, executor=self._executor, progress=progress)
+
+    @contextmanager
+    def _telling(self, name: str) -> Iterator[None]:
+        """Note why there is no evidence on a design, and go on."""
         try:
-            design, origin = with_origin(kept, name, one, lambda problem: solve(problem, **solving, throw=False))
-            self._origins[name] = origin
-            say = self._terminal.tell if origin.differs is None else self._terminal.look_at
-            say(f"design {name}: {origin.told}")
-            progress(f"{name}: {in_brief(design)}", 0, self._samples)
-            if not design.ok:
-                raise ProblemError(design.why())
-            self.found[name] = validated(
-                design, self._samples, seed=self._seed, executor=self._executor, progress=progress
-            )
+            yield
         except AleatorError as error:
             self._refused[name] = f"{error}"
             self._terminal.complain(f"error with '{name}'", error)

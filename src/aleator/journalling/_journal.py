@@ -15,6 +15,7 @@ from typing_extensions import override
 from aleator._core.errors import JournalWarning, ProblemError
 from aleator._core.journalled import AbstractEntry, AbstractJournal, AbstractParts, called, journalling
 from aleator._core.lasting import DoubtError
+from aleator.design import Problem
 from aleator.journalling import _results
 from aleator.journalling._entry import FILE, Entry, State, note, read, unfinished
 from aleator.journalling._keys import Keys, done_with
@@ -137,6 +138,13 @@ class Journal(AbstractJournal):
     def entry_of(self, result: Any) -> Entry | None:
         """The entry of a result that this journal keeps; None for anything else."""
         return self._known.get(self._keys.of(result))
+
+    def is_about(self, entry: Entry, problem: Problem) -> bool:
+        """Whether a result is of this problem; yes where another run could not tell."""
+        try:
+            return entry.parts.get("problem") == self._keys.problem_digest(problem)
+        except DoubtError:
+            return True
 
     @property
     def entries(self) -> tuple[Entry, ...]:
