@@ -383,63 +383,16 @@ def test_a_design_whose_file_has_gone_is_told_to_be_solved_again(here: Path, fro
     assert (found["solved"], found["differs"]) == (True, None)
 
 
-OWN = (
-    BAR
-    + """
-
-class Own(aleator.studies.AbstractStudy):
-    title = "Own"
-
-    @property
-    def problems(self):
-        return {"robust": problem}
-
-    @property
-    def stages(self):
-        return {"design": aleator.studies.Stage(self.solve, 1.0)}
-
-    def solve(self, progress):
-        self.found = al.solve(problem)
-
-    def results(self):
-        return {"designs": {"robust": self.found}} if hasattr(self, "found") else {}
-
-    def verdict(self):
-        return aleator.reporting.Verdict("good", "Done", "as far as it went.")
-
-    def sections(self):
-        return []
-
-    def tables(self):
-        return []
-
-
-study = Own()
-"""
-)
-
-
-@pytest.mark.parametrize(
-    ("text", "command", "name"),
-    [
-        ("import aleator.studies, aleator.reporting\n" + OWN, ["run", "bar.py"], "robust"),
-        (BAR, ["sweep", "bar.py", "--bound", "stress", "--values", "0.5"], "stress = 0.5"),
-    ],
-)
-def test_a_design_taken_from_the_folder_of_an_edited_study_is_told_as_the_run_s(
-    here: Path, text: str, command: list[str], name: str
-):
-    (here / "bar.py").write_text(text)
-    assert aleator(*command, "--out", "there").exit_code == 0
+def test_a_point_taken_from_the_folder_of_an_edited_study_is_told_as_the_run_s(here: Path):
+    name, told = "stress = 0.5", "taken from the folder, where the run found it. The study declares another problem"
+    assert aleator("sweep", "bar.py", "--bound", "stress", "--values", "0.5", "--out", "there").exit_code == 0
     arguments = ("validate", "there", "--samples", "100", "--json")
     before = document(aleator(*arguments))["designs"][name]
-    (here / "bar.py").write_text(text.replace("half_width=0.3", "half_width=0.2"))
+    (here / "bar.py").write_text(BAR.replace("half_width=0.3", "half_width=0.2"))
     result = aleator(*arguments)
     after = document(result)["designs"][name]
     assert before["origin"] == "taken from the folder."
-    assert after["origin"].startswith(
-        "taken from the folder, where the run found it. The study declares another problem"
-    )
+    assert after["origin"].startswith(told)
     assert f"look at: design {name}: taken" in said(result)
     assert after["objective"] == before["objective"]
 

@@ -60,7 +60,7 @@ def validate(
             study, folder, why = _meant(place)
             kept = held.enter_context(journal(folder))
             designs = _wanted(study, why, kept, folder, design)
-            declared, solving = ({}, {}) if study is None else (_declared(study), study.solving)
+            declared, solving = _declared(study), {} if study is None else study.solving
         code = sampling.of(designs, kept, declared, solving)
     terminal.note(folder=str(folder), samples=samples, seed=seed, designs=sampling.document())
     if sampling.found:
@@ -101,10 +101,9 @@ def _wanted(
     return found if design is None else {design: found[design]}
 
 
-def _declared(study: AbstractStudy) -> Mapping[str, Problem]:
-    """What a study says now of its designs, or of the points of its front, by name."""
-    problems = study.points if isinstance(study, SweptStudy) else study.problems
-    return problems if isinstance(problems, Mapping) else {}
+def _declared(study: AbstractStudy | None) -> Mapping[str, Problem]:
+    """What a sweep says now of its points, by name. What a study of one's own solves need not be what it declares."""
+    return study.points if isinstance(study, SweptStudy) else {}
 
 
 def _decisions(found: Mapping[str, Evidence]) -> Table:
@@ -144,7 +143,7 @@ class _Sampling:
     ) -> int:
         """Sample designs, those not kept solved first; returns the exit code.
 
-        `declared`: what the study says of its designs now, by name; `solving`: how it solves them.
+        `declared`: what the study says of them now, by name, if it does; `solving`: how it solves them.
         """
         try:
             with shown(self._terminal.console, len(designs)) as progress, self.interruptions.work():
