@@ -56,6 +56,19 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place / "results"
 
 
+@pytest.fixture(scope="module")
+def front(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run with its front, complete, which no test changes; `bar.py` stands beside it."""
+    place = tmp_path_factory.mktemp("front")
+    (place / "bar.py").write_text(BAR.replace("samples=2000", "samples=200"))
+    path = list(sys.path)
+    result = aleator("run", str(place / "bar.py"), "--out", str(place / "results"))
+    assert result.exit_code == 0, result.output
+    sys.modules.pop("bar", None)
+    sys.path[:] = path
+    return place / "results"
+
+
 def aleator(*arguments: str):
     return CliRunner().invoke(cli.application, list(arguments))
 
@@ -299,15 +312,103 @@ def test_fresh_evidence_is_counted_on_the_designs_of_a_folder(finished: Path, no
     assert (finished / FILE).read_bytes() == before
     one = document(aleator("validate", str(finished), "--samples", "200", "--design", "robust", "--json"))
     assert list(one["designs"]) == ["robust"]
+    told = (found["robust"]["solved"], found["robust"]["origin"], found["robust"]["differs"])
+    assert told == (False, "taken from the folder.", None)
+    assert "design nominal: taken from the folder." in said(result)
 
 
 def test_designs_that_are_not_there_are_solved_before_they_are_sampled(here: Path):
     result = aleator("validate", "bar.py", "--samples", "200", "--design", "robust")
     assert result.exit_code == 0, result.output
     assert "Systems that violate limits" in result.output
+    assert "design robust: solved, because the folder does not have it." in said(result)
     assert f"objective {NEEDED / 0.5:.6g}" in aleator("run", "bar.py").output
     named = [one["name"] for one in document(aleator("list", "results/bar", "--json"))["results"]]
     assert named.count("designs/robust") == 1
+
+
+@pytest.fixture
+def edited(here: Path, front: Path) -> Path:
+    """A folder whose study has been edited since its run."""
+    shutil.copytree(front, here / "results")
+    (here / "bar.py").write_text((front.parent / "bar.py").read_text().replace("half_width=0.3", "half_width=0.4"))
+    Record("bar.py").write(here / "results")
+    return here / "results"
+
+
+def test_evidence_on_designs_of_an_edited_study_says_that_they_are_not_those_of_the_run(edited: Path, front: Path):
+    arguments = ("validate", "results", "--samples", "200", "--design", "robust")
+    first, again = aleator(*arguments, "--json"), aleator(*arguments)
+    other = "it is not the design that the run found."
+    told = "(numbers of the problem): " + other
+    assert (
+        f"design robust: solved anew, because what it follows from has changed since the folder's run {told}"
+        in said(first)
+    )
+    assert "look at: design robust: taken from the folder, where it was solved after" in said(again)
+    assert other in said(again)
+    found = document(first)["designs"]["robust"]
+    assert found["solved"] is True
+    assert found["origin"].endswith(told)
+    assert found["differs"] == ["numbers of the problem"]
+    width = (1 + 3 * 0.4 / np.sqrt(3)) / 0.5
+    assert found["decisions"]["width"]["value"] == pytest.approx(width, rel=1e-6)
+    assert f"width │ {width:.5f} mm" in said(again)
+    assert al.load("results")["designs/robust"].objective == pytest.approx(NEEDED / 0.5, rel=1e-6)
+    assert al.load("results")["robust"].objective == pytest.approx(width, rel=1e-6)
+
+    compared = aleator("compare", str(front), "results", "--json")
+    (before, now) = document(compared)["later"].values()
+    assert before == {}
+    assert now == {"designs/robust": ["numbers of the problem"]}
+    assert "has a later design of this name, which `aleator validate` has solved" in said(compared)
+
+    # Once the study has run again, its designs are those of the run.
+    assert aleator("run", "bar.py", "--out", "results").exit_code == 0
+    assert "design robust: taken from the folder. " in said(aleator(*arguments))
+    later = document(aleator("compare", str(front), "results", "--json"))["later"]
+    assert list(later.values()) == [{}, {}]
+
+
+@pytest.mark.filterwarnings("always::aleator._core.errors.JournalWarning")
+def test_a_design_whose_file_has_gone_is_told_to_be_solved_again(here: Path, front: Path):
+    shutil.copytree(front, here / "results")
+    shutil.copy(front.parent / "bar.py", here)
+    Record("bar.py").write(here / "results")
+    (lost,) = (one.file for one in al.load("results").entries if one.name == "designs/robust")
+    (here / "results" / lost).unlink()
+    result = aleator("validate", "results", "--samples", "200", "--design", "robust", "--json")
+    found = document(result)["designs"]["robust"]
+    assert found["origin"] == "solved again, because its file in the folder has gone or is damaged."
+    assert (found["solved"], found["differs"]) == (True, None)
+
+
+def test_a_point_taken_from_the_folder_of_an_edited_study_is_told_as_the_run_s(here: Path):
+    name, told = "stress = 0.5", "taken from the folder, where the run found it. The study declares another problem"
+    assert aleator("sweep", "bar.py", "--bound", "stress", "--values", "0.5", "--out", "there").exit_code == 0
+    arguments = ("validate", "there", "--samples", "100", "--json")
+    before = document(aleator(*arguments))["designs"][name]
+    (here / "bar.py").write_text(BAR.replace("half_width=0.3", "half_width=0.2"))
+    result = aleator(*arguments)
+    after = document(result)["designs"][name]
+    assert before["origin"] == "taken from the folder."
+    assert after["origin"].startswith(told)
+    assert f"look at: design {name}: taken" in said(result)
+    assert after["objective"] == before["objective"]
+
+
+def test_a_sweep_of_an_edited_study_takes_the_names_of_the_earlier_points(here: Path):
+    sweep = ("sweep", "bar.py", "--bound", "stress", "--values", "0.5,0.6", "--out", "there")
+    narrow = (1 + 3 * 0.2 / np.sqrt(3)) / 0.5
+    for half_width, needed in (("0.3", NEEDED / 0.5), ("0.2", narrow), ("0.3", NEEDED / 0.5)):
+        (here / "bar.py").write_text(BAR.replace("half_width=0.3", f"half_width={half_width}"))
+        assert aleator(*sweep).exit_code == 0
+        sampled = document(aleator("validate", "there", "--samples", "100", "--json"))["designs"]
+        assert list(sampled) == ["stress = 0.5", "stress = 0.6"]
+        assert sampled["stress = 0.5"]["objective"]["value"] == pytest.approx(needed, rel=1e-6)
+        compared = document(aleator("compare", "there", "there", "--json"))["designs"]["stress = 0.5"]
+        assert compared["there"]["objective"]["value"] == pytest.approx(needed, rel=1e-6)
+        assert al.load("there")["stress = 0.5"].objective == pytest.approx(needed, rel=1e-6)
 
 
 def test_evidence_on_what_a_script_has_kept_needs_no_study(here: Path):
@@ -440,6 +541,32 @@ def test_after_an_edit_the_page_is_written_beside_the_complete_one(here: Path, f
         assert (here / "results/report.html").read_bytes() == complete
     assert document(aleator("report", "results", "--out", "results/report.html", "--json"))["exit_code"] == 0
     assert (here / "results/report.html").read_bytes() != complete
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (Path.unlink, r"cannot be read \(No such file or directory\)"),
+        (lambda path: path.write_bytes(b""), "is not what was written there"),
+    ],
+)
+def test_a_front_without_one_of_its_points_is_on_the_page_with_the_others(
+    here: Path, front: Path, begun: list[int], nothing_solved, damage, told: str, workers: int
+):
+    shutil.copytree(front, here / "results")
+    shutil.copy(front.parent / "bar.py", here)
+    Record("bar.py", workers=workers).write(here / "results")
+    (lost,) = (one.file for one in al.load(here / "results").entries if one.name == "stress = 0.6")
+    damage(here / "results" / lost)
+    result = aleator("report", "results", "--json")
+    assert result.exit_code == 0, result.output
+    missing = document(result)["missing"]
+    assert re.fullmatch(rf"'front over stress' is not finished: 'results/{lost}' {told}\.", missing[0])
+    assert len(missing) == 1, "the evidence on the other points is there"
+    page = (here / "results/report-so-far.html").read_text()
+    assert "2 of 3 points of the front over stress are available" in page
+    assert "Optimum against the limit of stress" in page
 
 
 def thrice(number: float, progress) -> float:

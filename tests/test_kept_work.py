@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import aleator as al
+from aleator._core.journalled import NotKeptError
 from aleator.extending import kept
-from aleator.journalling import NotKeptError, recalling
+from aleator.journalling import recalling
 from bars import bar
 
 STEP = 1.0
@@ -169,7 +170,7 @@ def test_a_page_of_what_is_there_does_no_work(work, calls, tmp_path):
         assert kept("widths", widths, 1.0, 2, progress=lambda *told: calls.append("again")) == found
         with pytest.raises(NotKeptError):
             kept("widths", widths, 1.0, 3, progress=lambda *told: calls.append("again"))
-    assert folder.missing == ["work widths"]
+    assert folder.missing == ["work widths is missing."]
     assert calls == ["widths"]
 
 

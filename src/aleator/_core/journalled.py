@@ -15,6 +15,10 @@ from typing_extensions import override
 Result = TypeVar("Result")
 
 
+class NotKeptError(KeyboardInterrupt):
+    """A result is not in the folder: work on it stops here, as Ctrl-C would stop it, and keeps what it has."""
+
+
 class AbstractParts(abc.ABC):
     """Finished parts of a result that is not finished, by the number at which each begins."""
 

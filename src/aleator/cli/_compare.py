@@ -1,12 +1,13 @@
 """`aleator compare`: runs side by side."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import typer
 
 from aleator._core.errors import ProblemError
+from aleator.cli._differences import changed, in_brackets, pair_of
 from aleator.cli._kept import evidence_on, sorted_by_kind
 from aleator.cli._options import AsJson
 from aleator.cli._record import study_of
@@ -15,27 +16,19 @@ from aleator.cli._written import interval_text, value_text, violated, written_de
 from aleator.journalling import FILE, Entry, Recalled, entries_in, load, named
 from aleator.reporting import Table, solution_document, words
 
-# Parts of a key, in words.
-_PARTS = {
-    "equations": "equations",
-    "code": "the model's code",
-    "versions": "versions of aleator or of libraries",
-    "problem": "numbers of the problem",
-    "solver": "the solver",
-    "transcription": "the transcription",
-    "warm_start": "the start",
-    "start": "the start",
-    "how": "settings of the solve",
-}
-
 
 class _Run(NamedTuple):
-    """A run: its label, its designs as documents by name, and the journal's entries of all that was solved, by name."""
+    """A run.
+
+    - `label`, `folder`; `designs` as documents by name; `entries`: the journal's of all that was solved, by name;
+    - `later`: the designs that `aleator validate` has solved anew since, and the parts in which these differ.
+    """
 
     label: str
     folder: Path
     designs: Mapping[str, Any]
     entries: Mapping[str, Entry]
+    later: Mapping[str, list[str]]
 
     def name_of(self, name: str, others: Sequence["_Run"]) -> str | None:
         """What it calls a design that some run calls `name`: if nothing is called so here, what is the same problem."""
@@ -81,7 +74,13 @@ def compare(
         differences[name] = _differences(runs, called)
         for label, parts in differences[name].items():
             terminal.tell(f"{name}: {_sentence(runs[0].label, label, parts)}")
-    terminal.note(folders=[str(one) for one in folders], designs=designs, differences=differences)
+    later = {one.label: one.later for one in runs}
+    for label, name, parts in ((label, *one) for label, found in later.items() for one in found.items()):
+        terminal.look_at(
+            f"{name}: {label} has a later design of this name, which `aleator validate` has solved after what it "
+            f"follows from had changed{in_brackets(parts)}. The table shows that of designs.json."
+        )
+    terminal.note(folders=[str(one) for one in folders], designs=designs, differences=differences, later=later)
     terminal.conclude(0)
 
 
@@ -96,7 +95,7 @@ def _run(label: str, folder: Path) -> _Run:
     entries = entries_in(folder) if (folder / FILE).is_file() else ()
     known = {one.name or name: one for name, one in named(entries).items() if one.what.startswith("solve ")}
     if written := written_designs(folder):
-        return _Run(label, folder, written, known)
+        return _Run(label, folder, written, known, _later(written, entries))
     if not entries:
         raise ProblemError(
             f"compare: there are no results in '{folder}': expected a folder in which `aleator run` or a script within "
@@ -104,12 +103,17 @@ def _run(label: str, folder: Path) -> _Run:
         )
     designs, evidence = sorted_by_kind(_finished(folder))
     documents = {name: solution_document(one, evidence.get(name)) for name, one in designs.items()}
-    return _Run(label, folder, documents, {name.rpartition("/")[2]: one for name, one in known.items()})
+    return _Run(label, folder, documents, {name.rpartition("/")[2]: one for name, one in known.items()}, {})
 
 
 def _finished(folder: Path) -> Mapping[str, Any]:
     study_of(folder)  # so that its models' modules are there, if they are
     return Recalled(folder).finished()
+
+
+def _later(written: Iterable[str], entries: Sequence[Entry]) -> dict[str, list[str]]:
+    found = {name: pair_of(name, entries) for name in written}
+    return {name: changed(*pair) for name, pair in found.items() if pair is not None}
 
 
 def _document(run: _Run, name: str) -> Any:
@@ -145,14 +149,10 @@ def _union(groups: Sequence[Mapping[str, Any]]) -> list[str]:
 def _differences(runs: Sequence[_Run], called: Sequence[str | None]) -> dict[str, list[str] | None]:
     """What each further run's design follows from that differs from the first one's; None where that is not known."""
     first, *others = [run.entries.get(name or "") for run, name in zip(runs, called, strict=True)]
-    return {run.label: _changed(first, one) for run, one in zip(runs[1:], others, strict=True)}
-
-
-def _changed(first: Entry | None, other: Entry | None) -> list[str] | None:
-    if first is None or other is None:
-        return None
-    changed = [part for part in _union([first.parts, other.parts]) if first.parts.get(part) != other.parts.get(part)]
-    return list(dict.fromkeys(_PARTS.get(part, part) for part in changed))
+    return {
+        run.label: None if first is None or one is None else changed(first, one)
+        for run, one in zip(runs[1:], others, strict=True)
+    }
 
 
 def _sentence(first: str, other: str, parts: list[str] | None) -> str:

@@ -1,6 +1,7 @@
 """The course of a study: stages in order, saved one by one, its page and its tables, whatever ends it."""
 
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -17,6 +18,7 @@ from aleator.journalling import Journal, journal
 from aleator.reporting import PAGE, Table, by_place, check_writable, only_writer, save_study, words
 from aleator.solution import Solution
 from aleator.studies import AbstractStudy, PartlySavedError, tables_of
+from aleator.sweep import Front
 from aleator.validation import Evidence
 
 
@@ -189,7 +191,8 @@ class _Course:
             self._paths, self._finished = error.paths, finished
             raise
         found = by_place(job.results())
-        self._kept.call({place: one for place, one in found.items() if isinstance(one, Solution | Evidence)})
+        designs = {place: one for place, one in found.items() if isinstance(one, Solution | Evidence)}
+        self._kept.call({**_points(found), **designs})
 
     def _ask_tables(self, job: AbstractStudy) -> None:
         self._tables = tables_of(job)
@@ -227,6 +230,22 @@ class _Course:
             return {}
         facts = {"folder": str(self._folder), "finished": self._finished, "files": [str(one) for one in self._paths]}
         return {**facts, **facts_of(job)}
+
+
+def _points(found: Mapping[str, Any]) -> dict[str, Solution]:
+    """The points of fronts by the names that they had while they were waiting: none of an earlier run has these now.
+
+    Without what several fronts call so.
+    """
+    named = [
+        (f"{front.bound} = {value:.6g}", point)
+        for front in found.values()
+        if isinstance(front, Front)
+        for value, point in zip(front.values.tolist(), front.points, strict=True)
+        if isinstance(point, Solution)
+    ]
+    often = Counter(name for name, _ in named)
+    return {name: point for name, point in named if often[name] == 1}
 
 
 def _told(seconds: float, recalled: int, begun: int) -> str:

@@ -73,15 +73,15 @@ def _recalled(study: AbstractStudy, kept: Recalled) -> list[str]:
         try:
             study.run(name)
         except KeyboardInterrupt:
-            absent = words(list(dict.fromkeys(kept.missing)), "what it follows from")
-            missing.append(f"'{name}' is not finished: {absent} is missing.")
+            absent = " ".join(dict.fromkeys(kept.missing)) or _FOLLOWS_FROM
+            missing.append(f"'{name}' is not finished: {absent}")
         except AleatorError as error:
             missing.append(f"'{name}' failed: {error}")
         except Exception:  # of whatever kind, where a stage works with what an earlier one would have found
             if not missing:
                 raise
             study.failed_parts = ()
-            missing.append(f"'{name}' is not finished: what it follows from is missing.")
+            missing.append(f"'{name}' is not finished: {_FOLLOWS_FROM}")
         kept.missing.clear()
     return missing
 
@@ -122,6 +122,7 @@ def _written_page(folder: Path, unread: Sequence[str], missing: list[str]) -> Pa
     )
 
 
+_FOLLOWS_FROM = "what it follows from is missing."
 _WITHOUT_THE_STUDY = (
     "So the study's title, chapters, fronts and tables are missing; the page shows the designs and the evidence that "
     "the folder keeps."

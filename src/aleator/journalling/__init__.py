@@ -13,6 +13,5 @@ from aleator.journalling._load import examined as examined
 from aleator.journalling._load import listing as listing
 from aleator.journalling._load import load as load
 from aleator.journalling._load import names_of as names_of
-from aleator.journalling._recalling import NotKeptError as NotKeptError
 from aleator.journalling._recalling import Recalled as Recalled
 from aleator.journalling._recalling import recalling as recalling

@@ -15,6 +15,7 @@ from typing_extensions import override
 from aleator._core.errors import JournalWarning, ProblemError
 from aleator._core.journalled import AbstractEntry, AbstractJournal, AbstractParts, called, journalling
 from aleator._core.lasting import DoubtError
+from aleator.design import Problem
 from aleator.journalling import _results
 from aleator.journalling._entry import FILE, Entry, State, note, read, unfinished
 from aleator.journalling._keys import Keys, done_with
@@ -124,12 +125,31 @@ class Journal(AbstractJournal):
         self.append(*(replace(one, state=State.WITHDRAWN) for one in left))
 
     def call(self, named: Mapping[str, Any]) -> None:
-        """Note what a study calls the results of this journal, by name; a name is that of one result."""
-        for name, result in named.items():
-            key = self._keys.of(result)
+        """Note what a study calls the results of this journal, by name; a name is that of one result.
+
+        The last of several names is that of the result.
+        """
+        names = {key: name for name, result in named.items() if (key := self._keys.of(result))}
+        for key, name in names.items():
             before = [one for one in self._known.values() if one.name == name and one.key != key]
-            if key and self._known[key].name != name:
+            if before or self._known[key].name != name:
                 self.append(*(replace(one, name="") for one in before), replace(self._known[key], name=name))
+
+    def entry_of(self, result: Any) -> Entry | None:
+        """The entry of a result that this journal keeps; None for anything else."""
+        return self._known.get(self._keys.of(result))
+
+    def is_about(self, entry: Entry, problem: Problem) -> bool:
+        """Whether a result is of this problem; yes where another run could not tell."""
+        try:
+            return entry.parts.get("problem") == self._keys.problem_digest(problem)
+        except DoubtError:
+            return True
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """What the journal says, in the order of beginnings."""
+        return tuple(self._known.values())
 
     def finished(self) -> dict[str, Any]:
         """All results that can be read: see `finished` in `_load`."""

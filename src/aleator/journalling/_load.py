@@ -134,11 +134,14 @@ def _examined(place: Path, one: Entry, busy: bool) -> Entry:
 def finished(folder: Path, entries: Iterable[Entry], keys: Keys) -> tuple[dict[str, Any], list[str]]:
     """All results that can be read, by the names that a study gives them, or else those of `load`; and what cannot.
 
-    Their keys are remembered, so that what follows from them is recognised.
+    Where several have one name, it is that of the last. Their keys are remembered, so that what follows from them is
+    recognised.
     """
     found, refused = dict[str, Any](), list[str]()
-    for name, entry in named(entries).items():
-        place = name if entry.name in found else entry.name or name
+    there = named(entries)
+    last = {one.name: one.key for one in there.values()}
+    for name, entry in there.items():
+        place = entry.name if entry.name and last[entry.name] == entry.key else name
         try:
             found[place] = result = _results.read(folder / entry.file, entry.digest, entry.key)
         except ProblemError as error:

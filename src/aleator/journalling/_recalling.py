@@ -8,20 +8,16 @@ from typing import Any, final
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
-from aleator._core.journalled import AbstractEntry, AbstractJournal, Settled, journalling
+from aleator._core.journalled import AbstractEntry, AbstractJournal, NotKeptError, Settled, journalling
 from aleator._core.lasting import DoubtError
 from aleator.journalling import _results
 from aleator.journalling._keys import Keys
 from aleator.journalling._load import entries_in, finished
 
 
-class NotKeptError(KeyboardInterrupt):
-    """A result is not in the folder: work on it stops here, as Ctrl-C would stop it, and keeps what it has."""
-
-
 @contextmanager
 def recalling(folder: Path) -> "Iterator[Recalled]":
-    """Take all results within a block from a folder; the first that is not there ends its work by `NotKeptError`.
+    """Take all results within a block from a folder; one that is not there ends its work by `NotKeptError`.
 
     Nothing is written, so that another process may be writing there. Raises `ProblemError` if there is no journal.
     """
@@ -34,7 +30,7 @@ def recalling(folder: Path) -> "Iterator[Recalled]":
 class Recalled(AbstractJournal):
     """The results of a folder, for reading alone.
 
-    - `missing`: what was asked for and is not there, or cannot be read, in words.
+    - `missing`: what was asked for and is not there, or cannot be read, a sentence each.
     """
 
     def __init__(self, folder: Path):
@@ -47,10 +43,10 @@ class Recalled(AbstractJournal):
         try:
             identity = self._keys.identity(what, given)
         except DoubtError as doubt:
-            raise self._not_kept(f"{what}: no run can tell whether it is the same ({doubt})") from None
+            raise self._not_kept(f"{what}: no run can tell whether it is the same ({doubt}).") from None
         known = self._entries.get(identity.key)
         if known is None or not known.is_finished:
-            raise self._not_kept(identity.what)
+            raise self._not_kept(f"{identity.what} is missing.")
         try:
             found = _results.read(self._folder / known.file, known.digest, known.key)
         except ProblemError as error:

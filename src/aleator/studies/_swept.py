@@ -79,6 +79,12 @@ class SweptStudy(AbstractStudy):
         return {self._name: self._problem}
 
     @property
+    def points(self) -> Mapping[str, Problem]:
+        """The problem at each value of the bound, by its name in a journal: `stress = 0.5`."""
+        bound = self._bound
+        return {f"{bound} = {one:.6g}": self._problem.with_bound(bound, one) for one in self._values.tolist()}
+
+    @property
     @override
     def solving(self) -> Mapping[str, Any]:
         return self._solving

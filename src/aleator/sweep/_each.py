@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeAlias, cast
 
 from aleator._core.elsewhere import is_of_this_process, packed, sending
 from aleator._core.errors import AleatorError, SimulationError
-from aleator._core.journalled import AbstractEntry, calling, entry_of
+from aleator._core.journalled import AbstractEntry, NotKeptError, calling, entry_of
 from aleator._core.warned import warned_of
 from aleator.design import Problem, refuse_changed, refuse_other_code
 from aleator.solution import Solution
@@ -34,6 +34,7 @@ def each(
 
 
 def _here(work: Work, calls: Sequence[Mapping[str, Any]], where: Sequence[str]) -> Iterator[tuple[int, Any]]:
+    absent = None
     for i, (call, place) in enumerate(zip(calls, where, strict=True)):
         if work == "solve":
             refuse_changed(place, call["problem"], "when this was begun")
@@ -42,16 +43,28 @@ def _here(work: Work, calls: Sequence[Mapping[str, Any]], where: Sequence[str]) 
                 found = solve(**call, throw=False) if work == "solve" else validate(**call)
         except AleatorError as error:
             found = error
+        except NotKeptError as error:  # the others may be there
+            absent = error
+            continue
         yield i, found
+    if absent is not None:
+        raise absent
 
 
 def _elsewhere(
     work: Work, calls: Sequence[Mapping[str, Any]], where: Sequence[str], executor: Executor
 ) -> Iterator[tuple[int, Any]]:
     done = {"solve": _solved, "validate": _validated}[work]
-    entries = [_entry(work, call, place) for call, place in zip(calls, where, strict=True)]
-    packs = {i: packed(executor, done, calls[i]) for i, entry in enumerate(entries) if entry.recalled is None}
-    yield from ((i, entry.recalled) for i, entry in enumerate(entries) if entry.recalled is not None)
+    entries, absent = dict[int, AbstractEntry](), None
+    for i, (call, place) in enumerate(zip(calls, where, strict=True)):
+        try:
+            entries[i] = _entry(work, call, place)
+        except NotKeptError as error:
+            absent = error
+    packs = {i: packed(executor, done, calls[i]) for i, entry in entries.items() if entry.recalled is None}
+    yield from ((i, entry.recalled) for i, entry in entries.items() if entry.recalled is not None)
+    if absent is not None:
+        raise absent
     with sending(executor) as sent:
         for i, pack in packs.items():
             sent.send(i, pack, where[i])
