@@ -1,6 +1,7 @@
 """Array shapes checked at run time, rank promotion refused: for every test, before `aleator` is imported."""
 
 import atexit
+import gc
 import os
 import shutil
 import signal
@@ -41,6 +42,10 @@ shape_checker.check_only_shapes()
 install_import_hook(CHECKED, "shape_checker.check")
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+# Tracing makes many objects that live long: to look for cycles among them as often as Python does takes a fifth of the
+# time of all tests.
+gc.set_threshold(100_000, 50, 100)
 
 
 @pytest.fixture
