@@ -112,5 +112,7 @@ def doubts(quality: ExpansionQuality, opinion: SecondOpinion | None) -> list[str
             f"error exceeds {quality.tolerance:g}, so means and spreads cannot be trusted. Raise the order"
         )
     if opinion is not None and not opinion.agrees:
-        sentences.append(f"{opinion.sentence()}. Raise the order")
+        # Without predictions to compare there is a system that has no result, at any order.
+        remedy = "Raise the order" if opinion.misses else "Mend the model there, or bound the distributions"
+        sentences.append(f"{opinion.sentence()}. {remedy}")
     return sentences

@@ -25,6 +25,7 @@ from aleator.design import (
     sizes,
     statistics_in,
 )
+from aleator.ensemble import inputs_at, listed
 from aleator.solution import SecondOpinion
 from aleator.statistics import (
     AbstractStatistic,
@@ -133,9 +134,13 @@ def second_opinion(transcribed: AbstractTranscribed, point: Float[np.ndarray, " 
     decisions = jnp.asarray(meaning.decisions)
     values = _simulated(transcribed, jnp.asarray(systems.points), decisions)
     fresh = _fresh(transcribed, systems, values, point)
-    bad = [text for text, one in fresh.items() if not np.isfinite(one.values).all()]
-    if bad:
-        return SecondOpinion(_FRESH, {}, (f"fresh simulations of {bad[0]} are not finite",), "")
+    for text, one in fresh.items():
+        broken = ~np.isfinite(one.values.reshape(_FRESH, -1)).all(axis=1)
+        if broken.any():
+            named = listed(inputs_at(transcribed.places, jnp.asarray(systems.points[broken][0]), decisions))
+            share = float(systems.weights[broken].sum() / systems.weights.sum())
+            told = f"{text} is not finite in about {100 * share:.2g} % of all systems, such as that with {named}"
+            return SecondOpinion(_FRESH, {}, (told,), "")
     found = _opinion(transcribed, fresh, point)
     if found.agrees:
         return found
