@@ -168,6 +168,10 @@ class Thinning(Cart):
         (lambda: still(Cart(mass=al.processes.signal(lambda t, p: 0.5 - t))), "is singular about t = 0.5 s"),
         (
             lambda: al.simulate(al.ForwardDynamics(Cart()), al.Grid(1.0, 4), {"parameters": RISING}),
+            r"ForwardDynamics takes no inputs: .* received the inputs \['parameters'\]",
+        ),
+        (
+            lambda: al.ForwardDynamics(Cart()).starting(0.0, {"parameters": jnp.zeros((1, 1))}),
             "Cart: expected no parameters that change with time; received an input of that name",
         ),
     ],
