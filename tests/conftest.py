@@ -1,4 +1,4 @@
-"""Array shapes checked at run time, rank promotion refused: for every test, before `aleator` is imported."""
+"""Array shapes checked at run time, rank promotion refused: before `aleator` is imported."""
 
 import atexit
 import gc
@@ -38,8 +38,14 @@ CHECKED = [
         "sweep",
     )
 ]
-shape_checker.check_only_shapes()
-install_import_hook(CHECKED, "shape_checker.check")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Check shapes, but not again in the slow run, which calls the same functions for long."""
+    if config.option.markexpr != "slow":
+        shape_checker.check_only_shapes()
+        install_import_hook(CHECKED, "shape_checker.check")
+
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
