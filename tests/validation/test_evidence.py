@@ -239,6 +239,12 @@ class Fragile(al.System):
         return {"x": self.gain * jnp.where(self.theta > 1.29, broken, self.theta), "gain": self.gain}
 
 
+def warned(problem):
+    """The solution, of which fresh systems in a tail tell that some have no result."""
+    with pytest.warns(al.ExpansionWarning, match=r"is not finite in about \d\S* % of all systems, .*theta=1\.29"):
+        return al.solve(problem)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["nan", "infinite"])
 @pytest.mark.parametrize(
@@ -254,7 +260,7 @@ def test_a_sample_that_is_not_finite_is_named(bound, kind):
         subject_to=[bound],
         expansion=al.Expansion(1),
     )
-    solution = al.solve(problem)
+    solution = warned(problem)
     said = r"system with theta=1\.29\d* is not finite: output 'x' from t = 0 s on"
     with pytest.raises(al.SimulationError, match=said):
         al.validate(solution, 2000)
@@ -277,8 +283,9 @@ def test_what_becomes_not_finite_on_the_way_is_named_with_its_instant(limit):
         expansion=al.Expansion(1),
     )
     said = r"theta=1\.29\d* is not finite: output 'x' from t = 0\.5[01]\d* s on"
+    solution = warned(problem)
     with pytest.raises(al.SimulationError, match=said):
-        al.validate(al.solve(problem), 2000)
+        al.validate(solution, 2000)
 
 
 class Overflowing(Fragile):
@@ -296,8 +303,9 @@ def test_a_functional_that_is_not_finite_of_outputs_that_are_is_named():
         subject_to=[al.rms("x").mean <= 100.0],
         expansion=al.Expansion(1),
     )
+    solution = warned(problem)
     with pytest.raises(al.SimulationError, match=r"theta=1\.29\d* is not finite: rms\(x\)\."):
-        al.validate(al.solve(problem), 2000)
+        al.validate(solution, 2000)
 
 
 def test_a_broken_system_beyond_the_samples_asked_for_is_no_matter():
@@ -311,7 +319,7 @@ def test_a_broken_system_beyond_the_samples_asked_for_is_no_matter():
     germ = draw((LegendreGerm(),), 400, np.random.default_rng(0))[:, 0]
     first = int(np.argmax(1 + HALF_WIDTH * germ > 1.29))
     # The batch before the break is larger than what is asked for, so the broken system is simulated and dropped.
-    solution = al.solve(problem)
+    solution = warned(problem)
     batch = first // 2 + 2
     assert batch < first < 2 * batch
     evidence = al.validate(solution, first, batch=batch)
