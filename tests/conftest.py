@@ -49,8 +49,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-# Tracing makes many objects that live long: to look for cycles among them as often as Python does takes a fifth of the
-# time of all tests.
+# Tracing makes many objects that live long: to look for cycles among them as often as Python does takes long.
 gc.set_threshold(100_000, 50, 100)
 
 

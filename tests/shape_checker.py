@@ -16,7 +16,7 @@ from jaxtyping import AbstractArray
 
 
 def check_only_shapes():
-    """Let jaxtyping's hook leave alone what has no shape: its wrapper would take a third of the time of all tests."""
+    """Let jaxtyping's hook leave alone what has no shape: its wrapper takes time at each call."""
     jaxtyping.jaxtyped = functools.partial(_decorator, jaxtyping.jaxtyped)
 
 

@@ -18,7 +18,7 @@ from aleator.journalling import Journal, journal
 from aleator.reporting import PAGE, Table, by_place, check_writable, only_writer, save_study, words
 from aleator.solution import Solution
 from aleator.studies import AbstractStudy, PartlySavedError, tables_of
-from aleator.sweep import Front
+from aleator.sweep import Front, point_name
 from aleator.validation import Evidence
 
 
@@ -238,7 +238,7 @@ def _points(found: Mapping[str, Any]) -> dict[str, Solution]:
     Without what several fronts call so.
     """
     named = [
-        (f"{front.bound} = {value:.6g}", point)
+        (point_name(front.bound, value), point)
         for front in found.values()
         if isinstance(front, Front)
         for value, point in zip(front.values.tolist(), front.points, strict=True)

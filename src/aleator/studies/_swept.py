@@ -16,7 +16,7 @@ from aleator.reporting import Section, Table, Verdict, count, number, sections, 
 from aleator.solution import Solution, in_brief
 from aleator.studies._declared import Stage
 from aleator.studies._study import AbstractStudy, stop_if_interrupted
-from aleator.sweep import Front, Refused, pareto, workers
+from aleator.sweep import Front, Refused, pareto, point_name, workers
 
 
 @contextmanager
@@ -82,7 +82,7 @@ class SweptStudy(AbstractStudy):
     def points(self) -> Mapping[str, Problem]:
         """The problem at each value of the bound, by its name in a journal: `stress = 0.5`."""
         bound = self._bound
-        return {f"{bound} = {one:.6g}": self._problem.with_bound(bound, one) for one in self._values.tolist()}
+        return {point_name(bound, one): self._problem.with_bound(bound, one) for one in self._values.tolist()}
 
     @property
     @override
@@ -197,7 +197,7 @@ def _range_of(front: Front) -> str:
 
 
 def _place(front: Front, i: int) -> str:
-    return f"{front.bound} = {front.values[i]:.6g}"
+    return point_name(front.bound, front.values[i])
 
 
 def front_table(front: Front, caption: str) -> Table:

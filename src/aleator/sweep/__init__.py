@@ -9,6 +9,7 @@ from aleator.sweep._conflict import conflict as conflict
 from aleator.sweep._front import Front as Front
 from aleator.sweep._front import Refused as Refused
 from aleator.sweep._front import pareto as pareto
+from aleator.sweep._front import point_name as point_name
 from aleator.sweep._harden import Hardened as Hardened
 from aleator.sweep._harden import harden as harden
 from aleator.sweep._multistart import Starts as Starts

@@ -246,7 +246,7 @@ class _Sweep:
 
     def _place(self, value: float, neighbour: float | None = None) -> str:
         """A point in words."""
-        return f"{self._bound} = {value:.6g}" + (f", from {neighbour:.6g}" if neighbour is not None else "")
+        return point_name(self._bound, value) + (f", from {neighbour:.6g}" if neighbour is not None else "")
 
     def _in_brief(self, value: float) -> str:
         point = self._kept[value].point
@@ -287,6 +287,11 @@ class _Kept(NamedTuple):
 
     point: Solution | Refused
     neighbour: float | None
+
+
+def point_name(bound: str, value: float) -> str:
+    """What a point of a front is called, in progress, journals and evidence."""
+    return f"{bound} = {value:.6g}"
 
 
 def _relaxing(problems: Mapping[float, Problem], bound: str) -> int:

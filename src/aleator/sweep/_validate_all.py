@@ -13,7 +13,7 @@ from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn
 from aleator.solution import Solution
 from aleator.sweep._each import each
-from aleator.sweep._front import Front
+from aleator.sweep._front import Front, point_name
 from aleator.sweep._multistart import Starts
 from aleator.sweep._trade_off import TradeOff
 from aleator.validation import Evidence
@@ -120,7 +120,7 @@ def _placed(designs: Any) -> list[tuple[str, Solution]]:
     """The solutions, each with its place on the front in words."""
     if isinstance(designs, Front):
         pairs = zip(designs.values, designs.points, strict=True)
-        return [(f"{designs.bound} = {value:.6g}", one) for value, one in pairs if isinstance(one, Solution)]
+        return [(point_name(designs.bound, value), one) for value, one in pairs if isinstance(one, Solution)]
     if isinstance(designs, TradeOff):
         rows = (zip(designs.names, row, strict=True) for row in designs.values)
         told = [", ".join(f"{name} = {one:.6g}" for name, one in row) for row in rows]
