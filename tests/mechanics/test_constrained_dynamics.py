@@ -209,3 +209,23 @@ def test_derivatives_of_driving_torques_by_lengths_are_those_of_finite_differenc
     around = [by_hand_at(0.3 + k * h) for k in (-2, -1, 1, 2)]
     expected = (around[0] - 8 * around[1] + 8 * around[2] - around[3]) / (12 * h)
     np.testing.assert_allclose(slope, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+
+
+class Coupled(al.Lagrangian):
+    """Two unit masses that move as one; at zero the rounding of their constraint is left, whatever they do."""
+
+    names = ("lower", "upper")
+    constraint_names = ("link",)
+
+    def kinetic_energy(self, q, v):
+        return 0.5 * (v[0] ** 2 + v[1] ** 2)
+
+    def constraint(self, q):
+        return (q[1] + 1.0 - 0.9 - 0.1 - q[0],)
+
+
+@pytest.mark.parametrize("start", [{"lower": 0.0, "lower_rate": 1.0}, {"lower_rate": 1.0}])
+def test_a_start_at_zero_that_obeys_the_constraints_up_to_rounding_is_taken(start):
+    assert Coupled().constraint((0.0, 0.0)) != (0.0,)
+    found = al.simulate(al.ForwardDynamics(Coupled(), start=start), al.Grid(0.5, 20))
+    np.testing.assert_allclose([found["lower"][-1], found["upper"][-1]], 0.5, rtol=0, atol=1e-12)

@@ -101,6 +101,9 @@ def consistent_coordinates(
     Near is meant by the coordinates as they are, rad and m alike. Differentiable, by the implicit function theorem.
     """
     count, given = len(moving), taken(near, moving)
+    # Rounding of angles and lengths of about 1, for a start may obey the constraints with coordinates of zero.
+    sizes = 1 + jnp.abs(near)
+    terms = jnp.abs(jax.jacfwd(functools.partial(constraint_of, model))(near)) @ sizes
     kept = [i for i in range(len(near)) if i not in moving]
 
     def posture(at: Array) -> Array:
@@ -115,9 +118,10 @@ def consistent_coordinates(
         return jnp.concatenate([at - given + pulled(multipliers)[0], missing])
 
     if count == len(model.constraints):
-        root = newton(bound, given)
+        root = newton(bound, given, terms)
     else:
-        root = newton(nearest, jnp.concatenate([given, jnp.zeros(len(model.constraints))]))
+        unknowns = jnp.concatenate([given, jnp.zeros(len(model.constraints))])
+        root = newton(nearest, unknowns, jnp.concatenate([taken(sizes, moving), terms]))
     return posture(jnp.where(root.converged, root.point[:count], jnp.nan))
 
 
