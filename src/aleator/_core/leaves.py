@@ -12,11 +12,12 @@ from jax.core import Tracer
 from jax.tree_util import DictKey, GetAttrKey, SequenceKey, keystr, tree_flatten_with_path
 
 from aleator._core.arrays import Pytree
+from aleator._core.module import Module
 
 _Class = TypeVar("_Class", bound=type)
 
 
-class AbstractLeaf(eqx.Module):
+class AbstractLeaf(Module):
     """A distribution or a decision in the place of a number of a model, until realisation replaces it.
 
     Leaves are recognised by this type alone, so that a model's own classes may have any fields.

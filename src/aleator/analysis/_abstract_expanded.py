@@ -15,6 +15,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
+from aleator._core.module import Module
 from aleator._core.shown import Drawn
 from aleator.analysis._inputs import germ_of
 from aleator.ensemble import at_levels, part, random_levels
@@ -39,7 +40,7 @@ def prepared(preparation: Callable[[Basis], Pytree] | None, basis: Basis) -> Pyt
     return known[preparation]
 
 
-class AbstractExpanded(eqx.Module, Drawn, AbstractMeasured[Pytree]):
+class AbstractExpanded(Module, Drawn, AbstractMeasured[Pytree]):
     """An uncertain output, or a dict of them, as polynomials of the uncertain inputs.
 
     Every statistic has the structure of the outputs: an array, entry by entry, or a dict; `expanded["y"]` selects one

@@ -5,10 +5,11 @@ from typing import final
 import equinox as eqx
 
 from aleator._core import given
+from aleator._core.module import Module
 
 
 @final
-class MultiElement(eqx.Module):
+class MultiElement(Module):
     """Settings of a multi-element expansion, for outputs that no single polynomial fits: jumps, kinks, long times.
 
     The element of the germ's domain with the largest error is split in two until the error is small enough.

@@ -3,6 +3,7 @@
 import equinox as eqx
 
 from aleator._core.errors import ProblemError
+from aleator._core.module import Module
 from aleator._core.shown import Printed
 from aleator.design._expression import Constraint, Expression
 from aleator.dynamics import AbstractGrid, AbstractIntegrator, AbstractSystem, Simulation
@@ -11,7 +12,7 @@ from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import Placements, placements
 
 
-class AbstractProblem(eqx.Module, Printed):
+class AbstractProblem(Module, Printed):
     """The parts of a problem and what follows from them; implemented by `Problem` alone.
 
     `physics` is a digest of the traced equations. It tells apart problems with equal fields whose code reads different

@@ -15,6 +15,7 @@ from typing_extensions import override
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name
+from aleator._core.module import Module
 from aleator._core.units import common
 from aleator.design._numbers import number_given, ordered
 from aleator.design._rules import AbstractRule, Norm, Power, Product, Quotient
@@ -22,7 +23,7 @@ from aleator.design._scope import AbstractAtom, AbstractComposite, AbstractRando
 
 
 @final
-class Expression(eqx.Module):
+class Expression(Module):
     """`constant + sum of factor * atom`. The factors are data: changing them causes no recompilation.
 
     Expressions may be added, multiplied, divided and raised to powers.
@@ -198,7 +199,7 @@ def composed(rule: AbstractRule, *expressions: Any) -> Expression:
 
 
 @final
-class Constraint(eqx.Module):
+class Constraint(Module):
     """`lower <= expression <= upper`, at every instant if the expression contains a `path`.
 
     Constraints with the same `name` belong together: a sweep moves their bounds together, and evidence counts a system

@@ -14,6 +14,7 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import traceable
+from aleator._core.module import Module
 from aleator._core.units import EXPONENTS, PURE, common, product, quotient, raised
 from aleator.dynamics import returned
 from aleator.statistics import root
@@ -22,7 +23,7 @@ from aleator.statistics import root
 _ELEMENTARY = re.compile(r"[\w.]*[^\W²³¹⁰⁴-⁹](\[[^\[\]]*\])?")
 
 
-class AbstractRule(eqx.Module):
+class AbstractRule(Module):
     """A function of the values of some expressions, of which each is one number, or one an instant."""
 
     @property

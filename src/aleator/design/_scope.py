@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
+from aleator._core.module import Module
 from aleator.statistics import AbstractStatistic
 
 
@@ -59,7 +60,7 @@ class Units(NamedTuple):
     numbers: Mapping[str, str]
 
 
-class AbstractAtom(eqx.Module):
+class AbstractAtom(Module):
     """An elementary term of an expression, not a sum or multiple of others."""
 
     @abc.abstractmethod
@@ -154,7 +155,7 @@ class Value(AbstractAtom):
         return (self.name,)
 
 
-class AbstractRandom(eqx.Module):
+class AbstractRandom(Module):
     """A quantity that differs between realisations: only its statistics can be added, compared and bounded."""
 
     @abc.abstractmethod

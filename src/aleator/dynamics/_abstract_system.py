@@ -4,12 +4,11 @@ import abc
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-import equinox as eqx
-
+from aleator._core.module import Module
 from aleator._core.shown import Printed
 
 
-class AbstractSystem(eqx.Module, Printed):
+class AbstractSystem(Module, Printed):
     """What can be simulated: a `System`, which evolves in time, or an `AlgebraicSystem`, which has no time.
 
     - `has_time`: whether it evolves in time; `units`: the units of its outputs as far as they are known, for reports.

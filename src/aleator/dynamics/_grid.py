@@ -16,10 +16,11 @@ from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
 from aleator._core.given import is_masked, whole
 from aleator._core.leaves import AbstractLeaf, highest, lowest, realised_shape
+from aleator._core.module import Module
 from aleator.trajectories import instants
 
 
-class AbstractGrid(eqx.Module):
+class AbstractGrid(Module):
     """The instants at which outputs are known, `steps` steps: the leading axis of every history."""
 
     steps: eqx.AbstractVar[int]

@@ -7,7 +7,6 @@ evaluated at the same instants.
 import abc
 from typing import Any, ClassVar, NamedTuple, final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +15,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree
 from aleator._core.compilation import Use
+from aleator._core.module import Module
 from aleator._core.tracing import trace
 from aleator.dynamics._evaluation import derivative, initial_state
 from aleator.dynamics._grid import Grid
@@ -29,7 +29,7 @@ from aleator.trajectories import AbstractSignal, before_jumps, has_jumps
 Inputs = dict[str, AbstractSignal]
 
 
-class AbstractIntegrator(eqx.Module):
+class AbstractIntegrator(Module):
     """How a system's states are advanced from one instant of a grid to the next."""
 
     @abc.abstractmethod

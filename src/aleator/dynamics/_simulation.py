@@ -17,6 +17,7 @@ from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError, SimulationWarning
 from aleator._core.given import one_of, refusal
 from aleator._core.leaves import is_traced, transparent
+from aleator._core.module import Module
 from aleator.dynamics._abstract_system import AbstractSystem
 from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, explain_failure
 from aleator.dynamics._evaluation import derivative, initial_state, observation
@@ -31,7 +32,7 @@ from aleator.trajectories import AbstractSignal, least_steps
 
 @final
 @transparent("system", "grid", "numbers")
-class Simulation(eqx.Module):
+class Simulation(Module):
     """What is simulated: a system with its inputs, a grid, and an integrator.
 
     Any of its numbers may be a distribution or a decision; once realised, it can be recorded. Only here are kinds of

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 
 from aleator._core import given
 from aleator._core.errors import ExpansionWarning, ProblemError
+from aleator._core.module import Module
 from aleator.expansion._basis import Basis
 from aleator.expansion._fit import WORST_CONDITION
 from aleator.expansion._index_set import TotalDegree, sorted_terms
@@ -32,7 +33,7 @@ _CHUNK = 2000
 
 
 @final
-class Adaptive(eqx.Module):
+class Adaptive(Module):
     """An index set that grows until the leave-one-out error is small, within a budget of points.
 
     It starts at total degree 1. Of the terms one or two degrees above the set, those that explain most of the residual

@@ -6,12 +6,12 @@ Traced samples are worked on by JAX, and known ones by NumPy, which compiles not
 
 from typing import final
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from aleator._core.arrays import in_library, jax_array
+from aleator._core.module import Module
 
 # One minus the leverage counts as zero up to this: rounding of an exact zero.
 _LEAST_REMAINDER = 1e-8
@@ -24,7 +24,7 @@ _quietly = np.errstate(all="ignore")
 
 
 @final
-class Collocation(eqx.Module):
+class Collocation(Module):
     """Collocation points and the linear map from samples to coefficients.
 
     - `points`: germ values, shape (n_cp, variables);

@@ -8,6 +8,7 @@ import numpy as np
 
 from aleator._core import given
 from aleator._core.errors import ProblemError
+from aleator._core.module import Module
 from aleator.expansion._adaptive import Adaptive, grow
 from aleator.expansion._basis import Basis
 from aleator.expansion._collocation import Collocation
@@ -28,7 +29,7 @@ _ORDER, _HIGHEST_ORDER = 3, 20
 
 
 @final
-class Expansion(eqx.Module):
+class Expansion(Module):
     """Settings of an expansion in products of orthonormal polynomials up to an `order`.
 
     - `order`: by default 3; for an `Adaptive` index set its limit, by default 20;

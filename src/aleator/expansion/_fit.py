@@ -3,13 +3,13 @@
 import abc
 from typing import ClassVar, final
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 from typing_extensions import override
 
 from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
+from aleator._core.module import Module
 from aleator.expansion._basis import Basis
 from aleator.expansion._collocation import Collocation
 from aleator.expansion._points import Nodes
@@ -28,7 +28,7 @@ _DIGITS = 10
 _ORTHONORMAL = 1e-8
 
 
-class AbstractFit(eqx.Module):
+class AbstractFit(Module):
     """How coefficients follow from samples: by a linear map, which depends on the germ alone once terms are chosen.
 
     `points_per_term`: the default number of points per term, for point sets without a number of their own.

@@ -12,6 +12,7 @@ from typing_extensions import override
 
 from aleator._core import given
 from aleator._core.errors import ProblemError
+from aleator._core.module import Module
 
 # Tolerance for rounding in sums of powers, so that indices on the edge of a set belong to it.
 _ROUNDING = 1e-9
@@ -29,7 +30,7 @@ SMALLER = (
 """The remedy for a basis that is too large."""
 
 
-class AbstractIndexSet(eqx.Module):
+class AbstractIndexSet(Module):
     """Which multi-indices an expansion of a given order keeps.
 
     Sets are downward closed: they contain all divisors of each of their products. Terms are sorted by total degree,

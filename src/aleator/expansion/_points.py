@@ -11,6 +11,7 @@ from jaxtyping import Float
 from typing_extensions import override
 
 from aleator._core import given
+from aleator._core.module import Module
 from aleator.expansion._basis import Basis
 from aleator.uncertainty import AbstractGerm
 
@@ -38,7 +39,7 @@ def seed_given(seed: int) -> int:
     return given.whole("The seed of random points", seed, least=0)
 
 
-class AbstractPoints(eqx.Module):
+class AbstractPoints(Module):
     """How collocation points are chosen for a basis.
 
     `nested`: whether a larger set contains the points of every smaller one, as growing an index set needs.

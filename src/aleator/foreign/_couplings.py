@@ -7,9 +7,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from aleator._core.module import Module
+
 
 @final
-class Coupling(eqx.Module):
+class Coupling(Module):
     """A coordinate that is a polynomial of another one, of which it is measured from references.
 
     `follower - rest = coefficients[0] + coefficients[1] (leader - leader_rest) + ...`, up to the fourth power; without

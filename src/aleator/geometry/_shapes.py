@@ -3,7 +3,6 @@
 import abc
 from typing import Any, final
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -11,6 +10,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import Number
 from aleator._core.errors import ProblemError
+from aleator._core.module import Module
 from aleator.geometry._body import TINY, Body, unit
 from aleator.geometry._numbers import (
     check_lengths,
@@ -26,7 +26,7 @@ from aleator.geometry._numbers import (
 )
 
 
-class AbstractShape(eqx.Module):
+class AbstractShape(Module):
     """A solid in the plane or in space.
 
     Every number may be plain, traced by JAX or, before the model is realised, a distribution or a decision. So a shape

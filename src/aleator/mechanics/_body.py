@@ -7,6 +7,7 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name
+from aleator._core.module import Module
 from aleator.mechanics._joints import AbstractJoint, Fixed
 from aleator.mechanics._spatial import Block, Inertia, Pose, all_known, as_array, from_angles, is_known, library, skew
 
@@ -15,7 +16,7 @@ _ROUNDING = 1e-9
 
 
 @final
-class Body(eqx.Module):
+class Body(Module):
     """A rigid body of an `al.Multibody`, with the joint that connects it to its parent. Lengths in m, angles in rad.
 
     - `name`, `parent`: its own name and that of the body it is connected to; `None` for the ground;

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name
+from aleator._core.module import Module
 from aleator.mechanics._body import Body, placement
 from aleator.mechanics._joints import AbstractAxial
 from aleator.mechanics._recursions import world_poses
@@ -20,7 +21,7 @@ from aleator.mechanics._tree import GROUND, Tree
 
 
 @final
-class BodyLoad(eqx.Module):
+class BodyLoad(Module):
     """An external force and moment on one body of an `al.Multibody`: wind, contact, thrust.
 
     - `body`: its name; `at` (3,): where the force acts, in the body's frame, m; by default its origin;

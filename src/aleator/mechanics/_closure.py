@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, refusal
 from aleator._core.leaves import is_leaf
+from aleator._core.module import Module
 from aleator.mechanics._body import frame
 from aleator.mechanics._joints import AbstractAxial, Ball, Fixed, Prismatic, Revolute
 from aleator.mechanics._recursions import motion_apart
@@ -27,7 +28,7 @@ _QUARTER = np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 
 @final
-class Closure(eqx.Module):
+class Closure(Module):
     """A joint between two bodies of an `al.Multibody` that have joints of their own already: it closes a loop.
 
     - `name`: that of the closure, which its constraints and their multipliers are called by; `parent`, `child`: the

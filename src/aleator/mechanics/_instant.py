@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
+from aleator._core.module import Module
 from aleator.dynamics import Grid
 from aleator.mechanics._signatures import timed_methods
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
@@ -25,7 +26,7 @@ Model = TypeVar("Model", bound=eqx.Module)
 
 
 @final
-class When(eqx.Module):
+class When(Module):
     """The time data of a model at one instant.
 
     - `t`: the time, s; `rates`: for each order from one, the time derivatives of all signals;

@@ -3,13 +3,13 @@
 import abc
 from typing import Any, ClassVar, final
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
+from aleator._core.module import Module
 from aleator.mechanics._spatial import (
     Block,
     Pose,
@@ -27,7 +27,7 @@ from aleator.mechanics._spatial import (
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
-class AbstractJoint(eqx.Module):
+class AbstractJoint(Module):
     """The connection of a body to its parent: coordinates `q`, speeds `v`, and the motion that they describe.
 
     `coordinates` and `speeds` are suffixes: appended to the body's name, they name its coordinates and speeds. `units`
@@ -263,5 +263,5 @@ class Free(AbstractJoint):
 
 
 @final
-class Fixed(eqx.Module):
+class Fixed(Module):
     """The body is rigidly fixed to its parent: no coordinates, no speeds, and no additional cost."""

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import traceable
+from aleator._core.module import Module
 from aleator._core.shown import Printed
 from aleator.dynamics import called
 from aleator.mechanics._instant import at, course, is_timed
@@ -20,7 +21,7 @@ from aleator.mechanics._motion import Motion
 from aleator.mechanics._signatures import call_of, timed_methods
 
 
-class AbstractMechanical(eqx.Module, Printed):
+class AbstractMechanical(Module, Printed):
     """A mechanical system `M(q) v̇ + C(q, v) v + N(q, v) = B(q) τ + Q(q, v)`, `q̇ = H(q) v`, equations (3) and (4).
 
     Its parameters are fields, and any number in a field may be a distribution, a decision or a signal: a parameter

@@ -10,10 +10,11 @@ from jaxtyping import Float
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
+from aleator._core.module import Module
 from aleator.processes._checks import plain_number, positive_number
 
 
-class AbstractCovariance(eqx.Module):
+class AbstractCovariance(Module):
     """The covariance of a stationary process, as `std² * correlation(lag)`.
 
     A user's own is a subclass with `correlation`. Its parameters are plain numbers, since the eigenfunctions depend on

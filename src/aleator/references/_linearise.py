@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import Pytree, Scalar, in_library, jax_array, numbers_to_arrays
 from aleator._core.compilation import Use
 from aleator._core.errors import ProblemError
+from aleator._core.module import Module
 from aleator._core.tracing import evaluate, trace
 from aleator.ensemble import Function, name_of, part
 from aleator.references._inputs import Inputs, traceable
@@ -23,7 +24,7 @@ _NODES = 40
 
 
 @final
-class Linearised(eqx.Module):
+class Linearised(Module):
     """Outputs as linear functions of the uncertain inputs, about their means.
 
     - `names`: of the inputs; `means`, shape (inputs,), and `covariance`, shape (inputs, inputs), in their units;

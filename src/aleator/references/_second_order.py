@@ -2,7 +2,6 @@
 
 from typing import NamedTuple, final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +10,7 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import Pytree
 from aleator._core.compilation import Use
 from aleator._core.errors import ProblemError
+from aleator._core.module import Module
 from aleator._core.tracing import evaluate, trace
 from aleator.ensemble import Function, name_of, part
 from aleator.references._inputs import Inputs, traceable
@@ -23,7 +23,7 @@ _NODES = 32
 
 
 @final
-class SecondOrder(eqx.Module):
+class SecondOrder(Module):
     """Moments of outputs as quadratic functions of the uncertain inputs, about their means.
 
     `mean`, `variance` and `skewness` have the structure of the outputs; `moments["y"]` selects one output of a dict.

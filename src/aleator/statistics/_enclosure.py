@@ -8,13 +8,13 @@ import math
 from collections.abc import Sequence
 from typing import final
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
+from aleator._core.module import Module
 from aleator.expansion import Basis
 from aleator.uncertainty import AbstractGerm
 
@@ -23,7 +23,7 @@ _MOST_COEFFICIENTS = 2**22
 
 
 @final
-class Enclosure(eqx.Module):
+class Enclosure(Module):
     """The Bernstein form of a basis on the box of its germ.
 
     - `bernstein[i]`: the coefficients of the polynomials of variable `i`, shape (degree + 1, degree + 1), by degree in

@@ -8,7 +8,6 @@ in which distributions with a singular density at an end (Beta, Gamma) are smoot
 
 from typing import final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +15,7 @@ import scipy
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import jax_array
+from aleator._core.module import Module
 from aleator.uncertainty import AbstractGerm
 
 _CELLS = 2048
@@ -29,7 +29,7 @@ _LEAST_DISTANCE = 1e-60
 
 
 @final
-class LineDistribution(eqx.Module):
+class LineDistribution(Module):
     """The distributions of several variables, each scaled to [-1, 1], with `orders` polynomials of each.
 
     - `table`: of the partial moments, shape (variables, 2 ends, cells, 4, orders);

@@ -9,7 +9,6 @@ so that every single line gives the exact result for an output that is linear in
 
 from typing import final
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy
@@ -17,6 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
+from aleator._core.module import Module
 from aleator.expansion import Basis
 from aleator.statistics._line_distribution import LineDistribution, line_distribution
 from aleator.statistics._moments import root
@@ -33,7 +33,7 @@ _SHARPNESS = 3
 
 
 @final
-class Rotation(eqx.Module):
+class Rotation(Module):
     """Lines through the standard normal variables along a direction that depends on the coefficients.
 
     Derivatives of an expansion in Hermite polynomials are expansions in the same polynomials. So the Taylor series
@@ -80,7 +80,7 @@ class Rotation(eqx.Module):
 
 
 @final
-class Lines(eqx.Module):
+class Lines(Module):
     """Lines along some directions: one for each non-normal variable, and one for all normal variables together.
 
     - `others`: the basis polynomials without the factor of the line's own variable, shape (variables, lines, terms);

@@ -7,12 +7,12 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar, final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.arrays import Scalar
+from aleator._core.module import Module
 from aleator.statistics._crossings import extrema, horner, roots_between, secants, slope
 from aleator.statistics._line_distribution import LineDistribution
 from aleator.statistics._lines import Lines
@@ -34,7 +34,7 @@ _FEWEST = 64
 
 
 @final
-class OutputDistribution(eqx.Module):
+class OutputDistribution(Module):
     """Some outputs along lines, in arrays of one loop: a vectorised loop over each would copy its state in every step.
 
     - `mean`, `std`: of their expansions;

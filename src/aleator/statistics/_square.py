@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
+from aleator._core.module import Module
 from aleator.expansion import Basis
 from aleator.uncertainty import AbstractGerm
 
@@ -24,7 +25,7 @@ _ROUNDING = 1e-13
 
 
 @final
-class Square(eqx.Module):
+class Square(Module):
     """The contribution of each pair of terms to a term of the square: `square[k] += value * c[i] * c[j]`.
 
     - `first`, `second`, `target`: `i <= j` and `k`, sorted by `k`. The terms of the square begin with those of the

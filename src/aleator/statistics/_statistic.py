@@ -11,13 +11,14 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
+from aleator._core.module import Module
 from aleator.expansion import Basis
 
 Preparation: TypeAlias = Callable[[Basis], Pytree]
 """A hashable function from a basis to the constant arrays that a statistic needs. Equal preparations are shared."""
 
 
-class AbstractStatistic(eqx.Module):
+class AbstractStatistic(Module):
     """A statistic of an output: from an expansion's coefficients, or estimated from a sample.
 
     `symbol` is how it prints. A statistic that needs more of the basis than orthonormality (a sample of the
@@ -93,7 +94,7 @@ def in_blocks(
 
 
 @final
-class Constants(eqx.Module):
+class Constants(Module):
     """The constant arrays of some statistics, prepared once.
 
     `scenarios`: the germ points at which limits on the worst case are imposed; None if a problem has no such limit.

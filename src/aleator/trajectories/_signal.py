@@ -3,15 +3,15 @@
 import abc
 from typing import Any, ClassVar
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import in_library, jax_array
+from aleator._core.module import Module
 
 
-class AbstractSignal(eqx.Module):
+class AbstractSignal(Module):
     """An input of a system as a function of time. It is part of the model: its numbers may be uncertain or decided.
 
     `unbounded` says that its values have no bound whatever its numbers are, as for a Gaussian process.

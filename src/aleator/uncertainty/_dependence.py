@@ -10,10 +10,11 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
+from aleator._core.module import Module
 
 
 @final
-class Dependence(eqx.Module):
+class Dependence(Module):
     """A member's place in a group of correlated distributions.
 
     The group has one standard normal germ variable for each member. Member `index` is a function of the normal variable

@@ -19,6 +19,8 @@ import scipy
 from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array, Float
 
+from aleator._core.module import Module
+
 # Directions below this part of the largest one are zero up to rounding: no feature varies along them.
 _ROUNDING = 1e-11
 
@@ -35,7 +37,7 @@ _NESTED = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr"}
 
 
 @final
-class Anchors(eqx.Module):
+class Anchors(Module):
     """Collocation points at which affine outputs are evaluated, and the weights that extend them to all points.
 
     - `points`: shape (anchors, variables); `weights`: shape (points, anchors), each row adding up to one;

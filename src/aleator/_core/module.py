@@ -1,0 +1,13 @@
+"""The base of whatever holds the numbers of a model."""
+
+import equinox as eqx
+
+
+class Module(eqx.Module):
+    """An Equinox module whose methods are plain ones.
+
+    Equinox makes a module of each method at each access, for those who give methods to compiled functions as arguments.
+    Nothing here does, and problems are walked through so often that solving small ones took a third longer.
+    """
+
+    __getattribute__ = object.__getattribute__
