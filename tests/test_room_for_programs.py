@@ -86,6 +86,18 @@ def test_mappings_of_others_are_not_taken_for_ours_again_and_again(monkeypatch):
     assert cleared == [True]
 
 
+def test_mappings_are_counted_at_each_program_only_where_room_is_short(monkeypatch):
+    counted = []
+    monkeypatch.setattr(programs, "most_mappings", lambda: 40_000)
+    monkeypatch.setattr(programs, "mappings", lambda: counted.append(True) or taken)
+    for taken, expected in ((15_000, 4), (19_500, 20)):
+        counted.clear()
+        kept = Programs()
+        for _ in range(20):
+            kept.make_room()
+        assert len(counted) == expected
+
+
 def test_a_program_that_gave_way_is_compiled_again():
     compiled = Compiled(lambda x: 2 * x)
     assert float(compiled(jnp.asarray(1.0))) == 2.0

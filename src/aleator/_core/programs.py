@@ -17,6 +17,9 @@ Executable = Callable[..., Any]
 # Enough for a session's problems; beyond, the least recently used one is dropped, with the classes it holds.
 _KEPT = 256
 
+# Memory mappings that one program takes at most, with what JAX compiles beside it.
+_MOST_OF_ONE = 1000
+
 
 @final
 class Program:
@@ -85,8 +88,8 @@ class Programs:
         self._most = most
         self._kept: OrderedDict[Hashable, Program] = OrderedDict()
         self._lock = threading.Lock()
-        # Mappings that cannot be released here.
-        self._foreign = 0
+        # Mappings that cannot be released here, those that there was room for at the last count, and programs since.
+        self._foreign, self._room, self._since = 0, 0.0, 0
 
     def __contains__(self, key: Hashable) -> bool:
         with self._lock:
@@ -109,7 +112,13 @@ class Programs:
                 del self._kept[program.key]
 
     def make_room(self) -> None:
-        """Ensure that another program can be mapped into memory."""
+        """Ensure that another program can be mapped into memory.
+
+        Counting takes as long as compiling a small program, and is left out while there is room for certain.
+        """
+        self._since += 1
+        if self._since * _MOST_OF_ONE <= self._room:
+            return
         while self._is_crowded() and self._forget_older_half():
             gc.collect()
         if self._is_crowded():
@@ -118,7 +127,8 @@ class Programs:
             self._foreign = mappings()
 
     def _is_crowded(self) -> bool:
-        return mappings() > (self._foreign + most_mappings()) / 2
+        self._room, self._since = (self._foreign + most_mappings()) / 2 - mappings(), 0
+        return self._room < 0
 
     def _forget_older_half(self) -> bool:
         """Drop the older half of the programs; return whether there were any."""
