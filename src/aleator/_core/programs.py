@@ -119,9 +119,11 @@ class Programs:
         self._since += 1
         if self._since * _MOST_OF_ONE <= self._room:
             return
-        while self._is_crowded() and self._forget_older_half():
+        crowded = self._is_crowded()
+        while crowded and self._forget_older_half():
             gc.collect()
-        if self._is_crowded():
+            crowded = self._is_crowded()
+        if crowded:
             jax.clear_caches()
             gc.collect()
             self._foreign = mappings()
