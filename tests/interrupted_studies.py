@@ -1,4 +1,4 @@
-"""`aleator run STUDY` for three studies: a small one, and two of the package with cheap problems, every stage of them.
+"""`aleator run STUDY` for two studies: a small one, and one of the package with cheap problems, every stage of it.
 
 `python interrupted_studies.py run STUDY --out FOLDER`.
 """
@@ -16,20 +16,14 @@ from collections.abc import Mapping, Sequence  # noqa: E402
 from functools import partial  # noqa: E402
 from pathlib import Path  # noqa: E402
 
-import numpy as np  # noqa: E402
-
 import aleator as al  # noqa: E402
 from aleator import studies  # noqa: E402
 from aleator._core.progress import Progress  # noqa: E402
 from aleator.reporting import PAGE, Section, Table, Verdict, report  # noqa: E402
-from aleator.studies import STUDIES, AbstractStudy, Entry, Stage, stop_if_interrupted, suspension  # noqa: E402
+from aleator.studies import STUDIES, AbstractStudy, Entry, Stage, stop_if_interrupted  # noqa: E402
 from aleator.studies.clutch import _run as clutch_run  # noqa: E402
 from aleator.studies.clutch._study import ClutchStudy  # noqa: E402
-from aleator.studies.suspension import _run as suspension_run  # noqa: E402
-from aleator.studies.suspension._study import SuspensionStudy  # noqa: E402
 from tiny_models import Decay  # noqa: E402
-
-T_FINAL = 0.5
 
 
 class DecayStudy(AbstractStudy):
@@ -75,19 +69,6 @@ class DecayStudy(AbstractStudy):
         return Verdict("good", "Done", "to its end.")
 
 
-def smooth_road() -> al.Tabulated:
-    """One low bump, so that few steps are exact enough."""
-    times = np.linspace(0.0, T_FINAL, 61)
-    return al.Tabulated(times, 0.04 * np.sin(np.pi * np.minimum(times / 0.2, 1.0)) ** 2)
-
-
-def small_suspension() -> SuspensionStudy:
-    """The suspension study as it is, every stage of it, over a bump of half a second."""
-    suspension.GRID, suspension.road = al.Grid(T_FINAL, steps=100), smooth_road
-    suspension_run.TARGET = 0.2
-    return SuspensionStudy(suspension_run.Effort(front_points=2, samples=100, calibration_samples=200))
-
-
 def small_clutch() -> ClutchStudy:
     """The clutch study as it is, every stage of it, with few assemblies."""
     effort = clutch_run.Effort(
@@ -103,7 +84,7 @@ def small_clutch() -> ClutchStudy:
     return ClutchStudy(effort)
 
 
-MADE = {"decay": DecayStudy, "suspension": small_suspension, "clutch": small_clutch}
+MADE = {"decay": DecayStudy, "clutch": small_clutch}
 
 
 if __name__ == "__main__":

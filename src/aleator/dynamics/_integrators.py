@@ -86,6 +86,8 @@ class AbstractFixedStep(AbstractIntegrator):
         inner = sorted({node for node in (*nodes, *([0.5] if asked.nodes else [])) if 0 < node < 1})
         between = [sampled(inputs, grid, grid.fractions[:-1] + node / grid.steps) for node in inner]
 
+        # Traced once for all stages.
+        @jax.jit
         def rates(t: Array, z: Pytree, u: dict[str, Array]) -> tuple[Pytree, tuple[Array, ...]]:
             z = completed(system, t, z, u)
             return asked.slopes(system, t, z, u)
