@@ -75,8 +75,8 @@ GROUPS = {
     "decay": {"design": "design", "evidence": "evidence", "front": "front"},
     "clutch": {"methods": "methods", "tolerances": "analyses", "allocation": "allocation", "front": "front"},
 }
-# How often each study is interrupted: thirty times in all.
-TIMES = {"decay": 22, "clutch": 8}
+# How often each study is interrupted: twenty-four times in all.
+TIMES = {"decay": 20, "clutch": 4}
 MOMENTS_AT_RANDOM = [(study, time_) for study, times in TIMES.items() for time_ in range(times)]
 STOPS = [*SIGNALS.values(), (signal.SIGKILL, -9)]
 
