@@ -36,6 +36,7 @@ NOT_CALLED = {
     "Between",
     "Calibration",
     "CalibrationWarning",
+    "CorrelationWarning",
     "JournalWarning",
     "SimulationWarning",
     "Certificate",

@@ -21,6 +21,7 @@ from ._core.beside import threads as threads
 from ._core.errors import AleatorError as AleatorError
 from ._core.errors import AleatorWarning as AleatorWarning
 from ._core.errors import CalibrationWarning as CalibrationWarning
+from ._core.errors import CorrelationWarning as CorrelationWarning
 from ._core.errors import ExpansionWarning as ExpansionWarning
 from ._core.errors import GridWarning as GridWarning
 from ._core.errors import JournalWarning as JournalWarning

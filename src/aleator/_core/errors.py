@@ -36,6 +36,10 @@ class ExpansionWarning(AleatorWarning):
     """The expansion does not resolve an output well enough for its statistics to be trusted."""
 
 
+class CorrelationWarning(AleatorWarning):
+    """Uncertain numbers of a design have other correlations than those given, for decisions set their shapes."""
+
+
 class GridWarning(AleatorWarning):
     """The time grid is too coarse for the accuracy that is asked for."""
 

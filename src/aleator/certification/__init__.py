@@ -6,6 +6,7 @@ from aleator.certification._error_of_the_grid import grid_error as grid_error
 from aleator.certification._finer import refinement as refinement
 from aleator.certification._finer import unconverged as unconverged
 from aleator.certification._held import held_between as held_between
+from aleator.certification._moved_correlations import moved_correlations as moved_correlations
 from aleator.certification._oracle import REACHED as REACHED
 from aleator.certification._probe import probed as probed
 from aleator.certification._probe import whether_misled as whether_misled

@@ -25,7 +25,8 @@ class Certificate(Printed):
     - `opinion`: fresh simulations at the answer, compared with the expansions; None if nothing is uncertain or nothing
       was solved;
     - `misled`: if nothing was solved, a sentence on large errors of the grid at the start of the search, or, of an
-      infeasible problem, on a limit that the grid does not resolve at the least violated point; else empty.
+      infeasible problem, on a limit that the grid does not resolve at the least violated point; else empty;
+    - `correlations`: which correlations of uncertain numbers are not those given, for decisions set their shapes.
     """
 
     violation: float
@@ -37,6 +38,7 @@ class Certificate(Printed):
     worst_case: WorstCase | None = None
     opinion: SecondOpinion | None = None
     misled: str = ""
+    correlations: str = ""
 
     def rows(self) -> list[tuple[str, str]]:
         """A label and a text for each printed line."""
@@ -52,6 +54,7 @@ class Certificate(Printed):
             ("expansion", str(self.expansion)),
             *([("derivatives", self.expansion.tangent_sentence())] if self.expansion.worst_tangent else []),
             *([("fresh", self.opinion.sentence())] if self.opinion else []),
+            *([("correlated", self.correlations)] if self.correlations else []),
             *([("not seen", self.expansion.unseen.sentence())] if self.expansion.unseen else []),
         ]
 

@@ -9,11 +9,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from aleator._core.beside import dropped_on_failure
-from aleator._core.errors import ExpansionWarning, GridWarning, ProblemError, SimulationError, SolveError
+from aleator._core.errors import (
+    CorrelationWarning,
+    ExpansionWarning,
+    GridWarning,
+    ProblemError,
+    SimulationError,
+    SolveError,
+)
 from aleator._core.given import one_of
 from aleator._core.heard import heeding
 from aleator._core.journalled import journalled
-from aleator.certification import doubts, refinement, second_opinion, unconverged, untrusted
+from aleator.certification import doubts, moved_correlations, refinement, second_opinion, unconverged, untrusted
 from aleator.design import Problem, deterministic
 from aleator.nlp import AbstractSolver, Status
 from aleator.solution import AtMeans, Solution
@@ -185,6 +192,7 @@ def _with_opinion(stages: Stages, answer: Answer) -> Solution:
     if not solution.ok:
         return solution
     opinion = second_opinion(answer.transcribed, answer.point)
+    moved = moved_correlations(solution.problem, np.asarray(answer.transcribed.at(answer.point).decisions))
     coarse = untrusted(solution.problem, solution.certificate.expansion)
     status = Status.UNRESOLVED if coarse else solution.status
     if opinion is not None and opinion.broken:
@@ -193,7 +201,7 @@ def _with_opinion(stages: Stages, answer: Answer) -> Solution:
         solution,
         status=status,
         message=coarse or solution.message,
-        certificate=replace(solution.certificate, opinion=opinion),
+        certificate=replace(solution.certificate, opinion=opinion, correlations=moved),
         effort=replace(solution.effort, times=replace(solution.effort.times, compile_=stages.compiled)),
     )
 
@@ -203,6 +211,8 @@ def _warn_of_doubts(solution: Solution) -> None:
     sentences = [] if solution.status is Status.EVALUATION_FAILED else doubts(found.expansion, found.opinion)
     if sentences:
         warnings.warn(f"{'. '.join(sentences)}, and compare with al.validate.", ExpansionWarning, stacklevel=3)
+    if found.correlations:
+        warnings.warn(f"{found.correlations[0].upper()}{found.correlations[1:]}.", CorrelationWarning, stacklevel=3)
 
 
 def _warn_if_coarse(solution: Solution) -> None:

@@ -28,6 +28,7 @@ _TERMS = 100
 _NORMALS = np.linspace(-12, 12, 2001)
 _PROBABILITIES = np.exp(-(_NORMALS**2) / 2) / np.sum(np.exp(-(_NORMALS**2) / 2))  # the trapezoidal rule is exact here
 _SMALLEST_EIGENVALUE = 1e-10
+_ROUNDING = 1e-12
 
 
 def correlated(
@@ -173,9 +174,7 @@ def _standard_values(distribution: AbstractDistribution) -> Float[np.ndarray, " 
 
 def _normal_correlation(wanted: float, first: np.ndarray, second: np.ndarray, *, names: tuple[str, str]) -> float:
     """The normals' correlation that gives the standardised values `first` and `second` the correlation `wanted`."""
-    hermite = HermiteGerm().polynomials(_TERMS, _NORMALS)
-    products = ((_PROBABILITIES * first) @ hermite) * ((_PROBABILITIES * second) @ hermite)
-    correlation = np.polynomial.Polynomial(products)
+    correlation = _correlation_of(first, second)
     lowest, highest = correlation(-1.0), correlation(1.0)
     if not lowest < wanted < highest:
         raise ProblemError(
@@ -183,3 +182,24 @@ def _normal_correlation(wanted: float, first: np.ndarray, second: np.ndarray, *,
             f"between {lowest:.4g} and {highest:.4g}. Choose one in between."
         )
     return scipy.optimize.root_scalar(lambda rho: correlation(rho) - wanted, bracket=(-1.0, 1.0), xtol=1e-15).root
+
+
+def _correlation_of(first: np.ndarray, second: np.ndarray) -> np.polynomial.Polynomial:
+    """Pearson's correlation of standardised values, as a polynomial in that of their normals (Mehler's formula)."""
+    hermite = HermiteGerm().polynomials(_TERMS, _NORMALS)
+    return np.polynomial.Polynomial(((_PROBABILITIES * first) @ hermite) * ((_PROBABILITIES * second) @ hermite))
+
+
+def pearson(distributions: Mapping[str, AbstractDistribution]) -> dict[tuple[str, str], float]:
+    """Pearson's correlation of each two distributions that a group correlates, by their names; of plain numbers."""
+    found = {}
+    standard = {name: _standard_values(one) for name, one in distributions.items() if one.dependence is not None}
+    for first, second in itertools.combinations(standard, 2):
+        one, other = distributions[first].dependence, distributions[second].dependence
+        assert one is not None
+        assert other is not None
+        rows = np.asarray(one.factor)[[one.index, other.index]]
+        normal = float(rows[0] @ rows[1])
+        if one.group == other.group and abs(normal) > _ROUNDING:
+            found[first, second] = float(_correlation_of(standard[first], standard[second])(normal))
+    return found

@@ -63,6 +63,11 @@ def _decided(
     )
 
 
+def distributions_at(places: Placements, decisions: Float[Array, " n"]) -> dict[str, AbstractDistribution]:
+    """The distributions of a model by name, at given decisions."""
+    return {name: _decided(one, name, places, decisions) for name, one in places.distributions.items()}
+
+
 def named_numbers(model: Pytree, decisions: Float[Array, " n"]) -> dict[str, Any]:
     """Every number of a model by name, at given decisions.
 
