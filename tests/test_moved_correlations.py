@@ -1,4 +1,4 @@
-"""Correlations that decided shapes move away from those given: told with what they are, and regained by solving again."""
+"""Correlations that decided shapes move away from those given: told as they are, and regained by solving again."""
 
 import warnings
 

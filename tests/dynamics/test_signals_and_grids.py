@@ -172,3 +172,36 @@ def test_a_grid_without_a_whole_number_of_steps_is_refused(steps):
 def test_a_grid_that_does_not_end_after_its_start_is_refused(t_final, t_start):
     with pytest.raises(al.ProblemError, match=r"t_final must be a finite number after t_start=.*; received t_final="):
         al.Grid(t_final, 10, t_start)
+
+
+class Pushed(al.System):
+    states = ("x", "v")
+    push: al.Number
+
+    def rhs(self, t, z):
+        return z.v, self.push
+
+    def outputs(self, t, z):
+        return {"x": z.x}
+
+
+class PushedBack(Pushed):
+    def rhs(self, t, z):
+        return z.v, -self.push * z.x
+
+
+@pytest.mark.parametrize("kind", [Pushed, PushedBack])
+@pytest.mark.parametrize(
+    "signal",
+    [
+        al.Tabulated([0.0, 1.0], [0.0, 1.0]),
+        al.processes.RandomProcess(al.processes.SquaredExponentialCovariance(0.3), t_final=1.0, std=0.5),
+    ],
+    ids=["table", "process"],
+)
+def test_a_signal_in_the_place_of_a_number_is_told_to_be_given_as_an_input(kind, signal):
+    with pytest.raises(al.ProblemError) as caught:
+        al.Problem(kind(push=signal), grid=al.Grid(1.0, 10), minimize=al.terminal("x").mean)
+    assert type(signal).__name__ in str(caught.value)
+    assert "inputs={'push': ...}" in str(caught.value)
+    assert "rhs(self, t, z, push)" in str(caught.value)

@@ -49,8 +49,9 @@ def test_files_that_are_no_fmu_are_refused(rods, tmp_path):
         (lambda text: text.replace('"parameter"', '"param"'), "cannot be read: .* 'param' is not"),
         (lambda text: text.replace('fmiVersion="2.0"', 'fmiVersion="1.5"'), "Unsupported FMI version: 1.5"),
         (lambda text: text.replace('Identifier="rod"', 'Identifier="bar"'), r"expected 'bar.*' among its binaries"),
+        (lambda text: "<fmiModelDescription/>", "cannot be read: it lacks what FMI requires, such as fmiVersion"),
     ],
-    ids=["no XML", "no causality", "no version", "no library"],
+    ids=["no XML", "no causality", "no version", "no library", "nothing in it"],
 )
 def test_descriptions_that_are_wrong_are_refused(rods, change, message):
     refused(al.ProblemError, f"FMU 'wrong': .*{message}", al.foreign.Fmu, rods.changed("wrong", change))

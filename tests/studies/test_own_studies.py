@@ -115,6 +115,15 @@ def test_what_is_done_is_told_before_anything_is_spent(here: Path):
     assert not (here / "results").exists()
 
 
+def test_a_study_that_cannot_be_written_is_refused_in_words(here: Path):
+    (here / "taken").write_text("a file in the place of a folder")
+    result = aleator("new", "taken/bracket.py")
+    assert result.exit_code == 2
+    told = " ".join(result.output.split())
+    assert "cannot be written" in told
+    assert "name a file in a folder of your own" in told
+
+
 def test_a_new_study_can_be_checked(here: Path):
     assert aleator("new", "bracket.py").exit_code == 0
     result = aleator("check", "bracket.py")

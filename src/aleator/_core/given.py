@@ -9,6 +9,7 @@ import reprlib
 from collections.abc import Collection, Sequence
 from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -118,7 +119,7 @@ def members(what: str, value: Any, kinds: type[Kind] | tuple[type[Kind], ...]) -
 def traceable(what: str, value: Any) -> Float[Array, "..."]:
     """Real numbers, known or traced, as an array, for values that a model's own code returns."""
     expected = "real numbers"
-    if is_masked(value):
+    if is_masked(value) or (isinstance(value, eqx.Module) and not hasattr(value, "__jax_array__")):
         raise refusal(what, expected, value)
     try:
         array = jnp.asarray(value)

@@ -1,6 +1,8 @@
 """What a system says at one instant: its initial state, rates and outputs, as arrays; checked at trace time."""
 
-from collections.abc import Mapping
+import contextlib
+import dataclasses
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import jax.numpy as jnp
@@ -11,6 +13,7 @@ from aleator._core.given import traceable
 from aleator.dynamics._index_one import completed
 from aleator.dynamics._returned import as_outputs, starting
 from aleator.dynamics._system import System, evaluated, state_type
+from aleator.trajectories import AbstractSignal
 
 
 def initial_state(system: System, t: Any = None, inputs: Mapping[str, Any] | None = None) -> Any:
@@ -37,15 +40,17 @@ def initial_state(system: System, t: Any = None, inputs: Mapping[str, Any] | Non
 
 def derivative(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> Any:
     """`system.rhs` as a named tuple, one rate for each state. Algebraic variables that `z` lacks are solved for."""
-    return _checked_rates(system, z, evaluated(system, system.rhs, t, completed(system, t, z, inputs), inputs))
+    with _signals_told(system):
+        return _checked_rates(system, z, evaluated(system, system.rhs, t, completed(system, t, z, inputs), inputs))
 
 
 def derivative_and_observation(
     system: System, t: Any, z: Any, inputs: dict[str, Array]
 ) -> tuple[Any, dict[str, Array]]:
     """Both `derivative` and `observation`, by `system.rates_and_outputs`."""
-    rates, outputs = evaluated(system, system.rates_and_outputs, t, completed(system, t, z, inputs), inputs)
-    return _checked_rates(system, z, rates), as_outputs(system, outputs)
+    with _signals_told(system):
+        rates, outputs = evaluated(system, system.rates_and_outputs, t, completed(system, t, z, inputs), inputs)
+        return _checked_rates(system, z, rates), as_outputs(system, outputs)
 
 
 def _checked_rates(system: System, z: Any, rates: Any) -> Any:
@@ -69,4 +74,22 @@ def _checked_rates(system: System, z: Any, rates: Any) -> Any:
 
 def observation(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> dict[str, Array]:
     """`system.outputs` as arrays by name. Algebraic variables that `z` lacks are solved for."""
-    return as_outputs(system, evaluated(system, system.outputs, t, completed(system, t, z, inputs), inputs))
+    with _signals_told(system):
+        return as_outputs(system, evaluated(system, system.outputs, t, completed(system, t, z, inputs), inputs))
+
+
+@contextlib.contextmanager
+def _signals_told(system: System) -> Iterator[None]:
+    """What is refused because a field holds a signal where a number is used, with how a signal is given instead."""
+    try:
+        yield
+    except ProblemError as error:
+        for name in (field.name for field in dataclasses.fields(system) if field.name not in system.signal_fields):
+            signal = getattr(system, name)
+            if isinstance(signal, AbstractSignal) and type(signal).__name__ in f"{error}":
+                raise ProblemError(
+                    f"{str(error).rstrip('.')}. '{name}' of {type(system).__name__} is a signal over time, not a "
+                    f"number: give it to the problem or simulation, as inputs={{'{name}': ...}}, and let the method "
+                    f"take it: rhs(self, t, z, {name})."
+                ) from error
+        raise

@@ -71,7 +71,9 @@ study = al.Study(
 
 
 def begin_file(path: Path) -> Path:
-    """Write a commented study to begin with. Raises `ProblemError` for a file that exists, and for odd names."""
+    """Write a commented study to begin with. Raises `ProblemError` for a file that exists or cannot be written, and
+    for odd names.
+    """
     path = path.with_suffix(".py")
     if not re.fullmatch(r"[A-Za-z_]\w*", path.stem):
         raise ProblemError(
@@ -79,9 +81,14 @@ def begin_file(path: Path) -> Path:
         )
     if path.exists():
         raise ProblemError(f"new: '{path}' exists already, and is left as it is: choose another name.")
-    path.parent.mkdir(parents=True, exist_ok=True)
     title = path.stem.replace("_", " ").capitalize()
-    path.write_text(TEMPLATE.format(title=title, file=path), encoding="utf-8")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(TEMPLATE.format(title=title, file=path), encoding="utf-8")
+    except OSError as error:
+        raise ProblemError(
+            f"new: '{path}' cannot be written ({error.strerror}): name a file in a folder of your own."
+        ) from error
     return path
 
 

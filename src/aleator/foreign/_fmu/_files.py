@@ -69,7 +69,9 @@ def described(name: str, folder: Path, *, validate: bool = True) -> Any:
     try:
         found = load_fmpy("Fmu").read_model_description(str(folder), validate=validate)
     except Exception as error:
-        problems = getattr(error, "problems", None) or [str(error)]
+        is_lacking = isinstance(error, AttributeError | TypeError | LookupError)
+        reason = "it lacks what FMI requires, such as fmiVersion" if is_lacking else str(error)
+        problems = getattr(error, "problems", None) or [reason]
         first = " ".join(str(problems[0]).split())[:_LONGEST].rstrip(".")
         raise ProblemError(f"FMU '{name}': its modelDescription.xml cannot be read: {first}.") from error
     if found.fmiVersion.startswith("1"):
