@@ -11,15 +11,22 @@ from aleator._core.errors import SimulationError
 from aleator._core.given import refusal
 from aleator._core.shown import Printed
 from aleator.certification import bound_size
-from aleator.design import Problem, current
+from aleator.design import Expression, Problem, current, statistics_in
 from aleator.nlp import Searched, Slopes, lost_variables, slopes_at
 from aleator.solution import Solution
+from aleator.statistics import AbstractTail
 from aleator.transcription import DEFAULT, AbstractTranscribed, transcribe
 
 # A row or a decision whose largest effect is beyond these factors of the others' middle one is badly scaled.
 _WEAK, _STRONG = 1e-6, 1e6
 # Effects, and instants, that are named at most.
 _NAMED = 3
+
+_ROUND = "Round it (smoothing=...), or limit each part of a largest or absolute value"
+_TAILS = (
+    "Tails are found along lines that end where bounded numbers do: limit cornish_fisher(level), or mean and spread "
+    "(sigmas=...), which are smooth"
+)
 
 
 @final
@@ -28,8 +35,10 @@ class Examination(Printed):
     """What a solver meets at one design. `print(examination)` says it.
 
     - `rows`: the objective, then each constraint, as mathematics; `decisions`: their names, entry by entry;
+    - `tails`: those rows that hold probabilities, quantiles or means of tails;
     - `effects`: by how much each row changes, relative to its own magnitude, over a typical magnitude of each decision:
-      shape (rows, decisions), of a path the largest over time;
+      shape (rows, decisions), of a path the largest over time. Near a bound of zero, where a row has no magnitude, its
+      largest change takes the place;
     - `kinks`, `jumps`, `wrong`: pairs of a row and a decision, in words, at which slopes to both sides differ, values
       jump, and the exact derivative is not the slope that is seen;
     - `endless`: pairs, in words, at which the derivative is infinite or not a number, so that no solver can go on;
@@ -40,6 +49,7 @@ class Examination(Printed):
 
     rows: tuple[str, ...]
     decisions: tuple[str, ...]
+    tails: tuple[str, ...]
     effects: Float[np.ndarray, "rows decisions"]
     kinks: tuple[str, ...]
     jumps: tuple[str, ...]
@@ -56,10 +66,7 @@ class Examination(Printed):
 
     def __str__(self) -> str:
         found = [
-            *(
-                f"kink: {one}. Round it (smoothing=...), or limit each part of a largest or absolute value"
-                for one in self.kinks
-            ),
+            *(f"kink: {one}. {_TAILS if one.startswith(self.tails) else _ROUND}" for one in self.kinks),
             *(f"jump: {one}. Make it smooth, or use a solver without derivatives" for one in self.jumps),
             *(
                 f"wrong derivative: {one}. Look for stop_gradient, rounding or a custom rule there"
@@ -115,7 +122,8 @@ def examine(subject: Problem | Solution) -> Examination:
 def _told(
     transcribed: AbstractTranscribed, point: Float[np.ndarray, " n"], slopes: Slopes, solution: Solution | None
 ) -> Examination:
-    rows = _rows(transcribed)
+    rows, problem = _rows(transcribed), transcribed.problem
+    expressions = [problem.objective, *(one.expression for one in problem.constraints)]
     decisions = tuple(transcribed.places.entry_names())
     effects = _effects(transcribed, point, slopes)
     hidden = np.array([slopes.endless[own].any(axis=0) for own in _blocks(transcribed)])
@@ -127,6 +135,7 @@ def _told(
     return Examination(
         rows=rows,
         decisions=decisions,
+        tails=tuple(row for row, one in zip(rows, expressions, strict=True) if _has_tail(one)),
         effects=effects,
         **told,
         unfit=(*_unfit("", rows, effects, hidden), *_unfit("the decision ", decisions, effects.T, hidden.T)),
@@ -138,6 +147,10 @@ def _told(
 def _rows(transcribed: AbstractTranscribed) -> tuple[str, ...]:
     """The objective and each constraint, as mathematics."""
     return (f"objective {transcribed.problem.objective}", *transcribed.texts.constraints)
+
+
+def _has_tail(expression: Expression) -> bool:
+    return any(isinstance(one.kind, AbstractTail) for one in statistics_in((expression,)))
 
 
 def _lost(
@@ -177,15 +190,16 @@ def _blocks(transcribed: AbstractTranscribed) -> list[slice]:
 def _effects(
     transcribed: AbstractTranscribed, point: Float[np.ndarray, " n"], slopes: Slopes
 ) -> Float[np.ndarray, "rows decisions"]:
-    """The largest slope of each row, relative to its magnitude there."""
+    """The largest slope of each row, relative to its magnitude there, as `Examination.effects` says."""
     problem, meaning = transcribed.problem, transcribed.at(point)
     values = [np.array([meaning.objective]), *meaning.constraints]
     bounds = [0.0, *(bound_size(one) for one in problem.constraints)]
     found = []
     for where, value, bound in zip(_blocks(transcribed), values, bounds, strict=True):
         changes = slopes.effects[where].max(axis=0, initial=0.0)
-        size = max(bound or 0.0, float(np.abs(value).max(initial=0.0))) or float(changes.max(initial=0.0)) or 1.0
-        found.append(changes / size)
+        largest = float(np.abs(value).max(initial=0.0))
+        size = max(bound, largest) if bound else max(largest, float(changes.max(initial=0.0)))
+        found.append(changes / (size or 1.0))
     return np.array(found)
 
 

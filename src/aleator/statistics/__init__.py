@@ -23,6 +23,7 @@ from aleator.statistics._statistic import Constants as Constants
 from aleator.statistics._statistic import Preparation as Preparation
 from aleator.statistics._statistic import a_statistic as a_statistic
 from aleator.statistics._statistic import prepare as prepare
+from aleator.statistics._tails import AbstractTail as AbstractTail
 from aleator.statistics._tails import ConditionalValueAtRisk as ConditionalValueAtRisk
 from aleator.statistics._tails import Probability as Probability
 from aleator.statistics._tails import Quantile as Quantile
