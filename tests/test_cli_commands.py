@@ -525,6 +525,28 @@ def test_a_sweep_stopped_in_its_first_point_has_a_report_or_a_reason(
     assert "'front over stress' is not finished" in found["missing"][0]
 
 
+def test_what_an_unfinished_stage_has_found_is_counted_where_it_is_interrupted(
+    here: Path, monkeypatch: pytest.MonkeyPatch, python_interrupts
+):
+    solved, calls = solving._solve._solved, []
+
+    def stopped(call):
+        calls.append(call)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return solved(call)
+
+    monkeypatch.setattr(solving._solve, "_solved", stopped)
+    result = aleator("sweep", "bar.py", "--bound", "stress", "--values", "0.5,0.45,0.4", "--out", "there", "--json")
+    assert result.exit_code == 130, result.output
+    told = document(result)["errors"][0]
+    assert told.startswith("Interrupted during 'front over stress': ")
+    assert "2 results of 'front over stress'" in told
+    assert "are kept in there" in told
+    there = [one for one in aleator("list", "there").output.splitlines() if " solve " in one and "done" in one]
+    assert len(there) == 2
+
+
 def test_after_an_edit_the_page_is_written_beside_the_complete_one(here: Path, finished: Path, nothing_solved):
     shutil.copytree(finished, here / "results")
     Record("bar.py", quick=True).write(here / "results")

@@ -91,10 +91,14 @@ class _Course:
         self._tables: Sequence[Table] = ()
         self._told = list[str]()
         self._mistake: Exception | None = None
+        # How many results the journal has, and had before the present stage.
+        self._count: Callable[[], int] = lambda: 0
+        self._before = 0
 
     def execute(self, job: AbstractStudy, folder: Path, kept: Journal) -> int:
         """Run all stages, saving after each, write the page, and print the tables; returns the exit code."""
         self._folder, self._kept = folder, kept
+        self._count = lambda: sum(one.is_finished for one in kept.entries)
         with self._terminal.warning():
             code = self._run_through(job)
         self._terminal.note(**self._facts(job), recalled=len(kept.taken))
@@ -160,10 +164,13 @@ class _Course:
 
     def _last_words(self) -> str:
         """What an interrupted run has saved."""
+        more = self._count() - self._before
+        partly = f"{more} result{'s' if more > 1 else ''} of '{self._stage}'" if self._stage and more > 0 else ""
         if not self._paths:
-            return f"Interrupted{self._during()}: no stage was finished; nothing was written."
-        kept = words([f"'{name}'" for name in self._finished], "what was found")
-        verb = "are" if len(self._finished) > 1 else "is"
+            told = f"{partly} {'are' if more > 1 else 'is'} kept in {self._folder}" if partly else "nothing was written"
+            return f"Interrupted{self._during()}: no stage was finished; {told}."
+        kept = words([*(f"'{name}'" for name in self._finished), *([partly] if partly else [])], "what was found")
+        verb = "are" if len(self._finished) > 1 or partly else "is"
         report = "" if PAGE in [path.name for path in self._paths] else ", without a report"
         return f"Interrupted{self._during()}: {kept} {verb} kept in {self._folder}{report}."
 
@@ -174,7 +181,7 @@ class _Course:
         total = sum(stage.share for stage in job.stages.values())
         with shown(self._terminal.console, total) as progress:
             for name, stage in job.stages.items():
-                self._stage, started = name, time.perf_counter()
+                self._stage, started, self._before = name, time.perf_counter(), self._count()
                 recalled, begun = self._kept.recalled, self._kept.begun
                 progress.begin(name)
                 with self.interruptions.work():
@@ -192,7 +199,8 @@ class _Course:
             raise
         found = by_place(job.results())
         designs = {place: one for place, one in found.items() if isinstance(one, Solution | Evidence)}
-        self._kept.call({**_points(found), **designs})
+        # The last name is that of the result: what a study calls a design comes before its place along a front.
+        self._kept.call({**_points(found), **dict(reversed(designs.items()))})
 
     def _ask_tables(self, job: AbstractStudy) -> None:
         self._tables = tables_of(job)
