@@ -56,3 +56,18 @@ def test_scales_leave_correlations_and_the_problem_shows_them():
     solution = al.solve(told)
     assert not solution.certificate.correlations
     assert solution.decisions["a.std"] == pytest.approx(1.2 / np.sqrt(2 * 1.6), rel=1e-6)
+
+
+class Sums(al.AlgebraicSystem):
+    numbers: tuple[al.Number, ...]
+
+    def outputs(self):
+        return {"y": sum(self.numbers)}
+
+
+def test_groups_of_different_sizes_are_shown_each_with_its_own_correlations():
+    pair = al.correlated({"p": al.Normal(0.0, 1.0), "q": al.Normal(0.0, 1.0)}, {("p", "q"): 0.3})
+    three = al.correlated({name: al.Normal(0.0, 1.0) for name in "abc"}, {("a", "c"): 0.5, ("b", "c"): -0.2})
+    told = str(al.Problem(Sums((*pair.values(), *three.values())), minimize=al.output("y").std))
+    assert "numbers.1: 0.3 with numbers.0" in told
+    assert "numbers.4: 0.5 with numbers.2, -0.2 with numbers.3" in told

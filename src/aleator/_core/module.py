@@ -7,7 +7,7 @@ class Module(eqx.Module):
     """An Equinox module whose methods are plain ones.
 
     Equinox makes a module of each method at each access, for those who give methods to compiled functions as arguments.
-    Nothing here does, and problems are walked through so often that solving small ones took a third longer.
+    Nothing here does, and problems are walked through so often that this took much of the time of small solves.
     """
 
     __getattribute__ = object.__getattribute__

@@ -1,11 +1,10 @@
 """Whether the numbers of a design are still correlated as was given: a copula stays while decisions set shapes."""
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from aleator.design import Problem
-from aleator.uncertainty import distributions_at, pearson
+from aleator.uncertainty import correlations_at
 
 # Differences that no data would show.
 _TOLERATED = 0.01
@@ -16,7 +15,7 @@ def moved_correlations(problem: Problem, decisions: Float[np.ndarray, " n"]) -> 
     places = problem.placements
     if not any(one.dependence is not None and one.shape_is_decided for one in places.distributions.values()):
         return ""
-    given, now = (pearson(distributions_at(places, jnp.asarray(one))) for one in (places.vector("initial"), decisions))
+    given, now = (correlations_at(places, one) for one in (places.vector("initial"), decisions))
     moved = [pair for pair in given if not abs(now[pair] - given[pair]) <= _TOLERATED]
     if not moved:
         return ""

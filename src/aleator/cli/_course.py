@@ -164,15 +164,17 @@ class _Course:
 
     def _last_words(self) -> str:
         """What an interrupted run has saved."""
-        more = self._count() - self._before
-        partly = f"{more} result{'s' if more > 1 else ''} of '{self._stage}'" if self._stage and more > 0 else ""
-        if not self._paths:
-            told = f"{partly} {'are' if more > 1 else 'is'} kept in {self._folder}" if partly else "nothing was written"
-            return f"Interrupted{self._during()}: no stage was finished; {told}."
-        kept = words([*(f"'{name}'" for name in self._finished), *([partly] if partly else [])], "what was found")
-        verb = "are" if len(self._finished) > 1 or partly else "is"
-        report = "" if PAGE in [path.name for path in self._paths] else ", without a report"
-        return f"Interrupted{self._during()}: {kept} {verb} kept in {self._folder}{report}."
+        more = self._count() - self._before if self._stage else 0
+        found = [f"'{name}'" for name in self._finished]
+        if more > 0:
+            found.append(f"{more} result{'s' if more > 1 else ''} of '{self._stage}'")
+        none = "" if self._paths else "no stage was finished; "
+        if none and not found:
+            return f"Interrupted{self._during()}: {none}nothing was written."
+        verb = "are" if len(found) > 1 or more > 1 else "is"
+        report = ", without a report" if self._paths and PAGE not in [path.name for path in self._paths] else ""
+        kept = words(found, "what was found")
+        return f"Interrupted{self._during()}: {none}{kept} {verb} kept in {self._folder}{report}."
 
     def _end_at_once(self) -> str:
         return self._terminal.ended_at_once(self._last_words(), self.interruptions.exit_code)

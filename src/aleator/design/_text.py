@@ -3,16 +3,14 @@
 import itertools
 from collections.abc import Iterator, Mapping
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from aleator.design._declaration import AbstractProblem
 from aleator.design._statistic import statistics_in
 from aleator.dynamics import Grid, System
 from aleator.mechanics import AbstractFormulation
 from aleator.statistics import Mean
-from aleator.uncertainty import AbstractDistribution, AbstractGerm, Decision, Placements, distributions_at, pearson
+from aleator.uncertainty import AbstractDistribution, AbstractGerm, Decision, Placements, correlations_at
 
 
 def problem_text(problem: AbstractProblem, mesh: str = "") -> str:
@@ -30,7 +28,7 @@ def problem_rows(problem: AbstractProblem, mesh: str = "") -> list[tuple[str, st
     rows += _labelled("over", [_decision_text(name, place.decision) for name, place in places.decisions.items()])
     rows += _labelled("subject to", [f"{one.name}: {one}" for one in problem.constraints])
     rows += _labelled("where", list(_distribution_texts(places.distributions)))
-    rows += _labelled("correlated", _correlation_texts(places, places.vector("initial")))
+    rows += _labelled("correlated", _correlation_texts(places))
     return [
         *rows,
         _physics_row(problem, mesh or type(problem.integrator).__name__),
@@ -54,10 +52,10 @@ def _distribution_texts(distributions: Mapping[str, AbstractDistribution]) -> It
         yield f"{first}{f' … {others[-1][0]}' if others else ''} ~ {distribution}"
 
 
-def _correlation_texts(places: Placements, decisions: Float[np.ndarray, " n"]) -> list[str]:
-    """One line per correlated distribution, with those before it to which it has a correlation at given decisions."""
+def _correlation_texts(places: Placements) -> list[str]:
+    """One line per correlated distribution, with those before it to which it has a correlation at the start."""
     lines: dict[str, list[str]] = {}
-    for (first, second), value in pearson(distributions_at(places, jnp.asarray(decisions))).items():
+    for (first, second), value in correlations_at(places, places.vector("initial")).items():
         lines.setdefault(second, []).append(f"{value:.3g} with {first}")
     return [f"{name}: {', '.join(texts)}" for name, texts in lines.items()]
 

@@ -5,7 +5,6 @@ from aleator.uncertainty._at_mean import uncertain_again as uncertain_again
 from aleator.uncertainty._bounded_families import Triangular as Triangular
 from aleator.uncertainty._bounded_families import TruncatedNormal as TruncatedNormal
 from aleator.uncertainty._copula import correlated as correlated
-from aleator.uncertainty._copula import pearson as pearson
 from aleator.uncertainty._data_families import Density as Density
 from aleator.uncertainty._data_families import Sample as Sample
 from aleator.uncertainty._decision import Decision as Decision
@@ -32,7 +31,7 @@ from aleator.uncertainty._polynomials import LegendreGerm as LegendreGerm
 from aleator.uncertainty._positive import fields_of as fields_of
 from aleator.uncertainty._positive import parameter as parameter
 from aleator.uncertainty._positive import refuse_nonpositive as refuse_nonpositive
-from aleator.uncertainty._realisation import distributions_at as distributions_at
+from aleator.uncertainty._realisation import correlations_at as correlations_at
 from aleator.uncertainty._realisation import named_numbers as named_numbers
 from aleator.uncertainty._realisation import realise as realise
 from aleator.uncertainty._realisation import uncertain_numbers as uncertain_numbers

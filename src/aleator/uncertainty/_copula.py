@@ -193,13 +193,13 @@ def _correlation_of(first: np.ndarray, second: np.ndarray) -> np.polynomial.Poly
 def pearson(distributions: Mapping[str, AbstractDistribution]) -> dict[tuple[str, str], float]:
     """Pearson's correlation of each two distributions that a group correlates, by their names; of plain numbers."""
     found = {}
-    standard = {name: _standard_values(one) for name, one in distributions.items() if one.dependence is not None}
-    for first, second in itertools.combinations(standard, 2):
-        one, other = distributions[first].dependence, distributions[second].dependence
-        assert one is not None
-        assert other is not None
-        rows = np.asarray(one.factor)[[one.index, other.index]]
-        normal = float(rows[0] @ rows[1])
-        if one.group == other.group and abs(normal) > _ROUNDING:
+    members = {name: one.dependence for name, one in distributions.items() if one.dependence is not None}
+    standard = {name: _standard_values(distributions[name]) for name in members}
+    for (first, one), (second, other) in itertools.combinations(members.items(), 2):
+        if one.group != other.group:
+            continue
+        factor = np.asarray(one.factor)
+        normal = float(factor[one.index] @ factor[other.index])
+        if abs(normal) > _ROUNDING:
             found[first, second] = float(_correlation_of(standard[first], standard[second])(normal))
     return found

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import Pytree, in_library, is_number, jax_array
 from aleator._core.leaves import is_leaf, named_leaves
 from aleator.uncertainty._at_mean import AtMean, free
+from aleator.uncertainty._copula import pearson
 from aleator.uncertainty._decision import Decision
 from aleator.uncertainty._distribution import AbstractDistribution
 from aleator.uncertainty._placements import Placements, placements
@@ -63,9 +64,10 @@ def _decided(
     )
 
 
-def distributions_at(places: Placements, decisions: Float[Array, " n"]) -> dict[str, AbstractDistribution]:
-    """The distributions of a model by name, at given decisions."""
-    return {name: _decided(one, name, places, decisions) for name, one in places.distributions.items()}
+def correlations_at(places: Placements, decisions: Float[np.ndarray, " n"]) -> dict[tuple[str, str], float]:
+    """Pearson's correlations of a model's distributions, by pairs of names, at given decisions; no zeros."""
+    at = jnp.asarray(decisions)
+    return pearson({name: _decided(one, name, places, at) for name, one in places.distributions.items()})
 
 
 def named_numbers(model: Pytree, decisions: Float[Array, " n"]) -> dict[str, Any]:
