@@ -40,9 +40,15 @@ CHECKED = [
 ]
 
 
+# Loops are ready sooner without what makes long runs of them fast.
+QUICK_LOOPS = "--xla_cpu_use_fusion_emitters=false"
+
+
 def pytest_configure(config: pytest.Config) -> None:
-    """Check shapes, but not again in the slow run, which calls the same functions for long."""
+    """Check shapes, and compile loops quickly, but not in the slow run, which calls the same functions for long."""
     if config.option.markexpr != "slow":
+        flags = os.environ.get("XLA_FLAGS", "").split()
+        os.environ["XLA_FLAGS"] = " ".join(dict.fromkeys([*flags, QUICK_LOOPS]))
         shape_checker.check_only_shapes()
         install_import_hook(CHECKED, "shape_checker.check")
 
