@@ -75,8 +75,8 @@ GROUPS = {
     "decay": {"design": "design", "evidence": "evidence", "front": "front"},
     "clutch": {"methods": "methods", "tolerances": "analyses", "allocation": "allocation", "front": "front"},
 }
-# How often each study is interrupted: eighteen times in all, six times by each signal.
-TIMES = {"decay": 15, "clutch": 3}
+# How often each study is interrupted: twelve times in all, four times by each signal.
+TIMES = {"decay": 9, "clutch": 3}
 MOMENTS_AT_RANDOM = [(study, time_) for study, times in TIMES.items() for time_ in range(times)]
 STOPS = [*SIGNALS.values(), (signal.SIGKILL, -9)]
 

@@ -99,8 +99,9 @@ def newton(
     be vectorised: roots are found independently. Nothing is raised: see `Root.converged`, which is for one root.
     """
     constant = jnp.zeros_like(guess) if terms is None else jax.lax.stop_gradient(terms)
+    # Traced and differentiated once for all the places where the iteration calls it.
     point, account = jax.lax.custom_root(
-        function, guess, lambda f, start: _iterate(f, start, constant, kin), _solve_tangent, has_aux=True
+        function, guess, lambda f, start: _iterate(jax.jit(f), start, constant, kin), _solve_tangent, has_aux=True
     )
     return Root(point, *account)
 

@@ -12,6 +12,7 @@ from aleator._core.arrays import numbers_to_arrays
 from aleator._core.code import told_apart
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError
+from aleator._core.leaves import is_traced
 from aleator.dynamics import newton
 from aleator.mechanics._constraints import Loose, constraint_rate, jacobian_of
 from aleator.mechanics._given import checked_start
@@ -88,9 +89,26 @@ def start_unknown(kind: str, model: AbstractMechanical) -> str:
 def consistent_start(
     model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], loose: Loose
 ) -> tuple[Float[Array, " coordinates"], Float[Array, " speeds"]]:
-    """Coordinates and velocities beside those given, moved where they are loose, that the constraints allow."""
+    """Coordinates and velocities beside those given, moved where they are loose, that the constraints allow.
+
+    With known numbers, by a program that serves others too: operation by operation it takes several times as long.
+    """
+    if is_traced((model, q, v)):
+        return _found(model, q, v, loose)
+    try:
+        return _FOUND(*numbers_to_arrays((model, jnp.asarray(q), jnp.asarray(v))), loose)
+    except Exception:  # such as from code that branches on a number
+        return _found(model, q, v, loose)
+
+
+def _found(
+    model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], loose: Loose
+) -> tuple[Float[Array, " coordinates"], Float[Array, " speeds"]]:
     q = consistent_coordinates(model, q, loose.coordinates)
     return q, consistent_velocities(model, q, v, loose.speeds)
+
+
+_FOUND = Compiled(_found, use=Use.ONCE, code=functools.partial(told_apart, _found))
 
 
 def consistent_coordinates(
@@ -131,11 +149,3 @@ def consistent_velocities(
     """The velocities nearest to those given that the constraints allow, by some of them; not a number where none."""
     G = taken(jacobian_of(model, q).T, moving).T
     return near - spread(solve_any(G, constraint_rate(model, q, near)), moving, len(near))
-
-
-def begun(model: AbstractMechanical, q: Any, v: Any, loose: Loose) -> tuple[Array, Array]:
-    """The consistent start of one realised system: asked of each of a family before anything else is compiled."""
-    return _BEGUN(*numbers_to_arrays((model, jnp.asarray(q), jnp.asarray(v))), loose)
-
-
-_BEGUN = Compiled(consistent_start, use=Use.ONCE, code=functools.partial(told_apart, consistent_start))

@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
-from aleator.mechanics._consistent import begun, checked_guess, consistent_start, kept_of, start_unknown
+from aleator.mechanics._consistent import checked_guess, consistent_start, kept_of, start_unknown
 from aleator.mechanics._constraint_diagnosis import start_diagnosis
 from aleator.mechanics._constraints import (
     Bound,
@@ -139,7 +139,7 @@ class ForwardDynamics(AbstractFormulation):
         if not self.model.constraints:
             return diagnosis_at(first, near[0], "at the start") or diagnosis_along(self, grid)
         loose = kept_of(self.model, self.start).loose(self.model)
-        q, v = begun(first, *near, loose)
+        q, v = consistent_start(first, *near, loose)
         found = start_diagnosis(first, near[0], (q, v), loose) or diagnosis_at(first, q, "at the start")
         return found or diagnosis_along(self, grid, loose=all_loose(self.model))
 

@@ -16,7 +16,7 @@ from aleator._core.code import told_apart
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
-from aleator.mechanics._consistent import Kept, begun, checked_guess, consistent_start, kept_of, start_unknown
+from aleator.mechanics._consistent import Kept, checked_guess, consistent_start, kept_of, start_unknown
 from aleator.mechanics._constraint_diagnosis import start_diagnosis
 from aleator.mechanics._diagnosis import diagnosis_along, diagnosis_at, quaternion_diagnosis
 from aleator.mechanics._formulation import AbstractFormulation, model_given
@@ -218,7 +218,7 @@ class HybridDynamics(AbstractFormulation):
         if self.model.constraints:
             loose = self._begins().loose(self.model)
             near, v = self._near(first, self._prescribed_at(grid))
-            q, v = begun(first, near, v, loose)
+            q, v = consistent_start(first, near, v, loose)
             if found := start_diagnosis(first, near, (q, v), loose):
                 return found
         if found := diagnosis_at(first, q, "at the start"):
