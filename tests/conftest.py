@@ -47,6 +47,8 @@ def pytest_configure(config: pytest.Config) -> None:
         install_import_hook(CHECKED, "shape_checker.check")
 
 
+pytest_plugins = ["costs"]
+
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # Compiling is most of what tests do: without what makes many runs of loops fast, and in one part where both processors
