@@ -209,6 +209,16 @@ class Block(al.System):
         return {"x": z.x, "v": z.v, "effort": force**2}
 
 
+class Launched(Block):
+    """The block from any place at any speed."""
+
+    place: al.Number = 0.0
+    speed: al.Number = 0.0
+
+    def initial(self):
+        return {"x": self.place, "v": self.speed}
+
+
 def block_problem(mass: Any = 1.0, steps: int = 10, **options: Any) -> al.Problem:
     x, v = al.terminal("x"), al.terminal("v")
     defaults: dict[str, Any] = {
@@ -266,6 +276,24 @@ class Pendulum(al.Lagrangian):
 
     def potential_energy(self, q):
         return -self.mass * self.gravity * self.length * jnp.cos(q[0])
+
+
+class Crane(al.Lagrangian):
+    """A trolley that carries a load on a rope: its place, and the angle of the rope from the vertical."""
+
+    names = ("trolley", "sway")
+    actuator_names = ("trolley_force",)
+
+    mass: al.Number = 10.0
+    payload: al.Number = 5.0
+    rope: al.Number = 2.0
+
+    def kinetic_energy(self, q, v):
+        across, up = v[0] + self.rope * v[1] * jnp.cos(q[1]), self.rope * v[1] * jnp.sin(q[1])
+        return 0.5 * self.mass * v[0] ** 2 + 0.5 * self.payload * (across**2 + up**2)
+
+    def potential_energy(self, q):
+        return -self.payload * 9.81 * self.rope * jnp.cos(q[1])
 
 
 # --- Helpers ---------------------------------------------------------------------------------------------------------

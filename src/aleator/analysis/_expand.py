@@ -12,6 +12,7 @@ from jaxtyping import Array
 from aleator._core.arrays import Pytree, in_library, jax_array
 from aleator._core.compilation import Use
 from aleator._core.errors import ExpansionWarning, ProblemError
+from aleator._core.given import real_array
 from aleator._core.tracing import evaluate
 from aleator.analysis._element_expanded import ElementExpanded
 from aleator.analysis._expanded import Expanded
@@ -134,7 +135,7 @@ def _kept(germs: tuple[tuple[str, AbstractGerm], ...], expansion: Expansion) -> 
 def _warn_of_doubts(expanded: Expanded, collocation: Collocation, times: Any) -> None:
     """Warn of an ill-conditioned matrix, and of outputs that are not resolved: from when on, if instants are known."""
     errors = jax.tree_util.tree_leaves_with_path(expanded.error)
-    until = [None] * len(errors) if times is None else _resolved_until(expanded, np.asarray(times))
+    until = [None] * len(errors) if times is None else _resolved_until(expanded, real_array("expand: times", times))
     checks = zip(jax.tree.leaves(expanded.leave_one_out), jax.tree.leaves(expanded.jackknife), strict=True)
     bad, open_ended = [], []
     for (path, error), last, (loo, left) in zip(errors, until, checks, strict=True):
@@ -180,9 +181,9 @@ def _resolved_instants(tolerance: float) -> Callable[..., Array]:
 def _resolved_until(expanded: Expanded, times: np.ndarray) -> list[float | None]:
     """The last resolved instant of each output that is not resolved throughout; None for the others."""
     for leaf in jax.tree.leaves(expanded.samples):
-        if leaf.ndim < 2 or leaf.shape[1] != len(times):
+        if times.ndim != 1 or leaf.ndim < 2 or leaf.shape[1] != len(times):
             raise ProblemError(
-                f"expand: times has {len(times)} instants, so each output needs a leading axis of {len(times)}; "
+                f"expand: times has {times.size} instants, so each output needs a leading axis of {times.size}; "
                 f"received shape {leaf.shape[1:]}."
             )
     counts = [concrete(count) for count in jax.tree.leaves(expanded.checked(_resolved_instants(expanded.tolerance)))]

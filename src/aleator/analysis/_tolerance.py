@@ -130,7 +130,7 @@ def tolerance_analysis(
     if expansion is not None:
         one_of("tolerance_analysis: expansion", expansion, Expansion)
     function, name = _function(model, output)
-    zones = zones_of(placements(model), tolerances or {})
+    zones = zones_of(placements(model), one_of("tolerance_analysis: tolerances", tolerances or {}, Mapping))
     expanded = _expanded(function, model, expansion)
     if not isinstance(expanded.mean, jax.Array) or expanded.mean.ndim:
         raise ProblemError("tolerance_analysis: expected an output that is one number; received an array or a dict.")

@@ -1,6 +1,6 @@
 """`Assembly`: a kinematic assembly, described by its vector loops."""
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
+from aleator._core.given import members
 from aleator._core.leaves import AbstractLeaf, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem
 from aleator.dynamics._formula import Formula, check_name, evaluate, names_in, read_equation, read_formula
@@ -63,8 +64,8 @@ class Assembly(AlgebraicSystem):
         self,
         dimensions: Mapping[str, Any],
         unknowns: Mapping[str, float] | None = None,
-        loops: Iterable[Any] = (),
-        equations: Iterable[Any] = (),
+        loops: Sequence[Any] = (),
+        equations: Sequence[Any] = (),
         features: Mapping[str, Any] | None = None,
         units: Mapping[str, str] | None = None,
     ):
@@ -74,9 +75,13 @@ class Assembly(AlgebraicSystem):
         self.dimensions = {name: _dimension(name, value) for name, value in dimensions.items()}
         self.description = _Description(
             guesses=tuple((name, _guess(name, value)) for name, value in unknowns.items()),
-            loops=tuple(read_chain(loop, known, f"Assembly, loop {i + 1}") for i, loop in enumerate(loops)),
+            loops=tuple(
+                read_chain(loop, known, f"Assembly, loop {i + 1}")
+                for i, loop in enumerate(members("Assembly: loops", loops, object))
+            ),
             equations=tuple(
-                read_equation(one, known, f"Assembly, equation {i + 1}") for i, one in enumerate(equations)
+                read_equation(one, known, f"Assembly, equation {i + 1}")
+                for i, one in enumerate(members("Assembly: equations", equations, object))
             ),
             features=tuple((name, _read_feature(name, one, known)) for name, one in features.items()),
             units=tuple(units.items()),
@@ -123,9 +128,11 @@ def _check_names(
     dimensions: Mapping[str, Any], unknowns: Mapping[str, Any], features: Mapping[str, Any], units: Mapping[str, str]
 ) -> None:
     seen: dict[str, str] = {}
-    for kind, given in {"dimension": dimensions, "unknown": unknowns, "feature": features}.items():
+    by_name = {"dimension": dimensions, "unknown": unknowns, "feature": features}
+    for kind, given in {**by_name, "unit": units}.items():
         if not isinstance(given, Mapping):
             raise ProblemError(f"Assembly: expected each {kind} by name, in a dict; received {given!r}.")
+    for kind, given in by_name.items():
         for name in given:
             check_name(name, kind)
             if name in seen:

@@ -128,7 +128,7 @@ class Grid(AbstractGrid):
 class Instant(AbstractGrid):
     """The single instant `t = 0` of an algebraic system, which has no time. A sum over it is the value itself."""
 
-    steps: int = eqx.field(static=True, default=0)
+    steps: int = eqx.field(static=True, default=0, init=False)
 
     @override
     def finer(self, factor: int) -> "Instant":

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
-from aleator._core.given import refusal, traceable, whole
+from aleator._core.given import refusal, refuse_missing, traceable, whole
 from aleator.geometry._body import Body
 from aleator.geometry._distance import between_bodies
 from aleator.geometry._numbers import check_number, plain, stored
@@ -71,6 +71,7 @@ def smallest(distances: Any, sharpness: Any = 1e3) -> Float[Array, ""]:
     known = plain(sharpness)
     if known is not None and not known > 0:
         raise ProblemError(f"smallest: 'sharpness' must be positive; received {known}.")
+    refuse_missing("smallest: distances", distances)
     values = jnp.ravel(traceable("smallest: 'distances'", distances))
     if values.size == 0:
         raise ProblemError("smallest: expected at least one distance; received none.")

@@ -5,7 +5,7 @@ from enum import Enum
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.given import one_of
+from aleator._core.given import one_of, real_array, refusal
 from aleator.mechanics._constraints import jacobian_of
 from aleator.mechanics._matrices import solve_any
 from aleator.mechanics._mechanical import AbstractMechanical, actuation_map
@@ -27,6 +27,9 @@ def actuation_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> 
     For a system with constraints, `B` is taken on the motions that these leave free, in a posture that satisfies them.
     """
     one_of("actuation_of", model, AbstractMechanical, "an al.Multibody")
+    q = real_array("actuation_of: q", q)
+    if q.shape != (len(model.coordinates),) or not np.isfinite(q).all():
+        raise refusal("actuation_of: q", f"finite numbers for {list(model.coordinates)}", q)
     B = np.asarray(actuation_map(model, q))
     if model.constraints:
         G = np.asarray(jacobian_of(model, q))

@@ -8,6 +8,7 @@ from typing import TypeVar, cast
 import numpy as np
 
 from aleator._core.errors import ProblemError
+from aleator._core.given import a_name
 from aleator.reporting import _units
 from aleator.reporting._blocks import Block, Code, Drawing, Section, Text
 from aleator.reporting._choices import evidence_on
@@ -85,7 +86,7 @@ def report(
         _check_along(one, shown)
     checked = [each for one in sampled_along.values() for each in one.evidence if each is not None]
     check_writable(as_path(path).parent)
-    return write_page(_page(designs, sampled, swept, checked, title), path)
+    return write_page(_page(designs, sampled, swept, checked, a_name("report: title", title)), path)
 
 
 def _named(

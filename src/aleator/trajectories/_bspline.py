@@ -164,7 +164,8 @@ def fit_control_points(
     duration = check.positive(f"{who}: duration", duration)
     if samples.ndim == 0 or len(samples) < free or not np.isfinite(samples).all():
         raise ProblemError(
-            f"fit_control_points: expected finite values at {free} or more instants; received shape {samples.shape}."
+            f"fit_control_points: path: expected finite values at {free} or more instants; received shape "
+            f"{samples.shape}."
         )
     if any(is_leaf(one) for one in jax.tree.leaves((start, end), is_leaf=is_leaf)):
         raise ProblemError(

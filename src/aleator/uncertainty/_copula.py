@@ -18,7 +18,7 @@ import scipy
 from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
-from aleator._core.given import real, real_array, refusal
+from aleator._core.given import a_name, real, real_array, refusal
 from aleator._core.leaves import is_traced
 from aleator.uncertainty._dependence import Dependence
 from aleator.uncertainty._distribution import AbstractDistribution
@@ -64,7 +64,7 @@ def correlated(
     normal = _nataf(distributions, pearson)
     _refuse_indefinite(normal, "No Gaussian copula gives these distributions these correlations")
     factor = np.linalg.cholesky(normal)
-    group = name or "~".join(members)
+    group = "~".join(members) if name is None else a_name("correlated: name", name)
     return {
         member: distribution.correlated(Dependence(group, members, index, factor))
         for index, (member, distribution) in enumerate(distributions.items())

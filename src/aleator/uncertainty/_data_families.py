@@ -176,7 +176,7 @@ def _data(data: Any) -> Float[np.ndarray, " n"]:
     values = real_array("Sample", data, "a list or vector of numbers")
     if values.ndim != 1 or not np.all(np.isfinite(values)) or np.unique(values).size < 2:
         raise ProblemError(
-            "Sample: expected a vector of finite numbers of which at least two differ; received an array of shape "
-            f"{values.shape} with {np.sum(~np.isfinite(values))} non-finite numbers."
+            "Sample: data: expected a vector of finite numbers of which at least two differ; received an array of "
+            f"shape {values.shape} with {np.sum(~np.isfinite(values))} non-finite numbers."
         )
     return values

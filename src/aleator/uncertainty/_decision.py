@@ -48,7 +48,7 @@ class Decision(AbstractLeaf):
             float(value) if start.ndim == 0 else np.broadcast_to(value, start.shape).copy()
             for value in (start, *bounds)
         )
-        self.shared_name = shared_name
+        self.shared_name = None if shared_name is None else a_name("Decision: shared_name", shared_name)
 
     def shared(self, name: str) -> "Decision":
         """A copy whose placements are all one decision, together with any others shared under this name."""

@@ -50,7 +50,7 @@ class AbstractDistribution(AbstractLeaf):
         parameters = {name: plain(name, value, type(self)) for name, value in given.items() if value is not None}
         self.parameters = parameters
         self.dependence = None
-        self.shared_name = shared_name
+        self.shared_name = None if shared_name is None else a_name(f"{type(self).__name__}: shared_name", shared_name)
         self._names()
         # The numbers are known under jax.grad, and so checked; under jax.jit they are not.
         if not is_traced(constant(parameters)):
