@@ -60,6 +60,7 @@ def pytest_runtest_protocol(item: pytest.Item):
     return result
 
 
+@pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
     output = getattr(session.config, "workeroutput", None)
     own = _now(children=output is not None or not session.config.option.numprocesses)  # else these are the workers
@@ -68,6 +69,23 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     TABLE[name] = rest | {"seconds": 0.0}
     if output is not None:
         output["costs"] = TABLE
+    elif _beyond(session.config) and session.exitstatus == pytest.ExitCode.OK:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def _total() -> dict[str, float]:
+    return {column: sum(row[column] for row in (ROWS | TABLE).values()) for column in COLUMNS}
+
+
+def _beyond(config: pytest.Config) -> list[str]:
+    """The budgets that are exceeded."""
+    budgets = {"cpu": config.option.budget_cpu, "compilations": config.option.budget_compilations}
+    total = _total()
+    return [
+        f"{total[column]:.0f} {column} of {budget:g} that the budget allows"
+        for column, budget in budgets.items()
+        if budget is not None and total[column] > budget
+    ]
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -77,11 +95,12 @@ def pytest_testnodedown(node: Any) -> None:
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     rows = sorted((ROWS | TABLE).items(), key=lambda row: -row[1]["cpu"])
-    total = {column: sum(row[column] for _, row in rows) for column in COLUMNS}
     terminalreporter.write_sep("-", "costs, worst first")
-    for name, row in [("all", total), *rows[:10]]:
+    for name, row in [("all", _total()), *rows[:10]]:
         figures = ", ".join(f"{row[column]:.0f} {column.replace('_', ' ')}" for column in COLUMNS)
         terminalreporter.write_line(f"{name}: {figures}")
+    for text in _beyond(config):
+        terminalreporter.write_line(f"Over budget: {text}", red=True)
     if path := config.option.costs:
         lines = ["\t".join([*(f"{row[column]:.2f}" for column in COLUMNS), name]) for name, row in rows]
         Path(path).write_text("\n".join(["\t".join((*COLUMNS, "test")), *lines]) + "\n")
