@@ -63,4 +63,5 @@ def between(kinds, dimension):
 def distances(kinds, dimension):
     """The distances of many pairs and their derivatives, compiled once for all tests."""
     value = between(kinds, dimension)
-    return compiled(jax.vmap(lambda p: (value(p), jax.jacfwd(value)(p))))
+    program = compiled(jax.vmap(lambda p: (value(p), jax.jacfwd(value)(p))))
+    return lambda p: tuple(map(np.asarray, program(p)))

