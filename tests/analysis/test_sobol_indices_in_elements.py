@@ -29,15 +29,6 @@ def test_a_kink_in_a_product():
     assert float(pieces.total_sobol("y")) == pytest.approx(1 / 4, abs=1e-12)
 
 
-def test_a_jump_and_a_kink_that_add_up():
-    """Var[2 1(x > 0)] = 1 and Var|y| = 1/12: nothing acts together."""
-    pieces = al.expand(lambda m: 2 * (m["x"] > 0) + jnp.abs(m["y"]), BOTH, al.MultiElement())
-    expected = {("x",): 12 / 13, ("y",): 1 / 13, ("x", "y"): 0.0}
-    assert indices(pieces, "xy") == pytest.approx(expected, abs=1e-12)
-    assert float(pieces.total_sobol("x")) == pytest.approx(12 / 13, abs=1e-12)
-    assert float(pieces.total_sobol("y")) == pytest.approx(1 / 13, abs=1e-12)
-
-
 def test_a_kink_under_distributions_that_are_not_uniform():
     """`|z| b` with z standard normal and b of Beta(2, 5): moments in closed form."""
     beta = stats.beta(2, 5)
@@ -50,22 +41,6 @@ def test_a_kink_under_distributions_that_are_not_uniform():
     assert len(pieces.partition.boxes) > 1
     assert indices(pieces, "zb") == pytest.approx(expected, abs=1e-7)
     assert float(pieces.total_sobol("z")) == pytest.approx(1 - by_b, abs=1e-7)
-
-
-def test_ishigamis_function_has_its_published_indices_which_add_up_to_one():
-    model = {name: al.Uniform.bounds(-np.pi, np.pi) for name in ("x1", "x2", "x3")}
-    pieces = al.expand(
-        lambda m: jnp.sin(m["x1"]) + 7 * jnp.sin(m["x2"]) ** 2 + 0.1 * m["x3"] ** 4 * jnp.sin(m["x1"]),
-        model,
-        al.MultiElement(5, error=0.02),
-    )
-    assert len(pieces.partition.boxes) > 4
-    found = indices(pieces, ("x1", "x2", "x3"))
-    expected = {("x1",): 0.3139051912, ("x2",): 0.4424111448, ("x1", "x3"): 0.2436836641}
-    assert found == pytest.approx({one: expected.get(one, 0.0) for one in found}, abs=1e-3)
-    assert sum(found.values()) == pytest.approx(1.0, abs=1e-12)
-    with_x3 = sum(value for one, value in found.items() if "x3" in one)
-    assert float(pieces.total_sobol("x3")) == pytest.approx(with_x3, abs=1e-12)
 
 
 def test_a_jump_along_a_curve_has_the_indices_that_pick_and_freeze_samples():
@@ -109,17 +84,7 @@ def test_one_element_has_the_indices_of_a_single_expansion():
     assert float(pieces.total_sobol("u")) == pytest.approx(float(single.total_sobol("u")), abs=1e-14)
 
 
-def test_indices_have_the_structure_of_the_outputs_and_are_zero_where_nothing_varies():
-    pieces = al.expand(
-        lambda m: {"path": jnp.stack([jnp.abs(m["x"]), m["y"] + 0.0, 7.0]), "step": 1.0 * (m["y"] > 0)},
-        BOTH,
-        al.MultiElement(),
-    )
-    assert np.asarray(pieces.sobol("x")["path"]) == pytest.approx([1.0, 0.0, 0.0], abs=1e-12)
-    assert np.asarray(pieces.total_sobol("y")["path"]) == pytest.approx([0.0, 1.0, 0.0], abs=1e-12)
-    assert float(pieces["step"].sobol("y")) == pytest.approx(1.0, abs=1e-12)
-
-
+@pytest.mark.slow
 def test_an_index_is_differentiable_through_the_distributions():
     """`a + |b|` with b within h: Var|b| = h²/12 beside 1/3, so that the share of b is h²/(4 + h²)."""
 

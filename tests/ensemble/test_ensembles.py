@@ -85,19 +85,6 @@ def test_a_traced_function_is_run_once_by_the_thread_that_asks():
     assert len(ran_by) == once
 
 
-def test_a_called_function_is_called_once_a_point_in_order_with_plain_numbers():
-    given = []
-
-    def noted(m):
-        given.append((m["a"], threading.current_thread()))
-        return m["a"]
-
-    list(ensemble(CalledEnsemble, noted).in_batches(LEVELS, 5))
-    assert [type(a) for a, _ in given] == [float] * 13
-    np.testing.assert_allclose([a for a, _ in given], A, rtol=1e-13)
-    assert {thread for _, thread in given} == {threading.current_thread()}
-
-
 def broken_from(limit):
     def broken(m):
         library = jnp if isinstance(m["a"], jax.Array) else np
@@ -115,11 +102,6 @@ def test_what_is_not_finite_is_named_with_its_point_and_its_inputs(kind, size, w
     levels[[5, 9], 0] = 0.75, 0.8
     with pytest.raises(al.SimulationError, match=rf"'broken' .* {where}.*'root' first at point 6 \(a=1.25, b=2\)"):
         list(ensemble(kind, broken_from(1.2)).in_batches(levels, size))
-
-
-def test_one_output_without_a_name_is_called_so():
-    with pytest.raises(al.SimulationError, match=r"1 of 1 points: its output first at point 1 \(a=1, b=2\)"):
-        ensemble(CalledEnsemble, lambda m: np.inf)(np.zeros((1, 2)))
 
 
 @KINDS
@@ -176,14 +158,6 @@ def test_a_called_function_that_fails_names_the_germ_point_and_the_values_there(
     assert isinstance(raised.value.__cause__, ValueError)
 
 
-def test_what_a_traced_function_raises_is_told_with_its_name():
-    def wrong(m):
-        raise IndexError("out of range")
-
-    with pytest.raises(al.ProblemError, match=r"'wrong' raised IndexError: out of range\."):
-        ensemble(TracedEnsemble, wrong)(np.zeros((3, 2)))
-
-
 @pytest.mark.parametrize("size", [1, 2, 13])
 def test_shapes_that_change_are_refused_within_a_batch_and_between_them(size):
     def growing(m):
@@ -191,11 +165,6 @@ def test_shapes_that_change_are_refused_within_a_batch_and_between_them(size):
 
     with pytest.raises(al.ProblemError, match=r"'growing' must return .*same shapes .* \{'y': \([12],\)\} and \{'y'"):
         list(ensemble(CalledEnsemble, growing).in_batches(LEVELS, size))
-
-
-def test_names_that_change_are_refused_too():
-    with pytest.raises(al.ProblemError, match=r"same shapes at every point; received \{'[lh]'.* and \{'[lh]'"):
-        ensemble(CalledEnsemble, lambda m: {"l" if m["a"] < 1.0 else "h": 1.0})(np.array([[-0.5, 0.0], [0.5, 0.0]]))
 
 
 def test_what_looks_at_its_numbers_cannot_be_traced_but_called():
@@ -206,14 +175,6 @@ def test_what_looks_at_its_numbers_cannot_be_traced_but_called():
         ensemble(TracedEnsemble, branching).in_batches(LEVELS, 5)
     found = [values for _, values in ensemble(CalledEnsemble, branching).in_batches(LEVELS, 5)]
     np.testing.assert_array_equal(np.concatenate(found), np.where(A < 1.0, 1.0, 2.0))
-
-
-@pytest.mark.parametrize(
-    ("function", "model", "message"), [(3.0, MODEL, "test: expected a function"), (outputs, {"a": 1.0}, "uncertain")]
-)
-def test_nothing_to_realise_is_refused(function, model, message):
-    with pytest.raises(al.ProblemError, match=message):
-        uncertain_places("test", function, model)
 
 
 def test_germ_points_are_quantiles_and_random_ones_depend_on_the_seed_alone():

@@ -9,7 +9,6 @@ import pytest
 from aleator._core.errors import ProblemError
 from aleator.expansion import Anisotropic, HyperbolicCross, TensorProduct, TotalDegree
 
-SIZES = [(1, 1), (1, 6), (2, 3), (3, 4), (5, 2), (5, 3), (8, 2)]
 NAMES = tuple("abcdefghijklmnopqrst")
 SETS = [
     (TotalDegree(), lambda rows, order: rows.sum(axis=1) <= order),
@@ -25,13 +24,7 @@ def total_degree(variables, order):
     return TotalDegree().indices(NAMES[:variables], order)
 
 
-@pytest.mark.parametrize(("variables", "order"), SIZES)
-def test_the_number_of_terms_is_the_binomial_coefficient(variables, order):
-    n_b = math.factorial(variables + order) // (math.factorial(variables) * math.factorial(order))
-    assert total_degree(variables, order).shape == (n_b, variables)
-
-
-@pytest.mark.parametrize(("variables", "order"), SIZES)
+@pytest.mark.parametrize(("variables", "order"), [(1, 6), (3, 4), (8, 2)])
 def test_the_terms_are_those_of_chaospy(variables, order):
     theirs = chaospy.monomial(0, order + 1, dimensions=variables).exponents if variables > 1 else None
     if theirs is None:
@@ -39,7 +32,7 @@ def test_the_terms_are_those_of_chaospy(variables, order):
     assert {tuple(row) for row in total_degree(variables, order).tolist()} == {tuple(row) for row in theirs.tolist()}
 
 
-@pytest.mark.parametrize("order", [1, 4, 7])
+@pytest.mark.parametrize("order", [1, 7])
 @pytest.mark.parametrize(("index_set", "keeps"), SETS)
 def test_a_set_holds_what_its_definition_keeps_of_all_multi_indices_each_once(index_set, keeps, order):
     everything = np.indices((2 * order + 1,) * 3).reshape(3, -1).T
@@ -56,23 +49,6 @@ def test_terms_are_sorted_by_degree_then_by_the_degrees_of_the_first_variables(i
     assert not rows[0].any()
 
 
-def test_the_order_of_terms_is_the_one_that_results_were_stored_in():
-    rows = [[0, 0], [1, 0], [0, 1], [2, 0], [1, 1], [0, 2]]
-    assert total_degree(2, 2).tolist() == rows
-
-
-def test_a_q_norm_of_one_is_the_total_degree():
-    assert np.array_equal(HyperbolicCross(1).indices(NAMES[:4], 5), total_degree(4, 5))
-
-
-def test_weights_of_one_are_the_total_degree():
-    assert np.array_equal(Anisotropic([1, 1, 1]).indices(NAMES[:3], 4), total_degree(3, 4))
-
-
-def test_a_tensor_product_has_every_combination():
-    assert len(TensorProduct().indices(NAMES[:4], 3)) == 4**4
-
-
 def test_without_variables_there_is_only_the_constant():
     assert total_degree(0, 3).shape == (1, 0)
 
@@ -83,18 +59,6 @@ def test_many_variables_and_high_orders_need_no_enumeration_of_the_full_tensor()
     cross = HyperbolicCross(0.5).indices(NAMES[:8], 14)
     assert cross.max(axis=0).tolist() == [14] * 8
     assert (cross > 0).sum(axis=1).max() == 3  # four factors of degree one have the q-norm 16
-
-
-@pytest.mark.parametrize("q", [0, -0.5, 1.5, "half"])
-def test_a_q_outside_its_range_is_refused(q):
-    with pytest.raises((ProblemError, TypeError), match=r"q, where 1 keeps .* expected a positive number of at most 1"):
-        HyperbolicCross(q)
-
-
-@pytest.mark.parametrize("weights", [[1.0, 0.0], [-1.0], [], {}, [np.inf]])
-def test_weights_that_are_not_positive_are_refused(weights):
-    with pytest.raises(ProblemError, match=r"Anisotropic: weights: expected .*positive number"):
-        Anisotropic(weights)
 
 
 def test_weights_of_the_wrong_number_or_name_are_refused():

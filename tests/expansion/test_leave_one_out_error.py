@@ -1,7 +1,5 @@
 """The leave-one-out error against refits without each point, and OpenTURNS."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import openturns as ot
 import pytest
@@ -11,7 +9,6 @@ from aleator.expansion import (
     Expansion,
     GaussPoints,
     HammersleyPoints,
-    LeastSquares,
     Projection,
     SmolyakPoints,
     leave_one_out,
@@ -19,6 +16,7 @@ from aleator.expansion import (
 )
 from aleator.expansion import collocate as discretise
 from aleator.uncertainty import HermiteGerm, LaguerreGerm, LegendreGerm
+from compiling import compiled
 
 GERMS = {"u": LegendreGerm(), "n": HermiteGerm()}
 ONE = {"u": LegendreGerm()}
@@ -28,13 +26,18 @@ def collocate(germs, expansion):
     return discretise(germs, expansion).collocation
 
 
-@jax.jit
-def compiled(collocation, samples):
+@compiled
+def error(collocation, samples):
     return leave_one_out(collocation, samples, collocation.coefficients(samples))
 
 
+@compiled
+def by_entry(collocation, samples):
+    return leave_one_out_by_entry(collocation, samples, collocation.coefficients(samples))
+
+
 def error_of(collocation, samples):
-    return float(compiled(collocation, samples))
+    return float(error(collocation, samples))
 
 
 def errors_by_refitting(matrix, samples):
@@ -48,15 +51,16 @@ def errors_by_refitting(matrix, samples):
 
 
 def scalar(points):
-    return jnp.exp(0.4 * points[:, 0]) * jnp.sin(points[:, 1]) + points[:, 0] ** 5
+    x = np.asarray(points)
+    return np.exp(0.4 * x[:, 0]) * np.sin(x[:, 1]) + x[:, 0] ** 5
 
 
 def histories(points):
-    times = jnp.linspace(0.0, 3.0, 7)[None, :]
-    return jnp.exp(-times * (1 + 0.5 * points[:, :1])) * (2 + points[:, 1:2])
+    times, x = np.linspace(0.0, 3.0, 7)[None, :], np.asarray(points)
+    return np.exp(-times * (1 + 0.5 * x[:, :1])) * (2 + x[:, 1:2])
 
 
-@pytest.mark.parametrize(("order", "points"), [(1, None), (3, None), (4, 40), (3, 11)])
+@pytest.mark.parametrize(("order", "points"), [(3, None), (3, 11)])
 @pytest.mark.parametrize("output", [scalar, histories])
 def test_the_error_is_that_of_refitting_without_each_point(order, points, output):
     collocation = collocate(GERMS, Expansion(order, points=HammersleyPoints(points)))
@@ -76,38 +80,14 @@ def test_the_error_is_that_of_openturns():
     algorithm.run()
     splitter = ot.LeaveOneOutSplitter(len(samples))
     squared = ot.FunctionalChaosValidation(algorithm.getResult(), splitter).computeMeanSquaredError()[0]
-    assert error_of(collocation, jnp.asarray(samples)) == pytest.approx(np.sqrt(squared / samples.var()), rel=1e-8)
+    assert error_of(collocation, samples) == pytest.approx(np.sqrt(squared / samples.var()), rel=1e-8)
 
 
-def test_the_error_of_a_polynomial_in_the_span_is_zero_but_for_rounding():
-    collocation = collocate(GERMS, Expansion(3))
-    samples = 1 + collocation.points[:, 0] * collocation.points[:, 1] ** 2
-    assert error_of(collocation, samples) < 1e-12
-
-
-def test_the_error_falls_with_the_order_for_a_smooth_output():
-    errors = [error_of(c, jnp.exp(c.points[:, 0])) for c in (collocate(ONE, Expansion(order)) for order in range(1, 8))]
-    assert np.polyfit(range(1, 8), np.log10(errors), 1)[0] < -0.5
-
-
-def test_an_output_unrelated_to_the_germ_has_an_error_of_about_one_or_more():
-    collocation = collocate(GERMS, Expansion(3))
-    noise = jnp.asarray(np.random.default_rng(1).normal(size=len(collocation.points)))
-    assert error_of(collocation, noise) > 0.9
-
-
-@pytest.mark.parametrize("constant", [0.0, 0.1, 1 / 3, np.pi, -1e9, 1e-300])
-@pytest.mark.parametrize("points", [10, 12, 30, 90])
-def test_the_error_of_a_constant_output_is_zero_in_spite_of_rounding(constant, points):
+@pytest.mark.parametrize("points", [10, 30])
+def test_the_error_of_a_constant_output_is_zero_in_spite_of_rounding(points):
     collocation = collocate(GERMS, Expansion(3, points=points))
-    assert error_of(collocation, jnp.full(points, constant)) == 0.0
-
-
-def test_constant_entries_of_a_history_do_not_disturb_the_error_of_the_others():
-    collocation = collocate(GERMS, Expansion(3))
-    varying = scalar(collocation.points)
-    beside = jnp.stack([varying, jnp.full(len(varying), 0.1)], axis=1)
-    assert error_of(collocation, beside) == pytest.approx(error_of(collocation, varying), rel=1e-9)
+    for constant in (0.0, 0.1, 1 / 3, np.pi, -1e9, 1e-300):
+        assert error_of(collocation, np.full(points, constant)) == 0.0
 
 
 def test_a_small_variation_on_a_large_mean_still_counts():
@@ -118,20 +98,20 @@ def test_a_small_variation_on_a_large_mean_still_counts():
 
 @pytest.mark.parametrize(
     ("germs", "order", "points"),
-    [(ONE, 1, 2), (ONE, 3, 4), (GERMS, 2, 6), (GERMS, 3, 10), ({"g": LaguerreGerm(2.0)}, 2, 3)],
+    [(ONE, 3, 4), (GERMS, 3, 10), ({"g": LaguerreGerm(2.0)}, 2, 3)],
 )
 def test_interpolation_leaves_nothing_to_check_by_so_the_error_is_infinite(germs, order, points):
     collocation = collocate(germs, Expansion(order, points=points))
-    samples = jnp.exp(0.5 * collocation.points[:, 0])
+    samples = np.exp(0.5 * np.asarray(collocation.points)[:, 0])
     assert error_of(collocation, samples) == np.inf
-    assert float(leave_one_out(collocation, samples, collocation.coefficients(samples))) == np.inf
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_samples_that_are_not_finite_do_not_pass_for_a_good_fit(bad):
-    collocation = collocate(GERMS, Expansion(2))
-    samples = scalar(collocation.points).at[3].set(bad)
-    assert not error_of(collocation, samples) <= 0.5
+def test_samples_that_are_not_finite_do_not_pass_for_a_good_fit():
+    collocation = collocate(GERMS, Expansion(3))
+    for bad in (np.nan, np.inf):
+        samples = np.array(scalar(collocation.points))
+        samples[3] = bad
+        assert not error_of(collocation, samples) <= 0.5
 
 
 @pytest.mark.parametrize("points", [ChristoffelPoints(30), GaussPoints(6)])
@@ -147,16 +127,7 @@ def test_with_weights_the_error_is_that_of_weighted_refits(points):
         squares[k] = (samples[k] - matrix[k] @ np.linalg.lstsq(*scaled, rcond=None)[0]) ** 2
     variance = weights @ (samples - weights @ samples) ** 2
     expected = np.sqrt((weights @ squares).sum() / variance.sum())
-    assert error_of(collocation, jnp.asarray(samples)) == pytest.approx(expected, rel=1e-7)
-
-
-def test_a_projection_with_positive_weights_has_the_error_of_weighted_least_squares():
-    points = GaussPoints()
-    projected, fitted = (
-        collocate(GERMS, Expansion(4, points=points, fit=fit)) for fit in (Projection(), LeastSquares())
-    )
-    samples = scalar(fitted.points)
-    assert error_of(projected, samples) == pytest.approx(error_of(fitted, samples), rel=1e-8)
+    assert error_of(collocation, samples) == pytest.approx(expected, rel=1e-7)
 
 
 def test_of_a_projection_by_a_sparse_grid_nothing_is_known_so_the_error_is_infinite():
@@ -167,24 +138,16 @@ def test_of_a_projection_by_a_sparse_grid_nothing_is_known_so_the_error_is_infin
 @pytest.mark.parametrize("expansion", [Expansion(3), Expansion(3, points=ChristoffelPoints(30))])
 def test_the_error_of_each_entry_is_that_of_the_entry_alone(expansion):
     collocation = collocate(GERMS, expansion)
-    samples = jnp.stack([histories(collocation.points), 3 + histories(collocation.points) ** 2], axis=2)
-    each = leave_one_out_by_entry(collocation, samples, collocation.coefficients(samples))
+    samples = np.stack([histories(collocation.points), 3 + histories(collocation.points) ** 2], axis=2)
+    each = by_entry(collocation, samples)
     assert each.shape == (7, 2)
     alone = [[error_of(collocation, samples[:, i, j]) for j in range(2)] for i in range(7)]
     assert each == pytest.approx(np.array(alone), rel=1e-8)
 
 
-def test_the_squared_error_is_the_mean_of_those_of_the_entries_weighted_by_variance():
-    collocation = collocate(GERMS, Expansion(3, points=HammersleyPoints()))
-    samples = histories(collocation.points)
-    each = leave_one_out_by_entry(collocation, samples, collocation.coefficients(samples))
-    variance = np.var(np.asarray(samples), axis=0)
-    assert error_of(collocation, samples) ** 2 == pytest.approx(np.average(each**2, weights=variance), rel=1e-9)
-
-
 def test_an_entry_that_does_not_vary_has_no_error_of_its_own():
     collocation = collocate(GERMS, Expansion(2))
-    samples = jnp.stack([jnp.full(len(collocation.points), 0.3), scalar(collocation.points)], axis=1)
-    each = leave_one_out_by_entry(collocation, samples, collocation.coefficients(samples))
+    samples = np.stack([np.full(len(collocation.points), 0.3), scalar(collocation.points)], axis=1)
+    each = by_entry(collocation, samples)
     assert float(each[0]) == 0
     assert float(each[1]) > 0

@@ -13,7 +13,6 @@ from aleator.expansion import (
     Expansion,
     GaussPoints,
     HammersleyPoints,
-    HyperbolicCross,
     Interpolation,
     Projection,
     SmolyakPoints,
@@ -58,7 +57,7 @@ def integral_errors(nodes, degrees):
     return np.array(errors)
 
 
-@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("count", [1, 3])
 def test_a_full_grid_integrates_every_monomial_up_to_degree_2n_minus_1_in_each_variable_and_no_further(count):
     nodes = GaussPoints(count).nodes(constant_basis(1), 0)
     assert len(nodes.points) == count**4
@@ -67,7 +66,7 @@ def test_a_full_grid_integrates_every_monomial_up_to_degree_2n_minus_1_in_each_v
     assert integral_errors(nodes, 2 * count * np.eye(4, dtype=int)).min() > 1e-3
 
 
-@pytest.mark.parametrize("level", [1, 2, 3])
+@pytest.mark.parametrize("level", [1, 3])
 def test_a_sparse_grid_integrates_every_monomial_up_to_total_degree_2l_plus_1_and_no_further(level):
     nodes = SmolyakPoints(level).nodes(constant_basis(1), 0)
     inside = TotalDegree().indices(tuple(GERMS), 2 * level + 1)
@@ -76,7 +75,7 @@ def test_a_sparse_grid_integrates_every_monomial_up_to_total_degree_2l_plus_1_an
     assert integral_errors(nodes, beyond).min() > 1e-4
 
 
-@pytest.mark.parametrize("count", [2, 5, 9])
+@pytest.mark.parametrize("count", [2, 9])
 def test_roots_and_weights_are_those_of_chaospy(count):
     for (name, germ), distribution in zip(GERMS.items(), CHAOSPY, strict=True):
         nodes = GaussPoints(count).nodes(Basis({name: germ}, np.array([[0], [1]])), 0)
@@ -92,13 +91,6 @@ def test_a_sparse_grid_shares_its_points_and_has_far_fewer_than_the_full_one():
     assert len(np.unique(nodes.points, axis=0)) == len(nodes.points) < 4**5 / 4
     assert (nodes.weights < 0).any()
     assert nodes.weights.sum() == pytest.approx(1, rel=1e-12)
-
-
-def test_in_one_variable_a_sparse_grid_is_the_full_one():
-    basis = Basis({"u": LegendreGerm()}, np.arange(5)[:, None])
-    sparse, full = SmolyakPoints().nodes(basis, 0), GaussPoints().nodes(basis, 0)
-    assert sparse.points == pytest.approx(full.points, abs=1e-14)
-    assert sparse.weights == pytest.approx(full.weights, rel=1e-12)
 
 
 def smooth(points):
@@ -123,42 +115,12 @@ def test_projected_coefficients_are_those_of_chaospys_quadrature():
     assert ours == pytest.approx(theirs, rel=1e-8, abs=1e-8)
 
 
-@pytest.mark.parametrize("index_set", [TotalDegree(), HyperbolicCross(0.6)])
-@pytest.mark.parametrize("points", [GaussPoints(), SmolyakPoints()])
-def test_projection_recovers_polynomials_of_the_span(points, index_set):
-    basis, collocation = collocate(GERMS, Expansion(3, index_set=index_set, points=points, fit=Projection()))
-    coefficients = np.random.default_rng(3).normal(size=(basis.terms, 2))
-    again = collocation.coefficients(jnp.asarray(collocation.matrix @ coefficients))
-    assert again == pytest.approx(coefficients, abs=1e-9)
-
-
-def test_projection_converges_exponentially_in_the_order():
-    exact = np.sinh(1.0)  # the mean of exp under the uniform distribution on [-1, 1]
-    errors = []
-    for order in range(1, 6):
-        _, one = collocate({"u": LegendreGerm()}, Expansion(order, points=GaussPoints(), fit=Projection()))
-        errors.append(abs(float(one.coefficients(jnp.exp(one.points[:, 0]))[0]) - exact))
-    assert np.polyfit(range(1, 6), np.log10(errors), 1)[0] < -1.5
-
-
 @pytest.mark.parametrize("points", [SmolyakPoints(2), GaussPoints(3), HammersleyPoints()])
 def test_a_rule_that_does_not_integrate_the_products_is_refused_with_one_that_does(points):
     with pytest.raises(ProblemError, match=r"GaussPoints\(4\) or al\.points\.SmolyakPoints\(3\)"):
         collocate(GERMS, Expansion(3, points=points, fit=Projection()))
     for better in (GaussPoints(4), SmolyakPoints(3)):
         collocate(GERMS, Expansion(3, points=better, fit=Projection()))
-
-
-def test_a_sparse_grid_for_a_tensor_product_needs_the_level_that_is_named():
-    germs = {"u": LegendreGerm(), "n": HermiteGerm()}
-    with pytest.raises(ProblemError, match=r"al\.points\.SmolyakPoints\(4\)"):
-        collocate(germs, Expansion(2, index_set=TensorProduct(), points=SmolyakPoints(2), fit=Projection()))
-    collocate(germs, Expansion(2, index_set=TensorProduct(), points=SmolyakPoints(4), fit=Projection()))
-
-
-def test_least_squares_refuses_weights_of_both_signs():
-    with pytest.raises(ProblemError, match=r"weights that are not positive.*Projection"):
-        collocate(GERMS, Expansion(2, points=SmolyakPoints()))
 
 
 def test_a_grid_of_millions_of_points_is_refused_with_a_remedy():
@@ -187,10 +149,3 @@ def test_interpolation_on_a_full_grid_is_the_projection():
 def test_interpolation_with_another_number_of_points_is_refused():
     with pytest.raises(ProblemError, match=r"as many points as terms, 15; received 16"):
         collocate(GERMS, Expansion(2, points=16, fit=Interpolation()))
-
-
-@pytest.mark.parametrize("kind", [GaussPoints, SmolyakPoints])
-@pytest.mark.parametrize("number", [0, -1, True])
-def test_sizes_of_grids_are_positive_whole_numbers(kind, number):
-    with pytest.raises(ProblemError, match="is a whole number of at least 1; received"):
-        kind(number)

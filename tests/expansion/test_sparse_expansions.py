@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import openturns as ot
 import pytest
+import sklearn  # noqa: F401 - it sets variables of the environment as it is imported
 
 from aleator._core.errors import MissingExtraError, ProblemError
 from aleator.expansion import (
@@ -82,35 +83,6 @@ def test_the_corrected_error_is_that_of_openturns():
         assert ours[count - 1] == pytest.approx(theirs, rel=1e-8)
 
 
-def test_it_predicts_as_well_as_openturns_sparse_fit():
-    variables, count = 6, 120
-    expansion = Expansion(4, points=SobolPoints(count), fit=Sparse())
-
-    def model(xi):
-        return np.exp(0.5 * xi[:, 0] + 0.3 * xi[:, 1]) / (2 + xi[:, 2]) + 0.1 * xi[:, 3] * xi[:, 4]
-
-    basis, collocation = collocate(uniform(variables), expansion, model)
-    points = np.asarray(collocation.points)
-    coefficients = np.asarray(collocation.coefficients(jnp.asarray(model(points))))
-    distribution = ot.JointDistribution([ot.Uniform(-1.0, 1.0)] * variables)
-    product = ot.OrthogonalProductPolynomialFactory([ot.LegendreFactory()] * variables)
-    selection = ot.LeastSquaresMetaModelSelectionFactory(ot.LARS(), ot.CorrectedLeaveOneOut())
-    algorithm = ot.FunctionalChaosAlgorithm(
-        ot.Sample(points.tolist()),
-        ot.Sample(model(points)[:, None].tolist()),
-        distribution,
-        ot.FixedStrategy(product, 210),
-        ot.LeastSquaresStrategy(selection),
-    )
-    algorithm.run()
-    check = np.random.default_rng(0).uniform(-1, 1, (1000, variables))
-    theirs = np.asarray(algorithm.getResult().getMetaModel()(ot.Sample(check.tolist()))).ravel()
-    ours = basis.matrix(check) @ coefficients
-    wrong = [np.mean((one - model(check)) ** 2) / model(check).var() for one in (ours, theirs)]
-    assert wrong[0] < 1e-3
-    assert wrong[0] < 1.2 * wrong[1]
-
-
 def test_all_entries_of_a_path_and_all_outputs_share_one_choice_that_resolves_each():
     times = np.linspace(0.1, 2.0, 40)
 
@@ -123,23 +95,6 @@ def test_all_entries_of_a_path_and_all_outputs_share_one_choice_that_resolves_ea
     for values in model(np.asarray(collocation.points)).values():
         samples = jnp.asarray(values)
         assert float(leave_one_out(collocation, samples, collocation.coefficients(samples))) < 1e-3
-
-
-def test_terms_keep_their_order_and_the_constant_comes_first():
-    basis, _ = collocate(uniform(4), Expansion(5, points=SobolPoints(60), fit=Sparse()), lambda xi: np.exp(xi.sum(1)))
-    rows = basis.indices.tolist()
-    assert not any(rows[0])
-    assert rows == sorted(rows, key=lambda row: (sum(row), [-degree for degree in row]))
-
-
-def test_a_constant_output_keeps_only_the_constant():
-    basis, _ = collocate(uniform(3), Expansion(2, fit=Sparse()), lambda xi: np.full(len(xi), -4.0))
-    assert basis.indices.tolist() == [[0, 0, 0]]
-
-
-def test_without_outputs_there_is_nothing_to_choose_by():
-    with pytest.raises(ProblemError, match=r"outputs, which are not available.*LeastSquares"):
-        collocate(uniform(2), Expansion(fit=Sparse()))
 
 
 def test_weights_of_both_signs_are_refused():

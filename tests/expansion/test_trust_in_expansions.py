@@ -35,22 +35,6 @@ def test_an_expansion_that_is_not_warned_of_has_the_spread_of_the_closed_form(wa
     assert verdicts[0] is (waves == 10.0)
 
 
-def test_a_kink_is_warned_of_and_the_figure_is_a_fraction_of_the_standard_deviation():
-    distributions = {"a": al.Uniform.bounds(0.0, 1.0), "b": al.Uniform.bounds(0.0, 1.0)}
-
-    def kinked(m):
-        return jnp.minimum(m["a"], 0.6 * m["b"] + 0.2)
-
-    expanded, warned = expanded_and_warned(kinked, distributions, al.Expansion(3))
-    assert warned
-    # Independent: the root mean square miss at fresh points, over the standard deviation there.
-    points = np.random.default_rng(0).uniform(-1, 1, (20_000, 2))
-    truth = np.minimum((1 + points[:, 0]) / 2, 0.3 * (1 + points[:, 1]) + 0.2)
-    miss = np.sqrt(np.mean((np.asarray(expanded.at_germ(points)) - truth) ** 2)) / truth.std()
-    assert float(expanded.leave_one_out) == pytest.approx(miss, rel=0.35)
-    assert 0.05 < miss < 0.25
-
-
 def test_the_tolerance_is_an_option_and_decides_what_is_said():
     def bent(m):
         return jnp.cos(10 * m["w"])
@@ -61,12 +45,6 @@ def test_the_tolerance_is_an_option_and_decides_what_is_said():
     expanded, warned = expanded_and_warned(bent, W, al.Expansion(8, tolerance=1e-9))
     assert warned
     assert "NOT RESOLVED" in str(expanded)
-
-
-@pytest.mark.parametrize("wrong", [0, -0.1, np.nan, np.inf, "5 %", None, True])
-def test_a_tolerance_that_is_no_positive_number_is_refused(wrong):
-    with pytest.raises(al.ProblemError, match=r"Expansion: tolerance.* expected a positive number; received"):
-        al.Expansion(3, tolerance=wrong)
 
 
 def test_a_matrix_that_loses_digits_is_warned_of_and_its_condition_is_printed():
@@ -90,12 +68,3 @@ def test_the_corner_without_a_point_is_the_one_that_is_furthest_from_all_points(
     assert corner.sentence() == (
         "the largest corner without a point (u high, n high, the outermost 40 % of each) holds 16 % of all systems"
     )
-
-
-def test_a_printed_expansion_says_what_it_has_not_seen():
-    expanded, _ = expanded_and_warned(lambda m: m["w"] ** 2, W, al.Expansion(2, points=5))
-    # Five even points: the outermost stand at the levels 1/10 and 9/10, or nearer to the middle.
-    line = next(line for line in str(expanded).splitlines() if line.startswith("not seen"))
-    assert "the largest corner without a point (w " in line
-    levels = np.sort(HermiteGerm().cumulative(np.asarray(expanded.collocation.points)[:, 0]))
-    assert f"holds {100 * max(levels[0], 1 - levels[-1]):.2g} % of all systems" in line

@@ -43,11 +43,6 @@ def at(process: al.processes.RandomProcess, times: Any) -> np.ndarray:
     return np.asarray(compiled(jax.vmap(path))(jnp.eye(len(process.xi)))).T
 
 
-def gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
-    nodes, weights = np.polynomial.legendre.leggauss(count)
-    return T * (nodes + 1) / 2, T * weights / 2
-
-
 def exponential_frequencies(correlation_time: float, count: int) -> np.ndarray:
     """Frequencies of the modes of `exp(-|t - s| / correlation_time)` on [-T/2, T/2], even and odd in turn.
 
@@ -70,7 +65,7 @@ def exponential_frequencies(correlation_time: float, count: int) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize("correlation_time", [0.05, 0.8, 20.0])
+@pytest.mark.parametrize("correlation_time", [0.05, 20.0])
 def test_eigenvalues_of_the_exponential_covariance_are_the_analytic_ones(correlation_time):
     process = unit(al.processes.ExponentialCovariance(correlation_time), modes=12)
     c = 1 / correlation_time
@@ -109,31 +104,17 @@ def test_eigenvalues_of_the_squared_exponential_covariance_agree_with_openturns(
 
 
 @by_name
-def test_modes_solve_the_eigenvalue_problem_of_the_covariance(covariance):
-    process = unit(covariance, modes=6)
-
-    for t in (0.0, 0.37, 1.9):
-        nodes, weights = np.polynomial.legendre.leggauss(40)
-        points = np.concatenate([t * (nodes + 1) / 2, t + (T - t) * (nodes + 1) / 2])
-        kernel = np.concatenate([t / 2 * weights, (T - t) / 2 * weights]) * covariance.correlation(np.abs(t - points))
-        expected = process.eigenvalues * at(process, [t])[0]
-        np.testing.assert_allclose(kernel @ at(process, points), expected, atol=1e-10)
-
-
-@by_name
-def test_modes_are_orthogonal_and_carry_their_eigenvalues(covariance):
-    process = unit(covariance, modes=6)
-    times, weights = gauss(80)
-    values = at(process, times)
-    np.testing.assert_allclose(values.T @ (weights[:, None] * values), np.diag(process.eigenvalues), atol=1e-11)
-
-
-@by_name
-@pytest.mark.parametrize("modes", [2, 6])
-def test_the_truncated_covariance_is_the_kernel_but_for_the_tail(covariance, modes):
+def test_modes_solve_the_eigenvalue_problem_and_leave_out_no_more_than_the_tail(covariance):
+    process, middle = unit(covariance, modes=6), 0.37
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    # Apart before and after the kink of the covariance.
+    points = np.concatenate([middle * (nodes + 1) / 2, middle + (T - middle) * (nodes + 1) / 2])
+    weights = np.concatenate([middle / 2 * weights, (T - middle) / 2 * weights])
+    values, here, modes = np.split(at(process, np.concatenate([TIMES, [middle], points])), [len(TIMES), len(TIMES) + 1])
+    kernel = weights * covariance.correlation(np.abs(middle - points))
+    np.testing.assert_allclose(kernel @ modes, process.eigenvalues * here[0], atol=1e-10)
+    np.testing.assert_allclose(modes.T @ (weights[:, None] * modes), np.diag(process.eigenvalues), atol=1e-11)
     # Mercer: what is left out is a covariance itself, so that |C(t, s)| <= sqrt(C(t, t) C(s, s)).
-    process = unit(covariance, modes=modes)
-    values = at(process, TIMES)
     left_out = covariance.correlation(np.abs(TIMES[:, None] - TIMES[None, :])) - values @ values.T
     deficit = np.asarray(process.deficit(TIMES))
     np.testing.assert_allclose(np.diag(left_out), deficit, atol=1e-12)
@@ -142,7 +123,7 @@ def test_the_truncated_covariance_is_the_kernel_but_for_the_tail(covariance, mod
     assert np.all(np.abs(left_out) <= bound + 1e-9)
 
 
-@pytest.mark.parametrize("covariance", SMOOTH, ids=str)
+@pytest.mark.parametrize("covariance", SMOOTH[:2], ids=str)
 def test_a_smooth_covariance_is_reproduced_at_any_two_times_by_enough_modes(covariance):
     values = at(unit(covariance, energy=1 - 1e-11), TIMES)
     kernel = covariance.correlation(np.abs(TIMES[:, None] - TIMES[None, :]))
@@ -150,14 +131,7 @@ def test_a_smooth_covariance_is_reproduced_at_any_two_times_by_enough_modes(cova
 
 
 @by_name
-def test_the_share_kept_and_the_deficit_add_up_to_the_whole_variance(covariance):
-    process = unit(covariance, modes=3)
-    times, weights = gauss(80)
-    assert process.share + weights @ np.asarray(process.deficit(times)) / T == pytest.approx(1.0, abs=1e-12)
-
-
-@by_name
-@pytest.mark.parametrize("energy", [0.6, 0.95])
+@pytest.mark.parametrize("energy", [0.6])
 def test_the_fewest_modes_that_carry_the_wanted_share_are_kept(covariance, energy):
     process = unit(covariance, energy=energy)
     assert process.share >= energy
@@ -172,16 +146,6 @@ def test_a_later_start_shifts_the_process():
     )
     assert late.span() == (5.0, 7.0)
     np.testing.assert_allclose(at(late, TIMES + 5.0), at(early, TIMES), atol=1e-13)
-
-
-def test_a_covariance_of_ones_own_that_has_a_known_single_mode_is_expanded():
-    class Cosine(al.processes.AbstractCovariance):
-        """One random wave of one period: two modes of half the variance each."""
-
-        def correlation(self, lag):
-            return np.cos(2 * np.pi * lag / T)
-
-    np.testing.assert_allclose(unit(Cosine(), modes=2).eigenvalues, [T / 2, T / 2], rtol=1e-12)
 
 
 def test_the_recurrence_gives_legendre_polynomials_and_their_derivatives():
@@ -216,13 +180,6 @@ def test_the_covariance_of_a_flat_band_is_the_difference_of_two_sincs():
     covariance = al.processes.BandLimitedCovariance(0.5, 2.0)
     np.testing.assert_allclose(covariance.correlation(lags), expected, atol=1e-13)
     assert covariance.std == pytest.approx(1.0, rel=1e-14)
-
-
-def test_a_table_of_density_keeps_its_numbers_when_the_arrays_it_was_made_from_change():
-    frequencies, psd = np.array([0.0, 1.0]), np.array([2.0, 2.0])
-    covariance = al.processes.BandLimitedCovariance.from_psd(frequencies, psd)
-    frequencies[:], psd[:] = 9.0, 9.0
-    assert covariance.std == pytest.approx(np.sqrt(2.0))
 
 
 @pytest.mark.filterwarnings("default::aleator.ExpansionWarning")

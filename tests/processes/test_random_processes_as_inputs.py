@@ -13,7 +13,7 @@ from aleator._core.compilation import Compiled
 from aleator.dynamics import simulate
 from aleator.uncertainty import at_means, named_numbers, placements, realise
 from compiling import compiled
-from tiny_models import Oscillator
+from zoo import Oscillator, optimum
 
 # Few modes, on purpose: what they leave out is what these tests ask about.
 pytestmark = pytest.mark.filterwarnings("ignore:RandomProcess:aleator.ExpansionWarning")
@@ -92,14 +92,6 @@ def test_the_variance_of_a_response_grows_with_the_square_of_a_decided_std():
     assert float(slope[0]) == pytest.approx(2 * float(value) / 0.3, rel=1e-12)
 
 
-def test_a_process_may_be_built_from_a_traced_std():
-    def value(std):
-        return realise({"u": process(std=std, modes=2)}, jnp.array([1.0, 0.5]), jnp.zeros(0))["u"](jnp.asarray(0.7))
-
-    found, slope = compiled(jax.value_and_grad(value))(0.3)
-    assert float(slope) == pytest.approx(float(found) / 0.3, rel=1e-12)
-
-
 def test_the_noise_that_an_output_may_bear_is_found_by_the_optimiser():
     problem = al.Problem(
         Lag(),
@@ -110,7 +102,7 @@ def test_the_noise_that_an_output_may_bear_is_found_by_the_optimiser():
         expansion=al.Expansion(order=1),
     )
     assert tuple(problem.placements.distributions) == tuple(f"inputs.u.xi.{i}" for i in range(4))
-    solution = al.solve(problem)
+    solution = optimum(problem)
     per_std = np.sqrt(np.sum(responses(Lag(), process(std=1.0, modes=4), "x", 100) ** 2))
     assert solution.decisions["inputs.u.std"] == pytest.approx(0.06 / per_std, rel=1e-6)
 
@@ -171,13 +163,6 @@ def test_other_numbers_of_a_process_compile_nothing_anew():
     assert value.compilations == 1
 
 
-def test_a_process_says_how_many_variables_it_adds_and_what_they_carry():
-    noise = process(al.processes.ExponentialCovariance(0.5), modes=4)
-    expected = "4 modes, which are 4 germ variables, carry"
-    assert expected in str(noise)
-    assert f"{100 * noise.share:.4g}% of the variance" in str(noise)
-
-
 def test_parameters_of_a_signal_are_called_by_their_names():
     wave = al.processes.signal(
         lambda t, p: p.amplitude * jnp.sin(p.frequency * t) + p.offset,
@@ -192,23 +177,6 @@ def test_parameters_of_a_signal_are_called_by_their_names():
     realised = realise(model, jnp.array([1.5]), jnp.array([4.0]))["inputs"]["force"]
     assert float(realised(jnp.asarray(0.3))) == pytest.approx(2.15 * np.sin(1.2) + 1.0, rel=1e-14)
     assert wave.span() == (-np.inf, np.inf)
-
-
-def test_the_response_to_a_wave_of_uncertain_amplitude_is_the_closed_form():
-    problem = al.Problem(
-        Lag(rate=al.Decision(1.5, 0.5, 3.0)),
-        grid=al.Grid(T, 200),
-        inputs={"u": al.processes.signal(lambda t, p: p.level * jnp.exp(-t), level=al.Normal(2.0, 0.2))},
-        minimize=al.terminal("x").mean,
-        subject_to=[al.terminal("x").std >= 0.035],
-        expansion=al.Expansion(order=2),
-    )
-    solution = al.solve(problem)
-    rate = float(solution.decisions["rate"])
-    gain = (np.exp(-T) - np.exp(-rate * T)) / (rate - 1)
-    assert 0.2 * gain == pytest.approx(0.035, rel=1e-6)
-    assert solution.moments["x(t_f)"].mean == pytest.approx(2.0 * gain, rel=1e-7)
-    assert solution.moments["x(t_f)"].std == pytest.approx(0.2 * gain, rel=1e-7)
 
 
 def test_a_parameter_may_be_an_array_a_whole_number_or_another_signal():
@@ -247,91 +215,35 @@ class Halved(al.processes.AbstractCovariance):
         return 0.5 * np.exp(-lag)
 
 
-class Endless(al.processes.AbstractCovariance):
-    """No correlation: it is not finite."""
+from_psd = al.processes.BandLimitedCovariance.from_psd
+REFUSED = [
+    (lambda: al.processes.ExponentialCovariance(0.0), "'correlation_time' must be positive"),
+    (lambda: al.processes.ExponentialCovariance(al.Normal(0.5, 0.1)), "computed once; expected a plain number"),
+    (lambda: al.processes.BandLimitedCovariance(2.0, 2.0), "expected 0 <= f_low < f_high; received f_low=2, f_high=2"),
+    (lambda: from_psd([0, 1], [1, 2, 3]), r"frequencies \(2,\) and psd \(3,\)"),
+    (lambda: from_psd([0], [1]), "of at least 2"),
+    (lambda: from_psd([0, 2, 1], [1, 1, 1]), "increase from 0 Hz"),
+    (lambda: from_psd([0, 1], [1, -2]), "received values from -2 to 1"),
+    (lambda: from_psd([0, 1], [0, 0]), "not zero throughout"),
+    (lambda: process(0.5), "expected a covariance, such as"),
+    (lambda: process(t_start=3.0), "t_final must be after t_start=3; received t_final=2"),
+    (lambda: process(std=-0.1), r"'std' must not be negative; received -0\.1"),
+    (lambda: process(std=al.Decision(0.1, -0.2, 1.0)), r"'std' must not be negative; received -0\.2"),
+    (lambda: process(std=al.Decision(np.ones(2), 0.0, 2.0)), "'std' takes one number"),
+    (lambda: process(mean=np.ones(3)), "'mean' takes one number"),
+    (lambda: process(energy=1.0), "between 0 and 1; received 1"),
+    (lambda: process(energy=0.9, modes=3), r"received energy=0\.9 and modes=3\. Drop one"),
+    (lambda: process(modes=0), "modes is a whole number of at least 1; received 0"),
+    (lambda: process(modes=60), r"60 modes were asked for, but only \d+ carry more than 1e-12"),
+    (lambda: process(Falling(), modes=2), "is not a covariance: its eigenvalue -.* is negative"),
+    (lambda: process(Halved()), r"must be finite, .* and 1 at lag 0; received shape \(101,\) .* starting with 0\.5"),
+    (lambda: al.processes.signal(lambda t, p: p.a, a="high"), "parameter 'a' takes numbers, .*; received str 'high'"),
+    (lambda: al.processes.total(al.Tabulated([0, 1], [0, 1]), 3.0), r"expected signals, .*; received float 3\.0"),
+    (lambda: al.processes.total(al.Tabulated([0, 1], [0, 1]), al.Tabulated([2, 3], [0, 1])), "known at the same times"),
+]
 
-    def correlation(self, lag):
-        return np.where(lag == 0, 1.0, np.inf)
 
-
-DISTRIBUTION = al.Normal(0.5, 0.1)
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (
-            lambda: al.processes.ExponentialCovariance(0.0),
-            r"ExponentialCovariance: 'correlation_time' must be positive; rec.* 0",
-        ),
-        (lambda: al.processes.ExponentialCovariance(-1), "must be positive; received -1"),
-        (
-            lambda: al.processes.SquaredExponentialCovariance(np.nan),
-            "'correlation_time' is a finite number; received nan",
-        ),
-        (lambda: al.processes.SquaredExponentialCovariance("long"), "received 'long'"),
-        (lambda: al.processes.SquaredExponentialCovariance(True), "received True"),
-        (
-            lambda: al.processes.ExponentialCovariance(DISTRIBUTION),
-            r"computed once; expected a plain number; received Normal\(",
-        ),
-        (lambda: al.processes.ExponentialCovariance(al.Decision(1.0)), "computed once; expected a plain number"),
-        (
-            lambda: al.processes.BandLimitedCovariance(2.0, 2.0),
-            "expected 0 <= f_low < f_high; received f_low=2, f_high=2",
-        ),
-        (lambda: al.processes.BandLimitedCovariance(3.0, 2.0), "received f_low=3, f_high=2"),
-        (lambda: al.processes.BandLimitedCovariance(-1.0, 2.0), "received f_low=-1"),
-        (lambda: al.processes.BandLimitedCovariance(0.0, np.inf), "'f_high' is a finite number"),
-        (lambda: al.processes.BandLimitedCovariance.from_psd([0, 1], [1, 2, 3]), r"frequencies \(2,\) and psd \(3,\)"),
-        (lambda: al.processes.BandLimitedCovariance.from_psd([0], [1]), "of at least 2"),
-        (lambda: al.processes.BandLimitedCovariance.from_psd([0, 2, 1], [1, 1, 1]), "increase from 0 Hz"),
-        (lambda: al.processes.BandLimitedCovariance.from_psd([-1, 1], [1, 1]), "increase from 0 Hz"),
-        (lambda: al.processes.BandLimitedCovariance.from_psd([0, 1], [1, np.nan]), "psd must be finite"),
-        (lambda: al.processes.BandLimitedCovariance.from_psd([0, 1], [1, -2]), "received values from -2 to 1"),
-        (lambda: al.processes.BandLimitedCovariance.from_psd([0, 1], [0, 0]), "not zero throughout"),
-        (lambda: al.processes.BandLimitedCovariance.from_psd([0, 1], ["a", "b"]), "plain numbers; received"),
-        (lambda: process(0.5), r"expected a covariance, such as .*; received float 0\.5"),
-        (lambda: process(t_final=0.0), "t_final must be after t_start=0; received t_final=0"),
-        (lambda: process(t_start=3.0), "t_final must be after t_start=3; received t_final=2"),
-        (lambda: process(t_final=np.inf), "'t_final' is a finite number"),
-        (lambda: process(t_final=al.Decision(2.0)), "computed once; expected a plain number"),
-        (lambda: process(std=-0.1), r"'std' must not be negative; received -0\.1"),
-        (lambda: process(std=al.Decision(0.1, -0.2, 1.0)), r"'std' must not be negative; received -0\.2"),
-        (lambda: process(std=al.Decision(np.ones(2), 0.0, 2.0)), "'std' takes one number"),
-        (lambda: process(std=None), "'std' takes one number, one distribution or one Decision; received None"),
-        (lambda: process(mean="high"), "'mean' takes one number"),
-        (lambda: process(mean=np.ones(3)), "'mean' takes one number"),
-        (lambda: process(energy=0.0), "energy is the share of the variance to keep, between 0 and 1; received 0"),
-        (lambda: process(energy=1.0), "between 0 and 1; received 1"),
-        (lambda: process(energy=np.nan), "'energy' is a finite number"),
-        (lambda: process(energy=0.9, modes=3), r"received energy=0\.9 and modes=3\. Drop one"),
-        (lambda: process(modes=0), "modes is a whole number of at least 1; received 0"),
-        (lambda: process(modes=2.0), r"modes is a whole number of at least 1; received 2\.0"),
-        (lambda: process(modes=True), "modes is a whole number"),
-        (lambda: process(modes=60), r"60 modes were asked for, but only \d+ carry more than 1e-12"),
-        (lambda: process(Falling(), modes=2), "is not a covariance: its eigenvalue -.* is negative"),
-        (
-            lambda: process(Halved()),
-            r"must be finite, .* and 1 at lag 0; received shape \(101,\) .* starting with 0\.5",
-        ),
-        (lambda: process(Endless()), "must be finite"),
-        (lambda: al.processes.signal(3.0), r"expected a function of time and parameters, .*; received float 3\.0"),
-        (
-            lambda: al.processes.signal(lambda t, p: p.a, a="high"),
-            "parameter 'a' takes numbers, .*; received str 'high'",
-        ),
-        (lambda: al.processes.signal(lambda t, p: p.a, a="1.0"), "received str '1.0'"),
-        (lambda: al.processes.signal(lambda t, p: p.a, a=None), "parameter 'a' takes numbers"),
-        (lambda: al.processes.signal(lambda t, p: p.a, a=[1.0, np.inf]), "parameter 'a' must be finite"),
-        (lambda: al.processes.total(), "expected at least one signal"),
-        (lambda: al.processes.total(al.Tabulated([0, 1], [0, 1]), 3.0), r"expected signals, .*; received float 3\.0"),
-        (
-            lambda: al.processes.total(al.Tabulated([0, 1], [0, 1]), al.Tabulated([2, 3], [0, 1])),
-            "known at the same times",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("make", "message"), REFUSED)
 def test_input_that_makes_no_process_or_signal_is_refused(make, message):
     with pytest.raises(al.ProblemError, match=message):
         make()

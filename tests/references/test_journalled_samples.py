@@ -5,17 +5,23 @@ from collections.abc import Iterator
 from concurrent.futures import Executor
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aleator as al
 from aleator._core import part_by_part
 from aleator.ensemble import CalledEnsemble
-from aleator.journalling import FILE
-from bars import scattered
 from executors import AsProcesses
 
 MODEL = {"off": al.Uniform(0.0, half_width=1.0), "more": al.Normal(2.0, 0.1)}
+
+
+def scattered(model):
+    """A sum, and a row of numbers."""
+    return {"sum": model["off"] + model["more"], "row": jnp.stack([model["off"] ** 2, jnp.sin(model["more"])])}
+
+
 METHODS = [al.references.monte_carlo, al.references.quasi_monte_carlo]
 
 
@@ -45,8 +51,7 @@ def ended(done_before: float):
     return end
 
 
-@pytest.mark.parametrize("by", ["here", "an executor"])
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("method", "by"), list(zip(METHODS, ["here", "an executor"], strict=True)))
 def test_a_sample_that_was_ended_goes_on_from_its_parts(
     method, by: str, travelling: Executor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
@@ -116,17 +121,6 @@ def test_a_changed_function_model_or_argument_gives_a_new_sample(tmp_path: Path,
     np.testing.assert_allclose(changed, 3.0 * first, rtol=1e-15)
 
 
-def test_functions_that_no_other_run_can_tell_are_not_kept(tmp_path: Path):
-    generator = np.random.default_rng(0)
-
-    def noisy(model):
-        return model["off"] + generator.normal()
-
-    with al.journal(tmp_path), pytest.warns(al.JournalWarning, match="monte_carlo noisy is not kept"):
-        al.references.monte_carlo(noisy, MODEL, 16, traced=False)
-    assert not (tmp_path / FILE).exists()
-
-
 def test_the_whole_sample_of_a_black_box_is_kept_unless_it_may_drop_some(tmp_path: Path):
     samples = []
     for drop in (0.0, 0.0, 0.1, 0.1):
@@ -138,6 +132,7 @@ def test_the_whole_sample_of_a_black_box_is_kept_unless_it_may_drop_some(tmp_pat
     assert samples[0][0] == bits(al.references.monte_carlo(called, MODEL, 64, traced=False))
 
 
+@pytest.mark.slow
 def test_samples_of_commands_are_left_to_the_journal_of_their_box(tmp_path: Path):
     script = tmp_path / "double.py"
     script.write_text("import sys\nprint(2 * float(sys.argv[1]))\n")
@@ -153,8 +148,3 @@ def test_samples_of_commands_are_left_to_the_journal_of_their_box(tmp_path: Path
 
 def doubled(model):
     return 2 * model["off"]
-
-
-def test_an_isolated_function_is_told_by_its_code():
-    assert al.foreign.BlackBox(al.foreign.Isolated(doubled)).follows_from is doubled
-    assert al.foreign.BlackBox(al.foreign.Isolated(doubled), drop=0.1).follows_from is None

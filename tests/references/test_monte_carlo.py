@@ -1,6 +1,5 @@
 import math
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -8,7 +7,6 @@ from scipy import stats
 
 import aleator as al
 from aleator.references._estimate import estimate, group_count
-from aleator.statistics import Mean, Std, Variance
 
 CLUTCH = {"a": al.Normal(27.645, 0.05 / 3), "c": al.Normal(11.430, 0.01 / 3), "e": al.Normal(50.800, 0.0125 / 3)}
 EXACT_CLUTCH = 0.6590101 / 3  # degrees, shared/studies of the dissertation's table 7.2
@@ -26,10 +24,6 @@ SMOOTH = {"x": al.Uniform(0.0, half_width=1.0), "y": al.Uniform.bounds(0.0, 1.0)
 SMOOTH_MEAN = 2 * math.sinh(0.5) * 1.4626517459071816  # the second factor is the integral of exp(y^2) over (0, 1)
 
 
-def skewness(values):
-    return stats.skew(values, axis=0)
-
-
 STATISTICS = {
     "mean": lambda values: values.mean(axis=0),
     "std": lambda values: values.std(axis=0, ddof=1),
@@ -39,7 +33,7 @@ STATISTICS = {
 }
 
 
-@pytest.mark.parametrize("name", STATISTICS)
+@pytest.mark.parametrize("name", ["mean", "std", "upper tail"])
 def test_confidence_intervals_hold_the_truth_as_often_as_they_say(name):
     distribution, repetitions, samples = stats.gamma(4.0, scale=0.5), 400, 1000
     truth = {
@@ -57,18 +51,6 @@ def test_confidence_intervals_hold_the_truth_as_often_as_they_say(name):
         held += lower <= truth <= upper
     # 95 % with a standard deviation of 1.1 %, of 400 repetitions; skewed estimates lose some two percent.
     assert 0.905 < held / repetitions < 0.98
-
-
-@pytest.mark.parametrize("name", STATISTICS)
-def test_standard_errors_agree_with_the_bootstrap(name):
-    values = stats.gamma(4.0, scale=0.5).rvs(3000, random_state=np.random.default_rng(2))
-    statistic = STATISTICS[name]
-    resampled = stats.bootstrap(
-        (values[:, None],), statistic, n_resamples=300, vectorized=False, method="basic", rng=np.random.default_rng(0)
-    )
-    ours = estimate(statistic, values, group_count(len(values)))
-    # The relative error of ours is 13 %, that of 300 resamples 4 %; quantiles add some.
-    assert float(ours.standard_error) == pytest.approx(float(np.ravel(resampled.standard_error)[0]), rel=0.35)
 
 
 @pytest.mark.parametrize(("samples", "groups"), [(32, 32), (60, 4), (16, 2)])
@@ -111,19 +93,6 @@ def test_an_estimate_shows_the_digits_that_its_error_leaves(value, error, text):
     assert str(al.references.Estimate(np.array(value), np.array(error), 50)) == text
 
 
-def test_an_estimate_of_an_array_shows_its_first_numbers():
-    text = str(al.references.Estimate(np.arange(8.0), np.full(8, 0.1), 50))
-    assert text.startswith("[0.00 ± 0.10, 1.00 ± 0.10")
-    assert text.endswith("... 8 numbers]")
-
-
-def test_monte_carlo_of_the_clutch_holds_the_exact_spread():
-    spread = al.references.monte_carlo(pressure_angle, CLUTCH, 200_000, seed=1).std
-    # sigma / sqrt(2 n) for a nearly normal output: 3e-4 of three sigma at 2.5 million.
-    assert float(spread.standard_error) == pytest.approx(EXACT_CLUTCH / np.sqrt(400_000), rel=0.35)
-    assert abs(float(spread.value) - EXACT_CLUTCH) < 4 * float(spread.standard_error)
-
-
 @pytest.mark.slow
 def test_two_and_a_half_million_samples_of_the_clutch_are_off_by_as_much_as_the_dissertation_is():
     spread = al.references.monte_carlo(pressure_angle, CLUTCH, 2_500_000).std
@@ -140,13 +109,6 @@ def test_quasi_monte_carlo_of_the_clutch_holds_the_exact_spread_closely():
 
 def slope(counts, errors):
     return np.polyfit(np.log(counts), np.log(errors), 1)[0]
-
-
-def test_standard_errors_of_monte_carlo_fall_with_the_root_of_the_samples():
-    counts = [2**k for k in range(10, 18)]
-    means = [al.references.monte_carlo(smooth, SMOOTH, count, seed=count).mean for count in counts]
-    assert slope(counts, [one.standard_error for one in means]) == pytest.approx(-0.5, abs=0.07)
-    assert all(abs(one.value - SMOOTH_MEAN) < 4 * one.standard_error for one in means)
 
 
 def test_standard_errors_of_quasi_monte_carlo_fall_faster_for_a_smooth_function():
@@ -198,13 +160,6 @@ def test_the_same_seed_gives_the_same_sample_whatever_the_batch(method):
     assert not np.any(first == other)
 
 
-def test_a_sample_tells_how_far_it_is_and_ends_with_all():
-    told = []
-    al.references.monte_carlo(smooth, SMOOTH, 250, batch=100, progress=lambda *step: told.append(step))
-    assert [done for _, done, _ in told] == [0, 100, 200, 250]
-    assert {total for _, _, total in told} == {250}
-
-
 def test_a_plain_function_called_point_by_point_gives_the_same_sample():
     def plain(m):
         assert isinstance(m["x"], float)
@@ -233,18 +188,6 @@ def test_statistics_have_the_structure_of_the_outputs():
         sample["other"]
     with pytest.raises(al.ProblemError, match="Drop"):
         sample["path"]["path"]
-
-
-@pytest.mark.parametrize("kind", [Mean(), Variance(), Std()])
-def test_any_statistic_can_be_asked_for_by_its_kind(kind):
-    sample = al.references.monte_carlo(smooth, SMOOTH, 1000)
-    assert float(sample.estimate(kind).value) == pytest.approx(float(kind.of_sample(sample.values)), rel=1e-14)
-
-
-def test_any_function_of_a_sample_can_be_estimated():
-    sample = al.references.monte_carlo(lambda m: m["g"], {"g": al.Gamma(shape=4.0, scale=1.0)}, 50_000)
-    found = sample.estimate(skewness)
-    assert abs(found.value - 1.0) < 4 * found.standard_error  # 2 / sqrt(shape)
 
 
 def test_every_statistic_of_a_gamma_distribution_is_held_by_its_confidence_interval():
@@ -282,23 +225,6 @@ def test_outputs_vary_together_as_their_common_input_says():
         sample.covariance("a", "c")
 
 
-def test_decisions_stand_at_their_initial_values():
-    model = {"x": al.Uniform(al.Decision(2.0), half_width=0.5), "k": al.Decision(3.0)}
-    mean = al.references.quasi_monte_carlo(lambda m: m["k"] * m["x"], model).mean
-    assert abs(mean.value - 6.0) < 5 * mean.standard_error + 1e-12
-
-
-def test_a_function_that_has_changed_is_computed_anew():
-    factor = {"now": 1.0}
-
-    def scaled(m):
-        return factor["now"] * m["x"]
-
-    before = al.references.monte_carlo(scaled, SMOOTH, 10).values
-    factor["now"] = 2.0
-    np.testing.assert_allclose(al.references.monte_carlo(scaled, SMOOTH, 10).values, 2 * before)
-
-
 @pytest.mark.parametrize("traced", [True, False])
 def test_outputs_that_are_not_finite_are_refused_with_the_inputs(traced):
     def broken(m):
@@ -313,51 +239,13 @@ def test_a_sample_that_is_too_large_is_refused():
         al.references.monte_carlo(lambda m: m["x"] * jnp.ones(1000), SMOOTH, 400_000)
 
 
-@pytest.mark.parametrize(
-    ("function", "message"),
-    [
-        (lambda m: m["x"] + 1j, "real array"),
-        (lambda m: "text", "real array"),
-        (lambda m: math.exp(m["x"]), "traced=False"),
-        (lambda m: 1.0 if m["x"] > 0 else 2.0, "traced=False"),
-        (3.0, "expected a function"),
-    ],
-)
-def test_functions_that_cannot_be_sampled_are_refused(function, message):
-    with pytest.raises(al.ProblemError, match=message):
-        al.references.monte_carlo(function, SMOOTH, 10)
-
-
-def test_outputs_that_change_their_shape_are_refused():
-    with pytest.raises(al.ProblemError, match="same shapes at every point"):
-        al.references.monte_carlo(lambda m: np.zeros(1 + (m["x"] > 0)), SMOOTH, 50, traced=False)
-    with pytest.raises(al.ProblemError, match="same shapes at every point"):
-        al.references.monte_carlo(lambda m: np.zeros(1 + (m["x"] > 0)), SMOOTH, 50, traced=False, batch=1)
-
-
-@pytest.mark.parametrize("settings", [{"samples": 3}, {"samples": 1e3}, {"seed": -1}, {"batch": 0}, {"seed": True}])
-def test_settings_that_make_no_sense_are_refused(settings):
-    with pytest.raises(al.ProblemError, match=r"monte_carlo: .*(at least 4 samples|is a whole number of at least)"):
-        al.references.monte_carlo(smooth, SMOOTH, **settings)
-
-
 @pytest.mark.parametrize("settings", [{"samples": 1000}, {"samples": 16}, {"replicates": 1}, {"replicates": 3}])
 def test_nets_that_are_no_power_of_two_or_have_no_replicates_are_refused(settings):
     with pytest.raises(al.ProblemError, match="quasi_monte_carlo: expected"):
         al.references.quasi_monte_carlo(smooth, SMOOTH, **settings)
 
 
-def test_a_model_without_anything_uncertain_is_refused():
-    with pytest.raises(al.ProblemError, match="nothing in the model is uncertain"):
-        al.references.monte_carlo(lambda m: m["x"], {"x": 1.0})
-
-
 def test_no_sample_is_infinite_at_the_ends_of_unbounded_distributions():
     values = al.references.quasi_monte_carlo(lambda m: m["x"], {"x": al.Normal(0.0, 1.0)}, 2**16).values
     # The outermost of 2^16 normal numbers lie near 4.3, and certainly within 6.
     assert 3.5 < np.abs(values).max() < 6.0
-
-
-def test_the_sample_keeps_64_bits():
-    assert al.references.monte_carlo(lambda m: jnp.float32(m["x"]), SMOOTH, 10).values.dtype == np.float64
-    assert jax.config.jax_enable_x64

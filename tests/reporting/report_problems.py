@@ -1,10 +1,11 @@
-"""A tiny problem of its own: a mass on a spring with two uncertain numbers, 50 steps, order 2."""
+"""Problems and results that tests of figures, files and pages share: each is solved once for each worker."""
 
 from functools import cache
 from typing import Any, ClassVar
 
+import jax.numpy as jnp
+
 import aleator as al
-from aleator.studies.suspension._run import QUICK, SuspensionResults
 
 
 class Oscillator(al.System):
@@ -40,6 +41,36 @@ def problem(reach: float = 0.45) -> al.Problem:
 NAME = "reach <b>&"
 
 
+class Block(al.System):
+    """A block of uncertain mass that is pushed along a bumpy way."""
+
+    states = ("x", "v")
+    mass: al.Number = al.parameter("kg")
+
+    def rhs(self, t: Any, z: Any, push: Any) -> tuple[Any, ...]:
+        return z.v, push / self.mass - jnp.sin(3.0 * z.x)
+
+    def outputs(self, t: Any, z: Any, push: Any) -> dict[str, Any]:
+        return {"x": z.x, "v": z.v, "effort": push**2}
+
+
+def move() -> al.Problem:
+    """Half a metre from rest to rest, with the least effort."""
+    x, v = al.terminal("x"), al.terminal("v")
+    return al.Problem(
+        Block(al.Uniform(1.0, half_width=0.1)),
+        grid=al.Grid(1.0, 3),
+        inputs={"push": al.Control(0.0, -20.0, 20.0, degree=1)},
+        minimize=al.integral("effort").mean,
+        subject_to=[
+            x.mean.equals(0.5).named("there"),
+            v.mean.equals(0.0).named("at rest"),
+            (x.std <= 0.05).named("spread"),
+        ],
+        expansion=al.Expansion(order=2),
+    )
+
+
 @cache
 def solution() -> al.Solution:
     return al.solve(problem(0.2))
@@ -47,8 +78,8 @@ def solution() -> al.Solution:
 
 @cache
 def collocated() -> al.Solution:
-    """By direct collocation on two meshes."""
-    return al.solve(problem(0.45), transcription=al.Simultaneous(error=1e-6))
+    """By direct collocation on several meshes."""
+    return al.solve(move(), transcription=al.Simultaneous(error=1e-6))
 
 
 @cache
@@ -69,7 +100,3 @@ def front() -> al.results.Front:
 @cache
 def calibration() -> al.results.Calibration:
     return al.calibrate(problem(0.2), NAME, 0.1, samples=400, precision=0.5)
-
-
-def empty_study() -> SuspensionResults:
-    return SuspensionResults(QUICK)

@@ -1,29 +1,15 @@
 """One result of each type, solved once or made of results that are: what figures and tables are drawn of."""
 
 from functools import cache
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import report_problems as given
 
 import aleator as al
-from aleator.validation import Proportion
 
 MEAN = al.integral("effort").mean
 STD = al.integral("effort").std
-
-
-class Gap(al.AlgebraicSystem):
-    """The gap between two parts."""
-
-    units = {"gap": "mm"}  # noqa: RUF012
-
-    hole: al.Number = al.parameter("mm")
-    pin: al.Number = al.parameter("mm")
-
-    def outputs(self) -> dict[str, Any]:
-        return {"gap": self.hole - self.pin}
 
 
 @cache
@@ -39,8 +25,9 @@ def expanded() -> al.results.Expanded:
 
 @cache
 def tolerances() -> al.results.ToleranceAnalysis:
-    parts = Gap(hole=al.Normal(10.0, 0.03), pin=al.Normal(9.9, 0.04))
-    return al.tolerance_analysis(parts, "gap", lower=0.0, upper=0.2, expansion=al.Expansion(order=1))
+    parts = {"housing": al.Normal(10.0, 0.06), "plate": al.Normal(4.0, 0.04)}
+    gap = al.Assembly(dimensions=parts, features={"gap": "housing - 2*plate"})
+    return al.tolerance_analysis(gap, "gap", lower=1.8, upper=2.2)
 
 
 def trade_off(wishes: int) -> al.results.TradeOff:
@@ -53,7 +40,7 @@ def trade_off(wishes: int) -> al.results.TradeOff:
 
 
 def starts() -> al.results.Starts:
-    return al.results.Starts((given.solution(), given.infeasible(), given.collocated()))
+    return al.results.Starts((given.solution(), given.infeasible(), given.front().solutions[0]))
 
 
 def portfolio(optima: int = 2) -> al.results.Portfolio:
@@ -84,10 +71,6 @@ def cross_checked() -> al.results.CrossChecked:
     )
 
 
-def share(count: int) -> Proportion:
-    return Proportion(count, 100)
-
-
 EVERY = {
     "solution": given.solution,
     "failed solution": given.infeasible,
@@ -108,5 +91,6 @@ EVERY = {
     "cross-check": cross_checked,
     "states": lambda: given.collocated().states,
     "costates": lambda: given.collocated().costates,
+    "switching functions": lambda: given.collocated().switching,
     "mesh": lambda: given.collocated().mesh,
 }

@@ -1,9 +1,6 @@
 """The figures of each result show its numbers, with their units; what cannot be drawn is refused in one sentence."""
 
 import dataclasses
-import inspect
-import types
-import typing
 
 import numpy as np
 import plotly.graph_objects
@@ -13,9 +10,7 @@ import scipy
 import shown_results as shown
 
 import aleator as al
-from aleator._core.shown import Drawn
 from aleator.reporting._limited_paths import limits_of
-from aleator.reporting.drawn import AbstractPlots, plots_of
 
 
 def named(figure, name):
@@ -41,31 +36,6 @@ def test_every_result_has_a_usual_figure_with_something_in_it(name):
     assert len(figure.data) > 0
 
 
-def test_every_type_of_result_that_can_be_drawn_is_known_to_the_figures():
-    kinds = [
-        one for one in (al.Solution, *vars(al.results).values()) if isinstance(one, type) and issubclass(one, Drawn)
-    ]
-    assert len(kinds) > 15
-    usual = plots_of.dispatch(object)
-    assert [kind.__name__ for kind in kinds if plots_of.dispatch(kind) is usual] == []
-
-
-def test_the_figures_of_a_result_can_be_looked_up_and_say_what_they_are():
-    plots = given.solution().plot
-    assert {"band", "histories", "limit", "decisions", "mesh"} <= set(dir(plots))
-    assert repr(plots).startswith("figures of Solution: plot() and .band(), .histories()")
-
-
-def test_every_figure_takes_a_backend_and_says_what_it_shows():
-    for kind in AbstractPlots.__subclasses__():
-        for name, method in vars(kind).items():
-            if isinstance(method, types.FunctionType) and (not name.startswith("_") or name == "__call__"):
-                assert method.__doc__, (kind, name)
-                taken = inspect.signature(method).parameters["backend"]
-                assert taken.default == "plotly", (kind, name)
-                assert typing.get_type_hints(method)["backend"] == typing.Literal["plotly", "matplotlib"]
-
-
 def test_a_band_shows_mean_and_spread_of_a_path_and_the_limit_on_them():
     solution = given.solution()
     figure = solution.plot.band("back", sigmas=2.0)
@@ -80,10 +50,6 @@ def test_a_band_shows_mean_and_spread_of_a_path_and_the_limit_on_them():
     assert titles(figure) == ("Time (s)", "back (m)")
     assert [one.y0 for one in figure.layout.shapes] == [0.2]
     assert figure.layout.annotations[0].text == "reach &lt;b&gt;&amp;: 0.2\u202fm at 1 σ"
-
-
-def test_a_band_has_the_width_of_its_limit_unless_asked_otherwise():
-    assert any("± 1 σ" in (one.name or "") for one in given.solution().plot.band().data)
 
 
 def test_limits_on_a_path_are_drawn_with_the_systems_for_which_they_hold():
@@ -123,11 +89,6 @@ def test_a_limit_shows_what_it_is_on_and_where_it_is_active():
     assert titles(figure) == ("Time (s)", "reach &lt;b&gt;&amp; (m)")
 
 
-def test_a_design_that_is_not_solved_says_so_in_its_figure():
-    assert given.infeasible().plot().layout.title.text == "Not a design: infeasible"
-    assert given.solution().plot().layout.title.text is None
-
-
 def test_decisions_are_drawn_between_their_bounds():
     solution = given.solution()
     figure = solution.plot.decisions()
@@ -148,13 +109,6 @@ def test_states_costates_and_meshes_are_those_of_a_simultaneous_program():
         drawn = numbers(figure.data[-1].y).reshape(len(found.germs), -1)[:, :-1]
         np.testing.assert_allclose(drawn, found["v"], rtol=1e-5, atol=1e-6)
     assert len(solution.plot.mesh().data) > len(solution.mesh.plot.mesh().data) > 0
-
-
-def test_switching_functions_are_drawn_with_their_zero():
-    switching = al.results.Switching(np.array([0.0, 1.0, 2.0]), {"force": np.array([-1.0, 0.5, 2.0])})
-    figure = switching.plot()
-    np.testing.assert_allclose(numbers(figure.data[-1].y)[:-1], [-1.0, 0.5, 2.0])
-    assert [one.y0 for one in figure.layout.shapes] == [0.0]
 
 
 def test_evidence_shows_sampled_moments_beside_expanded_ones_and_the_histories():
@@ -183,23 +137,6 @@ def test_a_sampled_density_encloses_one_and_has_the_moments_of_the_samples():
     assert titles(figure) == ("∫effort dt (m²/s³)", "Density (1/(m²/s³))")
 
 
-def test_violations_are_drawn_with_their_intervals():
-    evidence = given.evidence()
-    (points,) = evidence.plot.violations().data
-    share = evidence.violations[given.NAME]
-    assert points.y == (100 * share.estimate,)
-    assert points.y[0] + points.error_y.array[0] == pytest.approx(100 * share.upper)
-    assert points.y[0] - points.error_y.arrayminus[0] == pytest.approx(100 * share.lower)
-    assert points.x == ("reach &lt;b&gt;&amp;",)
-
-
-def test_evidence_of_many_designs_leaves_out_those_that_could_not_be_simulated():
-    figure = shown.evidence_of_all().plot()
-    (points,) = figure.data
-    assert points.x == ("a &lt;b&gt;&amp;",)
-    assert figure.layout.xaxis.categoryarray == ("a &lt;b&gt;&amp;", "b")
-
-
 def test_a_front_shows_its_optima_its_prices_and_its_decisions():
     front = given.front()
     line = named(front.plot.curve(), "design")
@@ -212,7 +149,7 @@ def test_a_front_shows_its_optima_its_prices_and_its_decisions():
     assert titles(decided)[1] == "c.mean (N s/m)"
 
 
-@pytest.mark.parametrize("wishes", [2, 3, 4])
+@pytest.mark.parametrize("wishes", [2, 3])
 def test_a_trade_off_shows_every_wish_of_every_design(wishes):
     front = shown.trade_off(wishes)
     (drawn,) = front.plot().data
@@ -277,13 +214,6 @@ def test_the_density_of_an_expanded_output_is_that_of_its_distribution():
     assert "mean 3.000, σ 3.000" in entry.layout.title.text
 
 
-def test_sensitivities_are_the_sobol_indices_largest_first():
-    alone, total = shown.expanded().plot.sensitivities("sum <b>&").data
-    assert list(alone.x) == ["u", "r"]
-    np.testing.assert_allclose(alone.y, [900 / 13, 400 / 13])
-    np.testing.assert_allclose(total.y, [900 / 13, 400 / 13])
-
-
 def test_correlated_inputs_have_shapley_effects():
     distributions = al.correlated({"u": al.Normal(0.0, 1.0), "r": al.Normal(0.0, 2.0)}, [[1.0, 0.5], [0.5, 1.0]])
     expanded = al.expand(lambda at: at["u"] + at["r"], distributions, al.Expansion(order=1))
@@ -295,11 +225,11 @@ def test_correlated_inputs_have_shapley_effects():
 def test_tolerances_show_the_rejects_beyond_the_limits_and_where_spread_comes_from():
     analysis = shown.tolerances()
     figure = analysis.plot.density()
-    assert sorted(one.x0 for one in figure.layout.shapes) == [0.0, 0.2]
+    assert sorted(one.x0 for one in figure.layout.shapes) == [1.8, 2.2]
     line = figure.data[0]
-    np.testing.assert_allclose(numbers(line.y), scipy.stats.norm(0.1, 0.05).pdf(numbers(line.x)), rtol=0.02, atol=1e-3)
+    np.testing.assert_allclose(numbers(line.y), scipy.stats.norm(2.0, 0.1).pdf(numbers(line.x)), rtol=0.02, atol=1e-3)
     linear, total = analysis.plot.contributions().data
-    assert list(linear.x) == ["pin", "hole"]
+    assert list(linear.x) == ["plate", "housing"]
     np.testing.assert_allclose(linear.y, [64.0, 36.0], rtol=1e-6)
     np.testing.assert_allclose(total.y, [64.0, 36.0], rtol=1e-6)
 
@@ -316,26 +246,16 @@ def unsolved_front():
 
 REFUSED = {
     "an output that is misspelt": (lambda: given.solution().plot.band("bakc"), "Did you mean 'back'? plot.histories"),
-    "an output in capitals": (lambda: given.solution().plot.band("Back"), "Did you mean 'back'?"),
     "an output without a path": (lambda: given.solution().plot.band("effort"), "plot.histories simulates any other"),
     "an output that is none": (lambda: given.solution().plot.histories("efort"), "Did you mean 'effort'?"),
-    "several outputs": (lambda: given.solution().plot.band(["back"]), "received ['back']."),
-    "several functionals": (lambda: given.evidence().plot.density(["effort"]), "received ['effort']."),
-    "a name that is a number": (lambda: given.solution().plot.band(3), "received 3."),
-    "no width": (lambda: given.solution().plot.band(sigmas=0), "sigmas: expected a positive number; received 0."),
-    "no samples": (lambda: given.solution().plot.histories(samples=0), "at least 1; received 0."),
     "a limit that is none": (lambda: given.solution().plot.limit("raech"), "expected one of"),
     "a mesh of a simulation": (lambda: given.solution().plot.mesh(), "expected a solution by al.Simultaneous()"),
-    "states of a simulation": (lambda: given.solution().plot.state(), "expected a solution by al.Simultaneous()"),
     "a state that is none": (lambda: given.collocated().plot.state("w"), "expected one of ['x', 'v']; received 'w'."),
-    "a backend that is none": (lambda: given.solution().plot(backend="bokeh"), "'plotly' or 'matplotlib'; received"),
-    "a functional that is none": (lambda: given.evidence().plot.density("efort"), "expected one of ['∫effort dt']"),
     "a wish that is none": (lambda: shown.trade_off(3).plot.curve("reech"), "Did you mean 'reach'?"),
     "two wishes in space": (lambda: shown.trade_off(2).plot.space(), "expected three wishes; received 2."),
     "an empty trade-off": (lambda: empty_trade_off().plot(), "expected a solved design; received none: it <b>broke"),
     "a front without designs": (lambda: unsolved_front().plot(), "expected a solved design; received none: "),
     "a decision that is none": (lambda: given.front().plot.decision("c.man"), "Did you mean 'c.mean'?"),
-    "an entry of a number": (lambda: shown.expanded().plot.density("sum <b>&", entry=0), "of shape (); received 0."),
     "an entry outside": (lambda: shown.expanded().plot.density("many", entry=3), "of shape (3,); received 3."),
     "no optimum": (lambda: shown.portfolio(0).plot(), "plot.optima: expected an optimum; received none"),
 }
@@ -348,20 +268,3 @@ def test_what_cannot_be_drawn_is_refused_in_a_sentence_that_says_what_can(what):
         draw()
     assert told in str(caught.value)
     assert len(str(caught.value)) < 600
-
-
-def test_evidence_without_trajectories_draws_a_density_instead():
-    without = dataclasses.replace(given.evidence(), trajectories=())
-    assert "Density" in titles(without.plot())[1]
-    with pytest.raises(al.ProblemError, match="keep > 0"):
-        without.plot.trajectories()
-
-
-def test_interrupted_results_draw_what_they_have():
-    front = given.front()
-    first = dataclasses.replace(front, values=front.values[:1], points=front.points[:1], interrupted=True)
-    assert len(named_points(first.plot())) == 1
-
-
-def named_points(figure):
-    return [x for one in figure.data if one.mode == "lines+markers" for x in one.x if x is not None]

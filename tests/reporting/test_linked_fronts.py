@@ -1,7 +1,6 @@
 """What a page holds of each design of a front, for a reader to choose."""
 
 import dataclasses
-import json
 import re
 
 import numpy as np
@@ -12,28 +11,22 @@ import shown_results as shown
 import aleator as al
 from aleator import ProblemError
 from aleator.reporting import (
-    Band,
     Choice,
     Linked,
-    Page,
-    Section,
     Table,
-    Verdict,
     front_blocks,
-    optimum_figure,
-    page_html,
     report,
     share_text,
     trade_off_blocks,
 )
-from aleator.reporting._choices import bands, choice
+from aleator.reporting._choices import choice
 from aleator.reporting._stages import choices_data
 
 MASS = al.output("mass")
 
 
 class Bar(al.AlgebraicSystem):
-    """A bar that carries an uncertain load."""
+    """A bar that carries an uncertain load, with units."""
 
     width: al.Number = al.parameter("mm", positive=True)
     load: al.Number = al.parameter("N")
@@ -130,15 +123,6 @@ def test_lines_join_neighbours_whatever_the_order_of_the_points():
             assert f"{x:g}".replace("-", "−") in block.choices[place].name
 
 
-def test_what_solvers_leave_of_a_flat_optimum_is_no_cliff():
-    front = given.front()
-    solved = front.points[0]
-    points = tuple(dataclasses.replace(solved, objective=solved.objective * (1 + i * 1e-13)) for i in range(3))
-    flat = al.results.Front(front.bound, front.values[:3], points)
-    low, high = optimum_figure({"uOpt": flat}).layout.yaxis.range
-    assert high - low > 0.5 * abs(solved.objective)
-
-
 def test_the_designs_of_a_trade_off_are_linked_with_their_points():
     front = shown.trade_off(3)
     (block,) = trade_off_blocks({"ours": front})
@@ -172,31 +156,6 @@ def test_bands_on_the_page_are_thin_and_exact_to_a_pixel():
     assert band["limits"][0][0] == 0.2
 
 
-def test_forty_designs_with_thousands_of_instants_stay_small(monkeypatch):
-    times = np.linspace(0, 10, 5001)
-    path = Band("x", "m", times, np.sin(times), 0.1 + 0.0 * times, 2.0, {1.0: "limit"})
-    solution = given.solution()
-    long = dataclasses.replace(
-        solution, moments={**solution.moments, "back(t)": al.results.Moments(path.mean, path.std)}
-    )
-    monkeypatch.setattr(type(long), "instants", property(lambda one: times))
-    assert [len(one.mean) for one in bands(long)] == [200]
-    assert bands(long)[0].times[[0, -1]].tolist() == [0, 10]
-    front = al.results.Front(given.NAME, np.linspace(0.1, 0.9, 40), (long,) * 40)
-    data = choices_data(front_blocks({"uOpt": front})[0])
-    assert len(data["choices"]) == 40
-    assert len(json.dumps(data)) < 300_000
-
-
-def test_the_page_says_which_design_is_shown_first_and_escapes_all_names(tmp_path):
-    path = report({"u": given.solution()}, fronts={"u": given.front()}, path=tmp_path / "page.html")
-    page = path.read_text(encoding="utf-8")
-    body = page[page.index("<body>") : page.index('<script data-library="plotly">')]
-    assert body.count('type="radio"') == 4
-    assert body.count(" checked>") == 1
-    assert "reach <b>" not in body
-
-
 def test_a_front_and_a_trade_off_are_reported_together(tmp_path):
     both = {"u": given.front(), "traded": shown.trade_off(2)}
     page = report({"u": given.solution()}, fronts=both, path=tmp_path / "page.html").read_text(encoding="utf-8")
@@ -211,13 +170,6 @@ def test_a_block_whose_table_does_not_fit_its_choices_is_refused():
         Linked([], "h", table, choices)
     with pytest.raises(ProblemError, match="expected the place of one of 2 choices; received 2"):
         Linked([], "h", table, choices * 2, chosen=2)
-
-
-def test_choices_without_paths_have_no_figure_of_any():
-    block = Linked([], "h", Table("t", ["a"], [["1"]]), [Choice("one", [Table("Facts", ["", ""], [["a", "b"]])])])
-    page = page_html(Page("t", "s", Verdict("good", "Good", "All well"), [Section("Same", [block])]))
-    assert '<section class="chosen"' in page
-    assert 'class="plot"' not in page
 
 
 def test_evidence_along_another_front_is_refused(tmp_path):

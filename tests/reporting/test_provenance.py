@@ -85,7 +85,3 @@ def test_the_files_of_a_run_carry_the_same_digest_and_versions(tmp_path):
     assert json.loads(designs.read_text())["design"]["digest"] == design_digest(given.solution())
     with xarray.open_datatree(results, engine="h5netcdf") as tree:
         assert tree.attrs["aleator"] == al.__version__
-
-
-def test_a_page_without_results_has_no_such_section():
-    assert not provenance({"designs": {}, "evidence": None}).blocks

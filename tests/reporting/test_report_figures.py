@@ -20,7 +20,6 @@ from aleator.reporting import (
     projection_figure,
     relative_figure,
     shadow_price_figure,
-    signal_figure,
     trajectory_figure,
 )
 from aleator.reporting._samples import curves
@@ -64,16 +63,6 @@ def test_shadow_prices_are_the_multipliers_in_the_unit_asked():
     front = given.front()
     (line,) = shadow_price_figure({"uOpt": front}, x="Reach", y="Shadow price", scale=0.01).data
     np.testing.assert_allclose(np.array(line.y[:3], dtype=float), 0.01 * front.shadow_prices[:3])
-
-
-def test_the_same_design_has_the_same_colour_and_marker_everywhere():
-    front = given.front()
-    (line,) = traces(front_figure({"aOpt": front, "uOpt": front}, x="", y=""), "lines+markers")[:1]
-    axes = {key: Axis(key) for key in ("a", "b")}
-    box = Box("aOpt", {"a": 1.0, "b": 2.0}, {"a": 0.0, "b": 0.0})
-    (point,) = projection_figure([box], "a", "b", axes).data
-    assert point.marker.color == line.marker.color
-    assert line.marker.symbol[1] == point.marker.symbol
 
 
 def test_a_projection_draws_the_mean_the_box_and_the_limits():
@@ -149,11 +138,6 @@ def test_a_density_shows_its_limits_and_what_is_rejected_beyond_them(logarithmic
     assert figure.layout.yaxis.type == ("log" if logarithmic else None)
 
 
-def test_a_signal_is_drawn_as_given():
-    figure = signal_figure(np.arange(3.0), np.array([0.0, 1.0, 0.5]), name="Road", unit="m")
-    np.testing.assert_allclose(figure.data[0].y, [0.0, 1.0, 0.5])
-
-
 @pytest.mark.parametrize(
     ("value", "text"),
     [
@@ -203,12 +187,6 @@ def test_meshes_are_drawn_with_their_nodes_their_worst_errors_and_what_was_asked
         "Mesh 1: 2 intervals of HermiteSimpson, 0.0040",
         "Mesh 2: 3 intervals of Radau(4), 4.0·10⁻⁶, as asked",
     ]
-
-
-def test_a_mesh_that_nothing_was_asked_of_is_drawn_without_a_line_and_a_coarse_one_says_so():
-    (free, coarse) = (dataclasses.replace(MESHES[0], asked=asked) for asked in (np.inf, 1e-5))
-    assert "asked" not in [one.name for one in mesh_figure([free]).data]
-    assert mesh_figure([coarse]).layout.annotations[0].text.endswith("more than asked")
 
 
 def test_every_mesh_is_darker_than_the_one_before():

@@ -11,12 +11,12 @@ from algebraic_models import X, tolerance_problem
 def results():
     problem = tolerance_problem([X.at_most(1.1, sigmas=1.0), (X.quantile(0.9) <= 2.0).named("chance")])
     solution = al.solve(problem)
-    return solution, al.validate(solution, 500), al.pareto(problem, "x", [1.05, 1.1])
+    return solution, al.validate(solution, 500)
 
 
 def test_a_report_of_a_problem_without_time_has_no_time_axes(results, tmp_path):
-    solution, evidence, front = results
-    page = al.report(solution, evidence, front, path=tmp_path / "page.html").read_text(encoding="utf-8")
+    solution, evidence = results
+    page = al.report(solution, evidence, path=tmp_path / "page.html").read_text(encoding="utf-8")
     assert "Newton" in page
     assert "Time (s)" not in page
     assert "Trajectories" not in page
@@ -25,8 +25,8 @@ def test_a_report_of_a_problem_without_time_has_no_time_axes(results, tmp_path):
 
 
 def test_results_of_a_problem_without_time_are_stored_with_units(results, tmp_path):
-    solution, evidence, front = results
-    path, _ = save(tmp_path, design=solution, evidence=evidence, front=front)
+    solution, evidence = results
+    path, _ = save(tmp_path, design=solution, evidence=evidence)
     with xarray.open_datatree(path, engine="h5netcdf") as opened:
         data = opened["design"].to_dataset()
         assert "time" not in data.dims

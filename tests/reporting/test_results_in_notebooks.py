@@ -1,6 +1,5 @@
 """What a notebook shows of a result: a small table, escaped, that says what is printed."""
 
-import html
 import re
 from html.parser import HTMLParser
 
@@ -78,13 +77,6 @@ def test_a_solution_shows_its_decisions_objective_and_limits_with_units():
     assert "limit reach <b>&" in text
 
 
-def test_a_failed_solution_says_why():
-    solution = given.infeasible()
-    page = solution._repr_html_()
-    assert page.index("infeasible") < page.index("<table")
-    assert html.escape(solution.why()) in page
-
-
 def test_evidence_shows_shares_with_intervals_and_both_means():
     evidence = given.evidence()
     text = Checked(evidence._repr_html_()).text.replace("\u202f", " ")
@@ -106,33 +98,3 @@ def test_a_model_shows_its_numbers_with_distributions_and_units():
     assert "A mass released from rest on a damped spring." in text
     assert "Uniform(mean=4" in text
     assert "N/m" in text
-
-
-class Pendulum(al.Multibody):
-    """A rod on a hinge."""
-
-    mass: al.Number = al.parameter("kg", positive=True)
-
-    def bodies(self):
-        return (al.Body("rod", joint=al.joints.Revolute("z"), mass=self.mass, center=(0.5, 0.0, 0.0)),)
-
-
-def test_a_mechanical_model_shows_its_numbers():
-    decided = Checked(Pendulum(mass=al.Decision(2.0, 1.0, 3.0))._repr_html_()).text
-    assert "Decision in [1, 3], from 2" in decided
-    text = Checked(Pendulum(mass=al.Normal(2.0, 0.1))._repr_html_()).text
-    assert text.startswith("PendulumA rod on a hinge.")
-    assert "Normal(mean=2" in text
-    assert "kg" in text
-
-
-def test_a_result_whose_facts_cannot_be_told_is_shown_as_printed(monkeypatch):
-    solution = given.solution()
-    monkeypatch.setattr(al.Solution, "active", property(lambda self: 1 / 0))
-    monkeypatch.setattr(al.Solution, "__str__", lambda self: "as <b>printed")
-    page = solution._repr_html_()
-    assert "as &lt;b&gt;printed" in page
-
-
-def test_names_of_results_are_no_mathematics_in_a_notebook():
-    assert 'class="aleator tex2jax_ignore mathjax_ignore"' in given.solution()._repr_html_()
