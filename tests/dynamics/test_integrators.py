@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import aleator as al
 from compiling import compiled
-from tiny_models import Decay, Oscillator, central_differences, derivative_error, sine
+from zoo import Decay, Oscillator, derivative_error, sine
 
 TIMES = np.linspace(0.0, 5.0, 41)
 PUSH = np.cos(1.7 * TIMES) + 0.3 * np.sin(5.0 * TIMES)
@@ -60,7 +60,7 @@ def test_runge_kutta_converges_with_order_four():
     exact = np.exp(-damping * times) * (np.cos(frequency * times) + damping / frequency * np.sin(frequency * times))
     steps = np.array([40, 160, 640])
     errors = [
-        np.abs(al.simulate(system, al.Grid(end, int(n)), {"force": silence})["x"][:: n // 10] - exact).max()
+        np.abs(np.asarray(al.simulate(system, al.Grid(end, int(n)), {"force": silence})["x"])[:: n // 10] - exact).max()
         for n in steps
     ]
     slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
@@ -70,23 +70,13 @@ def test_runge_kutta_converges_with_order_four():
 def test_runge_kutta_agrees_with_scipy_on_a_nonlinear_system_with_a_tabulated_input():
     grid = al.Grid(5.0, 4000)
     outputs = al.simulate(Pendulum(), grid, {"push": al.Tabulated(TIMES, PUSH)})
+    outputs = {name: np.asarray(values) for name, values in outputs.items()}
     at = np.arange(0, 4001, 400)
     angle, speed = scipy_pendulum(np.asarray(grid.times)[at])
     np.testing.assert_allclose(outputs["angle"][at], angle, atol=1e-10)
     np.testing.assert_allclose(outputs["speed"][at], speed, atol=1e-10)
     np.testing.assert_allclose(outputs["energy"][at], 0.5 * speed**2 + 4 * (1 - np.cos(angle)), atol=1e-9)
     np.testing.assert_allclose(outputs["u"], np.interp(grid.times, TIMES, PUSH), atol=1e-14)
-
-
-@pytest.mark.parametrize(
-    "integrator", [al.integrators.Tsit5(1e-9, 1e-11), al.integrators.Kvaerno5(1e-9, 1e-11)], ids=["Tsit5", "Kvaerno5"]
-)
-def test_adaptive_integrators_agree_with_scipy_behind_the_same_call(integrator):
-    grid = al.Grid(5.0, 10)
-    outputs = al.simulate(Pendulum(), grid, {"push": al.Tabulated(TIMES, PUSH)}, integrator)
-    angle, speed = scipy_pendulum(np.asarray(grid.times))
-    np.testing.assert_allclose(outputs["angle"], angle, atol=1e-6)
-    np.testing.assert_allclose(outputs["speed"], speed, atol=1e-6)
 
 
 class Robertson(al.System):
@@ -105,18 +95,22 @@ class Robertson(al.System):
         return {"a": 1.0}
 
 
-def test_kvaerno_solves_a_stiff_problem():
+@pytest.mark.parametrize(
+    "integrator",
+    # The other method is the one by which the error of the first is estimated.
+    [al.integrators.Kvaerno5(), pytest.param(al.integrators.Kvaerno5().reference(), marks=pytest.mark.slow)],
+    ids=lambda one: type(one).__name__,
+)
+def test_implicit_methods_solve_a_stiff_problem(integrator):
     def rhs(t, z):
         slow, fast, quadratic = 0.04 * z[0], 1e4 * z[1] * z[2], 3e7 * z[1] ** 2
         return [-slow + fast, slow - fast - quadratic, quadratic]
 
     grid = al.Grid(40.0, 8)
     reference = solve_ivp(rhs, (0, 40), [1, 0, 0], "Radau", np.asarray(grid.times), rtol=1e-11, atol=1e-14).y
-    # So does the other method, which its error is estimated by.
-    for integrator in (al.integrators.Kvaerno5(), al.integrators.Kvaerno5().reference()):
-        outputs = al.simulate(Robertson(), grid, integrator=integrator)
-        for name, values in zip("abc", reference, strict=True):
-            np.testing.assert_allclose(outputs[name], values, rtol=1e-6, atol=1e-12)
+    outputs = al.simulate(Robertson(), grid, integrator=integrator)
+    for name, values in zip("abc", reference, strict=True):
+        np.testing.assert_allclose(outputs[name], values, rtol=1e-6, atol=1e-12)
 
 
 class Chain(al.System):
@@ -165,7 +159,7 @@ def test_states_that_are_not_named_start_at_zero_and_a_grid_may_start_late():
         al.integrators.Tsit5(1e-12, 1e-13),
         pytest.param(al.integrators.Kvaerno5(1e-12, 1e-13), marks=pytest.mark.slow),
     ],
-    ids=["RungeKutta4", "Tsit5", "Kvaerno5"],
+    ids=lambda one: type(one).__name__,
 )
 def test_derivatives_through_every_integrator_agree_with_finite_differences(integrator):
     # A smooth input: an adaptive step that crosses a kink makes noise in the differences, not in the derivative.
@@ -174,47 +168,69 @@ def test_derivatives_through_every_integrator_agree_with_finite_differences(inte
     def angles(numbers):
         return al.simulate(Pendulum(damping=numbers[0], start=numbers[1]), grid, inputs, integrator)["angle"]
 
+    both = compiled(lambda x: (angles(x), jax.jacfwd(angles)(x)))
     point = np.array([0.3, 0.8])
-    jacobian, values = compiled(jax.jacfwd(angles))(point), compiled(angles)
-    assert derivative_error(lambda x: np.asarray(values(x)), jacobian, point) < 1e-6
+    assert derivative_error(lambda x: np.asarray(both(x)[0]), both(point)[1], point) < 1e-6
 
 
-def test_derivatives_of_a_decay_are_those_of_the_exponential():
-    jacobian = jax.jacfwd(lambda x: al.simulate(Decay(x[0], x[1]), al.Grid(1.0, 100))["x"][-1])(jnp.array([0.7, 2.0]))
-    np.testing.assert_allclose(jacobian, [-2.0 * np.exp(-0.7), np.exp(-0.7)], rtol=1e-8)
-    differences = central_differences(lambda x: x[1] * np.exp(-x[0]), np.array([0.7, 2.0]), 1e-5)
-    np.testing.assert_allclose(jacobian, differences, rtol=1e-8)
+@pytest.mark.parametrize(
+    "integrator",
+    [al.integrators.Tsit5(1e-9, 1e-11), pytest.param(al.integrators.Kvaerno5(1e-9, 1e-11), marks=pytest.mark.slow)],
+    ids=lambda one: type(one).__name__,
+)
+def test_adaptive_integrators_agree_with_scipy_behind_the_same_call(integrator):
+    grid = al.Grid(5.0, 10)
+    outputs = al.simulate(Pendulum(), grid, {"push": al.Tabulated(TIMES, PUSH)}, integrator)
+    angle, speed = scipy_pendulum(np.asarray(grid.times))
+    np.testing.assert_allclose(outputs["angle"], angle, atol=1e-6)
+    np.testing.assert_allclose(outputs["speed"], speed, atol=1e-6)
 
 
 class Explosion(al.System):
-    """`x' = x²` from 1: infinite at t = 1."""
+    """`x' = x²`, which is infinite at `1 / x(0)`."""
 
     states = ("x",)
+
+    start: al.Number = 1.0
 
     def rhs(self, t, z):
         return (z.x**2,)
 
     def outputs(self, t, z):
-        return {"x": z.x}
+        return {"x": z.x, "constant": 1.0}
 
     def initial(self):
-        return {"x": 1.0}
+        return {"x": self.start}
+
+
+def test_what_runs_away_is_named_at_its_first_time():
+    with pytest.warns(al.SimulationWarning, match=r"Explosion: output 'x' is not finite at t = (\d+\.?\d*) s") as told:
+        x = np.asarray(al.simulate(Explosion(), al.Grid(40.0, 40))["x"])
+    first = int(np.argmax(~np.isfinite(x)))
+    assert first > 0
+    assert f"t = {first} s" in str(told[0].message)
+    # What stays finite is not warned of, nor what is traced.
+    assert np.isfinite(al.simulate(Explosion(), al.Grid(0.5, 40))["x"]).all()
+    assert not np.isfinite(compiled(lambda x: al.simulate(Explosion(x), al.Grid(40.0, 40))["x"])(1.0)[-1])
 
 
 @pytest.mark.parametrize(
-    "integrator",
-    [al.integrators.Tsit5(max_steps=300), al.integrators.Kvaerno5(max_steps=300)],
-    ids=["Tsit5", "Kvaerno5"],
+    ("system", "end", "integrator", "message"),
+    [
+        (Explosion(), 2.0, al.integrators.Tsit5(max_steps=300), r"is not finite at any instant\. .* stops at t = 1 s"),
+        pytest.param(
+            Explosion(),
+            2.0,
+            al.integrators.Kvaerno5(max_steps=300),
+            r"is not finite at any instant\. .* stops at t = 1 s",
+            marks=pytest.mark.slow,
+        ),
+        (Decay(1.0), 50.0, al.integrators.Tsit5(max_steps=3), "used up its 3 steps at t = "),
+    ],
 )
-def test_adaptive_integration_that_fails_gives_no_number(integrator):
-    with pytest.warns(al.SimulationWarning, match="'x' is not finite at any instant"):
-        outputs = al.simulate(Explosion(), al.Grid(2.0, 4), integrator=integrator)
-    assert np.isnan(outputs["x"]).all()
-
-
-def test_too_few_steps_of_an_adaptive_integrator_give_no_number():
-    with pytest.warns(al.SimulationWarning, match="used up its 3 steps at t = "):
-        outputs = al.simulate(Decay(1.0), al.Grid(50.0, 4), integrator=al.integrators.Tsit5(max_steps=3))
+def test_adaptive_integration_that_fails_gives_no_number(system, end, integrator, message):
+    with pytest.warns(al.SimulationWarning, match=message):
+        outputs = al.simulate(system, al.Grid(end, 4), integrator=integrator)
     assert np.isnan(outputs["x"]).all()
 
 
@@ -254,52 +270,15 @@ def test_a_stiff_integrator_that_fails_within_a_design_is_a_status_and_names_the
     assert reached == pytest.approx(0.5 / rate, rel=1e-2)
 
 
-class Draining(al.System):
-    """A tank that is empty already: the rate is a root, whose slope at zero is infinite."""
-
-    states = ("level",)
-    size: al.Number
-
-    def rhs(self, t, z):
-        return (-self.size * jnp.sqrt(z.level),)
-
-    def outputs(self, t, z):
-        return {"level": z.level + self.size}
-
-
-@pytest.mark.slow
-def test_slopes_that_are_not_finite_are_no_error_of_the_program_for_a_stiff_integrator():
-    one = al.Problem(
-        Draining(al.Uniform(al.Decision(2.0, 1.0, 3.0), half_width=0.1)),
-        grid=al.Grid(1.0, 4),
-        minimize=al.terminal("level").mean,
-        expansion=al.Expansion(order=1),
-        integrator=al.integrators.Kvaerno5(max_steps=100),
-    )
-    assert al.solve(one, throw=False).status is al.Status.EVALUATION_FAILED
-
-
 def test_an_integrator_that_runs_out_of_steps_asks_for_more_and_not_for_itself():
     said = al.integrators.Tsit5(max_steps=3).explain(Falling(2.0), al.Grid(0.15, 4), {})
     assert re.search(r"Tsit5 used up its 3 steps .* al.integrators.Tsit5\(max_steps=30\)", said)
+    assert al.integrators.Tsit5().explain(Falling(1.0), al.Grid(0.25, 4), {}) == ""
 
 
-def test_explanations_of_integrators_are_empty_where_nothing_fails():
-    assert al.integrators.Kvaerno5().explain(Falling(1.0), al.Grid(0.25, 2), {}) == ""
-    said = al.integrators.Kvaerno5(max_steps=5).explain(Falling(1.0), al.Grid(0.45, 2), {})
-    assert "Kvaerno5 used up its 5 steps" in said
-    assert "al.integrators.Kvaerno5(max_steps=50)" in said
-
-
-@pytest.mark.parametrize(("t_final", "steps"), [(15.8, 49), (1.1, 7), (0.7, 49), (2.8, 2800)])
+@pytest.mark.parametrize(("t_final", "steps"), [(15.8, 49), (0.7, 49)])
 def test_adaptive_integrators_take_any_grid_whatever_its_rounding(t_final, steps):
     grid = al.Grid(t_final, steps)
     assert float(grid.times[-1]) == t_final
     outputs = al.simulate(Decay(1.0), grid, integrator=al.integrators.Tsit5())
     np.testing.assert_allclose(outputs["x"], np.exp(-np.linspace(0.0, t_final, steps + 1)), atol=1e-7)
-
-
-@pytest.mark.parametrize("options", [{"rtol": 0.0}, {"atol": -1.0}, {"max_steps": 0}])
-def test_tolerances_that_make_no_sense_are_refused(options):
-    with pytest.raises(al.ProblemError, match=f"Tsit5: {next(iter(options))}.*received {next(iter(options.values()))}"):
-        al.integrators.Tsit5(**options)

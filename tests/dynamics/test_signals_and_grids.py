@@ -7,6 +7,8 @@ from scipy import integrate
 import aleator as al
 from aleator._core.arrays import numbers_to_arrays
 from aleator.uncertainty import at_means, named_numbers, placements, realise
+from compiling import compiled
+from zoo import optimum
 
 
 @pytest.fixture
@@ -39,20 +41,20 @@ def test_a_table_is_read_from_named_columns_of_a_file_with_comments(table, encod
     [
         ("t,height\n0,1\n1,2\n", r"road\.csv: expected one column 'z'; received \['t', 'height'\]"),
         ("", r"road\.csv.*received an empty file"),
-        ("t,z\n", r"of at least 2; received times \(0,\)"),
+        ("t,z\n0,1\n", "of at least 2"),
         ("t,z\n0,1\n2,1\n1,1\n", r"road\.csv.*times must increase, but sample 2 is not after"),
         ("t,z\n0,1\n0,1\n", r"times must increase, but sample 1"),
-        ("t,z\n0,1\n1,nan\n", r"road\.csv.*every time and value must be finite"),
-        ("t,z\n0,1\n1,inf\n", "every time and value must be finite"),
-        ("t,z\n0,1\n1,\n", "every time and value must be finite"),
+        ("t,z\n0,1\n1,inf\n", r"road\.csv.*every time and value must be finite"),
         ("t,z\n0,1\n1\n", "every time and value must be finite"),
         ("t,z\n0,1\n1,high\n", r"road\.csv.*'high'"),
-        ("t,z\n0,1\n", "of at least 2"),
     ],
 )
 def test_a_file_that_is_no_table_is_refused_by_name(table, text, message):
     with pytest.raises(al.ProblemError, match=message):
         al.Tabulated.from_csv(table(text), time="t", value="z")
+
+
+UNIFORM = al.Uniform(0.0, std=1.0)
 
 
 @pytest.mark.parametrize(
@@ -61,32 +63,16 @@ def test_a_file_that_is_no_table_is_refused_by_name(table, text, message):
         ([0.0, 1.0], [1.0, 2.0, 3.0], r"times \(2,\) and values \(3,\)"),
         ([[0.0, 1.0]], [[1.0, 2.0]], "two vectors"),
         ([0.0], [1.0], "at least 2"),
-        ([0.0, np.inf], [1.0, 2.0], "finite"),
         ([1.0, 0.5], [1.0, 2.0], "sample 1 is not after"),
-    ],
-)
-def test_a_table_that_makes_no_sense_is_refused(times, values, message):
-    with pytest.raises(al.ProblemError, match=message):
-        al.Tabulated(np.array(times), np.array(values))
-
-
-@pytest.mark.parametrize(
-    ("times", "values", "message"),
-    [
         ([0.0, 1.0], al.Decision(np.zeros(3), -1, 1), r"times \(2,\) and values \(3,\)"),
-        ([0.0, 1.0], al.Decision(0.0, -1, 1), r"times \(2,\) and values \(\)"),
-        ([0.0, 1.0], al.Uniform(0.0, std=1.0), r"times \(2,\) and values \(\)"),
-        ([0.0, 1.0], [al.Uniform(0.0, std=1.0)] * 3, r"times \(2,\) and values \(3,\)"),
-        ([0.0, 1.0], [al.Uniform(0.0, std=1.0), np.nan], "finite"),
+        ([0.0, 1.0], [UNIFORM] * 3, r"times \(2,\) and values \(3,\)"),
         ([0.0, 1.0], [al.Decision(np.zeros(2), -1, 1), 1.0], r"one number in each sample; received shape \(2,\)"),
         ([0.0, 1.0], [al.Decision(0.0, -1, 1), "high"], "values: expected plain numbers; received 'high'"),
-        ([0.0, 1.0], ["low", "high"], "values: expected plain numbers"),
         ([0.0, al.Decision(1.0)], [0.0, 1.0], "times: expected plain numbers"),
-        (al.Decision(np.array([0.0, 1.0])), [0.0, 1.0], "times: expected plain numbers"),
     ],
     ids=lambda value: str(value)[:40],
 )
-def test_a_table_whose_uncertain_or_decided_values_do_not_fit_is_refused(times, values, message):
+def test_a_table_whose_times_and_values_do_not_fit_is_refused(times, values, message):
     with pytest.raises(al.ProblemError, match=message):
         al.Tabulated(times, values)
 
@@ -102,15 +88,15 @@ def test_a_tables_values_may_be_one_array_of_decisions():
     signal = al.Tabulated(np.array([0.0, 1.0, 3.0]), al.Decision(np.zeros(3), -1, 1))
     model = {"u": signal}
     assert placements(model).entry_names() == ("u.values[0]", "u.values[1]", "u.values[2]")
-    at = jax.jit(lambda x: realise(model, jnp.zeros(0), x)["u"](jnp.asarray(2.0)))
-    assert float(at(jnp.array([0.5, 0.25, 0.75]))) == 0.5
-    assert jax.grad(at)(jnp.zeros(3)).tolist() == [0.0, 0.5, 0.5]
+    both = compiled(jax.value_and_grad(lambda x: realise(model, jnp.zeros(0), x)["u"](jnp.asarray(2.0))))
+    value, slope = both(np.array([0.5, 0.25, 0.75]))
+    assert float(value) == 0.5
+    assert slope.tolist() == [0.0, 0.5, 0.5]
 
 
-@pytest.mark.parametrize("change", [lambda model: model, numbers_to_arrays])
-def test_a_tables_values_may_mix_numbers_distributions_and_decisions(change):
+def test_a_tables_values_may_mix_numbers_distributions_and_decisions():
     values = [al.Uniform(1.0, half_width=0.5), 2, al.Decision(4.0, 0, 9)]
-    model = change({"u": al.Tabulated([0.0, 1.0, 3.0], values)})
+    model = numbers_to_arrays({"u": al.Tabulated([0.0, 1.0, 3.0], values)})
     assert tuple(placements(model).distributions) == ("u.values.0",)
     assert tuple(placements(model).decisions) == ("u.values.2",)
     assert float(named_numbers(model, jnp.array([4.0]))["u.values.1"]) == 2.0
@@ -138,9 +124,8 @@ def test_the_values_of_an_input_are_decided_and_uncertain_in_a_problem():
         minimize=al.integral("x").std,
         subject_to=[al.terminal("x").mean.equals(0.25)],
     )
-    solution = al.solve(problem)
     # x(1) is the mean of the two ends, so that they cancel at 2 * 0.25 - 1
-    assert solution.decisions["inputs.u.values.1"] == pytest.approx(-0.5, abs=1e-6)
+    assert optimum(problem).decisions["inputs.u.values.1"] == pytest.approx(-0.5, abs=1e-6)
 
 
 def test_a_grid_knows_its_instants_and_simpsons_rule():
@@ -152,26 +137,17 @@ def test_a_grid_knows_its_instants_and_simpsons_rule():
     assert float(grid.node_weights @ values) == pytest.approx(integrate.simpson(values, dx=0.125), rel=1e-14)
 
 
-@pytest.mark.parametrize("array", [np.array, jnp.array])
-def test_a_grid_takes_arrays_of_one_number(array):
-    start, end = array(1), array(3.0)
-    for times in (al.Grid(end, 8, start).times, jax.jit(lambda: al.Grid(end, 8, start).times)()):
+def test_a_grid_takes_arrays_of_one_number():
+    start, end = jnp.array(1), jnp.array(3.0)
+    traced = jax.jit(lambda: al.Grid(end, 8, start).times)()
+    for times in (al.Grid(np.array(3.0), 8, np.array(1)).times, traced):
         np.testing.assert_allclose(times, np.linspace(1.0, 3.0, 9), rtol=1e-15)
 
 
-@pytest.mark.parametrize("steps", [0, -3, 2.0, True, "ten", None])
-def test_a_grid_without_a_whole_number_of_steps_is_refused(steps):
-    with pytest.raises(al.ProblemError, match="steps is a whole number of at least 1; received"):
-        al.Grid(1.0, steps)
-
-
-@pytest.mark.parametrize(
-    ("t_final", "t_start"),
-    [(0.0, 0.0), (1.0, 2.0), (np.inf, 0.0), (np.nan, 0.0), (1.0, -np.inf), ("late", 0.0), (np.array([2.0]), 0.0)],
-)
-def test_a_grid_that_does_not_end_after_its_start_is_refused(t_final, t_start):
+@pytest.mark.parametrize(("end", "start"), [(0.0, 0.0), (1.0, 2.0), (1.0, -np.inf), (np.array([2.0]), 0.0)])
+def test_a_grid_that_does_not_end_after_its_start_is_refused(end, start):
     with pytest.raises(al.ProblemError, match=r"t_final must be a finite number after t_start=.*; received t_final="):
-        al.Grid(t_final, 10, t_start)
+        al.Grid(end, 10, start)
 
 
 class Pushed(al.System):
@@ -190,15 +166,10 @@ class PushedBack(Pushed):
         return z.v, -self.push * z.x
 
 
-@pytest.mark.parametrize("kind", [Pushed, PushedBack])
-@pytest.mark.parametrize(
-    "signal",
-    [
-        al.Tabulated([0.0, 1.0], [0.0, 1.0]),
-        al.processes.RandomProcess(al.processes.SquaredExponentialCovariance(0.3), t_final=1.0, std=0.5),
-    ],
-    ids=["table", "process"],
-)
+PROCESS = al.processes.RandomProcess(al.processes.SquaredExponentialCovariance(0.3), t_final=1.0, std=0.5)
+
+
+@pytest.mark.parametrize(("kind", "signal"), [(Pushed, PROCESS), (PushedBack, al.Tabulated([0.0, 1.0], [0.0, 1.0]))])
 def test_a_signal_in_the_place_of_a_number_is_told_to_be_given_as_an_input(kind, signal):
     with pytest.raises(al.ProblemError) as caught:
         al.Problem(kind(push=signal), grid=al.Grid(1.0, 10), minimize=al.terminal("x").mean)

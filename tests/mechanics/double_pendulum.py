@@ -103,12 +103,6 @@ class Passive(Matrices):
 
     actuator_names = ()
 
-    def outputs(self, motion):
-        kinetic = 0.5 * motion.v @ self.mass_matrix(motion.q) @ motion.v
-        first, second = jnp.sin(motion.q[0]), jnp.sin(motion.q[0] + motion.q[1])
-        potential = G * ((self.m_1 + self.m_2) * self.l_1 * first + self.m_2 * self.l_2 * second)
-        return {"energy": kinetic + potential}
-
 
 class Rates(al.Accelerations):
     """The same by its accelerations."""

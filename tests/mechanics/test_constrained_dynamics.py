@@ -1,6 +1,5 @@
 """Constrained mechanics against elimination by hand: positions, torques, multipliers; drift, energy, derivatives."""
 
-import itertools
 from functools import cache
 
 import jax
@@ -54,6 +53,10 @@ def test_a_driven_slider_crank_is_that_of_elimination_by_hand_over_three_turns()
     close(found["length_multiplier"], -expected["wrist"][0])
     close(found["height_multiplier"], -expected["wrist"][1])
     close(found["slider_reaction"], -expected["wrist"][0])
+    # By the parabola through five neighbours: fourth order in the step.
+    torque = found["crank_torque"]
+    slope = (-torque[4:] + 8 * torque[3:-1] - 8 * torque[1:-3] + torque[:-4]) / (12 * 0.01)
+    np.testing.assert_allclose(found["crank_torque_rate"][2:-2], slope, rtol=0, atol=5e-3 * np.abs(slope).max())
 
 
 @pytest.mark.slow
@@ -75,29 +78,6 @@ def test_a_driven_four_bar_is_that_of_elimination_by_hand_and_its_multipliers_th
 
 
 @pytest.mark.slow
-def test_hybrid_dynamics_that_prescribe_all_freedoms_are_inverse_dynamics():
-    found = simulate(al.HybridDynamics(SliderCrank(), motion={"crank": TURNS}, guess={"slider": 0.4}))
-    for name, values in driven_slider_crank().items():
-        np.testing.assert_allclose(found[name], values, rtol=1e-12, atol=1e-12)
-
-
-@pytest.mark.slow
-def test_torques_and_their_rates_drive_forward_dynamics_along_the_same_motion():
-    grid = al.Grid(1.0, 400)
-    inverse = al.InverseDynamics(SliderCrank(), motion={"crank": TURNS}, guess={"slider": 0.4})
-    planned = simulate(inverse, grid.divided(800))
-    torque = planned["crank_torque"]
-    # By the parabola through five neighbours: fourth order in the step.
-    slope = (-torque[4:] + 8 * torque[3:-1] - 8 * torque[1:-3] + torque[:-4]) / (12 / 800)
-    np.testing.assert_allclose(planned["crank_torque_rate"][2:-2], slope, atol=1e-4 * np.abs(slope).max())
-    # Torques are known where Runge and Kutta look for them.
-    given = al.Tabulated(np.asarray(grid.node_times), torque)
-    begins = {"crank": 0.7, "crank_rate": 5.0}
-    forward = al.ForwardDynamics(SliderCrank(), torque={"crank_torque": given}, start=begins, guess={"slider": 0.4})
-    np.testing.assert_allclose(simulate(forward, grid)["crank"], planned["crank"][::2], atol=1e-5)
-
-
-@pytest.mark.slow
 def test_an_over_actuated_linkage_takes_the_torques_of_least_norm():
     both = FourBar(driven=("crank_torque", "rocker_torque"))
     found = simulate(al.InverseDynamics(both, motion={"crank": TURNS}, guess=NEAR))
@@ -113,8 +93,9 @@ def test_an_over_actuated_linkage_takes_the_torques_of_least_norm():
 def energy_error(model, found):
     """The largest change of energy, relative to how much of it goes to and fro."""
     q, v = (np.stack([found[f"{name}{end}"] for name in model.coordinates], 1) for end in ("", "_rate"))
-    kinetic = np.asarray(jax.jit(jax.vmap(model.kinetic_energy))(q, v))
-    energy = kinetic + np.asarray(jax.jit(jax.vmap(model.potential_energy))(q))
+    both = compiled(jax.vmap(lambda q, v: (model.kinetic_energy(q, v), model.potential_energy(q))))
+    kinetic, potential = map(np.asarray, both(q, v))
+    energy = kinetic + potential
     return np.abs(energy - energy[0]).max() / np.ptp(kinetic)
 
 
@@ -127,46 +108,33 @@ def turning(steps, t_final=2.0):
 
 
 @pytest.mark.slow
-def test_a_passive_linkage_keeps_its_constraints_and_its_energy_over_ten_seconds():
+def test_a_passive_linkage_keeps_its_constraints_and_its_energy_over_four_seconds():
     model = FourBar(crank=1.0, coupler=3.5, rocker=3.0, ground=4.0)
-    found = simulate(al.ForwardDynamics(model, start={"crank": 0.9}, guess=NEAR), al.Grid(10.0, 16000))
+    found = simulate(al.ForwardDynamics(model, start={"crank": 0.9}, guess=NEAR), al.Grid(4.0, 6400))
     assert found["constraint_error"].max() < 1e-13
     assert found["constraint_rate_error"].max() < 1e-12
     assert found["constraint_drift"].max() < 1e-8
     assert energy_error(model, found) < 1e-8
-    assert np.ptp(found["rocker"]) > 0.5
+    assert np.ptp(found["rocker"]) > 0.2
 
 
-@pytest.mark.slow
-def test_energy_and_drift_converge_by_the_order_of_the_integrator():
-    steps = np.array([200, 400, 800])
-    errors = [energy_error(SliderCrank(), turning(int(n))) for n in steps]
-    drifts = [turning(int(n))["constraint_drift"].max() for n in steps]
-    for values in (errors, drifts):
-        assert np.polyfit(np.log(1 / steps), np.log(values), 1)[0] > 3.7
-
-
-def test_a_passive_slider_crank_moves_as_the_reduced_equation_of_the_crank_does():
+def test_a_passive_slider_crank_moves_as_the_reduced_equation_does_and_converges_with_order_four():
     def rates(t, z):
         # Reduced: the torque by hand is affine in the acceleration, and none is given.
         still, unit = (slider_crank_by_hand(*(np.array([one]) for one in (z[0], z[1], a)))["torque"][0] for a in (0, 1))
         return z[1], -still / (unit - still)
 
-    times = np.asarray(al.Grid(2.0, 800).times)
+    times = np.asarray(al.Grid(2.0, 200).times)
     expected = solve_ivp(rates, (0.0, 2.0), (0.7, 5.0), t_eval=times, rtol=1e-11, atol=1e-12).y[0]
-    found = turning(800)["crank"]
-    np.testing.assert_allclose(found, expected, atol=1e-6)
-    # Halving the step leaves a sixteenth of the error: both tend to the same motion.
-    coarse = turning(400)["crank"]
-    assert np.log2(np.abs(coarse - expected[::2]).max() / np.abs(found - expected).max()) > 3.5
-
-
-@pytest.mark.slow
-def test_adaptive_integration_obeys_the_constraints_as_well():
-    system = al.ForwardDynamics(SliderCrank(), start={"crank": 0.7, "crank_rate": 5.0}, guess={"slider": 0.4})
-    found = al.simulate(system, al.Grid(2.0, 20), integrator=al.integrators.Tsit5(rtol=1e-10, atol=1e-10))
-    np.testing.assert_allclose(found["crank"], turning(800)["crank"][::40], atol=1e-6)
-    assert np.asarray(found["constraint_error"]).max() < 1e-13
+    steps = np.array([200, 400])
+    histories = [turning(int(n)) for n in steps]
+    errors = [np.abs(found["crank"][:: n // 200] - expected).max() for n, found in zip(steps, histories, strict=True)]
+    assert errors[-1] < 2e-5
+    energies = [energy_error(SliderCrank(), found) for found in histories]
+    drifts = [found["constraint_drift"].max() for found in histories]
+    for values in (errors, energies, drifts):
+        assert np.log2(values[0] / values[1]) > 3.5
+    assert histories[0]["constraint_error"].max() < 1e-13
 
 
 class Bob(al.Lagrangian):
@@ -188,13 +156,6 @@ class Bob(al.Lagrangian):
         return (q @ q - self.length**2,)
 
 
-def end_of_crank(lengths):
-    model = SliderCrank(a=lengths[0], b=lengths[1])
-    system = al.ForwardDynamics(model, start={"crank": 0.9, "crank_rate": 8.0}, guess={"slider": 0.4})
-    found = al.simulate(system, al.Grid(0.5, 60), only=("rod", "height_multiplier"))
-    return jnp.stack([found["rod"][0], found["rod"][-1], found["height_multiplier"][-1]])
-
-
 def end_of_bob(numbers):
     system = al.ForwardDynamics(Bob(length=numbers[0], gravity=numbers[1]), start={"x": 0.3}, guess={"y": -1.0})
     found = al.simulate(system, al.Grid(0.5, 60), only=("y", "length_multiplier"))
@@ -202,21 +163,18 @@ def end_of_bob(numbers):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("end", "numbers", "order"), [(end_of_crank, (0.1, 0.3), 1), (end_of_bob, (1.0, 9.81), 2)], ids=["crank", "bob"]
-)
-def test_derivatives_by_numbers_are_those_of_finite_differences(end, numbers, order):
-    numbers, h = jnp.array(numbers), 1e-5
-    functions = [end]
-    for _ in range(order):
+def test_derivatives_by_numbers_are_those_of_finite_differences():
+    functions = [end_of_bob]
+    for _ in range(2):
         functions.append(jax.jacfwd(functions[-1]))
-    functions = [jax.jit(one) for one in functions]
-    for function, derivative in itertools.pairwise(functions):
-        found = derivative(numbers)
-        assert np.isfinite(found).all()
-        for i, step in enumerate(h * jnp.eye(2)):
-            slope = (function(numbers + step) - function(numbers - step)) / (2 * h)
-            np.testing.assert_allclose(found[..., i], slope, rtol=1e-6, atol=1e-6 * np.abs(found).max())
+    all_of = compiled(lambda x: [one(x) for one in functions])
+    numbers, h = np.array([1.0, 9.81]), 1e-5
+    found = [np.asarray(one) for one in all_of(numbers)]
+    for i, step in enumerate(h * np.eye(2)):
+        ahead, behind = ([np.asarray(one) for one in all_of(numbers + sign * step)] for sign in (1, -1))
+        for k in range(2):
+            slope = (ahead[k] - behind[k]) / (2 * h)
+            np.testing.assert_allclose(found[k + 1][..., i], slope, rtol=1e-6, atol=1e-6 * np.abs(found[k + 1]).max())
 
 
 @pytest.mark.slow
@@ -252,8 +210,7 @@ class Coupled(al.Lagrangian):
         return (q[1] + 1.0 - 0.9 - 0.1 - q[0],)
 
 
-@pytest.mark.parametrize("start", [{"lower": 0.0, "lower_rate": 1.0}, {"lower_rate": 1.0}])
-def test_a_start_at_zero_that_obeys_the_constraints_up_to_rounding_is_taken(start):
+def test_a_start_at_zero_that_obeys_the_constraints_up_to_rounding_is_taken():
     assert Coupled().constraint((0.0, 0.0)) != (0.0,)
-    found = al.simulate(al.ForwardDynamics(Coupled(), start=start), al.Grid(0.5, 20))
+    found = simulate(al.ForwardDynamics(Coupled(), start={"lower": 0.0, "lower_rate": 1.0}), al.Grid(0.5, 20))
     np.testing.assert_allclose([found["lower"][-1], found["upper"][-1]], 0.5, rtol=0, atol=1e-12)

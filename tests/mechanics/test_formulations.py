@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from double_pendulum import (
-    Acrobot,
     Energies,
     Matrices,
     Passive,
@@ -25,7 +24,6 @@ from compiling import compiled
 
 NAMES = ("shoulder", "elbow")
 GRID = al.Grid(1.2, 48)
-SLOW = al.PowerSeries(start=(0.3, 0.0, 0.0), end=(0.32, 0.0))
 SWING = al.PowerSeries(start=(0.3, 0.5, -1.0), end=(1.4, 0.0, 2.0), middle=0.4)
 
 
@@ -67,15 +65,17 @@ def test_coriolis_matrices_of_energies_make_the_mass_matrix_s_rate_skew():
         np.testing.assert_allclose(bias - C @ v, Matrices().forces(q, v), rtol=1e-10)
 
 
-@pytest.mark.parametrize("model", [Energies(), Matrices(), Rates()])
+BROUGHT = al.BSpline(np.array(random(1, 6, 2)), degree=3)
+BEGUN = {"shoulder": 0.4, "elbow": -0.7, "elbow_rate": 1.0}
+
+
+@pytest.mark.parametrize("model", [Energies(), Matrices()])
 def test_torques_bring_about_the_accelerations_that_take_them(model):
-    torque = al.BSpline(np.array(random(1, 6, 2)), degree=3)
-    start = {"shoulder": 0.4, "elbow": -0.7, "elbow_rate": 1.0}
-    found = simulate(al.ForwardDynamics(model, torque=torque, start=start), GRID)
-    given = np.asarray(torque.values(GRID.fractions, 1.2))
+    found = simulate(al.ForwardDynamics(model, torque=BROUGHT, start=BEGUN), GRID)
+    given = np.asarray(BROUGHT.values(GRID.fractions, 1.2))
     np.testing.assert_allclose(forces_along(found), given, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(np.stack([found[f"{name}_torque"] for name in NAMES], 1), given, rtol=1e-13)
-    rate = np.asarray(torque.values(GRID.fractions, 1.2, 1))
+    rate = np.asarray(BROUGHT.values(GRID.fractions, 1.2, 1))
     np.testing.assert_allclose(np.stack([found[f"{name}_torque_rate"] for name in NAMES], 1), rate, rtol=1e-11)
 
 
@@ -89,7 +89,11 @@ def differences(values, step):
     return (values[:-4] - 8 * values[1:-3] + 8 * values[3:-1] - values[4:]) / (12 * step)
 
 
-@pytest.mark.parametrize("model", [Energies(), Matrices(), Rates()])
+class Swapped(Matrices):
+    actuator_names = ("elbow_torque", "shoulder_torque")
+
+
+@pytest.mark.parametrize("model", [pytest.param(Energies(), marks=pytest.mark.slow), Swapped(), Rates()])
 def test_inverse_dynamics_takes_the_torques_of_the_motion_and_their_rates(model):
     grid = al.Grid(1.2, 300)
     found = simulate(al.InverseDynamics(model, motion=MOTION), grid)
@@ -158,40 +162,6 @@ def test_rates_of_torques_that_hybrid_dynamics_finds_are_their_derivatives_in_ti
     np.testing.assert_allclose(rate, expected, rtol=0, atol=5e-5 * np.abs(rate).max())
 
 
-class Recorded(al.AbstractSignal):
-    """A signal recorded at the nodes and the middles of a grid."""
-
-    values: np.ndarray
-
-    def __call__(self, t):
-        raise NotImplementedError
-
-    def span(self):
-        return -np.inf, np.inf
-
-    def sampled(self, fractions, t_start, t_final):
-        return jnp.asarray(self.values)[np.rint(fractions * (len(self.values) - 1)).astype(int)][:, None]
-
-
-def test_the_torque_that_hybrid_dynamics_finds_drives_the_same_motion_forwards():
-    hybrid = swung(160)
-    start = {"shoulder": 0.3, "shoulder_rate": 0.5, **START}
-    driven = al.ForwardDynamics(Pendubot(), torque=Recorded(hybrid["shoulder_torque"]), start=start)
-    found = simulate(driven, al.Grid(1.2, 80))
-    for name in NAMES:
-        np.testing.assert_allclose(found[name], hybrid[name][::2], rtol=0, atol=2e-6)
-    assert "shoulder_torque_rate" not in found
-
-
-def test_the_joint_without_a_motor_may_be_the_prescribed_one():
-    system = al.HybridDynamics(Acrobot(), motion={"shoulder": SLOW}, start={"elbow": 0.2})
-    found = simulate(system, al.Grid(0.15, 40))
-    force = forces_along(found)
-    np.testing.assert_allclose(force[:, 0], 0.0, rtol=0, atol=1e-8)
-    np.testing.assert_allclose(force[:, 1], found["elbow_torque"], rtol=1e-9, atol=1e-8)
-    np.testing.assert_allclose(found["shoulder"], SLOW.values(np.linspace(0, 1, 41), 0.15), rtol=1e-12)
-
-
 def test_hybrid_dynamics_of_too_many_torques_finds_those_of_least_norm():
     found = simulate(al.HybridDynamics(Tendons(), motion={"elbow": SWING}, start={"shoulder": 0.2}), GRID)
     B = np.asarray(Tendons().actuation(None))
@@ -218,71 +188,15 @@ def test_known_torques_act_beside_those_that_are_found():
     np.testing.assert_allclose(found["elbow_torque_rate"], known.values(np.linspace(0, 1, 301), 1.2, 1), rtol=1e-12)
 
 
-def test_a_table_of_torques_gives_no_rates_of_torques():
-    table = al.Tabulated([0.0, 1.2], [0.5, -0.2])
-    system = al.HybridDynamics(Matrices(), motion={"shoulder": 0.3}, torque={"elbow_torque": table}, start=START)
-    found = simulate(system, al.Grid(1.2, 12))
-    np.testing.assert_allclose(found["elbow_torque"], np.linspace(0.5, -0.2, 13), rtol=1e-12)
-    np.testing.assert_allclose(found["shoulder_rate"], 0.0, rtol=0, atol=1e-15)
-    assert not [name for name in found if name.endswith("torque_rate")]
-
-
-def test_a_passive_pendulum_without_friction_keeps_its_energy_better_with_smaller_steps():
-    drifts = []
-    for steps in (200, 400):
-        system = al.ForwardDynamics(Passive(friction=0.0), start={"shoulder": 0.3, "elbow": 0.6})
-        energy = simulate(system, al.Grid(2.0, steps))["energy"]
-        drifts.append(np.abs(energy - energy[0]).max())
-    assert 3.7 < np.log2(drifts[0] / drifts[1]) < 5.5
-    assert drifts[-1] < 1e-4
-
-
-@pytest.mark.parametrize(
-    ("model", "expected"),
-    [
-        (Matrices(), al.Actuation.FULL),
-        (Pendubot(), al.Actuation.UNDER),
-        (Acrobot(), al.Actuation.UNDER),
-        (Tendons(), al.Actuation.OVER),
-        (Passive(), al.Actuation.PASSIVE),
-        (Rates(), al.Actuation.FULL),
-    ],
-)
-def test_the_actuation_scheme_is_told_from_the_actuation_map(model, expected):
-    assert al.actuation_of(model, jnp.array([0.3, 0.2])) is expected
+def test_the_actuation_scheme_is_told_from_the_actuation_map():
+    schemes = {Matrices: "FULL", Pendubot: "UNDER", Tendons: "OVER", Passive: "PASSIVE", Rates: "FULL"}
+    for model, expected in schemes.items():
+        assert al.actuation_of(model(), jnp.array([0.3, 0.2])) is al.Actuation[expected]
 
 
 def test_several_torques_on_one_joint_of_two_are_too_many_and_too_few():
     assert scheme(np.array([[1.0, 2.0], [0.0, 0.0]])) is al.Actuation.UNDER_OVER
     assert scheme(np.zeros((2, 2))) is al.Actuation.PASSIVE
-
-
-def test_torques_act_along_the_velocities_of_their_names_whatever_their_order():
-    class Swapped(Matrices):
-        actuator_names = ("elbow_torque", "shoulder_torque")
-
-    np.testing.assert_array_equal(Acrobot().actuation(jnp.zeros(2)), [[0.0], [1.0]])
-    np.testing.assert_array_equal(Swapped().actuation(jnp.zeros(2)), [[0.0, 1.0], [1.0, 0.0]])
-    found = simulate(al.InverseDynamics(Swapped(), motion=MOTION), GRID)
-    expected = simulate(al.InverseDynamics(Matrices(), motion=MOTION), GRID)
-    for name in NAMES:
-        np.testing.assert_allclose(found[f"{name}_torque"], expected[f"{name}_torque"], rtol=1e-11, atol=1e-11)
-
-
-def test_what_is_known_is_certain_and_what_is_not_is_uncertain():
-    # Table 5.2, by two systems of the family.
-    def differ(make):
-        one, other = (simulate(make(m_2), GRID) for m_2 in (0.7, 0.9))
-        return {name for name in one if np.abs(one[name] - other[name]).max() > 1e-6}
-
-    coordinates = {f"{name}{end}" for name in NAMES for end in ("", "_rate", "_acceleration")}
-    torques = {f"{name}_torque{end}" for name in NAMES for end in ("", "_rate")}
-    torque = al.BSpline(random(1, 6, 2))
-    assert differ(lambda m_2: al.ForwardDynamics(Matrices(m_2=m_2), torque=torque)) == coordinates
-    assert differ(lambda m_2: al.InverseDynamics(Matrices(m_2=m_2), motion=MOTION)) == torques
-    mixed = differ(lambda m_2: al.HybridDynamics(Pendubot(m_2=m_2), motion={"shoulder": SWING}, start=START))
-    passive = {"elbow", "elbow_rate", "elbow_acceleration"}
-    assert mixed == {"shoulder_torque", "shoulder_torque_rate"} | passive
 
 
 def _inverse(numbers):
@@ -305,40 +219,36 @@ def _forward(numbers):
 ASKED = ("shoulder_torque", "elbow_acceleration", "shoulder_torque_rate")
 
 
-@pytest.mark.parametrize("make", [_inverse, pytest.param(_hybrid, marks=pytest.mark.slow), _forward])
-def test_derivatives_of_simulations_agree_with_differences(make):
+@pytest.mark.parametrize(
+    "make", [_inverse, *(pytest.param(one, marks=pytest.mark.slow) for one in (_hybrid, _forward))]
+)
+def test_derivatives_of_simulations_agree_with_differences_whatever_outputs_are_asked_for(make):
     # By a parameter of the model, the trajectory and the final time at once.
-    def values_at(numbers):
-        grid = al.Grid(0.4, 4)
-        grid = eqx.tree_at(lambda one: one.t_final, grid, numbers[3])
-        found = al.simulate(make(numbers), grid, only=ASKED)
+    def values_at(numbers, only=ASKED):
+        grid = eqx.tree_at(lambda one: one.t_final, al.Grid(0.4, 4), numbers[3])
+        found = al.simulate(make(numbers), grid, only=only)
+        assert only is None or set(found) == set(only)
         return jnp.stack([found[name] for name in ASKED])
 
     def slope_at(numbers, along):
         return jax.jvp(values_at, (numbers,), (along,))[1]
 
-    values, slope = compiled(values_at), compiled(slope_at)
+    @compiled
+    def all_of(x, d):
+        second = jax.jvp(lambda y: slope_at(y, d), (x,), (d,))[1] if make is _inverse else 0.0
+        return values_at(x), slope_at(x, d), second, values_at(x, None)
+
     at, h = np.array([0.8, 0.7, -0.4, 0.4]), 1e-5
     for along in (*np.eye(4), np.ones(4)):
-        found = np.asarray(slope(at, along))
-        expected = (np.asarray(values(at + h * along)) - values(at - h * along)) / (2 * h)
-        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(found).max())
-        assert np.abs(found).max() > 1e-3
-    if make is _inverse:
-        curvature = compiled(lambda x, d: jax.jvp(lambda y: slope_at(y, d), (x,), (d,))[1])(at, along)
-        expected = (np.asarray(slope(at + h * along, along)) - slope(at - h * along, along)) / (2 * h)
-        np.testing.assert_allclose(curvature, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize("make", [_inverse, _hybrid, _forward])
-def test_outputs_that_are_asked_for_alone_are_those_of_all(make):
-    system, grid = make(np.array([0.8, 0.7, -0.4, 0.4])), al.Grid(0.4, 4)
-    every = simulate(system, grid)
-    asked = ASKED[:2]
-    alone = compiled(lambda one: al.simulate(one, grid, only=asked))(system)
-    assert set(alone) == set(asked)
-    for name in asked:
-        np.testing.assert_allclose(alone[name], every[name], rtol=1e-12, atol=1e-12)
+        values, slope, curvature, every = map(np.asarray, all_of(at, along))
+        ahead, behind = ([np.asarray(part) for part in all_of(at + s * h * along, along)] for s in (1, -1))
+        np.testing.assert_allclose(every, values, rtol=1e-12, atol=1e-12)
+        expected = (ahead[0] - behind[0]) / (2 * h)
+        np.testing.assert_allclose(slope, expected, rtol=1e-6, atol=1e-6 * np.abs(slope).max())
+        assert np.abs(slope).max() > 1e-3
+        if make is _inverse:
+            expected = (ahead[1] - behind[1]) / (2 * h)
+            np.testing.assert_allclose(curvature, expected, rtol=1e-5, atol=1e-6 * max(np.abs(expected).max(), 1e-3))
 
 
 def test_outputs_that_are_not_there_cannot_be_asked_for():

@@ -1,4 +1,5 @@
 from functools import cache
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -58,6 +59,11 @@ def lagrange():
     return sp.lambdify((*plain, payload, length), [part.subs(names) for part in (mass, bias)])
 
 
+@compiled
+def all_of(arm, q, v, force):
+    return arm.mass_matrix(q), arm.bias(q, v), arm.forward_dynamics(q, v, force), arm.point(jnp.zeros(2), "load")
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_the_matrices_of_a_two_link_arm_are_those_of_its_lagrangian(seed):
     random = np.random.default_rng(seed)
@@ -66,11 +72,8 @@ def test_the_matrices_of_a_two_link_arm_are_those_of_its_lagrangian(seed):
     mass, bias = lagrange()(*q, *v, payload, length)
     bias = bias.ravel()
 
-    @compiled
-    def all_of(arm, q, v, force):
-        return arm.mass_matrix(q), arm.bias(q, v), arm.forward_dynamics(q, v, force)
-
-    ours = all_of(Arm(payload=payload, length=length), q, v, force)
+    *ours, tip = all_of(Arm(payload=payload, length=length), q, v, force)
+    np.testing.assert_allclose(tip, [2 * length, 0.0, 0.0], rtol=1e-15)
     for one, by_hand in zip(ours, (mass, bias, np.linalg.solve(mass, force - bias)), strict=True):
         np.testing.assert_allclose(one, by_hand, rtol=1e-12, atol=1e-12)
 
@@ -79,10 +82,6 @@ def test_coordinates_and_speeds_are_named_by_bodies_even_of_an_uncertain_model()
     uncertain = Arm(payload=al.Normal(1.0, 0.1), length=al.Decision(0.8, 0.5, 1.0))
     assert uncertain.coordinates == ("upper", "fore")
     assert uncertain.speeds == ("upper_rate", "fore_rate")
-    realised = realise(uncertain, jnp.array([2.0]), jnp.array([0.9]))
-    tip = compiled(lambda arm: arm.point(jnp.zeros(2), "load"))(realised)
-    np.testing.assert_allclose(tip, [1.8, 0.0, 0.0], rtol=1e-15)
-    assert compiled(lambda arm: arm.mass_matrix(jnp.zeros(2)))(realised).shape == (2, 2)
     assert placements(uncertain).germ_names == ("payload",)
 
 
@@ -125,8 +124,12 @@ FLOATING = Tree(
 
 
 @cache
-@compiled
 def flight():
+    return tuple(map(np.asarray, flown()))
+
+
+@compiled
+def flown():
     """A floating base with an arm, thrown: coordinates and speeds over 0.4 s, in 400 steps of Runge-Kutta."""
     random = np.random.default_rng(3)
     q = FLOATING.normalised(jnp.asarray(random.normal(size=12)))
@@ -149,52 +152,48 @@ def flight():
         following = moved(total, h)
         return following, following
 
+    def seen(q, v):
+        kinetic, mass = FLOATING.kinetic_energy(q, v), sum(body.mass for body in FLOATING.given)
+        centre = sum(body.mass * FLOATING.point(q, body.name, body.center) for body in FLOATING.given) / mass
+        return q, v, kinetic, kinetic + FLOATING.potential_energy(q), centre, FLOATING.velocity_map(q) @ v
+
     path = jax.lax.scan(step, (q, v), None, length=400)[1]
-    return jax.tree.map(lambda first, later: jnp.concatenate([first[None], later]), (q, v), path)
+    return jax.vmap(seen)(*path)
 
 
-@pytest.mark.slow
-def test_a_passive_tree_without_dampers_keeps_its_energy():
-    q, v = flight()
-    energy = compiled(jax.vmap(lambda q, v: FLOATING.kinetic_energy(q, v) + FLOATING.potential_energy(q)))(q, v)
-    kinetic = compiled(jax.vmap(FLOATING.kinetic_energy))(q, v)
+def test_a_thrown_tree_keeps_its_energy_and_falls_with_its_centre_of_mass():
+    _, _, kinetic, energy, centre, _ = flight()
     assert np.ptp(kinetic) > 1.0
     assert np.ptp(energy) < 1e-8
-
-
-def test_a_thrown_tree_falls_with_its_centre_of_mass():
-    q, _ = flight()
-
-    def centre_of_mass(q):
-        masses = {body.name: body.mass for body in FLOATING.given}
-        local = {body.name: body.center for body in FLOATING.given}
-        points = {name: FLOATING.point(q, name, local[name]) for name in masses}
-        return sum(masses[name] * point for name, point in points.items()) / sum(masses.values())
-
-    centre = np.asarray(compiled(jax.vmap(centre_of_mass))(q))
     times = 1e-3 * np.arange(len(centre))
-    start = np.linalg.lstsq(np.stack([np.ones_like(times), times], 1), centre + np.outer(times**2, [0, 0, 4.905]))[0]
-    parabola = start[0] + np.outer(times, start[1]) - np.outer(times**2, [0, 0, 4.905])
-    np.testing.assert_allclose(centre, parabola, rtol=0, atol=1e-9)
+    fallen = centre + np.outer(times**2, [0, 0, 4.905])
+    line = np.stack([np.ones_like(times), times], 1)
+    np.testing.assert_allclose(fallen, line @ np.linalg.lstsq(line, fallen)[0], rtol=0, atol=1e-9)
 
 
 def test_quaternions_keep_their_length_along_velocities_and_are_brought_to_it():
-    q, v = (np.asarray(path) for path in flight())
+    q, *_, change = flight()
     for start in (3, 8):
         np.testing.assert_allclose(np.linalg.norm(q[:, start : start + 4], axis=1), 1.0, rtol=0, atol=1e-9)
-    scaled = FLOATING.normalised(jnp.asarray(q[-1]).at[3:7].multiply(3.0).at[8:].multiply(0.1))
+        assert abs(q[0, start : start + 4] @ change[0, start : start + 4]) < 1e-15
+
+    @compiled
+    def normalised(q):
+        return FLOATING.normalised(q), jax.jacfwd(FLOATING.normalised)(q)
+
+    long = q[-1].copy()
+    long[3:7] *= 3.0
+    long[8:] *= 0.1
+    scaled = np.asarray(normalised(long)[0])
     np.testing.assert_allclose(scaled[np.r_[:3, 7]], q[-1, np.r_[:3, 7]], rtol=1e-15)
     np.testing.assert_allclose(np.linalg.norm(scaled[3:7]), 1.0, rtol=1e-15)
     np.testing.assert_allclose(np.linalg.norm(scaled[8:]), 1.0, rtol=1e-15)
-    unturned = FLOATING.normalised(jnp.zeros(12))
+    unturned = np.asarray(normalised(np.zeros(12))[0])
     np.testing.assert_array_equal(np.flatnonzero(unturned), [3, 8])
-    np.testing.assert_array_equal(jax.jacfwd(FLOATING.normalised)(unturned)[3], np.zeros(12))
-    change = FLOATING.velocity_map(jnp.asarray(q[0])) @ v[0]
-    assert abs(q[0, 3:7] @ change[3:7]) < 1e-15
-    assert abs(q[0, 8:] @ change[8:]) < 1e-15
+    np.testing.assert_array_equal(normalised(unturned)[1][3], np.zeros(12))
 
 
-@pytest.mark.parametrize("joint", [Revolute("z"), Prismatic("x"), Ball()])
+@pytest.mark.parametrize("joint", [Revolute("z"), pytest.param(Ball(), marks=pytest.mark.slow)])
 def test_a_joint_that_moves_no_inertia_gives_no_acceleration_rather_than_a_wrong_one(joint):
     tree = Tree(
         (
@@ -214,11 +213,16 @@ def test_a_ground_fixed_body_stays_and_carries_others():
             Body("door", parent="wall", joint=Revolute((0, 0, 2)), mass=1.0),
         )
     )
-    q, v = jnp.array([-np.pi / 2]), jnp.array([2.0])
-    np.testing.assert_allclose(tree.point(q, "wall", (1, 0, 0)), [1, 3, 3], atol=1e-15)
-    np.testing.assert_allclose(tree.point(q, "door", (1, 0, 0)), [2, 2, 3], atol=1e-15)
-    np.testing.assert_allclose(tree.point_velocity(q, v, "wall"), np.zeros(3))
-    np.testing.assert_allclose(tree.point_velocity(q, v, "door", (1, 0, 0)), [0, 2, 0], atol=1e-15)
+    q, v, ahead = np.array([-np.pi / 2]), np.array([2.0]), (1, 0, 0)
+
+    @compiled
+    def all_of(q, v):
+        points = [tree.point(q, name, ahead) for name in ("wall", "door")]
+        return points, [tree.point_velocity(q, v, "wall"), tree.point_velocity(q, v, "door", ahead)]
+
+    points, velocities = all_of(q, v)
+    np.testing.assert_allclose(points, [[1, 3, 3], [2, 2, 3]], atol=1e-15)
+    np.testing.assert_allclose(velocities, [[0, 0, 0], [0, 2, 0]], atol=1e-15)
 
 
 def body(name="one", **changes):
@@ -232,13 +236,10 @@ def body(name="one", **changes):
         (lambda: (body(parent="two"),), "parents .'two'., which are no bodies"),
         (lambda: (body("a", parent="b"), body("b", parent="a")), "cycle"),
         (lambda: (body(mass=-1.0),), "mass that is not negative; received -1.0"),
-        (lambda: (body(mass=np.nan),), "mass: expected finite numbers"),
         (lambda: (body(inertia=(1, 1, -1)),), "not negative; received -1"),
         (lambda: (body(inertia=(1, 1, 3)),), "beyond the sum of the other two"),
         (lambda: (body(inertia=[[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]),), "expected a symmetric matrix"),
-        (lambda: (body(inertia=(1, 1)),), "inertia: expected numbers of shape .3,. or .6,. or .3, 3."),
         (lambda: (body(orientation=2 * np.eye(3)),), "expected a rotation matrix"),
-        (lambda: (body(position="far"),), "position: expected numbers"),
         (lambda: (body(joint=Revolute("w")),), "axis 'x', 'y' or 'z'"),
         (lambda: (body(joint=Prismatic((0, 0, 0))),), "nonzero"),
         (lambda: "one", "returns a tuple of al.Body"),
@@ -249,10 +250,32 @@ def test_bodies_that_make_no_tree_are_refused_in_words(bodies, message):
         Tree(bodies()).bias(jnp.zeros(1), jnp.zeros(1))
 
 
-def test_a_body_needs_a_name_and_a_joint():
-    with pytest.raises(ProblemError, match="expected a name"):
-        body("")
-    with pytest.raises(ProblemError, match="expected a joint"):
-        body(joint="hinge")
-    with pytest.raises(ProblemError, match="There is no body 'two'"):
-        Tree((body(),)).point(jnp.zeros(1), "two")
+def test_units_are_told_by_joints_and_one_s_own_come_before_them():
+    class Mixed(al.Multibody):
+        units: ClassVar = {"lift_torque": "daN"}
+
+        def bodies(self):
+            return (
+                al.Body("turn", joint=al.joints.Revolute("z"), mass=1.0, inertia=(0, 0, 1.0)),
+                al.Body("lift", parent="turn", joint=al.joints.Prismatic("z"), mass=1.0),
+                al.Body("head", parent="lift", joint=al.joints.Ball(), mass=1.0, inertia=(1.0, 1.0, 1.0)),
+            )
+
+    units = al.ForwardDynamics(Mixed()).units
+    assert [units[f"turn{end}"] for end in ("", "_rate", "_torque")] == ["rad", "rad/s", "N·m"]
+    assert [units[f"lift{end}"] for end in ("", "_rate", "_torque")] == ["m", "m/s", "daN"]
+    assert [units[f"head_omega_x{end}"] for end in ("", "_torque")] == ["rad/s", "N·m"]
+    assert "head_w" not in units
+
+
+@pytest.mark.parametrize("part", ["damping", "armature"])
+def test_a_damping_that_would_drive_a_joint_and_a_negative_armature_are_refused(part):
+    class Driven(al.Multibody):
+        number: al.Number = -1.0
+
+        def bodies(self):
+            return (al.Body("a", joint=al.joints.Prismatic("x", **{part: self.number}), mass=1.0),)
+
+    for number in (-1.0, al.Uniform(0.5, half_width=0.6)):
+        with pytest.raises(al.ProblemError, match=f"expected an? {part} that is not negative; received -"):
+            al.Problem(al.ForwardDynamics(Driven(number=number)), grid=al.Grid(1.0, 4), minimize=al.terminal("a").mean)

@@ -1,4 +1,4 @@
-"""What the dynamics refuse, in words, before anything is compiled."""
+"""What dynamics, loads and times of mechanical systems refuse, in words, before anything is compiled."""
 
 from typing import Any
 
@@ -38,210 +38,164 @@ class Flat(Matrices):
         return jnp.array(self.matrix)
 
 
-class Skew(Matrices):
-    actuator_names = ("a", "b")
-
-    def actuation(self, q):
-        return jnp.array([[1.0, 2.0], [2.0, 4.0]])
-
-
-class Taken(Matrices):
-    def outputs(self, motion):
-        return {"elbow": motion.q[1], "free": motion.q[0]}
-
-
-class NoDict(Matrices):
-    def outputs(self, motion):
-        return motion.q
-
-
-class Twice(Matrices):
-    names = ("x", "x_rate")
-
-
-class Clash(Matrices):
-    actuator_names = ("shoulder", "elbow")
-
-    def actuation(self, q):
-        return jnp.eye(2)
-
-
-class Motor(Matrices):
-    actuator_names = ("motor",)
-
-
-class Wide(Matrices):
-    def actuation(self, q):
-        return jnp.eye(3)
-
-
-class Crooked(Matrices):
-    def bias(self, q, v):
-        return jnp.zeros(3)
-
-
-class Multiplied(Matrices):
-    """Gives `C v` in the place of `C`: the product with `v` would be one number, added to all forces."""
-
-    def coriolis(self, q, v):
-        return Matrices.coriolis(self, q, v) @ v
-
-
-class OneForce(Matrices):
-    def forces(self, q, v):
-        return 9.81
-
-
-class Pushed(Matrices):
-    """Its torques come through a number, which would multiply whatever there is."""
-
-    def actuation(self, q):
-        return 2.0
-
-
-class Vector(al.Lagrangian):
-    """An energy for each coordinate."""
-
+class Energy(al.Lagrangian):
     names = ("x",)
 
-    def kinetic_energy(self, q, v):
-        return 0.5 * v**2
-
-
-class Quartic(Vector):
     def kinetic_energy(self, q, v):
         return jnp.sum(0.5 * v**2 + v**4)
 
 
-class Comma(Matrices):
-    names = "shoulder"
+class Cart(al.Mechanical):
+    names = ("x",)
+    mass: al.Number = al.parameter("kg", positive=True, default=2.0)
+    wind: al.Number = 0.0
+
+    def mass_matrix(self, q):
+        return self.mass * jnp.eye(1)
+
+    def load(self, q, v):
+        return jnp.reshape(self.wind, (1,))
 
 
-class OneRate(Rates):
-    def accelerations(self, q, v, torque):
-        return torque[0]
+class Slide(al.Multibody):
+    loads: Any = ()
+    high: al.Number = 0.0
+
+    def bodies(self):
+        return (al.Body("a", joint=al.joints.Prismatic("x"), mass=1.0, position=(0.0, 0.0, self.high)),)
+
+    def body_loads(self, q, v):
+        return self.loads() if callable(self.loads) else self.loads
 
 
-class Quadratic(Rates):
-    def accelerations(self, q, v, torque):
-        return torque**2
+WIND = al.processes.RandomProcess(al.processes.SquaredExponentialCovariance(1.0), t_final=2.0, std=0.4, modes=3)
+RISING = al.processes.signal(lambda t, p: 0.1 * t)
+FADING = al.processes.signal(lambda t, p: 0.5 - t)
+TABLE = al.Tabulated([0.0, 1.0], [0.0, 1.0])
 
 
-class Geared(Rates):
-    """What its torques do depends on the velocities."""
+def changed(base=Matrices, **parts):
+    """Forward dynamics of a class that differs from the base in some attributes."""
+    return al.ForwardDynamics(type("Odd", (base,), parts)())
 
-    def accelerations(self, q, v, torque):
-        return torque * (1 + v)
+
+def flat(*rows):
+    return al.ForwardDynamics(Flat(matrix=rows))
+
+
+def inverse(motion, model=Matrices):
+    return al.InverseDynamics(model(), motion=motion)
+
+
+def hybrid(motion, model=Pendubot, **options):
+    return al.HybridDynamics(model(), motion=motion, **options)
 
 
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (
-            lambda: al.InverseDynamics(Pendubot(), motion=MOTION),
-            r"Pendubot is under-actuated: .*Use al\.HybridDynamics",
-        ),
-        (lambda: al.InverseDynamics(Passive(), motion=MOTION), r"its torques \(none\) cannot realise"),
-        (lambda: problem(al.InverseDynamics(Skew(), motion=MOTION)), "Skew is under-over-actuated"),
-        (lambda: al.InverseDynamics(Matrices(), motion={"elbow": 1.0}), r"received none for \['shoulder'\]"),
-        (lambda: al.InverseDynamics(Matrices(), motion={"hip": 1.0, "elbow": 0.0, "shoulder": 0.0}), r"no \['hip'\]"),
-        (lambda: al.InverseDynamics(Matrices(), motion=al.BSpline(np.zeros(4))), r"shape \(2,\).*received shape \(\)"),
-        (lambda: al.InverseDynamics(Matrices(), motion=3.0), "expected a trajectory, or trajectories by name"),
-        (
-            lambda: al.InverseDynamics(
-                Matrices(), motion={"shoulder": al.Tabulated([0.0, 1.0], [0.0, 1.0]), "elbow": 0.0}
-            ),
-            "a prescribed motion needs velocity and acceleration",
-        ),
+        (lambda: inverse(MOTION, Pendubot), r"Pendubot is under-actuated: .*Use al\.HybridDynamics"),
+        (lambda: inverse(MOTION, Passive), r"its torques \(none\) cannot realise"),
+        (lambda: inverse({"elbow": 1.0}), r"received none for \['shoulder'\]"),
+        (lambda: inverse(al.BSpline(np.zeros(4))), r"shape \(2,\).*received shape \(\)"),
+        (lambda: inverse({"shoulder": TABLE, "elbow": 0.0}), "a prescribed motion needs velocity and acceleration"),
         (lambda: al.ForwardDynamics(Matrices(), torque={"hip_torque": 1.0}), r"no \['hip_torque'\]"),
-        (
-            lambda: al.ForwardDynamics(Matrices(), torque={"elbow_torque": np.ones(3)}),
-            "expected a trajectory or one number",
-        ),
         (lambda: al.ForwardDynamics(Matrices(), torque={"elbow_torque": TORQUE}), r"one number; received shape \(2,\)"),
         (lambda: al.ForwardDynamics(Matrices(), start={"hip": 1.0}), r"no \['hip'\] to start; expected some of"),
-        (lambda: al.ForwardDynamics(Matrices(), start=(0.1, 0.2)), "expected a start by name"),
+        (lambda: al.ForwardDynamics(Matrices(), start={"elbow": np.zeros(2)}), "one number as the start of 'elbow'"),
+        (lambda: hybrid({"hip": 1.0}), r"for some of \['shoulder', 'elbow'\]"),
+        (lambda: hybrid({}), "but not all"),
+        (lambda: hybrid({"shoulder": 1.0, "elbow": 0.0}), r"Use al\.InverseDynamics for all"),
+        (lambda: hybrid({"shoulder": 1.0}, start={"shoulder": 0.0}), r"no \['shoulder'\] to start; .*'elbow_rate'\]"),
         (
-            lambda: al.ForwardDynamics(Matrices(), start={"elbow": np.zeros(2)}),
-            "expected one number as the start of 'elbow'",
-        ),
-        (lambda: al.ForwardDynamics(Matrices(), start={"elbow": np.nan}), "start of 'elbow' must be finite"),
-        (lambda: al.ForwardDynamics(Matrices(), start={"elbow": "up"}), "expected numbers, distributions or decisions"),
-        (lambda: al.HybridDynamics(Pendubot(), motion={"hip": 1.0}), r"for some of \['shoulder', 'elbow'\]"),
-        (lambda: al.HybridDynamics(Pendubot(), motion=TORQUE), "expected trajectories by name"),
-        (lambda: al.HybridDynamics(Pendubot(), motion={}), "but not all"),
-        (
-            lambda: al.HybridDynamics(Pendubot(), motion={"shoulder": 1.0, "elbow": 0.0}),
-            r"Use al\.InverseDynamics for all",
-        ),
-        (
-            lambda: al.HybridDynamics(Pendubot(), motion={"shoulder": 1.0}, start={"shoulder": 0.0}),
-            r"no \['shoulder'\] to start; expected some of \['elbow', 'elbow_rate'\]",
-        ),
-        (
-            lambda: al.HybridDynamics(Pendubot(), motion={"shoulder": 1.0}, torque={"shoulder_torque": 1.0}),
+            lambda: hybrid({"shoulder": 1.0}, torque={"shoulder_torque": 1.0}),
             r"the unknown torques \(none\) cannot realise a prescribed motion of shoulder: expected at least 1",
         ),
-        (lambda: al.HybridDynamics(Passive(), motion={"shoulder": 1.0}), r"the unknown torques \(none\)"),
         (
-            lambda: problem(
-                al.HybridDynamics(
-                    Flat(matrix=((1, 0), (0, 1)), friction=0.0),
-                    motion={"shoulder": 1.0},
-                    torque={"shoulder_torque": 1.0},
-                )
-            ),
+            lambda: problem(hybrid({"shoulder": 1.0}, Flat, torque={"shoulder_torque": 1.0})),
             r"the unknown torques \(elbow_torque\) cannot realise",
         ),
-        (lambda: problem(al.ForwardDynamics(Flat(matrix=((1.0, 1.0), (1.0, 1.0))))), "singular at the start .*resists"),
+        (lambda: problem(flat((1.0, 1.0), (1.0, 1.0))), "singular at the start .*resists"),
+        (lambda: problem(flat((1.0, 0.0), (0.0, -1.0))), "not positive definite at the start"),
+        (lambda: problem(flat((1.0, 0.2), (0.0, 1.0))), "is not symmetric at the start"),
+        (lambda: problem(flat((np.inf, 0.0), (0.0, 1.0))), "is not finite at the start"),
+        (lambda: problem(flat(1.0, 2.0)), r"mass_matrix\(q\): expected shape \(2, 2\)"),
+        (lambda: problem(changed(actuation=lambda self, q: 2.0)), r"actuation\(q\): expected shape \(2, 2\)"),
+        (lambda: problem(changed(bias=lambda self, q, v: jnp.zeros(3))), r"bias\(q, v\): expected shape \(2,\)"),
+        # `C v` in the place of `C`: the product with `v` would be one number, added to all forces.
+        (lambda: problem(changed(coriolis=lambda self, q, v: v)), r"coriolis\(q, v\): expected shape \(2, 2\)"),
+        (lambda: problem(changed(forces=lambda self, q, v: 9.81)), r"forces\(q, v\): expected shape \(2,\)"),
         (
-            lambda: problem(al.ForwardDynamics(Flat(matrix=((1.0, 0.0), (0.0, -1.0))))),
-            "not positive definite at the start",
+            lambda: problem(changed(Energy, kinetic_energy=lambda self, q, v: v**2)),
+            r"kinetic_energy\(q, v\): expected shape \(\)",
         ),
-        (lambda: problem(al.ForwardDynamics(Flat(matrix=((1.0, 0.2), (0.0, 1.0))))), "is not symmetric at the start"),
-        (lambda: problem(al.ForwardDynamics(Flat(matrix=((np.inf, 0.0), (0.0, 1.0))))), "is not finite at the start"),
-        (lambda: problem(al.ForwardDynamics(Flat(matrix=(1.0, 2.0)))), r"mass_matrix\(q\): expected shape \(2, 2\)"),
-        (lambda: problem(al.ForwardDynamics(Wide())), r"actuation\(q\): expected shape \(2, 2\); received \(3, 3\)"),
-        (lambda: problem(al.ForwardDynamics(Crooked())), r"bias\(q, v\): expected shape \(2,\); received \(3,\)"),
-        (lambda: al.simulate(al.ForwardDynamics(Multiplied()), GRID), r"coriolis\(q, v\): expected shape \(2, 2\)"),
-        (lambda: al.simulate(al.ForwardDynamics(OneForce()), GRID), r"forces\(q, v\): expected shape \(2,\)"),
-        (lambda: problem(al.ForwardDynamics(Flat(matrix=2.0))), r"mass_matrix\(q\): .*\(2, 2\); received \(\)"),
-        (lambda: al.simulate(al.ForwardDynamics(Pushed()), GRID), r"actuation\(q\): expected shape \(2, 2\)"),
-        (lambda: al.simulate(al.ForwardDynamics(Vector()), GRID), r"kinetic_energy\(q, v\): expected shape \(\)"),
-        (lambda: problem(al.ForwardDynamics(Quartic())), "expected a quadratic function of the velocities"),
-        (Comma, r"Comma\.names: expected names in a tuple; received the text 'shoulder'.*\('shoulder',\)"),
+        (lambda: problem(al.ForwardDynamics(Energy())), "expected a quadratic function of the velocities"),
+        (lambda: changed(names="shoulder"), r"names: expected names in a tuple; received the text 'shoulder'"),
         (
-            lambda: al.simulate(al.ForwardDynamics(Matrices(), torque=al.Tabulated([0.0, 1.0], [1.0, 1.0])), GRID),
+            lambda: al.simulate(al.ForwardDynamics(Matrices(), torque=TABLE), GRID),
             r"one value for each of \['shoulder_torque', 'elbow_torque'\]; received shape \(\)",
         ),
-        (lambda: problem(al.ForwardDynamics(OneRate())), r"accelerations\(q, v, torque\): expected shape \(2,\)"),
         (
-            lambda: problem(al.ForwardDynamics(Motor(), torque={"motor": 1.0})),
-            r"\['motor'\] do not say along which velocity",
+            lambda: problem(changed(Rates, accelerations=lambda self, q, v, torque: torque[0])),
+            r"accelerations\(q, v, torque\): expected shape \(2,\)",
         ),
-        (lambda: problem(al.ForwardDynamics(Quadratic())), "expected accelerations affine in the torques"),
-        (lambda: problem(al.ForwardDynamics(Geared())), "independent of the velocities"),
         (
-            lambda: problem(al.ForwardDynamics(Taken())),
+            lambda: problem(changed(Rates, accelerations=lambda self, q, v, torque: torque**2)),
+            "expected accelerations affine in the torques",
+        ),
+        (
+            lambda: problem(changed(Rates, accelerations=lambda self, q, v, torque: torque * (1 + v))),
+            "independent of the velocities",
+        ),
+        (lambda: problem(changed(actuator_names=("motor",))), r"\['motor'\] do not say along which velocity"),
+        (
+            lambda: problem(changed(outputs=lambda self, motion: {"elbow": motion.q[1]})),
             r"\['elbow'\] are standard outputs of every mechanical system; rename yours",
         ),
-        (lambda: problem(al.ForwardDynamics(NoDict())), "outputs returns a dict of arrays by name"),
-        (lambda: al.simulate(al.ForwardDynamics(Twice()), GRID), r"\['x_rate'\] name two outputs each"),
-        (lambda: al.simulate(al.ForwardDynamics(Clash()), GRID), r"\['elbow', .*'shoulder'.*\] name two outputs each"),
+        (lambda: problem(changed(outputs=lambda self, motion: motion.q)), "outputs returns a dict of arrays by name"),
+        (lambda: problem(changed(names=("x", "x_rate"))), r"\['x_rate'\] name two outputs each"),
         (lambda: al.Grid(al.Decision(1.0, 0.0, 2.0), 10), r"a decision that may be 0\.0: raise its lower bound"),
-        (lambda: al.Grid(al.Decision(1.0), 10), "a decision that may be -inf"),
         (lambda: al.Grid(al.Decision(np.ones(2), 0.5, 2.0), 10), "expected one final time"),
-        (lambda: al.Grid(al.Uniform(1.0, half_width=0.1), 10), "t_final must be a finite number"),
-        (lambda: problem(al.ForwardDynamics(Loaded(m_2=al.Uniform(1.0, half_width=1.2)))), "m_2"),
         (lambda: problem(al.ForwardDynamics(Loaded(m_2=al.Decision(1.0, -0.5, 2.0)))), "m_2"),
         (
             lambda: problem(al.ForwardDynamics(Matrices(m_2=al.Uniform(1.0, half_width=1.2)))),
             r"not positive definite at the start .*In the system with m_2 = -0\.2",
         ),
-        (lambda: problem(al.ForwardDynamics(Matrices(m_2=al.Normal(1.0, 0.2)))), r"In the system with m_2 = -0\.1"),
         (
             lambda: problem(al.InverseDynamics(Matrices(m_2=al.Uniform(1.0, half_width=1.0)), motion=MOTION)),
             r"singular at the start .*In the system with m_2 = 0\b",
+        ),
+        (lambda: changed(Cart, mass_matrix=lambda self, q, time: None), r"mass_matrix: expected mass_matrix\(q\), or"),
+        (lambda: changed(Cart, load=lambda self, q: q), r"load: expected load\(q, v\), or load\(q, v, t\) "),
+        (lambda: problem(changed(Cart, load=lambda self, q, v: jnp.zeros(2))), r"load\(q, v\): expected shape \(1,\)"),
+        (
+            lambda: problem(al.ForwardDynamics(Slide(loads=lambda: (al.BodyLoad("b"),)))),
+            r"no body 'b'; expected one of \['a'\]",
+        ),
+        (
+            lambda: problem(al.ForwardDynamics(Slide(loads=lambda: al.BodyLoad("a")))),
+            "body_loads returns a tuple of al.BodyLoad; received",
+        ),
+        (lambda: problem(al.ForwardDynamics(Slide(high=RISING))), "the place or the axis of 'a' depends on time"),
+        (lambda: Cart(wind=RISING).bias(jnp.zeros(1), jnp.zeros(1)), r"at an instant, such as model\.at\(0\.0\)"),
+        (
+            lambda: problem(changed(Cart, mass_matrix=lambda self, q, t: (1.0 - t) * jnp.eye(1))),
+            r"singular at t = 1 s \(x = 0\)",
+        ),
+        (
+            lambda: problem(al.ForwardDynamics(Cart(wind=al.Tabulated([0.0, 0.5], [1.0, 1.0])))),
+            "Signal 'parameters' of ForwardDynamics is known from 0 to 0.5 s, but the grid runs from 0 to 1 s",
+        ),
+        (lambda: problem(al.ForwardDynamics(Cart(mass=WIND))), "'mass' must stay positive, but a RandomProcess is"),
+        (lambda: problem(al.ForwardDynamics(Cart(mass=FADING))), "is singular about t = 0.5 s"),
+        *(
+            (
+                lambda name=name: al.simulate(
+                    al.ForwardDynamics(Matrices(), torque=TORQUE), GRID, inputs={name: TABLE}
+                ),
+                rf"ForwardDynamics takes no inputs: .* as its `torque`; received the inputs \['{name}'\]",
+            )
+            for name in ("shoulder_torque", "parameters")
         ),
     ],
 )
@@ -303,11 +257,3 @@ def test_systems_that_are_sound_are_not_refused():
         al.InverseDynamics(Tendons(m_2=uncertain), motion=MOTION),
     ):
         assert problem(system, grid=al.Grid(al.Decision(1.0, 0.5, 2.0), 4)).physics
-
-
-@pytest.mark.parametrize("name", ["shoulder_torque", "torque", "parameters"])
-def test_torques_that_are_no_inputs_are_asked_for_where_the_system_is_made(name):
-    given = {name: al.Tabulated([0.0, 1.0], [0.0, 1.0])}
-    words = rf"ForwardDynamics takes no inputs: .* as its `torque`; received the inputs \['{name}'\]"
-    with pytest.raises(al.ProblemError, match=words):
-        al.simulate(al.ForwardDynamics(Matrices(), torque=TORQUE), GRID, inputs=given)

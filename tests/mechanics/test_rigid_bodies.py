@@ -143,29 +143,6 @@ def test_velocities_of_a_prescribed_motion_are_those_of_its_rotation(model):
     np.testing.assert_allclose(torque_rate, slope, rtol=0, atol=1e-3 * np.abs(torque_rate).max())
 
 
-def test_velocities_of_prescribed_angles_solve_equations_66_and_67():
-    grid, motion = al.Grid(2.0, 40), wave(3, 3)
-    found = simulate(al.InverseDynamics(Angles(), motion=motion), grid)
-    q, q_dot, q_ddot = (np.asarray(motion.values(grid.fractions, 2.0, order)) for order in range(3))
-    v, v_dot = (np.stack([found[name + end] for name in BODY], axis=1) for end in ("", "_rate"))
-    H = np.asarray(compiled(jax.vmap(Angles().velocity_map))(q))
-    h = 1e-6
-    ahead, behind = (np.asarray(compiled(jax.vmap(Angles().velocity_map))(q + s * h * q_dot)) for s in (1, -1))
-    change = (ahead - behind) / (2 * h)
-    np.testing.assert_allclose(np.einsum("tij,tj->ti", H, v), q_dot, rtol=1e-9, atol=1e-9)
-    expected = np.einsum("tij,tj->ti", H, v_dot) + np.einsum("tij,tj->ti", change, v)
-    np.testing.assert_allclose(expected, q_ddot, rtol=1e-5, atol=1e-5)
-
-
-def test_inverse_dynamics_of_a_tumbling_body_takes_no_torque():
-    # Three conditions at the end and all at the start: a polynomial that touches the free motion at its start.
-    found = tumbling(Angles)
-    start = tuple(np.array([found[name + end][0] for name in Angles.names]) for end in ("", "_rate", "_acceleration"))
-    touching = simulate(al.InverseDynamics(Angles(), motion=al.PowerSeries(start=start)), al.Grid(1.0, 4))
-    np.testing.assert_allclose([touching[f"couple_{axis}"][0] for axis in "xyz"], 0.0, rtol=0, atol=1e-12)
-    assert abs(touching["couple_x"][-1]) > 1e-3
-
-
 def test_gimbal_lock_is_refused_with_its_angle_and_time():
     through = al.PowerSeries(start=(np.array([0.1, 0.0, 0.2]),), end=(np.array([0.1, np.pi, 0.2]),))
     with pytest.raises(al.ProblemError, match=r"singular at t = 0\.5 s .*pitch = 1\.571.*rate of '(yaw|roll)'.*gimbal"):
@@ -193,3 +170,115 @@ def test_body_rates_that_pass_for_rates_of_angles_are_refused():
 def test_hybrid_dynamics_needs_one_velocity_for_each_coordinate():
     with pytest.raises(al.ProblemError, match="received 4 coordinates and 3 velocities"):
         al.HybridDynamics(Quaternion(), motion={"w": 1.0})
+
+
+class Top(al.Multibody):
+    gravity = (0.0, 0.0, 0.0)
+
+    def bodies(self):
+        return (al.Body("b", joint=al.joints.Ball(), mass=1.0, inertia=(0.1, 0.2, 0.25)),)
+
+
+class Flyer(al.Multibody):
+    """A free base with an arm, which a motor turns."""
+
+    gravity = (0.0, 0.0, 0.0)
+    actuators = ("arm_torque",)
+
+    def bodies(self):
+        near = {"position": (0.2, 0.0, 0.1), "center": (0.5, 0.0, 0.1)}
+        return (
+            al.Body("base", joint=al.joints.Free(), mass=10.0, center=(0.1, 0.05, 0.0), inertia=(1.0, 1.2, 1.4)),
+            al.Body("arm", parent="base", joint=al.joints.Revolute("z"), mass=1.0, inertia=(0.1, 0.1, 0.1), **near),
+        )
+
+
+class Swivel(al.Multibody):
+    """A head that motors turn on a slide without one."""
+
+    gravity = (0.0, 0.0, 0.0)
+    actuators = ("head_omega_x_torque", "head_omega_y_torque", "head_omega_z_torque")
+
+    def bodies(self):
+        head = {"mass": 1.0, "center": (0.1, 0.2, 0.3), "inertia": (0.1, 0.1, 0.12)}
+        return (
+            al.Body("slide", joint=al.joints.Prismatic("x"), mass=2.0),
+            al.Body("head", parent="slide", joint=al.joints.Ball(), **head),
+        )
+
+
+def test_components_of_a_quaternion_that_a_start_leaves_out_are_those_of_no_turn():
+    start = al.ForwardDynamics(Top(), start={"b_x": 0.05}).initial()["q"]
+    np.testing.assert_allclose(start, np.array([1.0, 0.05, 0.0, 0.0]) / np.hypot(1.0, 0.05), rtol=1e-15)
+    free = al.HybridDynamics(Flyer(), motion={"arm": 0.3}, start={"base_x": 2.0, "base_qz": 0.05}).initial()["q"]
+    np.testing.assert_allclose(free[:3], [2.0, 0.0, 0.0])
+    np.testing.assert_allclose(free[3:], np.array([1.0, 0.0, 0.0, 0.05]) / np.hypot(1.0, 0.05), rtol=1e-15)
+    half_turn = al.ForwardDynamics(Top(), start={"b_w": 0.0, "b_x": 0.05}).initial()["q"]
+    np.testing.assert_allclose(half_turn, [0.0, 1.0, 0.0, 0.0])
+
+
+def test_a_prescribed_quaternion_that_passes_through_zero_is_refused_with_its_joint_and_time():
+    motion = {"b_w": 0.0, "b_x": al.PowerSeries(start=(1.0, 0.0), end=(-1.0, 0.0)), "b_y": 0.0, "b_z": 0.0}
+    diagnosis = al.InverseDynamics(Top(), motion=motion).diagnose(al.Grid(1.0, 10))
+    assert "quaternion of 'b_w' is zero at t = 0.5 s" in diagnosis
+    long = motion | {"b_y": 7.0}
+    assert al.InverseDynamics(Top(), motion=long).diagnose(al.Grid(1.0, 10)) == ""
+    turned = {name.replace("b_", "head_"): one for name, one in motion.items()}
+    assert "'head_w' is zero at t = 0.5 s" in al.HybridDynamics(Swivel(), motion=turned).diagnose(al.Grid(1.0, 10))
+
+
+@pytest.mark.slow
+def test_a_free_base_answers_its_arm_so_that_the_momentum_stays():
+    model, grid = Flyer(), al.Grid(1.0, 100)
+    swing = al.PowerSeries(start=(0.1, 0.2), end=(1.0, 0.0))
+    start = {"base_qx": 0.2, "base_x_rate": 0.1, "base_omega_y": 0.3}
+    system = al.HybridDynamics(model, motion={"arm": swing}, start=start, torque_rates=False)
+    found = simulate(system, grid)
+    np.testing.assert_allclose(found["arm"], swing.values(grid.fractions, 1.0), rtol=1e-13)
+    q, v = (jnp.stack([found[name] for name in names], 1) for names in (model.coordinates, model.speeds))
+    rates = [name.replace("_rate", "_acceleration") if "_rate" in name else f"{name}_rate" for name in model.speeds]
+    v_dot = jnp.stack([found[name] for name in rates], 1)
+    force, base, arm = compiled(
+        jax.vmap(
+            lambda q, v, v_dot: (
+                model.inverse_dynamics(q, v, v_dot),
+                model.point(q, "base", (0.1, 0.05, 0.0)),
+                model.point(q, "arm", (0.5, 0.0, 0.1)),
+            )
+        )
+    )(q, v, v_dot)
+    np.testing.assert_allclose(force[:, :6], 0.0, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(force[:, 6], found["arm_torque"], rtol=1e-10, atol=1e-12)
+    # The centre of mass goes straight on.
+    centre = np.asarray(10 * base + arm) / 11
+    straight = centre[0] + np.linspace(0, 1, 101)[:, None] * (centre[-1] - centre[0])
+    np.testing.assert_allclose(centre, straight, rtol=0, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_prescribed_head_of_any_quaternion_moves_its_slide_back():
+    grid = al.Grid(1.0, 100)
+    motion = {
+        "head_w": al.PowerSeries(start=(1.0, 0.0), end=(2.0, 0.1)),
+        "head_x": al.PowerSeries(start=(0.0, 0.3), end=(0.5, 0.0)),
+        "head_y": al.PowerSeries(start=(0.3,)),
+        "head_z": al.PowerSeries(start=(0.1, 0.3), end=(1.0, 0.0)),
+    }
+    system = al.HybridDynamics(Swivel(), motion=motion, start={"slide": 0.2})
+    assert system.diagnose(grid) == ""
+    found = simulate(system, grid)
+    raw = np.stack([np.asarray(motion[f"head_{c}"].values(grid.fractions, 1.0)) for c in "wxz"], 1)
+    turns = Rotation.from_quat(np.stack([raw[:, 1], np.full(101, 0.3), raw[:, 2], raw[:, 0]], 1))
+    reach = turns.apply([0.1, 0.2, 0.3])[:, 0]
+    centre = (3 * found["slide"] + reach) / 3
+    straight = centre[0] + np.linspace(0, 1, 101) * (centre[-1] - centre[0])
+    np.testing.assert_allclose(centre, straight, rtol=0, atol=1e-9)
+    assert np.ptp(found["slide"]) > 0.01
+    rate, torque = found["head_omega_y_torque_rate"][2:-2], found["head_omega_y_torque"]
+    expected = (torque[:-4] - 8 * torque[1:-3] + 8 * torque[3:-1] - torque[4:]) / 0.12
+    np.testing.assert_allclose(rate, expected, rtol=0, atol=1e-4 * np.abs(rate).max())
+
+
+def test_part_of_a_joint_cannot_be_prescribed():
+    with pytest.raises(al.ProblemError, match=r"of the joint of 'base' belong together; received only \['base_x'\]"):
+        al.HybridDynamics(Flyer(), motion={"base_x": 0.0})

@@ -1,68 +1,85 @@
-from functools import partial
+"""Recursions over random trees of bodies against MuJoCo's C library: one program for all numbers of a tree."""
+
+from functools import cache
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from mujoco_trees import orders, random_tree
+from mujoco_trees import Tree, orders, random_tree
 
+import aleator as al
 from compiling import compiled
+from zoo import cases
 
-# The kinds of joints, and the parent of each body (-1: the ground).
-TREES = {
-    "branches": (
-        ["revolute", "prismatic", "ball", "fixed", "revolute", "prismatic", "revolute"],
-        [-1, 0, 0, 1, 3, 2, 2],
-    ),
-    "a free base": (["free", "ball", "fixed", "fixed", "revolute"], [-1, 0, 0, 2, 3]),
-    "two roots": (["prismatic", "fixed", "revolute", "ball", "fixed"], [-1, -1, 1, 0, 3]),
-}
-STATES = 3
-# Compiling is most of the work here: it is done without optimisation.
+# Every kind of joint, on branches, on a free base, and on a body that the ground holds; -1 is the ground.
+KINDS = ["revolute", "prismatic", "ball", "fixed", "free", "fixed", "revolute"]
+PARENTS = [-1, 0, 0, 1, -1, -1, 5]
+STATES, AT = 2, (0.3, -0.2, 0.5)
 
 
+class Pushed(Tree):
+    """With a force and a moment at the centre of mass of each body."""
+
+    pushes: dict
+
+    def body_loads(self, q, v):
+        return tuple(
+            al.BodyLoad(one.name, force=self.pushes[one.name][:3], moment=self.pushes[one.name][3:], at=one.center)
+            for one in self.given
+        )
+
+
+@compiled
 def dynamics(tree, q, v, given):
-    """All that MuJoCo is asked for, at one state; `given` is an acceleration, or a force."""
+    """All that MuJoCo is asked for, at some states; `given` is an acceleration, or a force."""
 
     def at(q, v, given):
+        forward = tree.forward_dynamics(q, v, given)
         return {
             "mass matrix": tree.mass_matrix(q),
             "bias": tree.bias(q, v),
             "inverse": tree.inverse_dynamics(q, v, given),
-            "forward": tree.forward_dynamics(q, v, given),
+            "forward": forward,
+            "undone": tree.inverse_dynamics(q, v, forward),
+            "pushed": tree.forward_dynamics(q, v, tree.external(q, v)),
             "poses": {name: tuple(pose) for name, pose in tree.poses(q).items()},
-            "points": {body.name: tree.point(q, body.name, (0.3, -0.2, 0.5)) for body in tree.given},
-            "velocities": {body.name: tree.point_velocity(q, v, body.name, (0.3, -0.2, 0.5)) for body in tree.given},
+            "points": {body.name: tree.point(q, body.name, AT) for body in tree.given},
+            "velocities": {body.name: tree.point_velocity(q, v, body.name, AT) for body in tree.given},
             "map": tree.velocity_map(q),
-            "kinetic": tree.kinetic_energy(q, v),
-            "potential": tree.potential_energy(q),
+            "energies": jnp.stack([tree.potential_energy(q), tree.kinetic_energy(q, v)]),
         }
 
-    return jax.vmap(at)(q, v, given)
+    return jax.vmap(at)(*(jnp.asarray(one) for one in (q, v, given)))
 
 
-@pytest.fixture(
-    scope="module",
-    params=["branches", pytest.param("a free base", marks=pytest.mark.slow), "two roots"],
-)
-def case(request):
-    kinds, parents = TREES[request.param]
-    seed = list(TREES).index(request.param)
-    tree, mj = random_tree(kinds, parents, seed)
+@cache
+def case(seed):
+    tree, mj = random_tree(KINDS, PARENTS, seed)
     random = np.random.default_rng(100 + seed)
     q, v, given = (random.normal(size=(STATES, n)) for n in (mj.nq, mj.nv, mj.nv))
-    q = np.asarray(jax.vmap(tree.normalised)(q))
-    # The numbers of the first tree are known when it is compiled, those of the others are not.
-    run = compiled(partial(dynamics, tree)) if seed == 0 else partial(compiled(dynamics), tree)
-    return tree, mj, q, v, given, jax.tree.map(np.asarray, run(q, v, given))
+    q = np.stack([_normalised(tree, one) for one in q])
+    pushed = Pushed(tree.given, {body.name: random.normal(size=6) for body in tree.given})
+    found = jax.tree.map(np.asarray, dynamics(pushed, q, v, given))
+    return [(pushed, mj, q[i], v[i], given[i], jax.tree.map(lambda x, i=i: x[i], found)) for i in range(STATES)]
 
 
-def mujoco_at(tree, mj, q, v):
+def _normalised(tree, q):
+    """With quaternions of length one, in place."""
+    for start in [tree.coordinates.index(name) for name in tree.coordinates if name.endswith(("_w", "_qw"))]:
+        q[start : start + 4] /= np.linalg.norm(q[start : start + 4])
+    return q
+
+
+def mujoco_at(tree, mj, q, v, pushes=None):
     """MuJoCo's data at one state, and where its speeds are."""
     coordinates, speeds = orders(tree, mj)
+    mj.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
     data = mujoco.MjData(mj)
     data.qpos[coordinates], data.qvel[speeds] = q, v
+    for name, push in (pushes or {}).items():
+        data.xfrc_applied[mj.body(name).id] = push
     mujoco.mj_forward(mj, data)
     return data, speeds
 
@@ -71,86 +88,58 @@ def same(ours, theirs, tolerance=1e-12):
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=tolerance * np.abs(theirs).max())
 
 
-def test_the_mass_matrix_is_that_of_mujoco(case):
-    tree, mj, q, v, _, ours = case
-    for i in range(STATES):
-        data, speeds = mujoco_at(tree, mj, q[i], v[i])
+@pytest.mark.parametrize("seed", cases(range(8)))
+def test_mass_matrix_bias_and_both_dynamics_are_those_of_mujoco(seed):
+    for tree, mj, q, v, given, ours in case(seed):
+        data, speeds = mujoco_at(tree, mj, q, v)
         full = np.zeros((mj.nv, mj.nv))
         mujoco.mj_fullM(mj, data, full)
-        same(ours["mass matrix"][i], full[np.ix_(speeds, speeds)])
-
-
-def test_bias_inverse_and_forward_dynamics_are_those_of_mujoco(case):
-    tree, mj, q, v, given, ours = case
-    for i in range(STATES):
-        data, speeds = mujoco_at(tree, mj, q[i], v[i])
-        same(ours["bias"][i], (data.qfrc_bias - data.qfrc_passive)[speeds])
-        data.qacc[speeds] = given[i]
+        matrix = full[np.ix_(speeds, speeds)]
+        same(ours["mass matrix"], matrix)
+        same(ours["mass matrix"], ours["mass matrix"].T, 1e-14)
+        same(ours["bias"], (data.qfrc_bias - data.qfrc_passive)[speeds])
+        data.qacc[speeds] = given
         mujoco.mj_inverse(mj, data)
-        same(ours["inverse"][i], data.qfrc_inverse[speeds])
-        data.qfrc_applied[speeds] = given[i]
+        same(ours["inverse"], data.qfrc_inverse[speeds])
+        data.qfrc_applied[speeds] = given
         mujoco.mj_forward(mj, data)
-        same(ours["forward"][i], data.qacc[speeds])
+        same(ours["forward"], data.qacc[speeds], 1e-10)
+        same(ours["undone"], given, 1e-10)
 
 
-def test_poses_points_and_their_velocities_are_those_of_mujoco(case):
-    tree, mj, q, v, _, ours = case
-    for i in range(STATES):
-        data, _ = mujoco_at(tree, mj, q[i], v[i])
+@pytest.mark.parametrize("seed", cases(range(8)))
+def test_forces_and_moments_on_bodies_accelerate_as_in_mujoco(seed):
+    for tree, mj, q, v, _, ours in case(seed):
+        data, speeds = mujoco_at(tree, mj, q, v, tree.pushes)
+        same(ours["pushed"], data.qacc[speeds], 1e-9)
+
+
+@pytest.mark.parametrize("seed", cases(range(8)))
+def test_poses_points_velocities_and_energies_are_those_of_mujoco(seed):
+    for tree, mj, q, v, _, ours in case(seed):
+        data, speeds = mujoco_at(tree, mj, q, v)
         for body in tree.given:
             index = mj.body(body.name).id
             rotation, position = data.xmat[index].reshape(3, 3), data.xpos[index]
-            np.testing.assert_allclose(ours["poses"][body.name][0][i], rotation, rtol=0, atol=1e-12)
-            np.testing.assert_allclose(ours["poses"][body.name][1][i], position, rtol=0, atol=1e-11)
-            point = position + rotation @ [0.3, -0.2, 0.5]
-            np.testing.assert_allclose(ours["points"][body.name][i], point, rtol=0, atol=1e-11)
+            np.testing.assert_allclose(ours["poses"][body.name][0], rotation, rtol=0, atol=1e-12)
+            np.testing.assert_allclose(ours["poses"][body.name][1], position, rtol=0, atol=1e-11)
+            point = position + rotation @ AT
+            np.testing.assert_allclose(ours["points"][body.name], point, rtol=0, atol=1e-11)
             jacobian = np.zeros((3, mj.nv))
             mujoco.mj_jac(mj, data, jacobian, None, point, index)
-            np.testing.assert_allclose(ours["velocities"][body.name][i], jacobian @ data.qvel, rtol=0, atol=1e-10)
-
-
-def test_energies_are_those_of_mujoco(case):
-    tree, mj, q, v, _, ours = case
-    mj.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
-    for i in range(STATES):
-        data, _ = mujoco_at(tree, mj, q[i], v[i])
+            np.testing.assert_allclose(ours["velocities"][body.name], jacobian @ data.qvel, rtol=0, atol=1e-10)
         # What is fixed to the ground has a weight, but no coordinate: its constant is left out here.
-        grounded = sum(
-            9.81 * mj.body(index).mass[0] * data.xipos[index][2]
-            for index in range(1, mj.nbody)
-            if mj.body_weldid[index] == 0
-        )
-        same(np.array([ours["potential"][i], ours["kinetic"][i]]), data.energy - [grounded, 0.0])
-
-
-def test_coordinates_change_along_the_velocity_as_in_mujoco(case):
-    tree, mj, q, v, _, ours = case
-    coordinates, speeds = orders(tree, mj)
-    full = np.zeros(mj.nv)
-    for i in range(STATES):
-        full[speeds] = v[i]
-        step = 1e-4
-        ahead, behind = np.zeros(mj.nq), np.zeros(mj.nq)
-        ahead[coordinates] = behind[coordinates] = q[i]
+        held = [index for index in range(1, mj.nbody) if mj.body_weldid[index] == 0]
+        grounded = sum(9.81 * mj.body(index).mass[0] * data.xipos[index][2] for index in held)
+        same(ours["energies"], data.energy - [grounded, 0.0])
+        # Coordinates change along the velocity.
+        full, step = np.zeros(mj.nv), 1e-4
+        full[speeds] = v
+        ahead, behind = data.qpos.copy(), data.qpos.copy()
         mujoco.mj_integratePos(mj, ahead, full, step)
         mujoco.mj_integratePos(mj, behind, full, -step)
-        rates = ((ahead - behind) / (2 * step))[coordinates]
-        np.testing.assert_allclose(ours["map"][i] @ v[i], rates, rtol=0, atol=1e-7)
-
-
-def test_the_mass_matrix_is_positive_definite_and_the_derivative_of_inverse_dynamics(case):
-    tree, _, q, v, given, ours = case
-    slopes = compiled(jax.vmap(jax.jacfwd(tree.inverse_dynamics, argnums=2)))(q, v, given)
-    for matrix, slope in zip(ours["mass matrix"], slopes, strict=True):
-        same(matrix, matrix.T, 1e-14)
-        assert np.linalg.eigvalsh(matrix)[0] > 0
-        same(matrix, np.asarray(slope), 1e-13)
-
-
-def test_inverse_dynamics_undo_forward_dynamics(case):
-    tree, _, q, v, given, ours = case
-    force = compiled(jax.vmap(tree.inverse_dynamics))(q, v, ours["forward"])
-    same(np.asarray(force), given, 1e-11)
+        rates = ((ahead - behind) / (2 * step))[orders(tree, mj)[0]]
+        np.testing.assert_allclose(ours["map"] @ v, rates, rtol=0, atol=1e-7)
 
 
 @pytest.mark.slow
@@ -158,16 +147,13 @@ def test_forward_derivatives_are_those_of_central_differences():
     tree, mj = random_tree(["free", "revolute", "ball"], [-1, 0, 1], 7)
     random = np.random.default_rng(8)
     sizes = np.cumsum([mj.nq, mj.nv])
-    point = jnp.asarray(random.normal(size=mj.nq + 2 * mj.nv))
-    directions = jnp.asarray(random.normal(size=(4, point.size)))
+    point = random.normal(size=mj.nq + 2 * mj.nv)
 
     def both(point):
         q, v, given = jnp.split(point, sizes)
         return jnp.concatenate([tree.inverse_dynamics(q, v, given), tree.forward_dynamics(q, v, given)])
 
-    exact = compiled(jax.vmap(lambda along: jax.jvp(both, (point,), (along,))[1]))(directions)
-    step = 1e-5
-    pairs = jnp.concatenate([point[None] + step * directions, point[None] - step * directions])
-    ahead, behind = np.split(np.asarray(compiled(jax.vmap(both))(pairs)), 2)
-    for derivative, difference in zip(np.asarray(exact), (ahead - behind) / (2 * step), strict=True):
-        same(derivative, difference, 1e-7)
+    run = compiled(jax.vmap(lambda at, along: jax.jvp(both, (at,), (along,))))
+    for along in random.normal(size=(4, point.size)):
+        values, slopes = run(point + np.outer([-1e-5, 0.0, 1e-5], along), np.tile(along, (3, 1)))
+        same(np.asarray(slopes)[1], np.asarray(values)[2] / 2e-5 - np.asarray(values)[0] / 2e-5, 1e-7)

@@ -1,12 +1,16 @@
 """Trees of bodies closed to loops as simultaneous programs: forward and inverse dynamics, by both ways."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from closed_loops import SliderCrank as Linkage
 from closed_loops import slider_crank_by_hand
 from numpy.polynomial import Polynomial
 from scipy.optimize import minimize
 
 import aleator as al
+from aleator.transcription import transcribe
+from aleator.transcription.simultaneous._guess import state_shapes
 
 A, B, CRANK_INERTIA, ROD_MASS, SLIDER_MASS = 0.1, 0.3, 0.01, 0.5, 0.7
 NEAR = {"rod": -0.4, "slider": 0.4}
@@ -118,3 +122,51 @@ def quintic(first, last):
     powers = [Polynomial.basis(k) for k in range(6)]
     rows = [[one.deriv(k)(t) if k else one(t) for one in powers] for t in (0.0, DURATION) for k in range(3)]
     return Polynomial(np.linalg.solve(rows, [START, RATE, first, END, RATE, last]))
+
+
+class Growing(Linkage):
+    """A rod that is as long as the time says, so that the start is known only at its instant."""
+
+    def constraint(self, q, t):
+        length = self.b + 0.05 * jnp.cos(t)
+        return (
+            self.a * jnp.cos(q[0]) + length * jnp.cos(q[1]) - q[2],
+            self.a * jnp.sin(q[0]) + length * jnp.sin(q[1]),
+        )
+
+
+def turned(model: al.Lagrangian, steps: int) -> al.Problem:
+    """Turn the crank of a family of slider-cranks by two radians, as fast at the end as at first."""
+    torque = al.BSpline(al.Decision(np.zeros(4), -5.0, 5.0), degree=2)
+    start = {"crank": 0.3, "crank_rate": 4.0}
+    return al.Problem(
+        al.ForwardDynamics(model, torque={"crank_torque": torque}, start=start, guess={"rod": -0.1, "slider": 0.4}),
+        grid=al.Grid(0.5, steps),
+        minimize=al.integral("constraint_error").mean,
+        subject_to=[
+            al.terminal("crank").mean.equals(2.3),
+            al.terminal("crank_rate").mean.equals(4.0),
+        ],
+        expansion=al.Expansion(order=1),
+    )
+
+
+@pytest.mark.slow
+def test_a_start_that_depends_on_the_instant_is_that_of_the_simulation():
+    problem = turned(Growing(rod_mass=al.Uniform(0.5, half_width=0.1)), 4)
+    transcribed = transcribe(problem, al.Simultaneous(al.schemes.Radau(1)))
+    crank, rod, slider = np.moveaxis(transcribed.layout.view(transcribed.program.start).states[:, 0, :3], 1, 0)
+    np.testing.assert_allclose(crank, 0.3, rtol=1e-14)
+    np.testing.assert_allclose(np.sin(rod), -0.1 / 0.35 * np.sin(0.3), rtol=1e-9)
+    np.testing.assert_allclose(slider, 0.1 * np.cos(0.3) + 0.35 * np.cos(rod), rtol=1e-9)
+    tied = transcribed.program.ties.rows
+    first = transcribed.program.evaluate(transcribed.program.start).constraints[tied]
+    begun = np.isin(transcribed.program.ties.variables, transcribed.layout.numbers.states[:, 0])
+    np.testing.assert_allclose(first[begun], 0.0, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_the_states_of_driven_loops_are_known_by_name_before_anything_is_simulated():
+    """Their start follows from constraints and signals of the first instant."""
+    problem = al.Problem(inverse()[0], grid=al.Grid(0.5, 4), minimize=al.terminal("crank").mean)
+    assert state_shapes(problem) == {"q": (2,)}
