@@ -1,96 +1,252 @@
-"""Derivatives of motion plans agree with finite differences, also where they are taken instant by instant."""
+"""Motion plans: derivatives instant by instant, their sparsity, and torques that follow from those at a few points."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aleator as al
-from aleator.studies import pick_and_place_effort, pick_and_place_time, swing_up
-from aleator.studies.two_link_arm import START, TARGET, TwoLinkArm
+from aleator.studies import pick_and_place_effort, swing_up
 from aleator.transcription import transcribe
-from aleator.transcription.sequential._instantaneous import instantaneous
+from aleator.transcription.sequential import _instantaneous as instantaneous
+from aleator.transcription.sequential._affine import affine_features, anchored
+from aleator.transcription.sequential._sparsity import sparsity_of
+from compiling import compiled
+from zoo import Pendulum, derivative_error
 
-REST = {"start": (START, 0.0), "end": (TARGET, 0.0)}
+# --- Derivatives -----------------------------------------------------------------------------------------------------
 
 
-def codesign():
+class Arm(Pendulum):
+    """A pendulum, and a length that is no affine function of its mass."""
+
+    def outputs(self, motion):
+        return {"stretch": jnp.sqrt(self.mass + motion.q[0] ** 2)}
+
+
+def codesign(**options):
     """Decisions in the motion, the model, a distribution, the final time, and one shared by motion and model."""
     shared = al.Decision(0.9, 0.5, 1.5).shared("length")
-    arm = TwoLinkArm(
-        payload=al.Uniform(1.0, half_width=al.Decision(0.2, 0.05, 0.5)),
-        length_1=shared,
-        length_2=al.Decision(0.8, 0.5, 1.5),
-    )
-    points = al.fit_control_points(np.linspace(START, TARGET, 30), 4, **REST)
-    motion = al.BSpline(al.Decision(points, -3.0, 3.0), start=((shared, 0.3), 0.0), end=REST["end"])
-    torque, tip = al.path("q1_torque"), al.path("tip_x")
-    return al.Problem(
-        al.InverseDynamics(arm, motion=motion),
-        grid=al.Grid(al.Decision(1.7, 1.0, 3.0), 12),
-        minimize=al.objectives.final_time() + al.objectives.effort("q1_torque", "q2_torque"),
-        subject_to=[
+    mass = al.Uniform(1.0, half_width=al.Decision(0.2, 0.05, 0.5))
+    arm = Arm(mass=mass, length=shared, gravity=al.Decision(9.0, 8.0, 10.0))
+    points = al.Decision(np.linspace(0.3, 0.8, 8), -3.0, 3.0)
+    torque, rate = al.path("angle_torque"), al.path("angle_rate")
+    defaults = {
+        "minimize": al.objectives.final_time() + al.objectives.effort("angle_torque"),
+        "subject_to": [
             torque.within(-40.0, 40.0, sigmas=1.5),
-            al.path("q2_torque").at_most(40.0, worst_case=True),
-            (tip.mean - tip.std - al.value("length_2") >= -3.0).named("mixed"),
-            al.path("q1_rate").within(-9.0, 9.0),
+            al.path("stretch").at_most(40.0, worst_case=True),
+            (torque.mean - torque.std - al.value("gravity") >= -30.0).named("mixed"),
+            rate.within(-9.0, 9.0),
             (al.time_integral(torque.std) <= 50.0).named("spread"),
         ],
+    }
+    return al.Problem(
+        al.InverseDynamics(arm, motion={"angle": al.BSpline(points, start=(shared, 0.0), end=(1.0, 0.0))}),
+        grid=al.Grid(al.Decision(1.7, 1.0, 3.0), 12),
+        expansion=al.Expansion(order=2),
+        **(defaults | options),
+    )
+
+
+def two_limits():
+    """The torque is affine in the mass, the stretch is not."""
+    limits = [al.path("angle_torque").at_most(40.0, sigmas=1.5), al.path("stretch").at_most(40.0, sigmas=1.0)]
+    return codesign(minimize=al.objectives.final_time(), subject_to=limits)
+
+
+def fixed_plan():
+    """What is uncertain is in the motion, and so moves with the decisions."""
+    start = al.Uniform(0.5, half_width=0.1)
+    motion = al.BSpline(al.Decision(np.zeros(4), -3.0, 3.0), start=(start, 0.0))
+    return al.Problem(
+        al.InverseDynamics(Pendulum(), motion={"angle": motion}),
+        grid=al.Grid(1.5, 6),
+        minimize=al.objectives.effort("angle_torque"),
+        subject_to=[al.path("angle_torque").at_most(100.0, sigmas=1.0)],
         expansion=al.Expansion(order=2),
     )
 
 
-def differences(program, x, step=1e-5):
-    columns = []
-    for i in range(len(x)):
-        shift = np.zeros(len(x))
-        shift[i] = step
-        up, down = program.evaluate(x + shift), program.evaluate(x - shift)
-        columns.append(
-            (np.append(up.constraints, up.objective) - np.append(down.constraints, down.objective)) / (2 * step)
-        )
-    return np.stack(columns, axis=1)
+PROBLEMS = {
+    "co-design": codesign,
+    "uncertain motion": fixed_plan,
+    "forward dynamics": pick_and_place_effort.terminal_variance_problem,
+    "hybrid dynamics": swing_up.robust_problem,
+}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    "problem",
-    [
-        codesign,
-        pick_and_place_time.robust_problem,
-        pick_and_place_effort.terminal_variance_problem,
-        swing_up.robust_problem,
-    ],
-    ids=["co-design", "inverse dynamics", "forward dynamics", "hybrid dynamics"],
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * name.endswith("dynamics")) for name in PROBLEMS]
 )
-def test_derivatives_agree_with_finite_differences(problem):
-    declared = problem()
-    program = transcribe(declared).program
-    x = declared.placements.vector("initial") + 0.01 * np.sin(np.arange(declared.placements.size))
+def test_derivatives_agree_with_finite_differences(name):
+    problem = PROBLEMS[name]()
+    program = transcribe(problem).program
+    x = problem.placements.vector("initial") + 0.01 * np.sin(np.arange(problem.placements.size))
     found = program.evaluate(x)
+
+    def values(point):
+        one = program.evaluate(point)
+        return np.append(one.constraints, one.objective)
+
     jacobian = np.vstack([found.jacobian, found.gradient])
-    np.testing.assert_allclose(jacobian, differences(program, x), rtol=1e-6, atol=1e-6 * np.abs(jacobian).max())
+    assert derivative_error(values, jacobian, x, steps=(1e-4, 1e-5, 1e-6)) < 1e-6
 
 
 def test_only_statistics_of_paths_alone_are_taken_instant_by_instant():
-    declared = codesign()
-    which = instantaneous(declared)
-    texts = [str(declared.expressions[i]) for i in which]
+    problem = codesign()
+    texts = [str(problem.expressions[i]) for i in instantaneous.instantaneous(problem)]
     assert len(texts) == 5
-    assert not any("length_2" in text or "∫" in text for text in texts)
+    assert not any("gravity" in text or "∫" in text for text in texts)
+    assert instantaneous.instantaneous(fixed_plan()) == ()
 
 
-def test_what_is_uncertain_in_the_motion_is_differentiated_as_a_whole():
-    arm = TwoLinkArm(payload=1.0)
-    motion = al.BSpline(al.Decision(np.zeros((4, 2)), -3.0, 3.0), start=((al.Uniform(0.5, half_width=0.1), 0.3), 0.0))
-    problem = al.Problem(
-        al.InverseDynamics(arm, motion=motion),
-        grid=al.Grid(1.5, 6),
-        minimize=al.objectives.effort("q1_torque"),
-        subject_to=[al.path("q1_torque").at_most(100.0, sigmas=1.0)],
-        expansion=al.Expansion(order=2),
+# --- Sparsity --------------------------------------------------------------------------------------------------------
+
+
+def test_what_was_felt_at_some_instant_is_counted_wherever_the_decision_is_felt():
+    # Three instants, two decisions with local support; the second path felt the first decision only once.
+    first = np.array([[True, False], [True, True], [False, True]])
+    second = np.array([[False, False], [True, False], [False, False]])
+    alone = np.array([[False, False]])
+    found = sparsity_of(np.vstack([first, second, alone]), [slice(0, 3), slice(3, 6)], 3)
+    np.testing.assert_array_equal(found[:3], first)
+    np.testing.assert_array_equal(found[3:6], [[True, False], [True, False], [False, False]])
+    assert found[6].all()
+
+
+def test_no_derivative_of_a_plan_is_outside_the_sparsity():
+    program = transcribe(codesign()).program
+    assert program.sparsity.mean() < 0.8
+    rng, lower, upper = np.random.default_rng(1), program.lower, program.upper
+    for _ in range(20):
+        x = np.clip(program.start + rng.standard_normal(program.start.shape), lower, upper)
+        assert not (program.evaluate(x).jacobian != 0)[~program.sparsity].any()
+
+
+# --- Outputs that are affine in what the germ moves ------------------------------------------------------------------
+
+
+@jax.jit
+def halved(x):
+    return 0.5 * x
+
+
+AFFINE = {
+    "features of any kind times what is moved": lambda g, x: jnp.sin(x[0]) * g[0] ** 2 + x[1] * jnp.exp(g[1]),
+    "no germ": lambda g, x: jnp.cos(x[0]) / x[1],
+    "the germ alone": lambda g, x: g[0] * g[1],
+    "products of matrices": lambda g, x: jnp.stack([x[0], x[1] ** 2]) @ jnp.stack([g, g**2]) @ x,
+    "parts and sums": lambda g, x: jnp.sum(jnp.concatenate([x * g[0], jnp.flip(g)])[1:]) - jnp.cross(x, g),
+    "a choice by what is moved": lambda g, x: jnp.where(x[0] > 0, g[0] * x[0], x[1]),
+    "a quotient by what is moved": lambda g, x: (g[0] + x[0]) / x[1],
+    "a function within": lambda g, x: halved(g[0] * x[0]),
+}
+OTHER = {
+    "a product of uncertain numbers": lambda g, x: (x[0] * g[0]) * (x[1] * g[1]),
+    "a root": lambda g, x: jnp.sqrt(x[0] + g[0]),
+    "a choice by the germ": lambda g, x: jnp.where(g[0] > x[0], x[0], x[1]),
+    "a quotient by the germ": lambda g, x: x[0] / (x[1] + g[0]),
+    "a maximum": lambda g, x: jnp.maximum(x[0], g[0]),
+    "rounding": lambda g, x: (x[0] * g[0]).astype(int) * 1.0,
+    "a function within": lambda g, x: halved(jnp.abs(g[0] - x[0])),
+    "a power": lambda g, x: (g[0] + x[0]) ** 2,
+}
+
+
+def test_what_is_affine_in_features_of_the_germ_follows_from_a_few_points():
+    rng, moved = np.random.default_rng(0), jnp.asarray([1.1, 2.0])
+    points, elsewhere = rng.uniform(-1, 1, (12, 2)), rng.uniform(0.5, 2, 2)
+    told = {}
+
+    @compiled
+    def each(germs, other):
+        def features(name, germ):
+            found, told[name] = affine_features(lambda *at: [AFFINE[name](*at)], germ, moved)
+            return found
+
+        return {
+            name: (
+                jax.vmap(lambda g, name=name: features(name, g))(germs),
+                jax.vmap(lambda g, rule=rule: rule(g, other))(germs),
+            )
+            for name, rule in AFFINE.items()
+        }
+
+    for name, (features, values) in each(points, elsewhere).items():
+        assert told[name] == (True,)
+        anchors = anchored(points, np.asarray(features), (True,))
+        assert len(anchors.points) < 8
+        weights = np.asarray(anchors.weights)
+        np.testing.assert_allclose(weights.sum(axis=1), 1.0, rtol=1e-12)
+        chosen = [int(np.flatnonzero((points == one).all(axis=1))[0]) for one in np.asarray(anchors.points)]
+        np.testing.assert_allclose(weights @ np.asarray(values)[chosen], values, rtol=1e-9, err_msg=name)
+
+
+def test_what_is_not_affine_is_never_taken_to_be_and_outputs_are_told_apart():
+    functions = {f"{i} {name}": rule for i, rules in enumerate((AFFINE, OTHER)) for name, rule in rules.items()}
+    germ, moved = jnp.asarray([0.3, 0.4]), jnp.asarray([1.1, 2.0])
+    _, affine = affine_features(lambda *at: [rule(*at) for rule in functions.values()], germ, moved)
+    assert dict(zip(functions, affine, strict=True)) == {name: name.startswith("0") for name in functions}
+    features, _ = affine_features(lambda *at: [AFFINE["the germ alone"](*at), OTHER["a root"](*at)], germ, moved)
+    np.testing.assert_allclose(features, [0.12])
+
+
+def test_points_that_are_all_needed_are_all_kept():
+    points = np.linspace(-1, 1, 4)[:, None]
+    assert anchored(points, np.vander(points[:, 0], 4), (True,)) is None
+    assert len(anchored(points, points, (True,)).points) == 2
+    assert len(anchored(points, np.zeros((4, 0)), (True,)).points) == 1
+    assert anchored(points, np.where(points > 0, points, np.inf), (True,)) is None
+
+
+class SpatialArm(al.Multibody):
+    """Two joints, and a load of uncertain mass at an uncertain place: torques know its mass and its moments."""
+
+    payload: al.Number = al.parameter("kg", positive=True)
+    offset: al.Number = al.parameter("m")
+
+    def bodies(self):
+        return (
+            al.Body("base", joint=al.joints.Revolute("z"), mass=2.0, center=(0.1, 0.0, 0.2), inertia=(0.1, 0.1, 0.05)),
+            al.Body("arm", parent="base", joint=al.joints.Revolute("y"), position=(0.0, 0.1, 0.3), mass=1.0),
+            al.Body("load", parent="arm", joint=al.joints.Fixed(), position=(0.5, 0.0, self.offset), mass=self.payload),
+        )
+
+
+def spatial_problem():
+    arm = SpatialArm(payload=al.Uniform(2.0, half_width=0.8), offset=al.Uniform(0.05, half_width=0.03))
+    ends = {"start": ((0.0, 0.3), 0.0), "end": ((1.0, -0.5), 0.0)}
+    points = al.fit_control_points(np.linspace((0.0, 0.3), (1.0, -0.5), 30), 4, **ends)
+    return al.Problem(
+        al.InverseDynamics(arm, motion=al.BSpline(al.Decision(points, -3.0, 3.0), **ends)),
+        grid=al.Grid(al.Decision(2.0, 0.1, 20.0), 12),
+        minimize=al.objectives.final_time(),
+        subject_to=[al.path(f"{name}_torque").within(-60.0, 60.0, sigmas=1.0) for name in ("base", "arm")],
+        expansion=al.Expansion(order=3),
     )
-    assert instantaneous(problem) == ()
-    program = transcribe(problem).program
-    x = problem.placements.vector("initial") + 0.1 * np.sin(np.arange(8))
-    found = program.evaluate(x)
-    jacobian = np.vstack([found.jacobian, found.gradient])
-    np.testing.assert_allclose(jacobian, differences(program, x), rtol=1e-6, atol=1e-6 * np.abs(jacobian).max())
+
+
+@pytest.mark.parametrize(
+    ("declared", "anchors"),
+    [(two_limits, None), pytest.param(spatial_problem, 4, marks=pytest.mark.slow)],
+    ids=["some outputs", "all outputs"],
+)
+def test_rows_and_derivatives_are_those_of_all_points(monkeypatch, declared, anchors):
+    problem = declared()
+    few = transcribe(problem)
+    x = problem.placements.vector("initial") + 0.01 * np.sin(np.arange(problem.placements.size))
+    reached = instantaneous.anchors_of(few.traced, few.collocation, x)
+    assert reached is not None
+    assert all(reached.affine) is (anchors is not None)
+    assert any(reached.affine)
+    assert anchors is None or len(reached.points) == anchors
+    found, resolved = few.program.evaluate(x), few.resolve(x)
+    monkeypatch.setattr("aleator.transcription.sequential._transcribed.anchors_of", lambda *_: None)
+    every = transcribe(declared())
+    expected = every.program.evaluate(x)
+    size = np.abs(expected.jacobian).max()
+    np.testing.assert_allclose(found.constraints, expected.constraints, rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(found.jacobian, expected.jacobian, rtol=1e-9, atol=1e-11 * size)
+    for text, one in every.resolve(x).items():
+        np.testing.assert_allclose(resolved[text].std, one.std, rtol=1e-8, atol=1e-10)

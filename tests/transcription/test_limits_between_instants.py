@@ -1,88 +1,52 @@
-"""Solutions say what a finer grid shows of them, and are none where their limits break there."""
+"""Limits hold between the instants of a grid too: of plans, at jumps of torques, and beside ripples and pulses."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 
 import aleator as al
 from aleator.certification._between import excess_between
+from aleator.certification._jumps import jumps
 from aleator.certification._reference import reference
 from aleator.design import is_over_time
 from aleator.nlp import FilterSQP, Status
 from aleator.transcription import transcribe
+from zoo import Pendulum
+
+# --- Plans -----------------------------------------------------------------------------------------------------------
 
 
-class Cart(al.Mechanical):
-    """A mass on a rail, from rest to rest, and how far it is from a wavy path."""
-
-    names = ("x",)
-    mass: al.Number = al.parameter("kg", positive=True)
-
-    def mass_matrix(self, q):
-        del q
-        return jnp.array([[self.mass]])
-
-    def coriolis(self, q, v):
-        del q, v
-        return jnp.zeros((1, 1))
-
-    def outputs(self, motion):
-        return {"off": motion.q[0] - 0.3 * jnp.sin(5 * motion.t), "speed": motion.v[0]}
-
-
-def problem(*constraints, steps=12, free=6, minimize=None, t_final=None):
-    points = al.Decision(np.linspace(0.2, 0.8, free)[:, None], -3.0, 3.0)
-    motion = al.BSpline(points, start=(0.0, 0.0), end=(np.array([1.0]), 0.0))
+def plan(*limits, steps=4, free=8, degree=3, gravity=0.0, end=1.0, **options):
+    """From rest to rest in the least time, with a torque within limits: without gravity a mass on a rail."""
+    ends = {"start": (0.0, 0.0), "end": (end, 0.0)}
+    points = al.fit_control_points(np.linspace(0.0, end, 200), free, degree=degree, **ends)
+    motion = al.BSpline(al.Decision(points, -3.0, 4.0), degree=degree, **ends)
+    pendulum = Pendulum(mass=al.Uniform(1.0, half_width=0.1), gravity=gravity)
     return al.Problem(
-        al.InverseDynamics(Cart(mass=al.Uniform(1.0, half_width=0.1)), motion=motion),
-        grid=al.Grid(t_final or al.Decision(2.0, 0.1, 20.0), steps),
-        minimize=al.objectives.final_time() if minimize is None else minimize,
-        subject_to=constraints or [al.path("x_torque").within(-10.0, 10.0, sigmas=1.0)],
-        expansion=al.Expansion(order=2),
+        al.InverseDynamics(pendulum, motion={"angle": motion}),
+        **{"grid": al.Grid(al.Decision(2.0, 0.1, 20.0), steps), "minimize": al.objectives.final_time()} | options,
+        subject_to=limits or [al.path("angle_torque").within(-10.0, 10.0, sigmas=1.0)],
+        expansion=al.Expansion(order=1),
     )
+
+
+def curve(points, end, degree):
+    """The motion over the fraction of time, by SciPy."""
+    inner = np.linspace(0.0, 1.0, len(points) + 5 - degree)
+    knots = np.concatenate([np.zeros(degree), inner, np.ones(degree)])
+    return BSpline(knots, np.concatenate([[0.0, 0.0], points, [end, end]]), degree)
 
 
 def test_a_plan_that_breaks_its_limits_between_too_few_instants_is_no_solution():
-    coarse = problem(steps=4, free=8)
-    with pytest.raises(al.SolveError, match=r"between the instants of the grid 'x_torque' exceeds .* use more steps"):
-        al.solve(coarse)
-    kept = al.solve(coarse, throw=False)
-    assert kept.status is Status.NOT_HELD
-    assert not kept.ok
-    assert kept.certificate.between.worst > 1e-3
-    assert al.solve(coarse, between=1).ok
-
-
-def test_a_plan_that_holds_says_on_how_many_steps():
-    solution = al.solve(problem(), between=5)
-    assert solution.certificate.between.factor >= 5
-    assert solution.certificate.between.holds
-    assert f"hold on {solution.certificate.between.factor} times as many steps" in str(solution)
-
-
-def test_peaks_are_looked_at_between_instants_too():
-    declared = problem(
-        al.peak("speed").mean <= 0.62, minimize=al.objectives.effort("x_torque"), steps=3, free=4, t_final=2.0
-    )
-    found = transcribe(declared)
-    start = declared.placements.vector("initial")
-    excess = excess_between(found, start, reference(found, start, 40))
-    points = al.BSpline(np.concatenate([[0.0, 0.0], np.linspace(0.2, 0.8, 4), [1.0, 1.0]])[:, None], start=(), end=())
-    speed = points.derivative(1).sampled(np.linspace(0.0, 1.0, 121), 0.0, 2.0)
-    peak = float(np.abs(speed).max())
-    assert peak > float(np.abs(speed[::40]).max())
-    assert excess.where == "speed"
-    np.testing.assert_allclose(excess.shifts[0], [peak - 0.62], rtol=1e-12)
-    assert excess.worst == pytest.approx((peak - 0.62) / 0.62)
-    assert is_over_time(declared.constraints[0])
-
-
-def test_an_equality_along_a_path_that_breaks_between_instants_is_reported():
-    # Two instants, between which the cart is anywhere else.
-    exact = problem(al.path("speed").mean.equals(0.0), minimize=al.objectives.effort("x_torque"), steps=1)
-    solution = al.solve(exact, throw=False)
-    assert not solution.ok
-    assert solution.certificate.between.name == "speed"
+    with pytest.raises(
+        al.SolveError, match=r"between the instants of the grid 'angle_torque' exceeds .* use more steps"
+    ):
+        al.solve(plan())
+    refused = al.solve(plan(), throw=False)
+    assert refused.status is Status.NOT_HELD
+    assert refused.certificate.between.worst > 1e-3
+    assert al.solve(plan(), between=1).ok
 
 
 def test_an_interruption_while_limits_are_tightened_is_not_swallowed(monkeypatch):
@@ -95,98 +59,103 @@ def test_an_interruption_while_limits_are_tightened_is_not_swallowed(monkeypatch
 
     monkeypatch.setattr(FilterSQP, "solve", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        al.solve(problem(steps=5))
+        al.solve(plan())
     assert len(calls) == 2
 
 
-class Softening(al.System):
-    """`ẍ = u - x + x³`: from some starts on it escapes in finite time."""
-
-    states = ("x", "v")
-    start: al.Number = 0.0
-
-    def initial(self):
-        return {"x": self.start, "v": 0.0}
-
-    def rhs(self, t, z, u):
-        del t
-        return z.v, u - z.x + z.x**3
-
-    def outputs(self, t, z, u):
-        del t, u
-        return {"x": z.x}
+@pytest.mark.slow
+@pytest.mark.parametrize("steps", [60, 61])
+def test_a_plan_whose_torque_jumps_holds_on_both_sides_of_the_jump(steps):
+    """Torques of motions of degree 2 jump at knots, which are on instants of the grid (60) or between them (61)."""
+    solution = al.solve(plan(steps=steps, free=2, degree=2, gravity=4.0, end=2.0))
+    assert solution.ok
+    motion, inner = curve(np.ravel(solution.decisions["motion.angle.free"]), 2.0, 2), np.linspace(0.0, 1.0, 4)
+    sides = np.concatenate([inner[1:] - 1e-9, inner[:-1] + 1e-9, np.linspace(1e-9, 1 - 1e-9, 20_001)])
+    torque = motion.derivative(2)(sides) / solution.decisions["t_final"] ** 2 + 4.0 * np.sin(motion(sides))
+    assert np.max(np.abs(torque)) * (1 + 0.1 / np.sqrt(3)) == pytest.approx(10.0, rel=1e-4)
 
 
-def test_simulations_that_come_to_no_end_make_no_design():
-    force = al.BSpline(al.Decision(np.full(4, 30.0), 20.0, 40.0))
-    escaping = al.Problem(
-        Softening(start=al.Uniform(0.5, half_width=0.1)),
-        grid=al.Grid(4.0, 40),
-        inputs={"u": force},
-        minimize=al.terminal("x").variance,
-        expansion=al.Expansion(order=2),
-    )
-    with pytest.raises(al.SimulationError, match="not finite"):
-        al.solve(escaping)
+def test_the_sides_of_a_jump_are_continued_to_it():
+    fine = np.arange(21.0)
+    values = np.where(fine < 7.3, 2.0 + 0.1 * fine, -1.0 + 0.2 * fine)[:, None]
+    (jump,) = jumps(values, np.array([7.3 / 20]))
+    assert jump.place == pytest.approx(7.3)
+    assert jump.before == pytest.approx([2.73])
+    assert jump.after == pytest.approx([0.46])
+    assert jumps(np.sin(fine / 5)[:, None], np.array([0.3, 0.7])) == []
 
 
-class Flat(al.System):
-    """A number that stays what it is, and an output that is flat about the start."""
+# --- What all instants of a grid and of its refinements share, or miss -----------------------------------------------
 
-    states = ("k",)
-    k: al.Number = 0.0
 
-    def initial(self):
-        return {"k": self.k}
+class Rippled(al.System):
+    """A level with a ripple or a pulse on it, which is known in closed form."""
+
+    states = ("q",)
+    level: al.Number
+    depth: al.Number
+    ripple: al.Number = 0.0
+    pulse: al.Number = 0.0
+    best: al.Number = 3.0
 
     def rhs(self, t, z):
-        del t
-        return (0.0 * z.k,)
+        return (self.level - z.q,)
 
     def outputs(self, t, z):
-        del t
-        return {"over": jnp.maximum(z.k - 1.5, 0.0), "k": z.k, "fixed": 2.0 + 0.0 * z.k}
+        wave = jnp.sin(2 * jnp.pi * self.ripple * t)
+        bump = jnp.where(self.pulse > 0, jnp.exp(-(((t - 0.3375) / (self.pulse + 1e-9)) ** 2)), 0.0)
+        return {"i": self.level * (1.0 + self.depth * (wave + bump)), "loss": (self.level - self.best) ** 2}
 
 
-def flat(constraint):
-    return al.Problem(
-        Flat(k=al.Decision(0.5, 0.0, 4.0)),
-        grid=al.Grid(1.0, 2),
-        minimize=al.terminal("k").mean,
-        subject_to=[constraint],
-    )
+def rippled(high=9e3, low=-9e3, peak=9e3, ripple=0.0, pulse=0.0, best=3.0):
+    i = al.path("i")
+    limits = [i.at_most(high, sigmas=2.0).named("high"), i.at_least(low).named("low"), al.peak("i").at_most(peak)]
+    system = Rippled(al.Decision(1.0, 0.1, 10.0), al.Uniform(0.5, half_width=0.05), ripple, pulse, best)
+    return al.Problem(system, grid=al.Grid(1.0, 100), minimize=al.terminal("loss").mean, subject_to=limits)
 
 
-def test_a_constraint_that_is_flat_at_the_start_alone_is_not_refused():
-    # The solver may not find the way there, but it is not told that there is none.
-    assert al.solve(flat(al.terminal("over").mean >= 0.2), start={"k": 2.0}).objective == pytest.approx(1.7)
-    with pytest.raises(al.ProblemError, match="whatever the decisions are"):
-        al.solve(flat(al.terminal("fixed").mean <= 1.0))
+def answer(**options):
+    return al.solve(rippled(**options), throw=False)
 
 
-def test_arguments_that_make_no_sense_are_refused_in_words():
-    declared = problem()
-    for options, words in [
-        ({"between": 0}, "whole number of at least 1; received 0"),
-        ({"between": 2.5}, "received 2.5"),
-        ({"start": {"t_final": "soon"}}, r"'t_final': expected finite numbers of shape \(\); received 'soon'"),
-        ({"start": {"t_final": np.nan}}, "'t_final': expected finite numbers of shape .*; received nan"),
-        ({"warm_start": {"t_final": 1.0}}, "expected a Solution as `warm_start`; received dict"),
-    ]:
-        with pytest.raises(al.ProblemError, match=words):
-            al.solve(declared, **options)
+@pytest.mark.filterwarnings("ignore")
+def test_paths_and_peaks_are_compared_with_their_limits_on_the_finer_grid():
+    transcribed, level = transcribe(rippled(high=1.9, peak=1.2, ripple=50.0)), np.array([1.0])
+    factor = answer(high=1.5, ripple=100.0).certificate.between.factor
+    excess = excess_between(transcribed, level, reference(transcribed, level, factor))
+    wave = np.sin(2 * np.pi * 50.0 * np.linspace(0.0, 1.0, 100 * factor + 1))
+    assert wave.max() > 0.9 > wave[::factor].max()
+    np.testing.assert_allclose(excess.shifts[2], [1 + 0.5 * wave.max() - 1.2], rtol=1e-9)
+    assert excess.where == transcribed.problem.names[2]
+    assert excess.worst == pytest.approx((0.5 * wave.max() - 0.2) / 1.2)
+    assert all(is_over_time(one) for one in transcribed.problem.constraints)
 
 
-def test_a_solution_on_another_grid_is_a_start():
-    coarse = al.solve(problem(steps=12))
-    fine = al.solve(problem(steps=24), warm_start=coarse)
-    assert fine.objective == pytest.approx(coarse.objective, rel=0.02)
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("frequency", [100.0, 400.0])
+def test_a_ripple_that_all_instants_share_breaks_the_limit(frequency):
+    solution = answer(high=1.5, ripple=frequency)
+    assert solution.status is Status.NOT_HELD
+    # At the instants the level reaches the limit; at its peaks the middle system exceeds it by half.
+    assert solution.decisions["level"] == pytest.approx(1.5, rel=1e-6)
+    assert solution.certificate.between.worst == pytest.approx(0.5, abs=0.03)
+    assert solution.certificate.between.time * frequency % 1 == pytest.approx(0.25, abs=0.1)
+    assert "use more steps" in solution.why()
 
 
-def test_a_problem_whose_numbers_were_changed_in_place_is_transcribed_anew():
-    declared = problem()
-    before = al.solve(declared, between=1).objective
-    declared.system.motion.end[0][...] = 2.0
-    after = al.solve(declared, between=1).objective
-    # Twice as far takes √2 times as long.
-    assert after == pytest.approx(np.sqrt(2) * before, rel=1e-4)
+@pytest.mark.filterwarnings("ignore")
+def test_a_trough_breaks_a_lower_limit_too():
+    # Half of the level is left in the troughs.
+    assert answer(low=1.0, ripple=100.0).ok
+    solution = answer(low=1.0, ripple=100.0, best=1.2)
+    assert solution.status is Status.NOT_HELD
+    assert solution.certificate.between.worst == pytest.approx(0.4, abs=0.03)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("width", [2e-3, 5e-4])
+def test_a_pulse_between_instants_breaks_the_limit_of_a_path_and_of_its_peak(width):
+    solution = answer(high=1.5, pulse=width)
+    assert solution.status is Status.NOT_HELD
+    assert solution.certificate.between.time == pytest.approx(0.3375, abs=2 * width)
+    assert answer(peak=1.5, pulse=width).status is Status.NOT_HELD

@@ -1,38 +1,101 @@
-import dataclasses
+"""Sequential programs: values in closed form, first and second derivatives against differences, rows and programs."""
 
-import jax.numpy as jnp
+from typing import Any
+
 import numpy as np
 import pytest
 
 import aleator as al
 from aleator.transcription import transcribe
 from aleator.transcription.sequential import EVALUATE
-from tiny_models import ONE_STEP, RESPONSE, SPREAD, Gain, derivative_error, gain_problem, oscillator_problem
+from zoo import (
+    ONE_STEP,
+    RESPONSE,
+    SPREAD,
+    Decay,
+    Gain,
+    Launched,
+    central_differences,
+    derivative_error,
+    gain_problem,
+    optimum,
+)
+
+EXACT = al.Sequential(second_derivatives=True)
 
 
-@pytest.mark.parametrize("declare", [oscillator_problem, lambda: al.deterministic(oscillator_problem())])
-def test_derivatives_agree_with_central_differences(declare):
-    transcription = transcribe(declare())
-    program, point = transcription.program, np.array([0.9])
-    exact = program.evaluate(point)
+def pushed(*further, **options):
+    """A block of uncertain mass, pushed by a table of three forces: limits and objectives of every kind."""
+    x, effort = al.rms("x"), al.integral("effort")
+    defaults = {
+        "minimize": x.std * effort.mean,
+        "subject_to": [
+            al.path("x").at_most(0.5, sigmas=2.0),
+            al.terminal("x").mean ** 2 <= 0.04,
+            *further,
+        ],
+        "expansion": al.Expansion(order=2),
+    }
+    mass = al.Uniform(al.Decision(1.0, 0.5, 2.0), half_width=0.1)
+    push = al.Tabulated(np.linspace(0.0, 2.0, 3), al.Decision(np.zeros(3), -1.0, 1.0))
+    return al.Problem(Launched(mass, speed=1.0), grid=al.Grid(2.0, 2), inputs={"force": push}, **(defaults | options))
+
+
+@pytest.mark.parametrize(
+    "further",
+    [[], pytest.param([al.rms("x").quantile(0.9) <= 0.4], marks=pytest.mark.slow)],
+    ids=["moments", "quantiles"],
+)
+def test_first_and_second_derivatives_agree_with_central_differences(further):
+    program = transcribe(pushed(*further), EXACT).program
+    generator = np.random.default_rng(3)
+    x = program.start + 0.05 * generator.uniform(0.2, 1.0, program.start.size)
+    multipliers, weight = generator.uniform(-1.0, 1.0, program.constraint_lower.size), 0.7
+    exact = program.evaluate(x)
     assert np.isfinite(exact.jacobian).all()
 
-    def values(x):
-        evaluation = program.evaluate(x)
-        return np.append(evaluation.constraints, evaluation.objective)
+    def values(point):
+        found = program.evaluate(point)
+        return np.append(found.constraints, found.objective)
 
-    jacobian = np.vstack([exact.jacobian, exact.gradient])
-    assert derivative_error(values, jacobian, point) < 1e-6
+    def slope(point):
+        found = program.evaluate(point)
+        return weight * found.gradient + multipliers @ found.jacobian
+
+    assert derivative_error(values, np.vstack([exact.jacobian, exact.gradient]), x) < 1e-6
+    assert program.hessian is not None
+    found, bends = program.hessian.evaluate(x, weight, multipliers).toarray(), central_differences(slope, x, 1e-5)
+    np.testing.assert_allclose(found, np.tril(bends), atol=2e-6 * np.abs(bends).max())
 
 
-def test_moments_and_statistics_of_a_linear_response_are_exact():
+@pytest.mark.slow
+def test_a_singular_arc_takes_a_few_steps_by_second_derivatives_instead_of_dozens():
+    """The objective is linear in the push, so that an arc of it is singular."""
+    push = al.Tabulated(np.linspace(0.0, 5.0, 21), al.Decision(np.zeros(21), -1.0, 1.0))
+    x, v = al.rms("x"), al.rms("v")
+    problem = pushed(grid=al.Grid(5.0, 60), inputs={"force": push}, minimize=x.mean**2 + v.mean**2, subject_to=[])
+    known, exact = (optimum(problem, transcription=way) for way in (al.Sequential(), EXACT))
+    assert exact.objective == pytest.approx(known.objective, rel=1e-8)
+    assert 3 * exact.outcome.iterations < known.outcome.iterations
+
+
+@pytest.mark.slow
+def test_limits_on_the_worst_case_have_second_derivatives():
+    problem = pushed(minimize=al.integral("effort").mean, subject_to=[al.terminal("x").at_most(1.5, worst_case=True)])
+    known, exact = (al.solve(problem, transcription=way, between=1) for way in (al.Sequential(), EXACT))
+    assert exact.objective == pytest.approx(known.objective, rel=1e-6)
+
+
+def test_moments_statistics_and_outputs_of_a_linear_response_are_exact():
     transcription, point = transcribe(gain_problem()), np.array([1.7])
     response = transcription.resolve(point)["response(t_f)"]
-    assert float(response.mean) == pytest.approx(1.7, rel=1e-12)
-    assert float(response.std) == pytest.approx(1.7 * SPREAD, rel=1e-12)
+    assert (float(response.mean), float(response.std)) == pytest.approx((1.7, 1.7 * SPREAD), rel=1e-12)
     loss = (1.7 - 3.0) ** 2 + 1.0
     expected = {"μ[loss(t_f)]": loss, "μ[response(t_f)]": 1.7, "σ[response(t_f)]": 1.7 * SPREAD}
     assert transcription.statistics(point) == pytest.approx(expected, rel=1e-12)
+    theta = 1.0 + 0.3 * np.asarray(transcription.collocation.points)
+    outputs = transcription.outputs(point)["response"]
+    np.testing.assert_allclose(outputs, np.repeat(1.7 * theta, 2, axis=1), rtol=1e-14)
 
 
 def test_a_deterministic_problem_has_no_spread_and_no_broken_derivative():
@@ -44,14 +107,13 @@ def test_a_deterministic_problem_has_no_spread_and_no_broken_derivative():
     assert all(float(one.std) == 0.0 and float(one.leave_one_out) == 0.0 for one in resolved)
 
 
-def test_a_problem_is_compiled_once_for_all_bounds_sigmas_and_numbers():
+def test_a_problem_is_compiled_once_for_all_bounds_sigmas_and_numbers_and_anew_for_another_structure():
     def evaluate(problem):
         return transcribe(problem).program.evaluate(np.array([1.0]))
 
     first = evaluate(gain_problem())
     before = EVALUATE.compilations
     wider = evaluate(gain_problem().with_bound("response", 5.0))
-    evaluate(gain_problem(upper=7.0))
     doubled = evaluate(gain_problem().with_sigmas("response", 2.0))
     other = evaluate(gain_problem(theta=al.Uniform(2.0, half_width=0.1)))
     assert EVALUATE.compilations == before
@@ -59,32 +121,41 @@ def test_a_problem_is_compiled_once_for_all_bounds_sigmas_and_numbers():
     assert wider.constraints == pytest.approx(first.constraints)
     assert doubled.constraints == pytest.approx([1 + 2 * SPREAD])
     assert other.constraints == pytest.approx([2 + 0.1 / np.sqrt(3.0)])
-
-
-def test_another_structure_is_compiled_anew():
-    transcribe(gain_problem())
-    before = EVALUATE.compilations
-    transcribe(gain_problem(theta=al.Normal(1.0, 0.2), expansion=al.Expansion(2)))
+    transcribe(gain_problem(expansion=al.Expansion(2, points=17)))
     assert EVALUATE.compilations == before + 1
 
 
+class Weighted(al.AlgebraicSystem):
+    a: al.Number
+    weights: Any
+
+    def outputs(self):
+        return {"y": self.weights[0] * self.a}
+
+
+def test_a_problem_whose_numbers_were_changed_in_place_is_transcribed_anew():
+    weighted = Weighted(al.Decision(1.0, 0.5, 2.0), np.array([1.0]))
+    problem = al.Problem(weighted, minimize=al.output("y").mean)
+    assert al.solve(problem).objective == pytest.approx(0.5)
+    problem.system.weights[...] = 3.0
+    assert al.solve(problem).objective == pytest.approx(1.5)
+
+
 def test_rows_lead_back_to_constraints():
-    transcription = transcribe(oscillator_problem())
-    assert [(rows.start, rows.stop) for rows in transcription.rows] == [(0, 81), (81, 162)]
-    assert transcription.program.constraint_upper[:81].tolist() == [0.14] * 81
-    assert transcription.program.constraint_lower[81:].tolist() == [-0.14] * 81
+    decay = Decay(al.Decision(1.0, 0.5, 2.0))
+    limits = [al.path("x").within(-0.14, 1.15)]
+    transcription = transcribe(
+        al.Problem(decay, grid=al.Grid(1.0, 10), minimize=al.terminal("x").mean, subject_to=limits)
+    )
+    program = transcription.program
+    assert [(rows.start, rows.stop) for rows in transcription.rows] in ([(0, 11)], [(0, 11), (11, 22)])
+    assert set(program.constraint_upper[:11].tolist()) == {1.15}
+    assert set(program.constraint_lower[-11:].tolist()) == {-0.14}
 
 
-def test_a_problem_without_decisions_is_refused():
+def test_a_problem_without_decisions_and_a_choice_that_is_none_are_refused():
     problem = al.Problem(Gain(1.0, al.Uniform(1.0, half_width=0.1)), grid=ONE_STEP, minimize=RESPONSE.mean)
     with pytest.raises(al.ProblemError, match="no decisions"):
         transcribe(problem)
-
-
-def test_outputs_at_all_points_are_those_of_the_physics():
-    transcription = transcribe(gain_problem())
-    outputs = transcription.outputs(np.array([2.0]))
-    theta = 1.0 + 0.3 * np.asarray(transcription.collocation.points)
-    np.testing.assert_allclose(outputs["response"], np.repeat(2.0 * theta, 2, axis=1), rtol=1e-14)
-    assert isinstance(outputs["response"], jnp.ndarray)
-    assert dataclasses.is_dataclass(transcription)
+    with pytest.raises(al.ProblemError, match="second_derivatives"):
+        al.Sequential(second_derivatives="yes")  # type: ignore[arg-type]

@@ -1,6 +1,5 @@
 """Answers at which decisions have not moved: maxima, saddles, flat starts, and models without derivatives."""
 
-import warnings
 from typing import Any
 
 import jax
@@ -9,170 +8,125 @@ import numpy as np
 import pytest
 
 import aleator as al
-from tiny_models import ONE_STEP
+from zoo import block_problem
+
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+RESPONSES = {
+    "maximum": lambda a, b, size: (a**2 - 0.25) ** 2,
+    "falling": lambda a, b, size: -(a**2),
+    "cosine": lambda a, b, size: jnp.cos(a),
+    "symmetric": lambda a, b, size: (a - 1.0) ** 2 + (b**2 - 1.0) ** 2,
+    "dead": lambda a, b, size: 1.0 - jnp.maximum(0.0, a - 0.4),
+    "minimum": lambda a, b, size: (a - 0.25) ** 2,
+    "round": lambda a, b, size: (jnp.round(a) - 7.0) ** 2,
+    "stopped": lambda a, b, size: (jax.lax.stop_gradient(a) - 7.0) ** 2,
+    "whole": lambda a, b, size: (a.astype(int) - 7.0) ** 2,
+    "far": lambda a, b, size: (a / size - 3.0) ** 2,
+}
+LIMITED = {
+    "a": lambda a, size: a,
+    "far": lambda a, size: a / size,
+    "tanh": lambda a, size: jnp.tanh(5 * a),
+    "clip": lambda a, size: jnp.clip(a, 0.0, 1.0),
+    "over": lambda a, size: jnp.maximum(a - 1.5, 0.0),
+    "fixed": lambda a, size: 2.0 + 0.0 * a,
+}
 
 
-class Choice(al.System):
-    """No dynamics: responses of two numbers, each of which traps a search by slopes somewhere."""
+class Choice(al.AlgebraicSystem):
+    """A response of two numbers, and a function that is limited, each the sum of those with a weight: which is data."""
 
-    states = ("nothing",)
-    a: Any
-    b: Any = 0.0
-    kind: str = "maximum"
+    a: al.Number
+    b: al.Number
+    response: Any
+    limit: Any
+    size: al.Number = 1.0
 
-    def rhs(self, t, z):
-        return (0.0 * z.nothing,)
-
-    def outputs(self, t, z):
-        a, b = self.a, self.b
-        responses = {
-            "maximum": lambda: (a**2 - 0.25) ** 2,
-            "falling": lambda: -(a**2),
-            "cosine": lambda: jnp.cos(a),
-            "symmetric": lambda: (a - 1.0) ** 2 + (b**2 - 1.0) ** 2,
-            "dead": lambda: 1.0 - jnp.maximum(0.0, a - 0.4),
-            "minimum": lambda: (a - 0.25) ** 2,
-            "round": lambda: (jnp.round(a) - 7.0) ** 2,
-            "stopped": lambda: (jax.lax.stop_gradient(a) - 7.0) ** 2,
-            "whole": lambda: (a.astype(int) - 7.0) ** 2,
-        }
-        return {"y": responses[self.kind]() * 1.0, "a": a * 1.0}
+    def outputs(self):
+        y = sum(w * one(self.a, self.b, self.size) for w, one in zip(self.response, RESPONSES.values(), strict=True))
+        limit = sum(w * one(self.a, self.size) for w, one in zip(self.limit, LIMITED.values(), strict=True))
+        return {"y": y, "limit": limit}
 
 
-Y = al.terminal("y").mean
+def weights(names, name):
+    return [float(one == name) for one in names]
 
 
-def answer(kind, a, *limits, b=0.0, solver=None):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        problem = al.Problem(Choice(a, b, kind), grid=ONE_STEP, minimize=Y, subject_to=list(limits))
-        return al.solve(problem, solver)
+def answer(kind, a, b=(0.0, -2.0, 2.0), limit=None, lower=-1e9, upper=1e9, size=1.0, **options):
+    model = Choice(al.Decision(*a), al.Decision(*b), weights(RESPONSES, kind), weights(LIMITED, limit), size)
+    limits = [al.Constraint(al.output("limit").mean, lower=lower, upper=upper, name="limit")] if limit else []
+    return al.solve(al.Problem(model, minimize=al.output("y").mean, subject_to=limits), **options)
 
 
-SOLVERS = pytest.mark.parametrize(
-    "solver", [al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()], ids=["sqp", "ipopt", "slsqp"]
-)
+SOLVERS = [al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()]
 
 
-@SOLVERS
-@pytest.mark.parametrize(
-    ("kind", "bounds", "best"),
-    [("maximum", (-2.0, 2.0), 0.0), ("falling", (-1.0, 1.0), -1.0), ("cosine", (-3.0, 3.0), np.cos(3.0))],
-)
-def test_a_start_at_a_maximum_is_left(kind, bounds, best, solver):
-    solution = answer(kind, al.Decision(0.0, *bounds), solver=solver)
-    assert solution.ok
-    assert solution.objective == pytest.approx(best, abs=1e-6)
+@pytest.mark.parametrize("solver", SOLVERS, ids=lambda one: type(one).__name__)
+def test_a_start_at_a_maximum_is_left(solver):
+    for kind, most, best in (("maximum", 2.0, 0.0), ("falling", 1.0, -1.0), ("cosine", 3.0, np.cos(3.0))):
+        solution = answer(kind, (0.0, -most, most), solver=solver)
+        assert solution.ok
+        assert solution.objective == pytest.approx(best, abs=1e-6)
 
 
-def test_a_start_at_a_bound_that_holds_nothing_is_left():
-    assert answer("falling", al.Decision(0.0, 0.0, 1.0)).objective == pytest.approx(-1.0)
-
-
-def test_a_start_on_a_line_of_symmetry_is_left():
-    solution = answer("symmetric", al.Decision(0.3, -2.0, 2.0), b=al.Decision(0.0, -2.0, 2.0))
+def test_a_start_at_a_bound_on_a_line_of_symmetry_or_where_the_model_is_flat_is_left():
+    assert answer("falling", (0.0, 0.0, 1.0)).objective == pytest.approx(-1.0)
+    assert answer("dead", (0.0, -1.0, 1.0)).objective == pytest.approx(0.4)
+    solution = answer("symmetric", (0.3, -2.0, 2.0))
     assert solution.objective == pytest.approx(0.0, abs=1e-8)
     assert abs(solution.decisions["b"]) == pytest.approx(1.0, rel=1e-4)
 
 
 def test_a_maximum_under_a_limit_is_left_as_far_as_the_limit_lets():
-    solution = answer("falling", al.Decision(0.0, -1.0, 1.0), al.terminal("a").within(-0.2, 0.3))
+    solution = answer("falling", (0.0, -1.0, 1.0), limit="a", lower=-0.2, upper=0.3)
     assert solution.objective in (pytest.approx(-0.09, rel=1e-6), pytest.approx(-0.04, rel=1e-6))
 
 
-def test_a_start_where_the_model_is_flat_is_left():
-    assert answer("dead", al.Decision(0.0, -1.0, 1.0)).objective == pytest.approx(0.4)
-
-
-def test_a_start_at_the_minimum_stays_there():
-    solution = answer("minimum", al.Decision(0.25, -1.0, 1.0))
+def test_a_start_at_the_minimum_stays_there_and_a_decision_that_nothing_depends_on_is_named():
+    solution = answer("minimum", (0.25, -1.0, 1.0), b=(0.3, 0.0, 1.0))
     assert solution.decisions["a"] == 0.25
-    assert "nothing in the problem was found" not in str(solution)
+    assert solution.idle == ("b",)
+    assert "decision     b = 0.3 (at its start: nothing in the problem was found to depend on b)" in str(solution)
 
 
 @pytest.mark.parametrize("kind", ["round", "stopped", "whole"])
 def test_a_decision_whose_derivative_was_lost_is_refused_by_name(kind):
     with pytest.raises(al.ProblemError, match=r"changes with 'a', but all its derivatives tried are zero"):
-        answer(kind, al.Decision(2.0, 0.0, 10.0))
+        answer(kind, (2.0, 0.0, 10.0))
 
 
-def test_a_decision_that_nothing_depends_on_is_named():
-    solution = answer("minimum", al.Decision(0.1, -1.0, 1.0), b=al.Decision(0.3, 0.0, 1.0))
-    assert solution.idle == ("b",)
-    assert "decision     b = 0.3 (at its start: nothing in the problem was found to depend on b)" in str(solution)
+@pytest.mark.parametrize(("start", "size"), [(0.0, 1e8), (1.0, 1e10)])
+def test_a_decision_that_has_to_grow_by_orders_of_magnitude_is_no_proof_that_nothing_is_feasible(start, size):
+    solution = answer("far", (start,), limit="far", upper=2.0, size=size)
+    assert solution.decisions["a"] == pytest.approx(2 * size, rel=1e-5)
 
 
-@pytest.mark.parametrize("size", [1e8, 1e9, 1e10])
-@pytest.mark.parametrize("start", [0.0, 1.0])
-def test_a_decision_that_has_to_grow_by_orders_of_magnitude_is_no_proof_that_nothing_is_feasible(size, start):
-    class Far(al.System):
-        states = ("nothing",)
-        d: Any
+@pytest.mark.parametrize(("kind", "place"), [("tanh", np.arctanh(0.5) / 5), ("clip", 0.5)])
+def test_a_start_where_a_constraint_saturates_is_no_proof_that_nothing_is_feasible(kind, place):
+    solution = answer("far", (8.0, 0.0, 10.0), limit=kind, upper=0.5)
+    assert solution.decisions["a"] == pytest.approx(place, rel=1e-5)
 
-        def rhs(self, t, z):
-            return (0.0 * z.nothing,)
 
-        def outputs(self, t, z):
-            return {"y": self.d / size, "loss": (self.d / size - 3.0) ** 2}
+def test_a_constraint_that_is_flat_at_the_start_alone_is_not_refused():
+    # The solver may not find the way there, but it is not told that there is none.
+    solution = answer("minimum", (0.5, 0.0, 4.0), limit="over", lower=0.2, start={"a": 2.0})
+    assert solution.decisions["a"] == pytest.approx(1.7)
+    with pytest.raises(al.ProblemError, match="whatever the decisions are"):
+        answer("minimum", (0.5, 0.0, 4.0), limit="fixed", upper=1.0)
 
-    problem = al.Problem(
-        Far(al.Decision(start)),
-        grid=ONE_STEP,
-        minimize=al.terminal("loss").mean,
-        subject_to=[al.terminal("y").mean <= 2.0],
+
+@pytest.mark.parametrize(
+    ("way", "steps", "fastest"),
+    [(al.Sequential(), 20, 0.5), pytest.param(al.Simultaneous(), 10, 9.0, marks=pytest.mark.slow)],
+    ids=["limited", "free"],
+)
+def test_every_decision_of_many_leaves_a_maximum_as_far_as_a_limit_lets(way, steps, fastest):
+    """All pieces end at a bound; the last speed is their mean: at most a half if fifteen go up, and five down."""
+    problem = block_problem(
+        steps=steps,
+        inputs={"force": al.Control(0.0, -1.0, 1.0)},
+        minimize=-1.0 * al.integral("effort").mean,
+        subject_to=[al.terminal("v").within(-fastest, fastest)],
     )
-    assert al.solve(problem).decisions["d"] == pytest.approx(2 * size, rel=1e-5)
-
-
-@pytest.mark.parametrize("shape", [lambda a: jnp.tanh(5 * a), lambda a: jnp.clip(a, 0.0, 1.0)], ids=["tanh", "clip"])
-def test_a_start_where_a_constraint_saturates_is_no_proof_that_nothing_is_feasible(shape):
-    class Saturated(al.System):
-        states = ("nothing",)
-        a: Any
-
-        def rhs(self, t, z):
-            return (0.0 * z.nothing,)
-
-        def outputs(self, t, z):
-            return {"y": shape(self.a), "loss": (self.a - 9.0) ** 2}
-
-    problem = al.Problem(
-        Saturated(al.Decision(8.0, 0.0, 10.0)),
-        grid=ONE_STEP,
-        minimize=al.terminal("loss").mean,
-        subject_to=[al.terminal("y").mean <= 0.5],
-    )
-    solution = al.solve(problem)
-    assert shape(solution.decisions["a"]) == pytest.approx(0.5, rel=1e-5)
-
-
-class Pushed(al.System):
-    """A unit mass that is pushed."""
-
-    states = ("v",)
-
-    def rhs(self, t, z, u):
-        return (u,)
-
-    def outputs(self, t, z, u):
-        return {"v": z.v, "yield": -(u**2)}
-
-
-@pytest.mark.parametrize("pieces", [10, 30])
-@pytest.mark.parametrize("way", [al.Sequential(), al.Simultaneous()], ids=["shooting", "collocation"])
-def test_every_decision_of_many_leaves_a_maximum(pieces, way):
-    control = al.Control(np.zeros(pieces), -1.0, 1.0, degree=0)
-    problem = al.Problem(Pushed(), grid=al.Grid(1.0, pieces), inputs={"u": control}, minimize=al.integral("yield").mean)
     assert al.solve(problem, transcription=way).objective == pytest.approx(-1.0, rel=1e-6)
-
-
-def test_every_decision_of_many_leaves_a_maximum_as_far_as_a_limit_lets():
-    # All pieces end at a bound; the last speed is their mean, which is at most a half: fifteen up, five down.
-    problem = al.Problem(
-        Pushed(),
-        grid=al.Grid(1.0, 20),
-        inputs={"u": al.Control(np.zeros(20), -1.0, 1.0, degree=0)},
-        minimize=al.integral("yield").mean,
-        subject_to=[al.terminal("v").within(-0.5, 0.5)],
-    )
-    assert al.solve(problem).objective == pytest.approx(-1.0, rel=1e-6)

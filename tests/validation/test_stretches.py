@@ -11,12 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from carts import cart_problem, rooted_problem
+from decaying_problems import decaying_problem, rooted_problem
 
 import aleator as al
 from aleator._core import part_by_part
 from aleator.ensemble import draw, drawn_from
 from aleator.solution import Solution
+from aleator.uncertainty import HermiteGerm, LegendreGerm
 from aleator.validation import Evidence, _stretches, _validate
 from aleator.validation._folded import folds
 from executors import AsProcesses
@@ -26,7 +27,7 @@ SAMPLES = 3000
 
 @pytest.fixture(scope="module")
 def solution() -> Solution:
-    return al.solve(cart_problem())
+    return al.solve(decaying_problem())
 
 
 @pytest.fixture
@@ -52,7 +53,7 @@ def bits(evidence: Evidence) -> list[bytes]:
 
 
 def test_each_system_has_its_own_place_in_one_stream_of_random_numbers():
-    germs = tuple(cart_problem().placements.germs.values())
+    germs = LegendreGerm(), HermiteGerm(), HermiteGerm()
     generator = np.random.default_rng(7)
     whole = np.concatenate([draw(germs, count, generator) for count in (10, 3, 30)])
     parts = [drawn_from(germs, 7, first, count) for first, count in ((0, 7), (7, 30), (37, 6))]
@@ -86,27 +87,27 @@ def test_folded_evidence_is_that_of_stored_histories(solution: Solution, monkeyp
 
 
 def test_only_what_can_be_told_instant_by_instant_is_folded():
-    assert folds(cart_problem())
+    assert folds(decaying_problem())
     at_peak = al.peak("x").at_most(2.0, sigmas=1)
-    product = al.path("x").mean * al.path("v").mean <= 9.0
-    assert not folds(cart_problem(at_peak))
-    assert not folds(cart_problem(product))
-    assert not folds(cart_problem(integrator=al.integrators.Tsit5()))
+    product = al.path("x").mean * al.path("x").mean <= 9.0
+    assert not folds(decaying_problem(at_peak))
+    assert not folds(decaying_problem(product))
+    assert not folds(decaying_problem(integrator=al.integrators.Tsit5()))
 
 
 def test_a_system_that_is_not_finite_is_named_where_it_is_folded(folded: None):
     with pytest.warns(al.ExpansionWarning, match="does not resolve"):
-        rooted = al.solve(rooted_problem(), throw=False)
-    with pytest.raises(al.SimulationError, match=r"mass=0\.[0-4].*output 'root'"):
+        rooted = al.solve(rooted_problem(), throw=False, between=1)
+    with pytest.raises(al.SimulationError, match=r"rate=0\.[0-4].*output 'root'"):
         al.validate(rooted, SAMPLES, keep=0)
 
 
-@pytest.mark.parametrize("many", [0, np.inf])
+@pytest.mark.parametrize("many", [0, pytest.param(np.inf, marks=pytest.mark.slow)])
 def test_evidence_by_an_executor_is_that_of_this_process_to_the_last_bit(
     solution: Solution, travelling: Executor, many: float, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(_stretches, "_MANY", many)
-    here, there = (al.validate(solution, SAMPLES, batch=20, executor=executor) for executor in (None, travelling))
+    here, there = (al.validate(solution, 1000, batch=100, executor=executor) for executor in (None, travelling))
     assert there.solution is solution
     assert bits(here) == bits(there)
 
@@ -151,7 +152,7 @@ KILLED = """
     import aleator as al
     from aleator._core import part_by_part
     from aleator.validation import _stretches
-    from carts import cart_problem
+    from decaying_problems import decaying_problem
 
     part_by_part._OFTEN, _stretches._MANY = 0.0, 0
 
@@ -162,7 +163,7 @@ KILLED = """
 
 
     with al.journal(sys.argv[1]):
-        al.validate(al.solve(cart_problem()), 50_000, batch=100, progress=kill)
+        al.validate(al.solve(decaying_problem()), 50_000, batch=100, progress=kill)
 """
 
 
@@ -182,7 +183,7 @@ def test_evidence_killed_at_seventy_percent_goes_on_from_there_to_the_last_bit(
     simulated = _stretches.simulated
     monkeypatch.setattr(_validate, "simulated", lambda *given: later.extend(given[2]) or simulated(*given))
     with al.journal(folder):
-        solution = al.solve(cart_problem())
+        solution = al.solve(decaying_problem())
         resumed = al.validate(solution, 50_000, batch=100)
     assert parts > 60
     assert sum(one.systems for one in later) <= 0.35 * 50_000

@@ -1,4 +1,4 @@
-"""Problems to be transcribed both ways: small, and with all that a problem may be made of."""
+"""Problems to be transcribed both ways, of three small models: with all that a problem may be made of."""
 
 from typing import Any
 
@@ -6,93 +6,140 @@ import jax.numpy as jnp
 import numpy as np
 
 import aleator as al
-from tiny_models import oscillator_problem
+from aleator.transcription import transcribe
+from zoo import Launched, Tank
 
 
-class Cart(al.System):
-    """A cart with a pendulum as long as `length`, pushed by a force: a small crane."""
+class Swing(al.System):
+    """A pendulum that a torque turns; upside down it is one with a negative gravity."""
 
-    states = ("x", "v", "angle", "rate")
+    states = ("angle", "rate")
 
-    length: Any = 1.0
-    mass: Any = 0.3
-    damping: Any = 0.0
+    length: al.Number = 1.0
+    mass: al.Number = 1.0
+    damping: al.Number = 0.0
+    gravity: al.Number = 9.81
+    first: al.Number = 0.0
 
-    def rhs(self, t, z, force):
-        sine, cosine = jnp.sin(z.angle), jnp.cos(z.angle)
-        push = force - self.damping * z.v + self.mass * sine * (self.length * z.rate**2 + 9.81 * cosine)
-        acceleration = push / (1.0 + self.mass * sine**2)
-        return z.v, acceleration, z.rate, -(acceleration * cosine + 9.81 * sine) / self.length
+    def rhs(self, t, z, torque):
+        push = (torque - self.damping * z.rate) / (self.mass * self.length**2)
+        return z.rate, push - self.gravity / self.length * jnp.sin(z.angle)
 
-    def outputs(self, t, z, force):
-        return {"x": z.x, "v": z.v, "angle": z.angle, "rate": z.rate, "effort": force**2, "force": force}
+    def outputs(self, t, z, torque):
+        return {"angle": z.angle, "rate": z.rate, "effort": torque**2, "torque": torque}
+
+    def initial(self):
+        return {"angle": self.first}
 
 
-def crane(intervals: int = 20, **options: Any) -> al.Problem:
-    """Carry a swinging load one metre and leave it still, on average, whatever the rope's length is."""
+class Regulated(al.System):
+    """`x' = -x / lag + u`."""
+
+    states = ("x",)
+    lag: al.Number = 1.0
+    first: al.Number = 1.0
+
+    def rhs(self, t, z, u):
+        return (-z.x / self.lag + u,)
+
+    def outputs(self, t, z, u):
+        return {"cost": z.x**2 + u**2}
+
+    def initial(self):
+        return {"x": self.first}
+
+
+def fed(tank: Any = None, steps: int = 6, points: int = 4, **options: Any) -> al.Problem:
+    """The feed that brings the hydrogen near 0.2."""
+    feed = al.BSpline(al.Decision(np.full(points, 0.5), 0.0, 5.0), degree=2)
+    defaults: dict[str, Any] = {"minimize": al.integral("miss").mean}
+    tank = Tank() if tank is None else tank
+    return al.Problem(tank, grid=al.Grid(2.0, steps), inputs={"feed": feed}, **(defaults | options))
+
+
+def robustly_fed(steps: int) -> al.Problem:
+    """The same of an uncertain tank, within a limit for two standard deviations."""
+    tank = Tank(constant=al.Uniform(0.1, half_width=0.01), rate=al.Uniform(1.0, half_width=0.1))
+    limits = [al.path("hydrogen").at_most(0.18, sigmas=2.0), al.terminal("acid").mean >= 0.45]
+    return fed(tank, steps, 5, subject_to=limits, expansion=al.Expansion(order=2))
+
+
+def move(mass: Any = 1.0, intervals: int = 20, **options: Any) -> al.Problem:
+    """A block, from rest to one metre away, at rest again, by a force that is a spline."""
     defaults: dict[str, Any] = {
-        "grid": al.Grid(2.0, intervals),
-        "inputs": {"force": al.BSpline(al.Decision(np.zeros(8), -20.0, 20.0), degree=3)},
+        "grid": al.Grid(1.0, intervals),
+        "inputs": {"force": al.BSpline(al.Decision(np.zeros(5), -50.0, 50.0), degree=3)},
         "minimize": al.integral("effort").mean,
-        "subject_to": [
-            al.terminal("x").mean.equals(1.0),
-            al.terminal("v").mean.equals(0.0),
-            al.terminal("angle").mean.equals(0.0),
-            al.terminal("rate").mean.equals(0.0),
-            al.path("angle").within(-0.5, 0.5, sigmas=2.0),
-        ],
+        "subject_to": [al.terminal("x").mean.equals(1.0), al.terminal("v").mean.equals(0.0)],
+    }
+    return al.Problem(Launched(mass), **(defaults | options))
+
+
+RESTS = [al.terminal("angle").mean.equals(1.0), al.terminal("rate").mean.equals(0.0)]
+
+
+def turned(intervals: int = 20, **options: Any) -> al.Problem:
+    """Turn a pendulum by one radian and leave it still, on average, whatever its length is."""
+    defaults: dict[str, Any] = {
+        "grid": al.Grid(1.0, intervals),
+        "inputs": {"torque": al.BSpline(al.Decision(np.full(6, 4.0), -30.0, 30.0), degree=3)},
+        "minimize": al.integral("effort").mean,
+        "subject_to": [*RESTS, al.path("angle").within(-0.5, 1.02, sigmas=2.0)],
         "expansion": al.Expansion(order=2),
     }
-    return al.Problem(
-        Cart(length=al.Uniform(1.0, half_width=0.1), mass=al.Uniform(0.3, half_width=0.05)), **(defaults | options)
-    )
+    return al.Problem(Swing(length=al.Uniform(1.0, half_width=0.05)), **(defaults | options))
 
 
-def free_force(**options: Any) -> al.BSpline:
+def free_torque(**options: Any) -> al.BSpline:
     return al.BSpline(al.Decision(np.linspace(1.0, -1.0, 5), -20.0, 20.0), degree=2, **options)
 
 
-def everything(force: al.BSpline | None = None) -> al.Problem:
+def everything(torque: al.BSpline | None = None, **options: Any) -> al.Problem:
     """A final time, a damper, a spread and a motion to choose, and every kind of functional."""
-    return al.Problem(
-        Cart(
-            length=al.Uniform(1.0, half_width=al.Decision(0.1, 0.02, 0.2)),
-            mass=al.Normal(0.3, std=0.02),
-            damping=al.Decision(0.4, 0.0, 2.0),
-        ),
-        grid=al.Grid(al.Decision(1.5, 0.5, 4.0), 6),
-        inputs={"force": force or free_force()},
-        minimize=al.objectives.final_time() + 0.1 * al.rms("force").mean + al.integral("effort").std,
-        subject_to=[
-            al.terminal("x").mean.equals(0.4),
+    angle, rate = al.terminal("angle"), al.terminal("rate")
+    defaults: dict[str, Any] = {
+        "minimize": al.objectives.final_time() + 0.1 * al.rms("torque").mean + al.integral("effort").std,
+        "subject_to": [
+            angle.mean.equals(0.4),
             al.path("angle").within(-0.5, 0.5, sigmas=1.5),
             al.peak("rate").at_most(6.0, sigmas=1.0),
-            al.objectives.norm(al.terminal("v").mean, al.terminal("rate").std) <= 3.0,
-            al.covariance(al.path("x"), al.path("v")) <= 5.0,
+            al.objectives.norm(angle.mean, rate.std) <= 3.0,
+            al.covariance(al.path("angle"), al.path("rate")) <= 5.0,
             al.value("length.half_width") >= 0.05,
         ],
+    }
+    swing = Swing(
+        length=al.Uniform(1.0, half_width=al.Decision(0.1, 0.02, 0.2)),
+        mass=al.Normal(1.0, std=0.02),
+        damping=al.Decision(0.4, 0.0, 2.0),
+    )
+    return al.Problem(
+        swing,
+        grid=al.Grid(al.Decision(1.5, 0.5, 4.0), 6),
+        inputs={"torque": torque or free_torque()},
         expansion=al.Expansion(order=2),
+        **(defaults | options),
     )
 
 
 def integrated() -> al.Problem:
     """Statistics that are integrated over time: alone, in a norm, within a limit, and beside others."""
-    problem = everything()
-    return al.Problem(
-        problem.system,
-        grid=problem.grid,
-        inputs=problem.inputs,
-        minimize=al.objectives.coefficient_power({"force": "v"}, smoothing=0.1) + 0.1 * al.rms("force").mean,
+    angle, rate = al.path("angle"), al.path("rate")
+    both = al.time_integral(angle.mean + rate.variance) + 2.0 * al.terminal("rate").variance
+    return everything(
+        minimize=al.objectives.coefficient_power({"torque": "rate"}, smoothing=0.1) + 0.1 * al.rms("torque").mean,
         subject_to=[
-            al.terminal("x").mean.equals(0.4),
-            al.objectives.norm(al.time_integral(al.path("angle").variance), al.terminal("v").mean) <= 3.0,
-            al.time_integral(al.path("x").mean + al.path("rate").variance) + 2.0 * al.terminal("rate").variance <= 9.0,
-            al.path("angle").within(-0.5, 0.5, sigmas=1.5),
+            al.terminal("angle").mean.equals(0.4),
+            al.objectives.norm(al.time_integral(angle.variance), al.terminal("rate").mean) <= 3.0,
+            both <= 9.0,
+            angle.within(-0.5, 0.5, sigmas=1.5),
         ],
-        expansion=problem.expansion,
     )
 
 
-def oscillator(**options: Any) -> al.Problem:
-    """See `tiny_models.oscillator_problem`, on a grid that is fine enough."""
-    return oscillator_problem(grid=al.Grid(4.0, 250), **options)
+def states_at_start(problem: al.Problem, guess: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The states of all realisations at the first point of a program, and the instants, s."""
+    found = transcribe(problem, al.Simultaneous(guess=guess))
+    states = found.states_at(found.program.start)
+    assert states is not None
+    return np.stack(list(states.values.values()), axis=2), states.times

@@ -4,83 +4,46 @@ from typing import Any
 
 import numpy as np
 import pytest
+from collocated_problems import Regulated, move
 
 import aleator as al
+from zoo import gain_problem, optimum
 
 SCHEMES = {
-    "trapezoid": (al.schemes.Trapezoid(), 2e-3),
-    "Hermite and Simpson": (al.schemes.HermiteSimpson(), 1e-5),
     "Radau": (al.schemes.Radau(3), 1e-5),
-    "Gauss": (al.schemes.GaussLegendre(2), 1e-5),
     "segments": (al.schemes.MultipleShooting(2), 1e-5),
+    "Hermite and Simpson": (al.schemes.HermiteSimpson(), 1e-5),
+    "Gauss": (al.schemes.GaussLegendre(2), 1e-5),
+    "trapezoid": (al.schemes.Trapezoid(), 2e-3),
 }
+EFFORT = al.integral("effort").mean
 
 
-class Block(al.System):
-    """A unit mass on a rail, from rest."""
-
-    states = ("x", "v")
-
-    def rhs(self, t, z, u):
-        return z.v, u
-
-    def outputs(self, t, z, u):
-        return {"x": z.x, "v": z.v, "u²/2": u**2 / 2}
+def costates_of(problem: al.Problem, way: al.Simultaneous, least: float | None = None) -> tuple[Any, Any, Any]:
+    """Costates, switching functions and states at the optimum of a program, which may be known."""
+    found = optimum(problem, transcription=way)
+    assert least is None or found.objective == pytest.approx(least, rel=1e-10)
+    point = found.outcome.point
+    return *found.transcribed.costates_at(point, found.outcome.multipliers), found.transcribed.states_at(point)
 
 
-class Regulated(al.System):
-    """`x' = -x / τ + u`."""
-
-    states = ("x",)
-    lag: al.Number = 1.0
-    first: float = 1.0
-
-    def rhs(self, t, z, u):
-        return (-z.x / self.lag + u,)
-
-    def outputs(self, t, z, u):
-        return {"cost": z.x**2 + u**2}
-
-    def initial(self):
-        return {"x": self.first}
+def pushed(scheme: Any, steps: int, least: float | None = None, **options: Any) -> tuple[Any, Any, Any]:
+    options = {"inputs": {"force": al.Control(0.0, degree=1)}, "minimize": 0.5 * EFFORT} | options
+    return costates_of(move(intervals=steps, **options), al.Simultaneous(scheme), least)
 
 
-def moved(control: Any, minimize: Any, grid: al.Grid, distance: float) -> al.Problem:
-    return al.Problem(
-        Block(),
-        grid=grid,
-        inputs={"u": control},
-        minimize=minimize,
-        subject_to=[al.terminal("x").mean.equals(distance), al.terminal("v").mean.equals(0.0)],
-    )
-
-
-def regulated(lag: Any = 1.0, first: float = 1.0, **options: Any) -> al.Problem:
-    return al.Problem(
-        Regulated(lag=lag, first=first),
-        grid=al.Grid(2.0, 40),
-        inputs={"u": al.Control(0.0, degree=1)},
-        minimize=al.integral("cost").mean,
-        **options,
-    )
-
-
-def pushed(scheme: Any, steps: int) -> tuple[al.results.Costates, al.results.Switching]:
-    problem = moved(al.Control(0.0, degree=1), al.integral("u²/2").mean, al.Grid(1.0, steps), 1.0)
-    solution = al.solve(problem, transcription=al.Simultaneous(scheme), throw=False)
-    assert solution.costates is not None
-    assert solution.switching is not None
-    return solution.costates, solution.switching
-
-
-@pytest.mark.parametrize("name", [name for name in SCHEMES if name != "trapezoid"])
+@pytest.mark.parametrize("name", ["Radau", "segments", "Hermite and Simpson", "Gauss"])
 def test_least_effort_to_move_a_block(name):
     """From rest to rest in one second, u = 6 - 12 t: with J = 6 (1 - x)², a push of x costs -12 a metre."""
-    costates, switching = pushed(SCHEMES[name][0], 20)
-    assert costates["x"] == pytest.approx(np.full((1, 21), -12.0), abs=1e-6)
+    costates, switching, states = pushed(SCHEMES[name][0], 10, least=6.0)
+    assert costates["x"] == pytest.approx(np.full((1, 11), -12.0), abs=1e-6)
     assert costates["v"][0] == pytest.approx(12 * costates.times - 6, abs=1e-6)
     # The control is as free as the best one is, so that nothing is left to gain at any point.
-    assert switching["u"] == pytest.approx(np.zeros(len(switching.times)), abs=1e-5)
+    assert switching["force"] == pytest.approx(np.zeros(len(switching.times)), abs=1e-5)
+    nodes = np.isin(np.round(states.times, 9), np.round(costates.times, 9))
+    times = states.times[nodes]
+    assert states["x"][0, nodes] == pytest.approx(3 * times**2 - 2 * times**3, abs=1e-6)
+    assert states["v"][0, nodes] == pytest.approx(6 * times - 6 * times**2, abs=1e-6)
 
 
 def test_costates_of_the_trapezoidal_rule_are_of_its_order():
@@ -91,94 +54,77 @@ def test_costates_of_the_trapezoidal_rule_are_of_its_order():
 @pytest.mark.parametrize("degree", [0, 1])
 def test_the_switching_function_of_the_fastest_block_changes_sign_half_way(degree):
     """p_v = 2 t / T - 1 with T = 2 √d, and p_x = -1 / √d: what the time is shorter for each metre that is given."""
-    distance, steps = 2.0, 11 if degree else 10
-    problem = moved(
-        al.Control(0.0, -1.0, 1.0, degree=degree),
-        al.objectives.final_time(),
-        al.Grid(al.Decision(4.0, 1.0, 10.0), steps),
-        distance,
+    steps, away = (11, 5e-3) if degree else (10, 1e-4)
+    costates, switching, _ = pushed(
+        al.schemes.HermiteSimpson(),
+        steps,
+        inputs={"force": al.Control(0.0, -1.0, 1.0, degree=degree)},
+        minimize=al.objectives.final_time(),
+        grid=al.Grid(al.Decision(4.0, 1.0, 10.0), steps),
     )
-    solution = al.solve(problem, transcription=al.Simultaneous())
-    costates, switching = solution.costates, solution.switching
-    assert costates is not None
-    assert switching is not None
-    times, duration = switching.times, solution.objective
-    away = 5e-3 if degree else 1e-4
-    assert costates["x"] == pytest.approx(np.full((1, steps + 1), -1 / np.sqrt(distance)), abs=away)
+    times, duration = switching.times, costates.times[-1]
+    assert duration == pytest.approx(2.0, rel=2e-3)
+    assert costates["x"] == pytest.approx(np.full((1, steps + 1), -1.0), abs=away)
     assert costates["v"][0] == pytest.approx(2 * costates.times / duration - 1, abs=2 * away)
-    assert switching["u"] == pytest.approx(2 * times / duration - 1, abs=2 * away)
-    first, last = times < 0.45 * duration, times > 0.55 * duration
-    assert (switching["u"][first] < 0).all()
-    assert (switching["u"][last] > 0).all()
+    assert switching["force"] == pytest.approx(2 * times / duration - 1, abs=2 * away)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SCHEMES)
+def regulated(lag: Any = 1.0, first: float = 1.0, **options: Any) -> al.Problem:
+    control = {"u": al.Control(0.0, degree=1)}
+    cost = al.integral("cost").mean
+    return al.Problem(Regulated(lag, first), grid=al.Grid(2.0, 40), inputs=control, minimize=cost, **options)
+
+
+@pytest.mark.parametrize("name", [pytest.param(one, marks=[pytest.mark.slow] * (one != "Radau")) for one in SCHEMES])
 def test_a_regulated_lag_has_the_costate_of_its_riccati_equation(name):
     """`-P' = 1 - 2 P - P²` backwards from zero: the costate is 2 P x."""
     scheme, away = SCHEMES[name]
-    solution = al.solve(regulated(), transcription=al.Simultaneous(scheme), throw=False)
-    costates, states = solution.costates, solution.states
-    assert costates is not None
-    assert states is not None
+    costates, _, states = costates_of(regulated(), al.Simultaneous(scheme))
     grown = np.tanh(np.sqrt(2) * (2.0 - costates.times))
     riccati = grown / (np.sqrt(2) + grown)
     at_nodes = states["x"][0, np.isin(np.round(states.times, 9), np.round(costates.times, 9))]
     assert costates["x"][0] == pytest.approx(2 * riccati * at_nodes, abs=100 * away if "trap" in name else 20 * away)
-    assert solution.objective == pytest.approx(riccati[0], rel=2e-3)
-
-
-def test_a_search_that_was_not_finished_tells_no_costates():
-    weak = al.Control(0.0, -0.1, 0.1)
-    problem = moved(weak, al.integral("u²/2").mean, al.Grid(1.0, 4), 1.0)
-    solution = al.solve(problem, transcription=al.Simultaneous(), between=1, throw=False)
-    assert not solution.ok
-    assert solution.costates is None
-    assert solution.switching is None
-
-
-def test_no_switching_function_is_told_that_lacks_an_integral_of_statistics():
-    problem = moved(al.Control(0.0, -9.0, 9.0, degree=1), al.time_integral(al.path("u²/2").mean), al.Grid(1.0, 4), 1.0)
-    solution = al.solve(problem, transcription=al.Simultaneous(), between=1, throw=False)
-    assert solution.costates is not None
-    assert solution.switching is not None
-    assert not solution.switching.values
-
-
-def test_states_are_told_by_their_own_names():
-    solution = al.solve(
-        moved(al.Control(0.0, degree=1), al.integral("u²/2").mean, al.Grid(1.0, 4), 1.0),
-        transcription=al.Simultaneous(),
-    )
-    assert solution.states is not None
-    times = solution.states.times
-    assert solution.states["x"][0] == pytest.approx(3 * times**2 - 2 * times**3, abs=1e-6)
-    assert solution.states["v"][0] == pytest.approx(6 * times - 6 * times**2, abs=1e-6)
 
 
 def test_costates_of_all_realisations_add_up_to_a_push_of_all():
-    lag = al.Uniform(1.0, half_width=0.4)
+    lag, push = al.Uniform(1.0, half_width=0.4), 1e-3
 
-    def optimum(first: float) -> al.Solution:
-        return al.solve(regulated(lag, first, expansion=al.Expansion(order=2)), transcription=al.Simultaneous())
+    def problem(first: float) -> al.Problem:
+        return regulated(lag, first, expansion=al.Expansion(order=2))
 
-    push, (before, middle, after) = 1e-3, (optimum(1.0 + push) for push in (-1e-3, 0.0, 1e-3))
-    assert middle.costates is not None
-    assert len(middle.costates.germs) > 1
-    found = middle.costates["x"][:, 0].sum()
-    assert found == pytest.approx((after.objective - before.objective) / (2 * push), rel=1e-6)
+    costates, _, _ = costates_of(problem(1.0), al.Simultaneous())
+    assert len(costates.germs) > 1
+    before, after = (optimum(problem(1.0 + by), transcription=al.Simultaneous()).objective for by in (-push, push))
+    assert costates["x"][:, 0].sum() == pytest.approx((after - before) / (2 * push), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_costates_do_not_depend_on_where_the_mesh_is_fine():
     coarse, fine = (al.solve(regulated(), transcription=al.Simultaneous(error=error)) for error in (1e-5, 1e-9))
-    assert coarse.costates is not None
-    assert fine.costates is not None
     assert len(fine.costates.times) > len(coarse.costates.times)
     shared = np.interp(coarse.costates.times, fine.costates.times, fine.costates["x"][0])
     assert coarse.costates["x"][0] == pytest.approx(shared, abs=2e-4)
 
 
-def test_where_states_are_simulated_there_are_none():
-    solution = al.solve(regulated())
-    assert solution.costates is None
-    assert solution.switching is None
+def test_a_solution_tells_costates_of_a_search_that_was_finished_alone():
+    def solved(strongest: float) -> al.Solution:
+        control = al.Control(0.0, -strongest, strongest, degree=1)
+        problem = move(intervals=4, inputs={"force": control})
+        return al.solve(problem, transcription=al.Simultaneous(), between=1, throw=False)
+
+    known, weak = solved(50.0), solved(0.1)
+    assert known.costates["x"] == pytest.approx(np.full((1, 5), -24.0), abs=1e-6)
+    assert known.switching["force"] == pytest.approx(np.zeros(len(known.switching.times)), abs=1e-5)
+    assert known.states["x"][0, -1] == pytest.approx(1.0)
+    assert not weak.ok
+    assert weak.costates is None
+    assert weak.switching is None
+    simulated = al.solve(gain_problem())
+    assert (simulated.costates, simulated.switching, simulated.states) == (None, None, None)
+
+
+def test_no_switching_function_is_told_that_lacks_an_integral_of_statistics():
+    over_time = al.time_integral(al.path("effort").mean)
+    costates, switching, _ = pushed(al.schemes.HermiteSimpson(), 4, minimize=over_time)
+    assert costates is not None
+    assert not switching.values

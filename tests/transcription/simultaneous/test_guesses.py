@@ -3,45 +3,28 @@
 from dataclasses import replace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray
-from collocated_problems import crane
-from test_direct_collocation import move
+from collocated_problems import Swing, move, states_at_start, turned
 from test_known_optima import Bead, cycloid_time, spline
 
 import aleator as al
 from aleator.transcription import transcribe
-from tiny_models import oscillator_problem
-
-
-class Pendulum(al.System):
-    """A point mass of a kilogram on a rod, turned by a torque."""
-
-    states = ("angle", "rate")
-
-    length: Any = 1.0
-
-    def rhs(self, t, z, torque):
-        return z.rate, torque / self.length**2 - 9.81 / self.length * jnp.sin(z.angle)
-
-    def outputs(self, t, z, torque):
-        return {"angle": z.angle, "rate": z.rate, "torque²": torque**2}
-
+from zoo import gain_problem, optimum
 
 DURATION = 3.0
 
 
-def swing_up(intervals: int = 80, length: Any = 1.0, high: float = 5.0, **options: Any) -> al.Problem:
+def swing_up(intervals: int = 60, length: Any = 1.0, points: int = 30, **options: Any) -> al.Problem:
     """From rest below to rest above, by torques that cannot hold the pendulum level: at rest nothing happens at all."""
     defaults: dict[str, Any] = {
         "grid": al.Grid(DURATION, intervals),
-        "inputs": {"torque": al.BSpline(al.Decision(np.zeros(40), -high, high), degree=3)},
-        "minimize": al.integral("torque²").mean,
+        "inputs": {"torque": al.BSpline(al.Decision(np.zeros(points), -5.0, 5.0), degree=3)},
+        "minimize": al.integral("effort").mean,
         "subject_to": [al.terminal("angle").mean.equals(np.pi), al.terminal("rate").mean.equals(0.0)],
     }
-    return al.Problem(Pendulum(length), **(defaults | options))
+    return al.Problem(Swing(length), **(defaults | options))
 
 
 def turning(t: float) -> dict[str, float]:
@@ -49,54 +32,40 @@ def turning(t: float) -> dict[str, float]:
     return {"angle": np.pi * t / DURATION, "rate": np.pi / DURATION}
 
 
-def brachistochrone() -> al.Problem:
+def way(guess: Any = None) -> al.Simultaneous:
+    return al.Simultaneous(al.schemes.GaussLegendre(2), guess=guess)
+
+
+def test_a_brachistochrone_whose_simulation_rests_is_found_in_fewer_iterations_from_a_straight_line():
     """At the initial decisions the wire is level, so that the bead never moves."""
-    return al.Problem(
+    problem = al.Problem(
         Bead(),
         grid=al.Grid(al.Decision(2.0, 0.5, 10.0), 30),
         inputs={"angle": spline(np.full(12, np.pi / 2), 0.0, np.pi, degree=3)},
         minimize=al.objectives.final_time(),
         subject_to=[al.terminal("x").mean.equals(10.0), al.terminal("y").mean.equals(-5.0)],
     )
-
-
-def solved(problem: al.Problem, guess: Any = None, **options: Any) -> al.Solution:
-    way = al.Simultaneous(al.schemes.GaussLegendre(2), guess=guess)
-    return al.solve(problem, transcription=way, between=1, throw=False, accuracy=0.1, **options)
-
-
-def states_at_start(problem: al.Problem, guess: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The states of all realisations at the first point of a program, and the instants, s."""
-    found = transcribe(problem, al.Simultaneous(guess=guess))
-    states = found.states_at(found.program.start)
-    assert states is not None
-    return np.stack(list(states.values.values()), axis=2), states.times
-
-
-def test_a_brachistochrone_whose_simulation_rests_is_found_in_fewer_iterations_from_a_straight_line():
-    problem = brachistochrone()
-    found = solved(problem, lambda t: {"x": 5.0 * t, "y": -2.5 * t, "v": 5.0 * t})
-    assert found.ok
-    assert found.objective == pytest.approx(cycloid_time(10.0, 5.0), rel=1e-6)
-    assert found.effort.iterations < solved(problem).effort.iterations
+    guessed = optimum(problem, transcription=way(lambda t: {"x": 5.0 * t, "y": -2.5 * t, "v": 5.0 * t}))
+    assert guessed.objective == pytest.approx(cycloid_time(10.0, 5.0), rel=1e-6)
+    scratch = way().solver.solve(transcribe(problem, way()).program)
+    assert guessed.outcome.iterations < scratch.iterations
 
 
 @pytest.fixture(scope="module")
 def swung():
-    return solved(swing_up(), turning)
+    return al.solve(swing_up(), transcription=way(turning), between=1, throw=False, accuracy=0.1)
 
 
 @pytest.mark.slow
 def test_a_swing_up_takes_fewer_iterations_from_a_guess_and_fewer_still_from_a_solution(swung):
-    scratch = solved(swing_up())
     assert swung.ok
+    scratch = optimum(swing_up(), transcription=way())
     assert swung.objective == pytest.approx(scratch.objective, rel=1e-6)
-    again, warm, finer = solved(swing_up(), swung), solved(swing_up(), warm_start=swung), solved(swing_up(120), swung)
-    for one in (again, warm, finer):
-        assert one.ok
-        assert one.objective == pytest.approx(swung.objective, rel=1e-3)
-        assert one.effort.iterations < swung.effort.iterations
-    assert 3 * swung.effort.iterations < scratch.effort.iterations
+    assert 2 * swung.effort.iterations < scratch.outcome.iterations
+    for steps in (60, 90):
+        again = optimum(swing_up(steps), transcription=way(swung))
+        assert again.objective == pytest.approx(swung.objective, rel=1e-3)
+        assert again.outcome.iterations < swung.effort.iterations
 
 
 TIMES = np.array([0.0, 0.4 * DURATION, DURATION])
@@ -117,85 +86,73 @@ TABLES = {
 def test_a_table_starts_where_a_function_does(name):
     problem = swing_up(10, length=al.Uniform(1.0, half_width=0.1), expansion=al.Expansion(order=1))
     states, times = states_at_start(problem, TABLES[name])
-    same, _ = states_at_start(problem, turning)
-    np.testing.assert_allclose(states, same, rtol=1e-14, atol=1e-14)
     expected = np.stack([np.pi * times / DURATION, np.full(len(times), np.pi / DURATION)], axis=1)
     np.testing.assert_allclose(states, np.broadcast_to(expected, states.shape), rtol=1e-14, atol=1e-14)
 
 
-def test_a_table_is_kept_as_it_was_given():
+def test_a_table_is_kept_as_it_was_given_and_equal_transcriptions_have_the_same_guess():
     table = {"time": TIMES, "angle": np.zeros(3), "rate": np.zeros(3)}
-    way = al.Simultaneous(guess=table)
+    given = al.Simultaneous(guess=table)
     table["angle"] += 1.0
-    transcribed = transcribe(swing_up(4), way)
+    transcribed = transcribe(swing_up(10), given)
     assert not transcribed.program.start[transcribed.layout.numbers.states].any()
-
-
-def test_states_of_a_solution_are_those_of_its_realisations():
-    """A block that is pushed from rest moves by its gain, which is `2 + 0.6 xi`."""
-    solution = al.solve(move(gain=al.Uniform(2.0, half_width=0.6)), transcription=al.Simultaneous())
-    gains = 2.0 + 0.6 * solution.states.germs[:, 0]
-    x = solution.states["x"]
-    np.testing.assert_allclose(x / gains[:, None], np.broadcast_to(x[0] / gains[0], x.shape), rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(solution.states.times[[0, -1]], [0.0, 1.0])
-    with pytest.raises(al.ProblemError, match=r"expected one of \['x', 'v'\]; received 'w'"):
-        solution.states["w"]
-    assert al.solve(move()).states is None
+    assert al.Simultaneous() == al.Simultaneous()
+    assert al.Simultaneous(guess=turning) != al.Simultaneous()
 
 
 @pytest.mark.slow
 def test_a_solution_by_shooting_gives_each_realisation_its_own_simulation():
-    """On another grid, with other knots: the states are those of the crane simulated with the solution's force."""
-    simulated = al.solve(crane(20), accuracy=0.1)
-    problem = crane(30)
-    states, _ = states_at_start(problem, simulated)
-    usual = transcribe(crane(240))
-    exact = usual.outputs(simulated.vector)
-    for k, name in enumerate(("x", "v", "angle", "rate")):
-        np.testing.assert_allclose(states[:, ::2, k], exact[name][:, ::8], atol=5e-3)
-    assert np.ptp(states[:, :, 2], axis=0).max() > 0.01  # ropes of different lengths swing differently
+    """On another grid: the states are those of the pendulum simulated with the solution's torque."""
+    simulated = al.solve(turned(20), accuracy=0.1, between=1)
+    states, _ = states_at_start(turned(30), simulated)
+    exact = transcribe(turned(240)).outputs(simulated.vector)
+    for k, name in enumerate(("angle", "rate")):
+        np.testing.assert_allclose(states[:, ::2, k], np.asarray(exact[name])[:, ::8], atol=5e-3)
+    assert np.ptp(states[:, :, 0], axis=0).max() > 0.01  # pendulums of different lengths swing differently
 
 
 @pytest.mark.slow
 def test_realisations_start_from_the_nearest_ones_or_from_the_mean():
-    robust = al.solve(crane(), transcription=al.Simultaneous(), accuracy=0.1)
-    same, _ = states_at_start(crane(), robust)
+    robust = al.solve(turned(), transcription=al.Simultaneous(), accuracy=0.1, between=1)
+    same, _ = states_at_start(turned(), robust)
     known = np.stack(list(robust.states.values.values()), axis=2)
     np.testing.assert_allclose(same, known, atol=1e-12)
-    third, _ = states_at_start(crane(expansion=al.Expansion(order=3)), robust)
-    distances = [np.abs(known - one).max(axis=(1, 2)).min() for one in third]
-    assert max(distances) < 1e-12
-    plain, _ = states_at_start(al.deterministic(crane()), robust)
+    third, _ = states_at_start(turned(expansion=al.Expansion(order=3)), robust)
+    assert max(np.abs(known - one).max(axis=(1, 2)).min() for one in third) < 1e-12
+    plain, _ = states_at_start(al.deterministic(turned()), robust)
     np.testing.assert_allclose(plain[0], known.mean(axis=0), atol=1e-12)
-    mean = al.solve(al.deterministic(crane()), transcription=al.Simultaneous(), accuracy=0.1)
-    spread, _ = states_at_start(crane(), mean)
+    mean = al.solve(al.deterministic(turned()), transcription=al.Simultaneous(), accuracy=0.1, between=1)
+    spread, _ = states_at_start(turned(), mean)
     expected = np.stack(list(mean.states.values.values()), axis=2)
     np.testing.assert_allclose(spread, np.broadcast_to(expected, spread.shape), atol=1e-12)
 
 
-def test_decisions_that_a_solution_has_are_where_a_program_starts(swung):
-    """The torque in another spline is fitted; a decision of another name keeps its own start, or what is given."""
-    more = {"torque": al.BSpline(al.Decision(np.zeros(79), -5.0, 5.0), degree=3)}
-    problem = swing_up(length=al.Decision(1.0, 0.5, 2.0), inputs=more)
-    way = al.Simultaneous(guess=swung)
-    first = problem.placements.named(way.first(problem))
-    assert first["length"] == 1.0
-    free = next(value for name, value in first.items() if name != "length")
-    assert np.abs(free).max() > 1.0
-    transcribed = transcribe(problem, way)
-    np.testing.assert_array_equal(transcribed.decisions(transcribed.program.start), way.first(problem))
+@pytest.fixture(scope="module")
+def moved():
+    return al.solve(move(intervals=10), transcription=al.Simultaneous(), between=1)
 
 
-def test_a_guess_is_no_answer(swung):
+def test_decisions_that_a_solution_has_are_where_a_program_starts(moved):
+    """The force in another spline is fitted; a decision of another name keeps its own start."""
+    more = {"force": al.BSpline(al.Decision(np.zeros(9), -50.0, 50.0), degree=3)}
+    problem = move(al.Decision(1.0, 0.5, 2.0), 10, inputs=more)
+    given = al.Simultaneous(guess=moved)
+    first = problem.placements.named(given.first(problem))
+    assert first["mass"] == 1.0
+    assert first["inputs.force.free"][[0, -1]] == pytest.approx([6.0, -6.0], rel=1e-6)  # the push is 6 - 12 t
+    transcribed = transcribe(problem, given)
+    np.testing.assert_array_equal(transcribed.decisions(transcribed.program.start), given.first(problem))
+    # On the same grid each realisation begins at the states of the solution.
+    states, times = states_at_start(move(intervals=10), moved)
+    np.testing.assert_allclose(states[0, :, 0], 3 * times**2 - 2 * times**3, atol=1e-6)
+
+
+def test_a_guess_is_no_answer(moved):
     """Whatever the guess was, the model is judged: here it is stopped before it could move."""
-    found = solved(swing_up(), turning, solver=al.solvers.Ipopt(max_iterations=1))
+    problem, guess = swing_up(10), al.Simultaneous(guess=turning)
+    found = al.solve(problem, al.solvers.Ipopt(max_iterations=1), transcription=guess, throw=False, between=1)
     assert not found.ok
     assert found.certificate.violation > 1e-3
-
-
-def test_equal_transcriptions_have_the_same_guess():
-    assert al.Simultaneous() == al.Simultaneous()
-    assert al.Simultaneous(guess=turning) != al.Simultaneous()
 
 
 REFUSED = {
@@ -228,17 +185,13 @@ REFUSED = {
 def test_what_is_no_guess_is_refused_in_one_sentence(name):
     guess, sentence = REFUSED[name]
     with pytest.raises(al.ProblemError, match=sentence):
-        al.solve(swing_up(4), transcription=al.Simultaneous(guess=guess))
+        al.solve(swing_up(10), transcription=al.Simultaneous(guess=guess))
 
 
-def test_a_solution_with_other_states_is_refused():
-    other = al.solve(oscillator_problem(), throw=False)
+def test_solutions_with_other_states_or_without_finite_ones_are_refused(moved):
     with pytest.raises(al.ProblemError, match=r"a solution of a system with the states 'angle', 'rate'; received one"):
-        al.solve(swing_up(4), transcription=al.Simultaneous(guess=other))
-
-
-def test_a_solution_that_is_not_finite_is_refused(swung):
-    missing = {name: np.full_like(one, np.nan) for name, one in swung.states.values.items()}
-    broken = replace(swung.states, values=missing)
+        al.solve(swing_up(10), transcription=al.Simultaneous(guess=al.solve(gain_problem())))
+    missing = {name: np.full_like(one, np.nan) for name, one in moved.states.values.items()}
+    broken = replace(moved, states=replace(moved.states, values=missing))
     with pytest.raises(al.ProblemError, match="a solution with finite states"):
-        al.solve(swing_up(4), transcription=al.Simultaneous(guess=replace(swung, states=broken)))
+        al.solve(move(), transcription=al.Simultaneous(guess=broken))

@@ -1,85 +1,39 @@
-"""Meshes of simultaneous programs: estimated errors, and refinement until they are as small as asked."""
+"""Meshes are refined until their errors are as small as asked: orders are raised, and intervals that err divided."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from collocated_problems import Cart
+from collocated_problems import Swing
 
 import aleator as al
+from aleator.transcription import transcribe
 from aleator.transcription.simultaneous._mesh import Mesh
-from aleator.transcription.simultaneous._refinement import parts_of
+from aleator.transcription.simultaneous._mesh_error import Drift
+from aleator.transcription.simultaneous._refinement import Goal, parts_of, refinement
+from aleator.transcription.simultaneous._tiles import EVALUATE
+from zoo import optimum
 
-SCHEMES = {
-    "Hermite and Simpson": al.schemes.HermiteSimpson(),
-    "Radau": al.schemes.Radau(3),
-    "Gauss": al.schemes.GaussLegendre(2),
-    "segments": al.schemes.MultipleShooting(2),
-}
+# --- What is refined, and how ----------------------------------------------------------------------------------------
 
-
-def swing(intervals: int = 8) -> al.Problem:
-    """A pendulum on a cart that is let go: nothing but its damping is to be chosen, and that is as strong as may be."""
-
-    class Swing(Cart):
-        def initial(self):
-            return {"angle": 1.0}
-
-    return al.Problem(
-        Swing(damping=al.Decision(0.5, 0.0, 1.0)),
-        grid=al.Grid(3.0, intervals),
-        inputs={"force": al.Tabulated(np.array([0.0, 3.0]), np.zeros(2))},
-        minimize=al.terminal("x").mean - al.value("damping"),
-    )
+RADAU, ASKED = tuple(al.schemes.Radau(stages) for stages in range(3, 11)), 1e-6
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SCHEMES)
-def test_a_mesh_is_refined_until_its_error_is_what_is_asked(name):
-    asked = 1e-5
-    way = al.Simultaneous(SCHEMES[name], error=asked)
-    solution = al.solve(swing(), transcription=way)
-    worst = [one.worst for one in solution.meshes]
-    assert worst[-1] <= asked < worst[0]
-    assert worst == sorted(worst, reverse=True)
-    assert [one.intervals for one in solution.meshes] == sorted(one.intervals for one in solution.meshes)
-    assert f"where {asked:.2g} is asked" in str(solution)
-    # The integrator, on a grid that is far finer, is the judge.
-    exact = al.solve(swing(1200))
-    assert solution.objective == pytest.approx(exact.objective, abs=20 * asked)
+def refined(errors, ratios, schemes=RADAU, scheme=RADAU[0]):
+    drift = Drift(np.array(errors)[None, :, None], np.array(ratios)[None, :, None])
+    scheme, parts = refinement(Goal(ASKED, schemes), scheme, drift)
+    return scheme.stages, parts.tolist()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("scheme", "power"), [(al.schemes.HermiteSimpson(), 4.0), (al.schemes.MultipleShooting(1), 5.0)]
-)
-def test_the_estimated_error_is_that_of_the_states(scheme, power):
-    """It is no less than a tenth of the error, and falls by a power: of a collocation scheme that of its stages and one
-    more, of segments that of their order and one more.
-    """
-    found = [al.solve(swing(n), transcription=al.Simultaneous(scheme), accuracy=0.5) for n in (40, 80)]
-    exact = al.solve(swing(1600)).objective
-    errors = [abs(one.objective - exact) for one in found]
-    worst = [one.meshes[-1].worst for one in found]
-    assert np.log2(worst[0] / worst[1]) == pytest.approx(power, abs=0.3)
-    for error, one in zip(errors, found, strict=True):
-        assert error < 10 * np.sum(one.meshes[-1].errors)
-
-
-def test_errors_are_told_of_each_realisation_and_the_worst_system_by_its_numbers():
-    problem = al.Problem(
-        Cart(damping=al.Uniform(0.5, half_width=0.4)),
-        grid=al.Grid(3.0, 8),
-        inputs={"force": al.BSpline(al.Decision(np.zeros(4), -1.0, 1.0))},
-        minimize=al.integral("force").mean,
-        expansion=al.Expansion(order=1),
-    )
-    solution = al.solve(problem, transcription=al.Simultaneous(), throw=False)
-    mesh, germs = solution.mesh, solution.states.germs
-    assert mesh is solution.meshes[-1]
-    assert mesh.drifts.shape == (len(germs), 8)
-    np.testing.assert_array_equal(mesh.errors, mesh.drifts.max(axis=0))
-    worst = germs[np.argmax(mesh.drifts.max(axis=1))]
-    assert mesh.numbers == pytest.approx({"damping": 0.5 + 0.4 * worst[0]})
-    assert f"with damping = {mesh.numbers['damping']:.6g}" in str(mesh)
+def test_orders_are_raised_where_states_are_smooth_and_intervals_divided_where_they_are_not():
+    # Twice 1e-4 falls below 1e-6 by three stages that take a tenth each: 6 points an interval, not 4 times 3.
+    assert refined([1e-4] * 5, [0.1] * 5) == (6, [1] * 5)
+    for ratio in (0.3, 1.0):
+        assert refined([1e-8] * 9 + [1e-4], [0.1] * 9 + [ratio]) == (3, [1] * 9 + [4])
+    # Beside a kink order and division go together.
+    assert refined([1e-4] * 9 + [1e-2], [0.1] * 9 + [1.0]) == (6, [1] * 9 + [5])
+    # Stages are never taken away, and stay where no more are allowed.
+    assert refined([1e-4], [0.1], scheme=RADAU[-1])[0] == 10
+    assert refined([1e-4], [0.1], schemes=RADAU[:1])[0] == 3
 
 
 def test_only_intervals_that_err_are_divided():
@@ -93,15 +47,127 @@ def test_only_intervals_that_err_are_divided():
     np.testing.assert_allclose(finer.lengths[1:], 0.5 / parts[1])
 
 
-@pytest.mark.parametrize("error", [0.0, -1e-6, 1.0, 1e-13, float("nan"), "1e-6", True])
-def test_an_error_is_a_small_positive_number(error):
-    with pytest.raises(al.ProblemError, match="Simultaneous: error"):
-        al.Simultaneous(error=error)
+# --- Solutions on meshes ---------------------------------------------------------------------------------------------
+
+
+class Spring(al.System):
+    """x = cos(√k t), and w = ∫ |t - kink| dt."""
+
+    states = ("x", "v", "w")
+
+    stiffness: al.Number
+    kink: al.Number = 0.0
+    tall: al.Number = 0.0
+
+    def rhs(self, t, z):
+        return z.v, -self.stiffness * z.x, self.tall * jnp.abs(t - self.kink)
+
+    def outputs(self, t, z):
+        return {"x": z.x, "w": z.w}
+
+    def initial(self):
+        return {"x": 1.0}
+
+
+def stiffest(steps, most=2.0, kink=0.0, tall=0.0):
+    spring = Spring(al.Decision(0.5 * most, 0.01 * most, most), kink, tall)
+    return al.Problem(spring, grid=al.Grid(5.0, steps), minimize=-al.value("stiffness") + 0.0 * al.terminal("w").mean)
+
+
+@pytest.mark.parametrize(
+    "scheme", [al.schemes.Radau(3), pytest.param(al.schemes.GaussLegendre(2), marks=pytest.mark.slow)], ids=str
+)
+def test_an_oscillation_is_followed_by_few_intervals_of_high_order(scheme):
+    asked = 1e-9
+    raised = al.solve(stiffest(5), transcription=al.Simultaneous(scheme, error=asked, most_stages=12))
+    divided = al.solve(stiffest(5), transcription=al.Simultaneous(scheme, error=asked))
+    assert type(raised.mesh.scheme) is type(scheme)
+    stages = [one.scheme.stages for one in raised.meshes]
+    assert stages[0] == scheme.stages < stages[-1] <= 12
+    assert stages == sorted(stages)
+    worst = [one.worst for one in divided.meshes]
+    assert worst == sorted(worst, reverse=True)
+    assert f"where {asked:.2g} is asked" in str(divided)
+    for one in (raised, divided):
+        assert one.mesh.is_met
+        np.testing.assert_allclose(one.states["x"][0], np.cos(np.sqrt(2.0) * one.states.times), atol=20 * asked)
+    assert {one.scheme for one in divided.meshes} == {scheme}
+    assert len(raised.states.times) < len(divided.states.times) / 3
+
+
+def test_intervals_are_divided_at_a_kink_and_nowhere_else():
+    """Between kinks the push is a polynomial, which every scheme follows exactly."""
+    kink, end = 0.73, 5.0
+    way = al.Simultaneous(al.schemes.Radau(3), error=ASKED, most_stages=10)
+    solution = al.solve(stiffest(10, most=1e-6, kink=kink, tall=1.0), transcription=way)
+    assert solution.mesh.is_met
+    assert solution.mesh.scheme == al.schemes.Radau(3)
+    nodes = solution.mesh.nodes
+    lengths = np.diff(nodes)
+    assert lengths[(nodes[:-1] < kink) & (kink < nodes[1:])] < 0.5 / 8
+    np.testing.assert_allclose(lengths[(nodes[1:] <= 0.5) | (nodes[:-1] >= 1.0)], 0.5)
+    assert solution.states["w"][0, -1] == pytest.approx((kink**2 + (end - kink) ** 2) / 2, rel=20 * ASKED)
+
+
+@pytest.mark.parametrize(
+    "scheme",
+    [al.schemes.Radau(3), pytest.param(al.schemes.MultipleShooting(1), marks=pytest.mark.slow)],
+    ids=["raised", "divided"],
+)
+def test_what_is_compiled_serves_finer_meshes(scheme):
+    higher = {"most_stages": 10} if scheme == al.schemes.Radau(3) else {}
+    first = transcribe(stiffest(5), al.Simultaneous(scheme, error=1e-8, **higher))
+    outcome = al.solvers.Ipopt().solve(first.program)
+    before = EVALUATE.compilations
+    finer, point = first.refined(outcome.point)
+    assert (finer.meshes_at(point)[-1].scheme != scheme) is bool(higher)
+    assert finer.program.start.size > first.program.start.size
+    finer.program.evaluate(point)
+    finer.program.hessian.evaluate(point, 1.0, np.zeros(len(finer.program.constraint_lower)))
+    # Signals, of which there are others at other points.
+    assert EVALUATE.compilations - before <= 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("scheme", "power"), [(al.schemes.HermiteSimpson(), 4.0), (al.schemes.MultipleShooting(1), 5.0)]
+)
+def test_the_estimated_error_is_that_of_the_states(scheme, power):
+    """It is no less than a tenth of the error, and falls by a power: of a collocation scheme that of its stages and one
+    more, of segments that of their order and one more.
+    """
+    exact, meshes = np.cos(np.sqrt(2.0) * 5.0), []
+    for steps in (20, 40):
+        found = optimum(stiffest(steps), transcription=al.Simultaneous(scheme, error=1e-12))
+        mesh, states = (ask(found.outcome.point) for ask in (found.transcribed.meshes_at, found.transcribed.states_at))
+        meshes.append(mesh[-1])
+        assert abs(states["x"][0, -1] - exact) < 10 * np.sum(mesh[-1].errors)
+    assert np.log2(meshes[0].worst / meshes[1].worst) == pytest.approx(power, abs=0.3)
+
+
+def test_errors_are_told_of_each_realisation_and_the_worst_system_by_its_numbers():
+    problem = al.Problem(
+        Swing(damping=al.Uniform(0.5, half_width=0.4), first=1.0),
+        grid=al.Grid(3.0, 8),
+        inputs={"torque": al.BSpline(al.Decision(np.zeros(4), -1.0, 1.0))},
+        minimize=al.integral("torque").mean,
+        expansion=al.Expansion(order=1),
+    )
+    found = optimum(problem, transcription=al.Simultaneous())
+    mesh, states = (
+        found.transcribed.meshes_at(found.outcome.point)[-1],
+        found.transcribed.states_at(found.outcome.point),
+    )
+    assert mesh.drifts.shape == (len(states.germs), 8)
+    np.testing.assert_array_equal(mesh.errors, mesh.drifts.max(axis=0))
+    worst = states.germs[np.argmax(mesh.drifts.max(axis=1))]
+    assert mesh.numbers == pytest.approx({"damping": 0.5 + 0.4 * worst[0]})
+    assert f"with damping = {mesh.numbers['damping']:.6g}" in str(mesh)
 
 
 def test_a_mesh_that_does_not_converge_is_told_with_its_place(monkeypatch):
     monkeypatch.setattr("aleator.transcription.simultaneous._transcribed._MOST_MESHES", 2)
     with pytest.warns(al.GridWarning, match=r"mesh does not reach .* from t = .* where 1e-09 is asked"):
-        solution = al.solve(swing(), transcription=al.Simultaneous(error=1e-9))
+        solution = al.solve(stiffest(5), transcription=al.Simultaneous(error=1e-9))
     assert len(solution.meshes) == 2
     assert not solution.meshes[-1].is_met

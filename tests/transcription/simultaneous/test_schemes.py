@@ -15,21 +15,15 @@ SCHEMES = {
     "Gauss 2": (al.schemes.GaussLegendre(2), 4),
     "Gauss 3": (al.schemes.GaussLegendre(3), 6),
 }
-each = pytest.mark.parametrize("name", SCHEMES)
+each = pytest.mark.parametrize(("scheme", "order"), SCHEMES.values(), ids=SCHEMES)
 
 
 @each
-def test_rates_that_are_polynomials_are_integrated_exactly(name):
-    scheme, _ = SCHEMES[name]
+def test_the_quadrature_is_exact_up_to_the_order_and_rates_that_are_polynomials_are_integrated_exactly(scheme, order):
+    assert scheme.order == order
     for degree in range(len(scheme.nodes)):
         exact = scheme.points[1:] ** (degree + 1) / (degree + 1)
         np.testing.assert_allclose(scheme.weights @ scheme.nodes**degree, exact, rtol=1e-13, atol=1e-14)
-
-
-@each
-def test_the_quadrature_is_exact_up_to_the_order(name):
-    scheme, order = SCHEMES[name]
-    assert scheme.order == order
     for degree in range(order):
         assert scheme.weights[-1] @ scheme.nodes**degree == pytest.approx(1 / (degree + 1), rel=1e-13)
     # The next power is not integrated: the order is no higher than it says.
@@ -54,16 +48,31 @@ def _solved(scheme, intervals):
 
 
 @each
-def test_errors_fall_by_the_order(name):
-    scheme, order = SCHEMES[name]
+def test_errors_fall_by_the_order(scheme, order):
     exact = _solved(al.schemes.GaussLegendre(8), 40)
     counts = (8, 16) if order > 4 else (32, 64)
     first, second = (abs(_solved(scheme, count) - exact) for count in counts)
     assert np.log2(first / second) == pytest.approx(order, abs=0.3)
 
 
-@pytest.mark.parametrize("made", [al.schemes.Radau, al.schemes.GaussLegendre])
-@pytest.mark.parametrize("stages", [0, 13, 2.5, True, "three"])
-def test_stages_are_a_whole_number_from_1_to_12(made, stages):
-    with pytest.raises(al.ProblemError, match=f"{made.__name__}.*stages"):
-        made(stages)
+@pytest.mark.parametrize(
+    ("made", "message"),
+    [
+        (lambda: al.schemes.Radau(0), "Radau.*stages"),
+        (lambda: al.schemes.GaussLegendre(13), "GaussLegendre.*stages"),
+        (lambda: al.schemes.MultipleShooting(0), "MultipleShooting: steps is a whole number"),
+        (lambda: al.schemes.MultipleShooting(2000), "at most 100 steps in a segment"),
+        (lambda: al.Simultaneous(al.schemes.Radau), r"Simultaneous: scheme: expected .*al\.schemes\.HermiteSimpson"),
+        (lambda: al.Simultaneous(error=1e-13), "Simultaneous: error"),
+        (lambda: al.Simultaneous(al.schemes.Radau(3), error=1e-6, most_stages=2), "stages"),
+        (lambda: al.Simultaneous(al.schemes.Radau(3), error=1e-6, most_stages=13), "stages"),
+        (
+            lambda: al.Simultaneous(error=1e-6, most_stages=8),
+            r"expected a scheme whose stages can be raised to 8.*HermiteSimpson",
+        ),
+        (lambda: al.Simultaneous(al.schemes.Radau(3), most_stages=8), "expected an error to refine them for"),
+    ],
+)
+def test_schemes_and_meshes_that_cannot_be_are_refused(made, message):
+    with pytest.raises(al.ProblemError, match=message):
+        made()
