@@ -2,6 +2,7 @@
 
 from enum import Enum
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -30,6 +31,7 @@ def actuation_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> 
     q = real_array("actuation_of: q", q)
     if q.shape != (len(model.coordinates),) or not np.isfinite(q).all():
         raise refusal("actuation_of: q", f"finite numbers for {list(model.coordinates)}", q)
+    q = jnp.asarray(q)
     B = np.asarray(actuation_map(model, q))
     if model.constraints:
         G = np.asarray(jacobian_of(model, q))
