@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from tiny_models import LOSS, ONE_STEP, RESPONSE, Gain, gain_problem
+from zoo import HALF_WIDTH, LOSS, ONE_STEP, RESPONSE, Gain, gain_problem
 
 Y, PATH = al.rms("y"), al.path("y")
 
@@ -33,24 +33,7 @@ def test_constraints_say_what_they_bound(constraint, bounds, name, text):
     assert constraint.is_path is ("for all t" in text)
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        lambda: al.Constraint(Y.mean, lower=2.0, upper=1.0),
-        lambda: al.Constraint(Y.mean, upper=np.nan),
-        lambda: Y.within(2.0, 1.0),
-        lambda: Y.within(2.0, 1.0, sigmas=2.0),
-        lambda: problem_with(Y.within(-1.0, 1.0)).with_bound("response", (2.0, 1.0)),
-        lambda: problem_with(Y.within(-1.0, 1.0)).with_bound("response", -2.0),
-        lambda: problem_with(Y.within(-1.0, 1.0)).with_bound("response", np.nan),
-    ],
-)
-def test_bounds_in_the_wrong_order_are_refused(wrong):
-    with pytest.raises(
-        al.ProblemError,
-        match=r"expected (lower <= upper; received lower=.*upper=|(numbers as bounds|a finite number); received .*nan)",
-    ):
-        wrong()
+MODEL = Gain(gain=al.Decision(0.5, 0.0, 10.0), theta=al.Uniform(1.0, half_width=HALF_WIDTH))
 
 
 def problem_with(*constraints):
@@ -60,24 +43,20 @@ def problem_with(*constraints):
         al.Constraint(RESPONSE.mean + 2.0 * RESPONSE.std, lower=one.lower, upper=one.upper, name="response")
         for one in here
     ]
-    system = Gain(gain=al.Decision(0.5, 0.0, 10.0), theta=al.Uniform(1.0, half_width=0.3))
-    return al.Problem(system, grid=ONE_STEP, minimize=LOSS.mean, subject_to=moved)
+    return al.Problem(MODEL, grid=ONE_STEP, minimize=LOSS.mean, subject_to=moved)
 
 
 @pytest.mark.parametrize(
     ("constraints", "bound", "expected"),
     [
         ([Y.mean <= 1], 3.0, [(-np.inf, 3.0)]),
-        ([Y.mean <= 1], -3.0, [(-np.inf, -3.0)]),
         ([Y.mean >= 1], 3.0, [(3.0, np.inf)]),
         ([Y.within(-1, 1)], 3.0, [(-np.inf, 3.0), (-3.0, np.inf)]),
         ([al.Constraint(Y.mean, lower=-1, upper=1)], 3.0, [(-3.0, 3.0)]),
         ([Y.within(0, 1)], (2.0, 5.0), [(-np.inf, 5.0), (2.0, np.inf)]),
-        ([Y.mean >= 1], (2.0, np.inf), [(2.0, np.inf)]),
         ([Y.mean <= 1], (-np.inf, 3.0), [(-np.inf, 3.0)]),
         ([Y.mean.equals(1)], (2.0, 3.0), [(2.0, 3.0)]),
         ([Y.mean.equals(1)], 3.0, [(3.0, 3.0)]),
-        ([Y.mean.equals(0)], 3.0, [(3.0, 3.0)]),
     ],
 )
 def test_a_bound_moves_the_side_that_is_closed(constraints, bound, expected):
@@ -85,60 +64,21 @@ def test_a_bound_moves_the_side_that_is_closed(constraints, bound, expected):
     assert [(one.lower, one.upper) for one in moved.constraints] == expected
 
 
-def test_a_pair_that_is_not_symmetric_asks_for_both_bounds():
-    with pytest.raises(al.ProblemError, match=r"bounds \[0.0\] and \[1.0\], which are not symmetric.*\(lower, upper\)"):
-        problem_with(Y.within(0, 1)).with_bound("response", 2.0)
-
-
 def limited_by(*constraints):
     """A problem with these constraints on an output that it has."""
-    system = Gain(gain=al.Decision(0.5, 0.0, 10.0), theta=al.Uniform(1.0, half_width=0.3))
-    named = [one.named("limit") for one in constraints]
-    return al.Problem(system, grid=ONE_STEP, minimize=LOSS.mean, subject_to=named)
+    named = [one if isinstance(one, bool) else one.named("limit") for one in constraints]
+    return al.Problem(MODEL, grid=ONE_STEP, minimize=LOSS.mean, subject_to=named)
 
 
-@pytest.mark.parametrize("limit", [RESPONSE.mean <= 1, RESPONSE.mean >= 1, 2 * RESPONSE.mean <= 1])
-def test_two_bounds_make_a_limit_on_a_mean_one_of_two_sides(limit):
-    (moved,) = limited_by(limit).with_bound("limit", (2.0, 3.0)).constraints
-    assert (moved.lower, moved.upper) == (2.0, 3.0)
-
-
-@pytest.mark.parametrize(
-    "limits",
-    [
-        [RESPONSE.mean + 2 * RESPONSE.std <= 1],
-        [RESPONSE.at_most(1, probability=0.9)],
-        [RESPONSE.at_least(0, worst_case=True)],
-        [RESPONSE.mean <= 1, LOSS.mean <= 1],
-    ],
-)
-def test_two_bounds_of_limits_that_can_take_one_are_refused(limits):
-    with pytest.raises(al.ProblemError, match=r"expected one number.*received \(2, 3\).*within\(lower, upper\)"):
-        limited_by(*limits).with_bound("limit", (2.0, 3.0))
-
-
-def test_an_unknown_constraint_is_refused_with_those_that_exist():
-    with pytest.raises(al.ProblemError, match=r"no constraint 'travel'; expected one of \['response'\]"):
-        gain_problem().with_bound("travel", 1.0)
+def test_two_bounds_make_a_limit_on_a_mean_one_of_two_sides():
+    for limit in (RESPONSE.mean <= 1, RESPONSE.mean >= 1, 2 * RESPONSE.mean <= 1):
+        (moved,) = limited_by(limit).with_bound("limit", (2.0, 3.0)).constraints
+        assert (moved.lower, moved.upper) == (2.0, 3.0)
 
 
 def test_sigmas_of_a_problem_are_changed_by_name():
     other = gain_problem(sigmas=1.0).with_sigmas("response", 2.5)
     assert str(other.constraints[0]) == "μ[response(t_f)] + 2.5 σ[response(t_f)] ≤ 2"
-
-
-@pytest.mark.parametrize("sigmas", [0.0, -1.0, np.inf, np.nan])
-def test_sigmas_that_make_no_sense_are_refused(sigmas):
-    with pytest.raises(al.ProblemError, match="sigmas: expected a positive number; received"):
-        gain_problem().with_sigmas("response", sigmas)
-
-
-def test_sigmas_of_a_constraint_without_spread_are_refused():
-    problem = al.Problem(
-        Gain(gain=al.Decision(0.5), theta=1.0), grid=ONE_STEP, minimize=LOSS.mean, subject_to=[RESPONSE.mean <= 2]
-    )
-    with pytest.raises(al.ProblemError, match="no standard deviation to scale"):
-        problem.with_sigmas("response", 2.0)
 
 
 def test_constraints_on_one_output_that_measure_different_things_are_told_apart():
@@ -161,65 +101,56 @@ def test_the_two_sides_of_one_limit_keep_one_name():
 
 def test_both_sides_of_a_range_are_named_at_once():
     pair = LOSS.within(-1.0, 2.0, sigmas=1.0)
-    system = Gain(gain=al.Decision(0.5, 0.0, 10.0), theta=al.Uniform(1.0, half_width=0.3))
     problem = al.Problem(
-        system, grid=ONE_STEP, minimize=LOSS.mean, subject_to=[pair.named("stroke"), RESPONSE.within(0.0, 5.0)]
+        MODEL, grid=ONE_STEP, minimize=LOSS.mean, subject_to=[pair.named("stroke"), RESPONSE.within(0.0, 5.0)]
     )
     assert problem.names == ("stroke", "response")
     assert [(float(one.lower), float(one.upper)) for one in problem.named("stroke")] == [(-np.inf, 2.0), (-1.0, np.inf)]
     moved = problem.with_bound("stroke", (-3.0, 4.0)).named("stroke")
     assert [(float(one.lower), float(one.upper)) for one in moved] == [(-np.inf, 4.0), (-3.0, np.inf)]
     assert {one.name for one in pair.named("stroke")} == {"stroke"}
-    with pytest.raises(al.ProblemError, match="Constraint: name"):
-        pair.named(3)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("sigmas", [-1.0, np.nan, np.inf])
-def test_a_margin_that_is_negative_or_not_finite_is_refused(sigmas):
-    with pytest.raises(al.ProblemError, match=r"sigmas must not be negative|Only finite numbers can multiply"):
-        al.path("x").at_most(1.0, sigmas=sigmas)
-
-
-def test_a_constraint_without_a_finite_bound_is_refused():
-    with pytest.raises(al.ProblemError, match="bounds nothing"):
-        al.Constraint(Y.mean, lower=-np.inf)
-    with pytest.raises(al.ProblemError, match="Only finite numbers can be added to or compared"):
-        al.path("x").at_most(np.inf)
+TWO = {"bound": (2.0, 3.0), "name": "limit"}
+ONE_NUMBER = r"expected one number.*received \(2, 3\).*within\(lower, upper\)"
+UNSEEN = r"differs between realisations: take a statistic of it"
 
 
 @pytest.mark.parametrize(
-    "mistake",
+    ("wrong", "message"),
     [
-        lambda y: y <= 5.0,
-        lambda y: y >= 5.0,
-        lambda y: 2 * y,
-        lambda y: y + y,
-        lambda y: 1.0 - y,
-        lambda y: -y,
-        lambda y: y.mean + y,
-        lambda y: y.mean * y,
-        lambda y: 1.0 / y,
-        lambda y: y**2,
+        (lambda: al.Constraint(Y.mean, lower=2.0, upper=1.0), "lower <= upper; received lower=2"),
+        (lambda: Y.within(2.0, 1.0, sigmas=2.0), "lower <= upper; received lower=2"),
+        (lambda: problem_with(Y.within(-1.0, 1.0)).with_bound("response", (2.0, 1.0)), "lower <= upper; received"),
+        (lambda: problem_with(Y.within(-1.0, 1.0)).with_bound("response", -2.0), "lower <= upper; received"),
+        (lambda: problem_with(Y.within(0, 1)).with_bound("response", 2.0), r"not symmetric.*\(lower, upper\)"),
+        (lambda: limited_by(RESPONSE.mean + 2 * RESPONSE.std <= 1).with_bound(**TWO), ONE_NUMBER),
+        (lambda: limited_by(RESPONSE.at_most(1, probability=0.9)).with_bound(**TWO), ONE_NUMBER),
+        (lambda: limited_by(RESPONSE.at_least(0, worst_case=True)).with_bound(**TWO), ONE_NUMBER),
+        (lambda: limited_by(RESPONSE.mean <= 1, LOSS.mean <= 1).with_bound(**TWO), ONE_NUMBER),
+        (lambda: gain_problem().with_bound("travel", 1.0), r"no constraint 'travel'; expected one of \['response'\]"),
+        (lambda: gain_problem().with_sigmas("response", 0.0), "sigmas: expected a positive number; received"),
+        (lambda: limited_by(RESPONSE.mean <= 2).with_sigmas("limit", 2.0), "no standard deviation to scale"),
+        (lambda: al.path("x").at_most(1.0, sigmas=-1.0), "sigmas must not be negative"),
+        (lambda: al.Constraint(Y.mean, lower=-np.inf), "bounds nothing"),
+        (lambda: al.path("x").at_most(np.inf), "Only finite numbers can be added to or compared"),
+        (lambda: Y <= 5.0, UNSEEN),
+        (lambda: Y >= 5.0, UNSEEN),
+        (lambda: 2 * Y, UNSEEN),
+        (lambda: Y + Y, UNSEEN),
+        (lambda: 1.0 - Y, UNSEEN),
+        (lambda: -Y, UNSEEN),
+        (lambda: Y.mean + Y, UNSEEN),
+        (lambda: Y.mean * Y, UNSEEN),
+        (lambda: 1.0 / Y, UNSEEN),
+        (lambda: Y**2, UNSEEN),
+        (lambda: Y.mean < 1.0, "write <= or >="),
+        (
+            lambda: al.Problem(MODEL, grid=ONE_STEP, minimize=LOSS.mean, subject_to=[Y.mean == 5.0]),
+            r"equality write expression\.equals",
+        ),
     ],
 )
-def test_arithmetic_on_a_functional_without_a_statistic_is_refused_in_words(mistake):
-    with pytest.raises(al.ProblemError, match=r"differs between realisations: take a statistic of it"):
-        mistake(al.rms("x"))
-
-
-def test_strict_comparisons_are_refused_in_words():
-    with pytest.raises(al.ProblemError, match="write <= or >="):
-        al.rms("x").mean < 1.0  # noqa: B015
-
-
-def test_an_equality_sign_in_the_place_of_equals_is_refused_with_a_hint():
-    problem = gain_problem()
-    with pytest.raises(al.ProblemError, match=r"For an equality write expression\.equals"):
-        al.Problem(problem.system, grid=problem.grid, minimize=problem.objective, subject_to=[al.rms("x").mean == 5.0])
-
-
-@pytest.mark.parametrize("which", ["at_points", "worst_case"])
-@pytest.mark.parametrize("value", ["yes", None, 1])
-def test_what_is_neither_true_nor_false_is_refused(which, value):
-    with pytest.raises(al.ProblemError, match=rf"'response\(t_f\)': {which}: expected True or False; received"):
-        RESPONSE.at_most(1.0, **{which: value})
+def test_limits_that_make_no_sense_are_refused_in_words(wrong, message):
+    with pytest.raises(al.ProblemError, match=message):
+        wrong()

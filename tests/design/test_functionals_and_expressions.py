@@ -5,27 +5,19 @@ import pytest
 
 import aleator as al
 from aleator.design import AbstractScope, Taken, functionals_of
+from compiling import compiled
 
 GRID = al.Grid(3.0, 7, t_start=0.5)
 T = np.linspace(0.5, 3.0, 8)
 HISTORY = {"y": np.sin(3 * T) - 0.2 * T, "q": np.stack([T**2, -np.exp(T)], axis=1), "zero": np.zeros(8)}
 
 
-@pytest.mark.parametrize("output", ["y", "q"])
-@pytest.mark.parametrize(
-    ("functional", "expected"),
-    [
-        (al.terminal, lambda y: y[-1]),
-        (al.path, lambda y: y),
-        (al.peak, lambda y: np.abs(y).max(axis=0)),
-    ],
-    ids=lambda part: getattr(part, "__name__", ""),
-)
-def test_functionals_agree_with_numpy_on_outputs_of_any_shape(functional, expected, output):
-    history = {name: jnp.asarray(values) for name, values in HISTORY.items()}
-    np.testing.assert_allclose(
-        functional(output).evaluate(Taken(history, {}), GRID), expected(HISTORY[output]), rtol=1e-13
-    )
+def test_functionals_agree_with_numpy_on_outputs_of_any_shape():
+    expected = {al.terminal: lambda y: y[-1], al.path: lambda y: y, al.peak: lambda y: np.abs(y).max(axis=0)}
+    cases = [(functional(name), of(HISTORY[name])) for functional, of in expected.items() for name in ("y", "q")]
+    found = compiled(lambda history: [one.evaluate(Taken(history, {}), GRID) for one, _ in cases])(HISTORY)
+    for values, (_, exact) in zip(found, cases, strict=True):
+        np.testing.assert_allclose(values, exact, rtol=1e-13)
 
 
 def test_an_output_that_stays_zero_has_rms_zero_and_a_finite_derivative():
@@ -33,8 +25,7 @@ def test_an_output_that_stays_zero_has_rms_zero_and_a_finite_derivative():
         functional = al.rms("zero")
         return functional.evaluate(Taken({}, {functional: functional.integrand({"zero": scale * jnp.zeros(())})}), GRID)
 
-    assert float(rms(1.0)) == 0.0
-    assert float(jax.grad(rms)(1.0)) == 0.0
+    assert tuple(map(float, compiled(jax.value_and_grad(rms))(1.0))) == (0.0, 0.0)
 
 
 class Numbers(AbstractScope):
@@ -44,7 +35,7 @@ class Numbers(AbstractScope):
         self.numbers = numbers
 
     def statistic(self, functionals, kind):
-        return jnp.asarray(self.numbers["_".join([type(kind).__name__.lower(), *(one.output for one in functionals)])])
+        return self.numbers["_".join([type(kind).__name__.lower(), *(one.output for one in functionals)])]
 
     def realised(self, functional):
         raise NotImplementedError
@@ -53,7 +44,7 @@ class Numbers(AbstractScope):
         raise NotImplementedError
 
     def value(self, name):
-        return jnp.asarray(self.numbers[name.replace(".", "_")])
+        return self.numbers[name.replace(".", "_")]
 
 
 SCOPE = Numbers(mean_y=2.0, std_y=0.5, variance_y=0.25, mean_w=-7.0, std_w=3.0, k_std=0.1)
@@ -92,10 +83,7 @@ def test_functionals_are_shown_as_mathematics():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (lambda: Y.mean + Y, r"'rms\(y\)' differs between realisations: take a statistic"),
         (lambda: Y.mean <= W, r"'∫w dt' differs between realisations"),
-        (lambda: Y.mean * "one", "Only numbers can multiply an expression by; received str"),
-        (lambda: Y.mean + "one", "received str 'one'"),
         (lambda: Y.mean * True, "received bool"),
         (lambda: bool(Y.mean), "An expression has no truth value"),
         (lambda: 0 <= Y.mean <= 1, "chain such as 'lower <= y <= upper' does not work"),

@@ -1,4 +1,4 @@
-"""Products, quotients, powers, positive parts, maxima and a user's own functions of statistics and decisions."""
+"""Products, quotients, powers, positive parts, maxima, costs and own functions of statistics and decisions."""
 
 import math
 from typing import ClassVar
@@ -12,10 +12,24 @@ import aleator as al
 from aleator.design import AbstractScope, units_of
 from aleator.design._statistic import statistic
 from aleator.statistics import Quantile
-from tiny_models import HALF_WIDTH, LOSS, ONE_STEP, RESPONSE, SPREAD, Decay, Gain
+from compiling import compiled
+from zoo import (
+    HALF_WIDTH,
+    LOSS,
+    MASS,
+    ONE_STEP,
+    RESPONSE,
+    SPREAD,
+    STRESS,
+    Decay,
+    Gain,
+    bar_problem,
+    optimum,
+)
 
 VARIANCE = SPREAD**2
 WAYS = {"shooting": al.Sequential(), "collocation": al.Simultaneous(al.schemes.GaussLegendre(1))}
+BOTH = [WAYS["shooting"], pytest.param(WAYS["collocation"], marks=pytest.mark.slow)]
 
 
 class Numbers(AbstractScope):
@@ -36,6 +50,10 @@ class Numbers(AbstractScope):
 
 def distance(first, second):
     return jnp.hypot(first, second)
+
+
+def logarithm(spread):
+    return 2.0 - jnp.log(spread)
 
 
 A, B = al.value("a"), al.value("b")
@@ -64,22 +82,48 @@ FUNCTIONS = {
     "smallest": (al.expressions.minimum(A, 2 * B), lambda a, b: min(a, 2 * b), "min(a, 2 b)"),
     "own": (3 * al.expressions.function(distance, A, B), lambda a, b: 3 * np.hypot(a, b), "3 distance(a, b)"),
     "nested": (-((A * B) ** 2) / (1 + A), lambda a, b: -((a * b) ** 2) / (1 + a), "(−(a·b)²)/(a + 1)"),
+    "a cost with a power": (
+        al.cost.reciprocal_power("a", bias=0.5, scale=3.0, power=1.5),
+        lambda a, b: 0.5 + 3.0 / a**1.5,
+        "(0.5 + 3/a^1.5)",
+    ),
+    "a reciprocal cost": (
+        al.cost.reciprocal("a", bias=0.5, scale=3.0),
+        lambda a, b: 0.5 + 3.0 / a,
+        "(0.5 + 3/a)",
+    ),
+    "a cost by the square": (
+        al.cost.reciprocal_squared("a", bias=0.5, scale=3.0),
+        lambda a, b: 0.5 + 3.0 / a**2,
+        "(0.5 + 3/a²)",
+    ),
+    "an exponential cost": (
+        al.cost.exponential("b", bias=0.5, scale=3.0, rate=2.0),
+        lambda a, b: 0.5 + 3.0 * np.exp(-2.0 * b),
+        "(0.5 + 3 exp(−2 b))",
+    ),
+    "a cost of one's own": (al.cost.cost_curve("a", logarithm), lambda a, b: 2.0 - np.log(a), "logarithm(a)"),
     "numbers alone": ((al.value("a") * 0 + 2) ** 2, lambda a, b: 4.0, "2²"),
 }
 
 
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_values_slopes_and_texts_are_those_of_the_formula(name):
-    expression, formula, text = FUNCTIONS[name]
-    assert str(expression) == text
+def values_of(expressions):
+    """The values of all expressions as a function of `a` and `b`."""
+    return lambda at: jnp.stack([jnp.asarray(one.evaluate(Numbers(a=at[0], b=at[1])), float) for one in expressions])
+
+
+def test_values_slopes_and_texts_are_those_of_the_formula():
+    expressions, formulas, texts = zip(*FUNCTIONS.values(), strict=True)
+    assert tuple(map(str, expressions)) == texts
+    values = values_of(expressions)
+    both = compiled(lambda at: (values(at), jax.jacfwd(values)(at)))
+    h = 1e-6
     for a, b in ((1.7, 0.4), (0.6, 2.5)):
-        found, slopes = jax.value_and_grad(lambda at: expression.evaluate(Numbers(a=at[0], b=at[1])))(jnp.array([a, b]))
-        assert float(found) == pytest.approx(formula(a, b), rel=1e-14)
-        h = 1e-6
-        differences = (
-            (formula(a + h, b) - formula(a - h, b)) / (2 * h),
-            (formula(a, b + h) - formula(a, b - h)) / (2 * h),
-        )
+        found, slopes = both(np.array([a, b]))
+        np.testing.assert_allclose(found, [formula(a, b) for formula in formulas], rtol=1e-14)
+        differences = [
+            ((one(a + h, b) - one(a - h, b)) / (2 * h), (one(a, b + h) - one(a, b - h)) / (2 * h)) for one in formulas
+        ]
         np.testing.assert_allclose(slopes, differences, rtol=1e-7, atol=1e-8)
 
 
@@ -91,16 +135,17 @@ SMOOTHED = {
 }
 
 
-@pytest.mark.parametrize("name", SMOOTHED)
-def test_smoothed_functions_stay_within_their_bounds_and_have_second_derivatives_where_they_had_kinks(name):
-    smoothed, exact, below, above = SMOOTHED[name]
-    for s in (0.1, 1e-3):
-        for a, b in ((0.3, 0.3), (0.0, 0.0), (0.3, 0.3001), (2.0, -1.0), (-4.0, 50.0)):
-            found = float(smoothed(s).evaluate(Numbers(a=a, b=b)))
-            assert below * s - 1e-12 <= found - exact(a, b) <= above * s + 1e-12
-        bends = jax.hessian(lambda at, s=s: smoothed(s).evaluate(Numbers(a=at[0], b=at[1])))(jnp.zeros(2))
-        assert np.isfinite(bends).all()
-        assert np.abs(bends).max() == pytest.approx(1 / s, rel=0.8)
+def test_smoothed_functions_stay_within_their_bounds_and_have_second_derivatives_where_they_had_kinks():
+    makers, exact, below, above = zip(*SMOOTHED.values(), strict=True)
+    sizes = np.repeat([0.1, 1e-3], len(makers))
+    values = values_of([smoothed(s) for s in (0.1, 1e-3) for smoothed in makers])
+    found_at, bends_at = compiled(values), compiled(jax.hessian(values))
+    for a, b in ((0.3, 0.3), (0.0, 0.0), (0.3, 0.3001), (2.0, -1.0), (-4.0, 50.0)):
+        off = np.asarray(found_at(np.array([a, b]))) - np.tile([one(a, b) for one in exact], 2)
+        assert (off >= np.tile(below, 2) * sizes - 1e-12).all()
+        assert (off <= np.tile(above, 2) * sizes + 1e-12).all()
+    bends = np.abs(bends_at(np.zeros(2))).max(axis=(1, 2))
+    np.testing.assert_allclose(bends * sizes, 1.0, rtol=0.8)
 
 
 def gain(objective, **options):
@@ -109,36 +154,25 @@ def gain(objective, **options):
     return al.Problem(system, grid=ONE_STEP, minimize=objective, **options)
 
 
-@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
-def test_a_target_with_a_variance_is_written_as_it_stands(way):
-    """E[g θ] = g, Var[g θ] = g² s²: (g - 2)² + g² s² is least at 2 / (1 + s²)."""
-    solution = al.solve(gain((RESPONSE.mean - 2) ** 2 + RESPONSE.variance), transcription=way)
-    assert solution.decisions["gain"] == pytest.approx(2 / (1 + VARIANCE), rel=1e-6)
-    assert solution.objective == pytest.approx(4 * VARIANCE / (1 + VARIANCE), rel=1e-9)
-
-
-@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
-def test_a_limit_on_a_quotient_and_an_own_objective_have_their_closed_forms(way):
-    """Least g s / g² = s / g under g <= 3 - s g: all as statistics of the response."""
+@pytest.mark.parametrize("way", BOTH, ids=WAYS)
+def test_a_target_with_a_variance_a_quotient_and_an_own_function_have_their_closed_form(way):
+    """`(g - 2)² + g² s² + s / g` under `g <= 3 - s g`, all as statistics of the response: at the limit."""
     relative = al.expressions.function(jnp.divide, RESPONSE.std, RESPONSE.mean**2)
-    problem = gain(relative, subject_to=[RESPONSE.mean / (3 - RESPONSE.std) <= 1.0])
-    solution = al.solve(problem, transcription=way)
-    assert solution.decisions["gain"] == pytest.approx(3 / (1 + SPREAD), rel=1e-6)
-    assert solution.objective == pytest.approx(SPREAD * (1 + SPREAD) / 3, rel=1e-6)
+    target = (RESPONSE.mean - 4) ** 2 + RESPONSE.variance + relative
+    found = optimum(gain(target, subject_to=[RESPONSE.mean / (3 - RESPONSE.std) <= 1.0]), transcription=way)
+    at = 3 / (1 + SPREAD)
+    assert found.decisions["gain"] == pytest.approx(at, rel=1e-6)
+    assert found.objective == pytest.approx((at - 4) ** 2 + at**2 * VARIANCE + SPREAD / at, rel=1e-6)
 
 
-def test_a_soft_limit_by_the_positive_part_has_the_optimum_of_its_closed_form():
-    """(g - 3)² + w (g - 2)₊², whose derivative vanishes at (3 + 2 w) / (1 + w)."""
-    weight = 4.0
-    excess = al.expressions.positive_part(RESPONSE.mean - 2.0)
-    solution = al.solve(gain(LOSS.mean - 1.0 + weight * excess**2))
-    assert solution.decisions["gain"] == pytest.approx((3 + 2 * weight) / (1 + weight), rel=1e-6)
-
-
-def test_a_smooth_error_at_the_end_is_least_where_it_vanishes():
-    error = al.objectives.terminal_mean_error({"response": 2.0}, smoothing=0.01)
-    for solver in (al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()):
-        assert al.solve(gain(error), solver).decisions["gain"] == pytest.approx(2.0, abs=1e-4)
+def test_a_target_with_a_variance_is_least_inside():
+    """`(w - 2)² + w (1/w - 1)₊` and the smoothed distance from 2: both are least at a width of 2."""
+    bar = bar_problem().system
+    excess = al.expressions.positive_part(STRESS.mean - 1.0)
+    error = al.objectives.norm(MASS.mean - 2.0, smoothing=0.01)
+    for objective in ((MASS.mean - 2) ** 2 + MASS.mean * excess, error):
+        found = optimum(al.Problem(bar, minimize=objective), al.solvers.Ipopt())
+        assert found.decisions["width"] == pytest.approx(2.0, abs=1e-4)
 
 
 class WithUnits(Gain):
@@ -167,8 +201,6 @@ def test_units_follow_products_quotients_and_powers():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (lambda: A * "b", "Only numbers can multiply an expression by"),
-        (lambda: A**np.inf, "Only finite numbers can be an exponent"),
         (lambda: A**B, "Only numbers can be an exponent"),
         (lambda: A / 0, "cannot be divided by zero"),
         (lambda: al.expressions.maximum(A), "expected at least two expressions or numbers; received 1"),
@@ -183,25 +215,22 @@ def test_what_is_no_expression_is_refused_in_words(wrong, message):
         wrong()
 
 
+@pytest.mark.slow
 def test_one_statistic_of_several_outputs_is_that_of_each():
-    kind, gains = Quantile(0.9), al.terminal("gain")
-    problem = gain(
-        statistic(kind, RESPONSE) ** 2, subject_to=[statistic(kind, gains) >= 2, statistic(kind, RESPONSE) <= 9]
-    )
-    solution = al.solve(problem)
-    assert solution.decisions["gain"] == pytest.approx(2.0, rel=1e-6)
-    assert solution.objective == pytest.approx((2 * (1 + 0.8 * HALF_WIDTH)) ** 2, rel=1e-6)
+    kind = Quantile(0.9)
+    limits = [statistic(kind, MASS) >= 2, statistic(kind, STRESS) <= 9]
+    found = optimum(al.Problem(bar_problem().system, minimize=-(statistic(kind, STRESS) ** 2), subject_to=limits))
+    high = 1 + 0.8 * HALF_WIDTH
+    assert found.decisions["width"] == pytest.approx(2.0, rel=1e-6)
+    assert found.objective == pytest.approx(-((high / 2.0) ** 2), rel=1e-6)
 
 
-@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+@pytest.mark.parametrize("way", BOTH, ids=WAYS)
 def test_an_own_function_is_asked_for_each_instant_by_itself(way):
     """A sum over instants would grow with every finer grid that judges the answer."""
     clipped = al.expressions.function(lambda now: jnp.max(now), al.path("response").mean)
-    assert al.solve(gain(LOSS.mean, subject_to=[clipped <= 2.0]), transcription=way).decisions["gain"] == pytest.approx(
-        2.0, rel=1e-6
-    )
-    flat = al.expressions.function(lambda now: 3.0, RESPONSE.mean)
-    assert al.solve(gain(flat), transcription=way).objective == 3.0
+    found = al.solve(gain(LOSS.mean, subject_to=[clipped <= 2.0]), transcription=way)
+    assert found.decisions["gain"] == pytest.approx(2.0, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -221,16 +250,14 @@ def test_an_own_function_that_is_no_function_of_numbers_is_refused_by_name(funct
         gain(LOSS.mean, subject_to=[al.expressions.function(function, al.path("response").mean) <= 1.0])
 
 
-@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
-@pytest.mark.parametrize("functional", [al.path("response"), al.peak("response")], ids=["path", "peak"])
-def test_a_limit_on_a_ratio_to_a_spread_holds_though_no_single_system_has_one(functional, way):
+@pytest.mark.parametrize("way", BOTH, ids=WAYS)
+def test_a_limit_on_a_ratio_to_a_spread_holds_though_no_single_system_has_one(way):
     """The mean of g θ + b over its spread: (g + b) / (g s) <= 20, with b = 1 and g at least its root."""
     theta = al.Uniform(1.0, half_width=HALF_WIDTH)
     system = Gain(al.Decision(3.0, 0.01, 10.0), theta, 1.0)
-    limit = functional.mean / functional.std <= 20.0
-    found = al.solve(
-        al.Problem(system, grid=ONE_STEP, minimize=al.terminal("gain").mean, subject_to=[limit]), transcription=way
-    )
+    limits = [one.mean / one.std <= 20.0 for one in (al.path("response"), al.peak("response"))]
+    least = al.Problem(system, grid=ONE_STEP, minimize=al.terminal("gain").mean, subject_to=limits)
+    found = optimum(least, transcription=way)
     assert found.decisions["gain"] == pytest.approx(1 / (20 * SPREAD - 1), rel=1e-6)
 
 
@@ -241,24 +268,10 @@ def test_an_objective_that_is_flat_at_its_minimum_is_solved(scheme):
     system = Decay(al.Uniform(1.0, half_width=0.2), al.Decision(2.0, -5.0, 5.0))
     excess = al.expressions.positive_part(al.terminal("x").mean - 3.0)
     for objective in (0 * al.terminal("x").mean + 1.0, excess, excess**2):
-        problem = al.Problem(system, grid=al.Grid(1.0, 10), minimize=objective)
-        assert al.solve(problem, transcription=al.Simultaneous(scheme)).status is al.Status.SOLVED
+        optimum(al.Problem(system, grid=al.Grid(1.0, 10), minimize=objective), transcription=al.Simultaneous(scheme))
 
 
-@pytest.mark.parametrize(
-    "use",
-    [
-        lambda x: 2**x,
-        lambda x: x % 2,
-        lambda x: 5 % x,
-        lambda x: x // 2,
-        lambda x: 5 // x,
-        math.sqrt,
-        float,
-        int,
-        round,
-    ],
-)
+@pytest.mark.parametrize("use", [lambda x: 2**x, lambda x: x % 2, lambda x: 5 // x, math.sqrt, float, int, round])
 def test_what_expressions_cannot_do_is_told_with_a_remedy(use):
     with pytest.raises(al.ProblemError, match=r"'μ\[x\(t_f\)\]' has no value yet.*al\.expressions\.function"):
         use(al.terminal("x").mean)

@@ -1,6 +1,5 @@
 """The objectives of motion planning, against closed forms: a response `gain θ (1 + t)` and others, `θ` uniform."""
 
-from functools import cache
 from typing import Any
 
 import jax
@@ -12,6 +11,8 @@ from scipy import integrate
 import aleator as al
 from aleator.design import AbstractScope, Taken
 from aleator.statistics import CoefficientProduct
+from aleator.transcription import transcribe
+from zoo import gain_problem
 
 HALF = 0.3
 VARIANCE = HALF**2 / 3
@@ -44,7 +45,7 @@ def integral(values):
     return integrate.simpson(values, x=T)
 
 
-# At the solution the gain is 2 and the final time 0.8 s: their lower bounds.
+# At the start the gain is 2 and the final time 0.8 s.
 SECOND = 1 + VARIANCE
 WORK = integral(2 * (1 + T) * np.abs(1 - 2 * T))
 EXPECTED = {
@@ -80,45 +81,38 @@ EXPECTED = {
 
 
 def problem(constraints=()):
+    """Starts at a gain of 2 and a final time of 0.8 s."""
     return al.Problem(
-        Joint(al.Decision(3.0, 2.0, 5.0), al.Uniform(1.0, half_width=HALF)),
-        grid=al.Grid(al.Decision(1.0, 0.8, 2.0), 8),
+        Joint(al.Decision(2.0, 1.0, 5.0), al.Uniform(1.0, half_width=HALF)),
+        grid=al.Grid(al.Decision(0.8, 0.5, 2.0), 8),
         minimize=al.value("gain") + al.objectives.final_time(),
         subject_to=constraints,
     )
 
 
-@cache
-def solved():
-    constraints = [(expression >= -100.0).named(name) for name, (expression, _) in EXPECTED.items()]
-    return al.solve(problem(constraints))
+def rows_at_the_start(declared):
+    program = transcribe(declared).program
+    return program.evaluate(program.start).constraints
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", EXPECTED)
-def test_objectives_have_the_values_of_their_closed_forms(name):
-    found = {one.name: one.values for one in solved().constraints}
-    np.testing.assert_allclose(found[name], EXPECTED[name][1], rtol=1e-7, atol=1e-9)
+def test_objectives_have_the_values_of_their_closed_forms():
+    limits = [(expression >= -100.0).named(name) for name, (expression, _) in EXPECTED.items()]
+    exact = [value for _, value in EXPECTED.values()]
+    np.testing.assert_allclose(rows_at_the_start(problem(limits)), exact, rtol=1e-7, atol=1e-9)
 
 
 def test_the_printed_power_is_the_expected_one_where_all_is_certain():
-    limits = [
-        (one >= -100.0).named(f"{i}")
-        for i, one in enumerate(
-            [al.objectives.power({"torque": "against"}), al.objectives.coefficient_power({"torque": "against"})]
-        )
-    ]
-    values = [float(one.values[0]) for one in al.solve(al.deterministic(problem(limits))).constraints]
-    np.testing.assert_allclose(values, [WORK, WORK], rtol=1e-7)
+    powers = al.objectives.power({"torque": "against"}), al.objectives.coefficient_power({"torque": "against"})
+    limits = [(one >= -100.0).named(f"{i}") for i, one in enumerate(powers)]
+    np.testing.assert_allclose(rows_at_the_start(al.deterministic(problem(limits))), WORK, rtol=1e-7)
 
 
 def test_the_final_time_of_a_fixed_grid_is_a_number():
     fixed = al.Problem(
-        Joint(al.Decision(3.0, 2.0, 5.0), 1.0),
-        grid=al.Grid(0.7, 4),
-        minimize=al.value("gain") + al.objectives.final_time(),
+        gain_problem().system, grid=al.Grid(0.7, 1), minimize=al.value("gain") + al.objectives.final_time()
     )
-    assert al.solve(fixed).objective == pytest.approx(2.7, rel=1e-8)
+    program = transcribe(fixed).program
+    assert program.evaluate(program.start).objective == pytest.approx(0.5 + 0.7, rel=1e-12)
 
 
 class Means(AbstractScope):
@@ -178,62 +172,16 @@ def test_objectives_speak_of_their_outputs():
         (lambda: al.objectives.power({}), "power: expected at least one output"),
         (lambda: al.objectives.coefficient_power({}), "coefficient_power: expected at least one output"),
         (lambda: al.objectives.effort("a", "b", weights=[1.0]), "expected 2 weights, one per term; received 1"),
-        (lambda: al.objectives.effort("a", weights=["heavy"]), "Only numbers can multiply"),
-        (
-            lambda: al.objectives.effort("a", weights=[np.nan]),
-            "Only finite numbers can multiply an expression by; received nan",
-        ),
-        (
-            lambda: al.objectives.torque_rate("a", weights=[np.inf]),
-            "Only finite numbers can multiply an expression by; received inf",
-        ),
-        (lambda: al.objectives.effort("a", "b", weights=2.0), "expected 2 weights, one per term; received 1"),
-        (
-            lambda: al.objectives.effort("a", "b", weights={"b": 1.0, "a": 2.0}),
-            "effort: weights are numbers in the order",
-        ),
-        (
-            lambda: al.objectives.effort(["a", "b"]),
-            "An output is given by its name, such as 'x', and several one by one",
-        ),
-        (lambda: al.objectives.torque_rate(["a", "b"]), r"An output is given by its name.*received list \['a', 'b'\]"),
-        (lambda: al.objectives.terminal_variance(["a"]), "An output is given by its name"),
-        (lambda: al.path(3), "An output is given by its name.*received int 3"),
+        (lambda: al.objectives.effort("a", "b", weights={"b": 1.0, "a": 2.0}), "weights are numbers in the order"),
+        (lambda: al.objectives.effort(["a", "b"]), "An output is given by its name, such as 'x', and several one by"),
         (lambda: al.objectives.power([("a", "b")]), "power: expected the rate along which each torque acts, by name"),
-        (
-            lambda: al.objectives.coefficient_power("a"),
-            "coefficient_power: expected the rate along which each torque acts",
-        ),
-        (lambda: al.objectives.power({"a": 3}), "An output is given by its name.*received int 3"),
-        (
-            lambda: al.objectives.power({"a": "b"}, smoothing=-1.0),
-            "power: expected a smoothing of at least 0; received -1",
-        ),
-        (
-            lambda: al.objectives.power({"a": "b"}, smoothing=np.inf),
-            "Only finite numbers can smooth; received inf",
-        ),
-        (
-            lambda: al.objectives.coefficient_power({"a": "b"}, smoothing=-0.1),
-            "coefficient_power: expected a smoothing",
-        ),
-        (
-            lambda: al.objectives.coefficient_power({"a": "b"}, smoothing=np.nan),
-            "Only finite numbers can smooth",
-        ),
-        (
-            lambda: al.objectives.terminal_mean_error("x"),
-            "terminal_mean_error: expected the target of each output at the end",
-        ),
-        (lambda: al.objectives.terminal_mean_error({"x": np.nan}), "Only finite numbers can be added to or compared"),
-        (lambda: np.nan * al.objectives.effort("a"), "Only finite numbers can multiply"),
+        (lambda: al.objectives.coefficient_power("a"), "expected the rate along which each torque acts"),
+        (lambda: al.objectives.power({"a": "b"}, smoothing=-1.0), "power: expected a smoothing of at least 0"),
+        (lambda: al.objectives.power({"a": "b"}, smoothing=np.inf), "Only finite numbers can smooth; received inf"),
+        (lambda: al.objectives.terminal_mean_error("x"), "expected the target of each output at the end"),
         (lambda: al.objectives.effort("a") / np.nan, "Only finite numbers can divide"),
-        (lambda: al.objectives.effort("a") / 0, "cannot be divided by zero"),
-        (lambda: al.objectives.effort("a") + np.inf, "Only finite numbers can be added"),
         (lambda: al.cost.reciprocal("k", bias=np.nan, scale=1.0), "Only finite numbers can be a coefficient of a cost"),
         (lambda: al.objectives.norm(), "norm: expected at least one expression"),
-        (lambda: al.objectives.terminal_mean_error({}), "norm: expected at least one expression"),
-        (lambda: al.objectives.norm(al.terminal("x")), "differs between realisations"),
         (lambda: al.time_integral(al.terminal("x").mean), "expected statistics of a path; received 'μ"),
         (lambda: al.time_integral(al.path("x")), "differs between realisations"),
         (lambda: problem([al.objectives.effort("torqe") <= 1.0]), "Did you mean 'torque'"),
@@ -243,16 +191,6 @@ def test_objectives_speak_of_their_outputs():
 def test_objectives_that_make_no_sense_are_refused_in_words(wrong, message):
     with pytest.raises(al.ProblemError, match=message):
         wrong()
-
-
-@pytest.mark.parametrize("weights", [(2.0,), 2.0, np.array([2.0]), jnp.array([2.0]), np.float32(2.0), jnp.array(2.0)])
-def test_weights_are_any_sequence_of_numbers_or_one_for_one_output(weights):
-    assert str(al.objectives.effort("a", weights=weights)) == "2 μ[∫a² dt]"
-
-
-def test_references_and_factors_may_be_numbers_of_any_library():
-    assert str(al.objectives.terminal_mean_error({"x": jnp.array(2.0)})) == "‖μ[x(t_f)] − 2‖"
-    assert str(al.objectives.power({"a": "b"}, smoothing=np.array(0.1)) * jnp.array(3)) == "3 μ[∫|a b| dt]"
 
 
 def test_a_norm_and_a_root_mean_square_of_what_is_not_a_number_are_none():

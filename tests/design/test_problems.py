@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from tiny_models import LOSS, ONE_STEP, RESPONSE, Gain, Oscillator, gain_problem, oscillator_problem, sine
+from zoo import LOSS, ONE_STEP, RESPONSE, Gain, Oscillator, bar_problem, gain_problem, optimum, oscillator_problem, sine
 
 
 def test_a_problem_prints_as_mathematics():
@@ -27,10 +27,10 @@ def test_a_deterministic_problem_prints_that_nothing_spreads():
 
 
 def test_deterministic_and_uncertain_are_inverse():
-    problem = gain_problem()
+    problem = bar_problem()
     nominal = al.deterministic(problem)
     assert not nominal.placements.distributions
-    assert list(nominal.placements.decisions) == ["gain"]
+    assert list(nominal.placements.decisions) == ["width"]
     assert eqx.tree_equal(al.uncertain(nominal), problem)
     assert eqx.tree_equal(al.deterministic(nominal), nominal)
 
@@ -48,21 +48,19 @@ def declare(system=None, **changes):
         ({"subject_to": [al.path("sprng").at_most(1)]}, "no output of Oscillator 'sprng'.*Did you mean 'spring'"),
         ({"minimize": al.value("k.spread")}, r"no number of the model 'k\.spread'; expected one of"),
         ({"subject_to": [al.value("mass") <= 1]}, "no number of the model 'mass'"),
+        (
+            {"minimize": al.cost.reciprocal("k.half_widht", bias=0.0, scale=1.0)},
+            r"no number of the model 'k\.half_widht'.*Did you mean 'k\.half_w",
+        ),
         ({"inputs": {}}, r"Oscillator takes the inputs \['force'\]; received \[\]"),
         ({"inputs": {"force": sine(), "wind": sine()}}, r"takes the inputs \['force'\]; received \['force', 'wind'\]"),
-        ({"inputs": {"force": 1.0}}, "Input 'force' must be a signal.*received float"),
         ({"grid": al.Grid(6.0, 80)}, "Input 'force' is known from 0 to 5 s, but the grid runs from 0 to 6 s"),
         ({"grid": al.Grid(al.Decision(4.0, 3.0, 6.0), 80)}, "Input 'force' is known .* the grid runs from 0 to 6 s"),
         ({"grid": al.Grid(4.0, 80, t_start=-1.0)}, "but the grid runs from -1 to 4 s"),
         ({"minimize": al.path("x").mean}, r"objective must be one number, but 'μ\[x\(t\)\]' has shape \(81,\)"),
         ({"minimize": al.rms("x")}, "differs between realisations"),
-        ({"minimize": "x"}, "received str 'x'"),
         ({"subject_to": [True]}, "expected constraints, such as .*received bool 'True'"),
         ({"subject_to": [al.rms("x").mean]}, "expected constraints.*received Expression"),
-        ({"subject_to": 3}, "expected constraints.*received int '3'"),
-        ({"grid": 4.0}, "'grid' must be a Grid; received float 4.0"),
-        ({"expansion": 3}, "'expansion' must be a Expansion; received int 3"),
-        ({"integrator": "RK4"}, "'integrator' must be a AbstractIntegrator; received str 'RK4'"),
         ({"system": "car"}, "'system' must be a System or AlgebraicSystem; received str 'car'"),
         (
             {"system": Oscillator(m=al.Uniform(1.0, half_width=1.0), c=0.1, k=10.0)},
@@ -73,7 +71,6 @@ def declare(system=None, **changes):
             "'k' must stay positive.*can reach -1",
         ),
         ({"system": Oscillator(m=al.Normal(1.0, 0.1), c=0.1, k=10.0)}, "'m' must stay positive.*unbounded below"),
-        ({"system": Oscillator(m=0.0, c=0.1, k=10.0)}, "'m' must stay positive"),
     ],
 )
 def test_a_problem_that_does_not_fit_together_is_refused_in_words(changes, message):
@@ -146,7 +143,7 @@ def test_a_system_without_states_may_be_driven_from_outside():
 
     gain, u = al.Uniform(2.0, half_width=0.5), al.BSpline(al.Decision(np.zeros(4), -1.0, 1.0))
     problem = al.Problem(Square(gain), grid=al.Grid(1.0, 10), inputs={"u": u}, minimize=al.integral("y").mean)
-    np.testing.assert_allclose(al.solve(problem).decisions["inputs.u.free"], 0.3, atol=1e-3)
+    np.testing.assert_allclose(optimum(problem).decisions["inputs.u.free"], 0.3, atol=1e-3)
 
 
 def test_constraints_may_come_in_any_nesting():

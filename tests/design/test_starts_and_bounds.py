@@ -44,11 +44,10 @@ def planned(model, start, limit=3.0, final=1.0, limits=None):
     "model", [Pendulum(), Pendulum(mass=al.Uniform(1.0, half_width=0.1)), Pendulum(inertia=al.Decision(0.1, 0.0, 1.0))]
 )
 def test_a_start_that_is_kept_at_rest_beyond_its_limits_is_refused(model):
-    for final in (1.0, al.Decision(1.0, 0.5, 5.0)):
-        message = rf"cannot hold the system still at the start, which needs a_torque = -{LEVEL:.4g} "
-        with pytest.raises(al.ProblemError, match=message):
-            planned(model, (0.0, 0.0, 0.0), final=final)
-        assert planned(model, (0.0, 0.0, 0.0), 1.01 * LEVEL, final=final).constraints
+    message = rf"cannot hold the system still at the start, which needs a_torque = -{LEVEL:.4g} "
+    with pytest.raises(al.ProblemError, match=message):
+        planned(model, (0.0, 0.0, 0.0), final=al.Decision(1.0, 0.5, 5.0))
+    assert planned(model, (0.0, 0.0, 0.0), 1.01 * LEVEL).constraints
 
 
 @pytest.mark.parametrize(
@@ -58,11 +57,9 @@ def test_a_start_that_is_kept_at_rest_beyond_its_limits_is_refused(model):
         (Pendulum(), (0.0, 1.0, 0.0)),
         (Pendulum(), (al.Decision(0.0, -1.0, 1.0), 0.0, 0.0)),
         (Pendulum(), (0.0, 0.0, al.Decision(0.0, -9.0, 9.0))),
-        (Pendulum(length=al.Decision(0.5, 0.1, 1.0)), (0.0, 0.0, 0.0)),
         (Pendulum(mass=al.Uniform(al.Decision(1.0, 0.4, 1.0), std=0.05)), (0.0, 0.0, 0.0)),
         # Its torque has no slope there: any tilt makes it smaller.
         (Pendulum(tilt=al.Decision(0.0, -1.0, 1.0)), (0.0, 0.0, 0.0)),
-        (Pendulum(tilt=al.Decision(0.0)), (0.0, 0.0, 0.0)),
     ],
 )
 def test_a_start_that_may_move_or_that_decisions_change_is_not(model, start):
@@ -81,8 +78,6 @@ def test_a_limit_that_is_decided_itself_is_not_taken_for_one():
     ("numbers", "message"),
     [
         ({"inertia": al.Uniform(0.1, half_width=0.3)}, r"not negative; received -0\.2\. In the .* inertia = -0\.2\."),
-        ({"inertia": al.Decision(0.1, -0.2, 1.0)}, r"not negative; received -0\.2\. In the .* inertia = -0\.2\."),
-        ({"mass": al.Decision(0.1, -0.2, 1.0)}, r"a mass that is not negative; .* In the system with mass = -0\.2\."),
         ({"mass": al.Uniform(0.1, half_width=0.3)}, r"a mass that is not negative; .* In the system with mass = -0\.2"),
         ({"inertia": jnp.asarray(-0.1)}, r"not negative; received -0\.1"),
     ],

@@ -43,14 +43,11 @@ PLACE, ACCELERATION = out("place"), out("acceleration")
     ("expression", "words"),
     [
         (PLACE.mean + ACCELERATION.mean, r"'μ\[place\]' is in m and 'μ\[acceleration\]' in m/s², which measure diff"),
-        (PLACE.mean + ACCELERATION.std, "is in m and .* in m/s², which measure different things: convert both to one"),
         (PLACE.mean - ACCELERATION.quantile(0.9), "is in m and .* in m/s², which measure"),
-        (0.5 * (PLACE.mean + ACCELERATION.mean), "is in m and .* in m/s², which measure"),
         (out("bare").mean + PLACE.mean + 3.0 + ACCELERATION.mean, "is in m and .* in m/s²"),
         (PLACE.mean - PLACE.variance, "is in m and .* in m², which measure"),
         (PLACE.std + al.covariance(PLACE, ACCELERATION), "is in m and .* in m"),
         (PLACE.mean + PLACE.probability(above=1.0), "is in m and .* in -, which measure"),
-        (PLACE.mean + PLACE.skewness, "is in m and .* in -, which measure"),
         (PLACE.mean + al.value("x"), "is in m and 'x' in N, which measure"),
         (
             PLACE.mean + al.value("y.half_width"),
@@ -58,9 +55,7 @@ PLACE, ACCELERATION = out("place"), out("acceleration")
         ),
         (PLACE.mean + out("long").mean, "which differ in size: 1 mm is 0.001 m: convert both to one unit"),
         (out("angle").mean - out("turned").mean, "is in rad and .* in deg, .* 1 deg is 0.0174533 rad"),
-        (out("turned").mean + out("angle").std, "is in deg and .* in rad, .* 1 rad is 57.2958 deg"),
         (out("share").mean + out("percent").mean, r"is in - and .* in %, .* 1 % is 0\.01 \(-\)"),
-        (out("torque").mean + out("speed").mean, "is in N m and .* in m/s"),
         (al.objectives.norm(PLACE.mean + ACCELERATION.mean, PLACE.std), "is in m and .* in m/s²"),
         (al.objectives.norm(PLACE.mean, PLACE.std) + ACCELERATION.mean, "'‖.*‖' is in m and .* in m/s²"),
     ],
@@ -77,10 +72,8 @@ def test_known_units_that_differ_are_refused_in_one_sentence_that_names_both(exp
     "constraint",
     [
         PLACE.mean <= ACCELERATION.mean,
-        PLACE.quantile(0.99) >= ACCELERATION.mean,
         (PLACE.mean - ACCELERATION.mean).equals(0.0),
         PLACE.mean + 1.25 * ACCELERATION.std <= 0.034,
-        PLACE.mean - 2 * out("long").std >= 0.0,
     ],
 )
 def test_comparisons_and_margins_of_another_unit_are_refused(constraint):
@@ -155,7 +148,6 @@ def test_integrals_over_time_have_units_of_their_own(objective):
         (al.integral("x").mean + al.terminal("x").std, "is in m s and .* in m,"),
         (al.objectives.final_time() + al.terminal("x").mean, "'t_final' is in s and .* in m,"),
         (al.time_integral(al.path("x").mean + al.path("speed").std), r"is in m and .* in m/s,"),
-        (al.rms("force").mean + al.peak("speed").mean, "is in N and .* in m/s,"),
     ],
 )
 def test_clashes_over_time_are_refused(objective, words):
@@ -182,11 +174,3 @@ def test_one_number_shared_by_fields_of_different_units_is_refused():
     with pytest.raises(al.ProblemError, match=r"'wide' is shared by 'front\.mean', in mm, and 'rear\.mean', in m,"):
         al.Problem(Wheels(al.Normal(wide, 1.0), al.Normal(wide, 1.0), 1.0), minimize=al.output("gap").mean)
     assert al.Problem(Wheels(radius, 0.3, radius), minimize=al.output("gap").mean)
-
-
-def test_units_that_are_no_dict_are_refused():
-    class Odd(Wheels):
-        units: ClassVar[Any] = "mm"
-
-    with pytest.raises(al.ProblemError, match=r"Odd\.units: expected units of outputs by name, .* received 'mm'"):
-        al.Problem(Odd(1.0, 2.0, 3.0), minimize=al.output("gap").mean)

@@ -6,8 +6,9 @@ import scipy.optimize
 from nlp_problems import INF, evaluation, program
 
 from aleator.nlp import FilterSQP, Status
+from zoo import cases
 
-SEEDS = range(12)
+SEEDS = cases(range(12))
 
 
 def linear(cost, matrix, most, start, lower, upper):

@@ -19,11 +19,8 @@ class Bar(al.AlgebraicSystem):
 
 COSTS = {
     "hundredths": lambda width: jnp.round(width, 2),
-    "whole": jnp.round,
-    "floored": lambda width: jnp.floor(1000 * width) / 1000,
     "sizes on stock": lambda width: jnp.array([3.0, 4.0, 6.0])[jnp.searchsorted(jnp.array([2.5, 3.6]), width)],
     "smooth": jnp.sqrt,
-    "no matter": lambda width: 0 * width + 1,
     "never thinner": lambda width: jnp.maximum(width, 3.5),
 }
 
@@ -35,7 +32,7 @@ def problem(kind):
     return al.Problem(bar, minimize=al.output("cost").mean, subject_to=[strong])
 
 
-@pytest.mark.parametrize("kind", ["hundredths", "whole", "floored", "sizes on stock"])
+@pytest.mark.parametrize("kind", ["hundredths", pytest.param("sizes on stock", marks=pytest.mark.slow)])
 def test_a_rounded_objective_is_refused_by_name(kind):
     with pytest.raises(al.ProblemError, match="changes with 'width', but all its derivatives tried are zero"):
         al.solve(problem(kind))
@@ -43,7 +40,7 @@ def test_a_rounded_objective_is_refused_by_name(kind):
 
 
 @pytest.mark.parametrize(
-    ("kind", "least"), [("smooth", 1.7433388897576192), ("no matter", 1.0), ("never thinner", 3.5)]
+    ("kind", "least"), [("never thinner", 3.5), pytest.param("smooth", 1.7433388897576192, marks=pytest.mark.slow)]
 )
 def test_a_flat_or_smooth_objective_is_solved(kind, least):
     assert al.solve(problem(kind)).objective == pytest.approx(least, rel=1e-9)
@@ -51,6 +48,6 @@ def test_a_flat_or_smooth_objective_is_solved(kind, least):
 
 
 def test_a_search_compares_values_and_says_so():
-    found = al.solve(problem("hundredths"), al.solvers.DifferentialEvolution(seed=1))
+    found = al.solve(problem("hundredths"), al.solvers.DifferentialEvolution(seed=1, evaluations=600))
     assert found.objective == pytest.approx(3.04, abs=1e-9)
     assert "values alone chose 'width'" in str(found.effort)

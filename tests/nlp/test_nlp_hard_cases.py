@@ -10,29 +10,6 @@ from aleator._core.errors import MissingExtraError, ProblemError
 from aleator.nlp import FilterSQP, Ipopt, Slsqp, Status, default_solver
 
 
-def test_badly_scaled_decisions_and_rows_are_solved(solver):
-    # HS35 in other units: decisions of 1e5, 1 and 1e-3, a row of 1e4, an objective of 1e6.
-    inner, size = problems.hs35().evaluate, np.array([1e5, 1.0, 1e-3])
-
-    def evaluate(x):
-        found = inner(x / size)
-        return evaluation(
-            1e6 * found.objective,
-            1e6 * found.gradient / size,
-            1e4 * found.constraints,
-            1e4 * found.jacobian / size,
-        )
-
-    outcome = solver.solve(
-        program(evaluate, 0.5 * size, np.zeros(3), rows=[(-INF, 3e4)], variable_scale=size, constraint_scale=[1e4])
-    )
-    assert outcome.ok
-    assert outcome.evaluation.objective == pytest.approx(1e6 / 9, rel=1e-6)
-    assert outcome.point / size == pytest.approx(np.array([4 / 3, 7 / 9, 4 / 9]), rel=1e-4)
-    # HS35's multiplier is 2/9.
-    assert outcome.multipliers == pytest.approx(np.array([1e6 / 1e4 * 2 / 9]), rel=1e-4)
-
-
 def test_a_program_without_solution_is_infeasible_at_the_least_violated_point(solver):
     # The row x² + y² + 1 <= 0 is violated by at least 1, at the origin.
     outcome = solver.solve(
@@ -41,19 +18,6 @@ def test_a_program_without_solution_is_infeasible_at_the_least_violated_point(so
     assert outcome.status is Status.INFEASIBLE
     assert not outcome.ok
     assert outcome.violation == pytest.approx(1.0, abs=1e-4)
-
-
-def test_contradicting_rows_are_infeasible(solver):
-    # x <= 0 and x >= 1: one of them is violated by at least a half.
-    outcome = solver.solve(
-        program(
-            lambda x: evaluation(x[0] ** 2, 2 * x, [x[0], x[0]], [[1], [1]]),
-            [3.0],
-            rows=[(-INF, 0), (1, INF)],
-        )
-    )
-    assert outcome.status is Status.INFEASIBLE
-    assert 0.5 - 1e-6 <= outcome.violation <= 1 + 1e-6
 
 
 def test_bounds_of_decisions_that_exclude_a_row_are_infeasible(solver):
@@ -74,15 +38,6 @@ def test_a_region_that_cannot_be_evaluated_is_backed_off_from(solver):
     outcome = solver.solve(program(evaluate, [5.0], rows=[(-INF, 50)]))
     assert outcome.ok
     assert outcome.point == pytest.approx(np.array([0.5]), abs=1e-4)
-
-
-def test_a_start_that_cannot_be_evaluated_is_reported(solver):
-    outcome = solver.solve(program(lambda x: evaluation(np.nan, [1.0], [x[0]], [[1]]), [2.0], rows=[(0, 1)]))
-    assert outcome.status is Status.EVALUATION_FAILED
-    assert outcome.point == pytest.approx(np.array([2.0]))
-    assert outcome.evaluations == 1
-    assert np.isnan(outcome.evaluation.objective)
-    assert np.isnan(outcome.violation)
 
 
 def test_a_model_that_works_only_at_the_start_is_reported_soon(solver):
@@ -127,18 +82,20 @@ def interrupt():
     raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize("calls", [0, 1, 3])
+@pytest.mark.parametrize("calls", [0, 3])
 @pytest.mark.parametrize("action", [interrupt, lambda: signal.raise_signal(signal.SIGINT)], ids=["raised", "signal"])
 @pytest.mark.usefixtures("python_interrupts")
 def test_an_interrupt_ends_the_solve_with_the_best_point_so_far(solver, calls, action):
+    before = signal.getsignal(signal.SIGINT)
     outcome = solver.solve(after(calls, action))
     assert outcome.status is Status.INTERRUPTED
     assert outcome.evaluations == calls + 1
     assert np.isfinite(outcome.point).all()
     assert np.isfinite(outcome.violation) == (calls > 0)
+    assert signal.getsignal(signal.SIGINT) is before
 
 
-@pytest.mark.parametrize("calls", [0, 1, 3])
+@pytest.mark.parametrize("calls", [0, 3])
 def test_an_exception_of_the_model_reaches_the_caller_unchanged(solver, calls):
     error = LookupError("no such material")
 
@@ -148,12 +105,6 @@ def test_an_exception_of_the_model_reaches_the_caller_unchanged(solver, calls):
     with pytest.raises(LookupError) as caught:
         solver.solve(after(calls, fail))
     assert caught.value is error
-
-
-def test_the_interrupt_handler_is_put_back(solver):
-    before = signal.getsignal(signal.SIGINT)
-    solver.solve(problems.hs15())
-    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_a_fixed_decision_stays_and_its_multiplier_is_its_sensitivity(solver):
@@ -210,11 +161,6 @@ def test_too_few_iterations_are_reported_as_such(make):
     assert outcome.stationarity > 1e-5
 
 
-def test_nothing_is_printed(solver, capfd):
-    solver.solve(problems.hs71())
-    assert capfd.readouterr() == ("", "")
-
-
 def test_without_unopy_filter_sqp_names_the_remedy_and_ipopt_is_the_default(monkeypatch):
     real = builtins.__import__
 
@@ -243,7 +189,6 @@ def test_with_unopy_filter_sqp_is_the_default():
             "Expected `lower` <= `upper`. Received 1.0 and 0.0 at index 0",
         ),
         ({"variable_scale": [1.0, 0.0]}, "Expected `variable_scale` positive"),
-        ({"start": [np.nan, 0.0]}, "Expected a finite `start`"),
     ],
 )
 def test_a_program_that_makes_no_sense_is_refused(change, message):
@@ -255,9 +200,3 @@ def test_a_program_that_makes_no_sense_is_refused(change, message):
 def test_derivatives_of_the_wrong_shape_are_refused(solver):
     with pytest.raises(ProblemError, match="Expected gradient, constraints and jacobian of shapes"):
         solver.solve(program(lambda x: evaluation(0.0, [0.0, 0.0, 0.0]), [0.0, 0.0]))
-
-
-@pytest.mark.parametrize("arguments", [{"tolerance": 0.0}, {"max_iterations": 0}])
-def test_solver_settings_that_make_no_sense_are_refused(arguments):
-    with pytest.raises(ProblemError, match="received"):
-        Ipopt(**arguments)

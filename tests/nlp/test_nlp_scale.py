@@ -14,34 +14,23 @@ def parabola(offset=0.0, factor=1.0, start=1.0):
     )
 
 
-@pytest.mark.parametrize("offset", [0.0, 1e5, 1e6, 1e8, -1e8])
+@pytest.mark.parametrize("offset", [1e6, -1e8])
 def test_an_offset_of_the_objective_moves_no_optimum(solver, offset):
     outcome = solver.solve(parabola(offset=offset))
     assert outcome.ok
+    assert outcome.failed_at is None
     assert outcome.point == pytest.approx(np.array([3.0]), abs=1e-5)
     assert outcome.evaluations <= 10 or abs(offset) > 1e6
 
 
-@pytest.mark.parametrize("factor", [1e-6, 1e6])
-def test_a_factor_of_the_objective_moves_no_optimum(solver, factor):
-    outcome = solver.solve(parabola(factor=factor))
-    assert outcome.ok
-    assert outcome.point == pytest.approx(np.array([3.0]), abs=1e-5)
-
-
-@pytest.mark.parametrize("offset", [1e5, 1e8])
-def test_an_offset_moves_no_constrained_optimum_and_no_multiplier(solver, offset):
-    inner = problems.hs35()
-    plain = solver.solve(inner)
-
+def test_an_offset_moves_no_multiplier(solver):
+    # min (x - 3)² with x <= 1: the multiplier is 4.
     def evaluate(x):
-        found = inner.evaluate(x)
-        return found._replace(objective=found.objective + offset)
+        return evaluation((x[0] - 3) ** 2 + 1e8, 2 * (x - 3), [x[0]], [[1.0]])
 
-    shifted = solver.solve(program(evaluate, inner.start, inner.lower, inner.upper, [(-INF, 3)]))
-    assert shifted.ok
-    assert shifted.point == pytest.approx(plain.point, abs=1e-3)
-    assert shifted.multipliers == pytest.approx(plain.multipliers, abs=1e-3)
+    outcome = solver.solve(program(evaluate, [0.0], [-9.0], [9.0], rows=[(-INF, 1)]))
+    assert outcome.ok
+    assert outcome.multipliers == pytest.approx(np.array([4.0]), abs=1e-3)
 
 
 def test_a_gentle_slope_on_a_large_offset_is_followed_to_the_bound(solver):
@@ -50,9 +39,8 @@ def test_a_gentle_slope_on_a_large_offset_is_followed_to_the_bound(solver):
     assert outcome.point == pytest.approx(np.zeros(1), abs=1e-6)
 
 
-@pytest.mark.parametrize("start", [3.0, 3.0 + 1e-6])
-def test_a_start_at_the_optimum_stays_there(solver, start):
-    outcome = solver.solve(parabola(start=start))
+def test_a_start_at_the_optimum_stays_there(solver):
+    outcome = solver.solve(parabola(start=3.0))
     assert outcome.ok
     assert outcome.point == pytest.approx(np.array([3.0]), abs=1e-5)
 
@@ -75,7 +63,7 @@ def steep(start, typical):
     )
 
 
-@pytest.mark.parametrize("start", [1e-1, 1e-2, 1e-3, 1e-4, 1e-5])
+@pytest.mark.parametrize("start", [1e-1, 1e-3, 1e-5])
 @pytest.mark.parametrize("from_typical_start", [False, True])
 def test_a_steep_start_is_left_behind_or_the_solver_says_that_it_gave_up(solver, start, from_typical_start):
     outcome = solver.solve(steep(start, start if from_typical_start else 1.0))
@@ -84,13 +72,8 @@ def test_a_steep_start_is_left_behind_or_the_solver_says_that_it_gave_up(solver,
         assert outcome.evaluation.objective == pytest.approx(1.8898815748, rel=1e-7)
 
 
-def test_an_objective_that_flattens_towards_infinity_has_no_optimum(solver):
-    outcome = solver.solve(program(lambda x: evaluation(np.exp(-x[0]), -np.exp(-x)), [0.0]))
-    assert not outcome.ok
-
-
 @pytest.mark.parametrize("make", [FilterSQP, Ipopt, Slsqp])
-@pytest.mark.parametrize("iterations", [1, 3, 6])
+@pytest.mark.parametrize("iterations", [1, 6])
 def test_iterations_are_counted_over_all_restarts_and_their_limit_is_no_solution(make, iterations):
     outcome = make(max_iterations=iterations).solve(steep(1e-2, 1e-2))
     assert outcome.status is Status.ITERATION_LIMIT
@@ -117,10 +100,8 @@ def test_the_start_is_the_failed_point_where_it_cannot_be_evaluated(solver):
     outcome = solver.solve(program(walled, [0.5], [0.0], [10.0], rows=[(-INF, 20)]))
     assert outcome.status is Status.EVALUATION_FAILED
     assert outcome.failed_at == pytest.approx(np.array([0.5]))
-
-
-def test_a_solved_program_has_no_failed_point(solver):
-    assert solver.solve(parabola()).failed_at is None
+    assert outcome.evaluations == 1
+    assert np.isnan(outcome.evaluation.objective)
 
 
 def test_bounds_and_rows_that_hold_the_optimum_are_active(solver):

@@ -57,35 +57,6 @@ def test_rows_that_hardly_depend_on_anything_at_the_start_are_solved():
     np.testing.assert_allclose(outcome.multipliers, 0.5, atol=1e-5)
 
 
-@pytest.mark.parametrize("links", [3, 15])
-def test_sparse_and_dense_rows_have_the_same_optimum(links):
-    # A chain of unit links between (0, 0) and (links / 2, 0), with least sum of heights: rows know two joints each.
-    def evaluate(z):
-        x, y = np.concatenate([[0.0], z[: links - 1], [links / 2]]), np.concatenate([[0.0], z[links - 1 :], [0.0]])
-        dx, dy = np.diff(x), np.diff(y)
-        jacobian = np.zeros((links, 2 * (links - 1)))
-        for i in range(links):
-            for joint, sign in ((i - 1, -1.0), (i, 1.0)):
-                if 0 <= joint < links - 1:
-                    jacobian[i, joint] += sign * 2 * dx[i]
-                    jacobian[i, links - 1 + joint] += sign * 2 * dy[i]
-        gradient = np.concatenate([np.zeros(links - 1), np.ones(links - 1)])
-        return evaluation(y.sum(), gradient, dx**2 + dy**2, jacobian)
-
-    inner = np.arange(1, links) / 2
-    sag = -0.5 * np.sin(np.pi * np.arange(1, links) / links)
-    declared = program(evaluate, np.concatenate([inner, sag]), rows=[(-INF, 1.0)] * links)
-    joints = np.arange(2 * (links - 1)) % (links - 1)
-    sparsity = np.stack([(joints == i - 1) | (joints == i) for i in range(links)])
-    sparse = FilterSQP().solve(replace(declared, sparsity=sparsity))
-    dense = FilterSQP().solve(declared)
-    assert sparse.ok
-    assert dense.ok
-    assert len(Pattern(sparsity).rows) == sparsity.sum() or links == 3
-    assert sparse.evaluation.objective == pytest.approx(dense.evaluation.objective, rel=1e-7)
-    np.testing.assert_allclose(sparse.multipliers, dense.multipliers, rtol=1e-4, atol=1e-6)
-
-
 def test_a_sparsity_of_another_shape_is_refused():
     with pytest.raises(ProblemError, match=r"`sparsity` of shape \(1, 2\).* \(2, 1\)"):
         replace(

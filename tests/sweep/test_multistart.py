@@ -7,7 +7,6 @@ import pytest
 
 import aleator as al
 from aleator.sweep import _each as each_module
-from aleator.transcription.sequential import EVALUATE
 
 
 class Wells(al.AlgebraicSystem):
@@ -20,12 +19,13 @@ class Wells(al.AlgebraicSystem):
         return {
             "depth": x**4 / 4 - x**3 / 3 - x**2 + 0.0 * jnp.sqrt(x + 3),
             "square": (x - 1.0) ** 2,
-            "bowls": (x * (x - 2.0)) ** 2 + 1.0,
+            "bowls": (x * (x - 2.0)) ** 2,
             "x": x,
         }
 
 
 def wells(output="depth", constraints=()):
+    """Every output is a structure of its own."""
     return al.Problem(Wells(al.Decision(-0.7, -4.0, 4.0)), minimize=al.output(output).mean, subject_to=constraints)
 
 
@@ -44,11 +44,9 @@ def test_both_optima_are_found_and_listed_in_order_with_how_often():
 
 def test_random_starts_begin_with_the_problem_s_own_and_are_told_by_their_seed():
     problem = wells()
-    al.solve(problem)
-    before, seen = EVALUATE.compilations, []
+    seen = []
     starts = al.multistart(problem, 6, seed=3, spread=0.25, progress=lambda *one: seen.append(one))
     again = al.multistart(problem, 6, seed=3, spread=0.25)
-    assert EVALUATE.compilations == before
     assert starts.solutions[0].objective == pytest.approx(al.solve(problem).objective, rel=1e-12)
     assert [one.objective for one in starts.solutions] == [one.objective for one in again.solutions]
     assert {round(one.objective, 6) for one in starts.solutions} == {round(-8 / 3, 6), round(-5 / 12, 6)}
@@ -76,12 +74,6 @@ def test_where_all_fail_the_least_violated_is_the_best():
     assert starts.best.certificate.violation == min(one.certificate.violation for one in starts.solutions)
 
 
-def test_solutions_at_one_place_are_one_optimum_even_where_the_objective_is_zero():
-    starts = al.multistart(wells("square"), [{"x": x} for x in (-2.9, 0.3, 1.1, 3.7)])
-    assert [count for _, count in starts.optima] == [4]
-    assert starts.best.objective == pytest.approx(0.0, abs=1e-12)
-
-
 def test_an_interrupted_search_returns_what_is_finished():
     def impatient(what, done, total):
         if done == 1:
@@ -98,13 +90,9 @@ def test_an_interrupted_search_returns_what_is_finished():
         (0, "number of starts is a whole number of at least 1; received 0"),
         ([], "at least one start"),
         ({"x": 1.0}, "a list of starts by name"),
-        (2.5, "a list of starts by name"),
         ([{"x": 1.0}, {"y": 1.0}], r"decisions by their names, some of \['x'\]; received \{'y': 1.0\}"),
-        ([1.0], "decisions by their names"),
-        ([{"x": [1.0, 2.0]}], r"start: 'x': expected finite numbers of shape \(\); received \[1.0, 2.0\]"),
         ([{}, {"x": [1.0, 2.0]}], r"start: 'x': expected finite numbers of shape \(\); received \[1.0, 2.0\]"),
         ([{}, {"x": np.nan}], "start: 'x': .* received nan"),
-        ([{}, {"x": "far"}], "start: 'x': .* received 'far'"),
     ],
 )
 def test_starts_that_make_no_sense_are_refused_before_anything_is_solved(starts, message, monkeypatch):
@@ -115,14 +103,8 @@ def test_starts_that_make_no_sense_are_refused_before_anything_is_solved(starts,
     assert solved == []
 
 
-def test_a_number_of_starts_may_come_from_numpy():
-    two = [al.multistart(wells(), count).solutions for count in (np.int64(2), 2)]
-    assert [one.objective for one in two[0]] == [one.objective for one in two[1]]
-    assert len(two[0]) == 2
-
-
-def test_mirrored_optima_count_as_one_and_the_list_says_so():
-    starts = al.multistart(wells("bowls"), [{"x": 0.3}, {"x": 1.7}])
-    assert [round(one.decisions["x"], 4) for one in starts.solutions] == [0.0, 2.0]
-    assert [count for _, count in starts.optima] == [2]
+def test_optima_at_one_place_and_mirrored_ones_count_as_one_and_the_list_says_so():
+    starts = al.multistart(wells("bowls"), [{"x": 0.3}, {"x": 1.7}, {"x": 1.6}])
+    assert [round(one.decisions["x"], 4) for one in starts.solutions] == [0.0, 2.0, 2.0]
+    assert [count for _, count in starts.optima] == [3]
     assert "local optima (equal objectives count as one)" in str(starts)

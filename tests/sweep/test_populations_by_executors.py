@@ -1,12 +1,7 @@
 """Generations of a search by executors: the same designs as here, whatever becomes of a worker."""
 
-import os
-import signal
-import subprocess
-import sys
-import textwrap
 from collections.abc import Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -17,8 +12,8 @@ import aleator as al
 from aleator.sweep import _crowd
 from aleator.transcription import transcribe, valued_by
 from aleator.transcription.sequential import _population_elsewhere
-from bars import Bar, two_valleys
-from executors import AsProcesses
+from executors import AsProcesses, Lost
+from zoo import Bar, bar_problem, valleys_problem
 
 SEARCH = al.solvers.DifferentialEvolution(evaluations=150, population=40)
 
@@ -50,12 +45,11 @@ def bits(solution: al.Solution) -> tuple[bytes, bytes, bytes]:
 
 def roofed() -> al.Problem:
     """A bar that is strong enough at every load, so that limits hold at scenarios."""
-    model = Bar(al.Decision(4.0, 0.1, 10.0), al.Uniform(1.0, half_width=0.3))
     strong = al.output("stress").at_most(0.5, worst_case=True)
-    return al.Problem(model, minimize=al.output("mass").mean, subject_to=[strong])
+    return al.Problem(bar_problem().system, minimize=al.output("mass").mean, subject_to=[strong])
 
 
-@pytest.mark.parametrize("problem", [two_valleys, roofed])
+@pytest.mark.parametrize("problem", [valleys_problem, roofed])
 def test_a_search_by_an_executor_is_that_of_this_process_to_the_last_bit(
     problem, travelling: Executor, sent: list[dict]
 ):
@@ -72,7 +66,7 @@ def test_a_search_by_an_executor_is_that_of_this_process_to_the_last_bit(
 def test_a_worker_makes_a_population_once_for_all_generations(travelling: Executor, monkeypatch: pytest.MonkeyPatch):
     made, kind = [], _population_elsewhere.Population
     monkeypatch.setattr(_population_elsewhere, "refuse_other_code", made.append)
-    program = transcribe(al.deterministic(two_valleys())).program
+    program = transcribe(al.deterministic(valleys_problem())).program
     shared = valued_by(travelling, program, "here")
     assert isinstance(program.values, kind)
     assert shared.values is not None
@@ -87,16 +81,16 @@ def test_a_worker_makes_a_population_once_for_all_generations(travelling: Execut
 
 def test_a_journal_does_not_ask_who_evaluates(tmp_path: Path, travelling: Executor, sent: list[dict]):
     with al.journal(tmp_path):
-        first = al.solve(two_valleys(), SEARCH, executor=travelling)
+        first = al.solve(valleys_problem(), SEARCH, executor=travelling)
     calls = len(sent)
     with al.journal(tmp_path):
-        assert bits(al.solve(two_valleys(), SEARCH)) == bits(first)
-        assert bits(al.solve(two_valleys(), SEARCH, executor=travelling)) == bits(first)
+        assert bits(al.solve(valleys_problem(), SEARCH)) == bits(first)
+        assert bits(al.solve(valleys_problem(), SEARCH, executor=travelling)) == bits(first)
     assert len(sent) == calls > 0
 
 
 def test_the_global_search_of_a_portfolio_is_shared_as_well(travelling: Executor, sent: list[dict]):
-    here, there = (al.portfolio(two_valleys(), 4, search=SEARCH, executor=executor) for executor in (None, travelling))
+    here, there = (al.portfolio(valleys_problem(), 4, search=SEARCH, executor=one) for one in (None, travelling))
     assert here.searched is not None
     assert there.searched is not None
     assert here.searched.objectives.tobytes() == there.searched.objectives.tobytes()
@@ -106,58 +100,28 @@ def test_the_global_search_of_a_portfolio_is_shared_as_well(travelling: Executor
 
 def test_one_point_after_the_other_is_searched_here(travelling: Executor, sent: list[dict]):
     search = al.solvers.NelderMead(evaluations=60)
-    here, there = (al.portfolio(two_valleys(), 4, search=search, executor=executor) for executor in (None, travelling))
+    here, there = (
+        al.portfolio(valleys_problem(), 4, search=search, executor=executor) for executor in (None, travelling)
+    )
     assert here.best.vector.tobytes() == there.best.vector.tobytes()
     assert not [call for call in sent if "items" in call]
 
 
-@pytest.mark.parametrize("solver", [None, al.solvers.FilterSQP(), al.solvers.NelderMead(), al.solvers.DualAnnealing()])
-def test_an_executor_is_refused_where_designs_follow_from_one_another(travelling: Executor, solver):
-    with pytest.raises(al.ProblemError, match=r"executor: expected a solver that evaluates many designs at once"):
-        al.solve(two_valleys(), solver, executor=travelling)
-
-
-def test_what_is_no_executor_is_refused():
-    with pytest.raises(al.ProblemError, match=r"solve: executor: expected an executor, such as al.workers\(2\)"):
-        al.solve(two_valleys(), SEARCH, executor=2)  # type: ignore[arg-type]
-    wishes = {"depth": al.output("depth").mean, "spread": al.output("depth").std}
-    with pytest.raises(al.ProblemError, match=r"trade_off: executor: expected an executor"):
-        al.trade_off(two_valleys(), wishes, method="population", executor=2)  # type: ignore[arg-type]
-    with ThreadPoolExecutor(1) as executor, pytest.raises(al.ProblemError, match=r"expected method=.population. or"):
-        al.trade_off(two_valleys(), wishes, executor=executor)
-
-
 def test_values_of_another_kind_are_refused(travelling: Executor):
-    program = transcribe(two_valleys()).program
+    program = transcribe(valleys_problem()).program
     others = type(program)(**{**vars(program), "values": lambda points: (points[:, 0], points[:, :0])})
     with pytest.raises(al.ProblemError, match=r"executor: expected transcription=al.Sequential\(\)"):
         valued_by(travelling, others, "solve")
     assert valued_by(None, others, "solve") is others
 
 
-class Lost(Executor):
-    """Loses what it is given after some calls, as workers do that die, or that Ctrl-C ends."""
-
-    def __init__(self, after: int, error: BaseException):
-        self._left, self._error = after, error
-
-    def submit(self, fn, /, *args, **kwargs):
-        future = Future()
-        self._left -= 1
-        if self._left < 0:
-            future.set_exception(self._error)
-        else:
-            future.set_result(fn(*args, **kwargs))
-        return future
-
-
 def test_lost_workers_end_a_search_with_their_place():
     with pytest.raises(al.SimulationError, match="solve: its worker died or was lost"):
-        al.solve(two_valleys(), SEARCH, executor=Lost(4, OSError("gone")))
+        al.solve(valleys_problem(), SEARCH, executor=Lost(4, OSError("gone")))
 
 
 def test_ctrl_c_in_a_worker_keeps_the_best_so_far():
-    found = al.solve(two_valleys(), SEARCH, executor=Lost(6, KeyboardInterrupt()), throw=False)
+    found = al.solve(valleys_problem(), SEARCH, executor=Lost(6, KeyboardInterrupt()), throw=False)
     searched = found.effort.searched
     assert searched is not None
     assert searched.end.startswith("stopped by the user")
@@ -204,80 +168,3 @@ def test_a_front_of_a_population_by_an_executor_is_that_of_this_process(
     np.testing.assert_allclose(there.values[:, 0] * there.values[:, 1], 1.0, rtol=1e-6)
     assert crowds[0][0].tobytes() == crowds[1][0].tobytes()
     assert sum(len(one) for call in sent for one in call["items"]) >= 160
-
-
-class Mortal(al.AlgebraicSystem):
-    """Kills the first process besides the one that declared it in which it is traced."""
-
-    place: al.Number
-    off: al.Number
-    mark: str
-    home: int
-
-    def outputs(self):
-        if os.getpid() != self.home and not Path(self.mark).exists():
-            Path(self.mark).touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-        return {"depth": (self.place**2 - 1.0) ** 2 + 0.2 * self.place + self.off}
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by a signal")
-def test_searches_of_processes_are_the_same_and_survive_the_death_of_one(tmp_path: Path):
-    model = Mortal(al.Decision(0.5, -2.0, 2.0), al.Normal(0.0, 0.1), str(tmp_path / "mark"), os.getpid())
-    problem = al.Problem(model, minimize=al.output("depth").mean)
-    with al.workers(2) as processes:
-        here, there = (al.solve(problem, SEARCH, executor=executor) for executor in (None, processes))
-    assert (tmp_path / "mark").exists()
-    assert bits(here) == bits(there)
-    assert bits(here) == bits(al.solve(two_valleys(), SEARCH))
-
-
-ON_A_CLUSTER = """
-    import os
-    import signal
-    import sys
-
-    import numpy as np
-    from dask.distributed import Client, LocalCluster
-    from loky import get_reusable_executor
-
-    import aleator as al
-    from bars import two_valleys
-
-
-    def main():
-        search = al.solvers.DifferentialEvolution(evaluations=150, population=40)
-        loky = al.solve(two_valleys(), search, executor=get_reusable_executor(2))
-        cluster = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
-        with cluster, Client(cluster) as client:
-            workers = list(client.run(os.getpid).values())
-
-            def kill(task, done, total):
-                if done > 40 and len(workers) == 2:
-                    os.kill(workers.pop(), signal.SIGKILL)
-
-            searched = al.solvers.DifferentialEvolution(evaluations=150, population=40, progress=kill)
-            dask = al.solve(two_valleys(), searched, executor=client.get_executor())
-        np.save(sys.argv[1], [one.effort.searched.objectives for one in (loky, dask)])
-        assert len(workers) == 1, "no worker was killed"
-
-
-    if __name__ == "__main__":
-        main()
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by a signal")
-def test_searches_of_loky_and_of_a_cluster_whose_worker_is_killed_are_the_same(tmp_path: Path):
-    (tmp_path / "searched.py").write_text(textwrap.dedent(ON_A_CLUSTER))
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])}
-    done = subprocess.run(
-        [sys.executable, "searched.py", "found.npy"], cwd=tmp_path, env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    loky, dask = np.load(tmp_path / "found.npy")
-    here = al.solve(two_valleys(), SEARCH).effort.searched
-    assert here is not None
-    assert loky.tobytes() == dask.tobytes() == here.objectives.tobytes()

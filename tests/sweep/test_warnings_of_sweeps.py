@@ -7,7 +7,7 @@ import pytest
 
 import aleator as al
 from aleator._core.warned import warned_of
-from tiny_models import Decay
+from zoo import Decay, bar_problem
 
 RATE = {"rate": al.Uniform(1.0, half_width=0.1)}
 
@@ -30,33 +30,21 @@ def told(work):
     return [str(one.message) for one in heard if issubclass(one.category, al.AleatorWarning)]
 
 
-def test_the_grid_is_coarse_for_one_problem_as_it_is():
-    said = told(lambda: al.solve(decay()))
-    assert [one.partition(" is off")[0] for one in said] == ["On 3 steps 'x(t_f)'"]
+def places(said):
+    return [one.partition(" is off")[0] for one in said if "is off" in one]
 
 
-def test_a_front_names_the_value_of_its_bound():
-    said = told(lambda: al.pareto(decay(), "x", [0.4, 0.35]))
-    assert [one.partition(" is off")[0] for one in said] == [
-        "pareto, at x = 0.4: On 3 steps 'x(t_f)'",
-        "pareto, at x = 0.35: On 3 steps 'x(t_f)'",
-    ]
-
-
-def test_a_search_names_its_start():
-    said = told(lambda: al.multistart(decay(), [{"rate.mean": 1.0}, {"rate.mean": 3.0}]))
-    assert [one.partition(" is off")[0] for one in said] == [
-        "multistart, from start 1: On 3 steps 'x(t_f)'",
-        "multistart, from start 2: On 3 steps 'x(t_f)'",
-    ]
-
-
-def test_a_calibration_names_its_margin():
-    said = told(lambda: al.calibrate(decay(), "x", 0.1, samples=500, max_trials=2))
-    found = [one for one in said if "is off" in one]
-    assert len(found) == 2
-    assert found[0].startswith("calibrate, at sigmas = 1: On 3 steps 'x(t_f)'")
-    assert all(one.startswith("calibrate, at sigmas = ") for one in found)
+def test_sweeps_name_the_point_that_they_warn_of():
+    coarse = "On 3 steps 'x(t_f)'"
+    assert places(told(lambda: al.solve(decay()))) == [coarse]
+    front = told(lambda: al.pareto(decay(), "x", [0.4, 0.35]))
+    assert places(front) == [f"pareto, at x = 0.4: {coarse}", f"pareto, at x = 0.35: {coarse}"]
+    starts = told(lambda: al.multistart(decay(), [{"rate.mean": 1.0}, {"rate.mean": 3.0}]))
+    assert places(starts) == [f"multistart, from start 1: {coarse}", f"multistart, from start 2: {coarse}"]
+    trials = places(told(lambda: al.calibrate(decay(), "x", 0.1, samples=500, max_trials=2)))
+    assert len(trials) == 2
+    assert trials[0] == f"calibrate, at sigmas = 1: {coarse}"
+    assert trials[1].startswith("calibrate, at sigmas = ")
 
 
 def test_a_warning_points_at_the_line_that_called_the_package_and_a_library_keeps_its_own():
@@ -87,25 +75,22 @@ def test_warnings_that_are_errors_are_raised_with_the_point():
             al.pareto(decay(), "x", [0.4, 0.35])
 
 
-@pytest.fixture(scope="module")
-def solution():
-    return al.solve(decay(50))
-
-
 CALLS = {
-    "pareto": lambda progress, _: al.pareto(decay(), "x", [0.4], progress=progress),
-    "multistart": lambda progress, _: al.multistart(decay(), 2, progress=progress),
-    "calibrate": lambda progress, _: al.calibrate(decay(), "x", progress=progress),
-    "validate": lambda progress, solution: al.validate(solution, 10, progress=progress),
-    "rare_violation": lambda progress, solution: al.rare_violation(solution, progress=progress),
-    "monte_carlo": lambda progress, _: al.references.monte_carlo(len, RATE, progress=progress),
-    "quasi_monte_carlo": lambda progress, _: al.references.quasi_monte_carlo(len, RATE, progress=progress),
-    "sobol_indices": lambda progress, _: al.references.sobol_indices(len, RATE, progress=progress),
+    "pareto": lambda progress: al.pareto(bar_problem(), "stress", [0.4], progress=progress),
+    "multistart": lambda progress: al.multistart(bar_problem(), 2, progress=progress),
+    "calibrate": lambda progress: al.calibrate(bar_problem(), "stress", progress=progress),
+    "conflict": lambda progress: al.conflict(bar_problem(), progress=progress),
+    "portfolio": lambda progress: al.portfolio(bar_problem(), 2, progress=progress),
+    "validate": lambda progress: al.validate(al.solve(bar_problem()), 10, progress=progress),
+    "rare_violation": lambda progress: al.rare_violation(al.solve(bar_problem()), progress=progress),
+    "monte_carlo": lambda progress: al.references.monte_carlo(len, RATE, progress=progress),
+    "quasi_monte_carlo": lambda progress: al.references.quasi_monte_carlo(len, RATE, progress=progress),
+    "sobol_indices": lambda progress: al.references.sobol_indices(len, RATE, progress=progress),
 }
 
 
-@pytest.mark.parametrize("progress", [3, None, True, "bar", lambda task: None], ids=lambda one: type(one).__name__)
 @pytest.mark.parametrize("name", CALLS)
-def test_what_is_no_progress_is_refused_before_any_work(name, progress, solution):
-    with pytest.raises(al.ProblemError, match=f"^{name}: progress: expected a function of three arguments.*received"):
-        CALLS[name](progress, solution)
+def test_what_is_no_progress_is_refused_before_any_work(name):
+    for progress in (3, None, lambda task: None):
+        with pytest.raises(al.ProblemError, match=f"^{name}: progress: expected a function of three arguments"):
+            CALLS[name](progress)
