@@ -1,4 +1,4 @@
-"""`aleator run STUDY` for two studies: a small one, and one of the package with cheap problems, every stage of it.
+"""`aleator run decay`: a small study of three stages.
 
 `python interrupted_studies.py run STUDY --out FOLDER`.
 """
@@ -21,9 +21,7 @@ from aleator import studies  # noqa: E402
 from aleator._core.progress import Progress  # noqa: E402
 from aleator.reporting import PAGE, Section, Table, Verdict, report  # noqa: E402
 from aleator.studies import STUDIES, AbstractStudy, Entry, Stage, stop_if_interrupted  # noqa: E402
-from aleator.studies.clutch import _run as clutch_run  # noqa: E402
-from aleator.studies.clutch._study import ClutchStudy  # noqa: E402
-from tiny_models import Decay  # noqa: E402
+from zoo import Decay  # noqa: E402
 
 
 class DecayStudy(AbstractStudy):
@@ -69,25 +67,7 @@ class DecayStudy(AbstractStudy):
         return Verdict("good", "Done", "to its end.")
 
 
-def small_clutch() -> ClutchStudy:
-    """The clutch study as it is, every stage of it, with few assemblies."""
-    effort = clutch_run.Effort(
-        samples=2_000,
-        quasi_samples=2**8,
-        evidence_samples=2_000,
-        counted=2_000,
-        front_points=2,
-        orders=(3,),
-        second_order=False,
-        repeats=0,
-    )
-    return ClutchStudy(effort)
-
-
-MADE = {"decay": DecayStudy, "clutch": small_clutch}
-
-
 if __name__ == "__main__":
     STUDIES["decay"] = Entry("A decay", "")
-    studies.load = lambda name, *, quick: MADE[name]()
+    studies.load = lambda name, *, quick: DecayStudy()
     aleator_command.main()

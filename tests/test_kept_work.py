@@ -1,4 +1,4 @@
-"""Work of one's own within a journal: done once for the same code and numbers, and not kept where that is uncertain."""
+"""Work of one's own within a journal: done once for the same code and numbers; and lines of JSON after a crash."""
 
 import signal
 from pathlib import Path
@@ -8,9 +8,10 @@ import pytest
 
 import aleator as al
 from aleator._core.journalled import NotKeptError
+from aleator._core.json_lines import read_lines
 from aleator.extending import kept
 from aleator.journalling import recalling
-from bars import bar
+from zoo import bar_problem
 
 STEP = 1.0
 
@@ -72,6 +73,9 @@ def work(tmp_path: Path, calls: list[str]):
 def test_work_is_done_once_for_the_same_code_and_numbers_however_they_are_given(work, calls, tmp_path):
     assert work(1.0, 3) == work(1.0, 3) == work(least=1.0, count=3) == [1.0, 2.0, 3.0]
     assert calls == ["widths"]
+    for number in (2, 3):  # without a journal, each time
+        kept("widths", widths, 1.0, 2, progress=lambda task, done, total: calls.append(task))
+        assert len(calls) == number
     (entry,) = al.load(tmp_path).entries
     assert (entry.what, entry.name, entry.state.value) == ("work widths", "", "done")
     assert al.load(tmp_path)["work widths 1"] == [1.0, 2.0, 3.0]
@@ -135,7 +139,7 @@ def test_designs_found_by_kept_work_are_parts_of_its_result(tmp_path):
     found = []
     for _ in range(2):
         with al.journal(tmp_path):
-            found.append(kept("the lightest", solved, bar()))
+            found.append(kept("the lightest", solved, bar_problem()))
     (first, design), (again, recalled) = found
     assert first == again == recalled.objective
     assert design.vector.tobytes() == recalled.vector.tobytes()
@@ -153,15 +157,10 @@ def test_a_verb_that_no_journal_keeps_by_itself_is_kept_by_name(tmp_path):
         with al.journal(tmp_path) as journal:
             found.append(kept("expansion", al.expand, squared, {"width": al.Uniform.bounds(0.0, 1.0)}))
     assert journal.recalled == 1
-    first, again = found
-    assert float(first.mean) == float(again.mean) == pytest.approx(1 / 3, rel=1e-12)
-    assert float(again.std) == pytest.approx(np.sqrt(1 / 5 - 1 / 9), rel=1e-12)
-
-
-def test_without_a_journal_work_is_done_each_time(calls):
-    for _ in range(2):
-        assert kept("widths", widths, 1.0, 2, progress=lambda task, done, total: calls.append(task)) == [1.0, 2.0]
-    assert len(calls) == 2
+    for expanded in found:
+        assert float(expanded.mean) == pytest.approx(1 / 3, rel=1e-12)
+        assert float(expanded.std) == pytest.approx(np.sqrt(1 / 5 - 1 / 9), rel=1e-12)
+    assert float(found[0].mean) == float(found[1].mean)
 
 
 def test_a_page_of_what_is_there_does_no_work(work, calls, tmp_path):
@@ -191,6 +190,16 @@ def test_what_cannot_be_kept_work_is_refused(arguments, told):
         kept(*arguments)
 
 
-def test_progress_that_cannot_be_called_is_refused():
-    with pytest.raises(al.ProblemError, match="kept: progress: expected a function of three arguments"):
-        kept("widths", widths, 1.0, 2, progress="yes")
+def test_whole_lines_are_read_and_a_cut_line_is_told_apart_however_whole_it_looks(tmp_path: Path):
+    path = tmp_path / "lines.jsonl"
+    path.write_bytes(b'{"a": 1}\n\nnonsense\n\xff\n[2]\n{"a": ')
+    found = read_lines(path)
+    assert [(line.number, line.value) for line in found.lines] == [(1, {"a": 1}), (3, None), (4, None), (5, [2])]
+    assert found.cut == b'{"a": '
+    assert path.read_bytes()[: found.size].endswith(b"[2]\n")
+    path.write_bytes(b'{"a": 1}')
+    assert read_lines(path).lines == ()
+    assert read_lines(path).size == 0
+    assert read_lines(tmp_path / "missing") == ((), 0, b"")
+    with pytest.raises(OSError):  # noqa: PT011  of whatever kind for a folder
+        read_lines(tmp_path)

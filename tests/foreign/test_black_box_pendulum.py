@@ -5,6 +5,7 @@ from concurrent.futures import ProcessPoolExecutor
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy.interpolate import CubicHermiteSpline
 from scipy.special import ellipk
 
@@ -54,6 +55,7 @@ def test_the_rod_has_the_period_of_the_pendulum_without_damping():
     assert abs(boxes.rod({"mass": 1.0, "length": 1.0, "damping": 0.0})["period"] - exact) < 1e-9
 
 
+@pytest.mark.slow
 def test_period_and_angle_of_a_black_box_have_the_statistics_of_our_own_system():
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as executor:
         box = al.expand(al.foreign.BlackBox(boxes.rod, executor=executor), UNCERTAIN, ORDER)

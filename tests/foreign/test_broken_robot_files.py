@@ -1,7 +1,5 @@
 """Files that are broken, or describe what a tree has no place for, end in a sentence with the file and the element."""
 
-import builtins
-
 import pytest
 from robot_pendulums import MJCF, URDF
 
@@ -22,7 +20,6 @@ BROKEN_URDF = {
     "another format": (MJCF, ["expected <robot>", "al.foreign.read_mjcf"]),
     "macros": (URDF.replace('"0 1 0"', '"${axis}"'), ["macros of xacro", "xacro FILE"]),
     "no link": ("<robot/>", ["robot with a <link>"]),
-    "a cycle": (RING, ["a cycle: ['a', 'b']"]),
     "a cycle beside the root": (
         URDF.replace("</robot>", RING[RING.index("<link") :]),
         ["a cycle: ['a', 'b']"],
@@ -31,18 +28,12 @@ BROKEN_URDF = {
     "two roots": (URDF.replace("</robot>", '<link name="stool"/></robot>'), ["['ground', 'stool']", "type fixed"]),
     "a link that two joints carry": (TWICE, ["link 'tip'", "'bolt' and 'screw'", "al.joints.Closure"]),
     "a name twice": (URDF.replace("</robot>", '<link name="rod"/></robot>'), ["link 'rod'", "received two"]),
-    "no name": (URDF.replace('link name="rod"', "link"), ["<link>", "attribute name"]),
     "a negative mass": (URDF.replace(ROD, '<mass value="-1"/>'), ["link 'rod'", "received -1"]),
-    "a mass in words": (URDF.replace(ROD, '<mass value="heavy"/>'), ["link 'rod', <inertial>, <mass>", "'heavy'"]),
     "a mass that is not finite": (URDF.replace(ROD, '<mass value="nan"/>'), ["link 'rod'", "'nan'"]),
-    "no mass": (URDF.replace(ROD, ""), ["link 'rod', <inertial>", "expected <mass>"]),
     "an inertia without all its numbers": (URDF.replace('ixy="0"', ""), ["<inertia>", "attribute ixy"]),
     "an impossible inertia": (URDF.replace('izz="0"', 'izz="9"'), ["link 'rod'", "principal moment (9)"]),
     "no axis": (URDF.replace(AXIS, '<axis xyz="0 0 0"/>'), ["joint 'hinge'", "an axis that is not zero"]),
-    "an axis of two numbers": (URDF.replace(AXIS, '<axis xyz="0 1"/>'), ["joint 'hinge', <axis>", "3 finite numbers"]),
     "a plane joint": (URDF.replace('"continuous"', '"planar"'), ["joint 'hinge'", "'planar'", "two prismatic joints"]),
-    "an unknown joint": (URDF.replace('"continuous"', '"hinge"'), ["joint 'hinge'", "received 'hinge'"]),
-    "negative damping": (URDF.replace('damping="0.1"', 'damping="-1"'), ["joint 'hinge'", "received -1"]),
     "a joint that moves nothing": (
         URDF.replace("<inertial>", "<x>").replace("</inertial>", "</x>"),
         ["moves some mass"],
@@ -168,19 +159,3 @@ def test_what_a_file_has_beside_bodies_is_noted(tmp_path):
     notes = " ".join(al.foreign.read_urdf(tmp_path / "robot.xml").notes)
     for words in ("have no mass: ground", "in <robot>: <gazebo>", "in <link>: <stiffness>"):
         assert words in notes
-
-
-def test_without_mujoco_the_extra_is_named(tmp_path, monkeypatch):
-    real = builtins.__import__
-
-    def missing(name, *rest):
-        if name == "mujoco":
-            raise ImportError(name)
-        return real(name, *rest)
-
-    monkeypatch.setattr(builtins, "__import__", missing)
-    (tmp_path / "robot.xml").write_text(MJCF)
-    with pytest.raises(al.MissingExtraError, match=r"aleator\[robots\]"):
-        al.foreign.read_mjcf(tmp_path / "robot.xml")
-    (tmp_path / "robot.urdf").write_text(URDF)
-    assert al.foreign.read_urdf(tmp_path / "robot.urdf").coordinates == ("hinge",)

@@ -8,7 +8,6 @@ import shutil
 import subprocess
 import sys
 import textwrap
-import time
 import zipfile
 
 import jax
@@ -44,47 +43,40 @@ def has_ended(process):
         return bool(select.select([handle], [], [], 20)[0])
 
 
-@pytest.mark.parametrize("kind", ["model exchange", "co-simulation"])
-def test_runs_and_their_derivatives_are_the_same_in_a_process_of_its_own(rods, kind):
+@pytest.mark.slow
+def test_runs_and_their_derivatives_are_the_same_in_a_process_of_its_own(rods):
     def at(fmu):
         run = al.foreign.FmuSimulation(fmu, GRID, inputs={"torque": al.Tabulated([0.0, 2.0], [0.0, 1.0])})
         point = {"damping": 0.2, "rod.length": 1.1}
         slopes = jax.jacfwd(lambda damping: run({"damping": damping, "rod.length": 1.1})["energy"])(0.2)
         return {**run(point), "slopes": slopes}
 
-    found, expected = at(al.foreign.Fmu(rods(3), kind=kind)), at(here(rods(3), kind=kind))
+    found, expected = at(al.foreign.Fmu(rods(3))), at(here(rods(3)))
     for name, values in expected.items():
         assert np.array_equal(found[name], values)
 
 
-@pytest.mark.slow
-def test_a_system_is_the_same_in_a_process_of_its_own(rods):
-    def at(fmu):
-        def energy(damping):
-            return al.simulate(al.foreign.FmuSystem(fmu, {"damping": damping}), GRID, only=["energy"])["energy"]
-
-        return energy(0.2), jax.jacfwd(energy)(0.2)
-
-    found, expected = at(al.foreign.Fmu(rods(3))), at(here(rods(3)))
-    assert np.array_equal(found, expected)
-
-
-@pytest.mark.parametrize(
-    ("behaviour", "message"),
-    [
-        (ABORTS, "ended its process by the signal SIGABRT, with fail_at=0.6; it printed: assertion failed: the rod is"),
-        pytest.param(LEAVES, "ended its process by exit code 3, with fail_at=0.6", marks=pytest.mark.slow),
-    ],
-    ids=["aborts", "exits"],
-)
-def test_an_fmu_that_ends_its_process_fails_a_run_and_the_next_one_goes_on(rods, behaviour, message):
-    run = al.foreign.FmuSimulation(fmu_of(rods, behaviour), GRID, outputs=["angle"])
-    with pytest.raises(al.SimulationError, match=f"^FMU 'rod3_mc' {message}"):
+def test_an_fmu_that_ends_its_process_fails_a_run_and_the_next_one_goes_on(rods):
+    fmu = fmu_of(rods, ABORTS)
+    process = process_of(fmu)
+    run = al.foreign.FmuSimulation(fmu, GRID, outputs=["angle"])
+    message = "FMU 'rod3_mc' ended its process by the signal SIGABRT, with fail_at=0.6; it printed: assertion failed"
+    with pytest.raises(al.SimulationError, match=f"^{message}"):
         run({"fail_at": 0.6})
-    assert np.array_equal(run({"fail_at": 9.0})["angle"], run({"fail_at": 8.0})["angle"])
+    assert has_ended(process)
+    values = run({"fail_at": 9.0})["angle"]
+    assert np.array_equal(values, al.foreign.FmuSimulation(here(rods(3)), GRID, outputs=["angle"])({})["angle"])
+    process = process_of(fmu)
+    del run, fmu
+    gc.collect()
+    assert has_ended(process), "an FMU that nobody holds has no process"
 
 
-def test_an_fmu_that_loops_for_ever_is_ended_after_its_time_limit(rods):
+@pytest.mark.slow
+def test_an_fmu_that_loops_for_ever_is_ended_after_its_time_limit_and_one_that_exits_is_told(rods):
+    leaving = al.foreign.FmuSimulation(fmu_of(rods, LEAVES), GRID, outputs=["angle"])
+    with pytest.raises(al.SimulationError, match=r"ended its process by exit code 3, with fail_at=0\.6"):
+        leaving({"fail_at": 0.6})
     fmu = fmu_of(rods, LOOPS, time_limit=1.0, kind="co-simulation")
     process = process_of(fmu)
     run = al.foreign.FmuSimulation(fmu, GRID, outputs=["angle"])
@@ -98,41 +90,21 @@ def test_an_fmu_that_loops_for_ever_is_ended_after_its_time_limit(rods):
 
 
 @pytest.mark.slow
-def test_a_time_limit_is_one_of_each_run_not_of_all_runs_behind_a_derivative(rods):
-    run = al.foreign.FmuSimulation(here(rods(3), kind="co-simulation"), al.Grid(2.0, 2000), outputs=["angle"])
-    began = time.perf_counter()
-    run({"damping": 0.2})
-    one = time.perf_counter() - began
-    fmu = al.foreign.Fmu(rods(3), kind="co-simulation", time_limit=max(10 * one, 0.5))
-    run = al.foreign.FmuSimulation(fmu, al.Grid(2.0, 2000), outputs=["angle"])
-    second = jax.jacfwd(jax.jacfwd(lambda damping: run({"damping": damping})["angle"][-1]))(0.2)
-    assert np.isfinite(second)
-
-
-def test_where_an_fmu_dies_inside_of_jax_values_are_missing_and_a_warning_says_why(rods):
-    run = al.foreign.FmuSimulation(fmu_of(rods, ABORTS), GRID, outputs=["angle"])
-    with pytest.warns(al.SimulationWarning, match="ended its process by the signal SIGABRT, with fail_at=0.6"):
-        found = jax.jit(jax.vmap(lambda end: run({"fail_at": end})["angle"]))(np.array([9.0, 0.6, 8.0]))
-    assert np.isfinite(found).all(axis=1).tolist() == [True, False, True]
-
-
-@pytest.mark.slow
-def test_a_sample_at_which_an_fmu_dies_is_dropped_by_a_black_box(rods):
-    box = al.foreign.BlackBox(al.foreign.FmuSimulation(fmu_of(rods, ABORTS), GRID, outputs=["angle"]), drop=0.4)
-    with pytest.warns(al.SimulationWarning, match="1 of 4 samples .* failed and were dropped"):
-        al.references.monte_carlo(box, {"fail_at": al.Uniform(2.4, half_width=0.8)}, samples=4, seed=2)
-
-
 def test_directional_derivatives_that_crash_are_told_with_their_point(rods):
     run = al.foreign.FmuSimulation(fmu_of(rods, DIES_IN_SLOPES), GRID, outputs=["angle"])
     assert np.isfinite(run({"damping": 0.2})["angle"]).all()
     with pytest.warns(al.SimulationWarning, match="ended its process by the signal SIGSEGV, with damping=0.2"):
         slopes = jax.jacfwd(lambda damping: run({"damping": damping})["angle"][-1])(0.2)
     assert np.isnan(slopes)
+    aborting = al.foreign.FmuSimulation(fmu_of(rods, ABORTS), GRID, outputs=["angle"])
+    with pytest.warns(al.SimulationWarning, match="ended its process by the signal SIGABRT, with fail_at=0.6"):
+        found = jax.jit(jax.vmap(lambda end: aborting({"fail_at": end})["angle"]))(np.array([9.0, 0.6, 8.0]))
+    assert np.isfinite(found).all(axis=1).tolist() == [True, False, True]
     with pytest.raises(al.SimulationError, match="by the signal SIGSEGV near its initial state"):
         al.foreign.FmuSystem(fmu_of(rods, DIES_IN_SLOPES))
 
 
+@pytest.mark.slow
 def test_what_an_fmu_prints_reaches_neither_its_numbers_nor_the_screen(rods, capfd):
     found = al.foreign.FmuSimulation(fmu_of(rods, SHOUTS), GRID)({"fail_at": 0.1})
     expected = al.foreign.FmuSimulation(here(rods(3)), GRID)({})
@@ -140,6 +112,7 @@ def test_what_an_fmu_prints_reaches_neither_its_numbers_nor_the_screen(rods, cap
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 def test_a_library_that_dies_while_it_is_loaded_is_told(rods, tmp_path):
     source, library = tmp_path / "dies.c", tmp_path / "dies.so"
     source.write_text("#include <stdlib.h>\n__attribute__((constructor)) static void die(void) { abort(); }\n")
@@ -149,6 +122,7 @@ def test_a_library_that_dies_while_it_is_loaded_is_told(rods, tmp_path):
         al.foreign.Fmu(path)
 
 
+@pytest.mark.slow
 def test_a_script_needs_no_main_and_its_processes_end_with_it(rods, tmp_path):
     script = tmp_path / "plain.py"
     script.write_text(
@@ -167,14 +141,6 @@ def test_a_script_needs_no_main_and_its_processes_end_with_it(rods, tmp_path):
     angle, process = ended.stdout.split()
     assert float(angle) == 1.0
     assert has_ended(int(process))
-
-
-def test_an_fmu_that_nobody_holds_has_no_process(rods):
-    fmu = fmu_of(rods, FINE)
-    process = process_of(fmu)
-    del fmu
-    gc.collect()
-    assert has_ended(process)
 
 
 def test_a_run_is_sent_to_other_processes_as_its_file(rods, tmp_path):
@@ -212,10 +178,3 @@ def test_a_journal_tells_apart_fmus_of_one_name_their_settings_and_their_inputs(
     shutil.copy(rods(3, wall=True), path)
     with pytest.warns(al.SimulationWarning, match="by another box"):
         assert mean(here(path)) == 17
-
-
-def test_options_of_processes_are_checked(rods):
-    with pytest.raises(al.ProblemError, match="Fmu: own_process: expected True or False; received 1"):
-        al.foreign.Fmu(rods(3), own_process=1)
-    with pytest.raises(al.ProblemError, match=r"Fmu: time_limit: expected .* received 0"):
-        al.foreign.Fmu(rods(3), time_limit=0)

@@ -101,28 +101,6 @@ def _on_a_free_base(model, folder):
     return f"{head}<worldbody>{base}{arm}</body></worldbody>{tail}"
 
 
-@pytest.mark.slow
-def test_a_joint_that_follows_another_is_a_constraint_of_a_model_around_the_robot(tmp_path):
-    text = ARM.replace('<axis xyz="0 1 1"/>', '<axis xyz="0 1 1"/><mimic joint="shoulder" multiplier="0.1"/>')
-    robot = al.foreign.read_urdf(written(tmp_path, text), leave_out="mimic")
-    system = al.ForwardDynamics(Geared(robot), start={"shoulder": 0.5}, guess={"down": 0.1})
-    found = al.simulate(system, al.Grid(0.2, 20), only=["shoulder", "down", "constraint_error"])
-    np.testing.assert_allclose(found["down"], 0.1 * found["shoulder"], rtol=0, atol=1e-12)
-    assert np.ptp(found["down"]) > 1e-3
-
-
-class Geared(al.Multibody):
-    robot: al.foreign.Robot
-    constraints = ("gear",)
-
-    def bodies(self):
-        return self.robot.bodies()
-
-    def constraint(self, q):
-        down, shoulder = (self.coordinates.index(name) for name in ("down", "shoulder"))
-        return (q[down] - 0.1 * q[shoulder],)
-
-
 def test_limits_have_the_names_of_outputs(tmp_path):
     robot = al.foreign.read_urdf(written(tmp_path, ARM))
     assert robot.limits == {

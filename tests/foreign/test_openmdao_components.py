@@ -1,6 +1,5 @@
 """Problems as components of OpenMDAO: partials by its own check, optima of its drivers, a place in a larger model."""
 
-import builtins
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -12,7 +11,7 @@ from openmdao.utils.assert_utils import assert_check_partials
 import aleator as al
 from aleator.foreign import _openmdao
 from aleator.foreign._openmdao_units import as_in_openmdao
-from tiny_models import Decay
+from zoo import Decay
 
 # Instants and constraints that some decisions do not move are as they should be.
 pytestmark = pytest.mark.filterwarnings("ignore::openmdao.utils.om_warnings.DerivativesWarning")
@@ -73,35 +72,16 @@ def found():
     return model
 
 
-def test_partials_hold_in_the_check_of_openmdao():
-    model, _ = built(truss())
-    checked = run(model).check_partials(out_stream=None, form="central", step=1e-6)
-    assert {of for of, _ in checked["design"]} == {"objective", "first", "second", "load_most"}
-    assert_check_partials(checked, atol=1e-8, rtol=1e-8)
-
-
-def test_a_complex_step_is_refused_with_what_to_do():
+def test_partials_hold_in_the_check_of_openmdao_where_a_complex_step_is_refused_with_what_to_do():
     model, _ = built(truss())
     model.setup(force_alloc_complex=True)
     model.run_model()
     said = r"'design' expected real inputs; received complex ones, of a complex step.*check_partials\(method='fd'\)"
     with pytest.raises(al.ProblemError, match=said):
         model.check_partials(out_stream=None, method="cs")
-    assert_check_partials(model.check_partials(out_stream=None, form="central", step=1e-6), atol=1e-8, rtol=1e-8)
-
-
-def test_a_larger_model_is_differentiated_by_finite_differences_but_not_by_complex_steps():
-    for method in ("cs", "fd"):
-        model, _ = built(truss(), declared=False)
-        model.model.approx_totals(method=method)
-        model.setup(force_alloc_complex=method == "cs")
-        model.run_model()
-        if method == "cs":
-            with pytest.raises(al.ProblemError, match="approximate a model that contains it by method='fd'"):
-                model.compute_totals(of=["objective"], wrt=["areas"])
-            continue
-        found = model.compute_totals(of=["objective"], wrt=["areas"])
-        np.testing.assert_allclose(found["objective", "areas"], [[1.5, 1.5]], rtol=1e-5)
+    checked = model.check_partials(out_stream=None, form="central", step=1e-6)
+    assert {of for of, _ in checked["design"]} == {"objective", "first", "second", "load_most"}
+    assert_check_partials(checked, atol=1e-8, rtol=1e-8)
 
 
 def test_partials_of_limits_along_time_hold_too():
@@ -122,17 +102,13 @@ def test_partials_of_limits_along_time_hold_too():
     assert len(component.list_outputs(out_stream=None)) == 3
 
 
-def test_the_optimum_of_openmdao_is_ours(found):
+def test_the_optimum_of_openmdao_is_ours_and_keeps_each_limit(found):
     ours = al.solve(truss())
     assert found.get_val("objective") == pytest.approx(ours.objective, rel=1e-7)
     np.testing.assert_allclose(found.get_val("areas"), ours.decisions["areas"], rtol=1e-6)
     assert found.get_val("load:mean") == pytest.approx(ours.decisions["load.mean"], rel=1e-6)
-
-
-def test_the_optimum_of_openmdao_keeps_each_limit(found):
     # The areas carry the mean load and one standard deviation of it, which is 0.4 / √3.
-    load = found.get_val("load:mean").item()
-    most = load + 0.4 / np.sqrt(3)
+    most = found.get_val("load:mean").item() + 0.4 / np.sqrt(3)
     np.testing.assert_allclose(found.get_val("areas"), [most / 2.0, 1.5 * most / 2.5], rtol=1e-6)
 
 
@@ -156,19 +132,6 @@ def test_names_are_those_that_openmdao_allows_and_each_is_used_once():
     given = ["k.half_width", "x(t_f)", "x(t)", "x(t_f)", "objective", "2nd", "?"]
     expected = ["k:half_width", "x_t_f", "x_t", "x_t_f_2", "objective_2", "of_2nd", "constraint"]
     assert _openmdao._names(given) == expected
-
-
-def test_a_limit_with_the_name_of_a_decision_has_a_name_of_its_own():
-    problem = al.Problem(
-        Truss(areas=al.Decision(np.array([2.0, 3.0]), 0.1, 10.0), load=al.Uniform.bounds(3.5, 4.5)),
-        minimize=al.output("volume").mean,
-        subject_to=[(al.output("first").mean <= 2.5).named("areas")],
-        expansion=al.Expansion(order=2),
-    )
-    model, _ = built(problem)
-    run(model)
-    np.testing.assert_allclose(model.get_val("areas"), [2.0, 3.0])
-    np.testing.assert_allclose(model.get_val("areas_2"), 2.0, rtol=1e-12)  # the mean load of 4 over an area of 2
 
 
 class Plate(al.AlgebraicSystem):
@@ -221,18 +184,13 @@ def test_declared_units_are_those_of_inputs_and_outputs():
     [
         ("m²/s⁴", "m**2/s**4"),
         ("N m", "N*m"),
-        ("N·m", "N*m"),
         ("kg m^2 s^-2", "kg*m**2*s**-2"),
         ("J/(kg K)", "J/(kg*K)"),
-        ("rad/s", "rad/s"),
         ("°", "deg"),
         ("N m/rad", "N*m/rad"),
-        ("kPa", "kPa"),
         ("°C", None),
-        ("%", None),
         ("W/m² K", None),
         ("g", None),
-        ("-", None),
         ("", None),
         ("bananas", None),
     ],
@@ -257,17 +215,3 @@ def test_a_model_without_finite_values_lets_the_driver_step_back():
     model.set_val("areas", [0.0, 1.0])
     with pytest.raises(om.AnalysisError, match="no finite values or derivatives at"):
         model.run_model()
-
-
-def test_without_openmdao_the_extra_is_named(monkeypatch):
-    imported = builtins.__import__
-
-    def without(name, *more, **others):
-        if name.startswith("openmdao"):
-            raise ImportError(name)
-        return imported(name, *more, **others)
-
-    _openmdao._component.cache_clear()
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(al.MissingExtraError, match=r"pip install 'aleator\[openmdao\]'"):
-        al.foreign.openmdao_component(truss())

@@ -1,5 +1,6 @@
 """The pendulum on which every foreign format is checked, against the same one in our own words and against SciPy."""
 
+import functools
 from functools import partial
 
 import equinox as eqx
@@ -32,29 +33,26 @@ def with_mass(robot, mass):
     return eqx.tree_at(lambda robot: robot.parts["rod"].mass, robot, mass)
 
 
-def slope(model):
-    """How the last angle changes with the mass, at 1 kg."""
-    return compiled(jax.jacfwd(lambda mass: motion(model(mass))["hinge"][-1]))(1.0)
+def with_slope(model):
+    """The motion, and how it changes with the mass, at 1 kg."""
+    found = compiled(lambda mass: (motion(model(mass)), jax.jacfwd(lambda mass: motion(model(mass)))(mass)))(1.0)
+    return jax.tree.map(np.asarray, found)
+
+
+@functools.cache
+def own():
+    return with_slope(Pendulum)
 
 
 @pytest.mark.parametrize("form", ["urdf", "mjcf"])
-def test_the_motion_is_that_of_the_same_pendulum_in_our_own_words(robots, form):
-    found, expected = motion(robots[form]), motion(Pendulum())
-    for name in ("hinge", "hinge_rate"):
-        np.testing.assert_allclose(found[name], expected[name], rtol=0, atol=1e-10)
-
-
-@pytest.mark.parametrize("form", ["urdf", "mjcf"])
-def test_derivatives_by_the_mass_are_those_of_the_same_pendulum(robots, form):
-    found = slope(partial(with_mass, robots[form]))
-    assert abs(found - slope(Pendulum)) < 1e-10
-    step = 1e-4
-    assert abs(found - (by_scipy(1.0 + step)[-1] - by_scipy(1.0 - step)[-1]) / (2 * step)) < 1e-6
-
-
-@pytest.mark.parametrize("form", ["urdf", "mjcf"])
-def test_the_motion_is_that_of_the_equation_of_a_rod_solved_by_scipy(robots, form):
-    np.testing.assert_allclose(motion(robots[form])["hinge"], by_scipy(1.0), rtol=0, atol=1e-8)
+def test_the_motion_and_its_derivatives_are_those_of_the_same_pendulum_in_our_own_words(robots, form):
+    found, slopes = with_slope(partial(with_mass, robots[form]))
+    for ours, expected in zip((found, slopes), own(), strict=True):
+        for name in ("hinge", "hinge_rate"):
+            np.testing.assert_allclose(ours[name], expected[name], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found["hinge"], by_scipy(1.0), rtol=0, atol=1e-8)
+    differences = (by_scipy(1.0 + 1e-4) - by_scipy(1.0 - 1e-4)) / 2e-4
+    np.testing.assert_allclose(slopes["hinge"], differences, rtol=0, atol=1e-6)
 
 
 def by_scipy(mass):

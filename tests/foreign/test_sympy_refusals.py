@@ -1,7 +1,5 @@
 """What is wrong with a model of SymPy is said in one sentence, before anything is compiled."""
 
-import builtins
-
 import numpy as np
 import pytest
 import sympy as sp
@@ -39,7 +37,6 @@ REFUSED = {
         lambda: sympy({X: -P * X}, {P: al.Normal(1.0, 0.1)}),
         "SymPy takes 'p' to be positive, and simplifies by it; received Normal",
     ),
-    "a negative number contradicts its symbol": (lambda: sympy({X: -P * X}, {P: -1.0}), "to be positive"),
     "a start has other assumptions": (
         lambda: sympy({X: -X}, {}, start={sp.Symbol("x"): 1.0}),
         "'x' is another symbol than the model's of this name: one is a function of time, or their assumptions differ",
@@ -56,7 +53,6 @@ REFUSED = {
         lambda: lagrange(formed(EVEN.diff() ** 2 - EVEN**2, [EVEN]), {}),
         "takes 'turns' to be integer",
     ),
-    "an initial value has no such state": (lambda: sympy({X: -X}, {}, start={sp.Symbol("xx"): 1.0}), "mean 'x'?"),
     "two symbols have one name": (
         lambda: sympy({X: -P * X * sp.Symbol("p")}, {P: 1.0, sp.Symbol("p"): 1.0}),
         "two different symbols are called 'p'",
@@ -67,8 +63,6 @@ REFUSED = {
     ),
     "an equation is implicit": (lambda: sympy({X: sp.Eq(V, 1)}, {}), "received an equation. Solve it"),
     "a rate contains a rate": (lambda: sympy({X: V, V: X.diff()}, {}), "received Derivative(x(t), t). Solve"),
-    "a rate is text": (lambda: sympy({X: "v"}, {}), "expected one SymPy expression; received 'v'"),
-    "a number is text": (lambda: sympy({X: -K * X}, {K: "1"}), "number 'k'; received '1'"),
     "a number is an array": (lambda: sympy({X: -K * X}, {K: np.ones(2)}), "one number for 'k'; received shape (2,)"),
     "a number is a signal": (
         lambda: sympy({X: -K * X}, {K: al.PowerSeries(start=(1.0,))}),
@@ -87,7 +81,6 @@ REFUSED = {
     "an expression is infinite": (lambda: sympy({X: sp.zoo}, {}), "received zoo"),
     "a function is not of time": (lambda: sympy({X: sp.Function("f")(X)}, {}), "received f(x(t))"),
     "nothing moves": (lambda: sympy({}, {}), "the rate of one state at least"),
-    "a state is text": (lambda: sympy({"x": X}, {}), "as keys; received 'x'"),
     "a state is no name": (lambda: sympy({sp.Symbol("\\theta"): 1}, {}), "must be valid identifiers"),
     "a mass matrix has another size": (
         lambda: sympy({X: V, V: -X}, {}, mass_matrix=sp.eye(3)),
@@ -101,9 +94,7 @@ REFUSED = {
         lambda: sympy(RATES, NUMBERS, outputs={"a": FORCE.diff()}),
         "received Derivative(force(t), t)",
     ),
-    "an input has a start": (lambda: sympy(RATES, NUMBERS, start={FORCE: 1.0}), "'force(t)' is not known"),
     "a start contains a state": (lambda: sympy(RATES, NUMBERS, start={X: V}), "expressions of the parameters alone"),
-    "a unit is of no output": (lambda: sympy(RATES, NUMBERS, units={"v_": "m/s"}), "no output. Did you mean 'v'?"),
     "an input is not given": (
         lambda: al.simulate(sympy(RATES, NUMBERS), GRID),
         "['force']; received []",
@@ -113,8 +104,6 @@ REFUSED = {
         "takes the inputs []; received ['force']",
     ),
     "a formula has time": (lambda: formulas({"a": X}, {}), "expected formulas without time; received x(t)"),
-    "a number of a formula is missing": (lambda: formulas({"a": K}, {}), "received none for ['k']"),
-    "a method is none": (lambda: kane(rod_by_lagrange(), ROD), "expected a sympy.physics.mechanics.KanesMethod"),
     "Kane's equations are not formed": (
         lambda: kane(me.KanesMethod(WORLD, [THETA], [OMEGA], kd_eqs=[THETA.diff() - OMEGA]), {}),
         "call kanes_equations() first",
@@ -135,7 +124,6 @@ REFUSED = {
         lambda: lagrange(formed((X.diff() + V.diff()) ** 2 * M, [X]), {M: 1.0}),
         "Make v(t) a coordinate, and prescribe its motion by al.HybridDynamics",
     ),
-    "a number of a mechanical model is missing": (lambda: kane(rod_by_kane(), {M: 1.0}), "none for ['d', 'g', 'l']"),
     "an output is misspelt": (
         lambda: kane(rod_by_kane(), ROD, outputs={"a": me.dynamicsymbols("thetta")}),
         "do not contain thetta(t). Did you mean 'theta(t)'?",
@@ -149,33 +137,25 @@ REFUSED = {
 
 CONTRADICTED = [
     ({"integer": True}, 2.5, "integer"),
-    ({"integer": True}, al.Uniform.bounds(0.0, 3.0), "integer"),
     ({"integer": True}, al.Uniform.bounds(0.2, 0.8), "integer"),
     ({"integer": True}, al.Decision(2.0, 1.0, 3.0), "integer"),
-    ({"even": True}, 3, "even"),
     ({"odd": True}, 4.0, "odd"),
-    ({"odd": True}, 2.5, "odd"),
     ({"prime": True}, 9, "prime"),
     ({"composite": True}, 7, "composite"),
-    ({"noninteger": True}, 2, "noninteger"),
     ({"noninteger": True}, al.Normal(0.5, 0.1), "noninteger"),
     ({"integer": False}, 2.0, "not integer"),
     ({"positive": True, "integer": True}, 2.5, "integer"),
-    ({"nonzero": True}, 0.0, "nonzero"),
     ({"nonzero": True}, al.Uniform.bounds(-1.0, 1.0), "nonzero"),
     ({"zero": False}, 0.0, "not zero"),
-    ({"zero": True}, 1e-300, "zero"),
     ({"positive": False}, 1.0, "not positive"),
     ({"nonnegative": True}, al.Normal(1.0, 0.1), "nonnegative"),
     ({"nonpositive": True}, al.Uniform.bounds(-1.0, 1.0), "nonpositive"),
     ({"negative": True}, 0.0, "negative"),
     ({"imaginary": True}, 1.0, "imaginary"),
     ({"infinite": True}, 1.0, "infinite"),
-    ({"real": False}, 1.0, "not real"),
 ]
 KEPT = [
     ({"integer": True}, -2.0),
-    ({"even": True}, 4),
     ({"odd": True}, np.int64(3)),
     ({"prime": True}, 7),
     ({"composite": True}, 9),
@@ -183,7 +163,6 @@ KEPT = [
     ({"noninteger": True}, al.Uniform.bounds(1.2, 1.8)),
     ({"nonnegative": True}, al.Uniform.bounds(0.0, 1.0)),
     ({"nonpositive": True}, 0.0),
-    ({"negative": True}, -1e-3),
     ({"real": True}, al.Normal(0.0, 1.0)),
     ({"finite": True, "rational": True}, 0.1),
 ]
@@ -206,11 +185,9 @@ def test_a_number_that_agrees_with_the_assumptions_of_its_symbol_is_taken(assump
     ("expression", "said"),
     [
         (sp.Sum((K - I) ** 2, (I, 1, 3)), "Sum"),
-        (sp.sin(sp.Sum((K - I) ** 2, (I, 1, 3))), "Sum"),
         (sp.Product(K - I, (I, 1, 3)), "Product"),
         (sp.Subs(sp.sin(K) * C, K, C), "Subs"),
         (sp.Integral(sp.sin(K * C) / C, (C, 0, 1)), "Integral"),
-        (sp.KroneckerDelta(K, M), "KroneckerDelta"),
         (sp.CRootOf(C**5 + C + 1, 0) * K, "ComplexRootOf"),
         (sp.factorial(K), "factorial"),
     ],
@@ -240,16 +217,3 @@ def test_rates_of_coordinates_with_further_terms_are_refused():
     method.kanes_equations([me.Particle("ball", end, M)], [(end, -M * D * WORLD.y)])
     with pytest.raises(al.ProblemError, match="linear in the speeds, without further terms"):
         kane(method, {M: 1.0, L: 1.0, D: 1.0, G: 9.81})
-
-
-def test_without_sympy_the_extra_is_named(monkeypatch):
-    imported = builtins.__import__
-
-    def without(name, *more, **others):
-        if name.startswith("sympy"):
-            raise ImportError(name)
-        return imported(name, *more, **others)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(al.MissingExtraError, match=r"pip install 'aleator\[sympy\]'"):
-        sympy({}, {})

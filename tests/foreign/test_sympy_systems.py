@@ -14,7 +14,8 @@ from aleator.dynamics import initial_state
 from aleator.dynamics._simulation import _HISTORY
 from aleator.foreign._sympy_program import written
 from aleator.transcription import transcribe
-from tiny_models import Oscillator
+from compiling import compiled
+from zoo import Oscillator
 
 X, V, FORCE = dynamicsymbols("x v force")
 M, C, K, X_0 = sp.symbols("m c k x_0")
@@ -100,20 +101,23 @@ FUNCTIONS = {
 }
 
 
-@pytest.mark.parametrize("kind", FUNCTIONS)
-@pytest.mark.parametrize("x", [0.7, 1.4, 3.5])
-def test_functions_have_the_values_that_sympy_gives_them(kind, x):
-    program = written("test", [FUNCTIONS[kind]], {X_0: "x", C: "c"})
-    (found,) = program({"x": x, "c": 1.3})
+NUMBERS_KEPT = [1 / 3, -2e20 / 3, 1e-300 / 7, 10**30, sp.Rational(10**40, 7), sp.Float("0.1", 50)]
+
+
+def test_functions_have_the_values_that_sympy_gives_them_and_numbers_are_kept_to_their_last_bit():
+    functions = [*FUNCTIONS.values(), *(number * X_0 for number in NUMBERS_KEPT)]
+    program = written("test", functions, {X_0: "x", C: "c"})
+    values = np.array([0.7, 1.4, 3.5, 1.0])
+    *found, one_third, large, small, power, fraction, tenth = compiled(jax.vmap(lambda x: program({"x": x, "c": 1.3})))(
+        values
+    )
     real = sp.Symbol("r", real=True)
-    expected = FUNCTIONS[kind].xreplace({X_0: real}).doit().subs({real: x, C: 1.3}).evalf(20)
-    np.testing.assert_allclose(found, float(expected), rtol=1e-13)
-
-
-@pytest.mark.parametrize("number", [1 / 3, -2e20 / 3, 1e-300 / 7, 10**30, sp.Rational(10**40, 7), sp.Float("0.1", 50)])
-def test_numbers_in_expressions_are_kept_to_their_last_bit(number):
-    program = written("test", [number * X_0], {X_0: "x"})
-    assert float(jax.jit(lambda x: program({"x": x})[0])(1.0)) == float(number)
+    for kind, value in zip(FUNCTIONS, found, strict=True):
+        formula = FUNCTIONS[kind].xreplace({X_0: real}).doit()
+        expected = [float(formula.subs({real: x, C: 1.3}).evalf(20)) for x in values[:3]]
+        np.testing.assert_allclose(value[:3], expected, rtol=1e-13, err_msg=kind)
+    for number, value in zip(NUMBERS_KEPT, (one_third, large, small, power, fraction, tenth), strict=True):
+        assert float(value[3]) == float(number)
 
 
 def test_zeros_in_outputs_of_plain_states_stay_zero():

@@ -1,0 +1,123 @@
+"""The command line in this process, and the folder of a run of a small study that tests copy."""
+
+import functools
+import json
+import shutil
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from aleator import cli, solving
+from aleator.cli._record import Record
+from aleator.studies import _swept
+from zoo import SPREAD
+
+STUDY = """import aleator as al
+from zoo import MASS, STRESS, bar_problem
+
+problem = bar_problem()
+study = al.Study(
+    {"nominal": al.deterministic(problem), "robust": problem},
+    title="Bar",
+    samples=4000,
+    sweeps={"stress": [0.5, 0.6]},
+)
+"""
+# An edited form of it, with one design alone.
+EDITED = STUDY[: STUDY.index("study")].replace("()", "(load=1.1)")
+EDITED += "study = al.Study({'robust': problem}, samples=200)\n"
+# The width of the bar times the bound of its stress; the same of the edited study.
+NEEDED, NEEDED_NOW = 1.0 + 3.0 * SPREAD, 1.1 + 3.0 * SPREAD
+
+
+def aleator(*arguments: str):
+    return CliRunner().invoke(cli.application, list(arguments))
+
+
+def document(result) -> dict:
+    """The one JSON document on stdout, whose numbers are finite."""
+
+    def refuse(name: str) -> None:
+        raise AssertionError(f"{name} is no JSON")
+
+    return json.loads(result.stdout, parse_constant=refuse)
+
+
+def said(result) -> str:
+    return " ".join(result.output.split())
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder with a study to work in, whose module is forgotten afterwards."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bar.py").write_text(STUDY)
+    path = list(sys.path)
+    yield tmp_path
+    sys.modules.pop("bar", None)
+    sys.path[:] = path
+
+
+@functools.cache
+def _run_once(session: Path) -> Path:
+    place, path = session / "finished run", list(sys.path)
+    place.mkdir()
+    (place / "bar.py").write_text(STUDY)
+    result = aleator("run", str(place / "bar.py"), "--out", str(place / "results"))
+    assert result.exit_code == 0, result.output
+    sys.modules.pop("bar", None)
+    sys.path[:] = path
+    return place / "results"
+
+
+@pytest.fixture
+def finished(tmp_path_factory: pytest.TempPathFactory, here: Path) -> Path:
+    """A copy of the folder of a complete run, beside its study."""
+    shutil.copytree(_run_once(tmp_path_factory.getbasetemp()), here / "results")
+    Record("bar.py").write(here / "results")
+    return here / "results"
+
+
+@pytest.fixture
+def interrupted_at(monkeypatch: pytest.MonkeyPatch, python_interrupts):
+    """Has Ctrl-C pressed in a solve of this process, by its number."""
+    solve, done = solving._solve._solved, list[object]()
+
+    def at(number: int) -> None:
+        def stopped(call):
+            done.append(call)
+            if len(done) == number:
+                raise KeyboardInterrupt
+            return solve(call)
+
+        done.clear()
+        monkeypatch.setattr(solving._solve, "_solved", stopped)
+
+    return at
+
+
+@pytest.fixture
+def nothing_solved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No solve may happen."""
+
+    def never(call):
+        raise AssertionError("something was computed")
+
+    monkeypatch.setattr(solving._solve, "_solved", never)
+
+
+@pytest.fixture
+def begun(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many workers were begun each time; they are threads here."""
+    counts = list[int]()
+
+    def threads(count: int) -> ThreadPoolExecutor:
+        counts.append(count)
+        return ThreadPoolExecutor(count)
+
+    monkeypatch.setattr(_swept, "workers", threads)
+    return counts

@@ -1,0 +1,234 @@
+"""Journals of black boxes, executors that run them, and functions in processes of their own."""
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+import warnings
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from boxed_functions import ORDER, TWO, Counted, assert_same, directly, odd, refused, spawned, until
+
+import aleator as al
+import black_boxes as boxes
+
+# --- Journals --------------------------------------------------------------------------------------------------------
+
+
+def test_a_second_call_goes_on_where_the_first_failed(tmp_path):
+    counted = Counted(until(tmp_path / "repaired", odd(None)))
+    box = al.foreign.BlackBox(counted)
+    refused(box)
+    assert counted.calls == 30
+    (tmp_path / "repaired").touch()
+    assert_same(al.expand(box, TWO, ORDER), directly())
+    assert counted.calls == 31
+
+
+def test_threads_finish_what_they_have_begun_and_nothing_is_run_twice(tmp_path):
+    counted = Counted(until(tmp_path / "repaired", boxes.stiff))
+    with ThreadPoolExecutor(3) as executor:
+        refused(al.foreign.BlackBox(counted, executor=executor, journal=tmp_path / "runs.jsonl"))
+    known = len((tmp_path / "runs.jsonl").read_text().splitlines()) - 1
+    (tmp_path / "repaired").touch()
+    before = counted.calls
+    al.expand(al.foreign.BlackBox(counted, journal=tmp_path / "runs.jsonl"), TWO, ORDER)
+    assert known + counted.calls - before == 30
+
+
+KILLED = """
+import os, signal, sys
+sys.path.insert(0, {folder!r})
+import aleator as al
+import black_boxes as boxes
+
+calls = []
+
+def dying(at):
+    calls.append(at)
+    if len(calls) == 20:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return boxes.smooth(at)
+
+two = {{"x": al.Uniform.bounds(-1.0, 1.0), "z": al.Uniform.bounds(1.0, 3.0)}}
+box = al.foreign.BlackBox(dying, journal="runs.jsonl")
+expanded = al.expand(box, two, al.Expansion(order=3))
+print(len(calls), float(expanded["y"].mean).hex())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
+def test_a_process_that_is_killed_loses_no_finished_sample(tmp_path):
+    script = tmp_path / "analysis.py"
+    script.write_text(KILLED.format(folder=str(Path(__file__).parents[1])))
+
+    def run():
+        return subprocess.run([sys.executable, script.name], cwd=tmp_path, capture_output=True, text=True)
+
+    assert run().returncode == -signal.SIGKILL
+    journal = tmp_path / "runs.jsonl"
+    assert len(journal.read_text().splitlines()) == 1 + 19
+    # The last line is cut off in the middle, as by a full disk: its sample runs again.
+    journal.write_bytes(journal.read_bytes()[:-40])
+    finished = run()
+    assert finished.stdout.split() == ["12", float(directly()["y"].mean).hex()], finished.stderr
+
+
+def test_a_box_that_has_changed_is_told_and_run_again(tmp_path):
+    journal = tmp_path / "runs.jsonl"
+    al.expand(al.foreign.BlackBox(boxes.smooth, journal=journal), TWO, ORDER)
+
+    def other(at):
+        return {"y": 1.0 + at["x"], "v": np.zeros(3)}
+
+    with pytest.warns(al.SimulationWarning, match="30 of these samples by another box"):
+        expanded = al.expand(al.foreign.BlackBox(other, journal=journal), TWO, ORDER)
+    assert_same(expanded, directly(other))
+
+
+@pytest.mark.parametrize(
+    ("kept", "beside"),
+    [(False, threading.Lock()), (True, None)],
+    ids=["in memory, beside a lock that cannot be read", "in a journal"],
+)
+def test_a_number_that_the_function_reads_may_change_between_two_calls(tmp_path, kept, beside):
+    state = {"stiffness": 3.0, "beside": beside, "calls": 0}
+
+    def spring(at):
+        state["calls"] += 1
+        return state["stiffness"] * at["x"]
+
+    box = al.foreign.BlackBox(spring, journal=tmp_path / "runs.jsonl" if kept else None)
+    model, expansion = {"x": al.Uniform.bounds(0.0, 1.0)}, al.Expansion(order=2)
+    assert float(al.expand(box, model, expansion).mean) == pytest.approx(1.5)
+    calls = state["calls"]
+    assert float(al.expand(box, model, expansion).mean) == pytest.approx(1.5)
+    assert state["calls"] == calls, "what the function counts itself is no change"
+    state["stiffness"] = 7.0
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert float(al.expand(box, model, expansion).mean) == pytest.approx(3.5)
+    assert state["calls"] == 2 * calls
+    told = [str(one.message) for one in caught if issubclass(one.category, al.SimulationWarning)]
+    assert len(told) == kept
+    assert all("such as a count of its calls" in one for one in told)
+
+
+def test_a_plain_number_of_the_model_is_part_of_a_sample(tmp_path):
+    counted = Counted(lambda at: at["gain"] * at["x"])
+    box = al.foreign.BlackBox(counted, journal=tmp_path / "runs.jsonl")
+    spreads = [float(al.expand(box, TWO | {"gain": gain}).std) for gain in (1.0, 2.0, 1.0)]
+    assert spreads[1] == pytest.approx(2 * spreads[0])
+    assert counted.calls == 2 * 30
+
+
+def test_a_file_that_is_no_journal_is_refused_and_left_as_it_is(tmp_path):
+    table = tmp_path / "results.csv"
+    table.write_text("x,y\n1,2\n")
+    with pytest.raises(al.ProblemError, match="whose first line is not a journal's"):
+        al.foreign.BlackBox(boxes.smooth, journal=table)
+    assert table.read_text() == "x,y\n1,2\n"
+
+
+def test_a_journal_that_cannot_be_written_is_refused(tmp_path):
+    box = al.foreign.BlackBox(boxes.smooth, journal=tmp_path / "nowhere" / "runs.jsonl")
+    assert "cannot be written" in refused(box, kind=al.ProblemError)
+
+
+def test_a_journal_keeps_dicts_of_arrays_alone(tmp_path):
+    box = al.foreign.BlackBox(lambda at: (at["x"], at["z"]), journal=tmp_path / "runs.jsonl")
+    assert "dicts of arrays by their names" in refused(box, kind=al.ProblemError)
+
+
+# --- Executors -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_process_that_ends_breaks_its_executor_and_finished_samples_are_kept(tmp_path):
+    journal = tmp_path / "runs.jsonl"
+    with spawned(1) as executor:
+        message = refused(al.foreign.BlackBox(boxes.crash, executor=executor, drop=0.4, journal=journal))
+        assert "its executor is broken" in message
+        assert "al.foreign.Isolated" in message
+        known = len(journal.read_text().splitlines()) - 1
+        assert known >= 1
+        assert f"kept in runs.jsonl ({known})" in message
+        # A broken executor is refused in the same words, when it is given again.
+        assert "its executor is broken" in refused(al.foreign.BlackBox(boxes.smooth, executor=executor))
+
+
+@pytest.mark.slow
+def test_what_cannot_be_sent_to_a_process_is_refused():
+    with spawned(1) as executor:
+        message = refused(al.foreign.BlackBox(lambda at: at["x"], executor=executor), kind=al.ProblemError)
+    assert "such as a function at the top level of a module" in message
+
+
+def test_executors_that_take_no_work_or_cancel_it_are_refused():
+    class Cancelling(Executor):
+        def submit(self, fn, /, *args, **kwargs):
+            future = Future()
+            future.cancel()
+            future.set_running_or_notify_cancel()
+            return future
+
+    assert "it cancelled its work" in refused(al.foreign.BlackBox(boxes.smooth, executor=Cancelling()))
+    executor = ThreadPoolExecutor(1)
+    executor.shutdown()
+    assert "takes work" in refused(al.foreign.BlackBox(boxes.smooth, executor=executor), kind=al.ProblemError)
+
+
+@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no forks here")
+def test_forked_processes_are_refused_wherever_an_executor_is_given():
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("fork")) as executor:
+        with pytest.raises(al.ProblemError, match=r"whose processes are spawned.*mp_context=multiproc"):
+            al.foreign.BlackBox(boxes.smooth, executor=executor)
+        with pytest.raises(al.ProblemError, match=r"_carlo: executor: .*processes that are forked\. Write al\.w"):
+            al.references.monte_carlo(boxes.smooth, TWO, 8, executor=executor)
+
+
+def test_ctrl_c_leaves_what_has_finished(python_interrupts):
+    def interrupted(at):
+        if counted.calls == 10:
+            signal.raise_signal(signal.SIGINT)
+        return boxes.smooth(at)
+
+    counted = Counted(interrupted)
+    box = al.foreign.BlackBox(counted)
+    with pytest.raises(KeyboardInterrupt):
+        al.expand(box, TWO, ORDER)
+    assert counted.calls == 10
+    assert_same(al.expand(box, TWO, ORDER), directly())
+    assert counted.calls == 31
+
+
+# --- Functions in processes of their own -----------------------------------------------------------------------------
+
+
+def test_a_function_in_a_process_of_its_own_returns_the_same():
+    at = {"x": 0.3, "z": 2.0}
+    returned = al.foreign.Isolated(boxes.smooth)(at)
+    np.testing.assert_array_equal(returned["v"], boxes.smooth(at)["v"])
+    assert returned["y"] == boxes.smooth(at)["y"]
+    message = refused(al.foreign.BlackBox(al.foreign.Isolated(lambda at: at["x"])), kind=al.ProblemError)
+    assert "top level of a module" in message
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("function", "said"),
+    [
+        (al.foreign.Isolated(boxes.hanging, time_limit=0.5), "ended after its time limit of 0.5 s"),
+        (al.foreign.Isolated(boxes.crash), "its process ended by itself, by exit code 3"),
+        (al.foreign.Isolated(boxes.stiff), "it raised ValueError: no convergence"),
+    ],
+)
+def test_a_function_in_a_process_of_its_own_can_hang_crash_and_raise(function, said):
+    with pytest.raises(al.SimulationError, match=said):
+        function({"x": 1.0, "z": 3.0})

@@ -1,0 +1,208 @@
+"""Programs as black boxes: what they are given, what they write, and how they are ended."""
+
+import json
+import math
+import os
+import re
+import signal
+import sys
+import textwrap
+import threading
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from boxed_functions import ORDER, TWO, assert_same, directly, refused
+
+import aleator as al
+import black_boxes as boxes
+
+SMOOTH = """
+import json, math, sys
+x, z = {read}
+print("starting")
+print(json.dumps({{"y": math.exp(x) * z, "v": [x, z**2, 1.0]}}), file={where})
+"""
+
+
+@pytest.fixture
+def script(tmp_path, monkeypatch):
+    """Writes a script into the present folder, and gives a command that runs it without looking for packages."""
+    monkeypatch.chdir(tmp_path)
+
+    def write(text, *arguments, name="box.py", **options):
+        (tmp_path / name).write_text(textwrap.dedent(text))
+        return al.foreign.Command([sys.executable, "-I", "-S", name, *arguments], **options)
+
+    return write
+
+
+def exponential(at):
+    """The function of the scripts, by the same library."""
+    return {"y": math.exp(at["x"]) * at["z"], "v": np.array([at["x"], at["z"] ** 2, 1.0])}
+
+
+def test_a_command_with_arguments_in_threads_gives_the_bits_of_the_function(script):
+    command = script(SMOOTH.format(read="map(float, sys.argv[1:])", where="sys.stdout"), "{x}", "{z}")
+    with ThreadPoolExecutor(2) as executor:
+        assert_same(al.expand(al.foreign.BlackBox(command, executor=executor), TWO, ORDER), directly(exponential))
+
+
+def test_a_command_with_files_in_folders_of_their_own_gives_the_bits_of_the_function(script):
+    command = script(
+        SMOOTH.format(read='(json.load(open("in.json"))[name] for name in "xz")', where='open("out.json", "x")'),
+        input_file="in.json",
+        output_file="out.json",
+    )
+    few = al.Expansion(2, points=al.points.GaussPoints(), tolerance=0.2)
+    assert_same(al.expand(al.foreign.BlackBox(command), TWO, few), directly(exponential, few))
+    assert sorted(path.name for path in Path().iterdir()) == ["box.py"]
+
+
+def test_inputs_reach_a_command_with_all_their_digits(script):
+    command = script("import json, sys; print(json.dumps([float(one) for one in sys.argv[1:]]))", "{a}", "--b={b}")
+    values = {"a": 0.1 + 0.2, "b": 1.2345678901234567e-300}
+    with pytest.raises(al.SimulationError, match=re.escape(f"--b={values['b']!r}")):
+        command(values)
+    command = script("import json, sys; print(json.dumps([float(one) for one in sys.argv[1:]]))", "{a}", "{b}")
+    np.testing.assert_array_equal(command(values), list(values.values()))
+
+
+def test_arrays_reach_a_command_by_its_input_file(script):
+    command = script('import json; print(sum(map(sum, json.load(open("in.json"))["table"])))', input_file="in.json")
+    assert command({"table": np.array([[1.0, 2.0], [3.0, 4.0]]), "name": "a text"}) == 10.0
+
+
+@pytest.mark.parametrize(
+    ("printed", "either", "output_file"),
+    [
+        ('{"y": 1.5}\n\n  0  \n\n', "the last line '0' after '{\"y\": 1.5}', and either", None),
+        ('{"y": 1.5}\ndone\n0', "the last line '0' after '{\"y\": 1.5}', and either", "out.json"),
+        ('{"v": [\n1.5,\n2.5', "the last line '2.5' after '{\"v\": [', and either", None),
+        ('{"y": 1.5}\n[0, 0]', "the last line '[0, 0]' after '{\"y\": 1.5}', and either", None),
+        ("[\n  1.5,\n  2.5\n]\n0", "the last line '0' after '[', and either", None),
+    ],
+)
+def test_a_number_after_what_may_be_the_output_is_refused(script, printed, either, output_file):
+    where = "sys.stdout" if output_file is None else f"open({output_file!r}, 'w')"
+    command = script(f"import sys; print({printed!r}, file={where})", "{x}", output_file=output_file)
+    with pytest.raises(al.SimulationError, match=re.escape(either)) as caught:
+        command({"x": 1.0})
+    assert 'Write an object, such as {"y": 1.5}, in the last line' in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("printed", "output"),
+    [
+        ('[0.1, 0.2]\n0\n{"y": 1.5}\n', {"y": 1.5}),
+        ("[info] begun\n[1] of [2]\n1.5", 1.5),
+        ("0\n[0.5, 0.1]\n[1.5, 2.5]", [1.5, 2.5]),
+        ('{\n  "y": 1.5\n}\n', {"y": 1.5}),
+        ("[\n  1.5,\n  2.5\n]", [1.5, 2.5]),
+    ],
+)
+def test_what_a_program_prints_before_its_output_is_no_output(script, printed, output):
+    found = script(f"print({printed!r})", "--x={x}")({"x": 1.0})
+    assert jax.tree.map(np.ndarray.tolist, found) == output
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("print('all is well')", "expected JSON in its standard output; received 'all is well'"),
+        ('print(\'{"y": "fast"}\')', "the output 'y': expected numbers; received 'fast'"),
+        ("print('{\"y\": [1, [2]]}')", "the output 'y': expected numbers"),
+        ("print('{\"y\": null}')", "the output 'y': expected numbers; received None"),
+        ("print('NaN')", "its output is nan"),
+        ("import sys; sys.exit('mesh is tangled')", "exit code 1; its stderr ends with: mesh is tangled"),
+        ("import os; os.abort()", "it ended by "),
+    ],
+)
+def test_a_command_that_fails_is_told_by_sample_and_inputs(script, text, said):
+    message = refused(al.foreign.BlackBox(script(text, "{x}", "{z}")), expansion=al.Expansion(1))
+    assert said in message
+    assert f"'{Path(sys.executable).name} box.py' failed at sample 1 (x=-0.888889, z=2)" in message
+
+
+def test_a_program_that_is_not_found_ends_at_once_and_one_without_its_file_of_outputs_fails(script):
+    command = script("print(1.0)", "{x}", "{z}", output_file="out.json")
+    assert "it ended without writing out.json" in refused(al.foreign.BlackBox(command))
+    command = al.foreign.Command(["no-such-program", "{x}", "{z}"])
+    message = refused(al.foreign.BlackBox(command, drop=0.4, retries=9), kind=al.ProblemError)
+    assert message.startswith("Command: no-such-program cannot be run (")
+
+
+def test_inputs_that_do_not_fit_a_command_are_refused(script):
+    for arguments, word in ((["{w}", "{x}", "{z}"], "asks for ['w']"), (["{x}"], "['z'] reach")):
+        assert word in refused(al.foreign.BlackBox(script("print(1.0)", *arguments), drop=0.4), kind=al.ProblemError)
+
+
+def test_a_changed_script_is_another_command(script, tmp_path):
+    for factor in (1.0, 2.0):
+        command = script(f"import sys; print({factor} * float(sys.argv[1]) + float(sys.argv[2]))", "{x}", "{z}")
+        box = al.foreign.BlackBox(command, journal=tmp_path / "runs.jsonl")
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            expanded = al.expand(box, TWO, al.Expansion(1))
+        assert len(caught) == (factor == 2.0)
+        assert float(expanded.sobol("x")) == pytest.approx(factor**2 / (1 + factor**2))
+
+
+HANGING = """
+import fcntl, subprocess, sys
+child = "import fcntl, time; file = open({lock!r}, 'w'); fcntl.flock(file, fcntl.LOCK_EX); time.sleep(100)"
+child += "; open({survived!r}, 'w')"
+subprocess.run([sys.executable, "-I", "-S", "-c", child])
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="locks of files are POSIX's")
+def test_a_command_that_hangs_is_ended_with_its_children(script, tmp_path):
+    import fcntl
+
+    lock, survived = tmp_path / "lock", tmp_path / "survived"
+    command = script(HANGING.format(lock=str(lock), survived=str(survived)), "{x}", "{z}", time_limit=2.0)
+    message = refused(al.foreign.BlackBox(command))
+    assert "failed at sample 1 (x=-0.966667, z=2): it was ended after its time limit of 2 s" in message
+    with lock.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)  # waits for the child, unless it has been ended
+    assert not survived.exists()
+
+
+WAITING = """
+import time
+open({begun!r}, "w").close()
+time.sleep(100)
+open({survived!r}, "w")
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes with names are POSIX's")
+def test_ctrl_c_ends_the_commands_that_threads_wait_for(script, tmp_path, python_interrupts):
+    begun, survived = tmp_path / "begun", tmp_path / "survived"
+    os.mkfifo(begun)
+    command = script(WAITING.format(begun=str(begun), survived=str(survived)), "{x}", "{z}")
+
+    def interrupt():
+        begun.open().close()  # waits for the script
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt).start()
+    with ThreadPoolExecutor(1) as executor, pytest.raises(KeyboardInterrupt):
+        al.expand(al.foreign.BlackBox(command, executor=executor), TWO, ORDER)
+    assert not survived.exists()
+
+
+def test_journals_are_lines_of_json_that_are_read_back_to_the_same_bits(tmp_path):
+    journal = tmp_path / "runs.jsonl"
+    first = al.expand(al.foreign.BlackBox(boxes.smooth, journal=journal), TWO, ORDER)
+    before = journal.read_text()
+    header, *lines = map(json.loads, before.splitlines())
+    assert header["journal"] == "aleator.foreign"
+    assert [set(line) for line in lines] == [{"box", "key", "inputs", "outputs"}] * 30
+    assert lines[0]["outputs"]["y"] == boxes.smooth(lines[0]["inputs"])["y"]
+    assert_same(al.expand(al.foreign.BlackBox(boxes.smooth, journal=journal), TWO, ORDER), first)
+    assert journal.read_text() == before
