@@ -1,40 +1,24 @@
 """Limits that hold between the instants by tightened bounds: what that costs at most, beside SciPy on dense limits."""
 
 import itertools
-import warnings
+from functools import cache
 
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 
 import aleator as al
-
-
-class Cart(al.System):
-    """A double integrator, which Runge-Kutta and Simpson's rule integrate exactly."""
-
-    states = ("x", "v")
-
-    def rhs(self, t, z, push):
-        return z.v, push
-
-    def outputs(self, t, z, push):
-        return {"x": z.x, "v": z.v, "effort": push**2}
+from zoo import block_problem
 
 
 def ride(fastest, steps=3):
-    """One metre in one second from rest to rest, no faster than `fastest`, at least effort."""
-    return al.Problem(
-        Cart(),
-        grid=al.Grid(1.0, steps),
-        inputs={"push": al.Control(0.0, -50.0, 50.0, degree=1)},
-        minimize=al.integral("effort").mean,
-        subject_to=[
-            al.terminal("x").mean.equals(1.0),
-            al.terminal("v").mean.equals(0.0),
-            (al.path("v").mean <= fastest).named("speed"),
-        ],
-    )
+    """One metre in one second from rest to rest, no faster than `fastest`, at least effort, by a force that is linear.
+
+    Runge-Kutta and Simpson's rule integrate that exactly.
+    """
+    x, v = al.terminal("x"), al.terminal("v")
+    limits = [x.mean.equals(1.0), v.mean.equals(0.0), (al.path("v").mean <= fastest).named("speed")]
+    return block_problem(steps=steps, inputs={"force": al.Control(0.0, -50.0, 50.0, degree=1)}, subject_to=limits)
 
 
 def densely_limited(fastest, steps=3):
@@ -61,26 +45,30 @@ def densely_limited(fastest, steps=3):
     return found.fun
 
 
-@pytest.mark.parametrize("way", [al.Sequential(), al.Simultaneous()], ids=["shooting", "collocation"])
+@cache
+def best():
+    return densely_limited(1.35)
+
+
+@pytest.mark.parametrize(
+    "way",
+    [al.Sequential(), pytest.param(al.Simultaneous(), marks=pytest.mark.slow)],
+    ids=["shooting", "collocation"],
+)
 def test_the_best_design_lies_between_the_loose_and_the_tightened_one(way):
     with pytest.warns(al.GridWarning, match="tightened at the instants, which may cost up to .* refine=True"):
-        found = al.solve(ride(1.35), transcription=way)
-    cost = found.certificate.between.cost
-    loose = found.objective / (1 + cost)
-    assert loose <= densely_limited(1.35) * (1 + 1e-6)
-    assert densely_limited(1.35) <= found.objective * (1 + 1e-6)
-    assert "may cost up to" in str(found.certificate)
+        tightened = al.solve(ride(1.35), transcription=way)
+    loose = tightened.objective / (1 + tightened.certificate.between.cost)
+    assert loose <= best() * (1 + 1e-6)
+    assert best() <= tightened.objective * (1 + 1e-6)
+    assert "may cost up to" in str(tightened.certificate)
+    assert al.solve(ride(2.0), transcription=way).certificate.between.cost == 0.0  # they hold by themselves
 
 
+@pytest.mark.slow
 def test_refinement_goes_on_while_tightening_is_costly():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", al.GridWarning)
-        found = al.solve(ride(1.35), refine=True)
-    steps = found.problem.grid.steps
+    refined = al.solve(ride(1.35), refine=True)
+    steps = refined.problem.grid.steps
     assert steps > 3
-    assert not found.certificate.between.is_costly
-    assert found.objective == pytest.approx(densely_limited(1.35, steps), rel=0.05)
-
-
-def test_limits_that_hold_by_themselves_cost_nothing():
-    assert al.solve(ride(2.0)).certificate.between.cost == 0.0
+    assert not refined.certificate.between.is_costly
+    assert refined.objective == pytest.approx(densely_limited(1.35, steps), rel=0.05)

@@ -1,158 +1,187 @@
-"""Cross-checks: one problem by two transcriptions."""
+"""Cross-checks: one problem by two transcriptions, and the chapter of a study that shows both answers."""
 
+import math
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aleator as al
 from aleator import crosschecking
-from tiny_models import Oscillator, oscillator_problem
+from aleator.journalling import recalling
+from aleator.studies._second_way import collocated, found_both_ways, second_way
+from zoo import Decay, block_problem, oscillator_problem
 
 
-def smooth_problem(steps=160):
-    """Driven by a smooth force, so that both grids are accurate."""
-    force = al.BSpline(np.sin(np.linspace(0.0, 6.0, 9)), degree=3)
-    return oscillator_problem(grid=al.Grid(4.0, steps), inputs={"force": force})
-
-
-@pytest.mark.slow
-def test_two_transcriptions_agree_and_say_so():
-    found = al.cross_check(smooth_problem())
-    assert found.agree, found
-    assert found.objective < 1e-6
-    assert set(found.statistics) == set(found.first.statistics)
-    assert max(found.decisions.values()) < 1e-4
-    assert max(found.multipliers.values()) < 1e-2
-    assert str(found).startswith("Sequential and Simultaneous (HermiteSimpson) agree to 0.0001")
-
-
-def test_a_coarse_scheme_does_not_agree_and_what_to_do_is_said():
-    with pytest.warns(al.GridWarning):
-        found = al.cross_check(smooth_problem(20), second=al.Simultaneous(al.schemes.Trapezoid()), tolerance=1e-6)
-    assert not found.agree
-    assert "are not both solved, nor agree" in str(found)
-    assert "refine=True" in str(found)
-    both = replace(found, second=replace(found.second, status=al.Status.SOLVED))
-    assert "do NOT agree" in str(both)
-    assert "Refine both grids" in str(both)
-
-
-def test_differences_are_relative_and_a_failed_solution_never_agrees():
-    found = al.cross_check(smooth_problem())
-    failed = replace(found, second=replace(found.second, status=al.Status.FAILED))
-    assert not failed.agree
-    expected = abs(found.first.objective - found.second.objective) / max(found.first.objective, found.second.objective)
-    assert found.objective == pytest.approx(expected)
-    change = np.abs(found.first.vector - found.second.vector) / (8.0 - 0.05)  # the range of the damper
-    assert found.decisions == pytest.approx({"c": change[0]})
-
-
-class Pendulum(al.System):
-    states = ("angle", "rate")
-
-    def rhs(self, t, z, push):
-        return z.rate, push - 9.81 * jnp.sin(z.angle)
-
-    def outputs(self, t, z, push):
-        return {"angle": z.angle, "rate": z.rate, "effort": push**2}
-
-
-def test_controls_that_follow_a_finer_mesh_are_not_compared():
-    problem = al.Problem(
-        Pendulum(),
-        grid=al.Grid(1.0, 8),
-        inputs={"push": al.Control(0.0, -20.0, 20.0, degree=1)},
-        minimize=al.integral("effort").mean,
-        subject_to=[al.terminal("angle").mean.equals(1.0), al.terminal("rate").mean.equals(0.0)],
+def decay(most=0.4):
+    """The slowest decay to `most` within a second, of a uniform rate."""
+    return al.Problem(
+        Decay(al.Uniform(al.Decision(1.2, 0.5, 2.0), half_width=0.1)),
+        grid=al.Grid(1.0, 20),
+        minimize=al.value("rate.mean"),
+        subject_to=[al.terminal("x").at_most(most, sigmas=1.0)],
     )
-    found = al.cross_check(problem, second=al.Simultaneous(error=1e-7), tolerance=1e-2)
-    assert found.second.decisions["inputs.push"].size > found.first.decisions["inputs.push"].size
-    assert found.decisions == {"inputs.push": np.inf}
-    assert found.objective < 1e-2
 
 
-class Decay(al.System):
-    states = ("x",)
-    k: al.Number = 1.0
-
-    def rhs(self, t, z):
-        return (-self.k * z.x,)
-
-    def outputs(self, t, z):
-        return {"x": z.x, "zero": 0.0 * z.x}
-
-    def initial(self):
-        return {"x": 1.0}
+def both_ways():
+    said = []
+    both = found_both_ways("dOpt", decay(), lambda *told: said.append(told))
+    assert said[0][0] == "dOpt by direct collocation"
+    return both
 
 
-def decay(minimize, *limits, steps=10, most=3.0):
-    rate = al.Decision(1.0, 0.1, most)
-    return al.Problem(Decay(rate), grid=al.Grid(1.0, steps), minimize=minimize, subject_to=list(limits))
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("journal")
 
 
-def test_a_distance_that_becomes_zero_is_judged_by_what_it_is_made_of():
-    problem = decay((al.terminal("x").mean - 0.25) ** 2 + (al.value("k") - np.log(4.0)) ** 2)
-    found = al.cross_check(problem)
-    assert max(found.first.objective, found.second.objective) < 1e-9
-    assert found.agree, found
-    off = replace(found.second, objective=1e-3)
-    again = crosschecking._difference(found.first.objective, off.objective, crosschecking._objective_size(off))
-    assert again > found.tolerance
+@pytest.fixture(scope="module")
+def both(folder):
+    with al.journal(folder):
+        return both_ways()
 
 
-def test_paths_on_different_grids_are_compared_at_the_instants_that_both_have():
-    found = al.cross_check(decay(-al.value("k"), al.path("x").mean >= 0.01, steps=3, most=30.0), refine=True)
-    assert found.first.instants.size != found.second.instants.size
-    assert found.agree, found
-    assert found.first.decisions["k"] == pytest.approx(-np.log(0.01), rel=1e-5)
+def test_two_transcriptions_agree_and_say_so(both):
+    assert both.agree, both
+    assert both.objective < 1e-6
+    assert set(both.statistics) == set(both.first.statistics)
+    assert max(both.decisions.values()) < 1e-4
+    assert max(both.multipliers.values()) < 1e-2
+    assert str(both).startswith("Sequential and Simultaneous (HermiteSimpson) agree to 0.0001")
+    objectives = both.first.objective, both.second.objective
+    assert both.objective == pytest.approx(abs(np.subtract(*objectives)) / max(objectives))
+    change = np.abs(both.first.vector - both.second.vector) / (2.0 - 0.5)  # the range of the rate
+    assert both.decisions == pytest.approx({"rate.mean": change[0]})
+
+
+def test_what_is_not_solved_or_differs_does_not_agree_and_what_to_do_is_said(both):
+    failed = replace(both, second=replace(both.second, status=al.Status.FAILED))
+    assert not failed.agree
+    assert "are not both solved, nor agree" in str(failed)
+    apart = replace(both, objective=2e-4)
+    assert not apart.agree
+    assert "do NOT agree" in str(apart)
+    assert "Refine both grids (refine=True" in str(apart)
+    assert not replace(both, statistics={"x": 2e-4}).agree
+    flat = replace(both, decisions={"rate.mean": 0.1}, statistics={"x": 2e-4})
+    assert "Both reach the same objective, by other values of rate.mean" in str(flat)
 
 
 def test_prices_of_limits_that_do_not_act_are_equal():
-    assert al.cross_check(decay(al.value("k"), al.terminal("x").mean >= 0.3)).multipliers == pytest.approx(
-        {"μ[x(t_f)] ≥ 0.3": 0.0}, abs=1e-4
-    )
+    assert list(al.cross_check(decay(most=0.9)).multipliers.values()) == [pytest.approx(0.0, abs=1e-4)]
 
 
-def test_other_decisions_of_a_flat_optimum_are_no_fault_of_the_grids():
-    said = str(al.cross_check(decay(al.terminal("zero").mean, al.terminal("x").mean <= 0.3)))
-    assert "several optima, or a flat one" in said
-    assert "Refine" not in said
-
-
-def test_each_way_that_finds_no_solution_says_why():
-    said = str(al.cross_check(decay(al.value("k"), al.terminal("x").mean <= 0.01)))
-    assert "are not both solved" in said
-    assert said.count("'x' is violated by") == 2
-    assert "Refine" not in said
-
-
-@pytest.mark.parametrize(
-    ("given", "word"),
-    [
-        ({"solvers": (None,)}, "solvers"),
-        ({"second": "simultaneous"}, "second"),
-        ({"first": None}, "first"),
-        ({"tolerance": 0.0}, "tolerance"),
-    ],
-)
-def test_what_is_no_transcription_or_tolerance_is_refused(given, word):
-    with pytest.raises(al.ProblemError, match=f"cross_check: {word}"):
-        al.cross_check(smooth_problem(), **given)
-
-
-def test_what_is_no_problem_is_refused():
-    with pytest.raises(al.ProblemError, match="cross_check: problem"):
-        al.cross_check(Oscillator(m=1.0, c=1.0, k=1.0))
+def test_controls_on_meshes_of_their_own_are_not_compared_and_paths_at_common_instants():
+    force = al.Decision(np.zeros(3), -1.0, 1.0)
+    assert crosschecking._decided(force, np.zeros(3), np.zeros(5)) == math.inf
+    assert crosschecking._decided(force, np.zeros(3), np.array([0.0, 0.5, 0.0])) == 0.25
 
 
 @pytest.mark.slow
+def test_controls_that_follow_a_finer_mesh_and_paths_on_other_grids_are_compared_where_they_can_be():
+    uneven = block_problem(al.Uniform(1.0, half_width=0.1), steps=3, inputs={"force": al.Control(0.0, -8.0, 8.0)})
+    by_mesh = al.cross_check(uneven, second=al.Simultaneous(error=1e-7), tolerance=1e-2)
+    assert by_mesh.second.decisions["inputs.force"].size > by_mesh.first.decisions["inputs.force"].size
+    assert by_mesh.decisions["inputs.force"] == math.inf
+    rate = al.Decision(1.0, 0.1, 30.0)
+    limit = al.path("x").mean >= 0.01
+    problem = al.Problem(Decay(rate), grid=al.Grid(1.0, 3), minimize=-al.value("rate"), subject_to=[limit])
+    refined = al.cross_check(problem, refine=True)
+    assert refined.first.instants.size != refined.second.instants.size
+    assert refined.agree, refined
+    assert refined.first.decisions["rate"] == pytest.approx(-np.log(0.01), rel=1e-5)
+
+
+def test_a_distance_that_becomes_zero_is_judged_by_what_it_is_made_of():
+    distance = (al.terminal("x").mean - 0.25) ** 2 + (al.value("rate") - np.log(4.0)) ** 2
+    problem = al.Problem(Decay(al.Decision(1.0, 0.1, 3.0)), grid=al.Grid(1.0, 10), minimize=distance)
+    near = al.cross_check(problem)
+    assert max(near.first.objective, near.second.objective) < 1e-9
+    assert near.agree, near
+    off = replace(near.second, objective=1e-3)
+    again = crosschecking._difference(near.first.objective, off.objective, crosschecking._objective_size(off))
+    assert again > near.tolerance
+
+
 def test_two_ways_of_one_kind_are_told_apart():
-    problem = smooth_problem()
-    schemes = (al.schemes.Radau(2), al.schemes.GaussLegendre(2))
-    found = al.cross_check(problem, first=al.Simultaneous(schemes[0]), second=al.Simultaneous(schemes[1]))
+    by_another = al.cross_check(decay(), second=al.Sequential(), solvers=(None, al.solvers.Slsqp()))
+    assert len(set(by_another.ways)) == 2
+    assert "SLSQP" in by_another.ways[1]
+
+
+@pytest.mark.slow
+def test_schemes_are_told_apart_and_a_coarse_one_does_not_agree():
+    found = al.cross_check(
+        decay(), first=al.Simultaneous(al.schemes.Radau(2)), second=al.Simultaneous(al.schemes.GaussLegendre(2))
+    )
     assert found.ways == ("Simultaneous (Radau(2))", "Simultaneous (GaussLegendre(2))")
-    found = al.cross_check(problem, second=al.Sequential(), solvers=(None, al.solvers.Slsqp()))
-    assert len(set(found.ways)) == 2
-    assert "SLSQP" in found.ways[1]
+    coarse = decay().on_grid(al.Grid(1.0, 2))
+    assert not al.cross_check(coarse, second=al.Simultaneous(al.schemes.Trapezoid()), tolerance=1e-6).agree
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"second": "simultaneous"}, "second"),
+        ({"first": None}, "first"),
+        ({"solvers": (None,)}, "solvers"),
+        ({"problem": Decay(1.0)}, "problem"),
+    ],
+)
+def test_what_is_no_problem_or_transcription_is_refused(options, word):
+    with pytest.raises(al.ProblemError, match=f"cross_check: {word}"):
+        al.cross_check(**{"problem": decay(), **options})
+
+
+# --- The chapter of a study ------------------------------------------------------------------------------------------
+
+
+def read(text):
+    """The number of a text such as `4.1·10⁻¹⁰`."""
+    mantissa, _, power = text.partition("·10")
+    return float(mantissa) * 10.0 ** int(power.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")) or 0)
+
+
+def rows(both):
+    table, mesh = second_way("dOpt", both).blocks
+    assert mesh.kind == "drawing"
+    return table.caption, {row[0]: row[1:] for row in table.rows}
+
+
+def test_nothing_is_shown_before_it_is_computed():
+    assert second_way("dOpt", None).blocks == []
+    assert collocated("dOpt", None) == {}
+
+
+def test_both_answers_stand_side_by_side_with_their_difference(both):
+    caption, shown = rows(both)
+    assert caption == "dOpt by shooting and by direct collocation: they agree to 0.0001"
+    first, second, difference = shown["rate.mean"]
+    assert float(first) == pytest.approx(float(both.first.decisions["rate.mean"]), rel=1e-7)
+    assert float(second) == pytest.approx(float(both.second.decisions["rate.mean"]), rel=1e-7)
+    assert read(difference) == pytest.approx(both.decisions["rate.mean"], rel=0.06)
+    worst = max(both.statistics, key=both.statistics.__getitem__)
+    assert worst in shown["Statistics, the largest difference"][2]
+    assert shown["Iterations"][:2] == [str(one.effort.iterations) for one in (both.first, both.second)]
+    assert collocated("dOpt", both) == {"dOpt": both.second}
+
+
+def test_what_does_not_agree_cannot_be_compared_or_is_at_its_bound_is_said_or_left_out(both):
+    caption, shown = rows(replace(both, objective=0.1, decisions={"rate.mean": math.inf}))
+    assert "do NOT agree" in caption
+    assert shown["rate.mean"][2] == "on another mesh"
+    fixed = replace(both, first=replace(both.first, at_bounds=("rate.mean",)))
+    assert "rate.mean" not in rows(fixed)[1]
+
+
+def test_both_answers_are_taken_from_their_journal(both, folder):
+    with recalling(folder):
+        again = both_ways()
+    assert again.objective == both.objective
+    assert again.statistics == both.statistics
+    assert again.second.vector.tobytes() == both.second.vector.tobytes()
+
+
+@pytest.mark.slow
+def test_two_transcriptions_agree_on_a_path_near_resonance():
+    assert al.cross_check(oscillator_problem()).agree

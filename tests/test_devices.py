@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from aleator._core.compilation import Use, compiled_for
+from aleator._core.devices import here, over_devices
 
 SCRIPT = Path(__file__).with_name("answers_on_devices.py")
 SEVERAL = 4
@@ -40,40 +41,47 @@ def on_several():
     return ran("placed", JAX_PLATFORMS="cpu", flags=flags)
 
 
-def test_several_devices_give_the_digits_of_one(on_one, on_several):
+@pytest.mark.slow
+def test_several_devices_give_the_digits_of_one_and_compute_parts_in_turn(on_one, on_several):
     assert [on_one["devices"], on_several["devices"]] == [1, SEVERAL]
     assert on_one["answers"]["ok"]
     assert on_several["answers"] == on_one["answers"]
 
-
-def test_parts_are_computed_on_the_devices_in_turn(on_one, on_several):
     assert on_one["turns"] == [[0, 0]] * 6
     assert on_several["turns"] == [[item % SEVERAL, item % SEVERAL] for item in range(6)]
 
 
-def test_each_device_compiles_what_it_runs_and_no_more(on_one, on_several):
+@pytest.mark.slow
+def test_each_device_compiles_what_it_runs_and_a_model_is_traced_once_by_the_calling_thread(on_one, on_several):
     assert [on_one["parts"], on_one["batches"]] == [1, 1]
     # Two parts of the collocation points, on two of the devices; eleven batches of systems, on all.
     assert [on_several["parts"], on_several["batches"]] == [2, SEVERAL]
 
-
-def test_a_model_is_traced_once_for_all_devices_and_by_the_calling_thread_alone(on_one, on_several):
     assert len(on_several["traced"]) == len(on_one["traced"])
     for told in (on_one, on_several):
         assert set(told["traced"]) == {told["here"]} == set(told["run_by"])
 
 
-def test_what_fails_on_a_device_does_so_in_its_turn(on_several):
+@pytest.mark.slow
+def test_failures_come_in_their_turn_and_what_jax_or_a_user_has_placed_stays_there(on_several):
     assert on_several["failed"] == [0, 0, 1, "failed"]
 
-
-def test_the_device_that_jax_is_told_to_use_computes_everything(on_several):
     last = SEVERAL - 1
     assert on_several["told"] == [last, [[last, last]] * 6]
 
-
-def test_what_follows_from_an_array_on_a_device_stays_there(on_several):
     assert on_several["placed"] == on_several["answers"]["decisions"]
+
+
+def test_parts_come_in_their_order_and_a_failure_in_its_turn():
+    assert list(over_devices(lambda item: item * item, range(20))) == [item * item for item in range(20)]
+    results = over_devices(lambda item: 1 // (3 - item), range(6))
+    assert [next(results) for _ in range(3)] == [0, 0, 1]
+    with pytest.raises(ZeroDivisionError):
+        next(results)
+    first, told = jax.local_devices()[0], []
+    with jax.default_device(first):
+        assert list(over_devices(lambda item: told.append((item, here().id)) or item, range(3))) == [0, 1, 2]
+    assert {place for _, place in told} == {first.id}
 
 
 class Recorded:
@@ -104,6 +112,7 @@ def gpus():
         return 0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not gpus(), reason="JAX sees no GPU on this machine")
 def test_a_gpu_gives_the_answers_of_the_processor(on_one):
     found = ran(JAX_PLATFORMS="")

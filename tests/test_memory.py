@@ -1,8 +1,7 @@
-"""What would not fit into memory is refused by a count, within a second, before it is asked for."""
+"""What would not fit into memory is refused by a count, before it is asked for."""
 
 import resource
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ import aleator as al
 from aleator._core import memory
 from aleator.expansion import Basis, collocate
 from aleator.uncertainty import LegendreGerm
-from tiny_models import Decay
+from zoo import Decay
 
 HUGE = 10**9
 
@@ -43,13 +42,12 @@ EXPANSIONS = {
 
 
 @pytest.mark.parametrize("name", EXPANSIONS)
-def test_an_expansion_that_does_not_fit_is_refused_within_a_second(name, monkeypatch):
+def test_an_expansion_that_does_not_fit_is_refused_by_its_count(name, monkeypatch):
+    """Had it been enumerated, this would never end."""
     monkeypatch.setattr(memory, "memory", lambda: 16 * 2**30)
     variables, expansion = EXPANSIONS[name]
-    started = time.process_time()
     with pytest.raises(al.ProblemError, match=r"GiB|more than"):
         collocate(germs(variables), expansion)
-    assert time.process_time() - started < 1.0
 
 
 def test_thirty_variables_at_order_four_say_how_much_they_need_and_what_to_do(monkeypatch):
@@ -68,6 +66,7 @@ def test_the_same_expansion_is_made_where_there_is_room_for_it(monkeypatch):
     assert collocate(germs(3), al.Expansion(3)).basis.terms == 20
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak of memory is read as on Linux")
 def test_what_is_counted_is_what_a_collocation_takes():
     collocate(germs(3), al.Expansion(3))
@@ -92,13 +91,13 @@ def test_a_sample_that_does_not_fit_is_refused(verb):
         verb(lambda at: at["w"], {"w": al.Uniform.bounds(0.0, 1.0)}, 2**50)
 
 
-def decay(steps, order=3):
+def decay(steps):
     return al.Problem(
         Decay(rate=al.Uniform(al.Decision(1.0, 0.5, 2.0), half_width=0.1)),
         grid=al.Grid(1.0, steps=steps),
         minimize=al.terminal("x").mean,
         subject_to=[al.path("x").at_most(2.0)],
-        expansion=al.Expansion(order),
+        expansion=al.Expansion(3),
     )
 
 

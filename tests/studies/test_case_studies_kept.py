@@ -33,20 +33,16 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_the_page_of_a_case_study_is_written_again_from_its_folder_alone(finished: Path, tmp_path: Path):
+def test_a_case_study_is_written_and_run_again_from_its_folder_alone(finished: Path, tmp_path: Path):
     before = (finished / FILE).read_bytes()
-    found = aleator("report", str(finished), "--out", str(tmp_path / PAGE))
-    assert found["missing"] == []
+    told = aleator("report", str(finished), "--out", str(tmp_path / PAGE))
+    assert told["missing"] == []
     assert (finished / FILE).read_bytes() == before
     assert body(tmp_path / PAGE) == body(finished / PAGE)
-
-
-@pytest.mark.slow
-def test_a_case_study_that_is_run_again_takes_everything_from_its_folder(finished: Path, tmp_path: Path):
     shutil.copytree(finished, tmp_path / "clutch")
-    kept = {line for line in (finished / FILE).read_text().splitlines() if '"state": "done"' in line}
-    found = aleator("run", "clutch", "--quick", "--out", str(tmp_path / "clutch"))
-    assert found["recalled"] == len({json.loads(line)["key"] for line in kept})
+    done = {json.loads(line)["key"] for line in before.decode().splitlines() if '"state": "done"' in line}
+    again = aleator("run", "clutch", "--quick", "--out", str(tmp_path / "clutch"))
+    assert again["recalled"] == len(done)
     assert body(tmp_path / "clutch" / PAGE) == body(finished / PAGE)
 
 

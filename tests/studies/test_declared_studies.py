@@ -2,13 +2,19 @@
 
 import json
 from dataclasses import dataclass
+from functools import cache
 
 import pytest
 
 import aleator as al
 from aleator import extending as ext
 from aleator.studies import STUDIES, load
-from tiny_models import Decay
+from zoo import bar_problem
+
+
+@cache
+def solved():
+    return al.solve(bar_problem())
 
 
 @dataclass
@@ -36,11 +42,7 @@ class Two(ext.AbstractStudy):
 
     def find(self, progress):
         progress("solving", 0, 1)
-        rate = al.Uniform(al.Decision(1.2, 0.5, 2.0), half_width=0.1)
-        limits = [al.terminal("x").at_most(0.4, sigmas=1.0)]
-        self.design = al.solve(
-            al.Problem(Decay(rate), grid=al.Grid(1.0, 20), minimize=al.value("rate.mean"), subject_to=limits)
-        )
+        self.design = solved()
 
     def go_on(self, progress):
         self.swept = self.sweep
@@ -87,7 +89,9 @@ def test_a_study_that_came_to_its_end_has_its_sections_and_the_glossary():
     assert study.headline() == "Build: It decays."
 
 
-def test_a_study_that_has_not_begun_names_all_its_stages():
+def test_a_study_that_has_not_begun_names_all_its_stages_whatever_others_have_finished():
+    assert finished().finished
+    assert Two().finished == ()
     assert unfinished(Two()) == ["Not reached or not completed: design and sweep."]
     assert headings(Two()) == ["This run", "How to read this"]
 
@@ -108,11 +112,6 @@ def test_a_quick_run_says_what_it_leaves_out_in_its_verdict():
     assert study.headline().endswith("without the sweep.")
 
 
-def test_two_studies_do_not_share_what_they_have_finished():
-    assert finished().finished
-    assert Two().finished == ()
-
-
 def test_results_and_page_are_written_side_by_side_and_an_old_page_goes_with_its_results(tmp_path):
     study = finished()
     study.save(tmp_path)
@@ -124,17 +123,13 @@ def test_results_and_page_are_written_side_by_side_and_an_old_page_goes_with_its
     assert not page.exists()
 
 
-@pytest.mark.parametrize("quick", [False, True], ids=["full", "quick"])
 @pytest.mark.parametrize("name", STUDIES)
-def test_every_study_of_the_list_begins_with_nothing(name, quick):
-    study = load(name, quick=quick)
-    assert study.tables() == []
-    assert study.headline().startswith("Incomplete: ")
-    assert all(stage.share > 0 for stage in study.stages.values())
-    assert unfinished(study)[0].startswith(f"Not reached or not completed: {next(iter(study.stages))}, ")
-    assert bool(study.left_out) == (quick and name != "clutch")
-
-
-def test_a_quick_study_does_less_than_a_full_one():
-    for name in STUDIES:
-        assert set(load(name, quick=True).stages) <= set(load(name).stages)
+def test_every_study_of_the_list_begins_with_nothing_and_a_quick_run_does_less(name):
+    for quick in (False, True):
+        study = load(name, quick=quick)
+        assert study.tables() == []
+        assert study.headline().startswith("Incomplete: ")
+        assert all(stage.share > 0 for stage in study.stages.values())
+        assert unfinished(study)[0].startswith(f"Not reached or not completed: {next(iter(study.stages))}, ")
+        assert bool(study.left_out) == (quick and name != "clutch")
+    assert set(load(name, quick=True).stages) <= set(load(name).stages)

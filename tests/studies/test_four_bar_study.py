@@ -10,8 +10,6 @@ import pytest
 import xarray
 
 import aleator as al
-from aleator.reporting import Text
-from aleator.studies import load
 from aleator.studies.four_bar import DURATION, HEIGHT, LENGTHS, WIDTHS, ZONE, FourBar, driven
 from aleator.studies.four_bar._counts import count_linkages, crank_angles, posture
 from aleator.studies.four_bar._drawing import posture_of
@@ -169,14 +167,6 @@ def test_counts_find_the_published_linkage_within_its_published_error():
     assert counts.outside.count == 0
     # Half of 0.096 % of 400 mm above and below the line, and what rounding of its lengths moves it.
     assert counts.largest[0] == pytest.approx(0.00096 * 400 / 2, abs=0.15)
-
-
-def test_the_page_says_first_what_was_not_reached():
-    begun = load("four-bar", quick=True)
-    assert begun.verdict().word == "Incomplete"
-    (said,) = begun.page().sections[0].blocks
-    assert isinstance(said, Text)
-    assert "Not reached or not completed: designs" in said.paragraphs[0]
 
 
 def test_what_is_counted_is_stored_before_there_is_a_design(tmp_path):

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 import aleator as al
 from aleator import cli
 from aleator.reporting import page_html
-from aleator.studies import STUDIES, load
+from aleator.studies import load
 from aleator.studies._motion.build import TARGET as TOLERATED
 from aleator.studies._motion.build import price
 from aleator.studies._motion.family import Family, fly
@@ -33,15 +33,7 @@ def study():
     return found
 
 
-@pytest.mark.parametrize("name", ["pick-and-place-effort", "pick-and-place-time", "swing-up"])
-def test_the_studies_are_listed_and_begin_with_nothing(name):
-    assert name in STUDIES
-    begun = load(name, quick=True)
-    assert begun.headline().startswith("Incomplete")
-    assert begun.tables() == []
-    assert "Not reached or not completed: plans" in page_html(begun.page())
-
-
+@pytest.mark.slow
 def test_a_search_that_was_cut_short_keeps_its_finished_starts_and_the_page_says_so(study, monkeypatch):
     begun = load("pick-and-place-time", quick=True)
     finished = study.done.searches[MEAN]
@@ -55,6 +47,7 @@ def test_a_search_that_was_cut_short_keeps_its_finished_starts_and_the_page_says
     assert begun.headline().startswith("Incomplete")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "reference"), [(MEAN, 1.4142), (ONE, 1.5938)])
 def test_the_plans_are_as_fast_as_those_of_an_independent_program(study, name, reference):
     assert study.done.coarse[name].objective == pytest.approx(reference, abs=1e-4)
@@ -62,12 +55,18 @@ def test_the_plans_are_as_fast_as_those_of_an_independent_program(study, name, r
     assert reference < study.done.plans[name].objective < 1.002 * reference
 
 
+@pytest.mark.slow
 def test_violations_are_the_shares_of_a_uniform_distribution_that_lie_beyond_the_margin(study):
     for name, expected in ((MEAN, 1.0), (ONE, 1 - 1 / np.sqrt(3)), (WORST, 0.0)):
         share = study.done.evidence[name].violations["torque"]
         assert share.estimate == pytest.approx(expected, abs=4.5 * np.sqrt(0.25 / share.samples))
+    # They are counted between the instants, and the page says at how many.
+    assert {one.instants for one in study.done.evidence.values()} == {901}
+    assert "over time at 901 instants" in page_html(study.page())
+    assert study.done.calibration.evidence.instants == 901
 
 
+@pytest.mark.slow
 def test_the_calibrated_margin_is_the_closed_form(study):
     # A uniform distribution leaves 1 - a/√3 outside μ ± aσ; that lies below the target by what fresh payloads are in
     # error by.
@@ -79,6 +78,7 @@ def test_the_calibrated_margin_is_the_closed_form(study):
     assert study.done.plans["calibrated"] is found.solution
 
 
+@pytest.mark.slow
 def test_the_design_to_build_holds_at_both_ends_of_the_distribution_and_its_price_is_told(study):
     plan, printed = study.done.plans[WORST], study.done.plans[ONE]
     problem = plan.problem
@@ -95,10 +95,13 @@ def test_the_design_to_build_holds_at_both_ends_of_the_distribution_and_its_pric
     assert study.done.evidence[WORST].joint.upper <= TOLERATED
 
 
+@pytest.mark.slow
 def test_a_family_follows_the_plan_and_its_torques_spread_as_the_expansion_says(study):
     plan, family = study.done.plans[ONE], study.done.families[ONE]
     np.testing.assert_allclose(np.ptp(family.systems["q1"], axis=0), 0.0, atol=1e-12)
     np.testing.assert_allclose(family.nominal["q1"][[0, -1]], [START[0], TARGET[0]], atol=1e-9)
+    _, tip = TwoLinkArm(payload=1.0).places(np.array(TARGET))
+    np.testing.assert_allclose([family.nominal[name][-1] for name in ("tip_x", "tip_y")], tip, atol=1e-9)
     moments = plan.moments["q1_torque(t)"]
     torques = family.systems["q1_torque"]
     # The torque is affine in the payload, so that the nominal one is its mean.
@@ -116,6 +119,7 @@ def test_a_finer_flight_passes_through_the_same_instants(study):
     np.testing.assert_allclose(fine.systems["q2_torque"][:, ::3], coarse.systems["q2_torque"], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_extremes_of_a_family_are_those_of_a_finer_flight(study):
     plan, family = study.done.plans[ONE], study.done.families[ONE]
     finer = fly(plan.problem, plan.vector, SMALL.family, seed=2, finer=10)
@@ -125,12 +129,6 @@ def test_extremes_of_a_family_are_those_of_a_finer_flight(study):
         np.testing.assert_allclose(family.extremes[name], finer.extremes[name])
         assert np.all(family.extremes[name][:, 0] <= family.systems[name].min(axis=1) + 1e-12)
     assert np.any(family.extremes["q2_torque"][:, 1] > family.systems["q2_torque"].max(axis=1) + 1e-6)
-
-
-def test_violations_are_counted_between_the_instants_and_the_page_says_at_how_many(study):
-    assert {one.instants for one in study.done.evidence.values()} == {901}
-    assert "over time at 901 instants" in page_html(study.page())
-    assert study.done.calibration.evidence.instants == 901
 
 
 def test_the_variance_of_the_tip_is_told_with_the_error_of_its_sample():
@@ -143,14 +141,7 @@ def test_the_variance_of_the_tip_is_told_with_the_error_of_its_sample():
     assert abs(value - np.sqrt(2) * spread**2) < 4 * error
 
 
-def test_the_tip_ends_where_the_closed_form_puts_it(study):
-    elbow, tip = TwoLinkArm(payload=1.0).places(np.array(TARGET))
-    del elbow
-    family = study.done.families[WORST]
-    ends = [family.nominal["tip_x"][-1], family.nominal["tip_y"][-1]]
-    np.testing.assert_allclose(ends, tip, atol=1e-9)
-
-
+@pytest.mark.slow
 def test_the_page_shows_the_figures_of_the_chapter_and_the_numbers(study):
     html = page_html(study.page())
     for figure in ("Figure 5.5", "Figure 5.6", "Figure 5.7"):
@@ -162,6 +153,7 @@ def test_the_page_shows_the_figures_of_the_chapter_and_the_numbers(study):
     assert "What a margin costs" in html
 
 
+@pytest.mark.slow
 def test_the_study_writes_its_files_and_tables(study, tmp_path):
     written = [*study.save(tmp_path), study.write_page(tmp_path)]
     assert {one.name for one in written} == {"results.nc", "designs.json", "report.html"}
@@ -179,7 +171,6 @@ def test_the_study_writes_its_files_and_tables(study, tmp_path):
     ("name", "figures", "verdict"),
     [
         ("pick-and-place-effort", ("5.2", "5.3"), "Build: "),
-        ("pick-and-place-time", ("5.5", "5.6", "5.7"), "Build: "),
         # Its calibration takes minutes, and is left out.
         ("swing-up", ("5.10", "5.11", "5.13", "5.14"), "Not calibrated: No design to build yet"),
     ],

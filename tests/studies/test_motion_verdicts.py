@@ -10,7 +10,7 @@ import aleator as al
 from aleator.reporting import Table
 from aleator.studies._motion.build import TARGET, build_verdict, margin_blocks, meets, price, price_table
 from aleator.studies._motion.printed import compared
-from tiny_models import Decay
+from zoo import Decay
 
 TOLD = {"unit": "1/s", "who": "samples"}
 

@@ -1,155 +1,125 @@
 """Quantities of study files: units with angles as a dimension of their own, and tolerances as on drawings."""
 
-import math
-
 import pytest
+from pydantic import ValidationError
 
 import aleator as al
 from aleator.studies._toml._quantity import amount, plain
 from aleator.studies._toml._schema import StudyFile
 
 # Each by hand: a turn is 6.283185307179586 rad, a degree 0.017453292519943295 rad, a minute 60 s.
-PAIRS = [
-    ("60 rpm", "Hz", 1.0),
-    ("60 rpm", "rad/s", 6.283185307179586),
-    ("6.283185307179586 rad/s", "Hz", 1.0),
-    ("1 Hz", "rad/s", 6.283185307179586),
-    ("2 kHz", "rad/s", 12566.370614359172),
-    ("1 Hz", "rpm", 60.0),
-    ("1 rev/s", "rad/s", 6.283185307179586),
-    ("360 deg/s", "Hz", 1.0),
-    ("60 1/min", "Hz", 1.0),
-    ("180°", "rad", 3.141592653589793),
-    ("60 arcmin", "deg", 1.0),
-    ("1 mrad", "deg", 0.057295779513082320),
-    ("1 N m/deg", "N m/rad", 57.29577951308232),
-    ("1 N m/rad", "N m", 1.0),
-    ("2 kN m s/deg", "N m s/rad", 114591.55902616465),
-    ("1 N m/rpm", "N m s/rad", 9.549296585513721),
-    ("1 rpm/s", "rad/s^2", 0.10471975511965977),
-    ("1 Hz/s", "rad/s²", 6.283185307179586),
-    ("90 deg/s^2", "rad/s^2", 1.5707963267948966),
-    ("1 m²/Hz", "m² s/rad", 0.15915494309189535),
-    ("1 N m rad/s", "W", 1.0),
-    ("3 mm2", "m^2", 3e-6),
-    ("2 kNm", "N m", 2000.0),
-    ("5 m s-1", "km/h", 18.0),
-    ("1/s", "Hz", 1.0),
-    ("12e-6 /K", "1/K", 12e-6),
-    ("5 %", "-", 0.05),
-    ("3 kg m2", "kg m^2", 3.0),
-    ("1 W/(m² K)", "mW/(mm^2 K)", 1e-3),
-    ("20 degC", "degC", 20.0),
-    ("20 °C", "degC", 20.0),
-    ("1 1/degC", "1/K", 1.0),
-    ("7 EUR", "EUR", 7.0),
-]
+PAIRS = {
+    ("60 rpm", "Hz"): 1.0,
+    ("60 rpm", "rad/s"): 6.283185307179586,
+    ("6.283185307179586 rad/s", "Hz"): 1.0,
+    ("2 kHz", "rad/s"): 12566.370614359172,
+    ("1 Hz", "rpm"): 60.0,
+    ("1 rev/s", "rad/s"): 6.283185307179586,
+    ("360 deg/s", "Hz"): 1.0,
+    ("60 1/min", "Hz"): 1.0,
+    ("180°", "rad"): 3.141592653589793,
+    ("60 arcmin", "deg"): 1.0,
+    ("1 mrad", "deg"): 0.057295779513082320,
+    ("1 N m/deg", "N m/rad"): 57.29577951308232,
+    ("1 N m/rad", "N m"): 1.0,
+    ("2 kN m s/deg", "N m s/rad"): 114591.55902616465,
+    ("1 N m/rpm", "N m s/rad"): 9.549296585513721,
+    ("1 rpm/s", "rad/s^2"): 0.10471975511965977,
+    ("1 Hz/s", "rad/s²"): 6.283185307179586,
+    ("1 m²/Hz", "m² s/rad"): 0.15915494309189535,
+    ("1 N m rad/s", "W"): 1.0,
+    ("3 mm2", "m^2"): 3e-6,
+    ("2 kNm", "N m"): 2000.0,
+    ("5 m s-1", "km/h"): 18.0,
+    ("1/s", "Hz"): 1.0,
+    ("12e-6 /K", "1/K"): 12e-6,
+    ("5 %", "-"): 0.05,
+    ("1 W/(m² K)", "mW/(mm^2 K)"): 1e-3,
+    ("20 °C", "degC"): 20.0,
+    ("1 1/degC", "1/K"): 1.0,
+    ("7 EUR", "EUR"): 7.0,
+}
 
 
-@pytest.mark.parametrize(("text", "unit", "expected"), PAIRS)
-def test_quantities_are_converted_with_their_angles(text: str, unit: str, expected: float):
-    assert plain(text, unit) == pytest.approx(expected, rel=1e-12)
+def test_quantities_are_converted_with_their_angles():
+    assert {pair: plain(*pair) for pair in PAIRS} == pytest.approx(PAIRS, rel=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("text", "unit", "said"),
+    ("text", "unit", "word"),
     [
         ("60 1/min", "rad/s", "expected a unit with the angles of 'rad/s'; received '1/min', which says nothing"),
-        ("1 rad/s", "1/s", "received 'rad/s', which has another power of angles. Write"),
-        ("60 rpm", "1/s", "another power of angles"),
         ("100 %", "rad", "which says nothing of turns or radians"),
-        ("180 deg", "1", "another power of angles"),
+        ("60 rpm", "1/s", "another power of angles"),
         ("1 N m/deg", "N m", "another power of angles"),
-        ("5 mm/rad", "mm", "another power of angles"),
         ("1 kg2", "kg", "Write factors apart and powers with '^', as in 'N m', 'kg m^2' and '1/s'"),
-        ("1 Nmm2", "mm", "Write factors apart"),
         ("1 J/kg K", "J/(kg K)", "can be read in one way alone; received 'J/kg K'. Write brackets."),
         ("1/8 in", "mm", "expected one number, with a decimal point"),
         ("1 000 mm", "mm", "expected one number, with a decimal point"),
         ("20 degC", "K", "expected a unit whose zero is that of 'K'; received 'degC': convert it."),
-        ("300 K", "degC", "expected a unit whose zero is that of 'degC'; received 'K': convert it."),
-        ("68 degF", "degC", "whose zero"),
+        ("300 K", "degC", "whose zero"),
         ("2 dB", "1", "whose zero"),
         ("1e400 mm", "mm", "expected a finite quantity"),
+        ("a lot", "mm", "expected a quantity"),
+        ("1 mm", "", "declares none here"),
+        ("1 ± 0.1 mm", "mm", "without tolerances"),
     ],
 )
-def test_quantities_that_have_two_meanings_or_none_are_refused(text: str, unit: str, said: str):
+def test_quantities_that_have_two_meanings_or_none_are_refused(text: str, unit: str, word: str):
     with pytest.raises(al.ProblemError) as refused:
         plain(text, unit)
-    assert said in str(refused.value)
+    assert word in str(refused.value)
+
+
+ZONES = {
+    "20 -0.02/-0.04 mm": (19.96, 19.98),
+    "20 +0.1/0 mm": (20.0, 20.1),
+    "20 0/-0.1 mm": (19.9, 20.0),
+    "8 +0.1 0 mm": (8.0, 8.1),
+    "1 +0.3/+0.1 mm": (1.1, 1.3),
+    "20 -0/+0.1 mm": (20.0, 20.1),
+    "20 ± 0.1mm": (19.9, 20.1),
+    "20 +/- 0.1 mm": (19.9, 20.1),
+    "20 +-0.1 mm": (19.9, 20.1),
+    "20 +0.05/\N{MINUS SIGN}0.02 mm": (19.98, 20.05),
+    "20 +1e-1/-2e-1 mm": (19.8, 20.1),
+    "2 ± 0.01 cm": (19.9, 20.1),
+    "20 ±0.1": (19.9, 20.1),
+}
+
+
+def test_tolerances_are_those_of_drawings():
+    for text, limits in ZONES.items():
+        zone = amount(text, "mm")
+        assert isinstance(zone, al.Toleranced), text
+        assert [float(one) for one in zone.limits()] == pytest.approx(limits, rel=1e-12), text
+    for unit in ("1/min", "m s-1"):  # a unit may begin with a number, or end in a power
+        zone = amount(f"20 ± 0.5 {unit}", unit)
+        assert isinstance(zone, al.Toleranced)
+        assert [float(one) for one in zone.limits()] == [19.5, 20.5]
+
+
+def test_what_no_drawing_says_is_refused():
+    texts = ["20 +-0.1/-+0.2 mm", "20 +-0.1/--0.2 mm", "20 ±-0.1 mm", "20 mm ± 1 mm", "20 mm +1/-2", "20 +0.1 mm"]
+    for text in [*texts, "5 0 mm", "1 ±0 mm"]:
+        with pytest.raises(al.ProblemError, match="expected tolerances as on a drawing, with limits apart"):
+            amount(text, "mm")
 
 
 @pytest.mark.parametrize(
-    ("text", "limits"),
-    [
-        ("20 -0.02/-0.04 mm", (0.01996, 0.01998)),
-        ("20 +0.1/0 mm", (0.02, 0.0201)),
-        ("20 0/-0.1 mm", (0.0199, 0.02)),
-        ("8 +0.1 0 mm", (0.008, 0.0081)),
-        ("1 +0.3/+0.1 mm", (0.0011, 0.0013)),
-        ("20 -0/+0.1 mm", (0.02, 0.0201)),
-        ("20 ± 0.1mm", (0.0199, 0.0201)),
-        ("20 +/- 0.1 mm", (0.0199, 0.0201)),
-        ("20 +-0.1 mm", (0.0199, 0.0201)),
-        ("20 +0.05/\N{MINUS SIGN}0.02 mm", (0.01998, 0.02005)),
-        ("20 +1e-1/-2e-1 mm", (0.0198, 0.0201)),
-        ("0.02 ±0.0001", (0.0199, 0.0201)),
-    ],
-)
-def test_tolerances_are_those_of_drawings(text: str, limits: tuple[float, float]):
-    found = amount(text, "m")
-    assert isinstance(found, al.Toleranced)
-    assert [float(one) for one in found.limits()] == pytest.approx(limits, rel=1e-12)
-
-
-@pytest.mark.parametrize("unit", ["1/min", "m s-1"])
-def test_the_unit_of_a_tolerance_may_begin_with_a_number_or_end_in_a_power(unit: str):
-    found = amount(f"20 ± 0.5 {unit}", unit)
-    assert isinstance(found, al.Toleranced)
-    assert [float(one) for one in found.limits()] == [19.5, 20.5]
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "20 +-0.1/-+0.2 mm",
-        "20 +-0.1/--0.2 mm",
-        "20 ±-0.1 mm",
-        "20 mm ± 1 mm",
-        "20 mm +1/-2",
-        "20 +0.1 mm",
-        "5 0 mm",
-        "1 ±0 mm",
-    ],
-)
-def test_what_no_drawing_says_is_refused(text: str):
-    with pytest.raises(al.ProblemError, match="expected tolerances as on a drawing, with limits apart"):
-        amount(text, "mm")
-
-
-@pytest.mark.parametrize(
-    ("given", "place"),
+    ("content", "place"),
     [
         ({"model": {"load": True}}, ("model", "load")),
         ({"model": {"load": {"distribution": "Normal", "mean": 1.0, "std": False}}}, ("model", "load")),
         ({"limits": {"stress": True}}, ("limits", "stress")),
         ({"sigmas": {"stress": "2"}}, ("sigmas", "stress")),
-        ({"sigmas": {"stress": True}}, ("sigmas", "stress")),
         ({"sweeps": {"stress": [True]}}, ("sweeps", "stress")),
         ({"solver": {"name": "Slsqp", "tolerance": "1e-3"}}, ("solver",)),
         ({"grid": {"t_final": True}}, ("grid", "t_final")),
         ({"deterministic": 1}, ("deterministic",)),
     ],
 )
-def test_truth_values_and_texts_are_no_numbers(given: dict, place: tuple):
-    from pydantic import ValidationError
-
+def test_truth_values_and_texts_are_no_numbers(content: dict, place: tuple):
     with pytest.raises(ValidationError) as refused:
-        StudyFile.model_validate({"problem": "bar:problem", **given})
+        StudyFile.model_validate({"problem": "bar:problem", **content})
     assert refused.value.errors()[0]["loc"][: len(place)] == place
-
-
-def test_a_turn_per_second_is_a_hertz_in_every_direction():
-    for unit, size in {"Hz": 1.0, "rpm": 60.0, "rad/s": 2 * math.pi, "deg/s": 360.0, "turn/s": 1.0}.items():
-        for other, its_size in {"Hz": 1.0, "rpm": 60.0, "rad/s": 2 * math.pi, "deg/s": 360.0}.items():
-            assert plain(f"{size!r} {unit}", other) == pytest.approx(its_size, rel=1e-12)

@@ -1,0 +1,262 @@
+"""A problem is called solved or infeasible in the user's units and by all points seen, and is told why it is not."""
+
+import re
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aleator as al
+from aleator.nlp import Evaluation, NonlinearProgram, feasible_elsewhere
+from aleator.nlp.search import DifferentialEvolution
+from zoo import block_problem
+
+THREE = [al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()]
+SOLVERS = pytest.mark.parametrize("solver", THREE, ids=lambda one: type(one).__name__)
+KINK_SOLVERS = pytest.mark.parametrize("solver", THREE[::2], ids=lambda one: type(one).__name__)
+
+
+class Wild(al.AlgebraicSystem):
+    """A place that rises from -1 to 1 within 1e-13 of the middle of the decision, as an unstable motion's end does."""
+
+    push: al.Number
+    other: al.Number
+    unit: float = 1.0
+
+    def outputs(self):
+        steep = 1e13 * self.push
+        place = steep / jnp.sqrt(1.0 + steep**2)
+        cost = self.push**2 + self.other**2
+        return {"x": self.unit * place, "miss": self.unit * (place - 3.0), "cost": cost}
+
+
+def wild(limit, unit=1.0):
+    system = Wild(al.Decision(0.0, -0.1, 0.1), al.Decision(0.05, -0.1, 0.1), unit)
+    return al.Problem(system, minimize=al.output("cost").mean, subject_to=[limit])
+
+
+@pytest.mark.parametrize("solver", THREE[:2], ids=lambda one: type(one).__name__)
+def test_a_wild_gradient_at_the_start_makes_no_infeasible_problem_solved_and_loosens_no_constraint(solver):
+    with pytest.raises(al.SolveError, match=r"'x' is violated by .* where = 3 is asked \(μ\[x\] = 3\)") as caught:
+        al.solve(wild(al.output("x").mean.equals(3.0)), solver)
+    solution = caught.value.solution
+    assert solution.status is al.Status.INFEASIBLE
+    assert solution.constraints[0].violation == pytest.approx(2.0, abs=0.06)
+    assert not solution.constraints[0].holds
+    met = al.solve(wild(al.output("x").mean.equals(0.5)), solver)
+    assert met.constraints[0].values[0] == pytest.approx(0.5, abs=1e-6)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_a_bound_of_zero_is_judged_by_the_values_around_it_in_any_unit(unit):
+    # x - 3 cannot be zero, however steep it was.
+    solution = al.solve(wild(al.output("miss").mean.equals(0.0), unit), throw=False)
+    assert solution.status is al.Status.INFEASIBLE
+    assert solution.constraints[0].violation / unit == pytest.approx(2.0, abs=0.06)
+
+
+class Shares(al.AlgebraicSystem):
+    """Two forces share a way, in any units of length, force and cost."""
+
+    first: al.Number
+    second: al.Number
+    length: float
+    force: float
+    cost: float
+
+    def outputs(self):
+        a, b = self.first / self.force, self.second / self.force
+        ways = {"way": a + b, "difference": a - 2.0 * b, "first": a, "second": b}
+        return {name: self.length * way for name, way in ways.items()} | {"effort": self.cost * (a**2 + b**2)}
+
+
+def shares(length, force, cost, most):
+    """A way of one with the least effort, `2/3` and `1/3` of it each: an effort of 5/9."""
+    bounds = (-20 * force, 20 * force)
+    out = {name: al.output(name).mean for name in ("way", "difference", "first", "second", "effort")}
+    limits = [out["way"].equals(length), out["difference"].equals(0.0)]
+    limits += [out["first"] <= most * length, out["second"] <= most * length]
+    system = Shares(al.Decision(0.0, *bounds), al.Decision(0.0, *bounds), length, force, cost)
+    return al.Problem(system, minimize=out["effort"], subject_to=limits)
+
+
+@SOLVERS
+@pytest.mark.parametrize(
+    ("length", "force", "cost"),
+    [(1.0, 1.0, 1.0), (1e-9, 1.0, 1.0), (1e9, 1.0, 1.0), (1.0, 1e-9, 1e9), (1.0, 1e9, 1e-9), (1e-9, 1e9, 1e9)],
+)
+def test_units_of_objective_constraints_and_decisions_change_neither_answer_nor_verdict(solver, length, force, cost):
+    solution = al.solve(shares(length, force, cost, most=2.0), solver)
+    assert solution.objective / cost == pytest.approx(5 / 9, rel=1e-6)
+    assert solution.constraints[0].values[0] / length == pytest.approx(1.0, abs=1e-6)
+    assert solution.constraints[1].values[0] / length == pytest.approx(0.0, abs=1e-5)
+    if isinstance(solver, al.solvers.Slsqp) and (length, force, cost) != (1.0, 1.0, 1.0):
+        return  # it takes thousands of evaluations to find that nothing is feasible
+    # A way of one cannot be had of two that are at most a third.
+    broken = al.solve(shares(length, force, cost, most=1 / 3), solver, throw=False)
+    assert broken.status is al.Status.INFEASIBLE
+    assert max(one.violation for one in broken.constraints) / length > 0.05
+
+
+@KINK_SOLVERS
+def test_a_spread_is_optimal_at_zero_where_it_has_its_kink(solver):
+    class Spread(al.AlgebraicSystem):
+        gain: al.Number
+        noise: al.Number
+
+        def outputs(self):
+            return {"y": self.gain * self.noise}
+
+    system = Spread(al.Decision(0.7, -1.0, 2.0), al.Uniform(0.0, half_width=0.1))
+    solution = al.solve(al.Problem(system, minimize=al.output("y").std), solver, throw=False)
+    assert solution.ok, solution.why()
+    assert solution.objective == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.slow
+@KINK_SOLVERS
+def test_a_norm_is_optimal_at_zero_where_it_has_its_kink(solver):
+    goal = al.objectives.terminal_mean_error({"x": 1.0, "v": 0.0})
+    solution = al.solve(block_problem(minimize=goal, subject_to=[]), solver, throw=False)
+    assert solution.ok, solution.why()
+    assert solution.objective == pytest.approx(0.0, abs=1e-6)
+
+
+class Stepped(al.AlgebraicSystem):
+    """A cost that falls with `size`, and a load of 1 beyond `edge`, 0 before."""
+
+    size: al.Number
+    edge: float = 2.0
+
+    def outputs(self):
+        return {"load": jnp.where(self.size > self.edge, 1.0, 0.0), "gain": (self.size - 1.0) ** 2}
+
+
+def stepped():
+    limit = al.output("load").mean <= 0.5
+    return al.Problem(Stepped(al.Decision(1.5, 0.0, 10.0)), minimize=-al.output("gain").mean, subject_to=[limit])
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [*THREE, al.solvers.InteriorPoint(), DifferentialEvolution(evaluations=8)],
+    ids=lambda one: type(one).__name__,
+)
+def test_a_search_that_jumps_over_a_step_from_a_feasible_start_finds_no_infeasible_problem(solver):
+    solution = al.solve(stepped(), solver, throw=False)
+    assert solution.status is not al.Status.INFEASIBLE
+    assert solution.decisions["size"] <= 2.0
+    assert not solution.violated
+    assert "cannot all be met" not in solution.why()
+    if solver is THREE[0]:  # the best design that holds
+        assert solution.status is al.Status.FAILED
+        assert solution.objective <= -0.25 + 1e-9
+        assert "seem to jump" in solution.why()
+        assert "al.examine" in solution.why()
+
+
+def notched(centre):
+    """A descending objective, and a constraint that holds in a narrow notch alone and has a slope nowhere."""
+
+    def evaluate(x):
+        inside = abs(x[0] - centre) < 0.05
+        return Evaluation(-x[0], np.array([-1.0]), np.array([0.0 if inside else 1.0]), np.zeros((1, 1)))
+
+    return NonlinearProgram(
+        evaluate=evaluate,
+        start=np.array([centre]),
+        lower=np.array([0.0]),
+        upper=np.array([10.0]),
+        constraint_lower=np.array([-np.inf]),
+        constraint_upper=np.array([0.5]),
+        constraint_scale=np.array([1.0]),
+        variable_scale=np.array([1.0]),
+    )
+
+
+def test_the_programs_own_start_counts_where_the_search_began_elsewhere():
+    program, solver = notched(7.7), al.solvers.FilterSQP()
+    elsewhere = np.array([1.0])
+    outcome = solver.solve(program, start=elsewhere)
+    assert outcome.status is al.Status.INFEASIBLE
+    better = feasible_elsewhere(program, outcome, elsewhere, lambda other, first: solver.solve(other, start=first))
+    assert better.status is not al.Status.INFEASIBLE
+    np.testing.assert_allclose(better.point, 7.7, atol=0.05)
+    assert better.violation == 0.0
+
+
+class Plane(al.AlgebraicSystem):
+    """Functions of two numbers."""
+
+    x: al.Number
+    y: al.Number
+    kind: str = eqx.field(static=True)
+
+    def outputs(self):
+        x, y = self.x, self.y
+        kinds = {
+            "valley": 100 * (y - x**2) ** 2 + (1 - x) ** 2,
+            "slope": -x - y,
+            "kink": jnp.abs(x - 0.3) + jnp.abs(y),
+            "root": jnp.sqrt(x - y - 5.0),
+        }
+        return {"f": kinds[self.kind], "square": x**2 + y**2}
+
+
+def plane(kind, reach=10.0, limits=()):
+    system = Plane(x=al.Decision(-1.2, -reach, reach), y=al.Decision(1.0, -reach, reach), kind=kind)
+    return al.Problem(system, minimize=al.output("f").mean, subject_to=limits)
+
+
+SQUARE = al.output("square").mean
+CASES = {
+    "stopped": (lambda: plane("valley"), {"max_iterations": 3}, "Allow the solver more iterations"),
+    "stopped outside": (
+        lambda: plane("valley", limits=[SQUARE.equals(150.0)]),
+        {"max_iterations": 1},
+        "Allow the solver more iterations",
+    ),
+    "infeasible": (lambda: plane("valley", limits=[SQUARE <= 1.0, SQUARE >= 2.0]), {}, "Relax a limit"),
+    "unbounded": (lambda: plane("slope", reach=np.inf), {}, "Give all decisions bounds"),
+    "kink": (lambda: plane("kink"), {}, "Make it smooth there"),
+    "root": (lambda: plane("root"), {}, "Look for a root"),
+}
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        al.solvers.FilterSQP,
+        *(pytest.param(one, marks=pytest.mark.slow) for one in (al.solvers.Ipopt, al.solvers.Slsqp)),
+        pytest.param(al.solvers.InteriorPoint, marks=pytest.mark.slow),
+    ],
+)
+@pytest.mark.parametrize("name", CASES)
+def test_a_reason_comes_with_a_remedy_and_the_words_of_the_solver_stand_in_parentheses(name, make):
+    problem, options, remedy = CASES[name]
+    solution = al.solve(problem(), make(**options), throw=False)
+    why = solution.why()
+    assert not solution.ok
+    assert remedy in why
+    assert ".." not in why
+    assert ". ." not in why
+    if name != "root":
+        assert re.search(r"[^ ] \(the solver said: [a-z][^()]*\)\.$", why), why
+        assert why.index(remedy) < why.index("(the solver said")
+    if name == "kink":
+        assert why.index("has a kink close by") < why.index("the solver said")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("way", "mass"),
+    [(al.Sequential(), al.Uniform(1.0, half_width=0.1)), (al.Simultaneous(), 1.0)],
+    ids=["shooting", "collocation"],
+)
+def test_an_objective_without_a_least_value_is_never_solved(way, mass):
+    free = {"force": al.Control(0.0)}
+    problem = block_problem(mass, steps=8, inputs=free, minimize=al.terminal("x").mean, subject_to=[])
+    attempt = al.solve(problem, transcription=way, throw=False)
+    assert not attempt.ok
+    assert "decisions are far out on a side without a bound" in attempt.why()
