@@ -19,7 +19,7 @@ def decay(most=0.4):
         Decay(al.Uniform(al.Decision(1.2, 0.5, 2.0), half_width=0.1)),
         grid=al.Grid(1.0, 20),
         minimize=al.value("rate.mean"),
-        subject_to=[al.terminal("x").at_most(most, sigmas=1.0)],
+        subject_to=[al.terminal("x").at_most(most, sigmas=1.0).named("level")],
     )
 
 

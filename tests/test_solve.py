@@ -160,7 +160,16 @@ def test_a_problem_without_uncertainty_is_solved_all_the_same():
     assert "nothing is uncertain" in str(solution)
 
 
-def test_the_three_solvers_agree_on_a_path_and_a_warm_start_needs_fewer_evaluations():
+def test_a_warm_start_needs_fewer_evaluations():
+    cold = al.solve(bar_problem())
+    moved = bar_problem(stress=0.52)
+    warm, afresh = al.solve(moved, warm_start=cold), al.solve(moved)
+    assert warm.effort.evaluations < afresh.effort.evaluations
+    assert warm.objective == pytest.approx((1.0 + 3.0 * SPREAD) / 0.52, rel=1e-8)
+
+
+@pytest.mark.slow
+def test_the_three_solvers_agree_on_a_path_near_resonance():
     problem = oscillator_problem()
     cold, *others = [
         al.solve(problem, solver) for solver in (al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp())
@@ -169,10 +178,6 @@ def test_the_three_solvers_agree_on_a_path_and_a_warm_start_needs_fewer_evaluati
     assert cold.active == ("x",)
     assert cold.constraints[0].values.shape == (81,)
     assert max(one.violation for one in cold.constraints) < 1e-8
-    moved = problem.with_bound("x", 0.138)
-    warm, afresh = al.solve(moved, warm_start=cold), al.solve(moved)
-    assert warm.effort.evaluations < afresh.effort.evaluations
-    assert warm.objective == pytest.approx(afresh.objective, rel=1e-8)
 
 
 class Ramp(al.System):

@@ -30,7 +30,7 @@ def threads():
 def test_one_problem_in_many_threads_is_compiled_once_and_solved_alike(threads, solver):
     problem = gain_problem()
     before = EVALUATE.compilations
-    solutions = list(threads.map(lambda _: al.solve(problem, solver), range(12)))
+    solutions = list(threads.map(lambda _: al.solve(problem, solver), range(6)))
     assert EVALUATE.compilations <= before + 1
     alone = al.solve(problem, solver)
     for one in solutions:
@@ -40,16 +40,16 @@ def test_one_problem_in_many_threads_is_compiled_once_and_solved_alike(threads, 
 
 
 def test_problems_starts_and_evidence_of_many_threads_do_not_get_mixed_up(threads):
-    bounds = np.linspace(1.0, 3.0, 12)
+    bounds = np.linspace(1.0, 3.0, 6)
     gains = list(threads.map(lambda bound: al.solve(gain_problem(bound)).decisions["gain"], bounds))
     np.testing.assert_allclose(gains, bounds / (1.0 + SPREAD), rtol=1e-6)
-    starts = np.linspace(0.5, 9.0, 12)
+    starts = np.linspace(0.5, 9.0, 6)
     solutions = list(threads.map(lambda start: al.solve(gain_problem(), start={"gain": start}), starts))
     np.testing.assert_allclose([one.decisions["gain"] for one in solutions], 2.0 / (1.0 + SPREAD), rtol=1e-6)
-    evidence = list(threads.map(lambda seed: al.validate(solutions[0], 500, seed=seed), [0, 1] * 4))
+    evidence = list(threads.map(lambda seed: al.validate(solutions[0], 500, seed=seed), [0, 1] * 2))
     means = [float(one.functionals["response(t_f)"].mean) for one in evidence]
     assert means[0] != means[1]
-    assert means == means[:2] * 4
+    assert means == means[:2] * 2
 
 
 @pytest.mark.slow

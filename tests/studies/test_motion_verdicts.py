@@ -19,7 +19,7 @@ def decay(sigmas):
     """The slowest decay to 0.4 within a second: of a uniform rate, `(1 - sigmas / √3) / 2` are too slow."""
     return al.Problem(
         Decay(rate=al.Uniform(al.Decision(1.2, 0.5, 2.0), half_width=0.1)),
-        grid=al.Grid(1.0, steps=20),
+        grid=al.Grid(1.0, 20),
         minimize=al.value("rate.mean"),
         subject_to=[al.terminal("x").at_most(0.4, sigmas=sigmas).named("level")],
     )

@@ -4,7 +4,6 @@ import importlib
 import inspect
 from functools import cache
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -14,6 +13,7 @@ from aleator.studies import suspension
 from aleator.studies.suspension import apportionment_problem, deterministic_problem, robust_problem
 from aleator.transcription import transcribe
 from aleator.uncertainty import LegendreGerm
+from compiling import compiled
 from numpy_quarter_car import quarter_car
 from zoo import derivative_error, optimum
 
@@ -66,7 +66,7 @@ def test_an_independent_simulation_reproduces_ride_travel_and_holding():
     decisions = np.array([31_000.0, 1500.0])
     mean, width = np.array([376.0, *decisions, 1.39, 200e3]), np.array([47.0, 3750.0, 250.0, 0.17375, 25e3])
     functionals = (al.integral("comfort"), al.rms("grip"), al.path("travel"))
-    ours = responses(problem, functionals, jnp.asarray(germ), jnp.asarray(decisions))
+    ours = compiled(lambda germ, decisions: responses(problem, functionals, germ, decisions))(germ, decisions)
     ride, holding, travel = quarter_car(*(mean + width * germ).T)
     np.testing.assert_allclose(ours[0], ride, rtol=1e-10)
     np.testing.assert_allclose(ours[1], holding, rtol=1e-10)
