@@ -237,8 +237,8 @@ class Rootless(Folded):
 def test_newton_that_does_not_converge_tells_its_residuals():
     told = simulation_of(Rootless(), al.Grid(2.0, 4), {"push": al.BSpline(np.full(4, 1.0))}, None).explain()
     assert re.match("Rootless: its algebraic variables have no solution at about t = 0", told)
-    assert "equation 1 of 2 is left with a residual of" in told
-    assert "(all:" in told
+    # Newton stays at the guess, y = 1 and w = 0, for a push of 1.
+    assert "(all: 2, -1)" in told
 
 
 def changed(base=Folded, **parts: Any) -> Any:

@@ -63,7 +63,7 @@ def test_samples_by_an_executor_are_those_of_this_process_to_the_last_bit(travel
     model = {"off": al.Uniform(0.0, half_width=1.0), "more": al.Normal(2.0, 0.1)}
     sample = getattr(al.references, method)
     how = {"batch": 60, "traced": traced}
-    here, there = (sample(scattered, model, 600, executor=executor, **how) for executor in (None, travelling))
+    here, there = (sample(scattered, model, 1024, executor=executor, **how) for executor in (None, travelling))
     assert here.values.keys() == there.values.keys() == {"sum", "row"}
     for name, values in here.values.items():
         assert values.tobytes() == there.values[name].tobytes()
