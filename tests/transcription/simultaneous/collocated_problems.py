@@ -84,7 +84,7 @@ def turned(intervals: int = 20, **options: Any) -> al.Problem:
         "grid": al.Grid(1.0, intervals),
         "inputs": {"torque": al.BSpline(al.Decision(np.full(6, 4.0), -30.0, 30.0), degree=3)},
         "minimize": al.integral("effort").mean,
-        "subject_to": [*RESTS, al.path("angle").within(-0.5, 1.02, sigmas=2.0)],
+        "subject_to": [*RESTS, al.path("angle").within(-0.5, 1.075, sigmas=2.0)],
         "expansion": al.Expansion(order=2),
     }
     return al.Problem(Swing(length=al.Uniform(1.0, half_width=0.05)), **(defaults | options))

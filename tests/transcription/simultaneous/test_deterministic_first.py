@@ -1,12 +1,18 @@
 """Robust problems started from the answer to their deterministic ones, by either transcription."""
 
+import numpy as np
 import pytest
-from collocated_problems import turned
+from test_guesses import swing_up
 
 import aleator as al
 from zoo import LOSS, ONE_STEP, RESPONSE, SPREAD, gain_problem
 
-DIRECT = al.Simultaneous()
+DIRECT = al.Simultaneous(al.schemes.HermiteSimpson())
+
+
+def family() -> al.Problem:
+    torque = {"torque": al.BSpline(al.Decision(np.zeros(30), -8.0, 8.0), degree=3)}
+    return swing_up(60, al.Uniform(1.0, half_width=0.01), inputs=torque, expansion=al.Expansion(order=2))
 
 
 def solved(problem: al.Problem, way: al.Simultaneous | al.Sequential = DIRECT, **options) -> al.Solution:
@@ -16,14 +22,14 @@ def solved(problem: al.Problem, way: al.Simultaneous | al.Sequential = DIRECT, *
 @pytest.mark.slow
 @pytest.mark.parametrize("way", [DIRECT, al.Sequential()], ids=["direct collocation", "shooting"])
 def test_a_family_of_pendulums_takes_a_few_iterations_from_the_answer_of_one(way):
-    from_one, from_scratch = (solved(turned(20), way, deterministic_first=first) for first in (True, False))
+    from_one, from_scratch = (solved(family(), way, deterministic_first=first) for first in (True, False))
     assert from_one.ok
     assert from_one.objective == pytest.approx(from_scratch.objective, rel=1e-3)
     before = from_one.effort.at_means
     assert before is not None
     assert before.starts
     assert before.status is al.Status.SOLVED
-    assert from_one.effort.iterations < from_scratch.effort.iterations
+    assert 3 * from_one.effort.iterations < from_scratch.effort.iterations
     assert f"after {before.iterations} iterations" in str(from_one)
     assert from_scratch.effort.at_means is None
 
