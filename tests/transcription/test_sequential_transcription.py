@@ -35,10 +35,12 @@ def pushed(*further, **options):
             *further,
         ],
         "expansion": al.Expansion(order=2),
+        "grid": al.Grid(2.0, 2),
     }
     mass = al.Uniform(al.Decision(1.0, 0.5, 2.0), half_width=0.1)
     push = al.Tabulated(np.linspace(0.0, 2.0, 3), al.Decision(np.zeros(3), -1.0, 1.0))
-    return al.Problem(Launched(mass, speed=1.0), grid=al.Grid(2.0, 2), inputs={"force": push}, **(defaults | options))
+    defaults["inputs"] = {"force": push}
+    return al.Problem(Launched(mass, speed=1.0), **(defaults | options))
 
 
 @pytest.mark.parametrize(
