@@ -80,6 +80,7 @@ def test_pages_link_to_sources_that_exist():
             assert (page.parent / target).is_file(), f"{page.name} links to {target}"
 
 
+@pytest.mark.slow
 def test_formulas_become_mathml_with_their_numbers():
     pytest.importorskip("latex2mathml", reason="latex2mathml is not installed")
     hooks = loaded("hooks")
