@@ -28,10 +28,10 @@ def actuation_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> 
     For a system with constraints, `B` is taken on the motions that these leave free, in a posture that satisfies them.
     """
     one_of("actuation_of", model, AbstractMechanical, "an al.Multibody")
-    q = real_array("actuation_of: q", q)
-    if q.shape != (len(model.coordinates),) or not np.isfinite(q).all():
+    posture = real_array("actuation_of: q", q)
+    if posture.shape != (len(model.coordinates),) or not np.isfinite(posture).all():
         raise refusal("actuation_of: q", f"finite numbers for {list(model.coordinates)}", q)
-    q = jnp.asarray(q)
+    q = jnp.asarray(posture)
     B = np.asarray(actuation_map(model, q))
     if model.constraints:
         G = np.asarray(jacobian_of(model, q))
