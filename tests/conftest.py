@@ -1,6 +1,7 @@
 """What every test may rely on: nothing is left behind, no rank promotion, arrays of the shapes annotated."""
 
 import atexit
+import contextlib
 import gc
 import os
 import shutil
@@ -71,16 +72,20 @@ def python_interrupts():
 
 def _children() -> set[str]:
     """The processes that this one has begun, but for Python's own tracker of what processes share."""
-    lists = [path.read_text().split() for path in Path("/proc/self/task").glob("*/children")]
-    commands = {child: Path(f"/proc/{child}/cmdline") for children in lists for child in children}
-    return {child for child, path in commands.items() if path.exists() and b"resource_tracker" not in path.read_bytes()}
+    children = set()
+    for thread in Path("/proc/self/task").glob("*/children"):
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # of a thread or a process that has just ended
+            for child in thread.read_text().split():
+                if b"resource_tracker" not in Path(f"/proc/{child}/cmdline").read_bytes():
+                    children.add(child)
+    return children
 
 
 def _left(root: Path) -> dict[str, set[str]]:
     # Some libraries set options of threads when they are imported.
     own = (pair for pair in os.environ.items() if not pair[0].startswith(("PYTEST_CURRENT_TEST", "KMP_")))
     environment = {f"{name}={value}" for name, value in own}
-    files = {path.name for path in root.iterdir() if path.name != "__pycache__"}
+    files = {path.name for path in root.iterdir() if not path.name.startswith((".", "__pycache__"))}
     return {"processes": _children(), "environment": environment, "files": files, "folder": {str(Path.cwd())}}
 
 
