@@ -43,6 +43,22 @@ def test_a_kink_under_distributions_that_are_not_uniform():
     assert float(pieces.total_sobol("z")) == pytest.approx(1 - by_b, abs=1e-7)
 
 
+def test_ishigamis_function_has_its_published_indices_which_add_up_to_one():
+    model = {name: al.Uniform.bounds(-np.pi, np.pi) for name in ("x1", "x2", "x3")}
+    pieces = al.expand(
+        lambda m: jnp.sin(m["x1"]) + 7 * jnp.sin(m["x2"]) ** 2 + 0.1 * m["x3"] ** 4 * jnp.sin(m["x1"]),
+        model,
+        al.MultiElement(5, error=0.02),
+    )
+    assert len(pieces.partition.boxes) > 4
+    found = indices(pieces, ("x1", "x2", "x3"))
+    expected = {("x1",): 0.3139051912, ("x2",): 0.4424111448, ("x1", "x3"): 0.2436836641}
+    assert found == pytest.approx({one: expected.get(one, 0.0) for one in found}, abs=1e-3)
+    assert sum(found.values()) == pytest.approx(1.0, abs=1e-12)
+    with_x3 = sum(value for one, value in found.items() if "x3" in one)
+    assert float(pieces.total_sobol("x3")) == pytest.approx(with_x3, abs=1e-12)
+
+
 def test_a_jump_along_a_curve_has_the_indices_that_pick_and_freeze_samples():
     """Of the expansion itself: Saltelli's (2010) and Jansen's (1999) estimates from the same exchanged points."""
     model = {"a": al.Uniform.bounds(0.0, 1.0), "b": al.Normal(0.5, 0.3), "c": al.Uniform.bounds(0.0, 1.0)}
