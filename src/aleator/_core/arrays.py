@@ -49,6 +49,10 @@ def jax_array(numbers: Any, kind: type | None = None) -> Array:
     return _sent(np.array(numbers, dtype=kind))
 
 
+# NumPy would warn of NaN and infinite values, which are results here.
+quietly = np.errstate(all="ignore")
+
+
 def in_library(*trees: Pytree) -> tuple[Any, ...]:
     """The library to compute with, and trees of its arrays: NumPy if every number is known, else `jax.numpy`.
 

@@ -9,8 +9,8 @@ from typing import Any, final
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
 from aleator._core import stored
@@ -117,20 +117,26 @@ class Compiled:
         - `packed`: whether to pack the result. Copying a large one takes longer than returning it as arrays of JAX.
         """
         reals, rest = eqx.partition(fixed, is_real)
-        vector, unpacked = ravel_pytree(reals)
+        numbers, shapes = jax.tree.flatten(reals)
+        ends = np.cumsum([leaf.size for leaf in numbers])[:-1].tolist()
+        # By NumPy: operations of JAX would be compiled one by one.
+        together = np.concatenate([np.zeros(0), *(np.ravel(leaf) for leaf in numbers)])
+        vector = jax.device_put(together, placed(numbers))
         arrays, static = eqx.partition(rest, eqx.is_array)
         # Leaves instead of trees, which would be flattened at every call.
         others, structure = jax.tree.flatten(arrays)
 
         def result(vector: jax.Array, others: list[jax.Array], last: Any) -> Any:
-            return self._function(*eqx.combine(unpacked(vector), jax.tree.unflatten(structure, others), static), last)
+            parts = [part.reshape(leaf.shape) for part, leaf in zip(jnp.split(vector, ends), numbers, strict=False)]
+            trees = jax.tree.unflatten(shapes, parts), jax.tree.unflatten(structure, others)
+            return self._function(*eqx.combine(*trees, static), last)
 
         way, read_by = ("packed", Packed) if packed else ("bound", Leaves)
 
         def key(last: Any) -> Hashable:
             leaves, last_structure = jax.tree.flatten(last)
-            trees = jax.tree.structure(reals), structure, last_structure
-            return self._key((*fixed, last), way, [*jax.tree.leaves(reals), *others, *leaves], trees, static)
+            trees = shapes, structure, last_structure
+            return self._key((*fixed, last), way, [*numbers, *others, *leaves], trees, static)
 
         def program(key: Hashable, last: Any) -> Program:
             build = functools.partial(self._compile, read_by, result, vector, others, last)

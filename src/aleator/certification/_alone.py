@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import numbers_to_arrays
+from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
 from aleator.design import (
     AbstractFunctional,
@@ -77,8 +77,8 @@ def alone_elsewhere(
     whole = least_steps((problem.system, problem.inputs))
     steps = whole * _prime_from(-(-max(_STEPS, int(_BEYOND * factor * problem.grid.steps)) // whole))
     there = numbers_to_arrays(problem.on_grid(problem.grid.divided(steps)))
-    point = jnp.asarray(collocation.points)[middle(collocation)]
-    found = ELSEWHERE.begin(there, point, jnp.asarray(decisions))
+    point = jax_array(np.asarray(collocation.points)[middle(collocation)])
+    found = ELSEWHERE.begin(there, point, jax_array(decisions))
     return lambda: Alone(*jax.tree.map(np.asarray, found()))
 
 

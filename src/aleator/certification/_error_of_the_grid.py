@@ -43,7 +43,7 @@ def grid_error(
     for i, one in enumerate(functionals):
         own = resolved[one.text()]
         mean, std = (np.asarray(part)[:: finer.factor if one.is_path else 1] for part in _at_least_1d(finer, i))
-        change = np.maximum(np.abs(own.mean - mean), np.abs(own.std - std))
+        change = np.maximum(np.abs(np.asarray(own.mean) - mean), np.abs(np.asarray(own.std) - std))
         limits = _limits(problem, one)
         spread, value, reach = float(np.max(std)), float(np.max(np.abs(mean))), reaches[one]
         magnitudes = [*limits, *([spread] if spread > _NEGLIGIBLE_SPREAD * reach else [])]

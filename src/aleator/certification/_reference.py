@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from aleator._core.arrays import numbers_to_arrays
+from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
 from aleator.certification._alone import Alone, alone, alone_elsewhere, middle
 from aleator.certification._jumps import splines_in
@@ -131,8 +131,8 @@ def _arguments(
     assert isinstance(grid, Grid)
     finer = problem.on_grid(grid.finer(factor), integrator)
     _, collocation, constants = discretised
-    which = jnp.asarray(middle(collocation))
-    return numbers_to_arrays(finer), collocation, constants, which, jnp.asarray(decisions)
+    which = jax_array(middle(collocation))
+    return numbers_to_arrays(finer), collocation, constants, which, jax_array(decisions)
 
 
 def rounding_of(transcribed: AbstractTranscribed, sizes: Float[np.ndarray, " rows"]) -> dict[Any, float]:

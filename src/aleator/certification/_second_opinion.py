@@ -8,13 +8,12 @@ import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, final
 
-import jax.numpy as jnp
 import numpy as np
 import scipy
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import numbers_to_arrays
+from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator.certification._fresh_systems import FreshSystems, fresh_systems
 from aleator.design import (
     AbstractScopeOfInstants,
@@ -131,20 +130,20 @@ def second_opinion(transcribed: AbstractTranscribed, point: Float[np.ndarray, " 
     if basis.variables == 0 or not functionals_of(problem.expressions):
         return None
     systems = fresh_systems(basis.germs.values(), _FRESH, np.random.default_rng(2))
-    decisions = jnp.asarray(meaning.decisions)
-    values = _simulated(transcribed, jnp.asarray(systems.points), decisions)
+    decisions = jax_array(meaning.decisions)
+    values = _simulated(transcribed, jax_array(systems.points), decisions)
     fresh = _fresh(transcribed, systems, values, point)
     for text, one in fresh.items():
         broken = ~np.isfinite(one.values.reshape(_FRESH, -1)).all(axis=1)
         if broken.any():
-            named = listed(inputs_at(transcribed.places, jnp.asarray(systems.points[broken][0]), decisions))
+            named = listed(inputs_at(transcribed.places, jax_array(systems.points[broken][0]), decisions))
             share = float(systems.weights[broken].sum() / systems.weights.sum())
             told = f"{text} is not finite in about {100 * share:.2g} % of all systems, such as that with {named}"
             return SecondOpinion(_FRESH, {}, (told,), "")
     found = _opinion(transcribed, fresh, point)
     if found.agrees:
         return found
-    magnitudes = sizes(problem, jnp.asarray(systems.points[0]), decisions)
+    magnitudes = sizes(problem, jax_array(systems.points[0]), decisions)
     allowed_for = {
         text: one._replace(values=one.predicted) if one.is_rounding(float(size)) else one
         for (text, one), size in zip(fresh.items(), magnitudes, strict=True)
@@ -167,8 +166,8 @@ def prepare_opinion(problem: Problem) -> None:
     """Begin to compile what `second_opinion` will need."""
     germs = problem.placements.germs
     if germs and functionals_of(problem.expressions):
-        decisions = jnp.asarray(problem.placements.vector("initial"))
-        RESPOND.prepare(numbers_to_arrays(problem), jnp.zeros((_FRESH, len(germs))), decisions)
+        decisions = jax_array(problem.placements.vector("initial"))
+        RESPOND.prepare(numbers_to_arrays(problem), jax_array(np.zeros((_FRESH, len(germs)))), decisions)
 
 
 def _opinion(
@@ -255,7 +254,7 @@ def _judged(
         known[text] = np.concatenate([values, moved], axis=-1)
     times = meaning.times
     step = float(times[1] - times[0]) if len(times) > 1 else 1.0
-    scope = _Replicated(known, lambda: named_numbers(problem.simulation, jnp.asarray(meaning.decisions)), step)
+    scope = _Replicated(known, lambda: named_numbers(problem.simulation, jax_array(meaning.decisions)), step)
     told, broken = [], ""
     for which, expression in enumerate(problem.expressions):
         if not any(isinstance(leaf, Statistic) for leaf in expression.leaves):

@@ -8,8 +8,9 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from aleator._core.arrays import numbers_to_arrays
+from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.equations import array_digest, equations_text
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import meant, traceable
@@ -161,7 +162,7 @@ def _check_worst_cases(problem: AbstractProblem) -> None:
 
 
 def _check_values(problem: AbstractProblem) -> None:
-    numbers = named_numbers(problem.simulation, jnp.asarray(problem.placements.vector("initial")))
+    numbers = named_numbers(problem.simulation, jax_array(problem.placements.vector("initial")))
     for expression in problem.expressions:
         for atom in expression.leaves:
             if isinstance(atom, Value | CostCurve) and atom.name not in numbers:
@@ -211,7 +212,7 @@ def _check_outputs(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeSt
 
 def _check_shapes(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeStruct]) -> str | None:
     """Check that terms of expressions match, and that the objective is one number. Returns the equations as text."""
-    zeros = {name: jnp.zeros(one.shape) for name, one in outputs.items()}
+    zeros = {name: jax_array(np.zeros(one.shape)) for name, one in outputs.items()}
 
     def values(traced: AbstractProblem) -> list[jax.Array]:
         scope = _ShapeScope(traced, zeros)

@@ -7,12 +7,11 @@ differentiated, swept and printed as mathematics. The two classes refer to each 
 from typing import Any, ClassVar, NamedTuple, Self, final
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Scalar
+from aleator._core.arrays import Scalar, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name
 from aleator._core.module import Module
@@ -39,7 +38,7 @@ class Expression(Module):
     def evaluate(self, scope: AbstractScope) -> Float[Array, "..."]:
         """The value in a scope: a number, or one number per instant if it contains a `path`."""
         terms = (factor * atom.evaluate(scope) for factor, atom in zip(self.factors, self.atoms, strict=True))
-        return jnp.asarray(sum(terms, start=self.constant))
+        return jax_array(sum(terms, start=self.constant))
 
     def unit(self, units: Units) -> str:
         """The common unit of its terms; empty where they differ or one is unknown."""

@@ -7,10 +7,9 @@ Traced samples are worked on by JAX, and known ones by NumPy, which compiles not
 from typing import final
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from aleator._core.arrays import in_library, jax_array
+from aleator._core.arrays import in_library, jax_array, quietly
 from aleator._core.module import Module
 
 # One minus the leverage counts as zero up to this: rounding of an exact zero.
@@ -18,9 +17,6 @@ _LEAST_REMAINDER = 1e-8
 
 # Outputs that vary by less than this part of their size are constant up to rounding.
 _ROUNDING = 1e-12
-
-# NumPy would warn of NaN and infinite values, which are results here.
-_quietly = np.errstate(all="ignore")
 
 
 @final
@@ -64,7 +60,7 @@ def leave_one_out(
     return relative_error(*(part.sum() for part in mean_squares(collocation, samples, coefficients)))
 
 
-@_quietly
+@quietly
 def jackknife(
     collocation: Collocation,
     samples: Float[Array, "points *shape"],
@@ -99,7 +95,7 @@ def leave_one_out_by_entry(
     return relative_error(*parts).reshape(samples.shape[1:])
 
 
-@_quietly
+@quietly
 def mean_squares(
     collocation: Collocation, samples: Float[Array, "points *shape"], coefficients: Float[Array, "terms *shape"]
 ) -> tuple[Float[Array, " entries"], Float[Array, " entries"], Float[Array, " entries"]]:
@@ -115,7 +111,7 @@ def mean_squares(
     )
 
 
-@_quietly
+@quietly
 def _missed(
     collocation: Collocation, flat: Float[Array, "points entries"], terms: Float[Array, "terms entries"]
 ) -> tuple[Float[Array, "points entries"], Bool[Array, ""]]:
@@ -127,7 +123,7 @@ def _missed(
     return residual / library.where(predictable, remainder, 1.0)[:, None], predictable.all()
 
 
-@_quietly
+@quietly
 def relative_error(
     error: Float[Array, "*n"], variance: Float[Array, "*n"], square: Float[Array, "*n"]
 ) -> Float[Array, "*n"]:

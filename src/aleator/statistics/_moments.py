@@ -2,11 +2,10 @@
 
 from typing import ClassVar, final
 
-import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Pytree, in_library, jax_array
+from aleator._core.arrays import Pytree, in_library, jax_array, quietly
 from aleator._core.units import squared
 from aleator.statistics._statistic import AbstractStatistic
 
@@ -20,11 +19,14 @@ class Mean(AbstractStatistic):
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
         del constants
-        return coefficients[0]
+        _, coefficients = in_library(coefficients)
+        return jax_array(coefficients[0])
 
     @override
+    @quietly
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        return jnp.mean(values, axis=0)
+        library, values = in_library(values)
+        return jax_array(library.mean(values, axis=0))
 
     @property
     @override
@@ -39,13 +41,17 @@ class Variance(AbstractStatistic):
     symbol: ClassVar[str] = "Var"
 
     @override
+    @quietly
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
         del constants
-        return jnp.sum(coefficients[1:] ** 2, axis=0)
+        library, coefficients = in_library(coefficients)
+        return jax_array(library.sum(coefficients[1:] ** 2, axis=0))
 
     @override
+    @quietly
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        return jnp.var(values, axis=0, ddof=1)
+        library, values = in_library(values)
+        return jax_array(library.var(values, axis=0, ddof=1))
 
     @override
     def unit(self, *of: str) -> str:
@@ -75,6 +81,7 @@ class Std(AbstractStatistic):
 _ROUNDING = 1e-12
 
 
+@quietly
 def varies(coefficients: Float[Array, "terms *shape"]) -> Bool[Array, "*shape"]:
     """Whether an output varies beyond rounding. NaN and infinite values count as varying."""
     library, coefficients = in_library(coefficients)
@@ -83,6 +90,7 @@ def varies(coefficients: Float[Array, "terms *shape"]) -> Bool[Array, "*shape"]:
     return jax_array(~constant)
 
 
+@quietly
 def root(square: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """The square root, with derivative zero at zero; zero for negative numbers, which only rounding causes."""
     # Compared with `<=` so that NaN propagates.

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from aleator._core.arrays import numbers_to_arrays
+from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.errors import ProblemError, SimulationError
 from aleator.design import (
     Problem,
@@ -50,7 +50,7 @@ class Systems:
                 f"{who}: this problem contains no functional of an output, so there is nothing to sample."
             )
         self._vector = solution.vector
-        self._decisions, self._factor = jnp.asarray(solution.vector), sampled_by(solution)
+        self._decisions, self._factor = jax_array(solution.vector), sampled_by(solution)
         self.sampled = _on_finer(self.problem, self._factor)
         self._traced = numbers_to_arrays(self.sampled)
         self.folds = folds(self.sampled)
@@ -64,9 +64,9 @@ class Systems:
 
     def prepare(self, batch: int, *, is_folded: bool = False) -> None:
         """Start compiling for batches of `batch` systems. The user's code is traced here, by one thread alone."""
-        germ = jnp.zeros((batch, len(self.germs)))
+        germ = jax_array(np.zeros((batch, len(self.germs))))
         program = SIMULATE_FOLDED if is_folded else SIMULATE_BATCH
-        program.prepare(self._traced, germ, self._decisions, jnp.asarray(batch), self._factor)
+        program.prepare(self._traced, germ, self._decisions, jax_array(batch), self._factor)
         if self._finer is not None:
             EXCESS_OVER_TIME.prepare(self._finer, germ, self._decisions)
 
@@ -78,11 +78,11 @@ class Systems:
         Raises `SimulationError` if a system's results are not finite, naming its parameter values.
         """
         program = SIMULATE_FOLDED if is_folded else SIMULATE_BATCH
-        result = program(self._traced, jnp.asarray(germ), self._decisions, jnp.asarray(count), self._factor)
+        result = program(self._traced, jax_array(germ), self._decisions, jax_array(count), self._factor)
         refuse_broken(self.sampled, np.asarray(result.finite)[:count], germ[:count], self._vector)
         if self._finer is None:
             return result
-        beyond = EXCESS_OVER_TIME(self._finer, jnp.asarray(germ), self._decisions)
+        beyond = EXCESS_OVER_TIME(self._finer, jax_array(germ), self._decisions)
         refuse_broken(self._finer, np.isfinite(beyond).all(axis=0)[:count], germ[:count], self._vector)
         rows = jnp.array([i for i, one in enumerate(self.problem.constraints) if is_over_time(one)])
         return result._replace(excess=result.excess.at[rows].set(beyond))
@@ -111,7 +111,7 @@ def refuse_broken(
     """
     if finite.all():
         return
-    point, decisions = jnp.asarray(germ[np.argmin(finite)]), jnp.asarray(vector)
+    point, decisions = jax_array(germ[np.argmin(finite)]), jax_array(vector)
     numbers = listed(inputs_at(problem.placements, point, decisions))
     remedy = "Shorten the time step, use an implicit integrator (al.integrators.Kvaerno5), or bound the distributions."
     raise SimulationError(

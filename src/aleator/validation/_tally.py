@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from typing import final
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.arrays import jax_array
 from aleator.design import (
     AbstractFunctional,
     Estimated,
@@ -121,7 +121,7 @@ class Tally:
         )
 
     def _checked(self, statistic: Statistic, solution: Solution) -> Checked:
-        values = joined([jnp.asarray(self._scalars[self._functionals.index(one)]) for one in statistic.functionals])
+        values = joined([jax_array(self._scalars[self._functionals.index(one)]) for one in statistic.functionals])
         expanded = float(solution.statistics[statistic.text()])
         if isinstance(statistic.kind, Supremum | Infimum):
             # A sample does not show how far its extremes are from those of the distribution.
