@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Scalar, jax_array
+from aleator._core.arrays import Scalar, in_library, jax_array, quietly
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name
 from aleator._core.module import Module
@@ -35,10 +35,12 @@ class Expression(Module):
     atoms: tuple[AbstractAtom, ...]
     constant: Scalar = 0.0
 
+    @quietly
     def evaluate(self, scope: AbstractScope) -> Float[Array, "..."]:
         """The value in a scope: a number, or one number per instant if it contains a `path`."""
-        terms = (factor * atom.evaluate(scope) for factor, atom in zip(self.factors, self.atoms, strict=True))
-        return jax_array(sum(terms, start=self.constant))
+        values = [atom.evaluate(scope) for atom in self.atoms]
+        _, factors, values, constant = in_library(self.factors, values, self.constant)
+        return jax_array(sum((factor * value for factor, value in zip(factors, values, strict=True)), start=constant))
 
     def unit(self, units: Units) -> str:
         """The common unit of its terms; empty where they differ or one is unknown."""

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, final
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.arrays import jax_array
 from aleator._core.shown import Drawn
 from aleator.design import Problem, grid_at, problem_text
 from aleator.nlp import Status
@@ -81,7 +81,7 @@ class Solution(Drawn):
     @property
     def instants(self) -> Float[np.ndarray, " instants"]:
         """The instants of the grid, s."""
-        return np.asarray(grid_at(self.problem, jnp.asarray(self.vector)).times)
+        return np.asarray(grid_at(self.problem, jax_array(self.vector)).times)
 
     @property
     def active(self) -> tuple[str, ...]:
