@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
 from aleator.expansion import Basis, Expansion, GaussPoints, SmolyakPoints
 
@@ -40,4 +41,4 @@ def quadrature_over(basis: Basis, expansion: Expansion) -> Quadrature:
             "points=al.points.SmolyakPoints(), or use al.expand."
         )
     matrix = basis.matrix(nodes.points)
-    return Quadrature(*map(jnp.asarray, (nodes.points, matrix, matrix.T * nodes.weights[None])))
+    return Quadrature(*map(jax_array, (nodes.points, matrix, matrix.T * nodes.weights[None])))

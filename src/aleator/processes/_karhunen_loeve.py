@@ -6,6 +6,7 @@ covariance may have a kink: Gauss quadrature is then spectrally accurate for exp
 plain Nyström quadrature converges with the square of the spacing only.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -142,6 +143,8 @@ def _functions(
     return vectors * (signs * np.sqrt(shares))[None, :] * _norms(len(vectors))[:, None]
 
 
+# Its own program, so that one that is called outside of others is compiled once for each size.
+@functools.partial(jax.jit, static_argnames="size")
 def legendre(x: Float[Array, ""], size: int) -> Float[Array, " size"]:
     """The Legendre polynomials of degree 0 to `size - 1` at `x`, by their recurrence; differentiable in `x`."""
 

@@ -8,7 +8,7 @@ from jax.scipy.special import ndtri
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Pytree, Scalar
+from aleator._core.arrays import Pytree, Scalar, in_library, jax_array, quietly
 from aleator._core.units import PURE
 from aleator.statistics._given import level_given
 from aleator.statistics._moments import Mean, Std, varies
@@ -35,7 +35,7 @@ class Skewness(AbstractStatistic):
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        return jnp.mean(_standard(values) ** 3, axis=0)
+        return _power_mean(values, 3)
 
     @override
     def unit(self, *of: str) -> str:
@@ -60,7 +60,7 @@ class Kurtosis(AbstractStatistic):
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        return jnp.mean(_standard(values) ** 4, axis=0)
+        return _power_mean(values, 4)
 
     @override
     def unit(self, *of: str) -> str:
@@ -126,8 +126,11 @@ def shape_of(
     return moments[..., 0], moments[..., 1]
 
 
-def _standard(values: Float[Array, "samples *shape"]) -> Float[Array, "samples *shape"]:
-    """A sample with mean zero and (biased) variance one."""
-    away = values - jnp.mean(values, axis=0)[None]
-    square_mean = jnp.mean(away**2, axis=0)
-    return away / jnp.sqrt(jnp.where(square_mean > 0, square_mean, 1.0))[None]
+@quietly
+def _power_mean(values: Float[Array, "samples *shape"], power: int) -> Float[Array, "*shape"]:
+    """The mean power of a sample that is shifted and scaled to mean zero and (biased) variance one."""
+    library, values = in_library(values)
+    away = values - library.mean(values, axis=0)[None]
+    square_mean = library.mean(away**2, axis=0)
+    standard = away / library.sqrt(library.where(square_mean > 0, square_mean, 1.0))[None]
+    return jax_array(library.mean(standard**power, axis=0))

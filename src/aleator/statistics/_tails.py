@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Scalar
+from aleator._core.arrays import Scalar, in_library, jax_array, quietly
 from aleator._core.errors import ProblemError
 from aleator._core.units import PURE
 from aleator.statistics._given import is_traced, level_given, number_given
@@ -74,9 +74,11 @@ class Quantile(AbstractTail):
         return distribution.mean + distribution.quantile(self.level)
 
     @override
+    @quietly
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
         """Linear interpolation between the sorted values."""
-        return jnp.quantile(values, jnp.asarray(self.level, dtype=float), axis=0)
+        library, values, level = in_library(values, self.level)
+        return jax_array(library.quantile(values, level, axis=0))
 
     @property
     @override
@@ -111,12 +113,14 @@ class ConditionalValueAtRisk(AbstractTail):
         return distribution.mean + quantile + distribution.excess(quantile) / (1 - self.level)
 
     @override
+    @quietly
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
         quantile = Quantile(self.level).of_sample(values)
+        library, values, quantile, level = in_library(values, quantile, self.level)
         beyond = values - quantile[None]
         if self.lower:
-            return quantile - jnp.mean(jnp.maximum(-beyond, 0.0), axis=0) / self.level
-        return quantile + jnp.mean(jnp.maximum(beyond, 0.0), axis=0) / (1 - self.level)
+            return jax_array(quantile - library.mean(library.maximum(-beyond, 0.0), axis=0) / level)
+        return jax_array(quantile + library.mean(library.maximum(beyond, 0.0), axis=0) / (1 - level))
 
     @property
     @override
@@ -158,14 +162,16 @@ class Probability(AbstractTail):
         return upper - lower
 
     @override
+    @quietly
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
         """The proportion of the sample."""
-        inside = jnp.ones(values.shape, bool)
-        if self.above is not None:
-            inside = inside & (values > self.above)
-        if self.below is not None:
-            inside = inside & (values < self.below)
-        return jnp.mean(jnp.where(jnp.isnan(values), jnp.nan, inside), axis=0)
+        library, values, above, below = in_library(values, self.above, self.below)
+        inside = library.ones(values.shape, bool)
+        if above is not None:
+            inside = inside & (values > above)
+        if below is not None:
+            inside = inside & (values < below)
+        return jax_array(library.mean(library.where(library.isnan(values), np.nan, inside), axis=0))
 
     @override
     def unit(self, *of: str) -> str:

@@ -3,10 +3,10 @@
 import math
 from typing import Any, ClassVar, final
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import highest, lowest
 from aleator.trajectories._trajectory import AbstractTrajectory, Fractions, as_array, conditions, copied, shape_of
@@ -54,8 +54,9 @@ class PowerSeries(AbstractTrajectory):
     @override
     def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
         coefficients = self.coefficients(duration)
-        powers = _powers(jnp.asarray(fractions, dtype=float), len(coefficients), order)
-        return jnp.tensordot(powers, coefficients, axes=1) / duration**order
+        library, fractions, coefficients, duration = in_library(fractions, coefficients, duration)
+        powers = _powers(library, fractions, len(coefficients), order)
+        return jax_array(library.tensordot(powers, coefficients, axes=1) / duration**order)
 
     def coefficients(self, duration: Any = 1.0) -> Float[Array, "n ..."]:
         """The coefficients in powers of the fraction of the duration, from the linear system (51)."""
@@ -63,19 +64,21 @@ class PowerSeries(AbstractTrajectory):
         ends += [(1.0, order, value) for order, value in enumerate(self.end)]
         inner = [] if self.middle is None else [(self.middle_time, 0, self.middle)]
         count = len(ends) + len(inner)
-        rows = [_powers(as_array(where)[None], count, order)[0] for where, order, _ in (*ends, *inner)]
-        wanted = [as_array(value) * duration**order for _, order, value in (*ends, *inner)]
-        right = jnp.stack(wanted).reshape(count, -1)
-        return jnp.linalg.solve(jnp.stack(rows), right).reshape(count, *self.shape)
+        places, orders, values = zip(*ends, *inner, strict=True)
+        library, places, values, duration = in_library(*([*map(as_array, each)] for each in (places, values)), duration)
+        rows = [_powers(library, place[None], count, order)[0] for place, order in zip(places, orders, strict=True)]
+        wanted = [value * duration**order for value, order in zip(values, orders, strict=True)]
+        right = library.stack(wanted).reshape(count, -1)
+        return jax_array(library.linalg.solve(library.stack(rows), right).reshape(count, *self.shape))
 
 
-def _powers(u: Float[Array, " n"], count: int, order: int) -> Float[Array, "n count"]:
-    """Derivatives of some order of the powers 0 to `count - 1` of `u`."""
+def _powers(library: Any, u: Any, count: int, order: int) -> Any:
+    """Derivatives of some order of the powers 0 to `count - 1` of `u`, shape (n,): a table of shape (n, count)."""
     terms = [
-        math.perm(power, order) * u ** (power - order) if power >= order else jnp.zeros_like(u)
+        math.perm(power, order) * u ** (power - order) if power >= order else library.zeros_like(u)
         for power in range(count)
     ]
-    return jnp.stack(terms, axis=1)
+    return library.stack(terms, axis=1)
 
 
 def _check_inside(time: Any) -> None:

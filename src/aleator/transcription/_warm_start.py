@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import Pytree
+from aleator._core.arrays import Pytree, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_leaf
 from aleator.design import Problem
@@ -98,8 +98,8 @@ def _refitted(
     paths: list[str],
 ) -> Float[np.ndarray, " n"]:
     """Decisions with entries `free` fitted, so that the curves in some places are closest to those of a solution."""
-    old, known = _realised(solution.problem, jnp.asarray(solution.vector), paths)
-    breaks = [one.breaks() for curves in (old, _realised(problem, jnp.asarray(vector), paths)[0]) for one in curves]
+    old, known = _realised(solution.problem, jax_array(solution.vector), paths)
+    breaks = [one.breaks() for curves in (old, _realised(problem, jax_array(vector), paths)[0]) for one in curves]
     fractions, weights = _nodes(np.unique(np.concatenate(breaks)))
 
     def sampled(curves: list[AbstractTrajectory], duration: Any) -> Array:
@@ -110,7 +110,7 @@ def _refitted(
     def new(moved: Array) -> Array:
         return sampled(*_realised(problem, jnp.asarray(vector).at[free].set(moved), paths))
 
-    start = jnp.asarray(vector[free])
+    start = jax_array(vector[free])
     missing = np.asarray(sampled(old, known) - new(start))
     slopes = np.asarray(jax.jit(jax.jacfwd(new))(start))
     result = vector.copy()

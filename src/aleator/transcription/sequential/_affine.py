@@ -19,6 +19,7 @@ import scipy
 from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array, Float
 
+from aleator._core.arrays import jax_array
 from aleator._core.module import Module
 
 # Directions below this part of the largest one are zero up to rounding: no feature varies along them.
@@ -70,7 +71,7 @@ def anchored(
     if len(chosen) == len(points):
         return None
     weights = np.linalg.lstsq(rows[chosen].T, rows.T)[0].T
-    return Anchors(jnp.asarray(points[chosen]), jnp.asarray(weights), tuple(affine))
+    return Anchors(jax_array(points[chosen]), jax_array(weights), tuple(affine))
 
 
 def affine_features(

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.polynomial import legendre
 
+from aleator._core.arrays import jax_array
 from aleator._core.compilation import Compiled, Use
 from aleator.design import Problem, refuse_changed_code
 from aleator.dynamics import AbstractCollocation
@@ -74,8 +75,8 @@ def drift_of(
     inner, weights = (1 + nodes) / 2, weights / 2
     fractions = (np.array(mesh.nodes)[:-1, None] + mesh.lengths[:, None] * inner).ravel()
     states = states_on(mesh, fractions, values.states, rates)
-    at = jnp.asarray(values.decisions), jnp.asarray(values.duration[0]), jnp.asarray(states)
-    found = np.asarray(BETWEEN(traced, jnp.asarray(points), tuple(fractions.tolist()), at))
+    at = jax_array(values.decisions), jax_array(values.duration[0]), jax_array(states)
+    found = np.asarray(BETWEEN(traced, jax_array(points), tuple(fractions.tolist()), at))
     told = rates[:, mesh.stages, :count]
     polynomial = np.einsum("qi,pkis->pkqs", mesh.scheme.interpolated(inner), told)
     missed = np.abs(polynomial - found.reshape(polynomial.shape))
