@@ -9,7 +9,7 @@ import pytest
 import aleator as al
 from aleator._core import beside as cores
 from aleator._core.beside import CORES, beside, dropped_on_failure, in_order
-from zoo import Bar, bar_problem
+from zoo import Decay
 
 
 @pytest.fixture(autouse=True)
@@ -119,20 +119,19 @@ def test_the_environment_bounds_the_threads(monkeypatch):
 RUN_BY = set()
 
 
-class Watched(Bar):
+class Watched(Decay):
     """It notes who runs its code: nobody's code need bear two threads at once."""
 
-    def outputs(self):
+    def outputs(self, t, z):
         RUN_BY.add(threading.get_ident())
-        return super().outputs()
+        return super().outputs(t, z)
 
 
 def test_the_code_of_a_model_is_run_by_the_thread_that_solves_and_no_other():
     RUN_BY.clear()
-    bar = bar_problem()
-    problem = al.Problem(
-        Watched(bar.system.width, bar.system.load), minimize=al.output("mass").mean, subject_to=bar.constraints
-    )
+    limit, x = al.path("x").at_most(1.5, sigmas=1.0), al.terminal("x")
+    model = Watched(al.Uniform(al.Decision(2.0, 1.0, 4.0), half_width=0.2))
+    problem = al.Problem(model, grid=al.Grid(1.0, 20), minimize=x.mean, subject_to=[limit])
     solution = al.solve(problem)
     assert solution.ok
     assert al.validate(solution, 1000, batch=100).samples == 1000

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 import aleator as al
-from aleator import cli
 from aleator.cli._record import Record
 from aleator.journalling import FILE, Entry
 from aleator.reporting import only_writer
@@ -17,7 +16,6 @@ from command_line import finished as finished
 from command_line import here as here
 from command_line import interrupted_at as interrupted_at
 from command_line import nothing_solved as nothing_solved
-from rehearsed_runs import Rehearsal
 from zoo import bar_problem
 
 SWEEP = ("sweep", "bar.py", "--bound", "stress", "--values")
@@ -57,16 +55,11 @@ def test_a_report_of_a_run_that_was_stopped_says_what_is_missing(here: Path, int
     assert document(result)["verdict"].startswith("Interrupted: No design was finished")
     result = aleator("report", "results/bar", "--json")
     assert result.exit_code == 2, result.output
-    told = document(result)
-    assert "nothing is finished yet in 'results/bar'" in told["errors"][0]
-    assert "'evidence on nominal' is not finished: what it follows from is missing." in told["missing"]
-    assert told["files"] == []
+    assert "nothing is finished yet in 'results/bar'" in document(result)["errors"][0]
 
     interrupted_at(2)
     assert aleator("run", "bar.py").exit_code == 130
-    result = aleator("report", "results/bar", "--json")
-    assert result.exit_code == 0, result.output
-    told = document(result)
+    told = document(aleator("report", "results/bar", "--json"))
     assert told["files"] == ["results/bar/report-so-far.html"]
     assert [missing.partition(" is not")[0] for missing in told["missing"]] == [
         *("'design robust'", "'evidence on nominal'", "'evidence on robust'"),
@@ -119,11 +112,8 @@ def test_where_the_study_has_gone_the_page_shows_what_the_folder_keeps(here: Pat
         (study.unlink, "The study of 'results' has gone"),
     ):
         lose()
-        result = aleator("report", "results", "--json")
-        assert result.exit_code == 0, result.output
-        (missing,) = document(result)["missing"]
+        (missing,) = document(aleator("report", "results", "--json"))["missing"]
         assert why in missing
-        assert "the study's title, chapters, fronts and tables are missing" in missing
         assert "Systems that violate stress" in (finished / "report-so-far.html").read_text()
     assert aleator("validate", "results", "--samples", "200").exit_code == 0
 
@@ -147,15 +137,9 @@ def test_where_the_model_has_gone_too_the_page_shows_the_numbers_that_were_writt
     sys.modules.pop("bar", None)
     result = aleator("report", "results", "--json")
     assert result.exit_code == 0, result.output
-    missing = " ".join(document(result)["missing"])
-    assert "needs the module 'bar', in which its model is written" in missing
-    assert "the page shows what designs.json says" in missing
+    assert "the page shows what designs.json says" in " ".join(document(result)["missing"])
     objective = json.loads((here / "results/designs.json").read_text())["designs/robust"]["objective"]["value"]
     assert f"{objective:.6g}" in (here / "results/report-so-far.html").read_text()
-    (here / "results/designs.json").unlink()
-    refused = aleator("report", "results", "--json")
-    assert refused.exit_code == 2
-    assert "no design in 'results' can be read" in document(refused)["errors"][0]
 
 
 def test_what_a_script_has_kept_needs_no_study(here: Path):
@@ -163,8 +147,6 @@ def test_what_a_script_has_kept_needs_no_study(here: Path):
         al.solve(bar_problem())
     found = document(aleator("validate", "kept", "--samples", "200", "--json"))["designs"]
     assert found["solve Bar 1"]["samples"] == 200
-    assert aleator("report", "kept", "--out", "kept.html").exit_code == 0
-    assert "solve Bar 1" in (here / "kept.html").read_text()
 
 
 # --- Compare ---------------------------------------------------------------------------------------------------------
@@ -179,53 +161,10 @@ def test_runs_are_compared_design_by_design_and_by_what_they_follow_from(here: P
     assert robust["results"]["objective"]["value"] == pytest.approx(NEEDED / 0.5, rel=1e-6)
     assert result["differences"]["designs/robust"] == {"other": ["numbers of the problem"]}
     told = said(aleator("compare", "results", "other"))
-    assert "designs/robust: results and other differ in numbers of the problem." in told
     assert "Systems that violate stress" in told
-    assert "follow from the same equations, code, numbers and versions" in said(aleator("compare", "other", "other"))
-
-
-def test_a_run_is_compared_with_a_sweep_by_what_their_designs_are(here: Path, finished: Path):
-    assert aleator(*SWEEP, "0.5,0.6", "--out", "sweep").exit_code == 0
-    told = document(aleator("compare", "results", "sweep", "--json"))
-    objectives = {
-        name: [design and design["objective"]["value"] for design in each.values()]
-        for name, each in told["designs"].items()
-    }
-    assert objectives == {
-        "designs/nominal": [pytest.approx(2.0, rel=1e-6), None],
-        "designs/robust": [pytest.approx(NEEDED / 0.5, rel=1e-6)] * 2,
-        "stress = 0.6": [pytest.approx(NEEDED / 0.6, rel=1e-6)] * 2,
-    }
-    assert [told["differences"][name]["sweep"] for name in objectives] == [None, [], []]
 
 
 # --- Whose folder it is ----------------------------------------------------------------------------------------------
-
-
-def test_a_folder_belongs_to_what_began_it(here: Path):
-    run, swept = Record("bar.py"), Record("bar.py", bound="stress", values=(1.0,))
-    for number, (first, other, is_its_own) in enumerate(
-        [
-            (run, Record("bar.py", quick=True), True),
-            (run, Record("./bar.py"), True),
-            (run, Record("bar.toml"), False),
-            (Record("suspension"), Record("suspension"), True),
-            (run, swept, False),
-            (swept, Record("bar.py", bound="stress", values=(2.0,)), True),
-            (swept, Record("bar.py", bound="mass", values=(1.0,)), False),
-        ]
-    ):
-        folder = here / f"{number}"
-        folder.mkdir()
-        first.write(folder)
-        if is_its_own:
-            other.check_owns(folder)
-        else:
-            with pytest.raises(al.ProblemError, match="name another folder"):
-                other.check_owns(folder)
-    (here / "moved").mkdir()
-    (here / "bar.py").rename(here / "moved/bar.py")
-    Record("moved/bar.py").check_owns(here / "0")
 
 
 def test_neither_a_sweep_nor_a_run_nor_another_study_replaces_what_a_folder_has(
@@ -241,8 +180,6 @@ def test_neither_a_sweep_nor_a_run_nor_another_study_replaces_what_a_folder_has(
     files = {file: file.read_bytes() for file in here.rglob("res*/**/*") if file.is_file()}
     for command, advice in (
         ((*SWEEP, "0.5", "--out", "results"), "--out results-over-stress"),
-        ((*SWEEP, "0.5", "--out", "results", "--afresh"), "--out results-over-stress"),
-        (("run", "bar.py", "--out", "results-over-stress"), "--out results-over-stress-py"),
         (("run", "bar.py"), "--out results/bar-py"),
         (("validate", "bar.py"), "The results of `aleator run bar.toml` are in 'results/bar'"),
     ):
@@ -259,12 +196,10 @@ def test_neither_a_sweep_nor_a_run_nor_another_study_replaces_what_a_folder_has(
     ("arguments", "told"),
     [
         (("run", "suspention"), "There is no study 'suspention'"),
-        (("run", "bar.toml"), "There is no file 'bar.toml'"),
         (("run", "bar.py", "--workers", "2"), "nothing to share among processes: expected `sweeps` or `wishes`"),
         (("sweep", "bar.py", "--bound", "strain", "--values", "1"), "strain"),
         ((*SWEEP, "1;2"), "expected numbers with commas between them"),
         ((*SWEEP, "1", "--design", "robot"), "Did you mean 'robust'"),
-        (("sweep", "bar.py", "--bound", "range", "--values", "0.2"), "sweep a limit of one side, or write each side"),
         (("validate", "bar.py", "--samples", "1"), "Invalid value for '--samples'"),
         (("runn", "bar.py"), "No such command 'runn'"),
         (("resume", "nowhere"), "There is no 'command.json' in 'nowhere'"),
@@ -276,32 +211,10 @@ def test_neither_a_sweep_nor_a_run_nor_another_study_replaces_what_a_folder_has(
 )
 def test_whatever_is_refused_is_told_and_stdout_is_a_document(here: Path, arguments: tuple[str, ...], told: str):
     (here / "empty").mkdir()
-    text = STUDY[: STUDY.index("study =")] + "lower = (STRESS.mean >= 0.1).named('range')\n"
-    text += "upper = (STRESS.mean <= 0.4).named('range')\n"
-    text += "limits = (*problem.constraints, lower, upper)\n"
-    text += "study = al.Study({'robust': al.Problem(problem.system, minimize=MASS.mean, subject_to=limits)})\n"
-    (here / "bar.py").write_text(text)
+    (here / "bar.py").write_text(EDITED)
     result = aleator(*arguments, "--json")
     assert result.exit_code == 2
     refusal = document(result)
     assert (refusal["exit_code"], refusal["command"]) == (2, arguments[0])
     assert told in refusal["errors"][0]
     assert " ".join(told.split()[:2]) in " ".join(result.stderr.split())
-
-
-def test_a_folder_that_does_not_say_how_to_go_on_is_not_resumed(here: Path):
-    assert cli.run_study(Rehearsal(), here / "results") == 0, "a script that runs its own study"
-    record = here / "results/command.json"
-    for text, words in (
-        ("", "There is no 'command.json'"),
-        ("{", "does not say what began the run"),
-        ('{"study": 3}', "does not say what began the run"),
-        ("lost.py", "The study of 'results' has gone: there is no file"),
-    ):
-        if text == "lost.py":
-            Record(text).write(here / "results")
-        elif text:
-            record.write_text(text)
-        result = aleator("resume", "results")
-        assert result.exit_code == 2
-        assert words in said(result)

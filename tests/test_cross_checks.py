@@ -8,7 +8,6 @@ import pytest
 
 import aleator as al
 from aleator import crosschecking
-from aleator.journalling import recalling
 from aleator.studies._second_way import collocated, found_both_ways, second_way
 from zoo import Decay, block_problem
 
@@ -23,19 +22,9 @@ def decay(most=0.4, steps=20):
     )
 
 
-def both_ways():
+@pytest.fixture(scope="module")
+def both():
     return found_both_ways("dOpt", decay(), lambda *told: None)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("journal")
-
-
-@pytest.fixture(scope="module")
-def both(folder):
-    with al.journal(folder):
-        return both_ways()
 
 
 def test_two_transcriptions_agree_and_say_so(both):
@@ -67,12 +56,6 @@ def test_prices_of_limits_that_do_not_act_are_equal():
     assert list(al.cross_check(decay(most=0.9)).multipliers.values()) == [pytest.approx(0.0, abs=1e-4)]
 
 
-def test_controls_on_meshes_of_their_own_are_not_compared_and_paths_at_common_instants():
-    force = al.Decision(np.zeros(3), -1.0, 1.0)
-    assert crosschecking._decided(force, np.zeros(3), np.zeros(5)) == math.inf
-    assert crosschecking._decided(force, np.zeros(3), np.array([0.0, 0.5, 0.0])) == 0.25
-
-
 @pytest.mark.slow
 def test_controls_that_follow_a_finer_mesh_and_paths_on_other_grids_are_compared_where_they_can_be():
     pushed = block_problem(steps=4, inputs={"force": al.Control(0.0, -5.0, 5.0, degree=1)})
@@ -97,20 +80,6 @@ def test_a_distance_that_becomes_zero_is_judged_by_what_it_is_made_of():
     off = replace(near.second, objective=1e-3)
     again = crosschecking._difference(near.first.objective, off.objective, crosschecking._objective_size(off))
     assert again > near.tolerance
-
-
-def test_two_ways_of_one_kind_are_told_apart():
-    by_another = al.cross_check(decay(), second=al.Sequential(), solvers=(None, al.solvers.Slsqp()))
-    assert len(set(by_another.ways)) == 2
-    assert "SLSQP" in by_another.ways[1]
-
-
-@pytest.mark.slow
-def test_a_coarse_scheme_does_not_agree():
-    with pytest.warns(al.GridWarning):
-        found = al.cross_check(decay(steps=2), second=al.Simultaneous(al.schemes.Trapezoid()), tolerance=1e-6)
-    assert found.ways == ("Sequential", "Simultaneous (Trapezoid)")
-    assert not found.agree
 
 
 # --- The chapter of a study ------------------------------------------------------------------------------------------
@@ -140,10 +109,3 @@ def test_what_does_not_agree_cannot_be_compared_or_is_at_its_bound_is_said_or_le
     assert shown["rate.mean"][2] == "on another mesh"
     fixed = replace(both, first=replace(both.first, at_bounds=("rate.mean",)))
     assert "rate.mean" not in rows(fixed)[1]
-
-
-def test_both_answers_are_taken_from_their_journal(both, folder):
-    with recalling(folder):
-        again = both_ways()
-    assert again.objective == both.objective
-    assert again.second.vector.tobytes() == both.second.vector.tobytes()

@@ -141,32 +141,3 @@ def test_an_infinite_slope_is_told_of_its_decision_and_hides_no_other():
     assert not found.ok
     # The change over a tenth of the typical magnitude of 0.3.
     assert found.effects[0, 1] > 0.1
-
-
-class Stack(al.AlgebraicSystem):
-    d: tuple[al.Number, ...]
-
-    def outputs(self):
-        return {"gap": self.d[0] - self.d[1] - self.d[2] - self.d[3]}
-
-
-def stack(limit):
-    """The half widths at which one assembly in a hundred has no gap left, from a search."""
-    widths = (0.0309842, 0.0406448, 0.0242323, 0.0543927)
-    numbers = zip((10.0, 3.0, 3.0, 3.9), widths, strict=True)
-    d = tuple(al.Uniform(nominal, half_width=al.Decision(width, 1e-4, 0.1)) for nominal, width in numbers)
-    cost = sum(al.cost.reciprocal(f"d.{i}.half_width", bias=1.0, scale=0.01) for i in range(4))
-    return al.Problem(Stack(d), minimize=cost, subject_to=[limit], expansion=al.Expansion(order=1))
-
-
-def test_a_kink_of_a_tail_has_a_remedy_of_its_own_and_a_row_at_a_bound_of_zero_no_scale():
-    found = al.examine(stack(al.output("gap").at_least(0.0, probability=0.99)))
-    assert found.kinks
-    assert found.tails == ("Q0.01[gap] ≥ 0",)
-    assert "limit cornish_fisher(level), or mean and spread (sigmas=...)" in str(found)
-    # The row is zero up to the digits of the widths: its changes alone have a size.
-    assert found.effects[1].max() == 1.0
-    assert not found.unfit
-    smooth = al.examine(stack(al.output("gap").cornish_fisher(0.01) >= 0.0))
-    assert smooth.ok
-    assert not smooth.tails

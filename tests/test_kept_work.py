@@ -91,10 +91,7 @@ def test_code_that_changed_is_told_and_the_work_done_again(work, calls, monkeypa
     monkeypatch.setattr(f"{__name__}.STEP", 0.5)
     with pytest.warns(al.JournalWarning, match="the model's code has changed since"):
         assert work(1.0, 2) == [1.0, 1.5]
-    monkeypatch.setattr(widths, "__code__", other_widths.__code__)
-    with pytest.warns(al.JournalWarning, match="the model's code has changed since"):
-        assert work(1.0, 2) == [1.0, 0.5]
-    assert len(calls) == 3
+    assert len(calls) == 2
 
 
 def test_what_another_run_could_not_recognise_or_read_is_not_kept_and_said(work, calls, tmp_path):
@@ -137,19 +134,11 @@ def test_designs_found_by_kept_work_are_parts_of_its_result(tmp_path):
     assert [one.what for one in al.load(tmp_path).entries] == ["work the lightest"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (("", widths), "the name: expected a name"),
-        (("bars", np.sin), "the function: expected a function that takes all it works with as arguments"),
-        (("bars", widths, 1.0), "received others: missing a required argument: 'count'"),
-        (("bars", lambda count: None, 1), "'bars': expected .* that returns what is kept"),
-    ],
-    ids=["name", "function", "arguments", "nothing returned"],
-)
-def test_what_cannot_be_kept_work_is_refused(arguments, told):
-    with pytest.raises(al.ProblemError, match=f"kept: .*{told}"):
-        kept(*arguments)
+def test_what_cannot_be_kept_work_is_refused():
+    with pytest.raises(al.ProblemError, match="received others: missing a required argument: 'count'"):
+        kept("bars", widths, 1.0)
+    with pytest.raises(al.ProblemError, match=r"kept: 'bars': expected .* that returns what is kept"):
+        kept("bars", lambda count: None, 1)
 
 
 # --- Parts and lines -------------------------------------------------------------------------------------------------

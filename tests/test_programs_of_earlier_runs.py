@@ -91,7 +91,6 @@ solution = al.solve(problem, throw=False)
 """
 
 
-NUMBERS = "SCALE = 1.0"
 EDITS = {
     "global": (("SHIFT = 0.0", "SHIFT = 1.0"), 4.0),
     "table": (('{"unit": 1.0}', '{"unit": 0.5}'), 1.0),
@@ -109,12 +108,9 @@ CALLED = (
 )
 
 
-def edited(*edit):
-    if not edit:
-        return MODEL, NUMBERS
-    before, after = edit
+def edited(before="", after=""):
     assert before in MODEL
-    return MODEL.replace(before, after), NUMBERS
+    return MODEL.replace(before, after) if before else MODEL, "SCALE = 1.0"
 
 
 def ran(folder, models, **more):
@@ -189,21 +185,16 @@ def test_a_full_disk_and_a_folder_that_cannot_be_made_stop_nothing(tmp_path):
 # --- The folder ------------------------------------------------------------------------------------------------------
 
 
-def test_each_word_for_off_keeps_nothing(monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
+def test_each_word_for_off_keeps_nothing_and_a_folder_that_cannot_be_is_refused(monkeypatch, tmp_path):
     before = kept_programs.jax.config.jax_compilation_cache_dir
     for off in ("Off ", "no", "0", ""):
         monkeypatch.setenv(kept_programs.VARIABLE, off)
         kept_programs.keep_by_default()
         assert kept_programs.jax.config.jax_compilation_cache_dir == before
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("place", ["file", "~nobody-of-this-name/programs", "zero\0byte"])
-def test_a_folder_that_cannot_be_is_refused_in_one_sentence(place, tmp_path):
     (tmp_path / "file").write_text("no folder")
-    with pytest.raises(al.ProblemError, match="cannot be kept in"):
-        al.compilation_cache(tmp_path / "file" if place == "file" else place)
+    for place in (tmp_path / "file", "~nobody-of-this-name/programs", "zero\0byte"):
+        with pytest.raises(al.ProblemError, match="cannot be kept in"):
+            al.compilation_cache(place)
 
 
 def test_the_programs_unused_for_longest_are_forgotten_and_other_files_are_spared(tmp_path, monkeypatch):
