@@ -22,7 +22,7 @@ def springs(place):
     """Enough points, steps and decisions that the points are simulated in two parts."""
     stiffness = al.Uniform(al.Decision(5.0, 1.0, 20.0), half_width=0.5)
     return al.Problem(
-        Oscillator(al.Normal(1.0, 0.05), al.Decision(0.5, 0.1, 3.0), stiffness, place),
+        Oscillator(al.LogNormal(mean=1.0, std=0.05), al.Decision(0.5, 0.1, 3.0), stiffness, place),
         grid=al.Grid(2.0, 1000),
         inputs={"force": sine(3.0)},
         minimize=al.rms("v").mean,

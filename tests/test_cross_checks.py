@@ -9,7 +9,7 @@ import pytest
 import aleator as al
 from aleator import crosschecking
 from aleator.studies._second_way import collocated, found_both_ways, second_way
-from zoo import Decay, block_problem
+from zoo import Decay, Oscillator
 
 
 def decay(most=0.4, steps=20):
@@ -58,7 +58,13 @@ def test_prices_of_limits_that_do_not_act_are_equal():
 
 @pytest.mark.slow
 def test_controls_that_follow_a_finer_mesh_and_paths_on_other_grids_are_compared_where_they_can_be():
-    pushed = block_problem(steps=4, inputs={"force": al.Control(0.0, -5.0, 5.0, degree=1)})
+    pushed = al.Problem(
+        Oscillator(m=1.0, c=0.5, k=30.0),
+        grid=al.Grid(1.0, 8),
+        inputs={"force": al.Control(0.0, -20.0, 20.0, degree=1)},
+        minimize=al.rms("v").mean,
+        subject_to=[al.terminal("x").mean.equals(0.2)],
+    )
     by_mesh = al.cross_check(pushed, second=al.Simultaneous(error=1e-7), tolerance=1e-2)
     assert by_mesh.second.decisions["inputs.force"].size > by_mesh.first.decisions["inputs.force"].size
     assert by_mesh.decisions["inputs.force"] == math.inf
