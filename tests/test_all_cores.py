@@ -9,7 +9,7 @@ import pytest
 import aleator as al
 from aleator._core import beside as cores
 from aleator._core.beside import CORES, beside, dropped_on_failure, in_order
-from zoo import Decay
+from zoo import MASS, Bar, bar_problem
 
 
 @pytest.fixture(autouse=True)
@@ -119,20 +119,19 @@ def test_the_environment_bounds_the_threads(monkeypatch):
 RUN_BY = set()
 
 
-class Watched(Decay):
+class Watched(Bar):
     """It notes who runs its code: nobody's code need bear two threads at once."""
 
-    def outputs(self, t, z):
+    def outputs(self):
         RUN_BY.add(threading.get_ident())
-        return super().outputs(t, z)
+        return super().outputs()
 
 
 def test_the_code_of_a_model_is_run_by_the_thread_that_solves_and_no_other():
     RUN_BY.clear()
-    limit, x = al.path("x").at_most(1.5, sigmas=1.0), al.terminal("x")
-    model = Watched(al.Uniform(al.Decision(2.0, 1.0, 4.0), half_width=0.2))
-    problem = al.Problem(model, grid=al.Grid(1.0, 20), minimize=x.mean, subject_to=[limit])
-    solution = al.solve(problem)
+    bar = bar_problem()
+    watched = Watched(bar.system.width, bar.system.load)
+    solution = al.solve(al.Problem(watched, minimize=MASS.mean, subject_to=bar.constraints))
     assert solution.ok
     assert al.validate(solution, 1000, batch=100).samples == 1000
     assert {threading.get_ident()} == RUN_BY

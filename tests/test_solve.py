@@ -15,7 +15,6 @@ from zoo import (
     SPREAD,
     Decay,
     Gain,
-    Wave,
     gain_problem,
     optimum,
 )
@@ -203,14 +202,3 @@ def test_a_broken_derivative_is_told_from_a_broken_simulation(start, words):
     problem = al.Problem(Broken(al.Decision(start, 0.0, 2.0)), minimize=al.output("y").mean)
     with pytest.raises(al.SimulationError, match=words):
         al.solve(problem)
-
-
-def test_an_expansion_that_does_not_resolve_an_output_warns():
-    problem = al.Problem(
-        Wave(al.Decision(1.0, 0.5, 2.0), al.Uniform(0.0, half_width=1.0)),
-        minimize=al.output("wave").variance,
-        expansion=al.Expansion(2),
-    )
-    with pytest.warns(al.ExpansionWarning, match=r"order 2 does not resolve wave \(\d.*\).*Raise the order"):
-        solution = al.solve(problem, throw=False)
-    assert solution.certificate.expansion.worst > 0.05
