@@ -155,6 +155,17 @@ def test_results_whose_places_were_exchanged_are_told_and_computed_again(tmp_pat
     assert len(solved) == 3
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="other processes are not looked at there")
+def test_what_a_dead_process_was_running_is_told_as_interrupted(tmp_path: Path):
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    for process in (os.getpid(), gone.pid):
+        begun = dataclasses.replace(Entry.begun(f"{process}", "solve Bar", {}), process=process)
+        with (tmp_path / FILE).open("a") as file:
+            file.write(begun.line())
+    assert states(tmp_path) == ["running", "interrupted"]
+
+
 def test_names_that_a_study_gives_are_names_of_results_and_double_ones_are_told(tmp_path: Path):
     with pytest.raises(al.ProblemError, match="there is no journal"):
         al.load(tmp_path)
