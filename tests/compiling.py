@@ -10,6 +10,3 @@ _IS_CPU = jax.default_backend() == "cpu"
 
 compiled = partial(jax.jit, compiler_options=Use.ONCE.value if _IS_CPU else {})
 """For a few runs: ready soonest."""
-
-optimised = partial(jax.jit, compiler_options=Use.ROWS.value if _IS_CPU else {})
-"""As the statistics of problems without time are compiled, whose roots depend on rounding."""

@@ -28,43 +28,18 @@ STAGES = ("first", "second", "third")
 
 
 class Rehearsal(AbstractStudy):
-    """A study of three stages that has a signal sent when it comes to the moment."""
+    """A study of three stages without work, which passes its moments to a function as it comes to them."""
 
-    def __init__(self, moment: str, number: int):
-        self.moment, self.number = moment, number
+    def __init__(self, at: Callable[[str], object] = lambda moment: None):
+        self.at = at
 
     @property
     def stages(self) -> Mapping[str, Stage]:
         return {name: Stage(partial(self.work, name), 1.0) for name in STAGES}
 
-    def at(self, moment: str) -> None:
-        if self.moment == moment:
-            os.kill(os.getpid(), self.number)
-
     def work(self, stage: str, progress: Progress) -> None:
         progress("inside", 0, 2)
         self.at(f"in the {stage} stage")
-        if stage == "second":
-            self.second()
-
-    def second(self) -> None:
-        if self.moment == "in a callback of JAX":
-            called_by_jax(lambda: self.at(self.moment))
-        elif self.moment == "in a library that does not listen":
-            self.at_last()
-            hashlib.pbkdf2_hmac("sha512", b"", b"", 1_000_000_000)
-        elif self.moment == "in work that swallows exceptions":
-            forever(lambda: self.at(self.moment))
-        elif self.moment == "in a destructor":
-            Dying(self)
-            forever(lambda: None)
-        elif self.moment == "twice":
-            interruption._ONE_WISH, interruption._PATIENCE = 0.1, 1e3
-            forever(lambda: (time.sleep(0.3), self.at(self.moment)))
-
-    def at_last(self) -> None:
-        """Have the signal sent while this process is busy."""
-        os.posix_spawn("/bin/sh", ["sh", "-c", f"sleep 0.2; kill -{self.number} {os.getpid()}"], os.environ)
 
     def save(self, folder: Path) -> list[Path]:
         text = " ".join(self.finished).encode()
@@ -89,17 +64,21 @@ class Rehearsal(AbstractStudy):
 
     def verdict(self) -> Verdict:
         self.at("at the last word")
-        return Verdict("good", "Done", "to its end.")
+        return Verdict("good", "Done", "as far as it went.")
 
 
-class Dying:
-    """Sends the signal when nobody needs it any more, where an exception cannot be passed on."""
-
-    def __init__(self, study: Rehearsal):
-        self.study = study
-
-    def __del__(self) -> None:
-        self.study.at(self.study.moment)
+def second_stage(moment: str, send: Callable[[], object], number: int) -> None:
+    """Work that is interrupted in the middle of something."""
+    if moment == "in a callback of JAX":
+        called_by_jax(send)
+    elif moment == "in a library that does not listen":
+        os.posix_spawn("/bin/sh", ["sh", "-c", f"sleep 0.2; kill -{number} {os.getpid()}"], os.environ)
+        hashlib.pbkdf2_hmac("sha512", b"", b"", 1_000_000_000)
+    elif moment == "in work that swallows exceptions":
+        forever(send)
+    elif moment == "twice":
+        interruption._ONE_WISH, interruption._PATIENCE = 0.1, 1e3
+        forever(lambda: (time.sleep(0.3), send()))
 
 
 def forever(do: Callable[[], object]) -> None:
@@ -112,7 +91,7 @@ def forever(do: Callable[[], object]) -> None:
             continue
 
 
-def called_by_jax(callback) -> None:
+def called_by_jax(callback: Callable[[], object]) -> None:
     import jax
     import jax.numpy as jnp
 
@@ -125,17 +104,23 @@ def called_by_jax(callback) -> None:
 
 def rehearse(moment: str, number: int, folder: Path) -> None:
     """One run, as the command begins it."""
-    study = Rehearsal(moment, number)
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    interruption._PATIENCE = 0.5
+    send = partial(os.kill, os.getpid(), number)
+
+    def at(come_to: str) -> None:
+        if come_to == moment:
+            send()
+        elif come_to == "in the second stage":
+            second_stage(moment, send, number)
 
     def load(name: str, *, quick: bool) -> AbstractStudy:
-        study.at("while the study is loaded")
-        return study
+        at("while the study is loaded")
+        return Rehearsal(at)
 
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    interruption._PATIENCE = 0.5
     studies.load = load
     if moment == "while the package is imported":
-        sys.modules["aleator.cli"] = types.SimpleNamespace(main=lambda: study.at(moment))
+        sys.modules["aleator.cli"] = types.SimpleNamespace(main=send)
     sys.argv = ["aleator", "run", "rehearsal", "--out", str(folder)]
     aleator_command.main()
 

@@ -24,15 +24,3 @@ class Rod(al.System):
     def outputs(self, t, z):
         height = self.length / 2 * (1 - jnp.cos(z.angle))
         return {"angle": z.angle, "rate": z.rate, "energy": self.length**2 * z.rate**2 / 6 + 9.81 * height}
-
-
-class HangingRod(al.Multibody):
-    """The same as a body on a hinge."""
-
-    def bodies(self):
-        moments = (1 / 12, 1 / 12, 0.0)
-        hinge = al.joints.Revolute("y")
-        return (al.Body("rod", joint=hinge, mass=1.0, center=(0.0, 0.0, -0.5), inertia=moments),)
-
-    def bias(self, q, v):
-        return super().bias(q, v) + 0.1 * v

@@ -45,9 +45,8 @@ def description(version: int, *, wall: bool, slopes: bool, kinds: str) -> str:
     offered = (f'<ModelExchange modelIdentifier="rod" {wants} {flag}/>' if "m" in kinds else "") + (
         '<CoSimulation modelIdentifier="rod" canHandleVariableCommunicationStepSize="true"/>' if "c" in kinds else ""
     )
+    variables = "".join(_real(version, place, *one) for place, one in enumerate(REALS))
     if version == 2:
-        places = {"angle": 2, "rate": 3}
-        variables = "".join(_real2(place, *one, places=places) for place, one in enumerate(REALS))
         variables += (
             '<ScalarVariable name="behaviour" valueReference="100" causality="parameter" variability="fixed" '
             'initial="exact"><Integer start="0"/></ScalarVariable>'
@@ -64,8 +63,6 @@ def description(version: int, *, wall: bool, slopes: bool, kinds: str) -> str:
         indicators = f'numberOfEventIndicators="{int(wall)}"'
         head = f'fmiVersion="2.0" modelName="rod" guid="rod" {indicators}'
     else:
-        places = {"angle": 1, "rate": 2}
-        variables = "".join(_real3(place, *one, places=places) for place, one in enumerate(REALS))
         variables += (
             '<Float64 name="distance" valueReference="99" causality="local" variability="continuous" '
             'initial="calculated"/>'
@@ -87,22 +84,14 @@ def description(version: int, *, wall: bool, slopes: bool, kinds: str) -> str:
     )
 
 
-def _real2(place, name, causality, variability, initial, start, more, *, places):
-    began = f' initial="{initial}"' if initial else ""
+def _real(version, place, name, causality, variability, initial, start, more):
+    head = f'name="{name}" valueReference="{place}" causality="{causality}" variability="{variability}"'
+    head += f' initial="{initial}"' if initial else ""
     value = "" if start is None else f' start="{start!r}"'
-    return (
-        f'<ScalarVariable name="{name}" valueReference="{place}" causality="{causality}" variability="{variability}"'
-        f"{began}><Real{value} {more.format(**places)}/></ScalarVariable>"
-    )
-
-
-def _real3(place, name, causality, variability, initial, start, more, *, places):
-    began = f' initial="{initial}"' if initial else ""
-    value = "" if start is None else f' start="{start!r}"'
-    return (
-        f'<Float64 name="{name}" valueReference="{place}" causality="{causality}" variability="{variability}"'
-        f"{began}{value} {more.format(**places)}/>"
-    )
+    more = more.format(angle=4 - version, rate=5 - version)
+    if version == 2:
+        return f"<ScalarVariable {head}><Real{value} {more}/></ScalarVariable>"
+    return f"<Float64 {head}{value} {more}/>"
 
 
 def _stubs(version: int, written: str) -> str:

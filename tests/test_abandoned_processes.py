@@ -10,11 +10,6 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by a signal, pipes have names"),
-]
-
 # Says into the pipe named by its argument that it has begun, and later that nobody has ended it.
 PROGRAM = """
 import sys, time
@@ -24,8 +19,10 @@ with open(sys.argv[1], "w") as pipe:
     print("survived", file=pipe)
 """
 
-# One worker without work, one in the middle of a computation, and one that waits for a program.
-WORKERS = f"""
+# Workers: one without work, one in the middle of a computation, one that waits for a program, and one that waits for a
+# function of its own process, which has started a program.
+SCRIPT = f"""
+import subprocess
 import sys
 import time
 
@@ -45,42 +42,32 @@ def wait_for_program(pipe):
     al.foreign.Command([sys.executable, "-I", "-S", "-c", PROGRAM, pipe, "{{x}}"])({{"x": 1.0}})
 
 
+def hang(at):
+    subprocess.Popen([sys.executable, "-I", "-S", "-c", PROGRAM, at["pipe"]])
+    time.sleep(100)
+
+
+def wait_for_function(pipe):
+    import aleator as al
+
+    al.foreign.Isolated(hang)({{"pipe": pipe}})
+
+
 if __name__ == "__main__":
     import aleator as al
 
-    with al.workers(3) as executor:
+    with al.workers(4) as executor:
         executor.submit(wait_for_program, sys.argv[1])
+        executor.submit(wait_for_function, sys.argv[1])
         executor.submit(abs, -1).result()
         executor.submit(spin).result()
 """
 
-# A function that takes long, after it has started a program.
-ISOLATED = f"""
-import subprocess
-import sys
-import time
 
-PROGRAM = {PROGRAM!r}
-
-
-def hang(at):
-    subprocess.Popen([sys.executable, "-I", "-S", "-c", PROGRAM, at["pipe"]])
-    print("busy", flush=True)
-    end = time.monotonic() + 100
-    while time.monotonic() < end:
-        pass
-
-
-if __name__ == "__main__":
-    import aleator as al
-
-    al.foreign.Isolated(hang)({{"pipe": sys.argv[1]}})
-"""
-
-
-@pytest.mark.parametrize("script", [WORKERS, ISOLATED], ids=["workers", "a function of its own process"])
-def test_processes_end_with_a_run_that_is_killed(tmp_path: Path, script: str):
-    (tmp_path / "script.py").write_text(script)
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by a signal, pipes have names")
+def test_processes_end_with_a_run_that_is_killed(tmp_path: Path):
+    (tmp_path / "script.py").write_text(SCRIPT)
     os.mkfifo(tmp_path / "pipe")
     pipe = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
     command = [sys.executable, str(tmp_path / "script.py"), str(tmp_path / "pipe")]
@@ -88,13 +75,15 @@ def test_processes_end_with_a_run_that_is_killed(tmp_path: Path, script: str):
         try:
             assert run.stdout is not None
             assert run.stdout.readline() == "busy\n"
-            assert select.select([pipe], [], [], 60.0)[0], "the program has not begun"
+            said = b""
+            while said.count(b"begun") < 2:
+                assert select.select([pipe], [], [], 60.0)[0], "a program has not begun"
+                said += os.read(pipe, 100)
             run.kill()
             # Each process holds the run's standard output: its end is read when the last of them is gone.
             run.communicate(timeout=60.0)
             os.set_blocking(pipe, True)
-            with open(pipe, closefd=False) as said:
-                assert said.read() == "begun\n"
+            assert os.read(pipe, 100) == b"", "no program has survived"
         finally:
             os.close(pipe)
             with contextlib.suppress(ProcessLookupError):  # nothing is left

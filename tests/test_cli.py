@@ -2,14 +2,12 @@
 
 import io
 import json
-import os
 import re
 import subprocess
 import sys
 import warnings
-from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 from rich.console import Console
@@ -17,131 +15,88 @@ from typer.testing import CliRunner
 
 import aleator as al
 from aleator import cli, studies
-from aleator._core.progress import Progress
 from aleator.cli._options import names_of_studies
-from aleator.cli._progress import _Lines, shown
+from aleator.cli._progress import _Lines
 from aleator.cli._record import Record
 from aleator.cli._sweep import numbers
-from aleator.reporting import Section, Table, Verdict, _lock
-from aleator.studies import AbstractStudy, Stage
+from aleator.cli._tables import fitted
+from aleator.reporting import Table, Verdict, _lock, number
+from aleator.studies import Stage
+from command_line import aleator, said
+from rehearsed_runs import Rehearsal
 
-BRACKETS = "[bold]a[/] [/wrong] [0] :smile: \\[x] {task}"
-
-
-class Rehearsal(AbstractStudy):
-    """A study of three stages, the second of which may go wrong."""
-
-    def __init__(self, accident: BaseException | None = None):
-        self.accident = accident
-
-    @property
-    def stages(self) -> Mapping[str, Stage]:
-        return {name: Stage(partial(self.work, name), 1.0) for name in ("first", "second", "third")}
-
-    def work(self, stage: str, progress: Progress) -> None:
-        progress("inside", 0, 2)
-        if stage == "second" and self.accident is not None:
-            raise self.accident
-
-    def save(self, folder: Path) -> list[Path]:
-        path = folder / "finished.txt"
-        path.write_text(" ".join(self.finished))
-        return [path]
-
-    def write_page(self, folder: Path) -> Path:
-        path = folder / "report.html"
-        path.write_text("<p>report</p>")
-        return path
-
-    def tables(self) -> list[Table]:
-        return [Table("Stages", ["stage"], [[stage] for stage in self.finished])]
-
-    def results(self) -> Mapping[str, object]:
-        return {}
-
-    def sections(self) -> Sequence[Section]:
-        return []
-
-    def verdict(self) -> Verdict:
-        return Verdict("good", "Done", "as far as it went.")
+BRACKETS, PARTS = "[bold]a[/] [/wrong] [0] :smile: \\[x] {task}", ("caption", "head", "cell", "note", "headline")
 
 
-def invoke(monkeypatch: pytest.MonkeyPatch, study: Rehearsal, *arguments: str):
-    monkeypatch.setattr(studies, "load", lambda name, quick: study)
-    return CliRunner().invoke(cli.application, ["run", "rehearsal", *arguments])
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch):
+    """A run of a study as the command begins it."""
+
+    def run(study: Rehearsal, *arguments: str):
+        monkeypatch.setattr(studies, "load", lambda name, quick: study)
+        return aleator("run", "rehearsal", *arguments)
+
+    return run
 
 
-def said(result) -> str:
-    return " ".join(result.output.split())
+def stopped(accident: BaseException, where: str = "in the second stage") -> Rehearsal:
+    """A study that goes wrong somewhere."""
 
+    def at(moment: str) -> None:
+        if moment == where:
+            raise accident
 
-def test_a_study_that_finishes_exits_with_zero_and_names_its_files(monkeypatch, tmp_path):
-    result = invoke(monkeypatch, Rehearsal(), "--out", str(tmp_path / "new" / "folder"))
-    assert result.exit_code == 0
-    assert (tmp_path / "new" / "folder" / "finished.txt").read_text() == "first second third"
-    assert str(tmp_path / "new" / "folder" / "report.html") in result.output
-    assert "as far as it went" in result.output
+    return Rehearsal(at)
 
 
 @pytest.mark.parametrize(
-    ("accident", "code", "word"),
+    ("study", "code", "word", "finished"),
     [
-        (al.SolveError("'travel' is violated at t = 1.2 s"), 1, "'second': 'travel' is violated at t = 1.2 s"),
-        (al.SimulationError("not finite"), 1, "not finite"),
-        (MemoryError("Unable to allocate 48 GiB"), 1, "48 GiB"),
-        (KeyboardInterrupt(), 130, "kept"),
+        (Rehearsal(), 0, "as far as it went", "first second third"),
+        (stopped(al.SolveError("'travel' is violated at t = 1.2 s")), 1, "'second': 'travel' is violated", "first"),
+        (stopped(MemoryError("Unable to allocate 48 GiB")), 1, "48 GiB", "first"),
+        (stopped(KeyboardInterrupt()), 130, "kept", "first"),
     ],
-    ids=["unsolved", "diverged", "memory", "interrupted"],
+    ids=["finished", "unsolved", "memory", "interrupted"],
 )
-def test_what_goes_wrong_sets_the_exit_code_and_what_was_finished_is_kept(
-    monkeypatch, tmp_path, accident, code: int, word: str
+def test_the_exit_code_tells_what_went_wrong_and_what_was_finished_is_kept(
+    run, tmp_path: Path, study, code, word, finished
 ):
-    result = invoke(monkeypatch, Rehearsal(accident), "--out", str(tmp_path))
+    result = run(study, "--out", str(tmp_path / "new" / "folder"))
     assert result.exit_code == code
     assert word in said(result)
-    assert (tmp_path / "finished.txt").read_text() == "first"
-    assert (tmp_path / "report.html").exists()
+    assert (tmp_path / "new" / "folder" / "designs.json").read_text() == finished
+    assert (tmp_path / "new" / "folder" / "report.html").exists()
 
 
-def test_results_that_cannot_be_written_end_a_run_with_one(monkeypatch, tmp_path):
-    class Full(Rehearsal):
-        def save(self, folder: Path) -> list[Path]:
-            if self.finished == ("first", "second"):
-                raise al.ProblemError("No results can be written (No space left on device)")
-            return super().save(folder)
+class Bracketed(Rehearsal):
+    """A study whose texts look like markup, or like an emoji."""
 
-    result = invoke(monkeypatch, Full(), "--out", str(tmp_path))
-    assert result.exit_code == 1
-    assert result.output.count("No space left on device") == 1
-    assert (tmp_path / "finished.txt").read_text() == "first"
+    stages: ClassVar = {BRACKETS: Stage(lambda progress: progress(BRACKETS, 0, 2), 1.0)}
+
+    def tables(self) -> list[Table]:
+        return [Table(f"caption {BRACKETS}", [f"head {BRACKETS}"], [[f"cell {BRACKETS}"]], f"note {BRACKETS}")]
+
+    def verdict(self) -> Verdict:
+        return Verdict("good", "Done", f"headline {BRACKETS}")
 
 
-def test_a_mistake_in_a_study_s_own_code_ends_with_its_traceback_and_a_document(monkeypatch, tmp_path):
-    result = invoke(monkeypatch, Rehearsal(ZeroDivisionError("by the engineer")), "--out", str(tmp_path), "--json")
+def test_text_in_square_brackets_is_printed_as_it_is(run, monkeypatch, tmp_path: Path):
+    monkeypatch.setenv("COLUMNS", "300")
+    monkeypatch.chdir(tmp_path)
+    told = run(Bracketed(), "--out", BRACKETS).output
+    for text in (f"{BRACKETS}: 0.0 s", f"wrote {BRACKETS}/", *(f"{part} {BRACKETS}" for part in PARTS)):
+        assert text in told
+    failed = run(stopped(al.SolveError(f"message {BRACKETS}")), "--out", BRACKETS)
+    assert f"message {BRACKETS}" in failed.output
+
+
+def test_a_mistake_in_a_study_s_own_code_ends_with_its_traceback_and_a_document(run, tmp_path: Path):
+    result = run(stopped(ZeroDivisionError("by the engineer")), "--out", str(tmp_path), "--json")
     assert isinstance(result.exception, ZeroDivisionError)
     told = json.loads(result.stdout)
     assert told["exit_code"] == 1
     assert told["errors"] == ["ZeroDivisionError: by the engineer"]
-
-
-def test_what_is_typed_wrong_is_told_and_the_list_names_every_study():
-    for arguments in (["run", "suspention"], ["run", "suspension", "--fast"], ["run", BRACKETS]):
-        result = CliRunner().invoke(cli.application, arguments)
-        assert result.exit_code == 2
-        assert arguments[-1] in said(result)
-    result = CliRunner().invoke(cli.application, ["list"])
-    assert result.exit_code == 0
-    assert all(name in result.output for name in studies.STUDIES)
-
-
-@pytest.mark.skipif(os.name == "nt", reason="a file in the place of a folder is another error on Windows")
-def test_an_unwritable_folder_is_refused_before_any_work(monkeypatch, tmp_path):
-    (tmp_path / "file").write_text("in the way")
-    study = Rehearsal()
-    result = invoke(monkeypatch, study, "--out", str(tmp_path / "file" / "below"))
-    assert result.exit_code == 2
-    assert study.finished == ()
-    assert "cannot be written" in said(result)
 
 
 HOLDER = """
@@ -153,7 +108,7 @@ sys.stdin.read()
 """
 
 
-def test_a_folder_that_another_run_writes_to_is_refused_before_any_work(monkeypatch, tmp_path):
+def test_a_folder_that_another_run_writes_to_is_refused_before_any_work(run, monkeypatch, tmp_path: Path):
     monkeypatch.setattr(_lock, "_PATIENCE", 0.1)
     study = Rehearsal()
     with _lock.only_writer(tmp_path):
@@ -163,62 +118,22 @@ def test_a_folder_that_another_run_writes_to_is_refused_before_any_work(monkeypa
     ) as holder:
         assert holder.stdout is not None
         assert holder.stdout.readline() == "held\n"
-        result = invoke(monkeypatch, study, "--out", str(tmp_path))
+        result = run(study, "--out", str(tmp_path))
         holder.kill()
     assert result.exit_code == 2
     assert study.finished == ()
     assert "Another process" in said(result)
 
 
-class Bracketed(Rehearsal):
-    """A study whose every name and text looks like markup, or like an emoji."""
-
-    @property
-    def stages(self) -> Mapping[str, Stage]:
-        return {name: Stage(partial(self.work, name), 1.0) for name in (BRACKETS, "second")}
-
-    def work(self, stage: str, progress: Progress) -> None:
-        progress(BRACKETS, 0, 2)
-        super().work(stage, progress)
-
-    def tables(self) -> list[Table]:
-        return [Table(f"caption {BRACKETS}", [f"head {BRACKETS}"], [[f"cell {BRACKETS}"]], f"note {BRACKETS}")]
-
-    def verdict(self) -> Verdict:
-        return Verdict("good", "Done", f"headline {BRACKETS}")
-
-
-def test_text_in_square_brackets_is_printed_as_it_is(monkeypatch, tmp_path):
-    monkeypatch.setenv("COLUMNS", "300")
-    monkeypatch.chdir(tmp_path)
-    result = invoke(monkeypatch, Bracketed(al.SolveError(f"message {BRACKETS}")), "--out", BRACKETS)
-    assert result.exit_code == 1
-    for text in (
-        f"{BRACKETS}: 0.0 s",
-        f"message {BRACKETS}",
-        f"wrote {BRACKETS}/",
-        *(f"{part} {BRACKETS}" for part in ("caption", "head", "cell", "note")),
-    ):
-        assert text in result.output
-    assert f"headline {BRACKETS}" in invoke(monkeypatch, Bracketed(), "--out", BRACKETS).output
-    result = invoke(monkeypatch, Bracketed(KeyboardInterrupt()), "--out", BRACKETS)
-    assert f"kept in {BRACKETS}" in result.output
-
-
-class Doubtful(Rehearsal):
-    """A study whose first stage has doubts, of ours and of a library."""
-
-    def work(self, stage: str, progress: Progress) -> None:
-        super().work(stage, progress)
-        if stage == "first":
+def test_a_warning_is_a_sentence_without_the_place_in_the_code(run, tmp_path: Path):
+    def doubt(moment: str) -> None:
+        if moment == "in the first stage":
             warnings.warn("On 10 steps 'x(t_f)' is off by 1.", al.GridWarning, stacklevel=2)
             warnings.warn("a library's own", RuntimeWarning, stacklevel=2)
 
-
-def test_a_warning_is_a_sentence_without_the_place_in_the_code(monkeypatch, tmp_path):
     with warnings.catch_warnings(record=True) as others:
         warnings.simplefilter("always")
-        result = invoke(monkeypatch, Doubtful(), "--out", str(tmp_path))
+        result = run(Rehearsal(doubt), "--out", str(tmp_path))
     assert result.exit_code == 0
     assert "warning: On 10 steps 'x(t_f)' is off by 1." in result.output
     assert "GridWarning" not in result.output
@@ -227,7 +142,7 @@ def test_a_warning_is_a_sentence_without_the_place_in_the_code(monkeypatch, tmp_
 
 @pytest.mark.slow
 @pytest.mark.parametrize("module", ["aleator", "aleator_command"])
-def test_the_modules_run_as_the_command_does(module):
+def test_the_modules_run_as_the_command_does(module: str):
     arguments = [sys.executable, "-m", module, "run", "misspelt"]
     ended = subprocess.run(arguments, capture_output=True, text=True, check=False)
     assert ended.returncode == 2
@@ -246,16 +161,16 @@ def examples_of(command: str) -> list[str]:
 
 def test_every_command_shows_an_example_of_names_that_there_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
-    assert CliRunner().invoke(cli.application, ["--help"]).exit_code == 0
-    assert CliRunner().invoke(cli.application, ["new", "bracket.py"]).exit_code == 0
+    assert all(name in aleator("list").output for name in studies.STUDIES)
+    assert aleator("new", "bracket.py").exit_code == 0
     for command in cli.application.registered_commands:
         assert examples_of(f"{command.name}")
     for line in examples_of("sweep"):
         study, bound, values = re.fullmatch(r"aleator sweep (\S+) --bound (\S+) --values (\S+).*", line).groups()  # type: ignore[union-attr]
         assert Record(study, bound=bound, values=numbers(values)).made().stages
-    designs = [re.search(r"(bracket\.py).* --design (\S+)", line) for line in examples_of("validate")]
-    assert any(designs)
-    assert all(named[2] in Record(named[1]).made().problems for named in designs if named)
+    named = re.search(r"(bracket\.py).* --design (\S+)", "\n".join(examples_of("validate")))
+    assert named is not None
+    assert named[2] in Record(named[1]).made().problems
 
 
 def test_the_shell_completes_names_of_studies_files_and_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -268,10 +183,9 @@ def test_the_shell_completes_names_of_studies_files_and_folders(tmp_path: Path, 
     (tmp_path / "sub").mkdir()
     assert names_of_studies("su") == ["sub/", "sums.toml", "suspended.py", "suspension"]
     assert names_of_studies("[o") == ["[odd].py"]
-    assert names_of_studies(str(tmp_path)) == []
 
 
-# --- Progress --------------------------------------------------------------------------------------------------------
+# --- Progress and tables ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -281,15 +195,12 @@ def test_the_shell_completes_names_of_studies_files_and_folders(tmp_path: Path, 
             [(0.0, "front", 0, 3), (2.0, "front: a", 1, 3), (4.0, "front: b", 2, 3), (9.0, "front: c", 3, 3)],
             ["front: a, 1 of 3, about 4 s left", "front: b, 2 of 3, about 2 s left", "front: c, 3 of 3"],
         ),
-        (  # many steps are told now and then
+        (
             [(float(step), "samples", step, 1000) for step in range(25)],
             ["samples, 11 of 1000, about 16 min left", "samples, 22 of 1000, about 16 min left"],
         ),
-        (  # other work in a stage has a time of its own
-            [(50.0, "first", 1, 1), (100.0, "second", 0, 2), (101.0, "second", 1, 2)],
-            ["first, 1 of 1", "second, 1 of 2, about 1 s left"],
-        ),
     ],
+    ids=["each step", "many steps now and then"],
 )
 def test_progress_is_lines_with_the_time_that_is_left(calls, printed):
     file, times = io.StringIO(), iter([0.0, 0.0, *(time for time, *_ in calls)])
@@ -300,14 +211,16 @@ def test_progress_is_lines_with_the_time_that_is_left(calls, printed):
     assert file.getvalue().splitlines() == [f"  {line}" for line in printed]
 
 
-@pytest.mark.parametrize("is_terminal", [True, False])
-def test_only_a_terminal_gets_control_characters(is_terminal: bool):
-    file = io.StringIO()
-    console = Console(file=file, force_terminal=is_terminal, width=200, markup=False, highlight=False)
-    with shown(console, 1.0) as progress:
-        progress.begin("front")
-        progress.show("front: [x] = 1, objective 2", 1, 1)
-        progress.end("front", 1.0, "0.5 s")
-    assert ("\x1b" in file.getvalue()) == is_terminal
-    assert "front: [x] = 1, objective 2" in file.getvalue()
-    assert "front: 0.5 s" in file.getvalue()
+@pytest.mark.parametrize("width", [40, 80, 400])
+def test_every_number_of_a_wide_table_stands_whole_in_one_line_of_a_terminal(width: int):
+    names = [f"design {i}" for i in range(8)]
+    rows = [[f"row {j}", *(number(23339.0 + i + 0.001 * j, 7, "N/m") for i in range(8))] for j in range(3)]
+    written = io.StringIO()
+    console = Console(file=written, width=width, markup=False, emoji=False, highlight=False)
+    for piece in fitted(Table("Designs", ["", *names], rows, "A note on all of them."), width):
+        console.print(piece)
+    text = written.getvalue()
+    assert "…" not in text
+    assert all(cell in text for row in (names, *rows) for cell in row)
+    assert max(map(len, text.splitlines())) <= width
+    assert text.count("Designs") == text.count("A note on all") == 1

@@ -1,5 +1,8 @@
 """Executables: one for each structure of the arguments, and the same numbers however they travel."""
 
+import gc
+import weakref
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,6 +10,8 @@ import numpy as np
 import pytest
 
 from aleator._core.compilation import Compiled, Use
+from aleator._core.once import once_for_each
+from aleator._core.programs import Programs
 
 
 def _results(tree, kind, x):
@@ -14,38 +19,27 @@ def _results(tree, kind, x):
     return products, jnp.arange(3) + tree["shift"], (x.sum() > 0, jnp.zeros((0, 2))), kind
 
 
-TREE = {"parts": {"a": jnp.arange(6.0).reshape(3, 2), "b": jnp.asarray(2.5)}, "shift": jnp.asarray(4)}
+TREE = {"parts": {"a": np.arange(6.0).reshape(3, 2), "b": np.asarray(2.5)}, "shift": np.asarray(4)}
+SEVEN = np.asarray(7)
 
 
-def _expected(x):
-    return (
-        {"a": np.arange(6.0).reshape(3, 2) * x.sum(), "b": 2.5 * x.sum()},
-        np.arange(3) + 4,
-        (x.sum() > 0, np.zeros((0, 2))),
-        7,
-    )
-
-
-def test_bound_functions_give_every_array_its_shape_kind_and_numbers_back():
+def test_bound_functions_give_every_array_its_shape_kind_and_numbers_back_and_share_an_executable():
+    compiled = Compiled(_results)
     x = np.array([0.5, -3.0])
-    found = Compiled(_results).bound(TREE, jnp.asarray(7))(x)
-    leaves, expected = jax.tree.leaves(found), jax.tree.leaves(_expected(x))
-    assert jax.tree.structure(found) == jax.tree.structure(_expected(x))
-    for one, other in zip(leaves, expected, strict=True):
+    found = compiled.bound(TREE, SEVEN)(x)
+    products = {"a": -2.5 * TREE["parts"]["a"], "b": -2.5 * 2.5}
+    expected = products, np.arange(3) + 4, (np.asarray(False), np.zeros((0, 2))), SEVEN
+    assert jax.tree.structure(found) == jax.tree.structure(expected)
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         assert isinstance(one, np.ndarray)
         assert one.dtype == np.asarray(other).dtype
         np.testing.assert_array_equal(one, other)
     with pytest.raises(ValueError, match="read-only"):
         found[0]["a"][0, 0] = 1.0
-
-
-def test_bound_functions_of_other_numbers_share_an_executable_and_those_of_another_structure_do_not():
-    compiled = Compiled(_results)
-    first = compiled.bound(TREE, jnp.asarray(7))(np.ones(2))
-    second = compiled.bound(jax.tree.map(lambda leaf: 2 * leaf, TREE), jnp.asarray(7))(np.ones(2))
+    second = compiled.bound(jax.tree.map(lambda leaf: 2 * leaf, TREE), SEVEN)(x)
     assert compiled.compilations == 1
-    np.testing.assert_array_equal(second[0]["a"], 2 * first[0]["a"])
-    compiled.bound(TREE | {"parts": {"a": TREE["parts"]["a"]}}, jnp.asarray(7))(np.ones(2))
+    np.testing.assert_array_equal(second[0]["a"], 2 * found[0]["a"])
+    compiled.bound(TREE | {"parts": {"a": TREE["parts"]["a"]}}, SEVEN)(x)
     assert compiled.compilations == 2
 
 
@@ -54,8 +48,7 @@ def test_what_a_check_of_a_library_stops_gives_no_number_in_the_right_shape():
         return eqx.error_if(x, x.sum() > 1, "too large") * tree["parts"]["b"], jnp.arange(3), x.sum() > 0
 
     compiled = Compiled(checked)
-    bound = compiled.bound(TREE)
-    for call in (bound, lambda x: compiled(TREE, jnp.asarray(x))):
+    for call in (compiled.bound(TREE), lambda x: compiled(TREE, x)):
         good, which, sign = call(np.array([0.25, 0.5]))
         np.testing.assert_array_equal(good, 2.5 * np.array([0.25, 0.5]))
         bad, still, none = call(np.array([2.0, 0.5]))
@@ -74,6 +67,13 @@ def test_other_errors_of_a_program_are_not_taken_for_numbers():
         Compiled(failing)(jnp.asarray(1.0))
 
 
+def test_what_is_prepared_is_not_compiled_again():
+    compiled = Compiled(lambda scale, x: scale["by"] * x)
+    compiled.prepare({"by": jnp.asarray(1.0)}, jnp.zeros(3))
+    np.testing.assert_array_equal(compiled({"by": jnp.asarray(2.0)}, np.arange(3.0)), [0.0, 2.0, 4.0])
+    assert compiled.compilations == 1
+
+
 def _far(x):
     """Sines that several derivatives take, behind barriers."""
     sines = jax.lax.optimization_barrier(jnp.sin(x))
@@ -81,33 +81,47 @@ def _far(x):
 
 
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="options of XLA on CPUs")
-@pytest.mark.parametrize("use", Use)
-def test_this_xla_knows_the_options_and_lets_barriers_last(use):
-    lowered = jax.jit(_far).lower(jnp.ones(4))
-    assert "opt-barrier" in str(lowered.compile(compiler_options=use.value).as_text())
-    assert "opt-barrier" not in str(lowered.compile().as_text())
-
-
-def test_an_xla_that_knows_other_options_goes_by_its_own(monkeypatch):
-    monkeypatch.setitem(Use.ONCE.value, "xla_of_another_year", "true")
-    compiled = Compiled(_far, use=Use.ONCE)
-    x = np.linspace(0.0, 1.0, 4)
-    np.testing.assert_allclose(compiled(jnp.asarray(x)), np.sin(x) * np.roll(np.sin(x), 1) + np.cumsum(np.sin(x)))
-
-
-def test_however_little_a_program_is_optimised_its_numbers_are_the_same():
-    x = jnp.linspace(-3.0, 3.0, 50)
+def test_this_xla_knows_the_options_which_let_barriers_last_and_numbers_be_the_same(monkeypatch):
+    x = np.linspace(-3.0, 3.0, 50)
+    lowered = jax.jit(_far).lower(x)
+    for use in Use:
+        assert "opt-barrier" in str(lowered.compile(compiler_options=use.value).as_text())
     few, rows, loops = (np.asarray(Compiled(jax.jacfwd(_far), use=use)(x)) for use in Use)
     np.testing.assert_allclose(few, rows, rtol=1e-13, atol=1e-14)
     np.testing.assert_allclose(rows, loops, rtol=1e-13, atol=1e-14)
+    monkeypatch.setitem(Use.ONCE.value, "xla_of_another_year", "true")
+    expected = np.sin(x) * np.roll(np.sin(x), 1) + np.cumsum(np.sin(x))
+    np.testing.assert_allclose(Compiled(_far, use=Use.ONCE)(x), expected, atol=1e-12)
 
 
-def test_what_a_program_is_for_may_depend_on_what_it_is_given():
-    seen = []
+def test_only_so_many_programs_are_kept():
+    kept = Programs(most=2)
+    for key in "abac":
+        kept.found(key)
+    assert [key in kept for key in "abc"] == [True, False, True]
 
-    def use(x):
-        seen.append(x.shape)
-        return Use.ROWS
 
-    assert float(Compiled(jnp.sum, use=use)(jnp.ones(3))) == 3.0
-    assert seen == [(3,)]
+class Thing:
+    """Equal to every other."""
+
+    def __init__(self, size):
+        self.size = size
+
+    def __eq__(self, other):
+        return True
+
+    def __hash__(self):
+        return 0
+
+
+def test_what_is_found_once_for_each_object_is_told_by_identity_and_forgotten_with_the_object():
+    asked = []
+    found = once_for_each(lambda thing: asked.append(thing.size) or thing.size)
+    one, other = Thing(1), Thing(2)
+    assert [found(one), found(other), found(one), found(other)] == [1, 2, 1, 2]
+    assert asked == [1, 2]
+    gone = weakref.ref(one)
+    del one
+    gc.collect()
+    assert gone() is None
+    assert [found(Thing(size)) for size in range(100)] == list(range(100))

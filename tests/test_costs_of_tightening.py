@@ -1,7 +1,6 @@
 """Limits that hold between the instants by tightened bounds: what that costs at most, beside SciPy on dense limits."""
 
 import itertools
-from functools import cache
 
 import numpy as np
 import pytest
@@ -45,11 +44,6 @@ def densely_limited(fastest, steps=3):
     return found.fun
 
 
-@cache
-def best():
-    return densely_limited(1.35)
-
-
 @pytest.mark.parametrize(
     "way",
     [al.Sequential(), pytest.param(al.Simultaneous(), marks=pytest.mark.slow)],
@@ -59,16 +53,7 @@ def test_the_best_design_lies_between_the_loose_and_the_tightened_one(way):
     with pytest.warns(al.GridWarning, match="tightened at the instants, which may cost up to .* refine=True"):
         tightened = al.solve(ride(1.35), transcription=way)
     loose = tightened.objective / (1 + tightened.certificate.between.cost)
-    assert loose <= best() * (1 + 1e-6)
-    assert best() <= tightened.objective * (1 + 1e-6)
-    assert "may cost up to" in str(tightened.certificate)
+    best = densely_limited(1.35)
+    assert loose <= best * (1 + 1e-6)
+    assert best <= tightened.objective * (1 + 1e-6)
     assert al.solve(ride(2.0), transcription=way).certificate.between.cost == 0.0  # they hold by themselves
-
-
-@pytest.mark.slow
-def test_refinement_goes_on_while_tightening_is_costly():
-    refined = al.solve(ride(1.35), refine=True)
-    steps = refined.problem.grid.steps
-    assert steps > 3
-    assert not refined.certificate.between.is_costly
-    assert refined.objective == pytest.approx(densely_limited(1.35, steps), rel=0.05)

@@ -19,10 +19,10 @@ SCRIPT = Path(__file__).with_name("answers_on_devices.py")
 SEVERAL = 4
 
 
-def ran(*arguments, **environment):
+def ran(*arguments, flags="", platforms="cpu"):
     """What the script tells in a process of its own."""
-    flags = re.sub(r"--xla_force_host_platform_device_count=\d+", "", os.environ.get("XLA_FLAGS", ""))
-    environment = {**os.environ, "XLA_FLAGS": f"{flags} {environment.pop('flags', '')}".strip(), **environment}
+    others = re.sub(r"--xla_force_host_platform_device_count=\d+", "", os.environ.get("XLA_FLAGS", ""))
+    environment = os.environ | {"XLA_FLAGS": f"{others} {flags}".strip(), "JAX_PLATFORMS": platforms}
     finished = subprocess.run(
         [sys.executable, str(SCRIPT), *arguments], env=environment, capture_output=True, text=True, check=False
     )
@@ -32,44 +32,24 @@ def ran(*arguments, **environment):
 
 @pytest.fixture(scope="module")
 def on_one():
-    return ran(JAX_PLATFORMS="cpu")
-
-
-@pytest.fixture(scope="module")
-def on_several():
-    flags = f"--xla_force_host_platform_device_count={SEVERAL}"
-    return ran("placed", JAX_PLATFORMS="cpu", flags=flags)
+    return ran()
 
 
 @pytest.mark.slow
-def test_several_devices_give_the_digits_of_one_and_compute_parts_in_turn(on_one, on_several):
+def test_several_devices_give_the_digits_of_one_and_compute_parts_in_turn(on_one):
+    on_several, last = ran("placed", flags=f"--xla_force_host_platform_device_count={SEVERAL}"), SEVERAL - 1
     assert [on_one["devices"], on_several["devices"]] == [1, SEVERAL]
     assert on_one["answers"]["ok"]
     assert on_several["answers"] == on_one["answers"]
-
     assert on_one["turns"] == [[0, 0]] * 6
     assert on_several["turns"] == [[item % SEVERAL, item % SEVERAL] for item in range(6)]
-
-
-@pytest.mark.slow
-def test_each_device_compiles_what_it_runs_and_a_model_is_traced_once_by_the_calling_thread(on_one, on_several):
-    assert [on_one["parts"], on_one["batches"]] == [1, 1]
-    # Two parts of the collocation points, on two of the devices; eleven batches of systems, on all.
-    assert [on_several["parts"], on_several["batches"]] == [2, SEVERAL]
-
-    assert len(on_several["traced"]) == len(on_one["traced"])
-    for told in (on_one, on_several):
-        assert set(told["traced"]) == {told["here"]} == set(told["run_by"])
-
-
-@pytest.mark.slow
-def test_failures_come_in_their_turn_and_what_jax_or_a_user_has_placed_stays_there(on_several):
-    assert on_several["failed"] == [0, 0, 1, "failed"]
-
-    last = SEVERAL - 1
+    # What JAX or a user has placed stays there.
     assert on_several["told"] == [last, [[last, last]] * 6]
-
     assert on_several["placed"] == on_several["answers"]["decisions"]
+    # Each device compiles what it runs: two parts of the collocation points, on two of the devices; eleven batches of
+    # systems, on all.
+    assert [on_one["parts"], on_one["batches"]] == [1, 1]
+    assert [on_several["parts"], on_several["batches"]] == [2, SEVERAL]
 
 
 def test_parts_come_in_their_order_and_a_failure_in_its_turn():
@@ -93,15 +73,12 @@ class Recorded:
         self.options = compiler_options
 
 
-@pytest.mark.parametrize("use", list(Use))
-def test_options_of_the_compiler_for_cpus_are_given_to_no_other(use):
-    given = {}
-    for platform in ("cpu", "gpu", "tpu"):
-        recorded: Any = Recorded()
-        compiled_for(use, recorded, platform)
-        given[platform] = recorded.options
-    assert given == {"cpu": use.value, "gpu": {}, "tpu": {}}
-    assert use.value
+def test_options_of_the_compiler_for_cpus_are_given_to_no_other():
+    for use in Use:
+        for platform, options in (("cpu", use.value), ("gpu", {}), ("tpu", {})):
+            recorded: Any = Recorded()
+            compiled_for(use, recorded, platform)
+            assert recorded.options == options
 
 
 def gpus():
@@ -115,7 +92,7 @@ def gpus():
 @pytest.mark.slow
 @pytest.mark.skipif(not gpus(), reason="JAX sees no GPU on this machine")
 def test_a_gpu_gives_the_answers_of_the_processor(on_one):
-    found = ran(JAX_PLATFORMS="")
+    found = ran(platforms="")
     assert found["answers"]["ok"]
     # Sums in another order and other elementary functions: the last digits differ, and with them, at an optimum, the
     # decisions by the square root of what the solver's tolerance leaves open.

@@ -1,11 +1,17 @@
-"""Whatever a document or an example shows must run, as it stands: README and the first tutorial by default."""
+"""What documents show runs as it stands, and the site has every page, every public name and every link."""
 
+import importlib.util
 import re
+import subprocess
 import sys
 import types
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+import aleator as al
+from aleator.studies import STUDIES
 
 ROOT = Path(__file__).parents[1]
 FIRST = ("README.md", "docs/index.md")
@@ -16,28 +22,31 @@ DOCUMENTS = sorted(
     if "```python" in path.read_text("utf-8") and path.name != "fmu.md"
 )
 EXAMPLES = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "examples").glob("*.py"))
+# Errors and warnings are told where they are raised; topics have pages or guides of their own.
+ELSEWHERE = re.compile(r".*(Error|Warning)$|compilation_cache$|Abstract.*|[a-z_]+$")
+LARGEST_PICTURE = 60_000  # bytes
 
 
-def code_of(document: str) -> str:
-    """All Python shown in a document, as one program; an example as it is."""
-    text = (ROOT / document).read_text(encoding="utf-8")
-    return text if document.endswith(".py") else "\n".join(re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL))
+# --- Code ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Run a document as `python shown.py` would, in this process and a folder of its own."""
+    """Run all Python of a document, or an example, as `python shown.py` would, in this process and its own folder."""
 
     def run(document: str) -> None:
+        text = (ROOT / document).read_text(encoding="utf-8")
+        if document.endswith(".md"):
+            text = "\n".join(re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL))
         path = tmp_path / "shown.py"
-        path.write_text(code_of(document), encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
         module = types.ModuleType("__main__")
         module.__file__ = str(path)
         with monkeypatch.context() as patch:
             patch.chdir(tmp_path)
             patch.syspath_prepend(tmp_path)
             patch.setitem(sys.modules, "__main__", module)
-            exec(compile(path.read_text("utf-8"), str(path), "exec"), module.__dict__)
+            exec(compile(text, str(path), "exec"), module.__dict__)
 
     return run
 
@@ -57,17 +66,61 @@ def test_examples_run(example: str, run, capsys):
 
 
 @pytest.mark.parametrize("document", FIRST)
-def test_the_first_program_has_fifteen_lines_and_ends_in_a_picture(document: str):
-    text = (ROOT / document).read_text(encoding="utf-8")
-    (program, shown), *_ = re.findall(r"```python\n(.*?)```\n\n!\[.+?\]\((.+?)\)", text, flags=re.DOTALL)
-    assert text.index(program) == text.index("```python\n") + len("```python\n")
+def test_the_first_program_has_fifteen_lines_and_ends_in_a_plot(document: str):
+    program = re.findall(r"```python\n(.*?)```", (ROOT / document).read_text(encoding="utf-8"), flags=re.DOTALL)[0]
     lines = [line for line in program.splitlines() if line.strip()]
     assert len(lines) <= 15
     assert ".plot()" in lines[-1]
-    assert (ROOT / document).parent.joinpath(shown).is_file()
 
 
-def test_documents_link_to_files_that_exist():
-    for document in ROOT.glob("*.md"):
-        for target in re.findall(r"\]\((?!http)([^)#]+)\)", document.read_text(encoding="utf-8")):
-            assert (ROOT / target).exists(), f"{document.name} links to {target}"
+# --- The site --------------------------------------------------------------------------------------------------------
+
+
+def loaded(name: str) -> Any:
+    """A script of the site."""
+    told = importlib.util.spec_from_file_location(name, ROOT / f"docs/{name}.py")
+    assert told is not None
+    assert told.loader is not None
+    module = importlib.util.module_from_spec(told)
+    told.loader.exec_module(module)
+    return module
+
+
+def test_every_page_is_in_the_navigation_and_links_to_files_that_exist():
+    listed = set(re.findall(r"[\w/]+\.md", (ROOT / "mkdocs.yml").read_text(encoding="utf-8")))
+    assert {str(path.relative_to(ROOT / "docs").as_posix()) for path in (ROOT / "docs").rglob("*.md")} == listed
+    for page in [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]:
+        links = r"\]\((?!http)([^)#]+)\)" if page.parent == ROOT else r"\]\((\.\./[^)#]+)\)"
+        for target in re.findall(links, page.read_text(encoding="utf-8")):
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+def test_every_public_class_is_on_a_page():
+    pages = [page.read_text(encoding="utf-8") for page in (ROOT / "docs/api").glob("*.md")]
+    told = {name for page in pages for name in re.findall(r"::: aleator\.(\w+)", page)}
+    assert {name for name in dir(al) if not ELSEWHERE.match(name) and not name.startswith("_")} <= told
+    assert {name for name in told if not hasattr(al, name)} == set()
+
+
+def test_the_gallery_is_what_its_script_writes_of_every_example_and_study_with_a_small_picture():
+    gallery = loaded("gallery")
+    assert (ROOT / "docs/gallery.md").read_text(encoding="utf-8") == gallery.page()
+    assert set(gallery.EVERY["Examples"]) == {path.stem for path in (ROOT / "examples").glob("*.py")}
+    assert set(gallery.EVERY["Studies"]) == set(STUDIES)
+    pictures = {path.stem: path for path in (ROOT / "docs/pictures").iterdir()}
+    assert set(pictures) == {gallery.FIRST, *(name for chapter in gallery.EVERY.values() for name in chapter)}
+    for path in pictures.values():
+        assert "<svg" in path.read_text(encoding="utf-8")
+        assert path.stat().st_size < LARGEST_PICTURE, path.name
+
+
+@pytest.mark.slow
+def test_the_site_is_built_without_a_warning(tmp_path: Path):
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "Solve a design problem" in (tmp_path / "site/api/solving/index.html").read_text(encoding="utf-8")
+    formulas = (tmp_path / "site/mathematics/index.html").read_text(encoding="utf-8")
+    assert formulas.count("<math") > 100
+    assert "arithmatex" not in formulas
+    assert ">Lift<" in (tmp_path / "site/source/examples/co_design/index.html").read_text(encoding="utf-8")

@@ -1,6 +1,5 @@
 """Design problems solved by searches without derivatives: the same language, the same certificates."""
 
-import json
 import signal
 from dataclasses import replace
 from functools import cache
@@ -14,7 +13,6 @@ import aleator as al
 from aleator.extending import save
 from aleator.nlp import FilterSQP
 from aleator.transcription import transcribe
-from zoo import Gain
 
 POPULATION = al.solvers.DifferentialEvolution(evaluations=600, population=24)
 
@@ -62,9 +60,17 @@ def test_the_global_optimum_of_a_design_is_reached(solver):
     design = searched() if solver is POPULATION else al.solve(declared(), replace(solver, evaluations=600))
     assert design.objective == pytest.approx(least(), rel=1e-5)
     assert al.solve(declared()).objective > least() + 0.1
-    assert design.effort.searched is not None
     assert design.effort.evaluations > design.effort.searched.evaluations
-    assert "evaluations" in str(design.effort)
+
+
+def test_limits_hold_at_the_answer_of_a_search_and_of_each_point_of_a_front():
+    front = al.pareto(declared(), "low", [-0.6, -0.5], solver=POPULATION)
+    assert [design.ok for design in front.points] == [True, True]
+    assert [design.constraints[0].worst for design in front.points] == pytest.approx([-0.6, -0.5], abs=1e-6)
+    worst = al.solve(declared(limits=[X.at_least(-0.5, worst_case=True)]), POPULATION)
+    assert worst.ok
+    assert worst.certificate.worst_case is not None
+    assert worst.effort.searched.evaluations <= POPULATION.evaluations
 
 
 def test_many_designs_in_one_call_have_the_values_of_one_after_the_other():
@@ -72,35 +78,10 @@ def test_many_designs_in_one_call_have_the_values_of_one_after_the_other():
     assert program.values is not None
     points = np.stack([np.linspace(0.1, 5.9, 531), np.linspace(0.0, 1.0, 531)], axis=1)
     objectives, rows = program.values(points)
-    for which in (0, 1, 300, 530):
+    for which in (0, 300, 530):
         alone = program.evaluate(points[which])
         assert objectives[which] == pytest.approx(alone.objective, rel=1e-12)
         np.testing.assert_allclose(rows[which], alone.constraints, rtol=1e-10, atol=1e-12)
-        first, _ = program.values(points[which : which + 1])
-        assert first[0] == pytest.approx(alone.objective, rel=1e-12)
-
-
-def test_the_number_of_threads_does_not_change_a_search():
-    al.threads(1)
-    try:
-        alone = al.solve(declared(), POPULATION)
-    finally:
-        al.threads(None)
-    np.testing.assert_array_equal(alone.effort.searched.objectives, searched().effort.searched.objectives)
-    assert alone.objective == searched().objective
-
-
-def test_limits_hold_at_the_answer_of_a_search():
-    design = al.solve(declared(lowest=-0.5), POPULATION)
-    assert design.ok
-    assert design.constraints[0].worst == pytest.approx(-0.5, abs=1e-6)
-
-
-def test_limits_on_the_worst_case_are_searched_for_once():
-    design = al.solve(declared(limits=[X.at_least(-0.5, worst_case=True)]), POPULATION)
-    assert design.ok
-    assert design.certificate.worst_case is not None
-    assert design.effort.searched.evaluations <= POPULATION.evaluations
 
 
 @pytest.mark.usefixtures("python_interrupts")
@@ -115,57 +96,25 @@ def test_ctrl_c_ends_the_search_and_keeps_the_best_design():
     assert design.effort.searched.evaluations < 200
 
 
-def test_multistart_and_fronts_take_a_search():
-    starts = al.multistart(declared(), 2, solver=POPULATION)
-    assert [one.ok for one in starts.solutions] == [True, True]
-    assert starts.best.objective == pytest.approx(least(), rel=1e-5)
-    front = al.pareto(declared(), "low", [-0.6, -0.5], solver=POPULATION)
-    assert front.solved.all()
-    assert np.diff(front.objectives) > 0
-
-
 def test_the_history_of_a_search_is_kept_and_drawn(tmp_path):
     design = searched()
     history = design.effort.searched
     best = history.best()
     assert (np.diff(best[~np.isnan(best)]) <= 0).all()
     assert best[-1] == pytest.approx(np.nanmin(history.objectives))
-    figure = al.reporting.search_figure(history)
-    drawn = [np.asarray(one.y, dtype=float) for one in figure.data]
-    assert any(len(one) == history.evaluations for one in drawn)
+    drawn = al.reporting.search_figure(history).data
+    assert any(len(one.y) == history.evaluations for one in drawn)
     assert "by differential evolution" in al.report(design, path=tmp_path / "page.html").read_text()
     save(tmp_path, design=design)
-    document = json.loads((tmp_path / "designs.json").read_text())
-    assert f"{history.evaluations} evaluations" in document["design"]["certificate"]["search"]
     with xarray.open_dataset(tmp_path / "results.nc", group="design", engine="h5netcdf") as stored:
         np.testing.assert_array_equal(stored["searched objective"], history.objectives)
 
 
-def over_time():
-    return al.Problem(Gain(al.Decision(0.5, 0.0, 9.0), 1.0), grid=al.Grid(1.0, 1), minimize=al.terminal("loss").mean)
-
-
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (
-            lambda: al.solve(declared(phase=(3.0, 0.0)), POPULATION),
-            r"finite bounds of every decision; 'phase' has none on at least one side. al.solvers.NelderMead",
-        ),
-        (
-            lambda: al.solve(declared(limits=[X.mean.equals(0.2)]), al.solvers.DifferentialEvolution(polish=False)),
-            r"DifferentialEvolution without polishing cannot hold an equality.*μ\[x\]",
-        ),
-        pytest.param(
-            lambda: al.solve(over_time(), POPULATION, transcription=al.Simultaneous()),
-            r"cannot hold equations of motion.*al\.Sequential\(\)",
-            marks=pytest.mark.slow,
-        ),
-    ],
-)
-def test_what_a_search_cannot_do_is_refused_by_name(call, words):
-    with pytest.raises(al.ProblemError, match=words):
-        call()
+def test_what_a_search_cannot_do_is_refused_by_name():
+    with pytest.raises(al.ProblemError, match=r"finite bounds of every decision; 'phase' has none.*NelderMead"):
+        al.solve(declared(phase=(3.0, 0.0)), POPULATION)
+    with pytest.raises(al.ProblemError, match=r"DifferentialEvolution without polishing cannot hold an equality"):
+        al.solve(declared(limits=[X.mean.equals(0.2)]), al.solvers.DifferentialEvolution(polish=False))
 
 
 def test_values_choose_where_derivatives_cannot():
@@ -174,14 +123,10 @@ def test_values_choose_where_derivatives_cannot():
     with pytest.raises(al.ProblemError, match=r"no solver by derivatives can choose.*let a search compare values"):
         al.solve(problem)
     # Where this search ends on the stretch of `phase` that rounds to 2 is by rounding: near the jumps or far from them.
-    for seed in range(2):
-        design = al.solve(problem, al.solvers.DualAnnealing(evaluations=300, seed=seed))
-        assert design.objective == pytest.approx(0.0, abs=1e-9)
-        assert round(design.decisions["phase"]) == 2
-        assert "its values alone chose 'phase', by which its derivatives are zero" in str(design)
-    several = al.portfolio(problem, 2, search=al.solvers.DifferentialEvolution(evaluations=300, population=24))
-    assert several.best.ok
-    assert several.best.objective == pytest.approx(0.0, abs=1e-9)
+    design = al.solve(problem, al.solvers.DualAnnealing(evaluations=300, seed=0))
+    assert design.objective == pytest.approx(0.0, abs=1e-9)
+    assert round(design.decisions["phase"]) == 2
+    assert "its values alone chose 'phase', by which its derivatives are zero" in str(design)
 
 
 @pytest.mark.usefixtures("python_interrupts")
@@ -199,9 +144,3 @@ def test_ctrl_c_while_a_design_is_polished_keeps_it_with_its_status(monkeypatch)
     assert design.status is al.Status.INTERRUPTED
     assert design.objective < least() + 0.1
     assert "polishing was stopped by the user" in str(design)
-    starts = al.multistart(declared(), 3, solver=POPULATION)
-    assert starts.interrupted
-    assert [one.status for one in starts.solutions] == [al.Status.INTERRUPTED]
-    front = al.pareto(declared(), "low", [-0.6, -0.5], solver=POPULATION)
-    assert front.interrupted
-    assert front.values.tolist() == [-0.6]

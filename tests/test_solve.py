@@ -7,19 +7,16 @@ from scipy import optimize
 
 import aleator as al
 from aleator.expansion import HammersleyPoints
+from aleator.solution import ConstraintResult
 from zoo import (
     LOSS,
-    MASS,
     ONE_STEP,
     RESPONSE,
     SPREAD,
-    Bar,
+    Decay,
     Gain,
-    Wave,
-    bar_problem,
     gain_problem,
     optimum,
-    oscillator_problem,
 )
 
 SOLVERS = pytest.mark.parametrize(
@@ -49,19 +46,20 @@ def square_problem(a=(-1e9, 1e9), e=(-1e9, 1e9), zero=(-1e3, 1e9), minimize=Q, s
 
 
 @SOLVERS
-@pytest.mark.parametrize(("upper", "sigmas"), [(2.0, 1.0), (2.0, 3.0), (1.0, 0.5)])
-def test_the_optimum_of_a_small_problem_is_its_closed_form(solver, upper, sigmas):
-    solution = al.solve(gain_problem(upper, sigmas), solver)
-    gain = upper / (1 + sigmas * SPREAD)
+def test_the_optimum_of_a_small_problem_is_its_closed_form(solver):
+    solution = al.solve(gain_problem(2.0, sigmas=3.0), solver)
+    gain = 2.0 / (1 + 3.0 * SPREAD)
     assert solution.ok
     assert solution.decisions["gain"] == pytest.approx(gain, rel=1e-7)
     assert solution.objective == pytest.approx((gain - 3) ** 2 + 1, rel=1e-7)
     assert solution.active == ("response",)
     # What the objective falls by as the bound rises.
-    shadow_price = 2 * (3 - gain) / (1 + sigmas * SPREAD)
+    shadow_price = 2 * (3 - gain) / (1 + 3.0 * SPREAD)
     assert solution.constraints[0].multipliers == pytest.approx([shadow_price], rel=1e-5)
     assert solution.multiplier("response") == pytest.approx(shadow_price, rel=1e-5)
     assert solution.certificate.expansion.worst < 1e-10
+    for line in ("status       solved", "decision     gain = ", "response: μ[response(t_f)]", "shadow price"):
+        assert line in str(solution)
 
 
 @SOLVERS
@@ -72,39 +70,17 @@ def test_a_decision_at_its_own_bound_is_reported_with_its_multiplier(solver):
     assert solution.active == ("gain",)
     assert solution.decisions["gain"] == pytest.approx(2.0, rel=1e-7)
     assert solution.bound_multipliers["gain"] == pytest.approx(2.0, rel=1e-5)  # -d(gain - 3)²/d gain
-
-
-def test_nothing_binds_where_the_optimum_is_inside():
-    solution = al.solve(gain_problem(upper=50.0))
-    assert solution.decisions["gain"] == pytest.approx(3.0, rel=1e-6)
-    assert solution.active == ()
     assert solution.multiplier("response") == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_solution_prints_its_certificate():
-    text = str(al.solve(gain_problem()))
-    for line in (
-        "status       solved",
-        "decision     gain = ",
-        "response: μ[response(t_f)] + σ[response(t_f)] ≤ 2: active",
-        "shadow price",
-        "worst leave-one-out error",
-    ):
-        assert line in text
-
-
-def test_a_lower_bound_has_a_negative_multiplier():
-    solution = al.solve(square_problem(a=(4.0, 1e9), start=5.0))
-    assert solution.decisions["a"] == pytest.approx(4.0, rel=1e-8)
-    assert solution.constraints[0].multipliers == pytest.approx([-2.0], rel=1e-6)
-    assert solution.multiplier("a") == pytest.approx(2.0, rel=1e-6)
-
-
-@pytest.mark.parametrize("number", [2.0, 4.0])
-def test_the_shadow_price_of_an_equality_has_the_sign_of_the_fall_when_its_number_is_raised(number):
-    solution = al.solve(square_problem(a=(number, number)))
-    slope = 2 * (number - 3.0)  # d (a - 3)² / d a
-    assert solution.multiplier("a") == pytest.approx(-slope, rel=1e-6)
+@pytest.mark.parametrize(("lower", "upper"), [(4.0, 1e9), (2.0, 2.0), (4.0, 4.0)], ids=["lower", "below", "above"])
+def test_multipliers_of_lower_bounds_and_equalities_have_their_signs(lower, upper):
+    solution = al.solve(square_problem(a=(lower, upper), start=5.0))
+    slope = 2 * (lower - 3.0)  # d (a - 3)² / d a
+    assert solution.decisions["a"] == pytest.approx(lower, rel=1e-8)
+    assert solution.constraints[0].multipliers == pytest.approx([-slope], rel=1e-6)
+    # Of an equality, the fall as its number is raised; of a limit, the fall as it is loosened.
+    assert solution.multiplier("a") == pytest.approx(-slope if lower == upper else slope, rel=1e-6)
 
 
 @SOLVERS
@@ -113,13 +89,12 @@ def test_an_offset_of_the_objective_does_not_move_the_optimum(solver):
     assert found.decisions["a"] == pytest.approx(3.0, abs=1e-3)
 
 
-@pytest.mark.parametrize("limits", [{"e": (-1e3, 2.0)}, {"e": (-1e12, 2.0)}, {"zero": (-1e3, 0.0)}])
+@pytest.mark.parametrize("limits", [{"e": (-1e12, 2.0)}, {"zero": (-1e3, 0.0)}], ids=["remote", "zero"])
 def test_a_remote_second_bound_does_not_loosen_the_first_and_a_bound_of_zero_holds_to_rounding(limits):
     solution = al.solve(square_problem(**limits, start=0.5))
     assert solution.decisions["a"] == pytest.approx(np.log(2.0), rel=1e-6)
     assert solution.ok
     assert solution.violated == ()
-    assert "violated" not in str(solution)
 
 
 def test_a_design_of_several_decisions_agrees_with_scipy():
@@ -143,76 +118,30 @@ def test_a_design_of_several_decisions_agrees_with_scipy():
     assert list(solution.decisions.values()) == pytest.approx(reference.x, rel=1e-5)
 
 
-def test_weighted_sum_and_constraint_form_give_the_same_design():
-    """Equations (108) and (113): the multiplier of the bound is the weight."""
-    bounded = al.solve(gain_problem(2.0))
-    weight = bounded.multiplier("response")
-    weighted = LOSS.mean + weight * (RESPONSE.mean + RESPONSE.std)
-    found = optimum(al.Problem(gain_problem().system, grid=ONE_STEP, minimize=weighted))
-    assert found.decisions["gain"] == pytest.approx(bounded.decisions["gain"], rel=1e-6)
-
-
-def test_a_problem_without_uncertainty_is_solved_all_the_same():
-    solution = al.solve(al.Problem(Bar(al.Decision(4.0, 0.1, 10.0), 1.0), minimize=MASS.mean))
-    assert solution.decisions["width"] == pytest.approx(0.1, rel=1e-8)
-    assert solution.certificate.expansion.points == 1
-    assert all(float(one.std) == 0 for one in solution.moments.values())
-    assert "nothing is uncertain" in str(solution)
-
-
-def test_a_warm_start_needs_fewer_evaluations():
-    cold = al.solve(bar_problem())
-    moved = bar_problem(stress=0.52)
-    warm, afresh = al.solve(moved, warm_start=cold), al.solve(moved)
-    assert warm.effort.evaluations < afresh.effort.evaluations
-    assert warm.objective == pytest.approx((1.0 + 3.0 * SPREAD) / 0.52, rel=1e-8)
-
-
-@pytest.mark.slow
-def test_the_three_solvers_agree_on_a_path_near_resonance():
-    problem = oscillator_problem()
-    cold, *others = [
-        al.solve(problem, solver) for solver in (al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp())
-    ]
-    assert [one.objective for one in others] == pytest.approx([cold.objective] * 2, rel=1e-6)
-    assert cold.active == ("x",)
-    assert cold.constraints[0].values.shape == (81,)
-    assert max(one.violation for one in cold.constraints) < 1e-8
-
-
-class Ramp(al.System):
-    """`x = gain t`: a path that grows."""
-
-    states = ("x",)
-    gain: float
-
-    def rhs(self, t, z):
-        return (self.gain,)
-
-    def outputs(self, t, z):
-        return {"x": z.x, "gap": z.x - self.gain * t}
+# --- Where there is no solution --------------------------------------------------------------------------------------
 
 
 @SOLVERS
 def test_an_infeasible_problem_says_which_constraint_when_and_by_how_much(solver):
-    # The gain is at least 2, so x(2) is at least 4, which exceeds 1.5 by 2.5.
-    problem = al.Problem(
-        Ramp(al.Decision(3.0, 2.0, 10.0)),
-        grid=al.Grid(2.0, 8),
-        minimize=al.integral("x").mean,
-        subject_to=[al.path("x").at_most(1.5), (al.terminal("gap").mean >= 0).named("gap")],
-    )
+    # It doubles within two seconds from 2 at least: x(2) is at least 4, which exceeds 1.5 by 2.5.
+    growth = Decay(-np.log(2.0) / 2, al.Decision(3.0, 2.0, 10.0))
+    limits = [al.path("x").at_most(1.5), (al.terminal("x").mean >= 0).named("positive")]
+    problem = al.Problem(growth, grid=al.Grid(2.0, 20), minimize=al.integral("x").mean, subject_to=limits)
     with pytest.raises(al.SolveError, match=r"'x' is violated by 2\.5 at t = 2 s: 4 where ≤ 1\.5 is asked") as caught:
         al.solve(problem, solver)
     solution = caught.value.solution
     assert solution.status is al.Status.INFEASIBLE
-    assert solution.decisions["gain"] == pytest.approx(2.0, rel=1e-6)
+    assert solution.decisions["start"] == pytest.approx(2.0, rel=1e-6)
     assert [one.name for one in solution.violated] == ["x"]
     assert solution.constraints[0].worst_time == 2.0
-    returned = al.solve(problem, solver, throw=False)
-    assert not returned.ok
-    assert "'x' is violated by 2.5 at t = 2 s" in returned.why()
-    assert "'x' is violated by 2.5 at t = 2 s" in str(returned)
+
+
+@pytest.mark.parametrize(("lower", "upper", "time", "worst"), [(0.0, np.inf, 0.2, 0.5), (-np.inf, 4.0, 0.0, 3.0)])
+def test_the_worst_instant_of_a_limit_is_that_of_least_slack_on_its_own_side(lower, upper, time, worst):
+    values, times = np.array([3.0, 2.0, 0.5, 1.0]), np.array([0.0, 0.1, 0.2, 0.3])
+    rest = {"multipliers": np.zeros(4), "active": np.zeros(4, dtype=bool), "scale": 1.0}
+    result = ConstraintResult(name="limit", text="x(t)", lower=lower, upper=upper, values=values, times=times, **rest)
+    assert (result.worst_time, result.worst, result.violation) == (time, worst, 0.0)
 
 
 class Escape(al.System):
@@ -232,32 +161,23 @@ class Escape(al.System):
         return {"x": 1.0}
 
 
-@pytest.mark.parametrize(
-    ("integrator", "where"),
-    [
-        (al.integrators.RungeKutta4(), "output 'x' from t = "),
-        pytest.param(al.integrators.Tsit5(max_steps=8000), "Tsit5 stops at t = ", marks=pytest.mark.slow),
-    ],
-    ids=["RungeKutta4", "Tsit5"],
-)
-def test_a_simulation_that_blows_up_at_one_point_only_is_named(integrator, where):
+def test_a_simulation_that_blows_up_at_one_point_only_is_named():
     # Points in germ space are 2 u - 1 of the Hammersley set: with six points the largest rate is the last one's.
     rates = 0.6 + 0.35 * (2 * HammersleyPoints().levels(6, 1)[:, 0] - 1)
     end = 1.2
     assert np.flatnonzero(rates * end > 1).tolist() == [5]
     problem = al.Problem(
         Escape(al.Uniform(0.6, half_width=0.35), al.Decision(1.0, 0.5, 2.0)),
-        grid=al.Grid(end, 4000),
+        grid=al.Grid(end, 2000),
         minimize=al.terminal("x").mean,
         expansion=al.Expansion(order=1, points=6),
-        integrator=integrator,
     )
     with pytest.raises(al.SimulationError) as caught:
         al.solve(problem)
     message = str(caught.value)
     assert f"collocation point 6 of 6 (rate={rates[5]:.6g})" in message
     assert "gain=1" in message
-    told = float(message.split(where)[1].split(" s")[0])
+    told = float(message.split("output 'x' from t = ")[1].split(" s")[0])
     assert told == pytest.approx(1 / rates[5], rel=0.02)
 
 
@@ -270,63 +190,15 @@ class Broken(al.AlgebraicSystem):
         return {"y": jnp.sqrt(jnp.sum(self.chosen) - 1.0)}
 
 
-def test_a_broken_derivative_is_told_from_a_broken_simulation():
-    problem = al.Problem(Broken(al.Decision(1.0, 1.0, 2.0)), minimize=al.output("y").mean)
-    with pytest.raises(
-        al.SimulationError, match="every simulation is finite, but the objective, a constraint or its der"
-    ):
-        al.solve(problem)
-
-
-def test_a_failed_simulation_is_told_by_its_reason_and_at_most_five_numbers():
-    problem = al.Problem(Broken(al.Decision(np.full(40, 0.01), 0.0, 2.0)), minimize=al.output("y").mean)
-    with pytest.raises(al.SimulationError) as caught:
-        al.solve(problem)
-    message = str(caught.value)
-    assert message.startswith("The simulation is not finite: output 'y'")
-    assert message.count("chosen[") == 5
-    assert "and 35 more" in message
-
-
-def test_an_expansion_that_does_not_resolve_an_output_warns():
-    problem = al.Problem(
-        Wave(al.Decision(1.0, 0.5, 2.0), al.Uniform(0.0, half_width=1.0)),
-        minimize=al.output("wave").variance,
-        expansion=al.Expansion(2),
-    )
-    with pytest.warns(al.ExpansionWarning, match=r"order 2 does not resolve wave \(\d.*\).*Raise the order"):
-        solution = al.solve(problem, throw=False)
-    assert solution.certificate.expansion.worst > 0.05
-
-
-class Many(al.AlgebraicSystem):
-    """The distance of an array of decisions from an array of numbers."""
-
-    targets: np.ndarray
-    chosen: al.Number
-
-    def outputs(self):
-        return {"loss": jnp.sum((self.chosen - self.targets) ** 2)}
-
-
-def test_arrays_of_decisions_come_back_in_their_shape():
-    problem = al.Problem(
-        Many(np.array([1.0, -2.0, 5.0]), al.Decision(np.zeros(3), -3.0, 3.0)), minimize=al.output("loss").mean
-    )
-    solution = al.solve(problem)
-    np.testing.assert_allclose(solution.decisions["chosen"], [1.0, -2.0, 3.0], atol=1e-6)
-    assert solution.active == ("chosen[2]",)
-
-
 @pytest.mark.parametrize(
-    ("call", "word"),
+    ("start", "words"),
     [
-        (lambda: al.solve(al.Problem(Bar(1.0, 1.0), minimize=MASS.mean)), "no decisions"),
-        (lambda: al.solve(bar_problem(), "ipopt"), r"expected a solver, such as al.solvers.Ipopt\(\)"),
-        (lambda: al.solve(bar_problem().system), "expected a Problem"),
-        (lambda: al.validate(bar_problem()), "expected a Solution"),
+        (np.ones(1), "every simulation is finite, but the objective, a constraint or its der"),
+        (np.full(40, 0.01), r"The simulation is not finite: output 'y'(.*chosen\[){5}.*and 35 more"),
     ],
+    ids=["derivative", "simulation"],
 )
-def test_wrong_arguments_are_refused_in_words(call, word):
-    with pytest.raises(al.ProblemError, match=word):
-        call()
+def test_a_broken_derivative_is_told_from_a_broken_simulation(start, words):
+    problem = al.Problem(Broken(al.Decision(start, 0.0, 2.0)), minimize=al.output("y").mean)
+    with pytest.raises(al.SimulationError, match=words):
+        al.solve(problem)
