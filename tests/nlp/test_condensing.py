@@ -11,8 +11,6 @@ from aleator.nlp import Condensing, Evaluation, Hessian, Ipopt, NonlinearProgram
 from aleator.nlp._elimination import Elimination, SingularTiesError
 from zoo import cases
 
-OWN = "solved"
-
 
 def pattern(dense):
     found = csr_array(dense != 0)
@@ -110,19 +108,13 @@ def same(own, other):
     np.testing.assert_allclose(own.bound_multipliers, other.bound_multipliers, atol=1e-5)
 
 
-@pytest.mark.parametrize("seed", cases(range(8)))
+@pytest.mark.parametrize("seed", cases(range(3)))
 def test_realisations_of_shared_decisions_have_the_optimum_and_the_multipliers_of_ipopt(seed):
     program = arrow(seed)
     own, other = Condensing().solve(program), Ipopt().solve(program)
     assert own.ok, own.message
-    assert own.message == OWN
+    assert own.message == "solved"
     same(own, other)
-
-
-def test_some_of_these_programs_have_binding_limits_and_others_not():
-    binding = [Condensing().solve(arrow(seed)).active[-1] for seed in range(8)]
-    assert any(binding)
-    assert not all(binding)
 
 
 def test_fixed_variables_and_rows_that_bind_nothing_are_left_out():
@@ -137,7 +129,7 @@ def test_fixed_variables_and_rows_that_bind_nothing_are_left_out():
     free[-1] = -np.inf
     program = replace(program, lower=lower, upper=upper, constraint_upper=loose, constraint_lower=free)
     own, other = Condensing().solve(program), Ipopt().solve(program)
-    assert own.message == OWN
+    assert own.message == "solved"
     assert own.point[0] == -0.2
     assert own.multipliers[-1] == 0.0
     same(own, other)
@@ -145,7 +137,7 @@ def test_fixed_variables_and_rows_that_bind_nothing_are_left_out():
 
 def test_a_concave_objective_ends_at_a_bound_with_its_multiplier():
     outcome = Condensing().solve(copies(lambda w: -(w**2) / 2, lambda w: -w, lambda w: -np.ones_like(w)))
-    assert outcome.message == OWN
+    assert outcome.message == "solved"
     np.testing.assert_allclose(outcome.point, 2.0, atol=1e-6)
     # Five copies, each with the slope -2.
     assert outcome.bound_multipliers[0] == pytest.approx(10.0, rel=1e-6)
@@ -156,7 +148,7 @@ def test_multipliers_start_it_warm():
     program = arrow(2)
     cold = Condensing().solve(program)
     warm = Condensing().solve(program, start=cold.point, multipliers=cold.multipliers)
-    assert warm.message == OWN
+    assert warm.message == "solved"
     assert warm.iterations < cold.iterations
     same(warm, cold)
 
@@ -195,7 +187,7 @@ def test_points_that_cannot_be_evaluated_shorten_the_step():
 
     program = copies(objective, lambda w: 1 - 1 / (w - 0.3), lambda w: 1 / (w - 0.3) ** 2, start=1.9)
     outcome = Condensing().solve(program)
-    assert outcome.message == OWN
+    assert outcome.message == "solved"
     np.testing.assert_allclose(outcome.point, 1.3, atol=1e-6)
 
 
@@ -221,7 +213,7 @@ def test_an_interrupt_ends_it_and_an_error_reaches_the_caller(where):
         Condensing().solve(failing(where, LookupError))
 
 
-@pytest.mark.parametrize("seed", cases(range(4)))
+@pytest.mark.parametrize("seed", cases(range(3)))
 def test_solves_in_levels_are_those_of_a_dense_matrix(seed):
     rng = np.random.default_rng(seed)
     count, more = 40, 5
@@ -260,7 +252,6 @@ def test_ties_in_which_a_variable_stands_nowhere_are_singular():
 WRONG = {
     "rows that are none": (lambda one: one._replace(rows=one.rows + 3), "`ties.rows`.*from 0 to"),
     "one row twice": (lambda one: one._replace(rows=np.zeros_like(one.rows)), "`ties.rows` once"),
-    "variables of another length": (lambda one: one._replace(variables=one.variables[:-1]), "`ties.variables`"),
     "an inequality": (lambda one: one._replace(rows=one.rows[::-1] + 2), "Expected equalities"),
 }
 

@@ -7,7 +7,7 @@ import pytest
 from nlp_problems import INF, evaluation, program
 
 from aleator._core.errors import MissingExtraError, ProblemError
-from aleator.nlp import FilterSQP, Ipopt, Slsqp, Status, default_solver
+from aleator.nlp import FilterSQP, Ipopt, Status, default_solver
 
 
 def test_a_program_without_solution_is_infeasible_at_the_least_violated_point(solver):
@@ -18,15 +18,6 @@ def test_a_program_without_solution_is_infeasible_at_the_least_violated_point(so
     assert outcome.status is Status.INFEASIBLE
     assert not outcome.ok
     assert outcome.violation == pytest.approx(1.0, abs=1e-4)
-
-
-def test_bounds_of_decisions_that_exclude_a_row_are_infeasible(solver):
-    outcome = solver.solve(
-        program(lambda x: evaluation(x @ x, 2 * x, [x.sum()], [[1, 1]]), [0.5, 0.5], [0, 0], [1, 1], [(3, INF)])
-    )
-    assert outcome.status is Status.INFEASIBLE
-    assert outcome.violation == pytest.approx(1.0, abs=1e-5)
-    assert outcome.point == pytest.approx(np.ones(2), abs=1e-5)
 
 
 def test_a_region_that_cannot_be_evaluated_is_backed_off_from(solver):
@@ -95,15 +86,14 @@ def test_an_interrupt_ends_the_solve_with_the_best_point_so_far(solver, calls, a
     assert signal.getsignal(signal.SIGINT) is before
 
 
-@pytest.mark.parametrize("calls", [0, 3])
-def test_an_exception_of_the_model_reaches_the_caller_unchanged(solver, calls):
+def test_an_exception_of_the_model_reaches_the_caller_unchanged(solver):
     error = LookupError("no such material")
 
     def fail():
         raise error
 
     with pytest.raises(LookupError) as caught:
-        solver.solve(after(calls, fail))
+        solver.solve(after(3, fail))
     assert caught.value is error
 
 
@@ -154,13 +144,6 @@ def test_a_start_outside_the_bounds_is_moved_to_them_and_no_point_leaves_them(so
     assert max(seen) <= 4.0
 
 
-@pytest.mark.parametrize("make", [FilterSQP, Ipopt, Slsqp])
-def test_too_few_iterations_are_reported_as_such(make):
-    outcome = make(max_iterations=2).solve(problems.rosenbrock())
-    assert outcome.status is Status.ITERATION_LIMIT
-    assert outcome.stationarity > 1e-5
-
-
 def test_without_unopy_filter_sqp_names_the_remedy_and_ipopt_is_the_default(monkeypatch):
     real = builtins.__import__
 
@@ -175,15 +158,9 @@ def test_without_unopy_filter_sqp_names_the_remedy_and_ipopt_is_the_default(monk
     assert default_solver() == Ipopt()
 
 
-def test_with_unopy_filter_sqp_is_the_default():
-    pytest.importorskip("unopy")
-    assert default_solver() == FilterSQP()
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"lower": [1.0]}, r"Expected `lower` of shape \(2,\)"),
         (
             {"lower": [1.0, 0.0], "upper": [0.0, 1.0]},
             "Expected `lower` <= `upper`. Received 1.0 and 0.0 at index 0",

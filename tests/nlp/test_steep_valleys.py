@@ -21,7 +21,7 @@ def penalised(weight, lower=None, upper=None):
     return program(evaluate, np.ones(6), lower, upper), exact
 
 
-@pytest.mark.parametrize("weight", [1.0, 1e4, 1e8, 1e12])
+@pytest.mark.parametrize("weight", [1e4, 1e12])
 def test_large_penalties_do_not_hide_the_minimum(solver, weight):
     given, exact = penalised(weight)
     outcome = solver.solve(given)
@@ -46,7 +46,7 @@ def test_a_decision_at_its_bound_stays_there(solver):
             assert given.evaluate(moved).objective > outcome.evaluation.objective * (1 - 1e-3)
 
 
-@pytest.mark.parametrize("weight", [1e2, 1e4, 1e8])
+@pytest.mark.parametrize("weight", [1e4, 1e8])
 def test_a_curved_valley_is_followed_to_its_end_or_told(solver, weight):
     def evaluate(x):
         off = x[1] - x[0] ** 2
