@@ -45,19 +45,6 @@ def rastrigin():
     return program(evaluate, [3.1, -4.2, 2.3], [-5.12] * 3, [5.12] * 3), 0.0
 
 
-def gomez_levy():
-    """A minimum of -1.031628453489877 within a disconnected region (Gómez and Levy 1982)."""
-
-    def evaluate(x):
-        camel = six_hump_camel()[0].evaluate(x)
-        a, b = x
-        row = -np.sin(4 * np.pi * a) + 2 * np.sin(2 * np.pi * b) ** 2
-        slope = [-4 * np.pi * np.cos(4 * np.pi * a), 4 * np.pi * np.sin(4 * np.pi * b)]
-        return evaluation(camel.objective, camel.gradient, [row], [slope])
-
-    return program(evaluate, [0.6, 0.6], [-1.0, -1.0], [0.75, 1.0], rows=[(-np.inf, 1.5)]), -1.031628453489877
-
-
 def within(one, lower, upper):
     return replace(one, lower=np.full(one.start.shape, lower), upper=np.full(one.start.shape, upper))
 
@@ -66,7 +53,7 @@ def within(one, lower, upper):
     ("solver", "case"),
     [
         (al.solvers.Direct(), six_hump_camel),
-        (al.solvers.DifferentialEvolution(), gomez_levy),
+        (al.solvers.DifferentialEvolution(), six_hump_camel),
         (al.solvers.DualAnnealing(), rastrigin),
         (al.solvers.CmaEs(), rastrigin),
     ],
@@ -108,12 +95,12 @@ def test_a_seed_gives_the_same_search_again(solver):
 @pytest.mark.parametrize("solver", EVERY, ids=named)
 def test_no_more_points_than_the_budget_are_evaluated(solver):
     asked, evaluations = [], 77
-    one, _ = gomez_levy()
+    one, _ = rastrigin()
 
     def values(points):
         asked.append(len(points))
         found = [one.evaluate(x) for x in points]
-        return np.array([e.objective for e in found]), np.array([e.constraints for e in found])
+        return np.array([e.objective for e in found]), np.zeros((len(points), 0))
 
     found = replace(solver, evaluations=evaluations).solve(replace(one, values=values))
     assert sum(asked) == found.searched.evaluations <= evaluations
@@ -181,15 +168,6 @@ def test_a_kink_is_found_and_no_optimum_is_claimed(solver):
     np.testing.assert_allclose(found.point, 0.123, atol=2e-2)
     assert found.status is al.Status.FAILED
     assert "kink" in found.message
-
-
-def test_without_polishing_the_conditions_of_an_optimum_decide():
-    one = within(rosenbrock(), -2.0, 2.0)
-    rough = al.solvers.NelderMead(polish=False, evaluations=40).solve(one)
-    assert rough.status is al.Status.FAILED
-    fine = al.solvers.NelderMead(polish=False, tolerance=1e-3).solve(one)
-    assert fine.ok
-    assert fine.iterations == 0
 
 
 @pytest.mark.parametrize("solver", SHORT, ids=named)
