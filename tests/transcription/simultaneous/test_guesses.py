@@ -154,7 +154,7 @@ def test_what_is_no_guess_is_refused_in_one_sentence(name):
 
 def test_solutions_with_other_states_or_without_finite_ones_are_refused(moved):
     with pytest.raises(al.ProblemError, match=r"a solution of a system with the states 'angle', 'rate'; received one"):
-        al.solve(swing_up(10), transcription=al.Simultaneous(guess=al.solve(gain_problem())))
+        al.solve(swing_up(10), transcription=al.Simultaneous(guess=moved))
     missing = {name: np.full_like(one, np.nan) for name, one in moved.states.values.items()}
     broken = replace(moved, states=replace(moved.states, values=missing))
     with pytest.raises(al.ProblemError, match="a solution with finite states"):

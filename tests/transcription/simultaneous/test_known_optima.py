@@ -43,6 +43,7 @@ def cycloid_time(x: float, depth: float) -> float:
     return angle * np.sqrt(depth / (1 - np.cos(angle)) / GRAVITY)
 
 
+@pytest.mark.slow
 def test_brachistochrone():
     problem = al.Problem(
         Bead(),
