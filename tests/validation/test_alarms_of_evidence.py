@@ -67,7 +67,7 @@ def alarmed(solution, samples=20_000, **options):
 def test_what_agrees_sounds_no_alarm():
     """A probability is judged by its exact interval, so that a rare event may not occur at all."""
     smooth = solved("smooth")
-    for samples, seed in ((300, 0), (300, 1), (4000, 2)):
+    for samples, seed in ((300, 0), (20_000, 1)):
         evidence = alarmed(smooth, samples, seed=seed)
         assert evidence.agrees
         assert all(one.meets for one in evidence.compared)
@@ -76,7 +76,7 @@ def test_what_agrees_sounds_no_alarm():
 def test_a_spike_in_a_corner_without_points_is_found_and_breaks_the_limit_on_a_spread(tmp_path):
     solution = solved("spike", limits=(X.std <= 1.17, LEVEL, RARE))
     assert solution.certificate.expansion.unseen is not None
-    evidence = alarmed(solution, 60_000)
+    evidence = alarmed(solution)
     assert not evidence.agrees
     told = {one.text: one for one in evidence.disagreements}
     # By integration: of 120 (a - 0.9)+ (b - 0.5)+.
@@ -106,14 +106,14 @@ def test_limits_on_statistics_are_compared_with_their_bounds():
     end, width = al.output("gain").mean.equals(1.0), X.quantile(0.75) - X.quantile(0.25)
     limits = X.std <= 1.2 * std, X.std <= std, end, width <= 2.0 + 1e-9
     plain = solved("smooth", b=al.Uniform(0.0, half_width=1e-9), limits=limits, tolerance=0.05)
-    evidence = al.validate(plain, 10_000)
+    evidence = al.validate(plain, 20_000)
     found = {one.name: one for one in evidence.compared}
     assert found["limit 0"].meets is True
     assert found["limit 1"].meets is None
     assert found["limit 2"].meets is not False
     assert found["limit 3"].meets is None
     # The standard error of a sampled std of a uniform distribution, whose kurtosis is 1.8.
-    assert found["limit 1"].standard_error == pytest.approx(std * np.sqrt(0.8 / 4 / 10_000), rel=0.4)
+    assert found["limit 1"].standard_error == pytest.approx(std * np.sqrt(0.8 / 4 / 20_000), rel=0.4)
     assert "within its error of the bound" in str(evidence)
 
 

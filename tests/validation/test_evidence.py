@@ -83,18 +83,18 @@ def test_the_same_seed_gives_the_same_evidence_whatever_the_batch_and_the_cores(
 
 def test_moments_of_paths_and_kept_systems_are_those_of_the_samples_themselves(decaying):
     # As many kept as sampled: the paths themselves are at hand.
-    evidence = al.validate(decaying, 150, batch=64, keep=150)
+    evidence = al.validate(decaying, 230, batch=64, keep=230)
     (low, *_) = evidence.trajectories
     paths = low.values
-    assert paths.shape == (150, 11)
+    assert paths.shape == (230, 11)
     sampled = evidence.functionals["x(t)"]
     np.testing.assert_allclose(sampled.mean, paths.mean(axis=0), rtol=1e-11, atol=1e-15)
     np.testing.assert_allclose(sampled.std, paths.std(axis=0, ddof=1), rtol=1e-9, atol=1e-13)
     broken = (paths < 0.5).any(axis=1)
-    assert 0 < broken.sum() < 150
+    assert 0 < broken.sum() < 230
     np.testing.assert_array_equal(low.violating, broken)
     assert evidence.violations["low"].count == broken.sum()
-    few = al.validate(decaying, 150, batch=64, keep=7)
+    few = al.validate(decaying, 230, batch=64, keep=7)
     assert {(one.values.shape, one.violating.shape) for one in few.trajectories} == {((7, 11), (7,))}
 
 
@@ -102,7 +102,7 @@ def test_a_deterministic_design_is_validated_on_the_uncertain_systems():
     # The nominal gain puts the mean at the bound: half of all systems are beyond it.
     nominal = al.solve(al.deterministic(gain_problem(upper=2.0, sigmas=1.0)))
     assert nominal.decisions["gain"] == pytest.approx(2.0, rel=1e-7)
-    evidence = al.validate(nominal, 4000)
+    evidence = al.validate(nominal, 20_000)
     assert evidence.agrees  # it is not accused of an expansion that it does not have
     violation = evidence.violations["response"]
     assert violation.lower <= 0.5 <= violation.upper
@@ -210,7 +210,7 @@ def fragile(large, until):
     ("large", "until", "said"),
     [
         (1.0, 0.55, r"output 'x' from t = 0\.6 s on"),
-        (1e200, 9.0, r"rms\(x\)\."),
+        pytest.param(1e200, 9.0, r"rms\(x\)\.", marks=pytest.mark.slow),
     ],
     ids=["on the way", "its square"],
 )
