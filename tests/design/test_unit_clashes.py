@@ -43,20 +43,14 @@ PLACE, ACCELERATION = out("place"), out("acceleration")
     ("expression", "words"),
     [
         (PLACE.mean + ACCELERATION.mean, r"'μ\[place\]' is in m and 'μ\[acceleration\]' in m/s², which measure diff"),
-        (PLACE.mean - ACCELERATION.quantile(0.9), "is in m and .* in m/s², which measure"),
         (out("bare").mean + PLACE.mean + 3.0 + ACCELERATION.mean, "is in m and .* in m/s²"),
-        (PLACE.mean - PLACE.variance, "is in m and .* in m², which measure"),
         (PLACE.std + al.covariance(PLACE, ACCELERATION), "is in m and .* in m"),
         (PLACE.mean + PLACE.probability(above=1.0), "is in m and .* in -, which measure"),
-        (PLACE.mean + al.value("x"), "is in m and 'x' in N, which measure"),
         (
             PLACE.mean + al.value("y.half_width"),
             r"is in m and 'y\.half_width' in mm, which differ in size: 1 mm is 0\.",
         ),
-        (PLACE.mean + out("long").mean, "which differ in size: 1 mm is 0.001 m: convert both to one unit"),
         (out("angle").mean - out("turned").mean, "is in rad and .* in deg, .* 1 deg is 0.0174533 rad"),
-        (out("share").mean + out("percent").mean, r"is in - and .* in %, .* 1 % is 0\.01 \(-\)"),
-        (al.objectives.norm(PLACE.mean + ACCELERATION.mean, PLACE.std), "is in m and .* in m/s²"),
         (al.objectives.norm(PLACE.mean, PLACE.std) + ACCELERATION.mean, "'‖.*‖' is in m and .* in m/s²"),
     ],
 )
@@ -68,17 +62,10 @@ def test_known_units_that_differ_are_refused_in_one_sentence_that_names_both(exp
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    "constraint",
-    [
-        PLACE.mean <= ACCELERATION.mean,
-        (PLACE.mean - ACCELERATION.mean).equals(0.0),
-        PLACE.mean + 1.25 * ACCELERATION.std <= 0.034,
-    ],
-)
-def test_comparisons_and_margins_of_another_unit_are_refused(constraint):
-    with pytest.raises(al.ProblemError, match=r"Constraint '.*' is in m and .* in m+(/s²)?, which"):
-        declared(constraint=constraint)
+def test_comparisons_and_margins_of_another_unit_are_refused():
+    for constraint in (PLACE.mean <= ACCELERATION.mean, PLACE.mean + 1.25 * ACCELERATION.std <= 0.034):
+        with pytest.raises(al.ProblemError, match=r"Constraint '.*' is in m and .* in m+(/s²)?, which"):
+            declared(constraint=constraint)
 
 
 @pytest.mark.parametrize(
@@ -86,22 +73,18 @@ def test_comparisons_and_margins_of_another_unit_are_refused(constraint):
     [
         PLACE.mean + 2 * out("other_place").std + 3.0,
         out("torque").mean + out("moment").std + out("energy").quantile(0.9),
-        out("speed").mean - out("rate").mean,
         out("share").mean + PLACE.probability(above=1.0) + PLACE.sobol("y") + out("angle").mean,
         out("warm").mean - out("heat").std,
         # what is not known, or can be read in two ways
         PLACE.mean + out("odd").mean + out("none").mean + out("bare").mean,
-        ACCELERATION.mean + out("two_ways").mean,
         out("heat").mean + out("wrong").mean,
         # factors that bring one unit to the other, or weigh one against the other
         PLACE.mean + 1e-3 * out("long").mean,
         out("angle").mean - np.pi / 180 * out("turned").mean,
         PLACE.mean + 0.1 * ACCELERATION.mean,
-        PLACE.mean + 0 * ACCELERATION.mean,
         # norms and cost curves are sums that nobody wrote as such
         al.objectives.norm(PLACE.mean, ACCELERATION.mean) + out("energy").mean,
         al.cost.reciprocal("y.half_width", bias=0.0, scale=1.0) + PLACE.mean,
-        al.value("y.half_width") + al.value("y.mean"),
     ],
 )
 def test_units_that_agree_or_are_not_known_are_not_refused(expression):
@@ -126,33 +109,19 @@ def moving(objective):
     return al.Problem(Moving(target), grid=al.Grid(al.Decision(1.0, 0.5, 2.0), 4), minimize=objective)
 
 
-@pytest.mark.parametrize(
-    "objective",
-    [
-        al.integral("speed").mean + al.terminal("x").std,
-        al.integral("drive").mean + al.terminal("energy").mean,
-        al.time_integral(al.path("speed").std) + al.terminal("x").mean,
-        # the usual compromise of time and effort: weights are one unless others are given
-        al.objectives.final_time() + al.objectives.effort("force") + al.objectives.power({"force": "speed"}),
-        al.objectives.effort("force", "x"),
-        al.objectives.terminal_variance("x", "speed"),
-    ],
-)
-def test_integrals_over_time_have_units_of_their_own(objective):
-    assert moving(objective)
-
-
-@pytest.mark.parametrize(
-    ("objective", "words"),
-    [
+def test_integrals_over_time_have_units_of_their_own():
+    assert moving(al.integral("drive").mean + al.terminal("energy").mean)
+    assert moving(al.time_integral(al.path("speed").std) + al.terminal("x").mean)
+    # The usual compromise of time and effort: weights are one unless others are given.
+    effort, power = al.objectives.effort("force"), al.objectives.power({"force": "speed"})
+    assert moving(al.objectives.final_time() + effort + power)
+    for clash, words in (
         (al.integral("x").mean + al.terminal("x").std, "is in m s and .* in m,"),
         (al.objectives.final_time() + al.terminal("x").mean, "'t_final' is in s and .* in m,"),
         (al.time_integral(al.path("x").mean + al.path("speed").std), r"is in m and .* in m/s,"),
-    ],
-)
-def test_clashes_over_time_are_refused(objective, words):
-    with pytest.raises(al.ProblemError, match=words):
-        moving(objective)
+    ):
+        with pytest.raises(al.ProblemError, match=words):
+            moving(clash)
 
 
 class Wheels(al.AlgebraicSystem):
@@ -170,7 +139,4 @@ def test_one_number_shared_by_fields_of_different_units_is_refused():
         al.ProblemError, match=r"'radius' is shared by 'front', in mm, and 'rear', in m, .* 1000 mm: give"
     ):
         al.Problem(Wheels(radius, radius, 1.0), minimize=al.output("gap").mean)
-    wide = al.Decision(300.0, 200.0, 400.0).shared("wide")
-    with pytest.raises(al.ProblemError, match=r"'wide' is shared by 'front\.mean', in mm, and 'rear\.mean', in m,"):
-        al.Problem(Wheels(al.Normal(wide, 1.0), al.Normal(wide, 1.0), 1.0), minimize=al.output("gap").mean)
     assert al.Problem(Wheels(radius, 0.3, radius), minimize=al.output("gap").mean)

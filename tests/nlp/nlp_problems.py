@@ -67,24 +67,11 @@ def hs71(product_at_least=25.0, squares=40.0):
 
 
 def hs28():
-    """Equality: minimise (x1+x2)² + (x2+x3)² subject to x1 + 2 x2 + 3 x3 = 1; optimum 0 at (0.5, -0.5,
-    0.5).
-    """
-
     def evaluate(x):
         a, b = x[0] + x[1], x[1] + x[2]
         return evaluation(a**2 + b**2, [2 * a, 2 * (a + b), 2 * b], [x @ [1, 2, 3]], [[1, 2, 3]])
 
     return program(evaluate, [-4.0, 1, 1], rows=[(1, 1)])
-
-
-def hs6():
-    """Equality: minimise (1-x1)² subject to 10 (x2 - x1²) = 0; optimum 0 at (1, 1)."""
-
-    def evaluate(x):
-        return evaluation((1 - x[0]) ** 2, [-2 * (1 - x[0]), 0], [10 * (x[1] - x[0] ** 2)], [[-20 * x[0], 10]])
-
-    return program(evaluate, [-1.2, 1.0], rows=[(0, 0)])
 
 
 def disc(points=3001):

@@ -11,8 +11,6 @@ from aleator.nlp import Condensing, Evaluation, Hessian, Ipopt, NonlinearProgram
 from aleator.nlp._elimination import Elimination, SingularTiesError
 from zoo import cases
 
-OWN = "solved"
-
 
 def pattern(dense):
     found = csr_array(dense != 0)
@@ -110,19 +108,13 @@ def same(own, other):
     np.testing.assert_allclose(own.bound_multipliers, other.bound_multipliers, atol=1e-5)
 
 
-@pytest.mark.parametrize("seed", cases(range(8)))
+@pytest.mark.parametrize("seed", cases(range(3)))
 def test_realisations_of_shared_decisions_have_the_optimum_and_the_multipliers_of_ipopt(seed):
     program = arrow(seed)
     own, other = Condensing().solve(program), Ipopt().solve(program)
     assert own.ok, own.message
-    assert own.message == OWN
+    assert own.message == "solved"
     same(own, other)
-
-
-def test_some_of_these_programs_have_binding_limits_and_others_not():
-    binding = [Condensing().solve(arrow(seed)).active[-1] for seed in range(8)]
-    assert any(binding)
-    assert not all(binding)
 
 
 def test_fixed_variables_and_rows_that_bind_nothing_are_left_out():
@@ -137,26 +129,17 @@ def test_fixed_variables_and_rows_that_bind_nothing_are_left_out():
     free[-1] = -np.inf
     program = replace(program, lower=lower, upper=upper, constraint_upper=loose, constraint_lower=free)
     own, other = Condensing().solve(program), Ipopt().solve(program)
-    assert own.message == OWN
+    assert own.message == "solved"
     assert own.point[0] == -0.2
     assert own.multipliers[-1] == 0.0
     same(own, other)
-
-
-def test_a_concave_objective_ends_at_a_bound_with_its_multiplier():
-    outcome = Condensing().solve(copies(lambda w: -(w**2) / 2, lambda w: -w, lambda w: -np.ones_like(w)))
-    assert outcome.message == OWN
-    np.testing.assert_allclose(outcome.point, 2.0, atol=1e-6)
-    # Five copies, each with the slope -2.
-    assert outcome.bound_multipliers[0] == pytest.approx(10.0, rel=1e-6)
-    np.testing.assert_allclose(outcome.multipliers, 2.0, rtol=1e-6)
 
 
 def test_multipliers_start_it_warm():
     program = arrow(2)
     cold = Condensing().solve(program)
     warm = Condensing().solve(program, start=cold.point, multipliers=cold.multipliers)
-    assert warm.message == OWN
+    assert warm.message == "solved"
     assert warm.iterations < cold.iterations
     same(warm, cold)
 
@@ -182,20 +165,13 @@ def test_a_realisation_that_is_not_determined_is_named_and_left_to_ipopt():
     np.testing.assert_allclose(outcome.point, [0.0, 0.0, 0.0, 0.0, 1.0, 0.0], atol=1e-6)
 
 
-def test_programs_without_ties_or_second_derivatives_are_left_to_ipopt():
-    for change in ({"ties": None}, {"hessian": None}):
-        outcome = Condensing().solve(replace(arrow(3), **change))
-        assert outcome.ok
-        assert "IPOPT" in outcome.message
-
-
 def test_points_that_cannot_be_evaluated_shorten_the_step():
     def objective(w):
         return w - np.log(np.where(w > 0.3, w - 0.3, np.nan))
 
     program = copies(objective, lambda w: 1 - 1 / (w - 0.3), lambda w: 1 / (w - 0.3) ** 2, start=1.9)
     outcome = Condensing().solve(program)
-    assert outcome.message == OWN
+    assert outcome.message == "solved"
     np.testing.assert_allclose(outcome.point, 1.3, atol=1e-6)
 
 
@@ -221,7 +197,7 @@ def test_an_interrupt_ends_it_and_an_error_reaches_the_caller(where):
         Condensing().solve(failing(where, LookupError))
 
 
-@pytest.mark.parametrize("seed", cases(range(4)))
+@pytest.mark.parametrize("seed", cases(range(3)))
 def test_solves_in_levels_are_those_of_a_dense_matrix(seed):
     rng = np.random.default_rng(seed)
     count, more = 40, 5
@@ -257,17 +233,7 @@ def test_ties_in_which_a_variable_stands_nowhere_are_singular():
         Elimination(Ties(np.arange(3), np.arange(3), np.full(3, 7)), matrix)
 
 
-WRONG = {
-    "rows that are none": (lambda one: one._replace(rows=one.rows + 3), "`ties.rows`.*from 0 to"),
-    "one row twice": (lambda one: one._replace(rows=np.zeros_like(one.rows)), "`ties.rows` once"),
-    "variables of another length": (lambda one: one._replace(variables=one.variables[:-1]), "`ties.variables`"),
-    "an inequality": (lambda one: one._replace(rows=one.rows[::-1] + 2), "Expected equalities"),
-}
-
-
-@pytest.mark.parametrize("name", WRONG)
-def test_what_are_no_ties_is_refused(name):
-    change, message = WRONG[name]
+def test_rows_that_are_no_equalities_tie_nothing():
     program = arrow(6, blocks=1)
-    with pytest.raises(ProblemError, match=message):
-        replace(program, ties=change(program.ties))
+    with pytest.raises(ProblemError, match="Expected equalities"):
+        replace(program, ties=program.ties._replace(rows=program.ties.rows[::-1] + 2))

@@ -11,7 +11,7 @@ class Bar(al.AlgebraicSystem):
 
     width: al.Number
     load: al.Number
-    kind: str = "smooth"
+    kind: str
 
     def outputs(self):
         return {"stress": self.load / self.width, "cost": COSTS[self.kind](self.width)}
@@ -19,8 +19,6 @@ class Bar(al.AlgebraicSystem):
 
 COSTS = {
     "hundredths": lambda width: jnp.round(width, 2),
-    "sizes on stock": lambda width: jnp.array([3.0, 4.0, 6.0])[jnp.searchsorted(jnp.array([2.5, 3.6]), width)],
-    "smooth": jnp.sqrt,
     "never thinner": lambda width: jnp.maximum(width, 3.5),
 }
 
@@ -32,18 +30,16 @@ def problem(kind):
     return al.Problem(bar, minimize=al.output("cost").mean, subject_to=[strong])
 
 
-@pytest.mark.parametrize("kind", ["hundredths", pytest.param("sizes on stock", marks=pytest.mark.slow)])
-def test_a_rounded_objective_is_refused_by_name(kind):
+def test_a_rounded_objective_is_refused_by_name():
+    kind = "hundredths"
     with pytest.raises(al.ProblemError, match="changes with 'width', but all its derivatives tried are zero"):
         al.solve(problem(kind))
     assert any("by width" in one for one in al.examine(problem(kind)).wrong)
 
 
-@pytest.mark.parametrize(
-    ("kind", "least"), [("never thinner", 3.5), pytest.param("smooth", 1.7433388897576192, marks=pytest.mark.slow)]
-)
-def test_a_flat_or_smooth_objective_is_solved(kind, least):
-    assert al.solve(problem(kind)).objective == pytest.approx(least, rel=1e-9)
+def test_an_objective_that_is_flat_in_part_is_solved():
+    kind = "never thinner"
+    assert al.solve(problem(kind)).objective == pytest.approx(3.5, rel=1e-9)
     assert not al.examine(problem(kind)).wrong
 
 

@@ -2,11 +2,10 @@ import nlp_problems as problems
 import numpy as np
 import pytest
 
-from aleator.nlp import InteriorPoint
+from aleator.nlp import FilterSQP, InteriorPoint
 
 PUBLISHED = {
     "rosenbrock": (problems.rosenbrock, 0.0, [1, 1]),
-    "hs6": (problems.hs6, 0.0, [1, 1]),
     "hs15": (problems.hs15, 306.5, [0.5, 2]),
     "hs28": (problems.hs28, 0.0, [0.5, -0.5, 0.5]),
     "hs35": (problems.hs35, 1 / 9, [4 / 3, 7 / 9, 4 / 9]),
@@ -81,6 +80,4 @@ def test_every_point_is_evaluated_once(solver):
 
 def test_filter_sqp_needs_few_points_where_thousands_of_rows_are_nearly_active():
     pytest.importorskip("unopy")
-    from aleator.nlp import FilterSQP
-
     assert FilterSQP().solve(problems.disc()).evaluations <= 8

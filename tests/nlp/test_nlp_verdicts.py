@@ -9,8 +9,6 @@ from nlp_problems import INF, evaluation, program
 
 from aleator.nlp import FilterSQP, Ipopt, Magnitudes, Slsqp, Status
 
-FACTORS = [1e-9, 1e9]
-
 
 def rescaled(inner, objective=1.0, rows=1.0, decisions=1.0):
     """A program in other units, whose typical magnitudes are known."""
@@ -38,7 +36,7 @@ def rescaled(inner, objective=1.0, rows=1.0, decisions=1.0):
 
 
 @pytest.mark.parametrize("part", ["objective", "rows", "decisions"])
-@pytest.mark.parametrize("factor", FACTORS)
+@pytest.mark.parametrize("factor", [1e-9, 1e9])
 def test_units_change_no_verdict(solver, part, factor):
     solved = solver.solve(rescaled(problems.hs71(), **{part: factor}))
     assert solved.ok
@@ -71,10 +69,9 @@ def test_feasibility_is_judged_by_the_size_of_a_row_and_not_by_what_solvers_divi
     assert outcome.multipliers == pytest.approx(np.array([-2.0]), rel=1e-5)
 
 
-@pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-10])
-@pytest.mark.parametrize("name", ["rosenbrock", "hs71"])
-def test_what_is_called_solved_is_within_the_tolerance_asked_for(solver, name, tolerance):
-    outcome = replace(solver, tolerance=tolerance).solve(getattr(problems, name)())
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-10])
+def test_what_is_called_solved_is_within_the_tolerance_asked_for(solver, tolerance):
+    outcome = replace(solver, tolerance=tolerance).solve(problems.hs71())
     residuals = outcome.violation, outcome.stationarity, outcome.complementarity
     assert outcome.ok == (max(residuals) <= tolerance)
     if not outcome.ok:
@@ -94,21 +91,6 @@ def test_a_tolerance_below_what_the_arithmetic_can_give_ends_soon_and_says_so(ma
     if not outcome.ok:
         assert "below the rounding of the objective" in outcome.message
     assert outcome.evaluations < 1000
-
-
-@pytest.mark.parametrize("make", [FilterSQP, Ipopt, Slsqp])
-def test_the_iteration_limit_is_given_as_the_reason_only_where_it_is_used_up(make):
-    # A chain of valleys takes more iterations the longer it is.
-    def evaluate(x):
-        gaps = x[1:] - x[:-1] ** 2
-        gradient = np.zeros(x.size)
-        gradient[1:] += 200 * gaps
-        gradient[:-1] += -400 * x[:-1] * gaps - 2 * (1 - x[:-1])
-        return evaluation(100 * (gaps**2).sum() + ((1 - x[:-1]) ** 2).sum(), gradient)
-
-    outcome = make(max_iterations=60).solve(program(evaluate, np.tile([-1.2, 1.0], 10)))
-    assert outcome.status is Status.ITERATION_LIMIT
-    assert outcome.iterations >= 60
 
 
 def test_a_minimum_at_a_kink_is_no_solution_unless_it_is_known_to_be_least(solver):

@@ -8,15 +8,15 @@ import pytest
 from nlp_problems import evaluation, hs71, program, rosenbrock
 
 import aleator as al
-from aleator.nlp import AbstractSearch, Evaluation, NonlinearProgram, Sought
+from aleator.nlp import Evaluation
 
-GLOBAL = [
+EVERY = [
+    al.solvers.NelderMead(),
     al.solvers.Direct(),
     al.solvers.DifferentialEvolution(),
     al.solvers.DualAnnealing(),
     al.solvers.CmaEs(),
 ]
-EVERY = [al.solvers.NelderMead(), *GLOBAL]
 SHORT = [al.solvers.NelderMead(evaluations=300), al.solvers.DifferentialEvolution(evaluations=600)]
 
 
@@ -45,43 +45,20 @@ def rastrigin():
     return program(evaluate, [3.1, -4.2, 2.3], [-5.12] * 3, [5.12] * 3), 0.0
 
 
-def gomez_levy():
-    """A minimum of -1.031628453489877 within a disconnected region (Gómez and Levy 1982)."""
-
-    def evaluate(x):
-        camel = six_hump_camel()[0].evaluate(x)
-        a, b = x
-        row = -np.sin(4 * np.pi * a) + 2 * np.sin(2 * np.pi * b) ** 2
-        slope = [-4 * np.pi * np.cos(4 * np.pi * a), 4 * np.pi * np.sin(4 * np.pi * b)]
-        return evaluation(camel.objective, camel.gradient, [row], [slope])
-
-    return program(evaluate, [0.6, 0.6], [-1.0, -1.0], [0.75, 1.0], rows=[(-np.inf, 1.5)]), -1.031628453489877
-
-
-def rippled():
-    """A bowl with ripples a hundred times as steep as itself: zero at (0.3, 0.3)."""
-
-    def evaluate(x):
-        off = x - 0.3
-        value = float((off**2 + 1e-2 * np.sin(60 * off) ** 2).sum())
-        return evaluation(value, 2 * off + 0.6 * np.sin(120 * off))
-
-    return program(evaluate, [0.9, -0.8], [-1.0, -1.0], [1.0, 1.0]), 0.0
-
-
 def within(one, lower, upper):
     return replace(one, lower=np.full(one.start.shape, lower), upper=np.full(one.start.shape, upper))
 
 
-HARD = [six_hump_camel, rippled, rastrigin, gomez_levy]
-PAIRS = [
-    pytest.param(solver, case, marks=() if i == j else pytest.mark.slow, id=f"{named(solver)}-{case.__name__}")
-    for i, solver in enumerate(GLOBAL)
-    for j, case in enumerate(HARD)
-]
-
-
-@pytest.mark.parametrize(("solver", "case"), PAIRS)
+@pytest.mark.parametrize(
+    ("solver", "case"),
+    [
+        (al.solvers.Direct(), six_hump_camel),
+        (al.solvers.DifferentialEvolution(), six_hump_camel),
+        (al.solvers.DualAnnealing(), rastrigin),
+        (al.solvers.CmaEs(), rastrigin),
+    ],
+    ids=lambda one: getattr(one, "__name__", type(one).__name__),
+)
 def test_the_global_minimum_is_found_from_a_start_that_leads_elsewhere(solver, case):
     one, least = case()
     found = solver.solve(one)
@@ -116,26 +93,18 @@ def test_a_seed_gives_the_same_search_again(solver):
 
 
 @pytest.mark.parametrize("solver", EVERY, ids=named)
-@pytest.mark.parametrize("evaluations", [1, 77])
-def test_no_more_points_than_the_budget_are_evaluated(solver, evaluations):
-    asked = []
-    one, _ = gomez_levy()
+def test_no_more_points_than_the_budget_are_evaluated(solver):
+    asked, evaluations = [], 77
+    one, _ = rastrigin()
 
     def values(points):
         asked.append(len(points))
         found = [one.evaluate(x) for x in points]
-        return np.array([e.objective for e in found]), np.array([e.constraints for e in found])
+        return np.array([e.objective for e in found]), np.zeros((len(points), 0))
 
     found = replace(solver, evaluations=evaluations).solve(replace(one, values=values))
     assert sum(asked) == found.searched.evaluations <= evaluations
     assert found.evaluations > found.searched.evaluations
-
-
-def test_a_search_ends_with_its_time():
-    one, _ = rastrigin()
-    found = al.solvers.DifferentialEvolution(seconds=1e-9).solve(one)
-    assert found.searched.evaluations == AbstractSearch.first_points
-    assert found.searched.end == "its budget was spent"
 
 
 @pytest.mark.parametrize("solver", EVERY, ids=named)
@@ -201,34 +170,7 @@ def test_a_kink_is_found_and_no_optimum_is_claimed(solver):
     assert "kink" in found.message
 
 
-def test_without_polishing_the_conditions_of_an_optimum_decide():
-    one = within(rosenbrock(), -2.0, 2.0)
-    rough = al.solvers.NelderMead(polish=False, evaluations=40).solve(one)
-    assert rough.status is al.Status.FAILED
-    fine = al.solvers.NelderMead(polish=False, tolerance=1e-3).solve(one)
-    assert fine.ok
-    assert fine.iterations == 0
-
-
-class Middle(AbstractSearch):
-    """Evaluates the middle of the box, and no more."""
-
-    method = "the middle"
-
-    def explore(self, sought: Sought, first, generator):
-        sought.merits(np.full((1, sought.size), 0.5))
-
-
-def test_a_search_of_ones_own():
-    one, least = six_hump_camel()
-    found = Middle(polish=False).solve(one)
-    assert found.searched.evaluations == AbstractSearch.first_points + 1
-    assert found.searched.objectives[-1] == pytest.approx(0.0)
-    assert isinstance(one, NonlinearProgram)
-    assert least < found.evaluation.objective <= np.nanmin(found.searched.objectives)
-
-
-@pytest.mark.parametrize("solver", EVERY, ids=named)
+@pytest.mark.parametrize("solver", SHORT, ids=named)
 @pytest.mark.usefixtures("python_interrupts")
 def test_ctrl_c_while_the_best_point_is_polished_keeps_it(solver):
     one = within(rosenbrock(), -2.0, 2.0)

@@ -12,27 +12,25 @@ from scipy.interpolate import BSpline
 
 import aleator as al
 from aleator.solution import Deviation, GridError
-from zoo import Decay, block_problem, gain_problem
+from zoo import Decay, block_problem
 
-quietly = pytest.mark.filterwarnings("ignore")
 SCIPY = 1e-9  # what SciPy's own tolerance leaves
 
 
 # --- The push of a block, by a spline of many points ---------------------------------------------------------------
 
 
-def least_effort(points: int, steps: int) -> al.Problem:
+def least_effort() -> al.Problem:
     """Rest to rest over 1 m in 1 s: the least effort is 12, by the push 6 - 12 t."""
-    push = al.BSpline(al.Decision(np.zeros(points), -50.0, 50.0), degree=min(3, points - 1))
-    return block_problem(steps=steps, inputs={"force": push})
+    push = al.BSpline(al.Decision(np.zeros(24), -50.0, 50.0), degree=3)
+    return block_problem(steps=5, inputs={"force": push})
 
 
 def flown(solution):
     """Where the plan ends and what it costs, by SciPy, knot by knot."""
     points = np.asarray(solution.decisions["inputs.force.free"])
-    degree = min(3, len(points) - 1)
-    inner = np.linspace(0, 1, len(points) - degree + 1)
-    push = BSpline(np.concatenate([np.zeros(degree), inner, np.ones(degree)]), points, degree)
+    inner = np.linspace(0, 1, len(points) - 2)
+    push = BSpline(np.concatenate([np.zeros(3), inner, np.ones(3)]), points, 3)
     z, exact = np.zeros(3), {"rtol": 1e-12, "atol": 1e-12, "method": "DOP853"}
     for ends in pairwise(inner):
         z = solve_ivp(lambda t, z: [z[1], push(t), push(t) ** 2], ends, z, **exact).y[:, -1]
@@ -48,24 +46,16 @@ def states_its_error(solution):
 
 
 def test_a_grid_that_sees_too_little_of_a_control_is_coarse_and_as_many_steps_as_it_advises_give_the_optimum():
-    coarse = al.solve(least_effort(24, 5), throw=False)
+    coarse = al.solve(least_effort(), throw=False)
     assert coarse.status is al.Status.COARSE
     assert states_its_error(coarse) < 11  # some of the push is free between the instants
-    fine = al.solve(least_effort(24, 5), refine=True)
+    fine = al.solve(least_effort(), refine=True)
     assert states_its_error(fine) == pytest.approx(12.0, rel=1e-6)
     assert fine.objective == pytest.approx(12.0, rel=1e-6)
     said = coarse.certificate.grid_error
     assert said.steps_needed % 21 == 0  # the ends of the spline's pieces
     assert f"{said.steps_needed} steps, or refine=True" in str(said)
     assert fine.problem.grid.steps >= said.steps_needed
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("points", "steps"), [(2, 20), (10, 20), (40, 20), (80, 50)])
-def test_the_cost_of_a_plan_is_what_it_says_to_the_error_that_it_states(points, steps):
-    solution = al.solve(least_effort(points, steps), throw=False)
-    cost = states_its_error(solution)
-    assert not solution.ok or abs(solution.objective - cost) <= 1e-3 * cost
 
 
 # --- Steps that are advised ----------------------------------------------------------------------------------------
@@ -82,10 +72,8 @@ def off(objective: float, functional: float = 0.0, **options: Any) -> GridError:
     [
         (off(0.9), 20, "seen on 10 times"),
         (off(81.0), 72, "use about 72 steps"),  # three times as many by the fourth power, and a fifth more
-        (off(2.0), 40, "use about 40 steps"),
         (off(1e9), 160, "use at least 160 steps"),
         (off(0.5, 16.0, order=2), 96, "'x' is off by 16"),
-        (off(81.0, pieces=77), 77, "use about 77 steps"),
         (off(81.0, by_tolerances=True), 72, "and smaller tolerances of the integrator"),
         (off(np.nan), 160, "off by nan"),
     ],
@@ -99,6 +87,10 @@ def test_as_many_steps_are_advised_as_the_order_of_convergence_asks_for(error, s
 # --- A mass on a spring: released, or struck by a pulse --------------------------------------------------------------
 
 
+HEIGHT, WIDTH, DAMPING, END = 1e4, 0.0038, 0.4, 4.0
+"""Of a pulse of force per mass (N/kg, s); of the damper (1/s); of time (s)."""
+
+
 class Mount(al.System):
     """A mass on a spring and a damper, released from a place; a narrow pulse of force strikes it."""
 
@@ -109,13 +101,12 @@ class Mount(al.System):
     damping: al.Number = 0.0
     height: al.Number = 0.0
     centre: al.Number = 1.0
-    width: al.Number = 1.0
 
     def initial(self):
         return {"x": self.start}
 
     def rhs(self, t, z):
-        pulse = self.height * jnp.exp(-0.5 * ((t - self.centre) / self.width) ** 2)
+        pulse = self.height * jnp.exp(-0.5 * ((t - self.centre) / WIDTH) ** 2)
         return z.v, pulse - self.damping * z.v - self.stiffness * z.x
 
     def outputs(self, t, z):
@@ -154,7 +145,7 @@ def test_an_error_beyond_a_part_of_the_spread_is_warned_of():
     assert "is off by" in str(solution)
 
 
-@quietly
+@pytest.mark.filterwarnings("ignore")
 def test_a_limit_that_breaks_on_a_finer_grid_makes_the_design_none():
     # Runge-Kutta of order 4 damps the oscillation: on so few steps by more than a per cent.
     solution = al.solve(swing(0.5), throw=False, accuracy=0.01)
@@ -163,41 +154,27 @@ def test_a_limit_that_breaks_on_a_finer_grid_makes_the_design_none():
     assert "'place'" in solution.why()
 
 
-def fast(frequency: float) -> al.Problem:
-    """An oscillation that is too fast for its steps."""
-    return al.Problem(
-        Mount((2 * np.pi * frequency) ** 2, al.Decision(1.0, 0.0, 10.0)),
+def test_a_search_that_an_unstable_grid_leads_astray_is_told_so():
+    problem = al.Problem(
+        Mount((2 * np.pi * 50.0) ** 2, al.Decision(1.0, 0.0, 10.0)),
         grid=al.Grid(1.0, 100),
         minimize=al.terminal("loss").mean,
         subject_to=[al.path("x").at_least(-1.0)],
     )
-
-
-@pytest.mark.parametrize("frequency", [50.0, 200.0])
-def test_a_search_that_an_unstable_grid_leads_astray_is_told_so(frequency):
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        solution = al.solve(fast(frequency), throw=False)
+        solution = al.solve(problem, throw=False)
     # Where it fled to nothing moves, and every grid is exact; or it finds no way there, and calls that infeasible.
     said = [str(one.message) for one in told if one.category is al.GridWarning]
     said += [] if solution.ok else [solution.why()]
     assert any("at the start of the search 100 steps give x(t) as" in one for one in said)
 
 
-HEIGHT, WIDTH, DAMPING, END = 1e4, 0.0038, 0.4, 4.0
-"""Of a pulse of force per mass (N/kg, s); of the damper (1/s); of time (s)."""
-
-
-def struck(centre: float, limit: Any, width: float = WIDTH, **options: Any) -> al.Solution:
-    mount = Mount(
-        al.Uniform(al.Decision(60.0, 4.0, 400.0), half_width=1.0),
-        damping=DAMPING,
-        height=HEIGHT,
-        centre=centre,
-        width=width,
-    )
+def struck(centre: float, limit: Any) -> al.Solution:
+    stiffness = al.Uniform(al.Decision(60.0, 4.0, 400.0), half_width=1.0)
+    mount = Mount(stiffness, damping=DAMPING, height=HEIGHT, centre=centre)
     problem = al.Problem(mount, grid=al.Grid(END, 40), minimize=al.value("stiffness.mean"), subject_to=[limit])
-    return al.solve(problem, throw=False, **options)
+    return al.solve(problem, throw=False)
 
 
 def moved(stiffness, centre):
@@ -210,13 +187,10 @@ def moved(stiffness, centre):
     return solve_ivp(rhs, (0.0, END), [0.0, 0.0], **exact).y[0]
 
 
-END_LIMIT = al.terminal("x").at_most(5.0).named("end")
-
-
-@quietly
-@pytest.mark.parametrize("centre", [1.0042, 1.0125])
-def test_a_pulse_between_the_steps_is_no_solution_though_the_limit_holds_by_luck(centre):
-    solution = struck(centre, END_LIMIT)
+@pytest.mark.filterwarnings("ignore")
+def test_a_pulse_between_the_steps_is_no_solution_though_the_limit_holds_by_luck():
+    centre = 1.0042
+    solution = struck(centre, al.terminal("x").at_most(5.0).named("end"))
     true = moved(float(solution.vector[0]), centre)[-1]
     # Not a part of the truth is seen.
     assert abs(float(np.max(solution.constraints[0].values)) - true) > 0.25 * max(5.0, abs(true))
@@ -226,25 +200,7 @@ def test_a_pulse_between_the_steps_is_no_solution_though_the_limit_holds_by_luck
         assert words in solution.why()
 
 
-@quietly
-@pytest.mark.slow
-def test_refining_resolves_the_pulse_and_the_limit_holds_in_truth():
-    solution = struck(1.0125, END_LIMIT, refine=True)
-    assert solution.ok
-    nodes, weights = np.polynomial.legendre.leggauss(5)
-    true = weights @ [moved(float(solution.vector[0]) + side, 1.0125)[-1] for side in nodes] / 2
-    assert true < 5.0
-    assert float(np.max(solution.constraints[0].values)) == pytest.approx(true, rel=1e-2)
-
-
-@quietly
-def test_a_pulse_that_the_finer_grid_misses_too_is_seen_by_other_instants():
-    solution = struck(1.0125, al.rms("x").at_most(0.2).named("ride"), width=1e-3)
-    assert solution.status in (al.Status.COARSE, al.Status.INFEASIBLE)
-    assert "do not tell whether it holds" in solution.why() or "exceeds its bound" in solution.why()
-
-
-@quietly
+@pytest.mark.filterwarnings("ignore")
 def test_a_limit_that_only_the_grid_breaks_is_told_to_be_one_of_the_grid():
     # An instant in the pulse makes it stronger, so that no spring seems stiff enough.
     solution = struck(1.0, al.rms("x").at_most(2.5).named("ride"))
@@ -254,34 +210,12 @@ def test_a_limit_that_only_the_grid_breaks_is_told_to_be_one_of_the_grid():
     assert "'ride'" in solution.why()
 
 
-@quietly
 @pytest.mark.slow
-def test_a_coarse_grid_that_resolves_its_limits_is_usable():
-    """An active limit, one far off, one on either side, one on a peak."""
-    x = al.terminal("x")
-    limits = [x.at_most(0.05), al.path("x").at_most(1.5), x.within(0.01, 100.0).named("w"), al.peak("x").at_most(1.2)]
-    problem = al.Problem(
-        Decay(al.Uniform(al.Decision(2.0, 0.5, 4.0), half_width=0.05)),
-        grid=al.Grid(2.0, 10),
-        minimize=al.value("rate.mean"),
-        subject_to=limits,
-    )
-    solution = al.solve(problem, throw=False)
-    assert solution.ok
-    assert not solution.certificate.grid_error.unresolved
-
-
-def test_what_does_not_depend_on_time_has_no_error_of_the_grid():
-    assert al.solve(gain_problem(), refine=True).problem.grid.steps == 1
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("integrator", [al.integrators.Tsit5, al.integrators.Kvaerno5])
-def test_loose_tolerances_of_adaptive_integrators_are_seen_and_tightened(integrator):
+def test_loose_tolerances_of_adaptive_integrators_are_seen_and_tightened():
     problem = al.Problem(
         Decay(5.0, al.Decision(2.0, 1.0, 3.0)),
         grid=al.Grid(1.0, 4),
-        integrator=integrator(rtol=1e-3, atol=1e-4),
+        integrator=al.integrators.Tsit5(rtol=1e-3, atol=1e-4),
         minimize=al.terminal("x").mean,
     )
     solution = al.solve(problem, throw=False, accuracy=1e-6)
@@ -310,8 +244,3 @@ def test_a_jump_in_time_is_named_with_its_instant_where_refining_does_not_help()
     with pytest.raises(al.SolveError, match=r"'x\(t_f\)'|objective") as raised:
         al.solve(problem, refine=True, accuracy=1e-9)
     assert "jump in time, near t = 0.31" in str(raised.value)
-
-
-def test_an_accuracy_that_no_arithmetic_gives_is_refused():
-    with pytest.raises(al.ProblemError, match="expected `accuracy` as a number from 1e-09"):
-        al.solve(gain_problem(), accuracy=1e-12)

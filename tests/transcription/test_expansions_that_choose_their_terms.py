@@ -74,9 +74,3 @@ def test_terms_are_chosen_once_for_all_bounds_and_margins_and_anew_for_another_m
     assert _collocated.cache_info().misses == before
     assert transcribe(many_problem(ADAPTIVE, gain=2.0)).collocation is not first.collocation
     assert _collocated.cache_info().misses == before + 1
-
-
-def test_a_deterministic_problem_has_no_terms_to_choose():
-    solution = al.solve(al.deterministic(many_problem(ADAPTIVE)))
-    assert solution.certificate.expansion.points == 1
-    assert solution.decisions["gain"] == pytest.approx((3.0 - 0.01 * 6) / np.exp(0.36), rel=1e-6)

@@ -9,9 +9,7 @@ import pytest
 import aleator as al
 from aleator.expansion import collocate
 from aleator.nlp import Status
-from aleator.transcription.sequential import EVALUATE
 from aleator.uncertainty import LegendreGerm
-from zoo import Block
 
 TIMES, ORDER = np.linspace(0.0, 30.0, 301), 4
 
@@ -55,7 +53,6 @@ def test_a_long_simulation_is_followed_until_an_instant_that_the_warning_names()
     with pytest.warns(al.ExpansionWarning, match=r"order 4 does not resolve x\(t\) .* from t = 1\d.* s on"):
         solution = al.solve(phase_problem(pace=1.0), throw=False)
     assert solution.status is Status.UNRESOLVED
-    assert "misses x(t) by" in solution.why()
     # A sample is predicted from the others a little worse than the best approximation.
     assert 0.75 * expected <= solution.certificate.expansion.unresolved_from["x(t)"] <= expected
     assert solution.certificate.expansion.unresolved == ("x(t)",)
@@ -71,32 +68,6 @@ def test_what_is_slow_enough_is_resolved_and_the_corner_is_named_in_which_no_poi
     levels = np.sort((1 + np.asarray(points)[:, 0]) / 2)
     assert quality.unseen.probability == pytest.approx(max(levels[0], 1 - levels[-1]), rel=1e-9)
     assert "the largest corner without a point (w " in str(solution)
-    # Another tolerance compiles nothing anew.
-    before = EVALUATE.compilations
-    with pytest.warns(al.ExpansionWarning, match="exceeds 1e-06"):
-        solution = al.solve(phase_problem(tolerance=1e-6))
-    assert EVALUATE.compilations == before
-    assert solution.certificate.expansion.tolerance == 1e-6
-
-
-@pytest.mark.slow
-def test_a_rate_that_is_zero_at_the_end_of_every_motion_is_not_called_unresolved():
-    """A mass that is pushed there and back: whatever it weighs, it comes to rest, up to rounding."""
-    push = np.random.default_rng(0).normal(size=21)
-    push -= push[::-1]  # odd about the middle, so that it takes back what it gives
-    problem = al.Problem(
-        Block(al.Uniform(al.Decision(1.0, 0.5, 2.0), half_width=0.3)),
-        grid=al.Grid(1.0, 80),
-        inputs={"force": al.Tabulated(np.linspace(0.0, 1.0, 21), push)},
-        minimize=al.terminal("v").variance + (al.rms("v").mean - 0.3),
-        subject_to=[al.terminal("v").within(-1.0, 1.0, sigmas=1.0)],
-        expansion=al.Expansion(order=5),
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        solution = al.solve(problem)
-    assert float(solution.moments["v(t_f)"].std) < 1e-10
-    assert solution.certificate.expansion.unresolved == ()
 
 
 # --- Derivatives by the parameters of distributions ------------------------------------------------------------------
@@ -108,10 +79,9 @@ class Bent(al.AlgebraicSystem):
     """Functions of an uncertain number: a smooth one, and one whose derivative has a kink."""
 
     a: al.Number
-    gain: al.Number = 1.0
 
     def outputs(self):
-        return {"smooth": jnp.exp(2 * self.a), "kink": self.gain * jnp.abs(self.a + 0.1) * (self.a + 0.1)}
+        return {"smooth": jnp.exp(2 * self.a), "kink": jnp.abs(self.a + 0.1) * (self.a + 0.1)}
 
 
 def bent_problem(output, order, points=None):
@@ -135,8 +105,8 @@ def missed(tangent, solution, order):
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("order", [3, *(pytest.param(order, marks=pytest.mark.slow) for order in (2, 4, 5))])
-def test_the_figure_of_derivatives_is_the_error_of_their_own_expansion(order):
+def test_the_figure_of_derivatives_is_the_error_of_their_own_expansion():
+    order = 3
     solution = al.solve(bent_problem("smooth", order))
     errors = solution.certificate.expansion.tangents["smooth"]
     exact = {
@@ -155,16 +125,6 @@ def test_a_kink_in_the_slope_spoils_the_derivatives_before_the_values_and_that_i
     quality = solution.certificate.expansion
     assert quality.worst <= quality.tolerance < quality.worst_tangent.error
     assert "not resolved, so shadow prices" in str(solution)
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_what_is_certain_and_what_is_no_parameter_have_no_such_figure():
-    certain = al.solve(al.deterministic(bent_problem("smooth", 4)))
-    gain = Bent(al.Uniform(MEAN, half_width=WIDTH), gain=al.Decision(1.0, 0.5, 2.0))
-    other = al.solve(al.Problem(gain, minimize=al.output("kink").std))
-    for solution in (certain, other):
-        assert solution.certificate.expansion.worst_tangent is None
-        assert "by distribution parameters" not in str(solution)
 
 
 def test_as_many_points_as_terms_leave_nothing_to_check_by():

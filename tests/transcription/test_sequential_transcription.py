@@ -9,16 +9,11 @@ import aleator as al
 from aleator.transcription import transcribe
 from aleator.transcription.sequential import EVALUATE
 from zoo import (
-    ONE_STEP,
-    RESPONSE,
     SPREAD,
-    Decay,
-    Gain,
     Launched,
     central_differences,
     derivative_error,
     gain_problem,
-    optimum,
 )
 
 EXACT = al.Sequential(second_derivatives=True)
@@ -68,17 +63,6 @@ def test_first_and_second_derivatives_agree_with_central_differences(further):
     assert program.hessian is not None
     found, bends = program.hessian.evaluate(x, weight, multipliers).toarray(), central_differences(slope, x, 1e-5)
     np.testing.assert_allclose(found, np.tril(bends), atol=2e-6 * np.abs(bends).max())
-
-
-@pytest.mark.slow
-def test_a_singular_arc_takes_a_few_steps_by_second_derivatives_instead_of_dozens():
-    """The objective is linear in the push, so that an arc of it is singular."""
-    push = al.Tabulated(np.linspace(0.0, 5.0, 21), al.Decision(np.zeros(21), -1.0, 1.0))
-    x, v = al.rms("x"), al.rms("v")
-    problem = pushed(grid=al.Grid(5.0, 60), inputs={"force": push}, minimize=x.mean**2 + v.mean**2, subject_to=[])
-    known, exact = (optimum(problem, transcription=way) for way in (al.Sequential(), EXACT))
-    assert exact.objective == pytest.approx(known.objective, rel=1e-8)
-    assert 3 * exact.outcome.iterations < known.outcome.iterations
 
 
 @pytest.mark.slow
@@ -141,23 +125,3 @@ def test_a_problem_whose_numbers_were_changed_in_place_is_transcribed_anew():
     assert al.solve(problem).objective == pytest.approx(0.5)
     problem.system.weights[...] = 3.0
     assert al.solve(problem).objective == pytest.approx(1.5)
-
-
-def test_rows_lead_back_to_constraints():
-    decay = Decay(al.Decision(1.0, 0.5, 2.0))
-    limits = [al.path("x").within(-0.14, 1.15)]
-    transcription = transcribe(
-        al.Problem(decay, grid=al.Grid(1.0, 10), minimize=al.terminal("x").mean, subject_to=limits)
-    )
-    program = transcription.program
-    assert [(rows.start, rows.stop) for rows in transcription.rows] in ([(0, 11)], [(0, 11), (11, 22)])
-    assert set(program.constraint_upper[:11].tolist()) == {1.15}
-    assert set(program.constraint_lower[-11:].tolist()) == {-0.14}
-
-
-def test_a_problem_without_decisions_and_a_choice_that_is_none_are_refused():
-    problem = al.Problem(Gain(1.0, al.Uniform(1.0, half_width=0.1)), grid=ONE_STEP, minimize=RESPONSE.mean)
-    with pytest.raises(al.ProblemError, match="no decisions"):
-        transcribe(problem)
-    with pytest.raises(al.ProblemError, match="second_derivatives"):
-        al.Sequential(second_derivatives="yes")  # type: ignore[arg-type]

@@ -8,7 +8,7 @@ from typing_extensions import override
 
 import aleator as al
 from aleator import extending as ext
-from zoo import Decay, cases, gain_problem
+from zoo import Decay, gain_problem
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,45 +87,28 @@ class Epigraph(ext.AbstractTranscription):
         return Lifted.of(al.Sequential().transcribed(problem, meanwhile))
 
 
-PROBLEMS = {
-    "a spread within a limit": gain_problem,
-    "a limit over time": lambda: fading(al.path("x").at_least(0.2, sigmas=2.0)),
-    "a worst case": lambda: fading(al.path("x").at_least(0.2, worst_case=True)),
-}
-
-
-def fading(limit):
+def fading():
     decay = Decay(al.Uniform(1.0, half_width=0.2), al.Decision(0.9, 0.1, 9.0))
+    limit = al.path("x").at_least(0.2, worst_case=True)
     return al.Problem(decay, grid=al.Grid(1.0, 20), minimize=al.value("start"), subject_to=[limit])
 
 
-@pytest.mark.parametrize("name", cases(PROBLEMS))
-def test_a_problem_has_the_same_answer_and_certificate_by_another_transcription(name):
-    problem = PROBLEMS[name]()
+@pytest.mark.parametrize("declared", [gain_problem, fading])
+def test_a_problem_has_the_same_answer_and_certificate_by_another_transcription(declared):
+    problem = declared()
     usual, other = al.solve(problem), al.solve(problem, transcription=Epigraph())
     assert other.ok
     assert len(other.multipliers) == len(usual.multipliers) + 1  # what is kept of one is not taken for the other
     assert other.vector.shape == usual.vector.shape
     np.testing.assert_allclose(other.vector, usual.vector, rtol=2e-4)
     assert other.objective == pytest.approx(usual.objective, rel=1e-6)
-    assert other.decisions.keys() == usual.decisions.keys()
-    assert other.bound_multipliers.keys() == usual.bound_multipliers.keys()
     for one, same in zip(other.constraints, usual.constraints, strict=True):
         assert (one.name, one.text, np.shape(one.values)) == (same.name, same.text, np.shape(same.values))
         assert one.shadow_price == pytest.approx(same.shadow_price, rel=1e-3, abs=1e-6)
-    assert other.moments.keys() == usual.moments.keys()
     found, expected = other.certificate, usual.certificate
     assert found.grid_error.objective.error == pytest.approx(expected.grid_error.objective.error, rel=0.1, abs=1e-9)
     assert found.expansion.worst == pytest.approx(expected.expansion.worst, rel=0.1, abs=1e-12)
     assert (found.worst_case is None) == (expected.worst_case is None)
-
-
-def test_a_solution_by_one_transcription_starts_another():
-    problem = gain_problem()
-    usual = al.solve(problem)
-    one_step = al.solvers.FilterSQP(max_iterations=1)
-    again = al.solve(problem, one_step, transcription=Epigraph(), warm_start=usual, throw=False)
-    np.testing.assert_allclose(again.vector, usual.vector, rtol=1e-2)  # it began at 0.5, a third of that
 
 
 @dataclass(frozen=True)
@@ -137,17 +120,14 @@ class Mistaken(ext.AbstractTranscription):
     @override
     def transcribed(self, problem, meanwhile):
         found = Epigraph().transcribed(problem, meanwhile)
-        mistaken = {"nothing": None, "rows": replace(found, rows=())}
-        return mistaken.get(self.mistake, replace(found, rows=(slice(0, 1), *found.rows[1:])))
+        return replace(found, rows=() if self.mistake == "rows" else (slice(0, 1), *found.rows[1:]))
 
 
 @pytest.mark.parametrize(
     ("transcription", "message"),
     [
-        (Mistaken("nothing"), r"Mistaken\.transcribed: expected an AbstractTranscribed; received None"),
         (Mistaken("rows"), "rows: expected those of 1 constraint"),
         (Mistaken("row"), "constraint 'response': expected equal numbers in the program and in the meaning"),
-        ("sequential", r"solve: transcription: expected .*al\.Sequential\(\)"),
     ],
 )
 def test_a_transcription_that_contradicts_itself_is_refused_and_harms_no_other(transcription, message):

@@ -9,9 +9,9 @@ import pytest
 from scipy import stats
 
 import aleator as al
+from aleator.validation._compared import Compared
 from aleator.validation._disagreement import reach, worst_disagreement
 from aleator.validation._sums import Sums
-from zoo import Block, cases
 
 X, UNIFORM = al.output("x"), al.Uniform(0.0, half_width=1.0)
 RESPONSES = {
@@ -64,15 +64,10 @@ def alarmed(solution, samples=20_000, **options):
     return evidence
 
 
-@pytest.fixture(scope="module")
-def smooth():
-    return solved("smooth")
-
-
-@pytest.mark.parametrize("seed", cases(range(6)))
-def test_what_agrees_sounds_no_alarm(smooth, seed):
+def test_what_agrees_sounds_no_alarm():
     """A probability is judged by its exact interval, so that a rare event may not occur at all."""
-    for samples in (300, 4000):
+    smooth = solved("smooth")
+    for samples, seed in ((300, 0), (20_000, 1)):
         evidence = alarmed(smooth, samples, seed=seed)
         assert evidence.agrees
         assert all(one.meets for one in evidence.compared)
@@ -81,9 +76,8 @@ def test_what_agrees_sounds_no_alarm(smooth, seed):
 def test_a_spike_in_a_corner_without_points_is_found_and_breaks_the_limit_on_a_spread(tmp_path):
     solution = solved("spike", limits=(X.std <= 1.17, LEVEL, RARE))
     assert solution.certificate.expansion.unseen is not None
-    evidence = alarmed(solution, 60_000)
+    evidence = alarmed(solution)
     assert not evidence.agrees
-    assert str(evidence).startswith("DISAGREES: fresh simulations contradict the solution:")
     told = {one.text: one for one in evidence.disagreements}
     # By integration: of 120 (a - 0.9)+ (b - 0.5)+.
     extra = 120 * (0.1**2 / 4) * (0.5**2 / 4)
@@ -91,11 +85,9 @@ def test_a_spike_in_a_corner_without_points_is_found_and_breaks_the_limit_on_a_s
     sampled = evidence.functionals["x"]
     assert abs(float(sampled.mean) - extra) < 5 * float(sampled.standard_error)
     assert evidence.compared[0].meets is False
-    assert any("its bound" in one.sentence() for one in evidence.disagreements)
     assert "BROKEN" in str(evidence)
     page = al.report(solution, evidence, path=tmp_path / "page.html").read_text(encoding="utf-8")
     assert "Contradicted" in page
-    assert "samples and solution disagree" in page
 
 
 def test_waves_that_an_order_misses_are_found_with_their_closed_form():
@@ -114,14 +106,14 @@ def test_limits_on_statistics_are_compared_with_their_bounds():
     end, width = al.output("gain").mean.equals(1.0), X.quantile(0.75) - X.quantile(0.25)
     limits = X.std <= 1.2 * std, X.std <= std, end, width <= 2.0 + 1e-9
     plain = solved("smooth", b=al.Uniform(0.0, half_width=1e-9), limits=limits, tolerance=0.05)
-    evidence = al.validate(plain, 10_000)
+    evidence = al.validate(plain, 20_000)
     found = {one.name: one for one in evidence.compared}
     assert found["limit 0"].meets is True
     assert found["limit 1"].meets is None
     assert found["limit 2"].meets is not False
     assert found["limit 3"].meets is None
     # The standard error of a sampled std of a uniform distribution, whose kurtosis is 1.8.
-    assert found["limit 1"].standard_error == pytest.approx(std * np.sqrt(0.8 / 4 / 10_000), rel=0.4)
+    assert found["limit 1"].standard_error == pytest.approx(std * np.sqrt(0.8 / 4 / 20_000), rel=0.4)
     assert "within its error of the bound" in str(evidence)
 
 
@@ -132,57 +124,21 @@ def test_any_system_beyond_a_limit_for_all_systems_is_an_alarm():
     assert any("The share of systems that break 'limit 0'" in one.text for one in evidence.disagreements)
 
 
-def test_the_distribution_of_data_is_one_distribution_in_expansions_and_in_evidence():
-    data = np.array([1.02, 0.97, 1.05, 0.99, 1.01])
-    evidence = alarmed(solved("smooth", al.Sample(data), al.Uniform(0.0, half_width=1e-3), (X.std <= 5.0,)))
-    assert evidence.agrees
-    assert evidence.functionals["x"].std == pytest.approx(2 * data.std(), rel=0.02)
-
-
-class Pushed(Block):
-    """Nothing uncertain has a part in the work of its push."""
-
-    def outputs(self, t, z, force):
-        return {"x": z.x, "work": jnp.sin(9 * t) * force**2}
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")
-def test_what_is_certain_differs_by_the_error_of_its_grid_and_that_is_no_alarm():
-    push = al.BSpline(al.Decision(np.ones(4), -20.0, 20.0))
-    problem = al.Problem(
-        Pushed(al.Uniform(1.0, half_width=0.05)),
-        grid=al.Grid(1.0, 12),
-        inputs={"force": push},
-        minimize=al.integral("work").mean,
-        subject_to=[al.terminal("x").mean.equals(1.0)],
-    )
-    solution = al.solve(problem, throw=False)
-    assert solution.certificate.grid_error.functionals["∫work dt"].error > 0
-    assert al.validate(solution, 500).agrees
-
-
 # --- Comparisons -----------------------------------------------------------------------------------------------------
 
 
 def test_the_worst_instant_of_a_path_is_compared_with_a_correction_for_their_number():
     generator = np.random.default_rng(0)
     # Under agreement: of 500 instants the worst is beyond four standard errors now and then, and never an alarm.
-    alarms, beyond = 0, 0
+    error, beyond = np.full(500, 0.1), 0
+    given = {"samples": 100, "freedom": 10_000, "times": np.arange(500.0)}
     for _ in range(200):
-        error = np.full(500, 0.1)
         estimate = generator.normal(0.0, 0.1, 500)
         beyond += np.max(np.abs(estimate)) > 0.4
-        told = worst_disagreement("x(t)", np.zeros(500), estimate, error, samples=100, freedom=10_000)
-        alarms += told is not None
-    assert alarms == 0
+        assert worst_disagreement("x(t)", np.zeros(500), estimate, error, **given) is None
     assert beyond > 0
     estimate[7] += 1.0
-    told = worst_disagreement(
-        "x(t)", np.zeros(500), estimate, error, samples=100, freedom=10_000, times=np.arange(500.0)
-    )
-    assert told is not None
-    assert told.time == 7.0
+    assert worst_disagreement("x(t)", np.zeros(500), estimate, error, **given).time == 7.0
 
 
 def test_over_time_a_disagreement_counts_beside_the_largest_spread():
@@ -212,3 +168,11 @@ def test_moments_that_are_merged_are_those_of_all_samples_together():
     # The spread of sampled standard deviations over fresh samples, by SciPy's bootstrap.
     found = stats.bootstrap((values[:, 0],), lambda x, axis: np.std(x, axis=axis, ddof=1), n_resamples=2000, rng=1)
     assert merged.std_error[0] == pytest.approx(found.standard_error, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("beyond", "error", "meets"), [(-0.5, 0.01, True), (0.5, 0.01, False), (0.01, 0.01, None), (np.nan, np.nan, False)]
+)
+def test_a_comparison_meets_its_limit_breaks_it_or_cannot_tell(beyond, error, meets):
+    one = Compared("stress", "mean ≤ 1", 1.0 + beyond, error, None, 1.0, beyond, tolerance=1e-6, reach=4.0)
+    assert one.meets is meets

@@ -1,10 +1,5 @@
 """Evidence in stretches: folded or not, here or elsewhere, at once or after a crash, it is the same."""
 
-import os
-import signal
-import subprocess
-import sys
-import textwrap
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from pathlib import Path
@@ -102,11 +97,9 @@ def test_a_system_that_is_not_finite_is_named_where_it_is_folded(folded: None):
         al.validate(rooted, SAMPLES, keep=0)
 
 
-@pytest.mark.parametrize("many", [0, pytest.param(np.inf, marks=pytest.mark.slow)])
 def test_evidence_by_an_executor_is_that_of_this_process_to_the_last_bit(
-    solution: Solution, travelling: Executor, many: float, monkeypatch: pytest.MonkeyPatch
+    solution: Solution, travelling: Executor, folded: None
 ):
-    monkeypatch.setattr(_stretches, "_MANY", many)
     here, there = (al.validate(solution, 1000, batch=100, executor=executor) for executor in (None, travelling))
     assert there.solution is solution
     assert bits(here) == bits(there)
@@ -142,49 +135,3 @@ def test_evidence_that_was_ended_goes_on_from_its_parts(
     assert not list((tmp_path / "finished").glob("*.part"))
     with al.journal(tmp_path):
         assert bits(al.validate(solution, SAMPLES, batch=100)) == bits(undisturbed)
-
-
-KILLED = """
-    import os
-    import signal
-    import sys
-
-    import aleator as al
-    from aleator._core import part_by_part
-    from aleator.validation import _stretches
-    from decaying_problems import decaying_problem
-
-    part_by_part._OFTEN, _stretches._MANY = 0.0, 0
-
-
-    def kill(task, done, total):
-        if done >= 0.7 * total:
-            os.kill(os.getpid(), signal.SIGKILL)
-
-
-    with al.journal(sys.argv[1]):
-        al.validate(al.solve(decaying_problem()), 50_000, batch=100, progress=kill)
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by a signal")
-def test_evidence_killed_at_seventy_percent_goes_on_from_there_to_the_last_bit(
-    tmp_path: Path, folded: None, monkeypatch: pytest.MonkeyPatch
-):
-    script = tmp_path / "killed.py"
-    script.write_text(textwrap.dedent(KILLED))
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
-    folder = tmp_path / "run"
-    done = subprocess.run([sys.executable, script, folder], env=environment, capture_output=True, text=True)
-    assert done.returncode == -signal.SIGKILL, done.stderr
-    parts = len(list((folder / "finished").glob("*.part")))
-    later = []
-    simulated = _stretches.simulated
-    monkeypatch.setattr(_validate, "simulated", lambda *given: later.extend(given[2]) or simulated(*given))
-    with al.journal(folder):
-        solution = al.solve(decaying_problem())
-        resumed = al.validate(solution, 50_000, batch=100)
-    assert parts > 60
-    assert sum(one.systems for one in later) <= 0.35 * 50_000
-    assert bits(resumed) == bits(al.validate(solution, 50_000, batch=100))

@@ -7,7 +7,7 @@ import numpy as np
 
 import aleator as al
 from aleator.transcription import transcribe
-from zoo import Launched, Tank
+from zoo import Tank
 
 
 class Swing(al.System):
@@ -49,30 +49,17 @@ class Regulated(al.System):
         return {"x": self.first}
 
 
-def fed(tank: Any = None, steps: int = 6, points: int = 4, **options: Any) -> al.Problem:
-    """The feed that brings the hydrogen near 0.2."""
-    feed = al.BSpline(al.Decision(np.full(points, 0.5), 0.0, 5.0), degree=2)
-    defaults: dict[str, Any] = {"minimize": al.integral("miss").mean}
-    tank = Tank() if tank is None else tank
-    return al.Problem(tank, grid=al.Grid(2.0, steps), inputs={"feed": feed}, **(defaults | options))
-
-
 def robustly_fed(steps: int) -> al.Problem:
-    """The same of an uncertain tank, within a limit for two standard deviations."""
+    """The feed that brings the hydrogen of an uncertain tank near 0.2, within a limit for two standard deviations."""
     tank = Tank(constant=al.Uniform(0.1, half_width=0.01), rate=al.Uniform(1.0, half_width=0.1))
-    limits = [al.path("hydrogen").at_most(0.18, sigmas=2.0), al.terminal("acid").mean >= 0.45]
-    return fed(tank, steps, 5, subject_to=limits, expansion=al.Expansion(order=2))
-
-
-def move(mass: Any = 1.0, intervals: int = 20, **options: Any) -> al.Problem:
-    """A block, from rest to one metre away, at rest again, by a force that is a spline."""
-    defaults: dict[str, Any] = {
-        "grid": al.Grid(1.0, intervals),
-        "inputs": {"force": al.BSpline(al.Decision(np.zeros(5), -50.0, 50.0), degree=3)},
-        "minimize": al.integral("effort").mean,
-        "subject_to": [al.terminal("x").mean.equals(1.0), al.terminal("v").mean.equals(0.0)],
-    }
-    return al.Problem(Launched(mass), **(defaults | options))
+    return al.Problem(
+        tank,
+        grid=al.Grid(2.0, steps),
+        inputs={"feed": al.BSpline(al.Decision(np.full(5, 0.5), 0.0, 5.0), degree=2)},
+        minimize=al.integral("miss").mean,
+        subject_to=[al.path("hydrogen").at_most(0.18, sigmas=2.0), al.terminal("acid").mean >= 0.45],
+        expansion=al.Expansion(order=2),
+    )
 
 
 RESTS = [al.terminal("angle").mean.equals(1.0), al.terminal("rate").mean.equals(0.0)]
@@ -143,3 +130,18 @@ def states_at_start(problem: al.Problem, guess: Any) -> tuple[np.ndarray, np.nda
     states = found.states_at(found.program.start)
     assert states is not None
     return np.stack(list(states.values.values()), axis=2), states.times
+
+
+class VanDerPol(al.System):
+    """The oscillator, pushed, that is left at one."""
+
+    states = ("x1", "x2")
+
+    def rhs(self, t, z, u):
+        return (1 - z.x2**2) * z.x1 - z.x2 + u, z.x1
+
+    def outputs(self, t, z, u):
+        return {"cost": z.x1**2 + z.x2**2 + u**2}
+
+    def initial(self):
+        return {"x2": 1.0}

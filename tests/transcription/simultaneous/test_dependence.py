@@ -34,7 +34,6 @@ BLOCKS = {
     "a product of two": (lambda x: jnp.outer(x[:2], x[2:]) @ x[:2], True),
     "a batch of products": (lambda x: jnp.einsum("ij,ik->ijk", x.reshape(2, 2), x.reshape(2, 2)).ravel(), True),
     "sums": (lambda x: jnp.stack([jnp.sum(x[:2] ** 2), jnp.cumsum(x)[1], jnp.mean(x[2:])]), True),
-    "sums from behind": (lambda x: jax.lax.cumsum(x, reverse=True), True),
     "places": (lambda x: jnp.concatenate([x[::-1], jnp.pad(x[1:2], (1, 2)), jnp.roll(x, 1)]), True),
     "chosen places": (lambda x: x[np.array([2, 0])] * x[np.array([0, 3])], False),
     "a norm": (lambda x: jnp.linalg.norm(x[:2])[None], True),
@@ -44,24 +43,12 @@ BLOCKS = {
     "a loop": (lambda x: jnp.stack([iterated(x), x[2]]), False),
     "a nested function": (lambda x: jax.jit(lambda y: y[:2] * jnp.exp(y[2:]))(x), True),
     "a solution": (lambda x: jnp.linalg.solve(jnp.eye(2) + x[:2, None] * x[None, 1:3], x[2:]), False),
-    "nothing": (lambda x: jnp.ones(2), True),
     "numbers that are counted": (lambda x: jnp.sum(x > 0)[None] * x[:1], True),
     "no numbers beside": (lambda x: jnp.concatenate([x[:0], x, jnp.zeros(0)]), True),
     "a sum of nothing": (lambda x: x + jnp.sum(x[:0] * x[0]) + jnp.cumsum(x[:0] * x[1]).sum(), False),
-    "spread nothing": (lambda x: x[:2] + (jnp.ones((0, 3)) * x[:0, None]).sum(), False),
     "complex numbers": (lambda x: jnp.real((x[0] + 1j * x[1]) ** 2)[None], False),
     "a complex magnitude": (lambda x: jnp.abs(x[:1] + 1j * x[1:2]) * x[2:3], True),
-    "complex exponentials": (lambda x: jnp.imag(jnp.exp(1j * x)), False),
-    "a transform": (lambda x: jnp.abs(jnp.fft.fft(x)), False),
     "short numbers": (lambda x: (x.astype(jnp.bfloat16) ** 2).astype(float), True),
-    "random numbers": (
-        lambda x: jax.lax.scan(
-            lambda c, _: ((c[0] * jax.random.normal(c[1]), c[1]), None), (x, jax.random.key(0)), length=2
-        )[0][0],
-        False,
-    ),
-    "spread numbers": (lambda x: (jnp.ones((3, 1)) * x[None, :2]).ravel(), True),
-    "one number for all": (lambda x: x[0] * x, True),
 }
 
 
@@ -99,12 +86,3 @@ def test_many_variables_are_followed_one_by_one():
     found = dependence(lambda x: x[7] * x[300:301] + jnp.sum(x[:3]), (), [jax.ShapeDtypeStruct((1000,), float)])
     assert np.array_equal(np.flatnonzero(found.first), [0, 1, 2, 7, 300])
     assert np.array_equal(np.argwhere(found.second), [[7, 300], [300, 7]])
-
-
-def test_blocks_of_very_large_arrays_and_of_very_many_variables_are_full():
-    large = np.ones((2000, 2000))
-    found = dependence(jax.jit(lambda x: jnp.sum(jnp.sin(large * x[0]))[None]), (), [np.zeros(4)])
-    assert found.first.all()
-    many = dependence(lambda x: 2.0 * x, (), [jax.ShapeDtypeStruct((4000,), float)])
-    assert many.first.all()
-    assert many.second.all()

@@ -6,12 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray
-from collocated_problems import Swing, move, states_at_start, turned
-from test_known_optima import Bead, cycloid_time, spline
+from collocated_problems import Swing, states_at_start, turned
 
 import aleator as al
 from aleator.transcription import transcribe
-from zoo import gain_problem, optimum
+from zoo import LOSS, ONE_STEP, RESPONSE, SPREAD, block_problem, gain_problem, optimum
 
 DURATION = 3.0
 
@@ -36,21 +35,6 @@ def way(guess: Any = None) -> al.Simultaneous:
     return al.Simultaneous(al.schemes.GaussLegendre(2), guess=guess)
 
 
-def test_a_brachistochrone_whose_simulation_rests_is_found_in_fewer_iterations_from_a_straight_line():
-    """At the initial decisions the wire is level, so that the bead never moves."""
-    problem = al.Problem(
-        Bead(),
-        grid=al.Grid(al.Decision(2.0, 0.5, 10.0), 30),
-        inputs={"angle": spline(np.full(12, np.pi / 2), 0.0, np.pi, degree=3)},
-        minimize=al.objectives.final_time(),
-        subject_to=[al.terminal("x").mean.equals(10.0), al.terminal("y").mean.equals(-5.0)],
-    )
-    guessed = optimum(problem, transcription=way(lambda t: {"x": 5.0 * t, "y": -2.5 * t, "v": 5.0 * t}))
-    assert guessed.objective == pytest.approx(cycloid_time(10.0, 5.0), rel=1e-6)
-    scratch = way().solver.solve(transcribe(problem, way()).program)
-    assert guessed.outcome.iterations < scratch.iterations
-
-
 @pytest.fixture(scope="module")
 def swung():
     return al.solve(swing_up(), transcription=way(turning), between=1, throw=False, accuracy=0.1)
@@ -72,13 +56,11 @@ TIMES = np.array([0.0, 0.4 * DURATION, DURATION])
 COLUMNS = {"angle": np.pi * TIMES / DURATION, "rate": np.full(3, np.pi / DURATION)}
 TABLES = {
     "a dict": {"time": TIMES, **COLUMNS},
-    "a dict in another order": {"rate": COLUMNS["rate"].tolist(), "angle": COLUMNS["angle"].tolist(), "time": TIMES},
     "an xarray.Dataset": xarray.Dataset({name: ("time", one) for name, one in COLUMNS.items()}, {"time": TIMES}),
     "a NumPy array": np.array(
         list(zip(TIMES, *COLUMNS.values(), strict=True)), [("time", float), ("angle", float), ("rate", float)]
     ),
     "a function that returns the states in order": lambda t: tuple(turning(t).values()),
-    "a function that returns an array": lambda t: np.array(list(turning(t).values())),
 }
 
 
@@ -90,25 +72,12 @@ def test_a_table_starts_where_a_function_does(name):
     np.testing.assert_allclose(states, np.broadcast_to(expected, states.shape), rtol=1e-14, atol=1e-14)
 
 
-def test_a_table_is_kept_as_it_was_given_and_equal_transcriptions_have_the_same_guess():
+def test_a_table_is_kept_as_it_was_given():
     table = {"time": TIMES, "angle": np.zeros(3), "rate": np.zeros(3)}
     given = al.Simultaneous(guess=table)
     table["angle"] += 1.0
     transcribed = transcribe(swing_up(10), given)
     assert not transcribed.program.start[transcribed.layout.numbers.states].any()
-    assert al.Simultaneous() == al.Simultaneous()
-    assert al.Simultaneous(guess=turning) != al.Simultaneous()
-
-
-@pytest.mark.slow
-def test_a_solution_by_shooting_gives_each_realisation_its_own_simulation():
-    """On another grid: the states are those of the pendulum simulated with the solution's torque."""
-    simulated = al.solve(turned(20), accuracy=0.1, between=1)
-    states, _ = states_at_start(turned(30), simulated)
-    exact = transcribe(turned(240)).outputs(simulated.vector)
-    for k, name in enumerate(("angle", "rate")):
-        np.testing.assert_allclose(states[:, ::2, k], np.asarray(exact[name])[:, ::8], atol=5e-3)
-    assert np.ptp(states[:, :, 0], axis=0).max() > 0.01  # pendulums of different lengths swing differently
 
 
 @pytest.mark.slow
@@ -127,15 +96,19 @@ def test_realisations_start_from_the_nearest_ones_or_from_the_mean():
     np.testing.assert_allclose(spread, np.broadcast_to(expected, spread.shape), atol=1e-12)
 
 
+def pushed(mass: Any = 1.0, points: int = 5) -> al.Problem:
+    force = al.BSpline(al.Decision(np.zeros(points), -50.0, 50.0), degree=3)
+    return block_problem(mass, inputs={"force": force})
+
+
 @pytest.fixture(scope="module")
 def moved():
-    return al.solve(move(intervals=10), transcription=al.Simultaneous(), between=1)
+    return al.solve(pushed(), transcription=al.Simultaneous(), between=1)
 
 
 def test_decisions_that_a_solution_has_are_where_a_program_starts(moved):
     """The force in another spline is fitted; a decision of another name keeps its own start."""
-    more = {"force": al.BSpline(al.Decision(np.zeros(9), -50.0, 50.0), degree=3)}
-    problem = move(al.Decision(1.0, 0.5, 2.0), 10, inputs=more)
+    problem = pushed(al.Decision(1.0, 0.5, 2.0), points=9)
     given = al.Simultaneous(guess=moved)
     first = problem.placements.named(given.first(problem))
     assert first["mass"] == 1.0
@@ -143,7 +116,7 @@ def test_decisions_that_a_solution_has_are_where_a_program_starts(moved):
     transcribed = transcribe(problem, given)
     np.testing.assert_array_equal(transcribed.decisions(transcribed.program.start), given.first(problem))
     # On the same grid each realisation begins at the states of the solution.
-    states, times = states_at_start(move(intervals=10), moved)
+    states, times = states_at_start(pushed(), moved)
     np.testing.assert_allclose(states[0, :, 0], 3 * times**2 - 2 * times**3, atol=1e-6)
 
 
@@ -156,10 +129,6 @@ def test_a_guess_is_no_answer(moved):
 
 
 REFUSED = {
-    "a number": (3.0, r"guess: expected a function of time, a table with 'time' and each state, or a Solution"),
-    "a table without instants": ({"angle": [0.0, 1.0]}, r"expected the instants of a table as 'time'"),
-    "instants that go back": ({"time": [0.0, 2.0, 1.0]}, r"'time': expected .* in ascending order"),
-    "too few values": ({"time": TIMES, "angle": [0.0, 1.0]}, r"'angle': expected a value for each of 3 instants"),
     "a table that ends early": (
         {"time": TIMES / 2, **COLUMNS},
         r"expected a table from 0 to 3 s, .* received one from 0 to 1\.5 s",
@@ -168,15 +137,10 @@ REFUSED = {
         {"time": TIMES, "angle": np.zeros(3)},
         r"expected all of \['angle', 'rate'\]; received none for \['rate'\]",
     ),
-    "an unknown state": (lambda t: {"angel": t, "rate": t}, r"there is no state 'angel'.*Did you mean 'angle'\?"),
-    "a wrong shape": (lambda t: {"angle": [t, t], "rate": t}, r"'angle': expected one number; received \[0\.0, 0\.0\]"),
     "not a number": (
         {"time": TIMES, "angle": [0.0, np.nan, 1.0], "rate": np.zeros(3)},
         r"at t = .* s, 'angle': expected finite numbers",
     ),
-    "text": (lambda t: {"angle": "up", "rate": t}, r"'angle': expected real numbers; received 'up'"),
-    "too few states": (lambda t: (t,), r"expected the states 'angle', 'rate', by name or in that order"),
-    "nothing": (lambda t: None, r"expected the states 'angle', 'rate', by name or in that order; received None"),
     "a function that fails": (lambda t: 1 / 0, r"guess raised ZeroDivisionError at t = 0 s: division by zero"),
 }
 
@@ -190,8 +154,33 @@ def test_what_is_no_guess_is_refused_in_one_sentence(name):
 
 def test_solutions_with_other_states_or_without_finite_ones_are_refused(moved):
     with pytest.raises(al.ProblemError, match=r"a solution of a system with the states 'angle', 'rate'; received one"):
-        al.solve(swing_up(10), transcription=al.Simultaneous(guess=al.solve(gain_problem())))
+        al.solve(swing_up(10), transcription=al.Simultaneous(guess=moved))
     missing = {name: np.full_like(one, np.nan) for name, one in moved.states.values.items()}
     broken = replace(moved, states=replace(moved.states, values=missing))
     with pytest.raises(al.ProblemError, match="a solution with finite states"):
-        al.solve(move(), transcription=al.Simultaneous(guess=broken))
+        al.solve(pushed(), transcription=al.Simultaneous(guess=broken))
+
+
+# --- Robust problems started from the answer to their deterministic ones ---------------------------------------------
+
+
+def test_an_answer_at_the_means_starts_the_robust_problem_unless_there_is_none():
+    """No spread is as large as is asked where nothing is uncertain."""
+    limits = [RESPONSE.at_most(2.0, sigmas=1.0), (RESPONSE.std >= 0.1).named("spread")]
+    spread = al.Problem(gain_problem().system, grid=ONE_STEP, minimize=LOSS.mean, subject_to=limits)
+    for problem, starts in ((gain_problem(), True), (spread, False)):
+        found = al.solve(problem, deterministic_first=True)
+        assert found.ok
+        before = found.effort.at_means
+        assert before is not None
+        assert before.starts is starts
+        assert ("started nothing" in str(found)) is not starts
+    assert found.decisions["gain"] == pytest.approx(2.0 / (1 + SPREAD), rel=1e-6)
+
+
+def test_a_problem_without_distributions_is_solved_once_and_one_start_is_given_at_most():
+    found = al.solve(gain_problem(theta=1.0), deterministic_first=True)
+    assert found.ok
+    assert found.effort.at_means is None
+    with pytest.raises(al.ProblemError, match="either `warm_start` or `deterministic_first`"):
+        al.solve(gain_problem(theta=1.0), warm_start=found, deterministic_first=True)

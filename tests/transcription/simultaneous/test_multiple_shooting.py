@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 import aleator as al
 from aleator.dynamics import SegmentRate
 from compiling import compiled
-from zoo import Launched, optimum
+from zoo import optimum
 
 
 def swung(steps, segments):
@@ -44,50 +44,6 @@ def test_states_and_integrals_are_of_order_4_in_steps_and_in_segments():
     mean = SegmentRate(3)
     assert mean.quadrature.sum() == pytest.approx(1.0, rel=1e-14)
     assert mean.quadrature @ mean.told**3 == pytest.approx(1 / 4, rel=1e-14)
-
-
-def test_a_model_is_traced_as_often_whatever_the_steps_are():
-    """And what is compiled is as large."""
-    sizes, traced = [], []
-    for steps in (1, 2, 40):
-        mean, calls = SegmentRate(steps), []
-
-        def rate(place, signal, z, calls=calls):
-            calls.append(1)
-            return jnp.append(-z, signal)
-
-        given = np.zeros((len(mean.told), 2)), np.zeros((len(mean.told), 1)), np.zeros(1)
-        closed = jax.make_jaxpr(lambda *some, mean=mean, rate=rate: mean(rate, *some))(*given)
-        sizes.append(len(str(closed.jaxpr.pretty_print()).splitlines()))
-        traced.append(len(calls))
-    assert len(set(sizes)) == len(set(traced)) == 1
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("steps", "segments"), [(1, 20), (4, 5)])
-def test_a_family_of_systems_has_the_answer_of_single_shooting_by_the_same_steps(steps, segments):
-    """Both take the same steps of the same rule: without limits in between, the programs have the same optimum."""
-    usual = optimum(turned(20, subject_to=RESTS))
-    way = al.Simultaneous(al.schemes.MultipleShooting(steps))
-    other = optimum(turned(segments, subject_to=RESTS), transcription=way)
-    assert other.objective == pytest.approx(usual.objective, rel=1e-9)
-    found, expected = (one.decisions["inputs.torque.free"] for one in (other, usual))
-    np.testing.assert_allclose(found, expected, atol=1e-5)
-
-
-@pytest.mark.slow
-def test_a_start_may_be_decided():
-    """Half a metre from rest to rest within a second: 12 d² = 3, from the bound of the start, in two segments."""
-    problem = al.Problem(
-        Launched(place=al.Decision(0.1, -1.0, 0.5)),
-        grid=al.Grid(1.0, 2),
-        inputs={"force": al.BSpline(al.Decision(np.zeros(3), -50.0, 50.0), degree=2)},
-        minimize=al.integral("effort").mean,
-        subject_to=[al.terminal("x").mean.equals(1.0), al.terminal("v").mean.equals(0.0)],
-    )
-    solution = optimum(problem, transcription=al.Simultaneous(al.schemes.MultipleShooting()))
-    assert solution.objective == pytest.approx(3.0, rel=1e-7)
-    assert solution.decisions["place"] == pytest.approx(0.5, abs=1e-7)
 
 
 @pytest.mark.slow
