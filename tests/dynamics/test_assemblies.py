@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator._core.arrays import numbers_to_arrays
 from aleator.dynamics import explain_failure, solve_algebraic
 from aleator.uncertainty import placements, realise
 from compiling import compiled
@@ -98,11 +97,6 @@ def test_sensitivities_of_the_clutch_are_those_by_hand_and_second_derivatives_th
     np.testing.assert_allclose(forward, by_hand, rtol=1e-12)
     np.testing.assert_allclose(backward, by_hand, rtol=1e-12)
     np.testing.assert_allclose(second, expected, rtol=1e-11)
-
-
-def test_the_mirrored_clutch_is_found_from_a_mirrored_guess():
-    outputs = outputs_of(al.Assembly(dict(zip("ace", NOMINAL, strict=True)), {"b": -4.8, "chi": -7}, [CLUTCH_LOOP]))
-    np.testing.assert_allclose([outputs["b"], outputs["chi"]], -clutch_in_closed_form(*NOMINAL), rtol=1e-12)
 
 
 def test_a_clutch_that_cannot_close_is_explained_by_its_dimensions_and_residual():
@@ -206,16 +200,13 @@ def test_loops_may_be_spatial():
 
 FORMULAS = {
     "e - c": 5.0,
-    "-c": -2.0,
     " +c * (e + 1) ": 16.0,
     "2*c**3 / 4 - 1e1": -6.0,
     "e**-1 + pi": 1 / 7 + np.pi,
     "sqrt(e + c)": 3.0,
     "sin(30) + cos(60) + tan(45)": 2.0,
     "asin(0.5) + acos(0.5) + atan(1)": 135.0,
-    "e": 7.0,
     4: 4.0,
-    np.float64(0.5): 0.5,
     (lambda v: v.e * v.c): 14.0,
 }
 
@@ -231,17 +222,9 @@ def test_formulas_are_read_as_written():
     [
         ("E - c", r"there is no 'E'; expected one of \['c', 'e'\]"),
         ("e ^ 2", "give a Python function"),
-        ("e -", "is not an arithmetic expression"),
-        ("e.real", r"received 'e\.real'"),
         ("__import__('os').system('x')", "received '__import__"),
         ("exp(e)", r"received 'exp\(e\)'"),
-        ("sin(e, c)", r"received 'sin\(e, c\)'"),
-        ("True", "received 'True'"),
-        ("previous + 90", "there is no 'previous'"),
-        (np.nan, "received nan"),
         (al.Normal(0.0, 1.0), "among the dimensions"),
-        ([("c", 0)], "two or more vectors"),
-        ([("c", 0), ("e", 0, 0)], "vector 2"),
         ([("c", "previous"), ("e", 0)], "vector 1: there is no 'previous'"),
         ([("c", (1, 2, 3)), ("e", 0)], "vector 1: expected a direction"),
     ],
@@ -257,21 +240,12 @@ SQUARE = [("a", 0), ("b", 90), ("-a", 0), ("-b", 90)]
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"loops": []}, "received 0"),
         ({"loops": [[("p", 0), ("q", 90), ("b", 45)]] * 2}, "received 4: 4 from 2 closed loops"),
-        ({"loops": [[("p", 0), ("q", "180")]], "equations": ["p = q"]}, "2 from 1 closed loops .* and 1 others"),
         ({"loops": [SQUARE]}, "unknown 'p' is in no loop"),
-        ({"loops": [("p", 0)]}, "loop 1, vector 1"),
         ({"loops": [[("p", 0), ("x", 90)]]}, r"loop 1, vector 2: there is no 'x'.*\['a', 'b', 'p', 'q'\]"),
-        ({"loops": [], "equations": ["p = q = a", "p = a"]}, "equation 1: expected 'left = right'"),
         ({"loops": [], "equations": ["p = radius", "p = a"]}, "equation 1: there is no 'radius'"),
         ({"unknowns": {"a": 1.0}}, "'a' names a dimension and a unknown"),
-        ({"features": {"p": "a"}}, "'p' names a unknown and a feature"),
-        ({"unknowns": {"p": al.Decision(1.0), "q": 1.0}}, "the guess of 'p'"),
-        ({"dimensions": {"a": np.ones(2), "b": 1.0}}, "dimension 'a'"),
-        ({"dimensions": {"lambda": 1.0}}, "'lambda'"),
         ({"dimensions": {"previous": 1.0}}, "'previous'"),
-        ({"dimensions": {"_a": 1.0}}, "'_a'"),
         ({"units": {"r": "mm"}}, r"\['r'\], which are not unknowns or features"),
     ],
 )
@@ -280,19 +254,3 @@ def test_a_description_that_does_not_fit_together_is_refused_in_words(wrong, mes
     right = {"dimensions": {"a": 3.0, "b": 4.0}, "unknowns": {"p": 1.0, "q": 1.0}, "loops": loops}
     with pytest.raises(al.ProblemError, match=f"Assembly.*{message}"):
         al.Assembly(**(right | wrong))
-
-
-def test_values_that_are_no_single_numbers_are_refused_when_traced():
-    with pytest.raises(al.ProblemError, match=r"a function gives one number; received shape \(2,\)"):
-        al.simulate(al.Assembly({"a": 1.0}, features={"f": lambda v: v.a * jnp.ones(2)}))
-    with pytest.raises(al.ProblemError, match=r"dimension 'a' is one number; received shape \(3,\)"):
-        al.simulate(al.Assembly({"a": jnp.ones(3)}, features={"f": "a"}))
-
-
-def test_dimensions_are_numbers_and_the_description_is_structure():
-    first, second = (numbers_to_arrays(clutch(27.6 + shift, 11, 50.8)) for shift in (0.0, 0.1))
-    assert jax.tree.structure(first) == jax.tree.structure(second)
-    assert hash(jax.tree.structure(first)) == hash(jax.tree.structure(second))
-    assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(first))
-    other = numbers_to_arrays(clutch(27.6, 11, 50.8, chi=6.0))
-    assert jax.tree.structure(first) != jax.tree.structure(other)

@@ -8,7 +8,6 @@ from sympy.physics.mechanics import dynamicsymbols
 
 import aleator as al
 from aleator._core.arrays import numbers_to_arrays
-from aleator._core.code import read_code
 from aleator._core.lasting import lasting_name
 from aleator.dynamics import initial_state
 from aleator.dynamics._simulation import _HISTORY
@@ -71,14 +70,6 @@ def test_equal_models_share_a_program_and_others_never_do():
     assert min(np.abs(first - second).max(), np.abs(first - third).max(), np.abs(second - third).max()) > 0.01
 
 
-def test_what_a_model_computes_is_told_by_its_structure_alone():
-    one, other = oscillator(), oscillator(NUMBERS | {M: 3.0})
-    assert jax.tree.structure(one) == jax.tree.structure(other)
-    assert jax.tree.structure(one) != jax.tree.structure(al.foreign.from_sympy(RATES | {X: V + 1}, NUMBERS))
-    assert not read_code(one).doubts
-    assert read_code(one).reads == read_code(other).reads
-
-
 def test_programs_of_a_model_have_names_that_last_beyond_the_process():
     def name(rates):
         model = al.foreign.from_sympy(rates, NUMBERS)
@@ -118,15 +109,6 @@ def test_functions_have_the_values_that_sympy_gives_them_and_numbers_are_kept_to
         np.testing.assert_allclose(value[:3], expected, rtol=1e-13, err_msg=kind)
     for number, value in zip(NUMBERS_KEPT, (one_third, large, small, power, fraction, tenth), strict=True):
         assert float(value[3]) == float(number)
-
-
-def test_zeros_in_outputs_of_plain_states_stay_zero():
-    x, a = sp.symbols("x a")
-    pieces = sp.Piecewise((0, x > -5), (1, True))
-    decay = al.foreign.from_sympy({x: -a * x}, {a: 3.0}, start={x: 1.0}, outputs={"none": pieces, "x": x})
-    found = al.simulate(decay, al.Grid(1.0, 4))
-    np.testing.assert_array_equal(found["none"], np.zeros(5))
-    assert np.ptp(found["x"]) > 0.9
 
 
 def test_formulas_are_a_system_without_time_whose_statistics_are_exact():

@@ -88,7 +88,7 @@ def same(ours, theirs, tolerance=1e-12):
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=tolerance * np.abs(theirs).max())
 
 
-@pytest.mark.parametrize("seed", cases(range(8)))
+@pytest.mark.parametrize("seed", cases(range(3)))
 def test_mass_matrix_bias_and_both_dynamics_are_those_of_mujoco(seed):
     for tree, mj, q, v, given, ours in case(seed):
         data, speeds = mujoco_at(tree, mj, q, v)
@@ -107,14 +107,14 @@ def test_mass_matrix_bias_and_both_dynamics_are_those_of_mujoco(seed):
         same(ours["undone"], given, 1e-10)
 
 
-@pytest.mark.parametrize("seed", cases(range(8)))
+@pytest.mark.parametrize("seed", cases(range(3)))
 def test_forces_and_moments_on_bodies_accelerate_as_in_mujoco(seed):
     for tree, mj, q, v, _, ours in case(seed):
         data, speeds = mujoco_at(tree, mj, q, v, tree.pushes)
         same(ours["pushed"], data.qacc[speeds], 1e-9)
 
 
-@pytest.mark.parametrize("seed", cases(range(8)))
+@pytest.mark.parametrize("seed", cases(range(3)))
 def test_poses_points_velocities_and_energies_are_those_of_mujoco(seed):
     for tree, mj, q, v, _, ours in case(seed):
         data, speeds = mujoco_at(tree, mj, q, v)
