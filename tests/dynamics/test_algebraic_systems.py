@@ -55,7 +55,7 @@ class Springs(al.AlgebraicSystem):
         walls = jnp.concatenate([jnp.zeros(1), rho.places, jnp.reshape(jnp.asarray(self.end), (1,))])
         stretch = jnp.diff(walls)
         tension = self.stiffness * jnp.arange(1.0, 7.0) * (stretch + stretch**3)
-        return jnp.diff(tension)
+        return (jnp.diff(tension),)
 
     def outputs(self, rho):
         return {"places": rho.places, "one": 1}

@@ -28,9 +28,9 @@ def clutch(a, c, e, chi=7.0):
     )
 
 
-def clutch_in_closed_form(a, c, e, xp=np):
+def clutch_in_closed_form(a, c, e):
     """The offset `b` and the pressure angle in degrees."""
-    return xp.stack([xp.sqrt((e - c) ** 2 - (a + c) ** 2), xp.rad2deg(xp.arccos((a + c) / (e - c)))])
+    return np.stack([np.sqrt((e - c) ** 2 - (a + c) ** 2), np.rad2deg(np.arccos((a + c) / (e - c)))])
 
 
 def dependent(dimensions):
@@ -75,30 +75,6 @@ def test_the_spread_of_the_clutch_is_the_published_exact_value():
     assert placements(clutch(*map(al.Normal, NOMINAL, TOLERANCES / 3))).germ_names == ("a", "c", "e")
 
 
-def test_sensitivities_of_the_clutch_are_those_by_hand_and_second_derivatives_those_of_the_closed_form():
-    a, c, e = NOMINAL
-    b, chi = clutch_in_closed_form(a, c, e)
-    # (e - c) cos χ = a + c and b² = (e - c)² - (a + c)², differentiated.
-    slope = np.rad2deg(1.0) / ((e - c) * np.sin(np.deg2rad(chi)))
-    ratio = (a + c) / (e - c)
-    by_hand = np.array([[-(a + c), -(a + e), e - c] / b, slope * np.array([-1.0, -1.0 - ratio, ratio])])
-
-    @compiled
-    def all_of(x):
-        def of(x):
-            return dependent(x)[0]
-
-        return jax.jacfwd(of)(x), jax.jacrev(of)(x), jax.hessian(of)(x), jax.hessian(exact)(x)
-
-    def exact(x):
-        return clutch_in_closed_form(*x, xp=jnp)
-
-    forward, backward, second, expected = all_of(NOMINAL)
-    np.testing.assert_allclose(forward, by_hand, rtol=1e-12)
-    np.testing.assert_allclose(backward, by_hand, rtol=1e-12)
-    np.testing.assert_allclose(second, expected, rtol=1e-11)
-
-
 def test_a_clutch_that_cannot_close_is_explained_by_its_dimensions_and_residual():
     # a + c > e - c
     too_high = clutch(28.5, 11.43, 50.8)
@@ -107,7 +83,6 @@ def test_a_clutch_that_cannot_close_is_explained_by_its_dimensions_and_residual(
         "Assembly: Newton found no solution at a=28.5, c=11.43, e=50.8. From the guess b=4.8, chi=7"
     )
     assert "equation 2 of 2 is left with a residual of 0.5" in message
-    assert explain_failure(clutch(*NOMINAL)) == ""
     # a + c = e - c: χ = 0, where the two mirrored solutions meet.
     assert "the Jacobian is singular there" in explain_failure(clutch(27.94, 11.43, 50.8))
 

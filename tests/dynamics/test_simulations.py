@@ -173,6 +173,11 @@ def test_simulating_what_is_not_known_or_does_not_reach_is_refused_in_words(syst
         al.simulate(system, grid, inputs)
 
 
+def test_an_output_that_there_is_not_is_refused():
+    with pytest.raises(al.ProblemError, match=r"expected in `only` a list"):
+        al.simulate(Decay(1.0), GRID, only=["y"])
+
+
 def test_traced_numbers_pass_and_the_signals_that_are_known_are_checked_while_others_are_traced():
     def final(gain, u):
         return al.simulate(Driven(gain), LONG, {"u": u})["x"][-1]

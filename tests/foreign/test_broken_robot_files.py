@@ -29,7 +29,7 @@ BROKEN_URDF = {
     "an attribute that is misspelt": (URDF.replace("<mass value", "<mass walue"), ["<mass>", "'walue'"]),
     "an origin that is misspelt": (URDF.replace("<origin xyz", "<origin xyyz"), ["<origin>", "'xyyz'"]),
     "limits in the wrong order": (
-        URDF.replace(AXIS, f'{AXIS}<limit lower="1" upper="-1"/>'),
+        URDF.replace('"continuous"', '"revolute"').replace(AXIS, f'{AXIS}<limit lower="1" upper="-1"/>'),
         ["<limit>", "a lower limit below the upper"],
     ),
     "an inertia without all its numbers": (URDF.replace('ixy="0"', ""), ["<inertia>", "attribute ixy"]),

@@ -71,10 +71,6 @@ REFUSED = {
         lambda: lagrange(formed(X.diff() ** 2 * M + T * X, [X]), {M: 1.0}),
         "the time t stands in the model",
     ),
-    "an output is misspelt": (
-        lambda: sympy(RATES, NUMBERS, outputs={"a": me.dynamicsymbols("forces")}),
-        "do not contain forces(t). Did you mean 'force(t)'?",
-    ),
 }
 
 

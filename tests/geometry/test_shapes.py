@@ -43,16 +43,6 @@ def test_shapes_of_a_model_may_hold_distributions_and_decisions():
     np.testing.assert_allclose(np.asarray(slopes)[:2], [[0.2, 0.0, 0.0], [0.0, -0.05, 0.0]], atol=1e-12)
 
 
-def test_the_numbers_of_a_shape_may_mix_floats_and_traced_arrays():
-    def gap(x):
-        cos, sin = jnp.cos(x), jnp.sin(x)
-        turned = [[cos, -sin, 0.0], [sin, cos, 0.0], [0, 0, 1]]
-        return distance(Box([0.0, x, 0], (1.0, 1, 2.0 + x), turned), Sphere([5.0, 0.0, 0.0], x))
-
-    # The face stays at 1 to first order: only the radius grows.
-    np.testing.assert_allclose(compiled(jax.value_and_grad(gap))(0.0), (4.0, -1.0), atol=1e-14)
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [

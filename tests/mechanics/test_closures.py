@@ -176,6 +176,27 @@ def test_a_rope_that_is_let_out_moves_as_in_polar_coordinates():
     np.testing.assert_allclose(found["rope_multiplier"], tension, atol=1e-6)
 
 
+def end_of_rope(numbers):
+    system = al.ForwardDynamics(Winch(length=numbers[0]), start={"x": numbers[1]}, guess={"y": -1.0})
+    found = al.simulate(system, al.Grid(0.5, 60), only=("y", "rope_multiplier"))
+    return jnp.stack([found["y"][0], found["y"][-1], found["rope_multiplier"][-1]])
+
+
+@pytest.mark.slow
+def test_derivatives_by_numbers_are_those_of_finite_differences():
+    functions = [end_of_rope]
+    for _ in range(2):
+        functions.append(jax.jacfwd(functions[-1]))
+    all_of = compiled(lambda x: [one(x) for one in functions])
+    numbers, h = np.array([1.0, 0.3]), 1e-5
+    found = [np.asarray(one) for one in all_of(numbers)]
+    for i, step in enumerate(h * np.eye(2)):
+        ahead, behind = ([np.asarray(one) for one in all_of(numbers + sign * step)] for sign in (1, -1))
+        for k in range(2):
+            slope = (ahead[k] - behind[k]) / (2 * h)
+            np.testing.assert_allclose(found[k + 1][..., i], slope, rtol=1e-6, atol=1e-6 * np.abs(found[k + 1]).max())
+
+
 def test_the_jacobian_of_closures_is_the_derivative_of_what_is_left_of_them():
     joints = (al.joints.Revolute("y"), al.joints.Prismatic((1.0, 2.0, -0.5)), al.joints.Fixed(), al.joints.Ball())
     tree, mj = random_tree(["revolute", "ball", "prismatic"], [-1, 0, -1], 3)

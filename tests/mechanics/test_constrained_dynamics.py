@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from closed_loops import ClosedTree, SliderCrank, slider_crank_by_hand
+from double_pendulum import simulate
 from scipy.integrate import solve_ivp
 
 import aleator as al
@@ -16,18 +17,9 @@ TURNS = al.PowerSeries(start=(0.7, 5.0, 1.0), end=(20.0, 1.0))
 GRID = al.Grid(2.0, 200)
 
 
-@compiled
-def run(system, grid):
-    return al.simulate(system, grid)
-
-
-def simulate(system, grid=GRID):
-    return {name: np.asarray(values) for name, values in run(system, grid).items()}
-
-
 @cache
 def driven_slider_crank():
-    return simulate(al.InverseDynamics(SliderCrank(), motion={"crank": TURNS}, guess={"slider": 0.4}))
+    return simulate(al.InverseDynamics(SliderCrank(), motion={"crank": TURNS}, guess={"slider": 0.4}), GRID)
 
 
 def by_hand(found):
@@ -56,7 +48,7 @@ def test_a_driven_slider_crank_is_that_of_elimination_by_hand_over_three_turns()
 
 @pytest.mark.slow
 def test_a_driven_tree_that_is_closed_is_that_of_elimination_by_hand_and_its_multipliers_the_force_in_the_pin():
-    found = simulate(al.InverseDynamics(ClosedTree(), motion={"crank": TURNS}, guess={"slider": 0.4}))
+    found = simulate(al.InverseDynamics(ClosedTree(), motion={"crank": TURNS}, guess={"slider": 0.4}), GRID)
     expected = by_hand(found)
     rod = found["crank"] + found["rod"]
     close(np.exp(1j * rod), np.exp(1j * expected["rod"]))
@@ -79,7 +71,7 @@ class Pushed(SliderCrank):
 
 @pytest.mark.slow
 def test_an_over_actuated_linkage_takes_the_torques_of_least_norm():
-    found = simulate(al.InverseDynamics(Pushed(), motion={"crank": TURNS}, guess={"slider": 0.4}))
+    found = simulate(al.InverseDynamics(Pushed(), motion={"crank": TURNS}, guess={"slider": 0.4}), GRID)
     # Work done: what the crank alone takes, shared in proportion to the speeds.
     gain = found["slider_rate"] / found["crank_rate"]
     alone = driven_slider_crank()["crank_torque"]
@@ -120,46 +112,6 @@ def test_a_passive_slider_crank_moves_as_the_reduced_equation_does_and_keeps_con
     assert energy_error(SliderCrank(), found) < 3e-7
     assert found["constraint_drift"].max() < 1e-8
     assert found["constraint_error"].max() < 1e-13
-
-
-class Bob(al.Lagrangian):
-    """A pendulum in Cartesian coordinates."""
-
-    names = ("x", "y")
-    constraint_names = ("length",)
-
-    length: al.Number = 1.0
-    gravity: al.Number = 9.81
-
-    def kinetic_energy(self, q, v):
-        return 0.5 * v @ v
-
-    def potential_energy(self, q):
-        return self.gravity * q[1]
-
-    def constraint(self, q):
-        return (q @ q - self.length**2,)
-
-
-def end_of_bob(numbers):
-    system = al.ForwardDynamics(Bob(length=numbers[0], gravity=numbers[1]), start={"x": 0.3}, guess={"y": -1.0})
-    found = al.simulate(system, al.Grid(0.5, 60), only=("y", "length_multiplier"))
-    return jnp.stack([found["y"][0], found["y"][-1], found["length_multiplier"][-1]])
-
-
-@pytest.mark.slow
-def test_derivatives_by_numbers_are_those_of_finite_differences():
-    functions = [end_of_bob]
-    for _ in range(2):
-        functions.append(jax.jacfwd(functions[-1]))
-    all_of = compiled(lambda x: [one(x) for one in functions])
-    numbers, h = np.array([1.0, 9.81]), 1e-5
-    found = [np.asarray(one) for one in all_of(numbers)]
-    for i, step in enumerate(h * np.eye(2)):
-        ahead, behind = ([np.asarray(one) for one in all_of(numbers + sign * step)] for sign in (1, -1))
-        for k in range(2):
-            slope = (ahead[k] - behind[k]) / (2 * h)
-            np.testing.assert_allclose(found[k + 1][..., i], slope, rtol=1e-6, atol=1e-6 * np.abs(found[k + 1]).max())
 
 
 class Coupled(al.Lagrangian):

@@ -7,13 +7,14 @@ import pytest
 from closed_loops import ClosedTree, SliderCrank
 
 import aleator as al
+from zoo import Pendulum
 
 GRID = al.Grid(0.5, 20)
 TURN = {"crank": al.PowerSeries(start=(0.3, 4.0), end=(3.0, 4.0))}
 
 
-def problem(system, grid=GRID, output="crank", **given):
-    return al.Problem(system, grid=grid, minimize=al.terminal(output).mean, **given)
+def problem(system, output="crank"):
+    return al.Problem(system, grid=GRID, minimize=al.terminal(output).mean)
 
 
 def forward(model, start=None, guess=None):
@@ -24,32 +25,7 @@ def changed(base=SliderCrank, **parts):
     return type("Odd", (base,), parts)()
 
 
-class Free(al.Lagrangian):
-    names = ("x",)
-
-    def kinetic_energy(self, q, v):
-        return 0.5 * v[0] ** 2
-
-
-class Rates(al.Accelerations):
-    names = ("x",)
-
-    def accelerations(self, q, v, torque):
-        return torque
-
-
-class Twice(SliderCrank):
-    constraint_names = ("length", "height", "level")
-
-    def constraint(self, q):
-        length, height = super().constraint(q)
-        return length, height, 2.0 * height
-
-
-BALL = al.joints.Ball()
-
-
-def closure(child="b", joint=BALL, **options):
+def closure(child="b", joint=al.joints.Ball(), **options):  # noqa: B008
     return al.joints.Closure("pin", parent="a", child=child, joint=joint, **options)
 
 
@@ -66,21 +42,22 @@ class Hung(al.Lagrangian):
         return (q @ q - 1.0,)
 
 
-class HungByItsLength(Hung):
-    """Without a slope where x = y = 0."""
-
-    def constraint(self, q):
-        return (jnp.sqrt(q @ q) - 1.0,)
+def length(self, q):
+    return (jnp.sqrt(q @ q) - 1.0,)
 
 
-class Sprung(Hung):
+def sprung():
     """Whose force is not finite where x = y = 0, which its constraint allows."""
+    parts = {"potential_energy": lambda self, q: jnp.sqrt(q @ q), "constraint": lambda self, q: (q[0] - q[1],)}
+    return changed(Hung, **parts)
 
-    def potential_energy(self, q):
-        return jnp.sqrt(q @ q)
 
+def twice():
     def constraint(self, q):
-        return (q[0] - q[1],)
+        length, height = SliderCrank.constraint(self, q)
+        return length, height, 2.0 * height
+
+    return changed(constraint_names=("length", "height", "level"), constraint=constraint)
 
 
 REFUSED = {
@@ -89,11 +66,11 @@ REFUSED = {
         ["no start near x = 0, y = 0 satisfies its constraints", "guess="],
     ),
     "a start without a slope": (
-        lambda: al.simulate(al.ForwardDynamics(HungByItsLength()), GRID),
+        lambda: al.simulate(al.ForwardDynamics(changed(Hung, constraint=length)), GRID),
         ["or their derivatives, are not finite at x = 0, y = 0", "guess="],
     ),
     "accelerations that are not finite": (
-        lambda: problem(al.ForwardDynamics(Sprung()), output="x"),
+        lambda: problem(al.ForwardDynamics(sprung()), output="x"),
         ["right after the start (x = 0, y = 0): accelerations that are not finite there", "guess="],
     ),
     "lengths that do not reach": (
@@ -101,7 +78,7 @@ REFUSED = {
         [r"no start near crank = 0.9, rod = 0, slider = 0.4", "length = ", "height = ", "guess"],
     ),
     "redundant constraints": (
-        forward(Twice()),
+        forward(twice()),
         ["redundant", "expected 3 that are independent", "rank is 2", "'height', 'level'", "Leave out 1"],
     ),
     "a planar loop closed in space": (
@@ -125,7 +102,7 @@ REFUSED = {
         ["cannot be obeyed beyond about t = ", "lengths that do not reach"],
     ),
     "a guess without constraints": (
-        lambda: al.ForwardDynamics(Free(), guess={"x": 1.0}),
+        lambda: al.ForwardDynamics(Pendulum(), guess={"angle": 1.0}),
         ["expected no guess", "no constraints"],
     ),
     "more equations than names": (

@@ -50,40 +50,23 @@ def test_spans_are_knots_in_proportion():
         np.testing.assert_allclose(found[order], by_knots.values(FRACTIONS, 2.0, order), rtol=1e-11, atol=1e-11)
 
 
-@pytest.mark.parametrize("degree", [3, 5])
-def test_polynomials_up_to_the_degree_are_reproduced(degree):
+def test_polynomials_up_to_the_degree_are_reproduced():
+    degree, T = 5, 2.5
     polynomial = np.polynomial.Polynomial(numbers(degree + 1, seed=7))
-    T = 2.5
-    ends = {"start": (), "end": ()}
-    if degree == 5:
-        derivatives = [polynomial, polynomial.deriv(), polynomial.deriv(2)]
-        ends = {"start": [one(0.0) for one in derivatives], "end": [one(T) for one in derivatives]}
-    free = degree + 3
+    derivatives = [polynomial, polynomial.deriv(), polynomial.deriv(2)]
+    ends = {"start": [one(0.0) for one in derivatives], "end": [one(T) for one in derivatives]}
     path = polynomial(T * np.linspace(0.0, 1.0, 40))
-    found = al.fit_control_points(path, free, degree=degree, duration=T, **ends)
+    found = al.fit_control_points(path, 8, degree=degree, duration=T, **ends)
     spline = al.BSpline(found, degree=degree, **ends)
-    for order in range(min(degree, 3)):
+    for order in range(3):
         expected = polynomial.deriv(order)(T * FRACTIONS) if order else polynomial(T * FRACTIONS)
         np.testing.assert_allclose(spline.values(FRACTIONS, T, order), expected, rtol=1e-8, atol=1e-8)
 
 
-def test_fitted_control_points_of_vectors_are_those_of_each_number():
-    path = np.stack([np.sin(3 * FRACTIONS), FRACTIONS**2], axis=1)
-    ends = {"start": ([0.0, 0.0], [1.5, 0.0]), "end": (path[-1],)}
-    found = al.fit_control_points(path, 6, duration=2.0, **ends)
-    apart = [
-        al.fit_control_points(path[:, i], 6, duration=2.0, start=(0.0, [1.5, 0.0][i]), end=(path[-1, i],))
-        for i in range(2)
-    ]
-    np.testing.assert_allclose(found, np.stack(apart, axis=1), rtol=1e-12)
-    curve = al.BSpline(found, **ends).values(FRACTIONS, 2.0)
-    assert np.abs(curve - path).max() < 2e-3
-
-
 def test_conditions_at_the_ends_hold_for_any_duration():
-    degree, duration = 5, 4.0
+    duration = 4.0
     start, end = numbers(3, 2, seed=1), numbers(3, 2, seed=2)
-    spline = al.BSpline(numbers(4, 2), start=tuple(start), end=tuple(end), degree=degree)
+    spline = al.BSpline(numbers(4, 2), start=tuple(start), end=tuple(end), degree=5)
     for order in range(3):
         both = spline.values(np.array([0.0, 1.0]), duration, order)
         np.testing.assert_allclose(both, np.stack([start[order], end[order]]), rtol=1e-9, atol=1e-9)
@@ -101,8 +84,8 @@ def test_control_points_of_derivatives_are_those_of_equation_54():
     np.testing.assert_array_equal(spline.control_points(T, 4), [0.0])
 
 
-@pytest.mark.parametrize("order", [0, 2])
-def test_the_curve_stays_in_the_hull_of_its_control_points(order):
+def test_the_curve_stays_in_the_hull_of_its_control_points():
+    order = 2
     spline = al.BSpline(numbers(5, 3), start=(np.ones(3), np.zeros(3)), end=(np.zeros(3),), degree=4)
     dense = np.asarray(spline.values(np.linspace(0.0, 1.0, 2001), 0.7, order))
     lower, upper = map(np.asarray, spline.hull(0.7, order))
