@@ -87,37 +87,30 @@ def test_a_clutch_that_cannot_close_is_explained_by_its_dimensions_and_residual(
     assert "the Jacobian is singular there" in explain_failure(clutch(27.94, 11.43, 50.8))
 
 
-def four_bar(guess, **options):
-    """Ground 100, crank 30, coupler 80, rocker 70, from the crank's angle."""
-    return al.Assembly(
-        dimensions={"ground": 100, "crank": 30, "coupler": 80, "rocker": 70, "theta": 60},
-        unknowns=guess,
-        loops=[[("crank", "theta"), ("coupler", "phi"), ("-rocker", "psi"), ("-ground", 0)]],
-        **options,
-    )
+LENGTHS = {"ground": 100, "crank": 30, "coupler": 80, "rocker": 70, "theta": 60}
+"""Of a four-bar linkage, and the crank's angle in degrees."""
 
 
-def four_bar_in_closed_form(branch):
-    """Angles of coupler and rocker in degrees, by the two circles around the moving ends."""
+def four_bar_in_closed_form():
+    """Angles of coupler and rocker in degrees and the joint between, by the two circles around the moving ends."""
     pin = 30 * np.exp(1j * np.deg2rad(60.0))
     across = 100 - pin
     distance = abs(across)
     at_pin = np.arccos((80**2 + distance**2 - 70**2) / (2 * 80 * distance))
-    joint = pin + 80 * np.exp(1j * (np.angle(across) + branch * at_pin))
+    joint = pin + 80 * np.exp(1j * (np.angle(across) + at_pin))
     return np.rad2deg(np.angle([joint - pin, joint - 100])), joint
 
 
-def test_a_four_bar_linkage_has_two_solutions_each_from_its_guess():
-    outputs = outputs_of(four_bar({"phi": -60, "psi": -100}))
-    np.testing.assert_allclose([outputs["phi"], outputs["psi"]], four_bar_in_closed_form(-1)[0], rtol=1e-13)
+def test_a_four_bar_linkage_and_its_features_are_those_of_the_closed_form():
     features = {
         "gap": "rocker - crank - 2*5",
         "joint": [("crank", "theta"), ("coupler", "phi")],
         "transmission": "psi - phi",
         "height": lambda v: v.coupler * jnp.sin(jnp.deg2rad(v.phi)),
     }
-    outputs = outputs_of(four_bar({"phi": 20, "psi": 90}, features=features))
-    (phi, psi), joint = four_bar_in_closed_form(1)
+    loop = [("crank", "theta"), ("coupler", "phi"), ("-rocker", "psi"), ("-ground", 0)]
+    outputs = outputs_of(al.Assembly(LENGTHS, {"phi": 20, "psi": 90}, [loop], features=features))
+    (phi, psi), joint = four_bar_in_closed_form()
     assert set(outputs) == {"phi", "psi", *features}
     np.testing.assert_allclose([outputs["phi"], outputs["psi"]], [phi, psi], rtol=1e-13)
     assert outputs["gap"] == 30.0
@@ -129,7 +122,7 @@ def test_a_four_bar_linkage_has_two_solutions_each_from_its_guess():
 def test_angles_may_be_relative_to_the_vector_before_and_tied_by_an_equation():
     # The joints' turns in the place of directions; they add up to a full turn, back to the crank's own direction.
     assembly = al.Assembly(
-        dimensions={"ground": 100, "crank": 30, "coupler": 80, "rocker": 70, "theta": 60},
+        dimensions=LENGTHS,
         unknowns={"at_pin": -40, "at_joint": -110, "at_rocker": -90, "at_ground": -120},
         loops=[
             [
@@ -142,7 +135,7 @@ def test_angles_may_be_relative_to_the_vector_before_and_tied_by_an_equation():
         equations=["at_pin + at_joint + at_rocker + at_ground = -360", "theta + at_pin + at_joint + at_rocker = -180"],
     )
     outputs = outputs_of(assembly)
-    (phi, psi), _ = four_bar_in_closed_form(1)
+    (phi, psi), _ = four_bar_in_closed_form()
     turns = [phi - 60, psi - 180 - phi, -psi, -120]
     np.testing.assert_allclose([outputs[name] for name in assembly.unknowns], turns, rtol=1e-13)
 

@@ -1,5 +1,4 @@
 import itertools
-import re
 
 import jax
 import jax.numpy as jnp
@@ -222,42 +221,6 @@ def test_adaptive_integration_that_fails_gives_no_number(system, end, steps, mes
     with pytest.warns(al.SimulationWarning, match=message):
         outputs = al.simulate(system, al.Grid(end, 4), integrator=al.integrators.Tsit5(max_steps=steps))
     assert np.isnan(outputs["x"]).all()
-
-
-class Falling(al.System):
-    """`x² = 1 - 2 rate t`: the rate of `x` is a root of a negative number once `x` has vanished, at `0.5 / rate`."""
-
-    states = ("x",)
-    rate: al.Number
-
-    def rhs(self, t, z):
-        return (-self.rate / jnp.sqrt(1 - 2 * self.rate * t),)
-
-    def outputs(self, t, z):
-        return {"x": z.x}
-
-    def initial(self):
-        return {"x": 1.0}
-
-
-def family(integrator):
-    """Systems whose rate is spread around a decided number."""
-    return al.Problem(
-        Falling(al.Uniform(al.Decision(2.0, 1.0, 3.0), half_width=0.1)),
-        grid=al.Grid(1.0, 4),
-        minimize=al.terminal("x").mean,
-        expansion=al.Expansion(order=1),
-        integrator=integrator,
-    )
-
-
-@pytest.mark.slow
-def test_a_stiff_integrator_that_fails_within_a_design_is_a_status_and_names_the_time_it_reached():
-    solution = al.solve(family(al.integrators.Kvaerno5(max_steps=200)), throw=False)
-    assert solution.status is al.Status.EVALUATION_FAILED
-    rate = float(re.search(r"\(rate=([\d.]+)\)", solution.message)[1])
-    reached = float(re.search(r"stops at t = ([\d.]+) s", solution.message)[1])
-    assert reached == pytest.approx(0.5 / rate, rel=1e-2)
 
 
 def test_adaptive_integrators_take_any_grid_whatever_its_rounding():

@@ -10,7 +10,6 @@ import sympy as sp
 from sympy.physics import mechanics as me
 
 import aleator as al
-from aleator._core.code import read_code
 from compiling import compiled
 
 M, L, D, G = sp.symbols("m l d g")
@@ -203,16 +202,3 @@ def test_inverse_dynamics_of_a_model_with_a_wind_that_changes_gives_the_force():
     found = al.simulate(al.InverseDynamics(model, motion=motion), al.Grid(2.0, 20))
     np.testing.assert_allclose(found["force"], 2.0 * found["x_acceleration"] - found["pressure"], rtol=1e-12)
     assert np.asarray(found["pressure"])[[0, -1]] == pytest.approx([1.0, 9.0])
-
-
-def test_models_made_again_are_of_one_structure_and_others_are_not():
-    def structure(method):
-        return jax.tree.structure(al.foreign.from_kane(method, RODS))
-
-    # Two separate derivations of the same equations.
-    again = rods_by_kane.__wrapped__()
-    assert structure(again) == structure(rods_by_kane())
-    assert jax.tree.structure(al.foreign.from_kane(again, RODS | {M_1: 2.0})) == structure(again)
-    heavier = al.foreign.from_kane(again, RODS, outputs={"height": L_1 * sp.sin(A)})
-    assert jax.tree.structure(heavier) != structure(again)
-    assert not read_code(heavier).doubts

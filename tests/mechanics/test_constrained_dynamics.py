@@ -102,12 +102,6 @@ def test_a_passive_slider_crank_moves_as_the_reduced_equation_does_and_keeps_con
     start = {"crank": 0.7, "crank_rate": 5.0}
     system = al.ForwardDynamics(SliderCrank(), start=start, guess={"slider": 0.4})
     found = simulate(system, al.Grid(2.0, 400))
-    print(
-        "XX",
-        np.abs(found["crank"][::2] - expected).max(),
-        energy_error(SliderCrank(), found),
-        found["constraint_drift"].max(),
-    )
     np.testing.assert_allclose(found["crank"][::2], expected, rtol=0, atol=1e-6)
     assert energy_error(SliderCrank(), found) < 3e-7
     assert found["constraint_drift"].max() < 1e-8
