@@ -45,7 +45,6 @@ class Springs(al.AlgebraicSystem):
 
     unknowns = ("places",)
 
-    stiffness: Any = 3.0
     end: Any = 2.0
 
     def guess(self):
@@ -54,7 +53,7 @@ class Springs(al.AlgebraicSystem):
     def residual(self, rho):
         walls = jnp.concatenate([jnp.zeros(1), rho.places, jnp.reshape(jnp.asarray(self.end), (1,))])
         stretch = jnp.diff(walls)
-        tension = self.stiffness * jnp.arange(1.0, 7.0) * (stretch + stretch**3)
+        tension = jnp.arange(1.0, 7.0) * (stretch + stretch**3)
         return (jnp.diff(tension),)
 
     def outputs(self, rho):
@@ -72,14 +71,14 @@ def test_a_system_of_equations_has_its_unknowns_as_outputs_at_one_instant():
 def test_unknowns_may_be_arrays_and_have_derivatives():
     def equations(vector):
         stretch = np.diff(np.concatenate([[0.0], vector, [2.0]]))
-        return np.diff(3.0 * np.arange(1.0, 7.0) * (stretch + stretch**3))
+        return np.diff(np.arange(1.0, 7.0) * (stretch + stretch**3))
 
     def places(parameters):
         outputs = al.simulate(Springs(*parameters))
         return jnp.concatenate([outputs["places"][0], outputs["one"]])
 
     both = compiled(lambda x: (places(x), jax.jacrev(places)(x)))
-    point = np.array([3.0, 2.0])
+    point = np.array([2.0])
     values, jacobian = both(point)
     reference = root(equations, np.linspace(0.2, 1.8, 5), tol=1e-14).x
     np.testing.assert_allclose(values[:5], reference, rtol=1e-11)

@@ -43,7 +43,8 @@ def torque(model):
 
 
 def test_torques_spread_as_the_process_and_the_uncertain_masses_and_loads_that_they_work_against():
-    acceleration = np.asarray(torque(Cart(mass=1.0)).mean)
+    motion = al.BSpline(np.array([0.3, 0.6]), start=(0.0, 0.0), end=(1.0, 0.0))
+    acceleration = motion.values(np.linspace(0.0, 1.0, 9), 2.0, 2)
     windy = torque(Cart(wind=WIND))
     np.testing.assert_allclose(windy.mean, 2.0 * acceleration - 1.0, rtol=0, atol=1e-9)
     np.testing.assert_allclose(windy.std, 0.4 * np.sqrt(1 - WIND.deficit(np.linspace(0.0, 2.0, 9))), rtol=1e-9)
