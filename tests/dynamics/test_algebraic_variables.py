@@ -36,42 +36,6 @@ class ExplicitTank(al.System):
         return {"acid": 0.2}
 
 
-class Robertson(al.System):
-    """Robertson's reactions, with the last species from the balance of mass: stiff."""
-
-    states = ("a", "b")
-    algebraic = ("c",)
-
-    def rhs(self, t, z):
-        exchange = 1e4 * z.b * z.c
-        return exchange - 0.04 * z.a, 0.04 * z.a - exchange - 3e7 * z.b**2
-
-    def residual(self, t, z):
-        return (z.a + z.b + z.c - 1.0,)
-
-    def outputs(self, t, z):
-        return {"a": z.a, "b": z.b, "c": z.c}
-
-    def initial(self):
-        return {"a": 1.0}
-
-
-@pytest.mark.slow
-def test_robertsons_reactions_agree_with_their_differential_equations():
-    grid = al.Grid(40.0, 8)
-    found = al.simulate(Robertson(), grid, integrator=al.integrators.Kvaerno5(rtol=1e-10, atol=1e-14))
-
-    def rates(t, y):
-        a, b, c = y
-        return [-0.04 * a + 1e4 * b * c, 0.04 * a - 1e4 * b * c - 3e7 * b**2, 3e7 * b**2]
-
-    exact = solve_ivp(
-        rates, (0.0, 40.0), [1.0, 0.0, 0.0], method="Radau", rtol=1e-11, atol=1e-15, t_eval=np.asarray(grid.times)
-    )
-    for name, column in zip("abc", exact.y, strict=True):
-        np.testing.assert_allclose(found[name], column, rtol=1e-8, atol=1e-12)
-
-
 class Bent(al.System):
     """Two algebraic variables, one of them an array, and a state that both of them move; `push` is read by no rate."""
 
@@ -98,9 +62,9 @@ class Bent(al.System):
 PUSH = {"push": al.PowerSeries(start=(0.0, 1.0), end=(0.5, -1.0))}
 
 
-def by_hand(t_final: float = 2.0) -> tuple[float, float]:
+def by_hand() -> tuple[float, float]:
     """The last state and `y`: Newton's method, signal and integrator are SciPy's."""
-    push = CubicHermiteSpline([0.0, t_final], [0.0, 0.5], [1.0, -1.0])
+    push = CubicHermiteSpline([0.0, 2.0], [0.0, 0.5], [1.0, -1.0])
 
     def y_of(t, x):
         level = x + float(push(t))
@@ -110,17 +74,14 @@ def by_hand(t_final: float = 2.0) -> tuple[float, float]:
         y = y_of(t, state[0])
         return [-y - 0.1 * (y / 1.8) ** 2]
 
-    x = solve_ivp(rates, (0.0, t_final), [1.0], method="DOP853", rtol=1e-12, atol=1e-13).y[0, -1]
-    return x, y_of(t_final, x)
+    x = solve_ivp(rates, (0.0, 2.0), [1.0], method="DOP853", rtol=1e-12, atol=1e-13).y[0, -1]
+    return x, y_of(2.0, x)
 
 
-def test_states_and_algebraic_variables_converge_with_order_four():
-    errors = []
-    for steps in (16, 32):
-        found = {name: np.asarray(values) for name, values in al.simulate(Bent(), al.Grid(2.0, steps), PUSH).items()}
-        np.testing.assert_allclose(found["pair"][-1], np.full(2, found["y"][-1] / 1.8), rtol=1e-12)
-        errors.append(np.abs(np.array([found["x"][-1], found["y"][-1]]) - by_hand()))
-    np.testing.assert_allclose(np.log2(errors[0] / errors[1]), 4.0, atol=0.3)
+def test_states_and_algebraic_variables_are_those_of_root_finding_and_integration_by_scipy():
+    found = {name: np.asarray(values) for name, values in al.simulate(Bent(), al.Grid(2.0, 32), PUSH).items()}
+    np.testing.assert_allclose([found["x"][-1], found["y"][-1]], by_hand(), rtol=0, atol=5e-7)
+    np.testing.assert_allclose(found["pair"][-1], np.full(2, found["y"][-1] / 1.8), rtol=1e-12)
 
 
 @pytest.mark.slow
@@ -199,16 +160,14 @@ class IndexTwo(Folded):
 
 
 def test_the_guess_decides_between_solutions():
-    for near in (1.0, -0.3):
-        found = al.simulate(Folded(near=near), al.Grid(0.9, 3))["y"]
-        np.testing.assert_allclose(found, np.sign(near) * np.sqrt([1.0, 0.7, 0.4, 0.1]), rtol=1e-12)
+    found = al.simulate(Folded(near=-0.3), al.Grid(0.9, 3))["y"]
+    np.testing.assert_allclose(found, -np.sqrt([1.0, 0.7, 0.4, 0.1]), rtol=1e-12)
 
 
 def test_where_solutions_meet_is_told():
     told = simulation_of(Folded(), al.Grid(2.0, 8), None, None).explain()
     assert re.match(r"Folded: its algebraic variables have no solution at about t = 1(\.0\d*)? s", told)
     assert "algebraic_guess" in told or "the Jacobian is singular there" in told
-    assert not simulation_of(Folded(), al.Grid(0.9, 3), None, None).explain()
 
 
 @pytest.mark.slow
@@ -218,55 +177,21 @@ def test_an_index_above_one_is_told_with_realisation_and_time():
         grid=al.Grid(2.0, 8),
         minimize=al.rms("y").mean,
     )
-    for transcription in (al.Sequential(), al.Simultaneous()):
-        with pytest.raises(
-            al.SimulationError, match=r"t = 0 s, .* near=0\.9.*singular.*index 1.*collocation point 1 of 12"
-        ):
-            al.solve(problem, transcription=transcription)
-
-
-class Rootless(Folded):
-    """Has no real root for any push above zero."""
-
-    algebraic = ("y", "w")
-
-    def residual(self, t, z, push):
-        return z.y**2 + push, z.w - z.y
-
-
-def test_newton_that_does_not_converge_tells_its_residuals():
-    told = simulation_of(Rootless(), al.Grid(2.0, 4), {"push": al.BSpline(np.full(4, 1.0))}, None).explain()
-    assert re.match("Rootless: its algebraic variables have no solution at about t = 0", told)
-    # Newton stays at the guess, y = 1 and w = 0, for a push of 1.
-    assert "(all: 2, -1)" in told
+    with pytest.raises(al.SimulationError, match=r"t = 0 s, .* near=0\.9.*singular.*index 1.*point 1 of 12"):
+        al.solve(problem)
 
 
 def changed(base=Folded, **parts: Any) -> Any:
     return type("Odd", (base,), parts)()
 
 
-class Wordless(al.System):
-    states = ("x",)
-    algebraic = ("y",)
-
-    def rhs(self, t, z):
-        return (-z.x,)
-
-    def outputs(self, t, z):
-        return {"x": z.x}
-
-
 @pytest.mark.parametrize(
     ("system", "message"),
     [
         (lambda: changed(residual=lambda self, t, z: (z.y, z.y)), r"as many equations as .* \('y',\), 1; received 2"),
-        (lambda: changed(residual=lambda self, t, z: z.y**2 - z.x), r"Odd\.residual returns the equations as a tuple"),
         (lambda: changed(algebraic=()), "writes residual and algebraic_guess, but names no algebraic variables"),
-        (Wordless, r"names the algebraic variables \('y',\), but no equations for them: write residual\(self, t, z\)"),
-        (lambda: changed(algebraic=("x",)), r"distinct Python names.*\('x', 'x'\)"),
         (lambda: changed(algebraic_guess=lambda self, t, z: {"q": 1.0}), r"algebraic_guess returns a dict .*'q': 1\.0"),
         (lambda: changed(initial=lambda self: {"x": 1.0, "y": 1.0}), r"initial names \['y'\], .* in algebraic_guess"),
-        (lambda: changed(residual=lambda self, t, z, wind: (z.y - wind,)), r"takes the inputs \['wind'\]; received"),
     ],
 )
 def test_what_does_not_fit_together_is_refused_in_words(system, message):

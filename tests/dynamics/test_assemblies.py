@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator._core.arrays import numbers_to_arrays
 from aleator.dynamics import explain_failure, solve_algebraic
 from aleator.uncertainty import placements, realise
 from compiling import compiled
@@ -29,9 +28,9 @@ def clutch(a, c, e, chi=7.0):
     )
 
 
-def clutch_in_closed_form(a, c, e, xp=np):
+def clutch_in_closed_form(a, c, e):
     """The offset `b` and the pressure angle in degrees."""
-    return xp.stack([xp.sqrt((e - c) ** 2 - (a + c) ** 2), xp.rad2deg(xp.arccos((a + c) / (e - c)))])
+    return np.stack([np.sqrt((e - c) ** 2 - (a + c) ** 2), np.rad2deg(np.arccos((a + c) / (e - c)))])
 
 
 def dependent(dimensions):
@@ -76,35 +75,6 @@ def test_the_spread_of_the_clutch_is_the_published_exact_value():
     assert placements(clutch(*map(al.Normal, NOMINAL, TOLERANCES / 3))).germ_names == ("a", "c", "e")
 
 
-def test_sensitivities_of_the_clutch_are_those_by_hand_and_second_derivatives_those_of_the_closed_form():
-    a, c, e = NOMINAL
-    b, chi = clutch_in_closed_form(a, c, e)
-    # (e - c) cos χ = a + c and b² = (e - c)² - (a + c)², differentiated.
-    slope = np.rad2deg(1.0) / ((e - c) * np.sin(np.deg2rad(chi)))
-    ratio = (a + c) / (e - c)
-    by_hand = np.array([[-(a + c), -(a + e), e - c] / b, slope * np.array([-1.0, -1.0 - ratio, ratio])])
-
-    @compiled
-    def all_of(x):
-        def of(x):
-            return dependent(x)[0]
-
-        return jax.jacfwd(of)(x), jax.jacrev(of)(x), jax.hessian(of)(x), jax.hessian(exact)(x)
-
-    def exact(x):
-        return clutch_in_closed_form(*x, xp=jnp)
-
-    forward, backward, second, expected = all_of(NOMINAL)
-    np.testing.assert_allclose(forward, by_hand, rtol=1e-12)
-    np.testing.assert_allclose(backward, by_hand, rtol=1e-12)
-    np.testing.assert_allclose(second, expected, rtol=1e-11)
-
-
-def test_the_mirrored_clutch_is_found_from_a_mirrored_guess():
-    outputs = outputs_of(al.Assembly(dict(zip("ace", NOMINAL, strict=True)), {"b": -4.8, "chi": -7}, [CLUTCH_LOOP]))
-    np.testing.assert_allclose([outputs["b"], outputs["chi"]], -clutch_in_closed_form(*NOMINAL), rtol=1e-12)
-
-
 def test_a_clutch_that_cannot_close_is_explained_by_its_dimensions_and_residual():
     # a + c > e - c
     too_high = clutch(28.5, 11.43, 50.8)
@@ -113,42 +83,34 @@ def test_a_clutch_that_cannot_close_is_explained_by_its_dimensions_and_residual(
         "Assembly: Newton found no solution at a=28.5, c=11.43, e=50.8. From the guess b=4.8, chi=7"
     )
     assert "equation 2 of 2 is left with a residual of 0.5" in message
-    assert explain_failure(clutch(*NOMINAL)) == ""
     # a + c = e - c: χ = 0, where the two mirrored solutions meet.
     assert "the Jacobian is singular there" in explain_failure(clutch(27.94, 11.43, 50.8))
 
 
-def four_bar(guess, **options):
-    """Ground 100, crank 30, coupler 80, rocker 70, from the crank's angle."""
-    return al.Assembly(
-        dimensions={"ground": 100, "crank": 30, "coupler": 80, "rocker": 70, "theta": 60},
-        unknowns=guess,
-        loops=[[("crank", "theta"), ("coupler", "phi"), ("-rocker", "psi"), ("-ground", 0)]],
-        **options,
-    )
+LENGTHS = {"ground": 100, "crank": 30, "coupler": 80, "rocker": 70, "theta": 60}
+"""Of a four-bar linkage, and the crank's angle in degrees."""
 
 
-def four_bar_in_closed_form(branch):
-    """Angles of coupler and rocker in degrees, by the two circles around the moving ends."""
+def four_bar_in_closed_form():
+    """Angles of coupler and rocker in degrees and the joint between, by the two circles around the moving ends."""
     pin = 30 * np.exp(1j * np.deg2rad(60.0))
     across = 100 - pin
     distance = abs(across)
     at_pin = np.arccos((80**2 + distance**2 - 70**2) / (2 * 80 * distance))
-    joint = pin + 80 * np.exp(1j * (np.angle(across) + branch * at_pin))
+    joint = pin + 80 * np.exp(1j * (np.angle(across) + at_pin))
     return np.rad2deg(np.angle([joint - pin, joint - 100])), joint
 
 
-def test_a_four_bar_linkage_has_two_solutions_each_from_its_guess():
-    outputs = outputs_of(four_bar({"phi": -60, "psi": -100}))
-    np.testing.assert_allclose([outputs["phi"], outputs["psi"]], four_bar_in_closed_form(-1)[0], rtol=1e-13)
+def test_a_four_bar_linkage_and_its_features_are_those_of_the_closed_form():
     features = {
         "gap": "rocker - crank - 2*5",
         "joint": [("crank", "theta"), ("coupler", "phi")],
         "transmission": "psi - phi",
         "height": lambda v: v.coupler * jnp.sin(jnp.deg2rad(v.phi)),
     }
-    outputs = outputs_of(four_bar({"phi": 20, "psi": 90}, features=features))
-    (phi, psi), joint = four_bar_in_closed_form(1)
+    loop = [("crank", "theta"), ("coupler", "phi"), ("-rocker", "psi"), ("-ground", 0)]
+    outputs = outputs_of(al.Assembly(LENGTHS, {"phi": 20, "psi": 90}, [loop], features=features))
+    (phi, psi), joint = four_bar_in_closed_form()
     assert set(outputs) == {"phi", "psi", *features}
     np.testing.assert_allclose([outputs["phi"], outputs["psi"]], [phi, psi], rtol=1e-13)
     assert outputs["gap"] == 30.0
@@ -160,7 +122,7 @@ def test_a_four_bar_linkage_has_two_solutions_each_from_its_guess():
 def test_angles_may_be_relative_to_the_vector_before_and_tied_by_an_equation():
     # The joints' turns in the place of directions; they add up to a full turn, back to the crank's own direction.
     assembly = al.Assembly(
-        dimensions={"ground": 100, "crank": 30, "coupler": 80, "rocker": 70, "theta": 60},
+        dimensions=LENGTHS,
         unknowns={"at_pin": -40, "at_joint": -110, "at_rocker": -90, "at_ground": -120},
         loops=[
             [
@@ -173,7 +135,7 @@ def test_angles_may_be_relative_to_the_vector_before_and_tied_by_an_equation():
         equations=["at_pin + at_joint + at_rocker + at_ground = -360", "theta + at_pin + at_joint + at_rocker = -180"],
     )
     outputs = outputs_of(assembly)
-    (phi, psi), _ = four_bar_in_closed_form(1)
+    (phi, psi), _ = four_bar_in_closed_form()
     turns = [phi - 60, psi - 180 - phi, -psi, -120]
     np.testing.assert_allclose([outputs[name] for name in assembly.unknowns], turns, rtol=1e-13)
 
@@ -206,16 +168,13 @@ def test_loops_may_be_spatial():
 
 FORMULAS = {
     "e - c": 5.0,
-    "-c": -2.0,
     " +c * (e + 1) ": 16.0,
     "2*c**3 / 4 - 1e1": -6.0,
     "e**-1 + pi": 1 / 7 + np.pi,
     "sqrt(e + c)": 3.0,
     "sin(30) + cos(60) + tan(45)": 2.0,
     "asin(0.5) + acos(0.5) + atan(1)": 135.0,
-    "e": 7.0,
     4: 4.0,
-    np.float64(0.5): 0.5,
     (lambda v: v.e * v.c): 14.0,
 }
 
@@ -231,17 +190,9 @@ def test_formulas_are_read_as_written():
     [
         ("E - c", r"there is no 'E'; expected one of \['c', 'e'\]"),
         ("e ^ 2", "give a Python function"),
-        ("e -", "is not an arithmetic expression"),
-        ("e.real", r"received 'e\.real'"),
         ("__import__('os').system('x')", "received '__import__"),
         ("exp(e)", r"received 'exp\(e\)'"),
-        ("sin(e, c)", r"received 'sin\(e, c\)'"),
-        ("True", "received 'True'"),
-        ("previous + 90", "there is no 'previous'"),
-        (np.nan, "received nan"),
         (al.Normal(0.0, 1.0), "among the dimensions"),
-        ([("c", 0)], "two or more vectors"),
-        ([("c", 0), ("e", 0, 0)], "vector 2"),
         ([("c", "previous"), ("e", 0)], "vector 1: there is no 'previous'"),
         ([("c", (1, 2, 3)), ("e", 0)], "vector 1: expected a direction"),
     ],
@@ -257,21 +208,12 @@ SQUARE = [("a", 0), ("b", 90), ("-a", 0), ("-b", 90)]
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"loops": []}, "received 0"),
         ({"loops": [[("p", 0), ("q", 90), ("b", 45)]] * 2}, "received 4: 4 from 2 closed loops"),
-        ({"loops": [[("p", 0), ("q", "180")]], "equations": ["p = q"]}, "2 from 1 closed loops .* and 1 others"),
         ({"loops": [SQUARE]}, "unknown 'p' is in no loop"),
-        ({"loops": [("p", 0)]}, "loop 1, vector 1"),
         ({"loops": [[("p", 0), ("x", 90)]]}, r"loop 1, vector 2: there is no 'x'.*\['a', 'b', 'p', 'q'\]"),
-        ({"loops": [], "equations": ["p = q = a", "p = a"]}, "equation 1: expected 'left = right'"),
         ({"loops": [], "equations": ["p = radius", "p = a"]}, "equation 1: there is no 'radius'"),
         ({"unknowns": {"a": 1.0}}, "'a' names a dimension and a unknown"),
-        ({"features": {"p": "a"}}, "'p' names a unknown and a feature"),
-        ({"unknowns": {"p": al.Decision(1.0), "q": 1.0}}, "the guess of 'p'"),
-        ({"dimensions": {"a": np.ones(2), "b": 1.0}}, "dimension 'a'"),
-        ({"dimensions": {"lambda": 1.0}}, "'lambda'"),
         ({"dimensions": {"previous": 1.0}}, "'previous'"),
-        ({"dimensions": {"_a": 1.0}}, "'_a'"),
         ({"units": {"r": "mm"}}, r"\['r'\], which are not unknowns or features"),
     ],
 )
@@ -280,19 +222,3 @@ def test_a_description_that_does_not_fit_together_is_refused_in_words(wrong, mes
     right = {"dimensions": {"a": 3.0, "b": 4.0}, "unknowns": {"p": 1.0, "q": 1.0}, "loops": loops}
     with pytest.raises(al.ProblemError, match=f"Assembly.*{message}"):
         al.Assembly(**(right | wrong))
-
-
-def test_values_that_are_no_single_numbers_are_refused_when_traced():
-    with pytest.raises(al.ProblemError, match=r"a function gives one number; received shape \(2,\)"):
-        al.simulate(al.Assembly({"a": 1.0}, features={"f": lambda v: v.a * jnp.ones(2)}))
-    with pytest.raises(al.ProblemError, match=r"dimension 'a' is one number; received shape \(3,\)"):
-        al.simulate(al.Assembly({"a": jnp.ones(3)}, features={"f": "a"}))
-
-
-def test_dimensions_are_numbers_and_the_description_is_structure():
-    first, second = (numbers_to_arrays(clutch(27.6 + shift, 11, 50.8)) for shift in (0.0, 0.1))
-    assert jax.tree.structure(first) == jax.tree.structure(second)
-    assert hash(jax.tree.structure(first)) == hash(jax.tree.structure(second))
-    assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(first))
-    other = numbers_to_arrays(clutch(27.6, 11, 50.8, chi=6.0))
-    assert jax.tree.structure(first) != jax.tree.structure(other)

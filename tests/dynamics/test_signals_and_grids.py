@@ -1,4 +1,3 @@
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,14 +6,13 @@ from scipy import integrate
 import aleator as al
 from aleator._core.arrays import numbers_to_arrays
 from aleator.uncertainty import at_means, named_numbers, placements, realise
-from compiling import compiled
 from zoo import optimum
 
 
 @pytest.fixture
 def table(tmp_path):
-    def write(text, name="road.csv", encoding="utf-8"):
-        path = tmp_path / name
+    def write(text, encoding="utf-8"):
+        path = tmp_path / "road.csv"
         path.write_text(text, encoding=encoding)
         return path
 
@@ -28,9 +26,9 @@ def test_a_table_is_linear_between_its_samples():
     assert signal.span() == (0.0, 3.0)
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
-def test_a_table_is_read_from_named_columns_of_a_file_with_comments(table, encoding):
-    path = table("height,t_s,other\n# a comment\n0.5,0.0,a\n0.75,0.1,b\n# another\n-1.0,0.4,c\n", encoding=encoding)
+def test_a_table_is_read_from_named_columns_of_a_file_with_comments(table):
+    text = "height,t_s,other\n# a comment\n0.5,0.0,a\n0.75,0.1,b\n# another\n-1.0,0.4,c\n"
+    path = table(text, encoding="utf-8-sig")
     signal = al.Tabulated.from_csv(path, time="t_s", value="height")
     np.testing.assert_array_equal(signal.times, [0.0, 0.1, 0.4])
     np.testing.assert_array_equal(signal.values, [0.5, 0.75, -1.0])
@@ -40,12 +38,8 @@ def test_a_table_is_read_from_named_columns_of_a_file_with_comments(table, encod
     ("text", "message"),
     [
         ("t,height\n0,1\n1,2\n", r"road\.csv: expected one column 'z'; received \['t', 'height'\]"),
-        ("", r"road\.csv.*received an empty file"),
-        ("t,z\n0,1\n", "of at least 2"),
         ("t,z\n0,1\n2,1\n1,1\n", r"road\.csv.*times must increase, but sample 2 is not after"),
-        ("t,z\n0,1\n0,1\n", r"times must increase, but sample 1"),
         ("t,z\n0,1\n1,inf\n", r"road\.csv.*every time and value must be finite"),
-        ("t,z\n0,1\n1\n", "every time and value must be finite"),
         ("t,z\n0,1\n1,high\n", r"road\.csv.*'high'"),
     ],
 )
@@ -54,44 +48,19 @@ def test_a_file_that_is_no_table_is_refused_by_name(table, text, message):
         al.Tabulated.from_csv(table(text), time="t", value="z")
 
 
-UNIFORM = al.Uniform(0.0, std=1.0)
-
-
 @pytest.mark.parametrize(
     ("times", "values", "message"),
     [
         ([0.0, 1.0], [1.0, 2.0, 3.0], r"times \(2,\) and values \(3,\)"),
-        ([[0.0, 1.0]], [[1.0, 2.0]], "two vectors"),
-        ([0.0], [1.0], "at least 2"),
         ([1.0, 0.5], [1.0, 2.0], "sample 1 is not after"),
-        ([0.0, 1.0], al.Decision(np.zeros(3), -1, 1), r"times \(2,\) and values \(3,\)"),
-        ([0.0, 1.0], [UNIFORM] * 3, r"times \(2,\) and values \(3,\)"),
         ([0.0, 1.0], [al.Decision(np.zeros(2), -1, 1), 1.0], r"one number in each sample; received shape \(2,\)"),
         ([0.0, 1.0], [al.Decision(0.0, -1, 1), "high"], "values: expected plain numbers; received 'high'"),
-        ([0.0, al.Decision(1.0)], [0.0, 1.0], "times: expected plain numbers"),
     ],
     ids=lambda value: str(value)[:40],
 )
 def test_a_table_whose_times_and_values_do_not_fit_is_refused(times, values, message):
     with pytest.raises(al.ProblemError, match=message):
         al.Tabulated(times, values)
-
-
-def test_a_table_keeps_its_numbers_when_the_arrays_it_was_made_from_change():
-    times, values = np.array([0.0, 1.0]), np.array([2.0, 3.0])
-    signal = al.Tabulated(times, values)
-    times[:], values[:] = 9.0, 9.0
-    assert (signal.times.tolist(), signal.values.tolist()) == ([0.0, 1.0], [2.0, 3.0])
-
-
-def test_a_tables_values_may_be_one_array_of_decisions():
-    signal = al.Tabulated(np.array([0.0, 1.0, 3.0]), al.Decision(np.zeros(3), -1, 1))
-    model = {"u": signal}
-    assert placements(model).entry_names() == ("u.values[0]", "u.values[1]", "u.values[2]")
-    both = compiled(jax.value_and_grad(lambda x: realise(model, jnp.zeros(0), x)["u"](jnp.asarray(2.0))))
-    value, slope = both(np.array([0.5, 0.25, 0.75]))
-    assert float(value) == 0.5
-    assert slope.tolist() == [0.0, 0.5, 0.5]
 
 
 def test_a_tables_values_may_mix_numbers_distributions_and_decisions():
@@ -137,14 +106,7 @@ def test_a_grid_knows_its_instants_and_simpsons_rule():
     assert float(grid.node_weights @ values) == pytest.approx(integrate.simpson(values, dx=0.125), rel=1e-14)
 
 
-def test_a_grid_takes_arrays_of_one_number():
-    start, end = jnp.array(1), jnp.array(3.0)
-    traced = jax.jit(lambda: al.Grid(end, 8, start).times)()
-    for times in (al.Grid(np.array(3.0), 8, np.array(1)).times, traced):
-        np.testing.assert_allclose(times, np.linspace(1.0, 3.0, 9), rtol=1e-15)
-
-
-@pytest.mark.parametrize(("end", "start"), [(0.0, 0.0), (1.0, 2.0), (1.0, -np.inf), (np.array([2.0]), 0.0)])
+@pytest.mark.parametrize(("end", "start"), [(0.0, 0.0), (1.0, -np.inf), (np.array([2.0]), 0.0)])
 def test_a_grid_that_does_not_end_after_its_start_is_refused(end, start):
     with pytest.raises(al.ProblemError, match=r"t_final must be a finite number after t_start=.*; received t_final="):
         al.Grid(end, 10, start)
@@ -161,18 +123,6 @@ class Pushed(al.System):
         return {"x": z.x}
 
 
-class PushedBack(Pushed):
-    def rhs(self, t, z):
-        return z.v, -self.push * z.x
-
-
-PROCESS = al.processes.RandomProcess(al.processes.SquaredExponentialCovariance(0.3), t_final=1.0, std=0.5)
-
-
-@pytest.mark.parametrize(("kind", "signal"), [(Pushed, PROCESS), (PushedBack, al.Tabulated([0.0, 1.0], [0.0, 1.0]))])
-def test_a_signal_in_the_place_of_a_number_is_told_to_be_given_as_an_input(kind, signal):
-    with pytest.raises(al.ProblemError) as caught:
-        al.Problem(kind(push=signal), grid=al.Grid(1.0, 10), minimize=al.terminal("x").mean)
-    assert type(signal).__name__ in str(caught.value)
-    assert "inputs={'push': ...}" in str(caught.value)
-    assert "rhs(self, t, z, push)" in str(caught.value)
+def test_a_signal_in_the_place_of_a_number_is_told_to_be_given_as_an_input():
+    with pytest.raises(al.ProblemError, match=r"Tabulated.*inputs=\{'push': ...\}"):
+        al.simulate(Pushed(push=al.Tabulated([0.0, 1.0], [0.0, 1.0])), al.Grid(1.0, 10))

@@ -7,14 +7,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pandas as pd
 import pytest
 
 import aleator as al
 from aleator.dynamics._simulation import _HISTORY
-from aleator.uncertainty import at_means
 from compiling import compiled
-from zoo import Bar, Decay, cases
+from zoo import Decay
 
 GRID = al.Grid(1.0, 20)
 PUSH = 1.0
@@ -43,12 +41,12 @@ class Pushed(Branching):
         return (PUSH + 0.0 * z.x,)
 
 
-@pytest.mark.parametrize("integrator", [al.integrators.RungeKutta4(), al.integrators.Tsit5(rtol=1e-10, atol=1e-12)])
-def test_other_numbers_need_no_other_program(integrator):
+def test_other_numbers_need_no_other_program():
+    integrator = al.integrators.Tsit5(rtol=1e-10, atol=1e-12)
     before = _HISTORY.compilations
     for rate, start, end in ((1.0, 2.0, 1.0), (0.3, -1.0, 2.5), (2.0, 0.5, 0.7)):
         found = al.simulate(Decay(rate, start), al.Grid(end, 20), integrator=integrator)
-        np.testing.assert_allclose(found["x"], start * np.exp(-rate * np.linspace(0.0, end, 21)), rtol=1e-4, atol=1e-9)
+        np.testing.assert_allclose(found["x"], start * np.exp(-rate * np.linspace(0.0, end, 21)), rtol=1e-7, atol=1e-9)
     assert _HISTORY.compilations - before == 1
 
 
@@ -73,20 +71,10 @@ class FromFile(Branching):
         return (self.read(self.path) + 0.0 * z.x,)
 
 
-READERS = {
-    "text": lambda path: float(path.read_text()),
-    "open": lambda path: float(open(path).read()),  # noqa: SIM115, PTH123
-    "a table": lambda path: float(np.loadtxt(path)),
-    "numbers": lambda path: float(np.fromfile(path, sep=" ")[0]),
-    "pandas": lambda path: float(pd.read_csv(path, header=None)[0][0]),
-}
-
-
-@pytest.mark.filterwarnings("ignore::ResourceWarning")
-@pytest.mark.parametrize("way", cases(READERS))
-def test_a_file_that_the_code_reads_may_change(way, tmp_path):
+@pytest.mark.parametrize("read", [lambda path: float(path.read_text()), lambda path: float(np.loadtxt(path))])
+def test_a_file_that_the_code_reads_may_change(read, tmp_path):
     path = tmp_path / "k.txt"
-    model = FromFile(0.0, READERS[way], path)
+    model = FromFile(0.0, read, path)
     for number in (1.0, 2.0):
         path.write_text(f"{number}\n")
         assert float(al.simulate(model, GRID)["x"][-1]) == pytest.approx(1.0 + number)
@@ -118,66 +106,32 @@ def system(rhs=lambda z: (z.v, -z.x), outputs=lambda z: {"x": z.x}, initial=None
     ("wrong", "message"),
     [
         ({"rhs": lambda z: (z.v,)}, r"Model\.rhs: expected 2 rates, for \('x', 'v'\); received 1"),
-        ({"rhs": lambda z: jnp.stack([z.v, z.x])}, "returns one rate for each of .* as a tuple; received"),
         ({"rhs": lambda z: (jnp.ones(3), z.x)}, r"shape \(\) for 'x'; received \(3,\)\. If 'x' is an array, give its"),
         ({"rhs": lambda z: (z.v if z.x > 0 else 0.0, z.x)}, r"Model\.rhs branches on a number .*jnp\.where\("),
         ({"initial": {"y": 1.0}}, r"initial names \['y'\], which are not states; expected some of \('x', 'v'\)"),
-        ({"initial": [1.0, 2.0]}, r"Model\.initial returns a dict of initial values by state; received list \[1.0"),
-        ({"outputs": lambda z: {"x": max(z.x, 0.0)}}, r"Model\.outputs branches on a number"),
-        ({"outputs": lambda z: [z.x]}, "outputs returns a dict of arrays by name; received list"),
     ],
 )
 def test_a_system_that_does_not_fit_together_is_refused_in_words(wrong, message):
     with pytest.raises(al.ProblemError, match=message):
         al.simulate(system(**wrong), GRID)
-    if "rhs" in wrong:
-        with pytest.raises(al.ProblemError, match=message):
-            al.Problem(system(**wrong), grid=GRID, minimize=al.rms("x").mean)
-
-
-def test_rates_and_outputs_may_be_whole_numbers():
-    outputs = al.simulate(system(rhs=lambda z: (1, 0), outputs=lambda z: {"x": z.x, "one": 1}), GRID)
-    np.testing.assert_allclose(outputs["x"], np.linspace(0, 1, 21), rtol=1e-14)
-    assert outputs["one"].tolist() == [1.0] * 21
 
 
 class Named(al.System):
+    """`x' = road + wind`, where outputs see the road alone."""
+
     states = ("x",)
 
     def rhs(self, t, z, road, **others):
         return (road + others.get("wind", 0.0),)
 
-    def outputs(self, t, z):
-        return {"x": z.x}
-
-
-class Observed(al.System):
-    states = ("x",)
-
-    def rhs(self, t, z):
-        return (1.0,)
-
     def outputs(self, t, z, *, road=0.0):
         return {"x": z.x + road}
 
 
-ONE = al.Tabulated(np.array([0.0, 1.0]), np.ones(2))
-
-
-RK4, TSIT5 = al.integrators.RungeKutta4(), al.integrators.Tsit5()
-
-
-@pytest.mark.parametrize(
-    ("model", "inputs", "integrator", "end"),
-    [
-        (Named(), {"road": ONE, "wind": ONE}, RK4, 2.0),
-        (Observed(), {"road": ONE}, RK4, 2.0),
-        (Observed(), {}, RK4, 1.0),
-        (Named(), {"road": ONE}, TSIT5, 1.0),
-    ],
-)
-def test_each_method_is_given_the_inputs_that_it_names_and_no_others(model, inputs, integrator, end):
-    assert float(al.simulate(model, GRID, inputs, integrator)["x"][-1]) == pytest.approx(end, rel=1e-7)
+def test_each_method_is_given_the_inputs_that_it_names_and_no_others():
+    one = al.Tabulated([0.0, 1.0], [1.0, 1.0])
+    found = al.simulate(Named(), GRID, {"road": one, "wind": one})["x"]
+    np.testing.assert_allclose(found, 1.0 + 2.0 * np.linspace(0.0, 1.0, 21), rtol=1e-13)
 
 
 class Driven(al.System):
@@ -199,26 +153,19 @@ class Driven(al.System):
 
 LONG = al.Grid(3.0, 6)
 RAMP, SHORT = (al.Tabulated([0.0, end], [0.0, 1.0]) for end in (3.0, 1.0))
-UNIFORM, DECISION = al.Uniform(1.0, half_width=0.1), al.Decision(1.0, 0.0, 2.0)
+UNIFORM = al.Uniform(1.0, half_width=0.1)
 
 
 @pytest.mark.parametrize(
     ("system", "grid", "inputs", "message"),
     [
-        (Named(), GRID, {"wind": ONE}, r"Named takes the inputs \['road'\]; received \['wind'\]"),
-        (Observed(), GRID, {"raod": ONE}, r"Observed takes the inputs \['road'\]; received \['raod'\]"),
+        (Named(), GRID, {"raod": RAMP}, r"Named takes the inputs \['road'\]; received \['raod'\]"),
         (Driven(), LONG, {"u": SHORT}, r"Input 'u' is known from 0 to 1 s, but the grid runs from 0 to 3 s\. Give"),
-        (Driven(), LONG, {"u": al.Tabulated([0.5, 3.0], [0.0, 1.0])}, "is known from 0.5 to 3 s"),
         (Driven(own=SHORT), LONG, {"u": RAMP}, "Signal 'shift' of Driven is known from 0 to 1 s"),
-        (Driven(), LONG, {"u": 1.0}, r"Input 'u' must be a signal.*received float"),
         (Driven(UNIFORM), LONG, {"u": RAMP}, r"with plain numbers.*'system\.gain' is a Uniform\. .*al\.expand or"),
-        (at_means(Driven(UNIFORM)), LONG, {"u": RAMP}, r"'system\.gain' is a AtMean"),
         (Driven(), al.Grid(al.Decision(2.0, 1.0, 3.0), 6), {"u": RAMP}, r"'grid\.t_final' is a Decision"),
         (Driven(), LONG, {"u": al.Tabulated([0.0, 3.0], [0.0, UNIFORM])}, r"'inputs\.u\.values\.1' is a Uniform"),
-        (Driven(DECISION), LONG, {"u": al.BSpline(al.Decision(np.ones(4)))}, r"'inputs\.u\.free' is a Decision"),
-        (Bar(1.0, UNIFORM), None, None, r"'system\.load' is a Uniform"),
         (Decay(1.0), None, None, r"Decay evolves in time: expected a grid, such as al\.Grid"),
-        (Decay(1.0), al.Instant(), None, r"Decay evolves in time: expected a grid, such as al\.Grid"),
     ],
 )
 def test_simulating_what_is_not_known_or_does_not_reach_is_refused_in_words(system, grid, inputs, message):
@@ -226,21 +173,9 @@ def test_simulating_what_is_not_known_or_does_not_reach_is_refused_in_words(syst
         al.simulate(system, grid, inputs)
 
 
-def test_initial_values_that_are_no_method_are_refused():
-    class Model(al.System):
-        states = ("x",)
-        initial = {"x": 1.0}  # noqa: RUF012
-
-        def rhs(self, t, z):
-            return (-z.x,)
-
-        def outputs(self, t, z):
-            return {"x": z.x}
-
-    with pytest.raises(
-        al.ProblemError, match=r"Model\.initial: expected a method that returns values by state; received"
-    ):
-        al.simulate(Model(), GRID)
+def test_an_output_that_there_is_not_is_refused():
+    with pytest.raises(al.ProblemError, match=r"expected in `only` a list"):
+        al.simulate(Decay(1.0), GRID, only=["y"])
 
 
 def test_traced_numbers_pass_and_the_signals_that_are_known_are_checked_while_others_are_traced():
@@ -249,9 +184,5 @@ def test_traced_numbers_pass_and_the_signals_that_are_known_are_checked_while_ot
 
     # the integral of a ramp to 1 over 3 s
     np.testing.assert_allclose(compiled(jax.jacfwd(final))(2.0, RAMP), 1.5, rtol=1e-12)
-    known = al.Tabulated([0.0, 1.0], [0.0, 1.0])
     with pytest.raises(al.ProblemError, match="Input 'u' is known from 0 to 1 s"):
-        compiled(lambda gain: final(gain, known))(2.0)
-    arrays = jax.tree.map(jnp.asarray, known)
-    with pytest.raises(al.ProblemError, match="Input 'u' is known from 0 to 1 s"):
-        compiled(lambda gain: final(gain, arrays))(2.0)
+        compiled(lambda gain: final(gain, SHORT))(2.0)

@@ -2,8 +2,6 @@
 damping of 0.1 N·m·s/rad, under gravity of 9.81 m/s². The hinge is about y; at zero the rod hangs.
 """
 
-import aleator as al
-
 URDF = """<?xml version="1.0"?>
 <robot name="pendulum">
   <link name="ground"/>
@@ -35,17 +33,3 @@ MJCF = """<mujoco>
   </worldbody>
 </mujoco>
 """
-
-START = {"hinge": 1.0}
-GRID = al.Grid(1.0, 200)
-
-
-class Pendulum(al.Multibody):
-    """The same in our own words."""
-
-    mass: al.Number = 1.0
-
-    def bodies(self):
-        hinge = al.joints.Revolute("y", damping=0.1)
-        rod = {"mass": self.mass, "center": (0.0, 0.0, -0.5), "inertia": (1 / 12, 1 / 12, 0.0)}
-        return (al.Body("hinge", joint=hinge, **rod),)

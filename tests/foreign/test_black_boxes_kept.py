@@ -6,8 +6,8 @@ import signal
 import subprocess
 import sys
 import threading
-import warnings
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -92,32 +92,25 @@ def test_a_box_that_has_changed_is_told_and_run_again(tmp_path):
     assert_same(expanded, directly(other))
 
 
-@pytest.mark.parametrize(
-    ("kept", "beside"),
-    [(False, threading.Lock()), (True, None)],
-    ids=["in memory, beside a lock that cannot be read", "in a journal"],
-)
-def test_a_number_that_the_function_reads_may_change_between_two_calls(tmp_path, kept, beside):
-    state = {"stiffness": 3.0, "beside": beside, "calls": 0}
+@pytest.mark.parametrize("kept", [False, True], ids=["in memory", "in a journal"])
+def test_a_number_that_the_function_reads_may_change_between_two_calls(tmp_path, kept):
+    # A lock cannot be read as code; what the function counts itself is no change.
+    state = {"stiffness": 3.0, "beside": None if kept else threading.Lock(), "calls": 0}
 
     def spring(at):
         state["calls"] += 1
         return state["stiffness"] * at["x"]
 
+    def mean():
+        return float(al.expand(box, {"x": al.Uniform.bounds(0.0, 1.0)}, al.Expansion(order=2)).mean)
+
     box = al.foreign.BlackBox(spring, journal=tmp_path / "runs.jsonl" if kept else None)
-    model, expansion = {"x": al.Uniform.bounds(0.0, 1.0)}, al.Expansion(order=2)
-    assert float(al.expand(box, model, expansion).mean) == pytest.approx(1.5)
-    calls = state["calls"]
-    assert float(al.expand(box, model, expansion).mean) == pytest.approx(1.5)
-    assert state["calls"] == calls, "what the function counts itself is no change"
-    state["stiffness"] = 7.0
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        assert float(al.expand(box, model, expansion).mean) == pytest.approx(3.5)
+    assert mean() == mean() == pytest.approx(1.5)
+    calls, state["stiffness"] = state["calls"], 7.0
+    said = pytest.warns(al.SimulationWarning, match="such as a count of its calls") if kept else nullcontext()
+    with said:
+        assert mean() == pytest.approx(3.5)
     assert state["calls"] == 2 * calls
-    told = [str(one.message) for one in caught if issubclass(one.category, al.SimulationWarning)]
-    assert len(told) == kept
-    assert all("such as a count of its calls" in one for one in told)
 
 
 def test_a_plain_number_of_the_model_is_part_of_a_sample(tmp_path):
@@ -136,16 +129,6 @@ def test_a_file_that_is_no_journal_is_refused_and_left_as_it_is(tmp_path):
     assert table.read_text() == "x,y\n1,2\n"
 
 
-def test_a_journal_that_cannot_be_written_is_refused(tmp_path):
-    box = al.foreign.BlackBox(boxes.smooth, journal=tmp_path / "nowhere" / "runs.jsonl")
-    assert "cannot be written" in refused(box, kind=al.ProblemError)
-
-
-def test_a_journal_keeps_dicts_of_arrays_alone(tmp_path):
-    box = al.foreign.BlackBox(lambda at: (at["x"], at["z"]), journal=tmp_path / "runs.jsonl")
-    assert "dicts of arrays by their names" in refused(box, kind=al.ProblemError)
-
-
 # --- Executors -------------------------------------------------------------------------------------------------------
 
 
@@ -159,38 +142,13 @@ def test_a_process_that_ends_breaks_its_executor_and_finished_samples_are_kept(t
         known = len(journal.read_text().splitlines()) - 1
         assert known >= 1
         assert f"kept in runs.jsonl ({known})" in message
-        # A broken executor is refused in the same words, when it is given again.
-        assert "its executor is broken" in refused(al.foreign.BlackBox(boxes.smooth, executor=executor))
-
-
-@pytest.mark.slow
-def test_what_cannot_be_sent_to_a_process_is_refused():
-    with spawned(1) as executor:
-        message = refused(al.foreign.BlackBox(lambda at: at["x"], executor=executor), kind=al.ProblemError)
-    assert "such as a function at the top level of a module" in message
-
-
-def test_executors_that_take_no_work_or_cancel_it_are_refused():
-    class Cancelling(Executor):
-        def submit(self, fn, /, *args, **kwargs):
-            future = Future()
-            future.cancel()
-            future.set_running_or_notify_cancel()
-            return future
-
-    assert "it cancelled its work" in refused(al.foreign.BlackBox(boxes.smooth, executor=Cancelling()))
-    executor = ThreadPoolExecutor(1)
-    executor.shutdown()
-    assert "takes work" in refused(al.foreign.BlackBox(boxes.smooth, executor=executor), kind=al.ProblemError)
 
 
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no forks here")
-def test_forked_processes_are_refused_wherever_an_executor_is_given():
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("fork")) as executor:
-        with pytest.raises(al.ProblemError, match=r"whose processes are spawned.*mp_context=multiproc"):
-            al.foreign.BlackBox(boxes.smooth, executor=executor)
-        with pytest.raises(al.ProblemError, match=r"_carlo: executor: .*processes that are forked\. Write al\.w"):
-            al.references.monte_carlo(boxes.smooth, TWO, 8, executor=executor)
+def test_forked_processes_are_refused():
+    executor = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("fork"))
+    with executor, pytest.raises(al.ProblemError, match=r"whose processes are spawned.*mp_context=multiproc"):
+        al.foreign.BlackBox(boxes.smooth, executor=executor)
 
 
 def test_ctrl_c_leaves_what_has_finished(python_interrupts):
@@ -216,8 +174,6 @@ def test_a_function_in_a_process_of_its_own_returns_the_same():
     returned = al.foreign.Isolated(boxes.smooth)(at)
     np.testing.assert_array_equal(returned["v"], boxes.smooth(at)["v"])
     assert returned["y"] == boxes.smooth(at)["y"]
-    message = refused(al.foreign.BlackBox(al.foreign.Isolated(lambda at: at["x"])), kind=al.ProblemError)
-    assert "top level of a module" in message
 
 
 @pytest.mark.slow
@@ -226,7 +182,6 @@ def test_a_function_in_a_process_of_its_own_returns_the_same():
     [
         (al.foreign.Isolated(boxes.hanging, time_limit=0.5), "ended after its time limit of 0.5 s"),
         (al.foreign.Isolated(boxes.crash), "its process ended by itself, by exit code 3"),
-        (al.foreign.Isolated(boxes.stiff), "it raised ValueError: no convergence"),
     ],
 )
 def test_a_function_in_a_process_of_its_own_can_hang_crash_and_raise(function, said):

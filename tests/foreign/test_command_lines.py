@@ -3,7 +3,6 @@
 import json
 import math
 import os
-import re
 import signal
 import sys
 import textwrap
@@ -62,51 +61,24 @@ def test_a_command_with_files_in_folders_of_their_own_gives_the_bits_of_the_func
     assert sorted(path.name for path in Path().iterdir()) == ["box.py"]
 
 
-def test_inputs_reach_a_command_with_all_their_digits(script):
-    command = script("import json, sys; print(json.dumps([float(one) for one in sys.argv[1:]]))", "{a}", "--b={b}")
-    values = {"a": 0.1 + 0.2, "b": 1.2345678901234567e-300}
-    with pytest.raises(al.SimulationError, match=re.escape(f"--b={values['b']!r}")):
-        command(values)
-    command = script("import json, sys; print(json.dumps([float(one) for one in sys.argv[1:]]))", "{a}", "{b}")
-    np.testing.assert_array_equal(command(values), list(values.values()))
-
-
-def test_arrays_reach_a_command_by_its_input_file(script):
-    command = script('import json; print(sum(map(sum, json.load(open("in.json"))["table"])))', input_file="in.json")
-    assert command({"table": np.array([[1.0, 2.0], [3.0, 4.0]]), "name": "a text"}) == 10.0
-
-
-@pytest.mark.parametrize(
-    ("printed", "either", "output_file"),
-    [
-        ('{"y": 1.5}\n\n  0  \n\n', "the last line '0' after '{\"y\": 1.5}', and either", None),
-        ('{"y": 1.5}\ndone\n0', "the last line '0' after '{\"y\": 1.5}', and either", "out.json"),
-        ('{"v": [\n1.5,\n2.5', "the last line '2.5' after '{\"v\": [', and either", None),
-        ('{"y": 1.5}\n[0, 0]', "the last line '[0, 0]' after '{\"y\": 1.5}', and either", None),
-        ("[\n  1.5,\n  2.5\n]\n0", "the last line '0' after '[', and either", None),
-    ],
-)
-def test_a_number_after_what_may_be_the_output_is_refused(script, printed, either, output_file):
-    where = "sys.stdout" if output_file is None else f"open({output_file!r}, 'w')"
-    command = script(f"import sys; print({printed!r}, file={where})", "{x}", output_file=output_file)
-    with pytest.raises(al.SimulationError, match=re.escape(either)) as caught:
-        command({"x": 1.0})
-    assert 'Write an object, such as {"y": 1.5}, in the last line' in str(caught.value)
-
-
 @pytest.mark.parametrize(
     ("printed", "output"),
     [
-        ('[0.1, 0.2]\n0\n{"y": 1.5}\n', {"y": 1.5}),
         ("[info] begun\n[1] of [2]\n1.5", 1.5),
         ("0\n[0.5, 0.1]\n[1.5, 2.5]", [1.5, 2.5]),
         ('{\n  "y": 1.5\n}\n', {"y": 1.5}),
-        ("[\n  1.5,\n  2.5\n]", [1.5, 2.5]),
+        # Numbers after what may be the output.
+        ('{"y": 1.5}\ndone\n0', None),
+        ("[\n  1.5,\n  2.5\n]\n0", None),
     ],
 )
-def test_what_a_program_prints_before_its_output_is_no_output(script, printed, output):
-    found = script(f"print({printed!r})", "--x={x}")({"x": 1.0})
-    assert jax.tree.map(np.ndarray.tolist, found) == output
+def test_the_output_is_what_a_program_prints_last_unless_that_is_doubtful(script, printed, output):
+    command = script(f"print({printed!r})", "--x={x}")
+    if output is None:
+        with pytest.raises(al.SimulationError, match=r"the last line '0' after .*, and either"):
+            command({"x": 1.0})
+    else:
+        assert jax.tree.map(np.ndarray.tolist, command({"x": 1.0})) == output
 
 
 @pytest.mark.parametrize(
@@ -114,30 +86,16 @@ def test_what_a_program_prints_before_its_output_is_no_output(script, printed, o
     [
         ("print('all is well')", "expected JSON in its standard output; received 'all is well'"),
         ('print(\'{"y": "fast"}\')', "the output 'y': expected numbers; received 'fast'"),
-        ("print('{\"y\": [1, [2]]}')", "the output 'y': expected numbers"),
-        ("print('{\"y\": null}')", "the output 'y': expected numbers; received None"),
+        ('print(\'{"a": 1, "a": 2}\')', "expected each output once; received 'a' twice"),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "it ended by the signal SIGSEGV; its stderr is"),
         ("print('NaN')", "its output is nan"),
         ("import sys; sys.exit('mesh is tangled')", "exit code 1; its stderr ends with: mesh is tangled"),
-        ("import os; os.abort()", "it ended by "),
     ],
 )
 def test_a_command_that_fails_is_told_by_sample_and_inputs(script, text, said):
     message = refused(al.foreign.BlackBox(script(text, "{x}", "{z}")), expansion=al.Expansion(1))
     assert said in message
     assert f"'{Path(sys.executable).name} box.py' failed at sample 1 (x=-0.888889, z=2)" in message
-
-
-def test_a_program_that_is_not_found_ends_at_once_and_one_without_its_file_of_outputs_fails(script):
-    command = script("print(1.0)", "{x}", "{z}", output_file="out.json")
-    assert "it ended without writing out.json" in refused(al.foreign.BlackBox(command))
-    command = al.foreign.Command(["no-such-program", "{x}", "{z}"])
-    message = refused(al.foreign.BlackBox(command, drop=0.4, retries=9), kind=al.ProblemError)
-    assert message.startswith("Command: no-such-program cannot be run (")
-
-
-def test_inputs_that_do_not_fit_a_command_are_refused(script):
-    for arguments, word in ((["{w}", "{x}", "{z}"], "asks for ['w']"), (["{x}"], "['z'] reach")):
-        assert word in refused(al.foreign.BlackBox(script("print(1.0)", *arguments), drop=0.4), kind=al.ProblemError)
 
 
 def test_a_changed_script_is_another_command(script, tmp_path):
@@ -196,13 +154,17 @@ def test_ctrl_c_ends_the_commands_that_threads_wait_for(script, tmp_path, python
     assert not survived.exists()
 
 
+def test_a_program_that_is_not_found_ends_at_once():
+    box = al.foreign.BlackBox(al.foreign.Command(["no-such-program", "{x}", "{z}"]), drop=0.4, retries=9)
+    assert refused(box, kind=al.ProblemError).startswith("Command: no-such-program cannot be run (")
+
+
 def test_journals_are_lines_of_json_that_are_read_back_to_the_same_bits(tmp_path):
     journal = tmp_path / "runs.jsonl"
     first = al.expand(al.foreign.BlackBox(boxes.smooth, journal=journal), TWO, ORDER)
     before = journal.read_text()
-    header, *lines = map(json.loads, before.splitlines())
-    assert header["journal"] == "aleator.foreign"
-    assert [set(line) for line in lines] == [{"box", "key", "inputs", "outputs"}] * 30
-    assert lines[0]["outputs"]["y"] == boxes.smooth(lines[0]["inputs"])["y"]
+    _, first_line, *others = map(json.loads, before.splitlines())
+    assert len(others) == 29
+    assert first_line["outputs"]["y"] == boxes.smooth(first_line["inputs"])["y"]
     assert_same(al.expand(al.foreign.BlackBox(boxes.smooth, journal=journal), TWO, ORDER), first)
     assert journal.read_text() == before

@@ -1,7 +1,5 @@
-"""Equations of MJCF, `connect`, `weld` and `joint`, against MuJoCo's Jacobians, and a four-bar in closed form."""
+"""Equations of MJCF, `connect`, `weld` and `joint`, against MuJoCo's Jacobians."""
 
-import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -28,11 +26,9 @@ SPACE = """<mujoco>
 </mujoco>
 """
 EQUATIONS = {
-    "connect": '<connect body1="hand" body2="drone" anchor="0.1 0.2 0.3"/>',
     "connect to the ground": '<connect name="pin" body1="drone" anchor="0.1 0.2 0.3"/>',
     "weld": '<weld body1="hand" body2="drone" anchor="0.1 0 0"/>',
     "weld somewhere else": '<weld name="bond" body1="drone" body2="hand" relpose="0.3 0 0 1 0.1 0.2 0.3"/>',
-    "joint": '<joint joint1="axle" joint2="rail" polycoef="0.1 2 0.3 -0.2 0.05"/>',
     "a joint that is held": '<joint joint1="rail" polycoef="0.1 0 0 0 0"/>',
     "several": '<connect body1="hand" body2="drone" anchor="0 0 0"/><joint joint1="axle" joint2="rail"/>'
     '<weld name="off" body1="drone" active="false"/>',
@@ -45,7 +41,7 @@ def written(folder, text):
 
 
 def by_mujoco(path, robot, q):
-    """Mass matrix, bias and Jacobian of the equations at rest, in the order of aleator's names."""
+    """Jacobian of the equations in the order of aleator's names, and what is left of them."""
     model = mujoco.MjModel.from_xml_path(str(path))
     model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     coordinates, speeds = orders(model, robot)
@@ -53,15 +49,12 @@ def by_mujoco(path, robot, q):
     data.qpos[coordinates] = q
     mujoco.mj_forward(model, data)
     equations = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
-    full = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, full)
-    jacobian = data.efc_J.reshape(-1, model.nv)[equations][:, speeds]
-    return full[np.ix_(speeds, speeds)], (data.qfrc_bias - data.qfrc_passive)[speeds], jacobian, data.efc_pos[equations]
+    return data.efc_J.reshape(-1, model.nv)[equations][:, speeds], data.efc_pos[equations]
 
 
-def satisfying(robot, seed):
+def satisfying(robot):
     """A posture that satisfies the equations, by Gauss and Newton's steps from a random one near the reference."""
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(3)
     rest = np.array([robot.start.get(name, 0.0) for name in robot.coordinates])
     q = rest + 0.1 * random.normal(size=len(rest))
 
@@ -83,6 +76,15 @@ def projector(jacobian):
     return np.linalg.pinv(jacobian) @ jacobian
 
 
+def assert_same_speeds_are_forbidden(path, robot):
+    q = satisfying(robot)
+    jacobian, apart = by_mujoco(path, robot, q)
+    assert np.abs(apart).max() < 1e-12
+    ours = np.asarray(compiled(robot.constraint_jacobian)(q))
+    np.testing.assert_allclose(projector(ours), projector(jacobian), rtol=0, atol=1e-9)
+    return ours, jacobian
+
+
 FEW = ("weld somewhere else", "several")  # of them, the others are slow
 
 
@@ -92,12 +94,8 @@ FEW = ("weld somewhere else", "several")  # of them, the others are slow
 def test_equations_forbid_the_speeds_that_those_of_mujoco_forbid(name, tmp_path):
     path = written(tmp_path, SPACE.format(EQUATIONS[name]))
     robot = al.foreign.read_mjcf(path)
-    q = satisfying(robot, seed=3)
-    *_, jacobian, apart = by_mujoco(path, robot, q)
-    assert np.abs(apart).max() < 1e-12
-    ours = np.asarray(compiled(lambda q: robot.constraint_jacobian(q))(q))
+    ours, jacobian = assert_same_speeds_are_forbidden(path, robot)
     assert ours.shape == jacobian.shape == (len(robot.constraints), len(robot.speeds))
-    np.testing.assert_allclose(projector(ours), projector(jacobian), rtol=0, atol=1e-9)
 
 
 def test_what_is_said_of_equations(tmp_path):
@@ -108,16 +106,6 @@ def test_what_is_said_of_equations(tmp_path):
     left = al.foreign.read_mjcf(tmp_path / "robot.xml", leave_out="equality")
     assert left.constraints == ()
     assert any(note.startswith("Left out, as asked: equality") for note in left.notes)
-
-
-def test_a_loop_of_hinges_is_closed_in_its_plane(tmp_path):
-    robot = four_bar(tmp_path, 0.7)
-    assert robot.constraints == ("pin_z", "pin_x")
-    assert robot.loops["pin"].planar
-    q = satisfying(robot, seed=5)
-    *_, jacobian, _ = by_mujoco(tmp_path / "robot.xml", robot, q)
-    ours = np.asarray(compiled(lambda q: robot.constraint_jacobian(q))(q))
-    np.testing.assert_allclose(projector(ours), projector(jacobian), rtol=0, atol=1e-9)
 
 
 def test_points_that_no_joint_brings_together_are_refused(tmp_path):
@@ -133,16 +121,13 @@ def test_points_that_no_joint_brings_together_are_refused(tmp_path):
             al.foreign.read_mjcf(written(tmp_path, text))
 
 
-# Crank, coupler, rocker and ground, m: the crank turns all the way round.
-A, B, C, D = 0.1, 0.35, 0.3, 0.4
 FOUR_BAR = """<mujoco>
-  <option gravity="0 0 -9.81"/><compiler angle="radian"/>
   <worldbody>
-    <body name="crank" euler="0 {crank} 0"><joint name="crank_angle" axis="0 1 0"/>
+    <body name="crank" euler="0 -40 0"><joint name="crank_angle" axis="0 1 0"/>
       <geom type="capsule" fromto="0 0 0 0.1 0 0" size="0.01"/>
-      <body name="coupler" pos="0.1 0 0" euler="0 {coupler} 0"><joint name="coupler_angle" axis="0 1 0"/>
+      <body name="coupler" pos="0.1 0 0"><joint name="coupler_angle" axis="0 1 0"/>
         <geom type="capsule" fromto="0 0 0 0.35 0 0" size="0.01"/></body></body>
-    <body name="rocker" pos="0.4 0 0" euler="0 {rocker} 0"><joint name="rocker_angle" axis="0 1 0"/>
+    <body name="rocker" pos="0.4 0 0"><joint name="rocker_angle" axis="0 1 0"/>
       <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.01"/></body>
   </worldbody>
   <equality><connect name="pin" body1="coupler" body2="rocker" anchor="0.35 0 0"/></equality>
@@ -150,38 +135,9 @@ FOUR_BAR = """<mujoco>
 """
 
 
-def rocker_of(crank):
-    """The angle of the rocker in closed form (Freudenstein 1954): the cosine rule on both sides of the diagonal.
-
-    Angles are counted about y, so that a link at the angle t points to (cos t, -sin t) in the plane of x and z.
-    """
-    x, z = A * jnp.cos(crank) - D, -A * jnp.sin(crank)
-    diagonal = jnp.sqrt(x**2 + z**2)
-    opened = jnp.arccos((diagonal**2 + C**2 - B**2) / (2 * diagonal * C))
-    return -(jnp.arctan2(z, x) - opened)
-
-
-def four_bar(folder, crank):
-    rocker = float(rocker_of(crank))
-    ends = [np.array([D + C * np.cos(rocker), -C * np.sin(rocker)]), A * np.array([np.cos(crank), -np.sin(crank)])]
-    along = ends[0] - ends[1]
-    assert np.linalg.norm(along) == pytest.approx(B, abs=1e-12)
-    coupler = np.arctan2(-along[1], along[0]) - crank
-    text = FOUR_BAR.format(crank=crank, coupler=repr(float(coupler)), rocker=repr(rocker))
-    return al.foreign.read_mjcf(written(folder, text))
-
-
-@pytest.mark.slow
-def test_a_loop_of_hinges_moves_as_in_closed_form(tmp_path):
-    crank = 0.7
-    robot = four_bar(tmp_path, crank)
-    system = al.ForwardDynamics(robot, start={"crank_angle": 0.0, "crank_angle_rate": 9.0})
-    found = al.simulate(
-        system, al.Grid(0.5, 100), only=["crank_angle", "rocker_angle", "rocker_angle_rate", "crank_angle_rate"]
-    )
-    turned = jnp.asarray(found["crank_angle"])
-    assert np.ptp(turned) > 2.0
-    expected = np.unwrap(jax.vmap(rocker_of)(turned + crank)) - rocker_of(crank)
-    np.testing.assert_allclose(found["rocker_angle"], expected, rtol=0, atol=1e-9)
-    ratio = jax.vmap(jax.grad(rocker_of))(turned + crank)
-    np.testing.assert_allclose(found["rocker_angle_rate"], ratio * found["crank_angle_rate"], rtol=0, atol=1e-7)
+def test_a_loop_of_hinges_is_closed_in_its_plane(tmp_path):
+    path = written(tmp_path, FOUR_BAR)
+    robot = al.foreign.read_mjcf(path)
+    assert robot.constraints == ("pin_z", "pin_x")
+    assert robot.loops["pin"].planar
+    assert_same_speeds_are_forbidden(path, robot)

@@ -13,7 +13,6 @@ from rod_models import Rod
 from rods import here
 
 MODEL_EXCHANGE, CO_SIMULATION = "model exchange", "co-simulation"
-KINDS = [(version, kind) for version in (2, 3) for kind in (MODEL_EXCHANGE, CO_SIMULATION)]
 GRID = al.Grid(2.0, 20)
 AT = np.array([0.2, 1.1, 0.9])
 EXACT = al.integrators.Tsit5(rtol=1e-12, atol=1e-12)
@@ -44,10 +43,10 @@ def own_slopes():
 @pytest.mark.parametrize(
     ("version", "kind", "made"),
     [
-        *((*one, {}) for one in KINDS),
+        (2, CO_SIMULATION, {}),
+        (3, MODEL_EXCHANGE, {}),
         pytest.param(3, MODEL_EXCHANGE, {"slopes": False}, id="derivatives that the FMU does not offer"),
         pytest.param(3, MODEL_EXCHANGE, {"settings": {"behaviour": 5}}, id="that are wrong by parameters"),
-        pytest.param(3, MODEL_EXCHANGE, {"settings": {"behaviour": 6}}, id="that are refused by parameters"),
     ],
 )
 def test_an_fmu_swings_like_the_same_rod_written_here_and_has_its_derivatives(rods, version, kind, made):
@@ -127,49 +126,3 @@ def test_uncertain_parameters_are_expanded(rods):
         found = al.expand(run, UNCERTAIN, order, traced=traced)["energy"]
         assert np.asarray(found.mean) == pytest.approx(np.asarray(expected.mean), abs=1e-7)
         assert np.asarray(found.std) == pytest.approx(np.asarray(expected.std), abs=1e-7)
-
-
-@pytest.mark.slow
-def test_monte_carlo_and_linearisation_take_a_run(rods):
-    run = swinging(rods, 2, CO_SIMULATION, al.Grid(1.0, 2), outputs=["energy"])
-    expanded = al.expand(run, UNCERTAIN, al.Expansion(order=3), traced=False)["energy"]
-    sample = al.references.monte_carlo(run, UNCERTAIN, 400, seed=1, traced=False)["energy"]
-    assert float(sample.std.value[-1]) == pytest.approx(float(expanded.std[-1]), rel=0.15)
-    linear = al.references.linearise(run, UNCERTAIN)
-    assert float(linear.std["energy"][-1]) == pytest.approx(float(expanded.std[-1]), rel=0.05)
-
-
-@pytest.mark.slow
-def test_a_design_with_a_run_is_optimal_as_with_the_same_rod_written_here(rods):
-    class Swing(al.AlgebraicSystem):
-        damping: al.Number
-        length: al.Number
-        energy: object
-
-        def outputs(self):
-            return {"energy": self.energy(self.damping, self.length)}
-
-    grid = al.Grid(1.0, 4)
-    run = swinging(rods, 2, CO_SIMULATION, grid, outputs=["energy"])
-
-    def by_fmu(damping, length):
-        return run({"damping": damping, "rod.length": length})["energy"][-1]
-
-    def by_rod(damping, length):
-        return al.simulate(Rod(damping, length), grid, integrator=EXACT, only=["energy"])["energy"][-1]
-
-    def solution(energy):
-        damping = al.Uniform(al.Decision(0.3, 0.05, 3.0), half_width=0.05)
-        left = al.output("energy")
-        return al.solve(
-            al.Problem(
-                Swing(damping, al.Uniform(1.0, half_width=0.05), energy),
-                minimize=al.value("damping.mean"),
-                subject_to=[left.mean + 2 * left.std <= 1.0],
-                expansion=al.Expansion(order=2),
-            )
-        )
-
-    found = solution(by_fmu)
-    assert found.ok
-    assert found.objective == pytest.approx(solution(by_rod).objective, rel=1e-7)

@@ -5,7 +5,7 @@ import jax
 import mujoco
 import numpy as np
 import pytest
-from mujoco_robots import assert_same, by_aleator, by_mujoco, states, urdf_by_mujoco
+from mujoco_robots import assert_same, by_aleator, by_mujoco, file_of, states, urdf_by_mujoco
 
 import aleator as al
 from aleator._core.leaves import is_leaf, named_leaves
@@ -80,16 +80,12 @@ def test_springs_references_anchors_and_all_kinds_of_joints_are_those_of_mujoco(
     assert robot.limits["about"] == pytest.approx((-np.pi / 2, np.pi / 4))
 
 
-@pytest.mark.parametrize("floating", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_frames_and_turned_inertia_of_a_urdf_are_those_of_mujoco(tmp_path, floating):
-    robot = al.foreign.read_urdf(written(tmp_path, ARM), floating=floating)
-    model = urdf_by_mujoco(ARM)
-    if floating:
-        model = mujoco.MjModel.from_xml_string(_on_a_free_base(model, tmp_path))
+def test_frames_and_turned_inertia_of_a_urdf_are_those_of_mujoco(tmp_path):
+    robot = al.foreign.read_urdf(written(tmp_path, ARM), floating=True)
+    model = mujoco.MjModel.from_xml_string(_on_a_free_base(urdf_by_mujoco(ARM), tmp_path))
     at = states(robot, 3, seed=2)
     # MuJoCo writes numbers with few digits.
-    tolerance = 1e-5 if floating else 1e-12
-    assert_same(by_aleator(robot, *at), by_mujoco(model, robot, *at), tolerance)
+    assert_same(by_aleator(robot, *at), by_mujoco(model, robot, *at), 1e-5)
 
 
 def _on_a_free_base(model, folder):
@@ -103,6 +99,8 @@ def _on_a_free_base(model, folder):
 
 def test_limits_have_the_names_of_outputs(tmp_path):
     robot = al.foreign.read_urdf(written(tmp_path, ARM))
+    same = jax.tree.map(lambda leaf: leaf, robot)
+    assert [body.name for body in same.bodies()] == [body.name for body in robot.bodies()]
     assert robot.limits == {
         "shoulder": (-1.0, 2.0),
         "shoulder_rate": (-2.0, 2.0),
@@ -119,13 +117,6 @@ def test_a_joint_named_as_a_link_gets_a_name_of_its_own(tmp_path):
     assert set(al.foreign.read_urdf(written(tmp_path, text)).coordinates) == {"upper_joint", "down"}
     text = text.replace('"down"', '"upper_joint"')
     assert set(al.foreign.read_urdf(written(tmp_path, text)).coordinates) == {"upper_joint", "upper_joint_2"}
-
-
-def test_bodies_keep_their_order_when_numbers_are_replaced(tmp_path):
-    robot = al.foreign.read_urdf(written(tmp_path, ARM))
-    same = jax.tree.map(lambda leaf: leaf, robot)
-    assert list(same.parts) != list(robot.parts)
-    assert [body.name for body in same.bodies()] == [body.name for body in robot.bodies()]
 
 
 def test_any_number_may_be_uncertain_and_is_named_after_its_part(tmp_path):
@@ -145,3 +136,22 @@ def test_any_number_may_be_uncertain_and_is_named_after_its_part(tmp_path):
         "shoulder.joint.armature",
         "shoulder.position.0",
     }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("package", "path", "left_out"),
+    [
+        ("airo_models", "arms/ur5e/ur5e.urdf", ()),
+        ("airo_models", "grippers/robotiq_2f_85/urdf/robotiq_2f_85.urdf", ("mimic",)),
+        ("gymnasium", "envs/mujoco/assets/humanoid.xml", ()),
+    ],
+)
+def test_mass_matrix_bias_and_gravity_of_public_robots_are_those_of_mujoco(package, path, left_out):
+    file = file_of(package, path)
+    if file.suffix == ".urdf":
+        robot, model = al.foreign.read_urdf(file, leave_out=left_out), urdf_by_mujoco(file.read_text())
+    else:
+        robot, model = al.foreign.read_mjcf(file, leave_out=left_out), mujoco.MjModel.from_xml_path(str(file))
+    at = states(robot, 3, seed=7)
+    assert_same(by_aleator(robot, *at), by_mujoco(model, robot, *at))

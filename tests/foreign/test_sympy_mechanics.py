@@ -1,56 +1,118 @@
-"""Equations of motion of SymPy against our own bodies and joints, and closed forms."""
+"""Equations of motion of SymPy, by Kane's and by Lagrange's method, against our own bodies and joints."""
 
-import equinox as eqx
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import sympy as sp
 from sympy.physics import mechanics as me
-from sympy.physics.mechanics.models import n_link_pendulum_on_cart
-from sympy_models import (
-    L_1,
-    L_2,
-    OMEGA,
-    ROD,
-    RODS,
-    T_A,
-    T_B,
-    TAU,
-    THETA,
-    U_A,
-    U_B,
-    WORLD,
-    A,
-    B,
-    D,
-    G,
-    L,
-    M,
-    Rods,
-    chain,
-    couples,
-    frames,
-    hinge,
-    rod_by_kane,
-    rod_by_lagrange,
-    rod_on,
-    rods_by_kane,
-    rods_by_lagrange,
-    weights,
-)
 
 import aleator as al
-from aleator._core.code import read_code
 from compiling import compiled
+
+M, L, D, G = sp.symbols("m l d g")
+A, B, U_A, U_B, T_A, T_B = me.dynamicsymbols("a b u_a u_b t_a t_b")
+M_1, M_2, L_1, L_2 = sp.symbols("m_1 m_2 l_1 l_2")
+RODS = {M_1: 1.3, M_2: 0.8, L_1: 0.9, L_2: 0.6, D: 0.15, G: 9.81}
+
+
+def rod_on(name, frame, pin, mass, length):
+    """A uniform rod along the first axis of its frame, from a pin; and its end."""
+    center, end = pin.locatenew(f"{name}_center", length / 2 * frame.x), pin.locatenew(f"{name}_end", length * frame.x)
+    for point in (center, end):
+        point.v2pt_theory(pin, WORLD, frame)
+    inertia = me.inertia(frame, 0, 0, mass * length**2 / 12)
+    return me.RigidBody(name, center, frame, mass, (inertia, center)), end
+
+
+WORLD = me.ReferenceFrame("N")
+
+
+def hinge():
+    pin = me.Point("O")
+    pin.set_vel(WORLD, 0)
+    return pin
+
+
+@cache
+def rods_by_kane(absolute=False):
+    """Two rods in a row, with damping and a torque in each joint; the second angle is measured from the first rod.
+
+    The second speed is its rate, or the absolute rate of the second rod.
+    """
+    rate_b = U_B - U_A if absolute else U_B
+    pin, (inner, outer) = hinge(), frames()
+    inner.set_ang_vel(WORLD, U_A * WORLD.z)
+    outer.set_ang_vel(inner, rate_b * WORLD.z)
+    rods = chain(pin, inner, outer)
+    weights = [(rod.masscenter, -rod.mass * G * WORLD.y) for rod in rods]
+    kane = me.KanesMethod(WORLD, [A, B], [U_A, U_B], kd_eqs=[A.diff() - U_A, B.diff() - rate_b])
+    kane.kanes_equations(rods, [*weights, *couples(inner, outer, U_A, rate_b)])
+    return kane
+
+
+@cache
+def rods_by_lagrange():
+    pin, (inner, outer) = hinge(), frames()
+    rods = chain(pin, inner, outer)
+    for rod in rods:
+        rod.potential_energy = rod.mass * G * rod.masscenter.pos_from(pin).dot(WORLD.y)
+    loads = couples(inner, outer, A.diff(), B.diff())
+    method = me.LagrangesMethod(me.Lagrangian(WORLD, *rods), [A, B], forcelist=loads, frame=WORLD)
+    method.form_lagranges_equations()
+    return method
+
+
+def frames():
+    inner = WORLD.orientnew("A", "Axis", [A, WORLD.z])
+    return inner, inner.orientnew("B", "Axis", [B, WORLD.z])
+
+
+def chain(pin, inner, outer):
+    first, end = rod_on("first", inner, pin, M_1, L_1)
+    second, _ = rod_on("second", outer, end, M_2, L_2)
+    return [first, second]
+
+
+def couples(inner, outer, rate_a, rate_b):
+    first, second = (T_A - D * rate_a) * WORLD.z, (T_B - D * rate_b) * WORLD.z
+    return [(inner, first - second), (outer, second)]
+
+
+class Rods(al.Multibody):
+    """The two rods as bodies and joints."""
+
+    m_1: al.Number = 1.3
+    m_2: al.Number = 0.8
+    l_1: al.Number = 0.9
+    l_2: al.Number = 0.6
+    d: al.Number = 0.15
+    g: al.Number = 9.81
+
+    @property
+    def gravity(self):
+        return jnp.stack([jnp.zeros(()), -self.g, jnp.zeros(())])
+
+    def bodies(self):
+        def rod(name, mass, length, **place):
+            inertia = (0.0, 0.0, mass * length**2 / 12)
+            hinged = al.joints.Revolute("z")
+            return al.Body(name, joint=hinged, mass=mass, center=(length / 2, 0.0, 0.0), inertia=inertia, **place)
+
+        return (
+            rod("a", self.m_1, self.l_1),
+            rod("b", self.m_2, self.l_2, parent="a", position=(self.l_1, 0.0, 0.0)),
+        )
+
+    def bias(self, q, v):
+        return super().bias(q, v) + self.d * v
+
 
 RODS_OF = {
     "Kane": lambda: al.foreign.from_kane(rods_by_kane(), RODS),
     "Lagrange": lambda: al.foreign.from_lagrange(rods_by_lagrange(), RODS),
-}
-ROD_OF = {
-    "Kane": lambda: al.foreign.from_kane(rod_by_kane(), ROD),
-    "Lagrange": lambda: al.foreign.from_lagrange(rod_by_lagrange(), ROD),
 }
 
 
@@ -65,8 +127,8 @@ def traced(model):
     return jax.tree.map(lambda number: jnp.asarray(number, dtype=float), model)
 
 
-def states(count, seed=3):
-    generator = np.random.default_rng(seed)
+def states(count):
+    generator = np.random.default_rng(3)
     return [generator.normal(size=(count, 2)) * scale for scale in (2.0, 4.0, 5.0)]
 
 
@@ -86,41 +148,16 @@ def test_accelerations_of_a_double_pendulum_and_their_derivatives_are_those_of_b
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", RODS_OF)
-def test_a_simulation_of_a_double_pendulum_is_that_of_bodies_and_joints(method):
-    grid, torque = al.Grid(1.0, 200), al.PowerSeries(start=(0.5, -1.0), end=(0.2, 2.0))
-    ours = al.simulate(al.ForwardDynamics(Rods(), torque={"a_torque": torque}, start={"a": 0.4, "b": -0.9}), grid)
-    model = RODS_OF[method]()
-    system = al.ForwardDynamics(model, torque={"t_a": torque}, start={"a": 0.4, "b": -0.9})
-    theirs = al.simulate(system, grid)
-    assert np.ptp(ours["a"]) > 1
-    for name in ("a", "b", "a_rate", "b_rate", "a_acceleration"):
-        np.testing.assert_allclose(theirs[name], ours[name], rtol=0, atol=1e-12, err_msg=name)
-    np.testing.assert_allclose(theirs["t_a"], ours["a_torque"], rtol=1e-14)
-
-
-@pytest.mark.parametrize("method", ROD_OF)
-def test_a_rod_on_a_damped_hinge_swings_as_its_equation_says(method):
-    # m l²/3 θ̈ = τ - d ω - m g l/2 cos θ
-    q, v, torque = np.array([0.3, -2.0]), np.array([-1.2, 3.0]), np.array([0.0, 1.7])
-    found = compiled(jax.vmap(ROD_OF[method]().forward_dynamics))(q[:, None], v[:, None], torque[:, None])
-    np.testing.assert_allclose(found[:, 0], 3 * (torque - 0.1 * v - 9.81 / 2 * np.cos(q)), rtol=1e-13)
-
-
-@pytest.mark.slow
-def test_speeds_that_are_no_rates_of_coordinates_describe_the_same_motion():
-    # The second speed is the absolute rate of the second rod.
-    method = me.KanesMethod(WORLD, [A, B], [U_A, U_B], kd_eqs=[A.diff() - U_A, A.diff() + B.diff() - U_B])
-    pin, (inner, outer) = hinge(), frames()
-    inner.set_ang_vel(WORLD, U_A * WORLD.z)
-    outer.set_ang_vel(inner, (U_B - U_A) * WORLD.z)
-    rods = chain(pin, inner, outer)
-    method.kanes_equations(rods, [*weights(rods), *couples(inner, outer, U_A, U_B - U_A)])
-    model = al.foreign.from_kane(method, RODS, outputs={"spin": B.diff(), "gained": U_B.diff() - U_A.diff()})
+def test_speeds_that_are_no_rates_of_coordinates_describe_the_same_motion_under_torques():
+    outputs = {"spin": B.diff(), "gained": U_B.diff() - U_A.diff()}
+    model = al.foreign.from_kane(rods_by_kane(absolute=True), RODS, outputs=outputs)
     assert not model.moves_directly
     grid, start = al.Grid(0.5, 100), {"a": 0.4, "b": -0.9}
-    found = al.simulate(al.ForwardDynamics(model, start=start | {"u_a": 1.0, "u_b": 3.0}), grid)
-    ours = al.simulate(al.ForwardDynamics(Rods(), start=start | {"a_rate": 1.0, "b_rate": 2.0}), grid)
+    first, second = al.PowerSeries(start=(0.5, -1.0)), al.PowerSeries(start=(-0.3, 2.0))
+    system = al.ForwardDynamics(model, torque={"t_a": first, "t_b": second}, start=start | {"u_a": 1.0, "u_b": 3.0})
+    torque, rates = {"a_torque": first, "b_torque": second}, {"a_rate": 1.0, "b_rate": 2.0}
+    ours = al.simulate(al.ForwardDynamics(Rods(), torque=torque, start=start | rates), grid)
+    found = al.simulate(system, grid)
     for theirs, name in (("a", "a"), ("spin", "b_rate"), ("gained", "b_acceleration"), ("a_acceleration",) * 2):
         np.testing.assert_allclose(found[theirs], ours[name], rtol=0, atol=1e-9, err_msg=name)
 
@@ -151,93 +188,17 @@ def test_holonomic_constraints_hold_exactly_and_multipliers_are_those_of_sympy()
     np.testing.assert_allclose(found["tension"], 2 * (2 * 9.81 * (-0.4 - y)) / 0.5 - 2 * 9.81 * y / 0.5, rtol=1e-6)
 
 
-@pytest.mark.slow
-def test_dependent_speeds_are_simulated_by_the_whole_mass_matrix():
-    u, w = me.dynamicsymbols("u w")
-    pin = hinge()
-    place = pin.locatenew("P", X * WORLD.x + Y * WORLD.y)
-    place.set_vel(WORLD, u * WORLD.x + w * WORLD.y)
-    kane = me.KanesMethod(
-        WORLD,
-        [X],
-        [u],
-        kd_eqs=[X.diff() - u, Y.diff() - w],
-        q_dependent=[Y],
-        u_dependent=[w],
-        configuration_constraints=[X**2 + Y**2 - L**2],
-        velocity_constraints=[X * u + Y * w],
-    )
-    kane.kanes_equations([me.Particle("ball", place, M)], [(place, -M * G * WORLD.y)])
-    with pytest.raises(al.ProblemError, match=r"dependent ones: \[y\(t\), w\(t\)\]\. Use LagrangesMethod"):
-        al.foreign.from_kane(kane, {M: 2.0, L: 0.5, G: 9.81})
-    rates = dict(zip([*kane.q, *kane.u], kane.forcing_full, strict=True))
-    swing = al.foreign.from_sympy(rates, {M: 2.0, G: 9.81}, mass_matrix=kane.mass_matrix_full, start={X: 0.3, Y: -0.4})
-    found = al.simulate(swing, al.Grid(0.5, 400))
-    energy = (found["u"] ** 2 + found["w"] ** 2) / 2 + 9.81 * found["y"]
-    assert np.ptp(found["x"]) > 0.3
-    np.testing.assert_allclose(found["x"] ** 2 + found["y"] ** 2, 0.25, rtol=1e-8)
-    np.testing.assert_allclose(energy, -0.4 * 9.81, rtol=1e-8)
-
-
-def test_inverse_dynamics_of_a_model_with_a_wind_that_changes_gives_the_torque():
-    wind = me.dynamicsymbols("wind")
-    pin, frame = hinge(), WORLD.orientnew("A", "Axis", [THETA, WORLD.z])
-    frame.set_ang_vel(WORLD, OMEGA * WORLD.z)
-    rod, _ = rod_on("rod", frame, pin, M, L)
-    kane = me.KanesMethod(WORLD, [THETA], [OMEGA], kd_eqs=[THETA.diff() - OMEGA])
-    kane.kanes_equations([rod], [*weights([rod]), (frame, (TAU + wind**2) * WORLD.z)])
-    numbers = {one: value for one, value in ROD.items() if one != D}
+def test_inverse_dynamics_of_a_model_with_a_wind_that_changes_gives_the_force():
+    x, speed, force, wind = me.dynamicsymbols("x speed force wind")
+    block = me.Point("P")
+    block.set_vel(WORLD, speed * WORLD.x)
+    kane = me.KanesMethod(WORLD, [x], [speed], kd_eqs=[x.diff() - speed])
+    kane.kanes_equations([me.Particle("block", block, M)], [(block, (force + wind**2) * WORLD.x)])
     with pytest.raises(al.ProblemError, match=r"received wind\(t\), which does not\. Give it in numbers"):
-        al.foreign.from_kane(kane, numbers)
+        al.foreign.from_kane(kane, {M: 2.0})
     blows = al.PowerSeries(start=(1.0, 0.0), end=(3.0, 0.0))
-    model = al.foreign.from_kane(kane, numbers | {wind: blows}, outputs={"pressure": wind**2})
-    motion = al.PowerSeries(start=(0.0, 0.0), end=(1.0, 0.0))
-    found = al.simulate(al.InverseDynamics(model, motion={"theta": motion}), al.Grid(2.0, 20))
-    needed = found["theta_acceleration"] / 3 + 9.81 / 2 * np.cos(found["theta"])
-    np.testing.assert_allclose(found["tau"], needed - found["pressure"], rtol=1e-12)
+    model = al.foreign.from_kane(kane, {M: 2.0, wind: blows}, outputs={"pressure": wind**2})
+    motion = {"x": al.PowerSeries(start=(0.0, 0.0), end=(1.0, 0.0))}
+    found = al.simulate(al.InverseDynamics(model, motion=motion), al.Grid(2.0, 20))
+    np.testing.assert_allclose(found["force"], 2.0 * found["x_acceleration"] - found["pressure"], rtol=1e-12)
     assert np.asarray(found["pressure"])[[0, -1]] == pytest.approx([1.0, 9.0])
-
-
-@pytest.mark.slow
-def test_second_derivatives_by_numbers_are_those_of_sympy():
-    kane, plain = rods_by_kane(), dict(zip((A, B, U_A, U_B), sp.symbols("a b u v"), strict=True))
-    forcing = kane.forcing[0].subs({T_A: 0, T_B: 0}).xreplace(plain)
-    at = dict(zip(plain.values(), (0.4, -0.9, 1.1, -2.0), strict=True)) | RODS
-    expected = -float(forcing.diff(L_1, L_2).subs(at)), -float(forcing.diff(L_1, plain[B]).subs(at))
-
-    def bias(numbers):
-        model = eqx.tree_at(
-            lambda one: (one.numbers["l_1"], one.numbers["l_2"]), traced(RODS_OF["Kane"]()), numbers[:2]
-        )
-        return model.bias(jnp.stack([jnp.asarray(0.4), numbers[2]]), jnp.array([1.1, -2.0]))[0]
-
-    hessian = jax.hessian(bias)(jnp.array([0.9, 0.6, -0.9]))
-    np.testing.assert_allclose(hessian[0, 1:], expected, rtol=1e-12)
-
-
-def test_a_cart_with_three_links_accelerates_as_the_equations_of_sympy_say():
-    kane = n_link_pendulum_on_cart(3, cart_force=True, joint_torques=True)
-    symbols = kane.mass_matrix.free_symbols | kane.forcing.free_symbols
-    numbers = {one: 0.7 + 0.1 * i for i, one in enumerate(sorted(symbols - {me.dynamicsymbols._t}, key=str))}
-    model = al.foreign.from_kane(kane, numbers)
-    assert model.coordinates == ("q0", "q1", "q2", "q3")
-    assert model.actuators == ("F", "T1", "T2", "T3")
-    q, v, torque = np.random.default_rng(5).normal(size=(3, 4))
-    found = compiled(lambda q, v, torque: model.forward_dynamics(q, v, model.actuation(q) @ torque))(q, v, torque)
-    torques = me.dynamicsymbols("F T1 T2 T3")
-    at = dict(zip([*kane.q, *kane.u, *torques], [*q, *v, *torque], strict=True)) | numbers
-    mass, forcing = (np.array(one.xreplace(at), dtype=float) for one in (kane.mass_matrix, kane.forcing))
-    np.testing.assert_allclose(found, np.linalg.solve(mass, forcing).ravel(), rtol=1e-11)
-
-
-def test_models_made_again_are_of_one_structure_and_others_are_not():
-    def structure(method):
-        return jax.tree.structure(al.foreign.from_kane(method, ROD))
-
-    # Two separate derivations of the same equations.
-    again = rod_by_kane.__wrapped__()
-    assert structure(again) == structure(rod_by_kane())
-    assert jax.tree.structure(al.foreign.from_kane(again, ROD | {M: 2.0})) == structure(again)
-    heavier = al.foreign.from_kane(again, ROD, outputs={"height": L * sp.sin(THETA)})
-    assert jax.tree.structure(heavier) != structure(again)
-    assert not read_code(heavier).doubts

@@ -7,13 +7,8 @@ import sympy as sp
 from sympy.physics.mechanics import dynamicsymbols
 
 import aleator as al
-from aleator._core.arrays import numbers_to_arrays
-from aleator._core.code import read_code
-from aleator._core.lasting import lasting_name
-from aleator.dynamics import initial_state
 from aleator.dynamics._simulation import _HISTORY
 from aleator.foreign._sympy_program import written
-from aleator.transcription import transcribe
 from compiling import compiled
 from zoo import Oscillator
 
@@ -71,24 +66,6 @@ def test_equal_models_share_a_program_and_others_never_do():
     assert min(np.abs(first - second).max(), np.abs(first - third).max(), np.abs(second - third).max()) > 0.01
 
 
-def test_what_a_model_computes_is_told_by_its_structure_alone():
-    one, other = oscillator(), oscillator(NUMBERS | {M: 3.0})
-    assert jax.tree.structure(one) == jax.tree.structure(other)
-    assert jax.tree.structure(one) != jax.tree.structure(al.foreign.from_sympy(RATES | {X: V + 1}, NUMBERS))
-    assert not read_code(one).doubts
-    assert read_code(one).reads == read_code(other).reads
-
-
-def test_programs_of_a_model_have_names_that_last_beyond_the_process():
-    def name(rates):
-        model = al.foreign.from_sympy(rates, NUMBERS)
-        return lasting_name(initial_state, (numbers_to_arrays(model),))
-
-    assert name(RATES) is not None
-    assert name(RATES) == name(dict(RATES))
-    assert name(RATES) != name(RATES | {X: V + 1})
-
-
 FUNCTIONS = {
     "powers": X_0**3 + 1 / X_0 + sp.sqrt(X_0) / X_0**2 + (1 / X_0) ** C + X_0 ** sp.Rational(-3, 2),
     "trigonometry": sp.sin(X_0) * sp.tan(X_0) + sp.atan2(X_0, C) + sp.asin(X_0 / 9) + sp.sec(X_0) + sp.cot(X_0),
@@ -120,15 +97,6 @@ def test_functions_have_the_values_that_sympy_gives_them_and_numbers_are_kept_to
         assert float(value[3]) == float(number)
 
 
-def test_zeros_in_outputs_of_plain_states_stay_zero():
-    x, a = sp.symbols("x a")
-    pieces = sp.Piecewise((0, x > -5), (1, True))
-    decay = al.foreign.from_sympy({x: -a * x}, {a: 3.0}, start={x: 1.0}, outputs={"none": pieces, "x": x})
-    found = al.simulate(decay, al.Grid(1.0, 4))
-    np.testing.assert_array_equal(found["none"], np.zeros(5))
-    assert np.ptp(found["x"]) > 0.9
-
-
 def test_formulas_are_a_system_without_time_whose_statistics_are_exact():
     force, length, modulus = sp.symbols("F L E", positive=True)
     beam = al.foreign.from_sympy_formulas(
@@ -142,26 +110,3 @@ def test_formulas_are_a_system_without_time_whose_statistics_are_exact():
     )
     assert solution.decisions["L"] == pytest.approx(1.5, rel=1e-6)
     assert solution.objective == pytest.approx(1.5**3 / 12 * (10 + 0.5 / np.sqrt(3)), rel=1e-6)
-
-
-def test_a_robust_problem_of_a_model_of_sympy_has_the_values_and_derivatives_of_the_model_written_by_hand():
-    def problem(system):
-        x, spring = al.rms("x"), al.path("spring")
-        return al.Problem(
-            system,
-            grid=al.Grid(1.0, 10),
-            inputs=PUSH,
-            minimize=x.mean + x.std,
-            subject_to=[spring.at_most(9.0, sigmas=1.0)],
-            expansion=al.Expansion(order=1),
-        )
-
-    # One uncertain number: of several, the collocation points would follow the order of fields.
-    m, c = 2.0, al.Decision(1.5, 0.1, 20.0)
-    k = al.Uniform(al.Decision(40.0, 20.0, 90.0), half_width=4.0)
-    theirs = problem(oscillator({C: c, K: k, M: m}, outputs={"x": X, "spring": K * X}, start={X: 0.3}))
-    ours = problem(Oscillator(m=m, c=c, k=k, x0=0.3))
-    found, expected = (transcribe(one).program.evaluate(np.array([1.2, 50.0])) for one in (theirs, ours))
-    assert np.abs(expected.jacobian).max() > 0.01
-    for one, other in zip(found, expected, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-12)

@@ -1,7 +1,6 @@
 import itertools
 
 import jax
-import mujoco
 import numpy as np
 import pytest
 from random_shapes import KINDS, PAIRS, core, distances, parameters, shape
@@ -101,46 +100,6 @@ def test_the_height_above_a_plane_is_that_of_the_lowest_vertex():
             vertices = center + np.array(list(itertools.product((-1.0, 1.0), repeat=len(edges)))) @ edges
             expected.append(((vertices @ normal).min() - offset) / np.linalg.norm(normal) - radius)
         np.testing.assert_allclose(found, expected, atol=1e-13)
-
-
-def mujoco_distance(kinds, p):
-    """The signed distance that MuJoCo finds between the same two shapes."""
-    geoms = "".join(f'<geom type="{kind}" size="1 1 1"/>' for kind in kinds)
-    model = mujoco.MjModel.from_xml_string(
-        f'<mujoco><option ccd_tolerance="1e-10"/><worldbody>{geoms}</worldbody></mujoco>'
-    )
-    data = mujoco.MjData(model)
-    found = []
-    for pair in p:
-        for i, kind in enumerate(kinds):
-            center, edges, radius = core(kind, pair[i], 3)
-            lengths = np.linalg.norm(edges, axis=1)
-            axes = np.eye(3)
-            if kind == "box":
-                axes, model.geom_size[i] = (edges / lengths[:, None]).T, lengths
-            else:
-                model.geom_size[i] = [radius, lengths.sum(), 0.0]
-            if kind == "capsule":
-                # Its axis is its third one: the complete QR factorisation puts it first, up to its sign.
-                axes = np.roll(np.linalg.qr(edges.T, mode="complete").Q, -1, axis=1)
-            data.geom_xpos[i], data.geom_xmat[i] = center, axes.ravel()
-        model.geom_rbound[:] = np.linalg.norm(model.geom_size, axis=1) * 2
-        found.append(mujoco.mj_geomDistance(model, data, 0, 1, 100.0, None))
-    return np.array(found)
-
-
-@pytest.mark.parametrize(
-    "kinds", [case.values[0] for case in CASES if case.values[1] == 3 and not case.marks], ids="-".join
-)
-def test_mujoco_finds_the_same_distances_in_space(kinds):
-    p = parameters(seed=4, spread=1.0)
-    found, expected = distances(kinds, 3)(p)[0], mujoco_distance(kinds, p)
-    # Of boxes MuJoCo computes approximate depths, and of a segment through a box not even the sign.
-    cores_are_apart = [gap_by_quadratic_program(*difference_of_cores(kinds, pair, 3)[:2]) > 1e-6 for pair in p]
-    exact = np.array(cores_are_apart) & ((expected > 0) if "box" in kinds else True)
-    assert exact.sum() > 40
-    assert "box" in kinds or np.sum(expected[exact] < 0) > 2
-    np.testing.assert_allclose(found[exact], expected[exact], atol=1e-8)
 
 
 def test_the_order_of_shapes_does_not_matter():

@@ -43,40 +43,16 @@ def test_shapes_of_a_model_may_hold_distributions_and_decisions():
     np.testing.assert_allclose(np.asarray(slopes)[:2], [[0.2, 0.0, 0.0], [0.0, -0.05, 0.0]], atol=1e-12)
 
 
-def test_the_numbers_of_a_shape_may_mix_floats_and_traced_arrays():
-    def gap(x):
-        cos, sin = jnp.cos(x), jnp.sin(x)
-        turned = [[cos, -sin, 0.0], [sin, cos, 0.0], [0, 0, 1]]
-        return distance(Box([0.0, x, 0], (1.0, 1, 2.0 + x), turned), Sphere([5.0, 0.0, 0.0], x))
-
-    # The face stays at 1 to first order: only the radius grows.
-    np.testing.assert_allclose(compiled(jax.value_and_grad(gap))(0.0), (4.0, -1.0), atol=1e-14)
-
-
-def test_the_arrays_of_a_caller_are_copied():
-    center = np.array([1.0, 2.0])
-    sphere = Sphere(center)
-    center[0] = 9.0
-    np.testing.assert_array_equal(sphere.center, [1.0, 2.0])
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Sphere([1.0]), r"'center' takes 2 numbers in the plane or 3 in space; received shape \(1,\)"),
         (lambda: Sphere(np.zeros((5, 3))), r"received shape \(5, 3\)\. For a batch of shapes, use `jax\.vmap`"),
         (lambda: Sphere([0.0, 0.0], -1.0), r"Sphere: 'radius' must be zero or more; received -1"),
-        (lambda: Sphere([[0.0, 1.0], al.Normal(0.0, std=1.0)]), r"their parts have shapes \[\(\), \(2,\)\]"),
         (lambda: Capsule([0.0, 0.0], [0.0, 0.0, 1.0]), r"'start' of shape \(2,\) and 'end' of shape \(3,\)"),
-        (lambda: Box([0.0, 0.0], [1.0, 0.0]), r"Box: 'half_sizes' must be positive; received \[1\. 0\.\]"),
         (lambda: Sphere([0.0, 0.0], al.Uniform(0.1, half_width=0.3)), r"'radius' .* can reach -0\.2\."),
         (lambda: Sphere([0.0, 0.0], al.Normal(0.1, std=0.001)), r"'radius' must be zero or more; .* unbounded below"),
-        (lambda: Capsule([0.0, 0.0], [1.0, 0.0], al.Decision(0.1, -0.5, 1.0)), r"'radius' .* can reach -0\.5\."),
-        (lambda: Box(np.zeros(2), (1.0, al.Uniform(1.0, half_width=1.0))), r"must be positive; .* reach 0\."),
         (lambda: Box(np.zeros(3), al.Decision(np.ones(3), -1.0, 2.0)), r"'half_sizes' .* can reach -1\."),
-        (lambda: Box(np.zeros(3), (-0.2, al.Decision(0.1, 0.05, 0.2), 0.1)), r"'half_sizes' .* can reach -0\.2\."),
         (lambda: Box([0.0, 0.0], [1.0, 1.0], np.eye(2)), r"in 2 dimensions 'orientation' takes one angle in rad"),
-        (lambda: Box(np.zeros(3), np.ones(3), 0.3), r"in 3 dimensions 'orientation' takes a rotation matrix"),
         (lambda: Box(np.zeros(3), np.ones(3), 2 * np.eye(3)), r"its columns are not orthonormal"),
         (lambda: HalfSpace([0.0, 0.0], 1.0), r"HalfSpace: 'normal' must not be zero"),
     ],
@@ -98,36 +74,13 @@ def test_distributions_and_decisions_that_keep_a_size_positive_are_taken():
     assert Sphere([0.0, 0.0], radius).radius is radius
 
 
-def test_sizes_that_are_known_are_checked_while_others_are_traced():
-    def gap(x):
-        radius = al.Uniform(jnp.asarray(0.3), half_width=0.1)
-        assert Sphere([0.0, 0.0], radius).radius is radius
-        return distance(Box(np.zeros(2), (x, jnp.asarray(0.5))), Sphere([3.0, 0.0], jnp.asarray(0.25)))
-
-    np.testing.assert_allclose(compiled(gap)(1.0), 1.75, atol=1e-14)
-
-
-FLOOR = HalfSpace([0.0, 0.0, 1.0], 0.0)
-
-
 @pytest.mark.parametrize(
     ("first", "second", "message"),
     [
-        (FLOOR, FLOOR, r"at most one is a HalfSpace; received HalfSpace and HalfSpace"),
-        (Sphere([0.0, 0.0]), [1.0, 2.0], r"received Sphere and list"),
         (Sphere([0.0, 0.0]), Box(np.zeros(3), np.ones(3)), r"a Sphere in 2 dimensions and a Box in 3 dimensions"),
-        (FLOOR, Sphere([0.0, 0.0]), r"a Sphere in 2 dimensions and a HalfSpace in 3 dimensions"),
         (Sphere([0.0, al.Normal(0.0, std=1.0)]), Sphere([0.0, 0.0]), r"'center' holds .*, which has no value yet"),
     ],
 )
 def test_pairs_without_a_distance_are_refused(first, second, message):
     with pytest.raises(al.ProblemError, match=message):
         distance(first, second)
-
-
-def test_a_batch_of_shapes_is_refused_without_vmap():
-    batch = eqx.tree_at(lambda one: one.center, Sphere([0.0, 0.0, 0.0]), np.zeros((4, 3)))
-    with pytest.raises(al.ProblemError, match=r"received shape \(4, 3\)\. For a batch of shapes, use `jax\.vmap`"):
-        distance(batch, FLOOR)
-    mapped = compiled(jax.vmap(lambda center: distance(Sphere(center), FLOOR)))
-    np.testing.assert_allclose(mapped(np.zeros((4, 3))), np.zeros(4))

@@ -1,4 +1,4 @@
-"""A slider-crank and a four-bar linkage: as closed loops, and by hand, with everything as a function of the crank."""
+"""A slider-crank: by energies, as a tree of bodies that is closed, and by hand as a function of the crank."""
 
 from typing import Any
 
@@ -45,52 +45,27 @@ class SliderCrank(al.Lagrangian):
         )
 
 
-class FourBar(al.Multibody):
-    """Crank, coupler and rocker as homogeneous bars in the vertical plane, the ground between both supports."""
+class ClosedTree(al.Multibody):
+    """The same crank and rod, the rod measured from the crank, and a slider that a closure binds to the rod's end."""
 
-    crank: al.Number = 0.1
-    coupler: al.Number = 0.35
-    rocker: al.Number = 0.3
-    ground: al.Number = 0.4
-    driven: tuple[str, ...] = eqx.field(static=True, default=("crank_torque",))
+    a: al.Number = 0.1
     planar: bool = eqx.field(static=True, default=True)
     gravity = (0.0, -G, 0.0)
-    masses = (0.3, 0.5, 0.4)
+    actuators = ("crank_torque",)
 
     def bodies(self):
-        def bar(name, length, mass, **given):
-            inertia = (0.0, 0.0, mass * length**2 / 12)
-            center = (length / 2, 0.0, 0.0)
-            return al.Body(name, joint=al.joints.Revolute("z"), mass=mass, center=center, inertia=inertia, **given)
-
-        crank, coupler, rocker = self.masses
+        pin = al.joints.Revolute("z")
+        rod = {"mass": 0.5, "center": (0.15, 0.0, 0.0), "inertia": (0.0, 0.0, 0.5 * 0.3**2 / 12)}
         return (
-            bar("crank", self.crank, crank),
-            bar("coupler", self.coupler, coupler, parent="crank", position=(self.crank, 0.0, 0.0)),
-            bar("rocker", self.rocker, rocker, position=(self.ground, 0.0, 0.0)),
+            al.Body("crank", joint=pin, mass=0.0, inertia=(0.0, 0.0, 0.01)),
+            al.Body("rod", parent="crank", joint=pin, position=(self.a, 0.0, 0.0), **rod),
+            al.Body("slider", joint=al.joints.Prismatic("x"), mass=0.7),
         )
 
-    def closures(self) -> Any:
+    def closures(self):
         joint = al.joints.Revolute("z") if self.planar else al.joints.Ball()
-        return (
-            al.joints.Closure(
-                "pin",
-                parent="coupler",
-                child="rocker",
-                joint=joint,
-                position=(self.coupler, 0.0, 0.0),
-                child_position=(self.rocker, 0.0, 0.0),
-                planar=self.planar,
-            ),
-        )
-
-    @property
-    def actuators(self):
-        return self.driven
-
-
-NEAR = {"coupler": -0.5, "rocker": 1.8}
-"""Near the open branch of the four-bar."""
+        end = (0.3, 0.0, 0.0)
+        return (al.joints.Closure("pin", parent="rod", child="slider", joint=joint, position=end, planar=self.planar),)
 
 
 def slider_crank_by_hand(
@@ -131,47 +106,6 @@ def slider_crank_by_hand(
         "torque": torque,
         "wrist": wrist,
     }
-
-
-def four_bar_by_hand(theta, omega, alpha, lengths=(0.1, 0.35, 0.3, 0.4), masses=(0.3, 0.5, 0.4)):
-    """Angles from the horizontal, the driving torque, and the force of the coupler on the rocker, in the world's axes.
-
-    By the triangle of coupler, rocker and diagonal, and by Newton and Euler on coupler and rocker together.
-    """
-    (a, b, c, d), (crank, coupler, rocker) = lengths, masses
-    pin = a * unit(theta)
-    diagonal = np.stack([np.full_like(theta, d), np.zeros_like(theta)]) - pin
-    f = np.hypot(*diagonal)
-    third = np.arctan2(diagonal[1], diagonal[0]) + np.arccos((b**2 + f**2 - c**2) / (2 * b * f))
-    end = pin + b * unit(third) - np.array([d, 0.0])[:, None]
-    fourth = np.arctan2(end[1], end[0])
-    # b third' n3 - c fourth' n4 = - a omega n2, and once more differentiated.
-    left = np.stack([b * normal(third), -c * normal(fourth)], axis=1).transpose(2, 0, 1)
-    rates = np.linalg.solve(left, -(a * omega * normal(theta)).T[..., None])[..., 0].T
-    right = -a * (alpha * normal(theta) - omega**2 * unit(theta))
-    right = right + b * rates[0] ** 2 * unit(third) - c * rates[1] ** 2 * unit(fourth)
-    accelerations = np.linalg.solve(left, right.T[..., None])[..., 0].T
-    weight = np.array([0.0, -G])[:, None]
-    at_pin = a * (alpha * normal(theta) - omega**2 * unit(theta))
-    centre = at_pin + b / 2 * (accelerations[0] * normal(third) - rates[0] ** 2 * unit(third))
-    # Moments of the coupler about the crank's pin and of the rocker about its support: two equations for the force F
-    # on the rocker.
-    arm, other = b * unit(third), c * unit(fourth)
-    needed = coupler * b**2 / 12 * accelerations[0] + cross(arm / 2, coupler * (centre - weight))
-    borne = rocker * c**2 / 3 * accelerations[1] - cross(other / 2, rocker * (weight + 0 * other))
-    matrix = np.stack([np.stack([arm[1], -arm[0]]), np.stack([-other[1], other[0]])]).transpose(2, 0, 1)
-    force = np.linalg.solve(matrix, np.stack([needed, borne], axis=1)[..., None])[..., 0].T
-    on_coupler = coupler * (centre - weight) + force  # of the crank's pin
-    torque = crank * a**2 / 3 * alpha + cross(a * unit(theta), on_coupler - crank * weight / 2)
-    return {"coupler": third, "rocker": fourth, "rocker_rate": rates[1], "torque": torque, "force": force}
-
-
-def unit(angle):
-    return np.stack([np.cos(angle), np.sin(angle)])
-
-
-def normal(angle):
-    return np.stack([-np.sin(angle), np.cos(angle)])
 
 
 def cross(a, b):

@@ -83,12 +83,6 @@ class Pendubot(Matrices):
     actuator_names = ("shoulder_torque",)
 
 
-class Acrobot(Matrices):
-    """Actuated at the elbow only."""
-
-    actuator_names = ("elbow_torque",)
-
-
 class Tendons(Matrices):
     """More actuators than coordinates."""
 

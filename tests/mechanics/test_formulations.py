@@ -8,7 +8,6 @@ import pytest
 from double_pendulum import (
     Energies,
     Matrices,
-    Passive,
     Pendubot,
     Rates,
     Tendons,
@@ -36,13 +35,12 @@ def all_of(model, q, v, force):
     return model.mass_matrix(q), model.bias(q, v), model.forward_dynamics(q, v, force)
 
 
-@pytest.mark.parametrize("model", [Energies, Matrices])
-def test_mass_bias_and_accelerations_are_those_of_the_lagrangian_by_sympy(model):
-    for seed in range(4):
+def test_mass_bias_and_accelerations_of_energies_are_those_of_the_lagrangian_by_sympy():
+    for seed in range(2):
         q, v, force = random(seed, 3, 2)
         sizes = dict(zip(("m_1", "m_2", "l_1", "l_2", "friction"), 0.3 + random(seed + 9, 5) ** 2, strict=True))
         mass, bias = by_sympy(q, v, **sizes)
-        ours = all_of(model(**sizes), q, v, force)
+        ours = all_of(Energies(**sizes), q, v, force)
         for one, expected in zip(ours, (mass, bias, np.linalg.solve(mass, force - bias)), strict=True):
             np.testing.assert_allclose(one, expected, rtol=1e-9, atol=1e-9)
 
@@ -55,23 +53,21 @@ def test_coriolis_matrices_of_energies_make_the_mass_matrix_s_rate_skew():
         rate = jax.jvp(model.mass_matrix, (q,), (v,))[1]
         return rate, model.coriolis(q, v), model.bias(q, v)
 
-    for seed in range(3):
-        q, v = random(seed, 2, 2)
-        rate, C, bias = map(np.asarray, parts(q, v))
-        skew = rate - 2 * C
-        np.testing.assert_allclose(skew, -skew.T, rtol=0, atol=1e-12)
-        assert np.abs(skew).max() > 0.01
-        # What is left of the bias is weight and friction, which textbooks give.
-        np.testing.assert_allclose(bias - C @ v, Matrices().forces(q, v), rtol=1e-10)
+    q, v = random(0, 2, 2)
+    rate, C, bias = map(np.asarray, parts(q, v))
+    skew = rate - 2 * C
+    np.testing.assert_allclose(skew, -skew.T, rtol=0, atol=1e-12)
+    assert np.abs(skew).max() > 0.01
+    # What is left of the bias is weight and friction, which textbooks give.
+    np.testing.assert_allclose(bias - C @ v, Matrices().forces(q, v), rtol=1e-10)
 
 
 BROUGHT = al.BSpline(np.array(random(1, 6, 2)), degree=3)
 BEGUN = {"shoulder": 0.4, "elbow": -0.7, "elbow_rate": 1.0}
 
 
-@pytest.mark.parametrize("model", [Energies(), Matrices()])
-def test_torques_bring_about_the_accelerations_that_take_them(model):
-    found = simulate(al.ForwardDynamics(model, torque=BROUGHT, start=BEGUN), GRID)
+def test_torques_bring_about_the_accelerations_that_take_them():
+    found = simulate(al.ForwardDynamics(Matrices(), torque=BROUGHT, start=BEGUN), GRID)
     given = np.asarray(BROUGHT.values(GRID.fractions, 1.2))
     np.testing.assert_allclose(forces_along(found), given, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(np.stack([found[f"{name}_torque"] for name in NAMES], 1), given, rtol=1e-13)
@@ -93,7 +89,7 @@ class Swapped(Matrices):
     actuator_names = ("elbow_torque", "shoulder_torque")
 
 
-@pytest.mark.parametrize("model", [pytest.param(Energies(), marks=pytest.mark.slow), Swapped(), Rates()])
+@pytest.mark.parametrize("model", [Swapped(), Rates()])
 def test_inverse_dynamics_takes_the_torques_of_the_motion_and_their_rates(model):
     grid = al.Grid(1.2, 300)
     found = simulate(al.InverseDynamics(model, motion=MOTION), grid)
@@ -150,11 +146,6 @@ def test_hybrid_dynamics_moves_the_passive_joint_as_it_must():
     np.testing.assert_allclose(force[:, 1], 0.0, rtol=0, atol=1e-9)
 
 
-def test_hybrid_dynamics_converges_with_order_four():
-    coarse, fine = (np.abs(swung(steps)["elbow"][:: steps // 20] - passive_elbow()[0]).max() for steps in (40, 160))
-    assert 3.6 < np.log2(coarse / fine) / 2 < 4.6
-
-
 def test_rates_of_torques_that_hybrid_dynamics_finds_are_their_derivatives_in_time():
     found = swung(160)
     rate = found["shoulder_torque_rate"][2:-2]
@@ -189,14 +180,12 @@ def test_known_torques_act_beside_those_that_are_found():
 
 
 def test_the_actuation_scheme_is_told_from_the_actuation_map():
-    schemes = {Matrices: "FULL", Pendubot: "UNDER", Tendons: "OVER", Passive: "PASSIVE", Rates: "FULL"}
-    for model, expected in schemes.items():
-        assert al.actuation_of(model(), jnp.array([0.3, 0.2])) is al.Actuation[expected]
-
-
-def test_several_torques_on_one_joint_of_two_are_too_many_and_too_few():
-    assert scheme(np.array([[1.0, 2.0], [0.0, 0.0]])) is al.Actuation.UNDER_OVER
-    assert scheme(np.zeros((2, 2))) is al.Actuation.PASSIVE
+    assert al.actuation_of(Pendubot(), jnp.array([0.3, 0.2])) is al.Actuation.UNDER
+    maps = {"FULL": np.eye(2), "OVER": Tendons().actuation(None), "PASSIVE": np.zeros((2, 2))}
+    # Several torques on one joint of two are too many and too few.
+    maps["UNDER_OVER"] = np.array([[1.0, 2.0], [0.0, 0.0]])
+    for expected, effect in maps.items():
+        assert scheme(np.asarray(effect)) is al.Actuation[expected]
 
 
 def _inverse(numbers):
@@ -211,17 +200,10 @@ def _hybrid(numbers):
     return al.HybridDynamics(Pendubot(m_2=numbers[0]), motion={"shoulder": swing}, start={"elbow": -0.5})
 
 
-def _forward(numbers):
-    torque = al.BSpline(jnp.outer(jnp.array([3.0, -5.0, 8.0, 1.0]), numbers[1:3]))
-    return al.ForwardDynamics(Matrices(m_2=numbers[0]), torque=torque, start={"elbow": -0.5})
-
-
 ASKED = ("shoulder_torque", "elbow_acceleration", "shoulder_torque_rate")
 
 
-@pytest.mark.parametrize(
-    "make", [_inverse, *(pytest.param(one, marks=pytest.mark.slow) for one in (_hybrid, _forward))]
-)
+@pytest.mark.parametrize("make", [_inverse, pytest.param(_hybrid, marks=pytest.mark.slow)])
 def test_derivatives_of_simulations_agree_with_differences_whatever_outputs_are_asked_for(make):
     # By a parameter of the model, the trajectory and the final time at once.
     def values_at(numbers, only=ASKED):
@@ -239,7 +221,7 @@ def test_derivatives_of_simulations_agree_with_differences_whatever_outputs_are_
         return values_at(x), slope_at(x, d), second, values_at(x, None)
 
     at, h = np.array([0.8, 0.7, -0.4, 0.4]), 1e-5
-    for along in (*np.eye(4), np.ones(4)):
+    for along in np.eye(4):
         values, slope, curvature, every = map(np.asarray, all_of(at, along))
         ahead, behind = ([np.asarray(part) for part in all_of(at + s * h * along, along)] for s in (1, -1))
         np.testing.assert_allclose(every, values, rtol=1e-12, atol=1e-12)
@@ -249,10 +231,3 @@ def test_derivatives_of_simulations_agree_with_differences_whatever_outputs_are_
         if make is _inverse:
             expected = (ahead[1] - behind[1]) / (2 * h)
             np.testing.assert_allclose(curvature, expected, rtol=1e-5, atol=1e-6 * max(np.abs(expected).max(), 1e-3))
-
-
-def test_outputs_that_are_not_there_cannot_be_asked_for():
-    system = _inverse(np.array([0.8, 0.7, -0.4, 0.4]))
-    for asked in (["shoulder_torq"], "shoulder_torque"):
-        with pytest.raises(al.ProblemError, match=r"expected (in `only` )?a list"):
-            al.simulate(system, GRID, only=asked)

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 import aleator as al
@@ -40,15 +39,6 @@ def test_torques_that_lose_their_effect_are_found_at_and_between_instants():
     assert "Pulled lose their effect at t = 0.5 s (x = 0" in hybrid.diagnose(al.Grid(1.0, 10))
 
 
-def test_torques_that_keep_their_effect_give_no_diagnosis():
-    aside = al.PowerSeries(start=(1.0, 0.0), end=(0.1, 0.0))
-    for system in (
-        al.InverseDynamics(Levered(), motion={"x": aside, "y": 0.0}),
-        al.HybridDynamics(Pulled(), motion={"x": aside}),
-    ):
-        assert system.diagnose(al.Grid(1.0, 11)) == ""
-
-
 class Mapped(al.Mechanical):
     """Velocities whose map is what one says."""
 
@@ -67,29 +57,3 @@ def test_a_velocity_map_in_very_different_units_is_no_gimbal_lock():
     assert al.ForwardDynamics(Mapped(map=((1e9, 0.0), (0.0, 1.0)))).diagnose(al.Grid(1.0, 4)) == ""
     for locked in (((1e9, 1.0), (1e9, 1.0)), ((1.0, 0.0), (0.0, 0.0))):
         assert "gimbal lock" in al.ForwardDynamics(Mapped(map=locked)).diagnose(al.Grid(1.0, 4))
-
-
-class Coupled(al.Mechanical):
-    """A mass matrix that is singular where x is one."""
-
-    names = ("x", "y")
-
-    def mass_matrix(self, q):
-        return jnp.array([[1.0, q[0]], [q[0], 1.0]])
-
-
-def test_a_singular_mass_matrix_is_still_named():
-    motionless = {"x": 1.0 - 1e-13, "x_rate": 0.0}
-    diagnosis = al.ForwardDynamics(Coupled(), start=motionless).diagnose(al.Grid(1.0, 4))
-    assert "mass matrix of Coupled is singular at the start" in diagnosis
-
-
-def test_one_signal_drives_a_single_actuator():
-    class Block(al.Mechanical):
-        names = ("x",)
-
-        def mass_matrix(self, q):
-            return [[2]]
-
-    found = al.simulate(al.ForwardDynamics(Block(), torque=al.Tabulated([0.0, 1.0], [1.0, 1.0])), al.Grid(1.0, 4))
-    np.testing.assert_allclose(found["x"], 0.25 * np.linspace(0, 1, 5) ** 2, rtol=1e-13, atol=1e-15)

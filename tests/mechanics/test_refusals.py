@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from double_pendulum import Acrobot, Matrices, Passive, Pendubot, Rates, Tendons
+from double_pendulum import Matrices, Passive, Pendubot, Rates
 
 import aleator as al
 
@@ -14,19 +14,10 @@ REST = (np.zeros(2), np.zeros(2), np.zeros(2))
 MOTION = al.BSpline(
     al.Decision(np.ones((2, 2)), -3.0, 3.0), start=REST, end=(np.ones(2), np.zeros(2), np.zeros(2)), degree=5
 )
-TORQUE = al.BSpline(np.zeros((4, 2)))
 
 
-def problem(system, *constraints, grid=GRID, minimize=None):
-    return al.Problem(
-        system, grid=grid, minimize=al.objectives.final_time() if minimize is None else minimize, subject_to=constraints
-    )
-
-
-class Loaded(Matrices):
-    """An arm with a payload at its tip, which must not be negative."""
-
-    m_2: al.Number = al.parameter("kg", positive=True, default=0.8)
+def problem(system, *constraints):
+    return al.Problem(system, grid=GRID, minimize=al.objectives.final_time(), subject_to=constraints)
 
 
 class Flat(Matrices):
@@ -71,6 +62,7 @@ class Slide(al.Multibody):
 WIND = al.processes.RandomProcess(al.processes.SquaredExponentialCovariance(1.0), t_final=2.0, std=0.4, modes=3)
 RISING = al.processes.signal(lambda t, p: 0.1 * t)
 FADING = al.processes.signal(lambda t, p: 0.5 - t)
+PAIR = al.BSpline(np.zeros((4, 2)))
 TABLE = al.Tabulated([0.0, 1.0], [0.0, 1.0])
 
 
@@ -97,47 +89,27 @@ def hybrid(motion, model=Pendubot, **options):
         (lambda: inverse(MOTION, Pendubot), r"Pendubot is under-actuated: .*Use al\.HybridDynamics"),
         (lambda: inverse(MOTION, Passive), r"its torques \(none\) cannot realise"),
         (lambda: inverse({"elbow": 1.0}), r"received none for \['shoulder'\]"),
-        (lambda: inverse(al.BSpline(np.zeros(4))), r"shape \(2,\).*received shape \(\)"),
         (lambda: inverse({"shoulder": TABLE, "elbow": 0.0}), "a prescribed motion needs velocity and acceleration"),
         (lambda: al.ForwardDynamics(Matrices(), torque={"hip_torque": 1.0}), r"no \['hip_torque'\]"),
-        (lambda: al.ForwardDynamics(Matrices(), torque={"elbow_torque": TORQUE}), r"one number; received shape \(2,\)"),
-        (lambda: al.ForwardDynamics(Matrices(), start={"hip": 1.0}), r"no \['hip'\] to start; expected some of"),
-        (lambda: al.ForwardDynamics(Matrices(), start={"elbow": np.zeros(2)}), "one number as the start of 'elbow'"),
-        (lambda: hybrid({"hip": 1.0}), r"for some of \['shoulder', 'elbow'\]"),
-        (lambda: hybrid({}), "but not all"),
-        (lambda: hybrid({"shoulder": 1.0, "elbow": 0.0}), r"Use al\.InverseDynamics for all"),
+        (
+            lambda: al.ForwardDynamics(Matrices(), torque={"elbow_torque": PAIR}),
+            r"one number; received shape \(2,\)",
+        ),
         (lambda: hybrid({"shoulder": 1.0}, start={"shoulder": 0.0}), r"no \['shoulder'\] to start; .*'elbow_rate'\]"),
         (
             lambda: hybrid({"shoulder": 1.0}, torque={"shoulder_torque": 1.0}),
             r"the unknown torques \(none\) cannot realise a prescribed motion of shoulder: expected at least 1",
         ),
-        (
-            lambda: problem(hybrid({"shoulder": 1.0}, Flat, torque={"shoulder_torque": 1.0})),
-            r"the unknown torques \(elbow_torque\) cannot realise",
-        ),
         (lambda: problem(flat((1.0, 1.0), (1.0, 1.0))), "singular at the start .*resists"),
         (lambda: problem(flat((1.0, 0.0), (0.0, -1.0))), "not positive definite at the start"),
         (lambda: problem(flat((1.0, 0.2), (0.0, 1.0))), "is not symmetric at the start"),
         (lambda: problem(flat((np.inf, 0.0), (0.0, 1.0))), "is not finite at the start"),
-        (lambda: problem(flat(1.0, 2.0)), r"mass_matrix\(q\): expected shape \(2, 2\)"),
-        (lambda: problem(changed(actuation=lambda self, q: 2.0)), r"actuation\(q\): expected shape \(2, 2\)"),
-        (lambda: problem(changed(bias=lambda self, q, v: jnp.zeros(3))), r"bias\(q, v\): expected shape \(2,\)"),
         # `C v` in the place of `C`: the product with `v` would be one number, added to all forces.
         (lambda: problem(changed(coriolis=lambda self, q, v: v)), r"coriolis\(q, v\): expected shape \(2, 2\)"),
-        (lambda: problem(changed(forces=lambda self, q, v: 9.81)), r"forces\(q, v\): expected shape \(2,\)"),
-        (
-            lambda: problem(changed(Energy, kinetic_energy=lambda self, q, v: v**2)),
-            r"kinetic_energy\(q, v\): expected shape \(\)",
-        ),
         (lambda: problem(al.ForwardDynamics(Energy())), "expected a quadratic function of the velocities"),
-        (lambda: changed(names="shoulder"), r"names: expected names in a tuple; received the text 'shoulder'"),
         (
             lambda: al.simulate(al.ForwardDynamics(Matrices(), torque=TABLE), GRID),
             r"one value for each of \['shoulder_torque', 'elbow_torque'\]; received shape \(\)",
-        ),
-        (
-            lambda: problem(changed(Rates, accelerations=lambda self, q, v, torque: torque[0])),
-            r"accelerations\(q, v, torque\): expected shape \(2,\)",
         ),
         (
             lambda: problem(changed(Rates, accelerations=lambda self, q, v, torque: torque**2)),
@@ -152,29 +124,15 @@ def hybrid(motion, model=Pendubot, **options):
             lambda: problem(changed(outputs=lambda self, motion: {"elbow": motion.q[1]})),
             r"\['elbow'\] are standard outputs of every mechanical system; rename yours",
         ),
-        (lambda: problem(changed(outputs=lambda self, motion: motion.q)), "outputs returns a dict of arrays by name"),
-        (lambda: problem(changed(names=("x", "x_rate"))), r"\['x_rate'\] name two outputs each"),
         (lambda: al.Grid(al.Decision(1.0, 0.0, 2.0), 10), r"a decision that may be 0\.0: raise its lower bound"),
-        (lambda: al.Grid(al.Decision(np.ones(2), 0.5, 2.0), 10), "expected one final time"),
-        (lambda: problem(al.ForwardDynamics(Loaded(m_2=al.Decision(1.0, -0.5, 2.0)))), "m_2"),
         (
             lambda: problem(al.ForwardDynamics(Matrices(m_2=al.Uniform(1.0, half_width=1.2)))),
             r"not positive definite at the start .*In the system with m_2 = -0\.2",
         ),
-        (
-            lambda: problem(al.InverseDynamics(Matrices(m_2=al.Uniform(1.0, half_width=1.0)), motion=MOTION)),
-            r"singular at the start .*In the system with m_2 = 0\b",
-        ),
-        (lambda: changed(Cart, mass_matrix=lambda self, q, time: None), r"mass_matrix: expected mass_matrix\(q\), or"),
         (lambda: changed(Cart, load=lambda self, q: q), r"load: expected load\(q, v\), or load\(q, v, t\) "),
-        (lambda: problem(changed(Cart, load=lambda self, q, v: jnp.zeros(2))), r"load\(q, v\): expected shape \(1,\)"),
         (
             lambda: problem(al.ForwardDynamics(Slide(loads=lambda: (al.BodyLoad("b"),)))),
             r"no body 'b'; expected one of \['a'\]",
-        ),
-        (
-            lambda: problem(al.ForwardDynamics(Slide(loads=lambda: al.BodyLoad("a")))),
-            "body_loads returns a tuple of al.BodyLoad; received",
         ),
         (lambda: problem(al.ForwardDynamics(Slide(high=RISING))), "the place or the axis of 'a' depends on time"),
         (lambda: Cart(wind=RISING).bias(jnp.zeros(1), jnp.zeros(1)), r"at an instant, such as model\.at\(0\.0\)"),
@@ -188,14 +146,9 @@ def hybrid(motion, model=Pendubot, **options):
         ),
         (lambda: problem(al.ForwardDynamics(Cart(mass=WIND))), "'mass' must stay positive, but a RandomProcess is"),
         (lambda: problem(al.ForwardDynamics(Cart(mass=FADING))), "is singular about t = 0.5 s"),
-        *(
-            (
-                lambda name=name: al.simulate(
-                    al.ForwardDynamics(Matrices(), torque=TORQUE), GRID, inputs={name: TABLE}
-                ),
-                rf"ForwardDynamics takes no inputs: .* as its `torque`; received the inputs \['{name}'\]",
-            )
-            for name in ("shoulder_torque", "parameters")
+        (
+            lambda: al.simulate(al.ForwardDynamics(Matrices()), GRID, inputs={"shoulder_torque": TABLE}),
+            r"ForwardDynamics takes no inputs: .* as its `torque`; received the inputs \['shoulder_torque'\]",
         ),
     ],
 )
@@ -242,18 +195,3 @@ def test_limits_of_torques_that_can_are_not():
         al.path("elbow_torque").mean - 3.0 * al.path("elbow_torque").std <= 0.5 * elbow,
     )
     assert len(problem(al.InverseDynamics(Matrices(), motion=MOTION), *constraints).constraints) == 9
-
-
-def test_an_arm_that_torques_drive_may_fall_from_where_they_cannot_hold_it():
-    system = al.ForwardDynamics(Matrices(), torque=al.BSpline(al.Decision(np.zeros((4, 2)), -5.0, 5.0)))
-    assert problem(system, *al.path("elbow_torque").within(-0.1, 0.1)).constraints
-
-
-def test_systems_that_are_sound_are_not_refused():
-    uncertain = al.Uniform(1.0, half_width=0.5)
-    for system in (
-        al.ForwardDynamics(Acrobot(m_2=uncertain), torque=al.BSpline(al.Decision(np.zeros((4, 1)), -5.0, 5.0))),
-        al.HybridDynamics(Pendubot(m_2=uncertain), motion={"shoulder": al.BSpline(al.Decision(np.zeros(5)))}),
-        al.InverseDynamics(Tendons(m_2=uncertain), motion=MOTION),
-    ):
-        assert problem(system, grid=al.Grid(al.Decision(1.0, 0.5, 2.0), 4)).physics

@@ -88,7 +88,7 @@ def same(ours, theirs, tolerance=1e-12):
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=tolerance * np.abs(theirs).max())
 
 
-@pytest.mark.parametrize("seed", cases(range(8)))
+@pytest.mark.parametrize("seed", cases(range(3)))
 def test_mass_matrix_bias_and_both_dynamics_are_those_of_mujoco(seed):
     for tree, mj, q, v, given, ours in case(seed):
         data, speeds = mujoco_at(tree, mj, q, v)
@@ -107,14 +107,14 @@ def test_mass_matrix_bias_and_both_dynamics_are_those_of_mujoco(seed):
         same(ours["undone"], given, 1e-10)
 
 
-@pytest.mark.parametrize("seed", cases(range(8)))
+@pytest.mark.parametrize("seed", cases(range(3)))
 def test_forces_and_moments_on_bodies_accelerate_as_in_mujoco(seed):
     for tree, mj, q, v, _, ours in case(seed):
         data, speeds = mujoco_at(tree, mj, q, v, tree.pushes)
         same(ours["pushed"], data.qacc[speeds], 1e-9)
 
 
-@pytest.mark.parametrize("seed", cases(range(8)))
+@pytest.mark.parametrize("seed", cases(range(3)))
 def test_poses_points_velocities_and_energies_are_those_of_mujoco(seed):
     for tree, mj, q, v, _, ours in case(seed):
         data, speeds = mujoco_at(tree, mj, q, v)
@@ -140,20 +140,3 @@ def test_poses_points_velocities_and_energies_are_those_of_mujoco(seed):
         mujoco.mj_integratePos(mj, behind, full, -step)
         rates = ((ahead - behind) / (2 * step))[orders(tree, mj)[0]]
         np.testing.assert_allclose(ours["map"] @ v, rates, rtol=0, atol=1e-7)
-
-
-@pytest.mark.slow
-def test_forward_derivatives_are_those_of_central_differences():
-    tree, mj = random_tree(["free", "revolute", "ball"], [-1, 0, 1], 7)
-    random = np.random.default_rng(8)
-    sizes = np.cumsum([mj.nq, mj.nv])
-    point = random.normal(size=mj.nq + 2 * mj.nv)
-
-    def both(point):
-        q, v, given = jnp.split(point, sizes)
-        return jnp.concatenate([tree.inverse_dynamics(q, v, given), tree.forward_dynamics(q, v, given)])
-
-    run = compiled(jax.vmap(lambda at, along: jax.jvp(both, (at,), (along,))))
-    for along in random.normal(size=(4, point.size)):
-        values, slopes = run(point + np.outer([-1e-5, 0.0, 1e-5], along), np.tile(along, (3, 1)))
-        same(np.asarray(slopes)[1], np.asarray(values)[2] / 2e-5 - np.asarray(values)[0] / 2e-5, 1e-7)

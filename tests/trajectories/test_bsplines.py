@@ -24,7 +24,7 @@ def scipy_values(spline, points, duration, order, fractions=FRACTIONS):
     return SciPySpline(knots, points, spline.degree)(fractions, nu=order) / duration**order
 
 
-@pytest.mark.parametrize("degree", [1, 2, 3, 5])
+@pytest.mark.parametrize("degree", [2, 3])
 def test_values_and_derivatives_of_every_degree_are_those_of_scipy(degree):
     points = numbers(degree + 5, 2, seed=degree)
     knots = [None, [0.1, 0.15, 0.6, 0.95]][degree % 2]
@@ -50,51 +50,27 @@ def test_spans_are_knots_in_proportion():
         np.testing.assert_allclose(found[order], by_knots.values(FRACTIONS, 2.0, order), rtol=1e-11, atol=1e-11)
 
 
-@pytest.mark.parametrize("degree", [1, 3, 5])
-def test_polynomials_up_to_the_degree_are_reproduced(degree):
+def test_polynomials_up_to_the_degree_are_reproduced():
+    degree, T = 5, 2.5
     polynomial = np.polynomial.Polynomial(numbers(degree + 1, seed=7))
-    T = 2.5
-    ends = {"start": (), "end": ()}
-    if degree == 5:
-        derivatives = [polynomial, polynomial.deriv(), polynomial.deriv(2)]
-        ends = {"start": [one(0.0) for one in derivatives], "end": [one(T) for one in derivatives]}
-    free = degree + 3
+    derivatives = [polynomial, polynomial.deriv(), polynomial.deriv(2)]
+    ends = {"start": [one(0.0) for one in derivatives], "end": [one(T) for one in derivatives]}
     path = polynomial(T * np.linspace(0.0, 1.0, 40))
-    found = al.fit_control_points(path, free, degree=degree, duration=T, **ends)
+    found = al.fit_control_points(path, 8, degree=degree, duration=T, **ends)
     spline = al.BSpline(found, degree=degree, **ends)
-    for order in range(min(degree, 3)):
+    for order in range(3):
         expected = polynomial.deriv(order)(T * FRACTIONS) if order else polynomial(T * FRACTIONS)
         np.testing.assert_allclose(spline.values(FRACTIONS, T, order), expected, rtol=1e-8, atol=1e-8)
 
 
-def test_fitted_control_points_of_vectors_are_those_of_each_number():
-    path = np.stack([np.sin(3 * FRACTIONS), FRACTIONS**2], axis=1)
-    ends = {"start": ([0.0, 0.0], [1.5, 0.0]), "end": (path[-1],)}
-    found = al.fit_control_points(path, 6, duration=2.0, **ends)
-    apart = [
-        al.fit_control_points(path[:, i], 6, duration=2.0, start=(0.0, [1.5, 0.0][i]), end=(path[-1, i],))
-        for i in range(2)
-    ]
-    np.testing.assert_allclose(found, np.stack(apart, axis=1), rtol=1e-12)
-    curve = al.BSpline(found, **ends).values(FRACTIONS, 2.0)
-    assert np.abs(curve - path).max() < 2e-3
-
-
-@pytest.mark.parametrize(("degree", "duration"), [(2, 0.3), (5, 4.0)])
-def test_conditions_at_the_ends_hold_for_any_duration(degree, duration):
+def test_conditions_at_the_ends_hold_for_any_duration():
+    duration = 4.0
     start, end = numbers(3, 2, seed=1), numbers(3, 2, seed=2)
-    spline = al.BSpline(numbers(4, 2), start=tuple(start), end=tuple(end), degree=degree)
+    spline = al.BSpline(numbers(4, 2), start=tuple(start), end=tuple(end), degree=5)
     for order in range(3):
         both = spline.values(np.array([0.0, 1.0]), duration, order)
         np.testing.assert_allclose(both, np.stack([start[order], end[order]]), rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(spline.control_points(duration)[3:-3], numbers(4, 2))
-
-
-def test_a_curve_may_be_given_by_its_ends_alone():
-    # Degree 5 with six conditions is the one quintic: from rest to rest by the textbook's polynomial.
-    spline = al.BSpline(np.zeros(0), start=(0, 0, 0), end=(1.0, 0, 0), degree=5)
-    expected = 10 * FRACTIONS**3 - 15 * FRACTIONS**4 + 6 * FRACTIONS**5
-    np.testing.assert_allclose(spline.values(FRACTIONS, 3.0), expected, rtol=0, atol=1e-14)
 
 
 def test_control_points_of_derivatives_are_those_of_equation_54():
@@ -108,19 +84,14 @@ def test_control_points_of_derivatives_are_those_of_equation_54():
     np.testing.assert_array_equal(spline.control_points(T, 4), [0.0])
 
 
-@pytest.mark.parametrize("order", [0, 2])
-def test_the_curve_stays_in_the_hull_of_its_control_points(order):
+def test_the_curve_stays_in_the_hull_of_its_control_points():
+    order = 2
     spline = al.BSpline(numbers(5, 3), start=(np.ones(3), np.zeros(3)), end=(np.zeros(3),), degree=4)
     dense = np.asarray(spline.values(np.linspace(0.0, 1.0, 2001), 0.7, order))
     lower, upper = map(np.asarray, spline.hull(0.7, order))
     assert (dense >= lower - 1e-9).all()
     assert (dense <= upper + 1e-9).all()
     assert (upper > lower).all()
-
-
-def test_hulls_of_derivatives_beyond_the_degree_are_zero():
-    lower, upper = al.BSpline(numbers(5)).hull(1.0, 4)
-    assert float(lower) == float(upper) == 0.0
 
 
 def test_derivatives_by_control_points_spans_ends_and_duration_agree_with_differences():
@@ -139,17 +110,6 @@ def test_derivatives_by_control_points_spans_ends_and_duration_agree_with_differ
         ahead, behind = (values(*(x + sign * h * d for x, d in zip(at, along, strict=True))) for sign in (1.0, -1.0))
         np.testing.assert_allclose(found, (ahead - behind) / (2 * h), rtol=1e-6, atol=1e-6)
         assert np.abs(found).max() > 0.1
-
-
-def test_traced_fractions_give_what_plain_ones_give():
-    for spline in (
-        al.BSpline(numbers(6, 2), start=(np.zeros(2),), degree=4),
-        al.BSpline(numbers(6, 2), spans=[1.0, 2.0, 3.0]),
-    ):
-        traced = compiled(lambda u, spline=spline: [spline.values(u, 2.0, order) for order in range(3)])(FRACTIONS)
-        plain = compiled(lambda spline=spline: [spline.values(FRACTIONS, 2.0, order) for order in range(3)])()
-        for one, other in zip(traced, plain, strict=True):
-            np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
 
 
 def test_beyond_its_ends_by_rounding_the_curve_goes_on():
@@ -212,51 +172,23 @@ def test_distributions_and_decisions_stand_in_control_points_and_ends():
     np.testing.assert_allclose([ours["value"][0], ours["rate"][0]], [0.12, 0.7], rtol=1e-12)
 
 
-def test_one_decision_may_hold_all_control_points_and_one_the_spans():
-    model = Follower(al.BSpline(al.Decision(numbers(4, 2), -9.0, 9.0), spans=al.Decision(np.array([2.0]), 0.1, 5.0)))
-    assert model.path.shape == (2,)
-    assert placements(model).entry_names()[-1] == "path.spans[0]"
-    realised = realise(model, jnp.zeros(0), jnp.concatenate([numbers(4, 2).ravel(), np.array([3.0])]))
-    expected = al.BSpline(numbers(4, 2)).values(FRACTIONS)
-    np.testing.assert_allclose(compiled(lambda: realised.path.values(FRACTIONS))(), expected, rtol=1e-12, atol=1e-13)
-
-
-def test_a_caller_s_array_is_copied():
-    points = np.ones(5)
-    spline = al.BSpline(points)
-    points[:] = 7.0
-    np.testing.assert_allclose(spline.values(FRACTIONS), np.ones(57), rtol=1e-14)
-
-
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
         (lambda: al.BSpline(np.zeros(3)), "degree 3 needs at least 4 control points .* Give 1 more"),
-        (lambda: al.BSpline(2.0), "expected several control points"),
         (lambda: al.BSpline(np.zeros((5, 2)), start=(1.0,)), r"a value of shape \(2,\) at the start, .*shape \(\)"),
-        (lambda: al.BSpline(np.zeros(5), end=(0.0, np.zeros(2))), r"a velocity of shape \(\) at the end"),
-        (lambda: al.BSpline(np.zeros(9), start=(0, 0, 0, 0)), "received 4 conditions"),
         (lambda: al.BSpline(np.zeros(9), start=(0, 0, 0), degree=1), "degree 1 has no derivative of order 2"),
         (lambda: al.BSpline(np.zeros(6), knots=[0.6, 0.4]), "expected 2 increasing knots"),
-        (lambda: al.BSpline(np.zeros(6), knots=[0.4]), "expected 2 increasing knots"),
         (lambda: al.BSpline(np.zeros(6), knots=[0.4, 0.6], spans=np.ones(3)), "received both"),
-        (lambda: al.BSpline(np.zeros(6), spans=[1.0, 0.0, 1.0]), "expected 3 positive spans"),
-        (lambda: al.BSpline(np.zeros(6), spans=np.ones(2)), "expected 3 positive spans"),
-        (lambda: al.BSpline(np.zeros(6), spans=al.Decision(np.ones(3), 0.0, 2.0)), "positive lower bounds"),
         (
             lambda: al.BSpline(np.zeros(6), spans=[1.0, al.Uniform(1.0, half_width=2.0), 1.0]),
             "expected 3 positive spans",
         ),
-        (lambda: al.BSpline(np.zeros(5), spans=[1.0, al.Decision(1.0, -0.5, 2.0)]), "expected 2 positive spans"),
-        (lambda: al.BSpline(np.zeros(5), spans=[1.0, al.Normal(1.0, std=0.01)]), "expected 2 positive spans"),
-        (lambda: al.BSpline(np.zeros(6), knots=al.Decision([0.4, 0.6])), r"spans=al\.Decision\(np\.ones\(3\)"),
         (
             lambda: al.BSpline(np.zeros(6), knots=[0.4, al.Uniform(0.6, half_width=0.1)]),
             "expected plain numbers as knots",
         ),
-        (lambda: al.BSpline(np.zeros(5)).derivative(-1), "an order of 0, 1, 2"),
         (lambda: al.fit_control_points(np.zeros(3), 4), "finite values at 4 or more instants"),
-        (lambda: al.fit_control_points(np.zeros(9), 4, start=(al.Normal(0.0, 1.0),)), "expected plain numbers"),
     ],
 )
 def test_splines_that_make_no_sense_are_refused_in_words(wrong, message):
