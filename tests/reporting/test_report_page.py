@@ -7,7 +7,6 @@ from html import unescape
 from html.parser import HTMLParser
 
 import jax.numpy as jnp
-import numpy as np
 import pytest
 import report_problems as given
 
@@ -19,6 +18,7 @@ from aleator.reporting._numbers import given as given_number
 from aleator.reporting._tables import certificate_table, designs_table
 from aleator.reporting._verdict import verdict
 from aleator.validation import Proportion
+from aleator.validation._disagreement import Disagreement
 
 
 class Reader(HTMLParser):
@@ -164,9 +164,8 @@ def test_where_no_limit_is_counted_the_verdict_says_so_and_why_and_claims_no_sha
 
 def test_a_solution_that_fresh_simulations_contradict_is_not_to_be_trusted():
     evidence = given.evidence()
-    sampled = evidence.functionals["∫effort dt"]
-    wrong = replace(sampled, expanded_mean=np.array(2.0 * sampled.mean))
-    said = verdict({"design": evidence.solution}, {"design": replace(evidence, functionals={"∫effort dt": wrong})})
+    found = replace(evidence, disagreements=(Disagreement("∫effort dt", 1.0, 2.0, 0.1),))
+    said = verdict({"design": evidence.solution}, {"design": found})
     assert (said.level, said.word) == ("bad", "Contradicted")
 
 
