@@ -12,12 +12,14 @@ import pytest
 
 import aleator as al
 from aleator._core.elsewhere import each_done, each_of, packed
+from aleator.transcription import transcribe, valued_by
+from aleator.transcription.sequential import _population_elsewhere
 from executors import AsProcesses, Inline, Lost, scattered
-from zoo import SPREAD, bar_problem, valleys_problem
+from zoo import MASS, SPREAD, STRESS, bar_problem, valleys_problem
 
 VALUES = [0.5, 0.4, 0.6, -1.0]
 NEEDED = 1.0 + 3.0 * SPREAD
-SEARCH = al.solvers.DifferentialEvolution(evaluations=60)
+SEARCH = al.solvers.DifferentialEvolution(evaluations=60, population=20)
 
 
 @pytest.fixture
@@ -142,10 +144,14 @@ def test_what_was_sent_is_cancelled_where_an_executor_takes_no_more_or_gives_no_
 
 
 def test_lost_workers_are_told_and_ctrl_c_in_one_is_ctrl_c():
-    with pytest.raises(al.SimulationError, match=r"at x = .: its worker died or was lost \(OSError: gone\)"):
+    with pytest.raises(al.SimulationError, match=r"at x = .: its worker died .*gone\). Finished results are kept"):
         done(Lost(1, OSError("gone")))
     with pytest.raises(KeyboardInterrupt):
         done(Lost(1, KeyboardInterrupt()))
+    with al.workers(2) as executor:
+        pass
+    with pytest.raises(al.SimulationError, match=r"at x = 0: .*the workers have been shut down"):
+        done(executor)
 
 
 def test_processes_are_refused_what_they_would_not_have_and_threads_take_it(travelling, threads, monkeypatch):
@@ -184,13 +190,6 @@ def test_a_front_by_an_executor_and_its_evidence_are_those_of_here(tmp_path: Pat
     assert again.objectives.tobytes() == front.objectives.tobytes()
 
 
-def test_a_front_that_an_executor_breaks_off_keeps_in_a_journal_what_is_its_own(tmp_path: Path):
-    with al.journal(tmp_path), pytest.raises(al.SimulationError, match=r"stress = 0.6.*kept within al.journal"):
-        al.pareto(bar_problem(), "stress", [0.5, 0.6], executor=Inline(lambda results: results[0]))
-    (kept,) = al.load(tmp_path).values()
-    assert kept.objective == pytest.approx(NEEDED / 0.5, rel=1e-6)
-
-
 @pytest.mark.parametrize(("method", "traced"), [("monte_carlo", True), ("quasi_monte_carlo", False)])
 def test_samples_by_an_executor_are_those_of_this_process_to_the_last_bit(travelling: Executor, method, traced: bool):
     model = {"off": al.Uniform(0.0, half_width=1.0), "more": al.Normal(2.0, 0.1)}
@@ -223,25 +222,6 @@ def test_local_searches_of_a_portfolio_by_an_executor_that_a_journal_has_are_not
     assert resumed.best.vector.tobytes() == undisturbed.best.vector.tobytes()
 
 
-def test_threads_of_this_process_take_any_model(threads: Executor):
-    square = lambda number: number**2  # noqa: E731 -- has no name that a pickle could tell
-
-    class Inner(al.AlgebraicSystem):
-        a: al.Number
-
-        def outputs(self):
-            return {"y": square(self.a - 1.0)}
-
-    limit = al.output("y").at_most(9.0, sigmas=1.0).named("most")
-    model = Inner(al.Uniform(al.Decision(3.0, -5.0, 5.0), half_width=0.5))
-    problem = al.Problem(model, minimize=al.output("y").mean, subject_to=[limit])
-    here, there = (al.multistart(problem, 2, executor=executor) for executor in (None, threads))
-    assert here.best.vector == pytest.approx(1.0, abs=1e-6)
-    assert [one.vector.tolist() for one in here.solutions] == [one.vector.tolist() for one in there.solutions]
-    sought = [al.solve(problem, SEARCH, executor=executor) for executor in (None, threads)]
-    assert sought[0].vector.tobytes() == sought[1].vector.tobytes()
-
-
 WISHES = {"depth": al.output("depth").mean, "spread": al.output("depth").std}
 NORMAL = {"off": al.Normal(0, 1)}
 REFUSED = {
@@ -264,8 +244,77 @@ def test_executors_that_cannot_do_the_work_are_refused(what, travelling: Executo
         work(travelling)
 
 
-def test_workers_outside_their_block_are_refused_with_the_place():
-    with al.workers(2) as executor:
-        pass
-    with pytest.raises(al.SimulationError, match=r"at x = 0: .*the workers have been shut down"):
-        done(executor)
+# --- Generations of a search -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def sent(travelling: Executor, monkeypatch: pytest.MonkeyPatch) -> list[dict]:
+    """What the executor was given, in order."""
+    given, submit = [], travelling.submit
+
+    def noted(work, pack):
+        given.append(pack.opened()[1])
+        return submit(work, pack)
+
+    monkeypatch.setattr(travelling, "submit", noted)
+    return given
+
+
+def bits(solution: al.Solution) -> tuple[bytes, ...]:
+    searched = solution.effort.searched
+    return solution.vector.tobytes(), searched.objectives.tobytes(), searched.violations.tobytes()
+
+
+def evaluations(sent: list[dict]) -> int:
+    return sum(len(one) for call in sent if "items" in call for one in call["items"])
+
+
+def test_a_search_by_an_executor_is_that_of_this_process_to_the_last_bit(tmp_path: Path, travelling, sent):
+    # Strong enough at every load, so that limits hold at scenarios.
+    problem = al.Problem(bar_problem().system, minimize=MASS.mean, subject_to=[STRESS.at_most(0.5, worst_case=True)])
+    here = al.solve(problem, SEARCH)
+    with al.journal(tmp_path):
+        there = al.solve(problem, SEARCH, executor=travelling)
+    assert there.ok
+    assert bits(there) == bits(here)
+    # Every evaluation was sent, of one problem, in calls of one size.
+    assert evaluations(sent) == there.effort.searched.evaluations
+    assert len({(call["made_of"], call["size"]) for call in sent}) == 1
+    assert len(sent) > there.effort.searched.evaluations / 16
+    # A journal does not ask who evaluates.
+    calls = len(sent)
+    with al.journal(tmp_path):
+        for executor in (None, travelling):
+            assert bits(al.solve(problem, SEARCH, executor=executor)) == bits(here)
+    assert len(sent) == calls
+
+
+def test_a_worker_makes_a_population_once_for_all_generations(travelling: Executor, monkeypatch: pytest.MonkeyPatch):
+    made = []
+    monkeypatch.setattr(_population_elsewhere, "refuse_other_code", made.append)
+    program = transcribe(valleys_problem()).program
+    shared = valued_by(travelling, program, "here")
+    for number in (40, 17):
+        points = np.linspace(-2.0, 2.0, number)[:, None]
+        np.testing.assert_array_equal(shared.values(points)[0], program.values(points)[0])
+    assert len(made) == 1
+    others = type(program)(**{**vars(program), "values": lambda points: (points[:, 0], points[:, :0])})
+    with pytest.raises(al.ProblemError, match=r"executor: expected transcription=al.Sequential\(\)"):
+        valued_by(travelling, others, "solve")
+
+
+def test_ctrl_c_in_a_worker_keeps_the_best_so_far():
+    found = al.solve(valleys_problem(), SEARCH, executor=Lost(4, KeyboardInterrupt()), throw=False)
+    assert found.effort.searched.end.startswith("stopped by the user")
+    assert 0 < found.effort.searched.evaluations < 60
+
+
+def test_a_front_of_a_population_by_an_executor_is_that_of_this_process(travelling, sent):
+    pytest.importorskip("pymoo")
+    problem, own = al.Problem(bar_problem().system, minimize=MASS.mean), {"method": "population", "evaluations": 80}
+    wishes = {"mass": MASS.mean, "stress": STRESS.mean}
+    here, there = (al.trade_off(problem, wishes, 3, executor=executor, **own) for executor in (None, travelling))
+    assert here.values.tobytes() == there.values.tobytes()
+    # Stress times mass is the mean load, one.
+    np.testing.assert_allclose(there.values[:, 0] * there.values[:, 1], 1.0, rtol=1e-6)
+    assert evaluations(sent) >= 80

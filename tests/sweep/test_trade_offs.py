@@ -181,7 +181,7 @@ def test_no_end_of_a_front_is_dominated_where_a_slope_is_infinite():
 WAYS = {"boundary": {}, "starts": {"starts": 4}, "population": POPULATION}
 
 
-@pytest.mark.parametrize("way", ["boundary", *(pytest.param(one, marks=pytest.mark.slow) for one in WAYS if WAYS[one])])
+@pytest.mark.parametrize("way", WAYS)
 def test_both_parts_of_a_front_with_a_hole_are_found(way):
     found = curve(16, slope=-1.0, wave=-0.25, upper=0.7, **WAYS[way])
     a = np.linspace(0.0, 0.7, 200_001)
@@ -239,16 +239,6 @@ def test_no_point_is_weakly_efficient(seed):
         assert max(improvable(slopes, bounds, point) for point in found.values) < 1e-4
 
 
-@pytest.mark.slow
-def test_a_population_respects_limits_and_is_the_same_for_the_same_seed():
-    problem = near(HERE, THERE, row=((1.0, 0.0, 0.0), 0.1))
-    both = [al.trade_off(problem, WISHES, 5, **POPULATION) for _ in range(2)]
-    np.testing.assert_array_equal(both[0].values, both[1].values)
-    for one in both[0].solutions:
-        assert one.ok
-        assert one.decisions["place"][0] >= 0.1 - 1e-6
-
-
 def test_a_population_needs_bounds_and_its_library(monkeypatch):
     with pytest.raises(al.ProblemError, match=r"of which \['place\[0\]', 'place\[1\]', 'place\[2\]'\] have none"):
         al.trade_off(near(HERE, THERE, reach=np.inf), WISHES, method="population")
@@ -301,15 +291,6 @@ def test_a_front_of_a_dynamical_system_is_that_of_limits_one_by_one():
 
 LOW = (al.value("width") <= 1.0).named("low")
 BAR = al.Problem(bar_problem().system, minimize=MASS.mean, subject_to=[LOW])
-
-
-@pytest.mark.slow
-def test_the_excess_of_a_soft_limit_may_be_a_wish():
-    far = (MASS.mean - 2.0) ** 2
-    found = al.trade_off(al.soft(BAR, weight=9.0, exact=True), {"far": far, "excess": al.value("low.excess")}, 3)
-    # (2 - width)² with a width of 1 and the excess.
-    np.testing.assert_allclose(found.values[:, 0], (1.0 - found.values[:, 1]) ** 2, atol=1e-3)
-    np.testing.assert_allclose(found.worst, [1.0, 1.0], atol=1e-3)
 
 
 def test_the_hypervolume_of_boxes_is_their_union():

@@ -1,4 +1,4 @@
-"""What is warned of within a sweep names the point that it speaks of; what cannot be told of progress is refused."""
+"""What is warned of within a sweep names the point that it speaks of."""
 
 import contextlib
 import warnings
@@ -7,9 +7,7 @@ import pytest
 
 import aleator as al
 from aleator._core.warned import warned_of
-from zoo import Decay, bar_problem
-
-RATE = {"rate": al.Uniform(1.0, half_width=0.1)}
+from zoo import Decay
 
 
 def decay():
@@ -55,21 +53,3 @@ def test_a_warning_points_at_the_line_that_called_the_package_and_a_library_keep
         ("here: ours", al.GridWarning, __file__),
         ("theirs", RuntimeWarning, "a library"),
     ]
-
-
-CALLS = {
-    "pareto": lambda progress: al.pareto(bar_problem(), "stress", [0.4], progress=progress),
-    "multistart": lambda progress: al.multistart(bar_problem(), 2, progress=progress),
-    "calibrate": lambda progress: al.calibrate(bar_problem(), "stress", progress=progress),
-    "conflict": lambda progress: al.conflict(bar_problem(), progress=progress),
-    "portfolio": lambda progress: al.portfolio(bar_problem(), 2, progress=progress),
-    "monte_carlo": lambda progress: al.references.monte_carlo(len, RATE, progress=progress),
-    "quasi_monte_carlo": lambda progress: al.references.quasi_monte_carlo(len, RATE, progress=progress),
-    "sobol_indices": lambda progress: al.references.sobol_indices(len, RATE, progress=progress),
-}
-
-
-@pytest.mark.parametrize("name", CALLS)
-def test_progress_of_too_few_arguments_is_refused_before_any_work(name):
-    with pytest.raises(al.ProblemError, match=f"^{name}: progress: expected a function of three arguments"):
-        CALLS[name](lambda task: None)
