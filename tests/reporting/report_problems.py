@@ -103,7 +103,7 @@ def solution() -> al.Solution:
 @cache
 def collocated() -> al.Solution:
     """By direct collocation on several meshes."""
-    return al.solve(move(), transcription=al.Simultaneous(error=1e-6))
+    return al.solve(move(), transcription=al.Simultaneous(error=1e-4))
 
 
 @cache

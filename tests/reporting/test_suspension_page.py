@@ -7,7 +7,6 @@ import pytest
 import report_problems as given
 
 import aleator as al
-from aleator.studies.suspension._built import built_table
 from aleator.studies.suspension._facts import box, cost
 from aleator.studies.suspension._published import published_table
 from aleator.studies.suspension._run import BUILT, QUICK, Effort, SuspensionResults, problems
@@ -111,14 +110,6 @@ def test_a_study_that_was_stopped_before_its_margins_or_is_quick_recommends_noth
     assert verdict(sampled).word == "A first look"
     assert "without the margins to build with" in having(sampled).headline()
     assert not {"designs to build", "calibration"} & set(having(sampled).stages)
-
-
-def test_the_designs_to_build_stand_beside_the_printed_ones(sampled):
-    table = built_table(full(sampled))
-    assert table.header == ["", "uOpt, printed", "uOpt, to build", "aOpt, printed", "aOpt, to build"]
-    rows = {row[0]: row[1:] for row in table.rows}
-    assert rows["Margins"][:2] == ["1.00 σ on travel and holding", "1.60 σ on travel and holding"]
-    assert rows["Cost of the spreads"][:2] == ["$17.71", "$17.71"]
 
 
 def test_an_interrupted_front_keeps_its_finished_points(study, monkeypatch):

@@ -112,30 +112,20 @@ def loaded(text: str) -> Study:
 # --- In Python -------------------------------------------------------------------------------------------------------
 
 
-def test_a_file_with_a_problem_alone_is_a_study(here: Path):
-    code, said = aleator("run", "bar.py")
-    assert code == 0, said
-    designs = json.loads((here / "results/bar/designs.json").read_text())
-    assert designs["designs/problem"]["objective"]["value"] == pytest.approx(NEEDED / 0.5, rel=1e-6)
-    assert (here / "results/bar/report.html").is_file()
-    assert "evidence on problem" in said
-    assert "earlier run" not in said
-    assert "2 results were taken from an earlier run" in aleator("run", "bar.py")[1]
-    _, listed = aleator("list", "results/bar")
-    assert "solve Bar" in listed
-    assert "validate Bar" in listed
-    assert aleator("list", "results")[0] == 2
-
-
 def test_a_declared_study_sweeps_and_trades_off(here: Path):
     (here / "bar.py").write_text(SWEPT)
-    assert aleator("run", "bar.py", "--out", "there")[0] == 0
-    page = (here / "there/report.html").read_text()
+    code, said = aleator("run", "bar.py")
+    assert code == 0, said
+    assert "evidence on robust" in said
+    folder = here / "results/bar"
+    designs = json.loads((folder / "designs.json").read_text())
+    assert designs["designs/robust"]["objective"]["value"] == pytest.approx(NEEDED / 0.5, rel=1e-6)
+    page = (folder / "report.html").read_text()
     assert "Bar [v2]" in page
     assert "Trade-off: mass against stress" in page
     for value in NEEDED / np.array([0.5, 0.8]):
         assert f"{value:.3g}" in page
-    with xarray.open_datatree(here / "there/results.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(folder / "results.nc", engine="h5netcdf") as tree:
         along = {name: one.to_dataset() for name, one in tree["along/stress"].children.items()}
     assert list(along) == ["stress = 0.5", "stress = 0.8"]
     for one in along.values():
@@ -216,17 +206,6 @@ def test_a_study_that_is_wrong_or_not_there_is_refused_with_its_line(here: Path,
     assert code == 2, told
     assert said in told
     assert "Traceback" not in told
-
-
-def test_a_study_that_cannot_be_run_is_refused_when_it_is_declared(here: Path):
-    problem = load("bar.py").problems["problem"]
-    for options, said in (
-        ({"sweeps": {"strain": [1.0]}}, "strain"),
-        ({"wishes": {"mass": 3, "stress": 4}}, "wish 'mass'"),
-        ({"wishes": {"mass": al.output("mass").mean}}, "two"),
-    ):
-        with pytest.raises(al.ProblemError, match=said):
-            Study(problem, **options)
 
 
 # --- In TOML ---------------------------------------------------------------------------------------------------------

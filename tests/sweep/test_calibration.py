@@ -3,6 +3,7 @@
 Most tests stand in for solving and sampling by NumPy: a design is its margins, which normal noise exceeds.
 """
 
+import warnings
 from types import SimpleNamespace
 
 import numpy as np
@@ -88,7 +89,8 @@ class Bench:
     """
 
     def __init__(self):
-        self.widest, self.idle, self.lucky, self.at, self.error = np.inf, np.inf, 1, {}, al.SolveError
+        self.widest, self.idle, self.lucky, self.at = np.inf, np.inf, 1, {}
+        self.error, self.warning = al.SolveError, ""
         self.seeds, self.executors, self.calls = [], [], {"solve": 0, "validate": 0}
 
     def called(self, name):
@@ -98,6 +100,8 @@ class Bench:
 
     def solve(self, problem, **_):
         self.called("solve")
+        if self.warning:
+            warnings.warn(self.warning, al.GridWarning, stacklevel=1)
         margins = [problem.named(name)[0].expression.sigmas for name in NAMES]
         if margins[0] > self.widest:
             raise self.error("'x' is violated")
@@ -208,9 +212,13 @@ def test_a_design_a_little_below_the_target_is_not_confirmed_and_how_many_system
 
 
 def test_a_spent_budget_of_trials_is_told(bench):
-    with pytest.warns(al.CalibrationWarning, match="the trials are used up: expected more than max_trials = 2"):
+    bench.warning = "rough"
+    with pytest.warns(al.AleatorWarning) as heard:
         found = calibrated("x", 0.01, max_trials=2)
     assert len(found.trials) == 2
+    first, _, last = [str(one.message) for one in heard]
+    assert first == "calibrate, at sigmas = 1: rough"
+    assert "the trials are used up: expected more than max_trials = 2" in last
 
 
 @pytest.mark.filterwarnings("error")

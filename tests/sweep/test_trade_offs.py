@@ -13,7 +13,7 @@ import aleator as al
 from aleator.extending import save
 from aleator.sweep._hypervolume import efficient, hypervolume
 from aleator.sweep._places import box, simplex
-from zoo import MASS, Decay, bar_problem, cases
+from zoo import MASS, bar_problem, cases
 
 HERE, THERE, ELSEWHERE = (1.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 1.0)
 VARIANCE = 3 * 0.1**2 / 3
@@ -275,18 +275,6 @@ def test_ctrl_c_while_the_best_of_each_wish_is_sought_keeps_those_found():
     assert np.isnan(found.best[1:]).all()
     assert "interrupted" in str(found)
     assert "do not conflict" not in str(found)
-
-
-@pytest.mark.slow
-def test_a_front_of_a_dynamical_system_is_that_of_limits_one_by_one():
-    rest, rate = al.terminal("x").mean, al.value("rate.mean") ** 2 * al.integral("x").mean
-    decay, grid = Decay(al.Uniform(al.Decision(1.0, 0.1, 3.0), half_width=0.05)), al.Grid(1.0, 40)
-    found = al.trade_off(al.Problem(decay, grid=grid, minimize=rest), {"rest": rest, "rate": rate}, 4)
-    limited = al.Problem(decay, grid=grid, minimize=rest, subject_to=[(rate <= 1.0).named("rate")])
-    front = al.pareto(limited, "rate", found.values[:, 1])
-    np.testing.assert_allclose(front.objectives, found.values[:, 0], atol=1e-5)
-    inner = found.weights[1:-1]
-    np.testing.assert_allclose(inner[:, 1] / inner[:, 0], front.shadow_prices[1:-1], rtol=1e-2)
 
 
 LOW = (al.value("width") <= 1.0).named("low")
