@@ -15,7 +15,7 @@ from aleator import cli
 from aleator.journalling import FILE
 from aleator.reporting import PAGE
 from aleator.studies import load
-from aleator.studies.clutch import MEANS, TOLERANCES, allocation_problem, clutch, pressure_angle
+from aleator.studies.clutch import MEANS, TOLERANCES, clutch, pressure_angle
 from aleator.studies.clutch._counts import (
     CHEAPEST,
     GIVEN,
@@ -169,12 +169,6 @@ def test_what_the_first_stages_find_is_stored_before_there_is_a_design(tmp_path)
         counted = stored["counts"].to_dataset().sel(tolerances=GIVEN)
         assert int(counted["rejects"].sel(specification="deviation")) == counts.deviation.either.count
         assert counted["worst_case"].values.tolist() == list(worst_case(TOLERANCES))
-
-
-@pytest.mark.slow
-def test_a_limit_on_rejects_that_no_tolerance_meets_is_said_in_words():
-    with pytest.raises(al.SolveError, match="rejects"):
-        al.solve(allocation_problem(-0.1))
 
 
 def aleator(*arguments):

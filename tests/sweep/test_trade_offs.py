@@ -77,6 +77,10 @@ def test_wishes_of_any_size_and_name_have_the_same_front():
     found = al.trade_off(near(HERE, THERE, factors=(1e9, 1e-9, 1.0)), wishes, 4)
     np.testing.assert_allclose(roots(found.values * [1e-9, 1e9]).sum(axis=1), np.sqrt(5), atol=5e-3)
     assert (len(found.values), found.dominated) == (4, 0)
+    # Wishes that do not conflict have one best design.
+    found = al.trade_off(near(HERE, HERE, factors=(1.0, 2.0, 1.0)), WISHES, 9)
+    assert len(found.values) == 1
+    assert "do not conflict" in str(found)
 
 
 def test_a_concave_front_is_found_and_weights_cannot():
@@ -114,12 +118,6 @@ def test_three_wishes_fill_a_surface_that_is_saved_and_drawn(tmp_path):
     figures = al.reporting.trade_off_figure(found)
     assert len(figures) == 3
     np.testing.assert_array_equal(figures[0].data[0].x, found.values[:, 0])
-
-
-def test_wishes_that_do_not_conflict_have_one_best_design():
-    found = al.trade_off(near(HERE, HERE, factors=(1.0, 2.0, 1.0)), WISHES, 9)
-    assert len(found.values) == 1
-    assert "do not conflict" in str(found)
 
 
 def test_designs_are_told_in_the_problem_that_was_given_and_keep_its_limits():
