@@ -49,15 +49,10 @@ def test_both_schemes_name_the_same_colours_and_no_rule_has_one_of_its_own():
     assert re.findall(r"#[0-9a-fA-F]{3,8}\b", rules) == []
 
 
-@pytest.mark.parametrize(
-    ("colours", "least"), [((_style.INK, _style.MUTED, _style.LIMIT, _style.ALARM), 4.5), (_style._COLOURS, 3.0)]
-)
-def test_texts_and_lines_in_figures_contrast_with_their_ground_on_light_and_on_dark(colours, least):
-    white = np.ones(3)
-    for colour in map(channels, colours):
-        assert contrast(colour, white) >= least
-        assert contrast(turned(colour), turned(white)) >= least
-
-
-def test_the_ground_of_figures_on_a_dark_screen_is_that_of_the_page():
-    np.testing.assert_allclose(turned(np.ones(3)), channels(DARK["paper"]), atol=0.5 / 255)
+def test_texts_and_lines_in_figures_contrast_with_their_ground_on_light_and_on_dark():
+    texts, white = (_style.INK, _style.MUTED, _style.LIMIT, _style.ALARM), np.ones(3)
+    for colour, least in ((one, 4.5 if one in texts else 3.0) for one in (*texts, *_style._COLOURS)):
+        assert contrast(channels(colour), white) >= least
+        assert contrast(turned(channels(colour)), turned(white)) >= least
+    # The ground of figures on a dark screen is that of the page.
+    np.testing.assert_allclose(turned(white), channels(DARK["paper"]), atol=0.5 / 255)

@@ -1,3 +1,5 @@
+"""Figures of reports: fronts, boxes, trajectories, calibrations and meshes show the numbers that they are of."""
+
 import dataclasses
 import html
 
@@ -14,7 +16,6 @@ from aleator.reporting import (
     front_figure,
     interval,
     mesh_figure,
-    number,
     percent,
     percentile_figure,
     projection_figure,
@@ -30,28 +31,21 @@ def traces(figure, mode):
     return [one for one in figure.data if one.mode == mode and one.x is not None and one.x[0] is not None]
 
 
-def test_a_front_is_drawn_at_its_values_and_optima():
+def numbers(values):
+    return np.array(values, dtype=float)
+
+
+def test_a_front_is_drawn_at_its_values_and_optima_filled_where_its_bound_is_active():
     front = given.front()
     figure = front_figure({"uOpt": front}, x="Reach", x_unit="m", y="Effort", y_unit="m²/s³")
     (line,) = traces(figure, "lines+markers")
     np.testing.assert_allclose(line.x, front.values)
-    solved = front.solved
-    np.testing.assert_allclose(np.array(line.y, dtype=float)[solved], front.objectives[solved])
-    assert all(value is None or np.isnan(value) for value, ok in zip(line.y, solved, strict=True) if not ok)
+    np.testing.assert_allclose(numbers(line.y), front.objectives)
     assert figure.layout.xaxis.title.text == "Reach (m)"
     assert figure.layout.yaxis.title.text == "Effort (m²/s³)"
-
-
-def test_a_front_shows_where_its_bound_is_active_by_filled_markers():
-    front = given.front()
-    (line,) = traces(front_figure({"uOpt": front}, x="", y=""), "lines+markers")
     filled = [not symbol.endswith("-open") for symbol in line.marker.symbol]
     assert filled[:3] == [one.multiplier(given.NAME) > 0 for one in front.solutions][:3] == [False, True, True]
-
-
-def test_infeasible_points_stand_on_the_axis_and_say_why():
-    front = given.front()
-    figure = front_figure({"uOpt": front}, x="Reach", y="Effort")
+    # Infeasible points stand on the axis and say why.
     (crosses,) = traces(figure, "markers+text")
     np.testing.assert_allclose(crosses.x, front.values[~front.solved])
     assert "infeasible" in crosses.text[0]
@@ -59,10 +53,13 @@ def test_infeasible_points_stand_on_the_axis_and_say_why():
     assert figure.layout.yaxis.range[0] < crosses.y[0] < np.nanmin(front.objectives)
 
 
-def test_shadow_prices_are_the_multipliers_in_the_unit_asked():
+def test_shadow_prices_and_decisions_along_a_front_are_in_the_unit_asked():
     front = given.front()
     (line,) = shadow_price_figure({"uOpt": front}, x="Reach", y="Shadow price", scale=0.01).data
-    np.testing.assert_allclose(np.array(line.y[:3], dtype=float), 0.01 * front.shadow_prices[:3])
+    np.testing.assert_allclose(numbers(line.y[:3]), 0.01 * front.shadow_prices[:3])
+    (line,) = relative_figure(front, {"c.mean": "damper"}, x="Reach", y="Share").data
+    chosen = [float(one.decisions["c.mean"]) for one in front.solutions[:3]]
+    np.testing.assert_allclose(numbers(line.y[:3]), 100 * np.array(chosen))  # of a start of one
 
 
 def test_a_projection_draws_the_mean_the_box_and_the_limits():
@@ -83,13 +80,24 @@ def test_trajectories_are_those_kept_and_the_title_gives_the_share_with_its_inte
     evidence = given.evidence()
     figure = trajectory_figure(evidence, given.NAME, unit="m", every=1)
     (kept,) = evidence.trajectories
-    drawn = np.concatenate([np.array(one.y, dtype=float) for one in traces(figure, "lines")])
+    drawn = np.concatenate([numbers(one.y) for one in traces(figure, "lines")])
     drawn = drawn[np.isfinite(drawn)]
     np.testing.assert_allclose(np.sort(drawn), np.sort(kept.values.ravel()), rtol=1e-6)
     share = evidence.violations[given.NAME]
     assert figure.layout.title.text.startswith(f"{percent(share.estimate)} [{interval(share)}]")
     assert sum("violating" in (one.name or "") for one in traces(figure, "lines")) == 1
     assert [shape.y0 for shape in figure.layout.shapes] == [0.2]
+    # A vector over time is drawn component by component.
+    lines, violating = curves(np.arange(12.0).reshape(2, 3, 2), np.array([True, False]))
+    np.testing.assert_array_equal(lines, [[0, 2, 4], [1, 3, 5], [6, 8, 10], [7, 9, 11]])
+    np.testing.assert_array_equal(violating, [True, True, False, False])
+
+
+def test_percentiles_and_means_are_those_sampled():
+    sampled = given.evidence().functionals["∫effort dt"]
+    figure = percentile_figure({"design": sampled}, x="Effort", unit="m²/s³", limit=15.0)
+    np.testing.assert_allclose(traces(figure, "lines")[0].x, sampled.percentiles[[0, -1]])
+    assert float(sampled.mean) in [one.x[0] for one in traces(figure, "markers")]
 
 
 def test_a_calibration_shows_every_trial_with_its_interval_and_the_target():
@@ -106,29 +114,12 @@ def test_a_calibration_shows_every_trial_with_its_interval_and_the_target():
     assert len(calibration_figure(unconfirmed).data[1].x) == 0
 
 
-def test_percentiles_and_means_are_those_sampled():
-    sampled = given.evidence().functionals["∫effort dt"]
-    figure = percentile_figure({"design": sampled}, x="Effort", unit="m²/s³", limit=15.0)
-    bars = traces(figure, "lines")
-    np.testing.assert_allclose(bars[0].x, sampled.percentiles[[0, -1]])
-    assert float(sampled.mean) in [one.x[0] for one in traces(figure, "markers")]
-
-
-def test_decisions_are_drawn_relative_to_their_start():
-    front = given.front()
-    (line,) = relative_figure(front, {"c.mean": "damper"}, x="Reach", y="Share").data
-    chosen = [float(one.decisions["c.mean"]) for one in front.solutions[:3]]
-    np.testing.assert_allclose(np.array(line.y[:3], dtype=float), 100 * np.array(chosen))
-
-
 @pytest.mark.parametrize("logarithmic", [False, True])
 def test_a_density_shows_its_limits_and_what_is_rejected_beyond_them(logarithmic):
     values = np.linspace(-4.0, 4.0, 81)
     density = np.exp(-0.5 * values**2) / np.sqrt(2 * np.pi)
-    tails = ("22 800\nppm", "1 350\nppm")
-    figure = density_figure(
-        values, {"normal": density}, x="Angle", unit="°", limits=(-2.03, 3.04), tails=tails, logarithmic=logarithmic
-    )
+    how = {"limits": (-2.03, 3.04), "tails": ("22 800\nppm", "1 350\nppm"), "logarithmic": logarithmic}
+    figure = density_figure(values, {"normal": density}, x="Angle", unit="°", **how)
     assert [line.x0 for line in figure.layout.shapes] == [-2.03, 3.04]
     shaded = [np.array(one.x) for one in figure.data if one.fill == "tozeroy"]
     assert shaded[0].max() == pytest.approx(-2.03)
@@ -136,29 +127,6 @@ def test_a_density_shows_its_limits_and_what_is_rejected_beyond_them(logarithmic
     said = {one.text: one.x for one in figure.layout.annotations if "ppm" in one.text}
     assert said == {"22 800<br>ppm": -2.03, "1 350<br>ppm": 3.04}
     assert figure.layout.yaxis.type == ("log" if logarithmic else None)
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (0.0, "0"),
-        (23339.0, "23 339"),
-        (-0.0322, "−0.03220"),
-        (1e-6, "1.00·10⁻⁶"),
-        (np.nan, "–"),
-        (np.inf, "∞"),
-        (220.0, "220.0"),
-    ],
-)
-def test_numbers_are_written_with_four_significant_digits(value, text):
-    assert number(value).replace("\u202f", " ") == text
-
-
-def test_a_vector_over_time_is_drawn_component_by_component():
-    values = np.arange(12.0).reshape(2, 3, 2)
-    lines, violating = curves(values, np.array([True, False]))
-    np.testing.assert_array_equal(lines, [[0, 2, 4], [1, 3, 5], [6, 8, 10], [7, 9, 11]])
-    np.testing.assert_array_equal(violating, [True, True, False, False])
 
 
 MESHES = (
@@ -182,14 +150,11 @@ def test_meshes_are_drawn_with_their_nodes_their_worst_errors_and_what_was_asked
     assert set(drawn["asked"].y) == {1e-5}
     assert figure.layout.yaxis.type == "log"
     assert figure.layout.xaxis.range[0] < 0.0 < 3.0 < figure.layout.xaxis.range[1]
-    names = [one.text for one in figure.layout.annotations]
-    assert names == [
+    assert [one.text for one in figure.layout.annotations] == [
         "Mesh 1: 2 intervals of HermiteSimpson, 0.0040",
         "Mesh 2: 3 intervals of Radau(4), 4.0·10⁻⁶, as asked",
     ]
-
-
-def test_every_mesh_is_darker_than_the_one_before():
+    # Every mesh is darker than the one before.
     shades = [one.line.color for one in mesh_figure([MESHES[1]] * 8).data if one.name.startswith("errors")]
     light = [sum(map(int, one[4:-1].split(","))) for one in shades]
     assert light == sorted(light, reverse=True)

@@ -1,3 +1,5 @@
+"""Results in files: what was found reopens with its numbers and units, and files are whole however a process ends."""
+
 import contextlib
 import errno
 import json
@@ -15,62 +17,76 @@ import xarray
 from aleator import ProblemError
 from aleator.reporting import _files, _lock, check_writable, json_text, report, save
 from aleator.reporting._files import write_text, write_together, write_whole
+from aleator.reporting._lock import has_writer, only_writer
 from aleator.results import Front, Refused
+
+
+def reopened(folder):
+    with xarray.open_datatree(folder / "results.nc", engine="h5netcdf") as opened:
+        return opened.load()
 
 
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("store")
-    return save(
+    folder, front = tmp_path_factory.mktemp("store"), given.front()
+    refused = Refused(front.solutions[0].problem, "No decision can meet it.")
+    save(
         folder,
-        designs={"uOpt": given.solution(), "never": given.infeasible()},
+        designs={"uOpt": given.solution(), "never": given.infeasible(), "a/b": given.collocated()},
         evidence={"uOpt": given.evidence()},
-        fronts={"uOpt": given.front()},
+        fronts={"uOpt": Front(front.bound, np.append(front.values, -1.0), (*front.points, refused))},
         calibration=given.calibration(),
+        bar=given.bar(),
         missing=None,
     )
+    return folder
 
 
 @pytest.fixture(scope="module")
 def tree(stored):
-    with xarray.open_datatree(stored[0], engine="h5netcdf") as opened:
-        yield opened.load()
+    return reopened(stored)
 
 
 def test_a_solution_reopens_with_equal_numbers_and_units(tree):
     data, one = tree["designs/uOpt"].to_dataset(), given.solution()
     assert float(data["decision c.mean"]) == float(one.decisions["c.mean"])
-    assert data["decision c.mean"].attrs["units"] == "N s/m"
     (limit,) = one.constraints
     np.testing.assert_array_equal(data[f"constraint 0 {given.NAME}"], limit.values)
     np.testing.assert_array_equal(data[f"constraint 0 {given.NAME} multiplier"], limit.multipliers)
     np.testing.assert_array_equal(data["mean back(t)"], one.moments["back(t)"].mean)
     np.testing.assert_array_equal(data["time"], np.asarray(one.problem.grid.times))
-    assert data["time"].attrs["units"] == "s"
-    assert data["mean back(t)"].attrs["units"] == "m"
-    assert data["objective"].attrs["units"] == "m²/s³"
+    names = ("decision c.mean", "time", "mean back(t)", "objective")
+    assert [data[name].attrs["units"] for name in names] == ["N s/m", "s", "m", "m²/s³"]
     assert data.attrs["status"] == one.status.value
 
 
-def test_evidence_reopens_with_equal_numbers(tree):
+def test_a_solution_by_collocation_reopens_with_states_costates_meshes_and_its_scheme(tree):
+    data, found = tree["designs/a∕b"].to_dataset(), given.collocated()
+    np.testing.assert_array_equal(data["germ"], found.states.germs)
+    for kind, one in (("state", found.states), ("costate", found.costates), ("switching function", found.switching)):
+        np.testing.assert_array_equal(data[f"times of {kind}s"], one.times)
+        for name, values in one.values.items():
+            np.testing.assert_array_equal(data[f"{kind} {name}"], values)
+    np.testing.assert_array_equal(data["mesh 1"], found.meshes[0].nodes)
+    np.testing.assert_array_equal(data["mesh 2 drift"], found.meshes[1].drifts)
+    assert f"HermiteSimpson on {found.mesh.intervals} intervals" in data.attrs["problem"]
+    assert "RungeKutta4" not in data.attrs["problem"]
+
+
+def test_a_solution_without_time_reopens_with_its_statistics(tree):
+    data, found = tree["bar"].to_dataset(), given.bar()
+    assert "time" not in data.dims
+    np.testing.assert_array_equal(data["mean mass"], found.moments["mass"].mean)
+    assert float(data["statistic Q0.9[stress]"]) == float(found.statistics["Q0.9[stress]"])
+    assert data["statistic Q0.9[stress]"].attrs["units"] == "N/mm"
+
+
+def test_evidence_and_a_calibration_reopen_with_equal_numbers(tree):
     data, one = tree["evidence/uOpt"].to_dataset(), given.evidence()
-    share = one.violations[given.NAME]
-    assert float(data["violation_upper"].sel(limit=given.NAME)) == share.upper
+    assert float(data["violation_upper"].sel(limit=given.NAME)) == one.violations[given.NAME].upper
     assert float(data["violation"].sel(limit="any")) == one.joint.estimate
     np.testing.assert_array_equal(data[f"trajectory 0 {given.NAME}"], one.trajectories[0].values)
     np.testing.assert_array_equal(data["percentiles ∫effort dt"], one.functionals["∫effort dt"].percentiles)
-
-
-def test_a_front_reopens_along_its_bound(tree):
-    data, front = tree["fronts/uOpt"].to_dataset(), given.front()
-    np.testing.assert_array_equal(data["bound"], front.values)
-    np.testing.assert_array_equal(data["objective"], front.objectives)
-    np.testing.assert_array_equal(data["shadow_price"], front.shadow_prices)
-    assert list(data["status"].values) == [one.status.name for one in front.solutions]
-    assert data["bound"].attrs["units"] == "m"
-
-
-def test_a_calibration_reopens_with_its_choice(tree):
     data, one = tree["calibration"].to_dataset(), given.calibration()
     assert data.attrs["chosen"] == one.sigmas
     assert (data.attrs["confirmed"], data.attrs["interrupted"]) == (1, 0)
@@ -79,11 +95,40 @@ def test_a_calibration_reopens_with_its_choice(tree):
     assert set(data["sigmas"].values) == {trial.sigmas for trial in one.trials}
 
 
+def test_a_front_reopens_along_its_bound_and_with_why_points_are_missing(tree):
+    data, front = tree["fronts/uOpt"].to_dataset(), given.front()
+    np.testing.assert_array_equal(data["bound"], [*front.values, -1.0])
+    np.testing.assert_array_equal(data["objective"], [*front.objectives, np.nan])
+    np.testing.assert_array_equal(data["shadow_price"], [*front.shadow_prices, np.nan])
+    assert list(data["status"].values)[:4] == [one.status.name for one in front.solutions]
+    whys = ["" if one.ok else one.why() for one in front.points]
+    assert list(data["why"].values)[:4] == whys
+    assert "No decision can meet it." in str(data["why"].values[-1])
+    assert data["bound"].attrs["units"] == "m"
+
+
+def test_a_front_of_controls_on_different_meshes_is_saved_whole(tmp_path):
+    found, name = given.collocated(), "inputs.push"
+    few = replace(found, decisions={**found.decisions, name: found.decisions[name][:3]})
+    save(tmp_path, front=Front("spread", np.array([0.05, 0.03]), (few, found)))
+    saved = reopened(tmp_path)["front"][f"decision {name}"].values
+    np.testing.assert_array_equal(saved[0][:3], few.decisions[name])
+    assert np.isnan(saved[0][3:]).all()
+    np.testing.assert_array_equal(saved[1], found.decisions[name])
+
+
+def test_a_front_that_was_interrupted_at_once_is_left_out(tmp_path):
+    nothing = Front(given.NAME, np.array([]), (), interrupted=True)
+    save(tmp_path, design=given.solution(), front=nothing)
+    assert list(reopened(tmp_path).children) == ["design"]
+    report(given.solution(), fronts=nothing, path=tmp_path / "report.html")
+
+
 def test_the_json_is_strict_and_says_what_was_found(stored):
     def refuse(constant):
         raise AssertionError(constant)
 
-    document = json.loads(stored[1].read_text(encoding="utf-8"), parse_constant=refuse)
+    document = json.loads((stored / "designs.json").read_text(encoding="utf-8"), parse_constant=refuse)
     design = document["designs/uOpt"]
     assert design["decisions"]["c.mean"]["value"] == float(given.solution().decisions["c.mean"])
     assert design["constraints"][0]["lower"] is None
@@ -91,43 +136,13 @@ def test_the_json_is_strict_and_says_what_was_found(stored):
     share = given.evidence().violations[given.NAME]
     assert design["evidence"]["violations"][given.NAME]["lower"] == share.lower
     assert document["designs/never"]["why"] == given.infeasible().why()
+    numbers = json_text({"a": np.nan, "b": [np.inf, np.float32(1.5)], "c": np.arange(2)})
+    assert json.loads(numbers) == {"a": None, "b": [None, 1.5], "c": [0, 1]}
 
 
-def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):
-    path = write_text(tmp_path / "page.html", "old")
+# --- Whole files -----------------------------------------------------------------------------------------------------
 
-    def half(file):
-        file.write_text("half", encoding="utf-8")
-        raise RuntimeError("killed")
-
-    with pytest.raises(RuntimeError, match="killed"):
-        write_whole(path, half)
-    assert path.read_text(encoding="utf-8") == "old"
-    assert [one.name for one in tmp_path.iterdir()] == ["page.html"]
-
-
-def test_a_folder_that_cannot_be_made_is_a_problem_that_names_it(tmp_path):
-    (tmp_path / "taken").write_text("a file", encoding="utf-8")
-    with pytest.raises(ProblemError, match="taken/results"):
-        check_writable(tmp_path / "taken" / "results")
-
-
-def test_a_name_with_a_slash_stays_one_variable(tmp_path):
-    named = replace(given.solution().constraints[0], name="a/b")
-    path, _ = save(tmp_path, **{"design": replace(given.solution(), constraints=(named,))})
-    with xarray.open_datatree(path, engine="h5netcdf") as opened:
-        assert "constraint 0 a∕b" in opened["design"].to_dataset()
-
-
-def test_a_point_of_a_front_that_was_refused_keeps_what_was_said(tmp_path):
-    front = given.front()
-    refused = Refused(front.solutions[0].problem, "No decision can meet it.")
-    longer = Front(front.bound, np.append(front.values, -1.0), (*front.points, refused))
-    save(tmp_path, front=longer)
-    data = xarray.open_datatree(tmp_path / "results.nc")["front"].to_dataset()
-    assert list(data["why"].values) == [*("" if one.ok else one.why() for one in front.points), refused.why()]
-    assert "No decision can meet it." in str(data["why"].values[-1])
-    assert str(refused) == "Refused before it was solved: No decision can meet it."
+NEW = {"a": b"new", "b": b"new", "c": b"new"}
 
 
 def contents(folder):
@@ -145,43 +160,30 @@ def test_files_that_belong_together_are_replaced_and_taken_away_together(old):
     assert contents(old) == {"a": b"new", "b": b"new"}
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="file sizes are limited on Unix only")
-def test_a_full_disk_is_one_sentence_and_leaves_earlier_results_whole(tmp_path):
-    # In a process of its own, whose files may not grow: HDF5 itself would end it.
-    script = f"""
-import resource
-import numpy as np, xarray
-from pathlib import Path
-from aleator import AleatorError
-from aleator.reporting import _store
-from aleator.reporting._files import write_text
-_store.tree = lambda results: xarray.DataTree(xarray.Dataset({{"x": ("t", np.arange(5000.0))}}))
-folder = Path({str(tmp_path)!r})
-_store.save(folder)
-before = (folder / "results.nc").read_bytes()
-resource.setrlimit(resource.RLIMIT_FSIZE, (2000, resource.RLIM_INFINITY))
-for write in (lambda: _store.save(folder), lambda: write_text(folder / "page.html", 5000 * "x")):
-    try:
-        write()
-    except AleatorError as error:
-        print(error)
-assert (folder / "results.nc").read_bytes() == before
-print(sorted(one.name for one in folder.iterdir()))
-"""
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    first, second, left = done.stdout.splitlines()
-    assert "File too large" in first
-    assert "File too large" in second
-    assert left == "['.aleator-lock', 'results.nc']"
+def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):
+    path = write_text(tmp_path / "page.html", "old")
+
+    def half(file):
+        file.write_text("half", encoding="utf-8")
+        raise RuntimeError("killed")
+
+    with pytest.raises(RuntimeError, match="killed"):
+        write_whole(path, half)
+    assert contents(tmp_path) == {"page.html": b"old"}
+
+
+@pytest.mark.parametrize("name", ["taken/results", "x" * 300 + ".html", "a\0b"], ids=["a file", "long", "null"])
+def test_a_place_that_cannot_be_written_to_is_a_problem_that_names_it(tmp_path, name):
+    (tmp_path / "taken").write_text("a file", encoding="utf-8")
+    with pytest.raises(ProblemError, match="cannot be written"):
+        write_text(tmp_path / name, "text")
+    with pytest.raises(ProblemError, match="cannot be written"):
+        check_writable(tmp_path / name)
 
 
 @pytest.mark.parametrize("fails", ["write_bytes", "replace", "chmod"])
 def test_a_disk_that_refuses_leaves_every_file_as_it_was(old, monkeypatch, fails):
-    before = contents(old)
-    calls = 0
-    genuine = getattr(Path, fails)
+    before, calls, genuine = contents(old), 0, getattr(Path, fails)
 
     def refuse(path, *arguments):
         nonlocal calls
@@ -193,7 +195,7 @@ def test_a_disk_that_refuses_leaves_every_file_as_it_was(old, monkeypatch, fails
 
     monkeypatch.setattr(Path, fails, refuse)
     with pytest.raises(ProblemError, match="No space left on device"):
-        write_together(old, {"a": b"new", "b": b"new", "c": b"new"})
+        write_together(old, NEW)
     assert contents(old) == before
 
 
@@ -219,7 +221,7 @@ def test_a_process_killed_between_two_steps_leaves_no_mixed_files(old, monkeypat
     monkeypatch.setattr(Path, "unlink", once_more(Path.unlink))
     monkeypatch.setattr(_files, "_sync", once_more(lambda folder: None))
     with pytest.raises(KilledError) if step < 10 else contextlib.nullcontext():
-        write_together(old, {"a": b"new", "b": b"new", "c": b"new"})
+        write_together(old, NEW)
     monkeypatch.undo()
     left = {name: content for name, content in contents(old).items() if not name.startswith(".aleator")}
     assert "a" in left
@@ -228,31 +230,12 @@ def test_a_process_killed_between_two_steps_leaves_no_mixed_files(old, monkeypat
     assert contents(old) == {"a": b"newer", "b": b"newer"}
 
 
-HOLDER = """
-import sys, time
-from pathlib import Path
-from aleator.reporting._lock import only_writer
-with only_writer(Path(sys.argv[1])):
-    print("held", flush=True)
-    sys.stdin.read()
-"""
-
-
-@pytest.mark.slow
-def test_a_second_process_is_told_that_a_folder_is_being_written_to(tmp_path, monkeypatch):
-    monkeypatch.setattr(_lock, "_PATIENCE", 0.1)
-    with subprocess.Popen(
-        [sys.executable, "-c", HOLDER, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as holder:
-        assert holder.stdout.readline() == "held\n"
-        with pytest.raises(ProblemError, match="Another process is writing"):
-            write_together(tmp_path, {"a": b"new"})
-        assert contents(tmp_path) == {}
-        holder.kill()
-        holder.wait()
-    # However a process ends, its folder is free again.
-    write_together(tmp_path, {"a": b"new"})
-    assert contents(tmp_path) == {"a": b"new"}
+def test_a_writer_within_a_writer_leaves_the_folder_locked(tmp_path):
+    with only_writer(tmp_path):
+        with only_writer(tmp_path):
+            assert has_writer(tmp_path)
+        assert has_writer(tmp_path)
+    assert not has_writer(tmp_path)
 
 
 def test_threads_that_write_into_one_folder_leave_files_of_one_of_them(tmp_path):
@@ -266,25 +249,45 @@ def test_threads_that_write_into_one_folder_leave_files_of_one_of_them(tmp_path)
     assert set(contents(tmp_path)) == {"a", "b", "c"}
 
 
-@pytest.mark.parametrize("name", ["x" * 300 + ".html", "a\0b"])
-def test_a_name_that_no_file_can_have_is_a_problem(tmp_path, name):
-    with pytest.raises(ProblemError, match="cannot be written"):
-        write_text(tmp_path / name, "text")
-    with pytest.raises(ProblemError, match="cannot be written"):
-        check_writable(tmp_path / name)
+# Of a process whose files may not grow, since HDF5 itself would end one whose disk is full; then of one that is killed.
+FULL = """
+import pathlib, resource, sys
+import numpy, xarray
+from aleator import AleatorError
+from aleator.reporting import _store
+from aleator.reporting._lock import only_writer
+_store.tree = lambda results: xarray.DataTree(xarray.Dataset({"x": ("t", numpy.arange(5000.0))}))
+folder = pathlib.Path(sys.argv[1])
+_store.save(folder)
+before = (folder / "results.nc").read_bytes()
+resource.setrlimit(resource.RLIMIT_FSIZE, (2000, resource.RLIM_INFINITY))
+try:
+    _store.save(folder)
+except AleatorError as error:
+    print(error)
+print((folder / "results.nc").read_bytes() == before, sorted(one.name for one in folder.iterdir()))
+with only_writer(folder):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
 
 
-def test_numbers_that_are_not_finite_become_null():
-    assert json.loads(json_text({"a": np.nan, "b": [np.inf, np.float32(1.5)], "c": np.arange(2)})) == {
-        "a": None,
-        "b": [None, 1.5],
-        "c": [0, 1],
-    }
-
-
-def test_a_front_that_was_interrupted_at_once_is_left_out(tmp_path):
-    nothing = Front(given.NAME, np.array([]), (), interrupted=True)
-    path, _ = save(tmp_path, design=given.solution(), front=nothing)
-    with xarray.open_datatree(path, engine="h5netcdf") as opened:
-        assert list(opened.children) == ["design"]
-    report(given.solution(), fronts=nothing, path=tmp_path / "report.html")
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="file sizes are limited on Unix only")
+def test_a_full_disk_leaves_earlier_results_whole_and_a_folder_is_free_again_when_its_writer_is_killed(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(_lock, "_PATIENCE", 0.1)
+    with subprocess.Popen(
+        [sys.executable, "-c", FULL, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as holder:
+        assert "File too large" in holder.stdout.readline()
+        assert holder.stdout.readline() == "True ['.aleator-lock', 'results.nc']\n"
+        assert holder.stdout.readline() == "held\n"
+        with pytest.raises(ProblemError, match="Another process is writing"):
+            write_together(tmp_path, NEW)
+        assert set(contents(tmp_path)) == {"results.nc"}
+        holder.kill()
+        holder.wait()
+    write_together(tmp_path, NEW)
+    assert contents(tmp_path).items() >= NEW.items()

@@ -1,10 +1,16 @@
-"""What every study has by its declaration: stages that count once they end, files, and a page that is honest."""
+"""What every study has by its declaration: stages that count once they end, files, and a page that is honest.
+
+A study whose members are of the wrong kind, or fail, ends with one sentence, and nothing found is lost.
+"""
 
 import json
-from dataclasses import dataclass
+import math
 from functools import cache
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+import xarray
 
 import aleator as al
 from aleator import extending as ext
@@ -17,56 +23,58 @@ def solved():
     return al.solve(bar_problem())
 
 
-@dataclass
-class Sweep:
-    interrupted: bool
+def nothing():
+    """A second stage that finds nothing."""
 
 
 class Two(ext.AbstractStudy):
-    """A design, and a sweep that may be cut short."""
+    """A design, and a second stage that does what it is given."""
 
     title = "Two stages"
     glossary = (("x", "What decays."),)
+    left_out = ""
 
-    def __init__(self, sweep=None, left_out=""):
-        self.sweep, self.spared = sweep or Sweep(interrupted=False), left_out
-        self.design = self.swept = None
+    def __init__(self, second=nothing):
+        self.second, self.ran, self.design = second, [], None
 
     @property
     def stages(self):
-        return {"design": ext.Stage(self.find, 1.0), "sweep": ext.Stage(self.go_on, 2.0)}
-
-    @property
-    def left_out(self):
-        return self.spared
+        return {"design": ext.Stage(self.find, 1.0), "second": ext.Stage(self.go_on, 2.0)}
 
     def find(self, progress):
         progress("solving", 0, 1)
+        self.ran.append("design")
         self.design = solved()
 
     def go_on(self, progress):
-        self.swept = self.sweep
-        ext.stop_if_interrupted(self.swept)
+        self.ran.append("second")
+        self.second()
 
     def cut_short(self):
-        if self.swept is not None and self.swept.interrupted:
-            yield "Of the sweep, half is kept."
+        if "second" in self.ran and "second" not in self.finished:
+            yield "Of the second, half is kept."
 
     def results(self):
         return {"design": self.design}
 
     def verdict(self):
-        return ext.Verdict("good", "Build", "It decays.")
+        return ext.Verdict("good", "Build", "It decays.", ["Build it."], [ext.Card("Rate", "1.1 1/s")])
 
     def tables(self):
-        return []
+        return [ext.Table("Found", ["what"], [["design"]])] if self.design else []
 
     def sections(self):
-        return [ext.Section("The decay", [ext.Text(["It decays."])] if self.design else []), ext.Section("Nothing", [])]
+        return [ext.Section("The decay", self.tables()), ext.Section("Nothing", [])]
 
 
-def finished(**options):
-    study = Two(**options)
+def failing(error):
+    def fail():
+        raise error
+
+    return fail
+
+
+def finished(study):
     for stage in study.stages:
         study.run(stage)
     return study
@@ -81,46 +89,55 @@ def unfinished(study):
     return text.paragraphs
 
 
-def test_a_study_that_came_to_its_end_has_its_sections_and_the_glossary():
-    study = finished()
-    assert study.finished == ("design", "sweep")
+def run(study, folder, capsys):
+    """The exit code, and what is said on the way and at the end."""
+    code = ext.run_study(study, folder)
+    captured = capsys.readouterr()
+    return code, " ".join(captured.err.split()), " ".join(captured.out.split())
+
+
+def page_of(folder):
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def saved_objective(folder):
+    return json.loads((folder / "designs.json").read_text(encoding="utf-8"))["design"]["objective"]["value"]
+
+
+# --- Studies that are right ------------------------------------------------------------------------------------------
+
+
+def test_a_study_that_came_to_its_end_has_its_sections_its_files_and_the_glossary(tmp_path):
+    study = finished(Two())
+    assert study.finished == ("design", "second")
     assert headings(study) == ["The decay", "Where this comes from", "How to read this"]
     assert study.page().sections[-1].blocks[-1].rows == study.glossary
     assert study.headline() == "Build: It decays."
+    study.left_out = "the sweep"
+    assert study.page().verdict.headline == "It decays. This was a quick run, without the sweep."
+    study.save(tmp_path)
+    page = study.write_page(tmp_path)
+    assert "It decays." in page.read_text(encoding="utf-8")
+    assert saved_objective(tmp_path) == study.design.objective
+    # An old page goes with its results.
+    study.save(tmp_path)
+    assert not page.exists()
 
 
 def test_a_study_that_has_not_begun_names_all_its_stages_whatever_others_have_finished():
-    assert finished().finished
+    assert finished(Two()).finished
     assert Two().finished == ()
-    assert unfinished(Two()) == ["Not reached or not completed: design and sweep."]
+    assert unfinished(Two()) == ["Not reached or not completed: design and second."]
     assert headings(Two()) == ["This run", "How to read this"]
 
 
 def test_a_stage_that_was_cut_short_keeps_what_it_found_and_is_not_finished():
-    study = Two(sweep=Sweep(interrupted=True))
+    study = Two(lambda: ext.stop_if_interrupted(SimpleNamespace(interrupted=True)))
     study.run("design")
     with pytest.raises(KeyboardInterrupt):
-        study.run("sweep")
-    assert study.swept is study.sweep
+        study.run("second")
     assert study.finished == ("design",)
-    assert unfinished(study) == ["Not reached or not completed: sweep.", "Of the sweep, half is kept."]
-
-
-def test_a_quick_run_says_what_it_leaves_out_in_its_verdict():
-    study = finished(left_out="the sweep")
-    assert study.page().verdict.headline == "It decays. This was a quick run, without the sweep."
-    assert study.headline().endswith("without the sweep.")
-
-
-def test_results_and_page_are_written_side_by_side_and_an_old_page_goes_with_its_results(tmp_path):
-    study = finished()
-    study.save(tmp_path)
-    page = study.write_page(tmp_path)
-    assert "It decays." in page.read_text(encoding="utf-8")
-    saved = json.loads((tmp_path / "designs.json").read_text(encoding="utf-8"))
-    assert saved["design"]["objective"]["value"] == study.design.objective
-    study.save(tmp_path)
-    assert not page.exists()
+    assert unfinished(study) == ["Not reached or not completed: second.", "Of the second, half is kept."]
 
 
 @pytest.mark.parametrize("name", STUDIES)
@@ -133,3 +150,133 @@ def test_every_study_of_the_list_begins_with_nothing_and_a_quick_run_does_less(n
         assert unfinished(study)[0].startswith(f"Not reached or not completed: {next(iter(study.stages))}, ")
         assert bool(study.left_out) == (quick and name != "clutch")
     assert set(load(name, quick=True).stages) <= set(load(name).stages)
+
+
+# --- Studies that are wrong ------------------------------------------------------------------------------------------
+
+FRAMES = {
+    "no stages": ("stages", property(lambda self: {}), "{}"),
+    "pairs": ("stages", property(lambda self: {"design": (print, 1.0)}), "'design': expected Stage"),
+    "no work": ("stages", property(lambda self: {"a": ext.Stage(lambda: None, 1.0)}), "'a': work: expected a function"),
+    "no share": ("stages", property(lambda self: {"a": ext.Stage(print, -1.0)}), "'a': share"),
+    "a method": ("stages", lambda self: {}, "a mapping of names to Stages, as a property"),
+    "no title": ("title", None, "expected"),
+    "half a glossary": ("glossary", [("only a term",)], "row 0: expected 2 texts"),
+}
+
+
+@pytest.mark.parametrize("what", FRAMES)
+def test_a_frame_of_another_kind_is_refused_before_anything_is_computed(what, tmp_path, capsys):
+    member, value, words = FRAMES[what]
+    study = type("Wrong", (Two,), {member: value})()
+    code, said, _ = run(study, tmp_path, capsys)
+    assert code == 2
+    assert said.startswith("error: ")
+    assert f"Wrong.{member}" in said
+    assert words in said
+    assert not study.ran
+
+
+SHOWN = {
+    "no verdict": ("verdict", ("good", "Done", "It decays."), "expected"),
+    "blocks as sections": ("sections", [ext.Text(["It decays."])], "expected"),
+    "no tables": ("tables", None, "expected"),
+    "no results": ("results", [1.0], "expected results by name: a mapping; received"),
+    "a number among results": ("results", {"more": {"other": math.sin}}, "'more': 'other'"),
+    "a name that is a place": ("results", {"..": None}, "'..'"),
+    "what netCDF cannot hold": ("results", {"other": xarray.Dataset({"x": ("a", [object()])})}, "'other'"),
+}
+
+
+@pytest.mark.parametrize("what", SHOWN)
+def test_what_cannot_be_shown_or_saved_is_told_on_a_page_that_keeps_the_rest(what, tmp_path, capsys):
+    member, value, words = SHOWN[what]
+    if isinstance(value, dict):
+        value = {**value, "design": solved()}
+    code, said, printed = run(type("Wrong", (Two,), {member: lambda self: value})(), tmp_path, capsys)
+    assert code == 1
+    assert said.count(f"Wrong.{member}") == 1
+    assert words in said
+    assert len(said) < 400
+    page = page_of(tmp_path)
+    assert f"Wrong.{member}" in page
+    assert "No recommendation after an error in" in page
+    assert "Build" not in page
+    assert "Failed: No recommendation after an error in" in printed
+    if what != "no results":
+        assert saved_objective(tmp_path) == solved().objective
+
+
+def test_a_result_may_have_any_name(tmp_path):
+    study = type("Right", (Two,), {"results": lambda self: {"folder": self.design, "self": self.design}})()
+    assert ext.run_study(study, tmp_path) == 0
+    assert set(json.loads((tmp_path / "designs.json").read_text(encoding="utf-8"))) == {"folder", "self"}
+
+
+BLOCKS = {
+    "a verdict of no level": lambda: ext.Verdict("great", "Build", "It decays."),
+    "a card with a number": lambda: ext.Card("Rate", 1.1),
+    "text that is no list": lambda: ext.Text("It decays."),
+    "a table with numbers": lambda: ext.Table("Found", ["what"], [[1.0]]),
+    "a table with a short row": lambda: ext.Table("Found", ["what", "how"], [["design"]]),
+    "a drawing of nothing": lambda: ext.Drawing([np.zeros(3)], "Nothing"),
+    "a section of texts": lambda: ext.Section("The decay", ["It decays."]),
+    "code that is a number": lambda: ext.Code("The problem", 3.0),
+    "a schematic of numbers": lambda: ext.Schematic([1.0], "The system"),
+}
+
+
+def test_a_block_of_a_page_is_checked_where_it_is_made(tmp_path, capsys):
+    for make in BLOCKS.values():
+        with pytest.raises(al.ProblemError, match=r"expected .*received"):
+            make()
+    study = type("Wrong", (Two,), {"tables": lambda self: [ext.Table("Found", ["what"], ["design"])]})()
+    code, said, _ = run(study, tmp_path, capsys)
+    assert code == 1
+    assert "Wrong.tables: Table 'Found': row 0: expected a list of texts; received 'design'." in said
+
+
+def test_a_study_that_fails_in_its_first_stage_writes_a_page_that_says_so(tmp_path, capsys):
+    study = type("Fails", (Two,), {"find": lambda self, progress: failing(OSError("no such road"))()})()
+    code, said, printed = run(study, tmp_path, capsys)
+    assert code == 1
+    assert "error during 'design': no such road" in said
+    page = page_of(tmp_path)
+    assert "No recommendation after an error in the stage &#39;design&#39;." in page
+    assert "no such road" in page
+    assert "Not reached or not completed: design and second." in page
+    assert "Build" not in page + printed
+
+
+@pytest.mark.parametrize("error", [al.SolveError("no point"), ValueError("a slip")], ids=repr)
+def test_after_a_failure_chapters_and_numbers_are_kept_and_nothing_is_recommended(error, tmp_path, capsys):
+    study = Two(failing(error))
+    if isinstance(error, ValueError):  # raised with its place once everything is written
+        with pytest.raises(ValueError, match="a slip"):
+            ext.run_study(study, tmp_path)
+        assert "error during 'second': ValueError: a slip" in capsys.readouterr().err
+    else:
+        assert run(study, tmp_path, capsys)[0] == 1
+    page = page_of(tmp_path)
+    for kept in ("The decay", "1.1 1/s", str(error), "Not reached or not completed: second."):
+        assert kept in page
+    assert "Build" not in page
+    assert {path.name for path in tmp_path.iterdir()} >= {"results.nc", "designs.json", "report.html"}
+    assert study.headline() == "Failed: No recommendation after an error in the stage 'second'."
+
+
+@pytest.mark.parametrize("member", ["verdict", "sections", "tables", "results", "cut_short"])
+def test_a_slip_in_what_a_study_says_is_raised_once_a_page_is_written(member, tmp_path):
+    study = type("Slips", (Two,), {member: lambda self: failing(KeyError("a slip"))()})(failing(al.SolveError("no")))
+    with pytest.raises(KeyError, match="a slip"):
+        ext.run_study(study, tmp_path)
+    assert "No recommendation after an error in " in page_of(tmp_path)
+    assert "KeyError" in page_of(tmp_path)
+
+
+def test_what_there_is_not_is_refused_by_name(tmp_path):
+    with pytest.raises(al.ProblemError, match="expected one of the stages design and second; received 'third'"):
+        Two().run("third")
+    with pytest.raises(al.ProblemError, match="save: 'more': 'other': expected Solution"):
+        ext.save(tmp_path, design=solved(), more={"other": 3.5})
+    assert list(tmp_path.iterdir()) == []

@@ -11,33 +11,24 @@ from aleator.studies._toml._schema import StudyFile
 PAIRS = {
     ("60 rpm", "Hz"): 1.0,
     ("60 rpm", "rad/s"): 6.283185307179586,
-    ("6.283185307179586 rad/s", "Hz"): 1.0,
-    ("2 kHz", "rad/s"): 12566.370614359172,
-    ("1 Hz", "rpm"): 60.0,
     ("1 rev/s", "rad/s"): 6.283185307179586,
-    ("360 deg/s", "Hz"): 1.0,
     ("60 1/min", "Hz"): 1.0,
     ("180°", "rad"): 3.141592653589793,
-    ("60 arcmin", "deg"): 1.0,
     ("1 mrad", "deg"): 0.057295779513082320,
     ("1 N m/deg", "N m/rad"): 57.29577951308232,
     ("1 N m/rad", "N m"): 1.0,
     ("2 kN m s/deg", "N m s/rad"): 114591.55902616465,
     ("1 N m/rpm", "N m s/rad"): 9.549296585513721,
     ("1 rpm/s", "rad/s^2"): 0.10471975511965977,
-    ("1 Hz/s", "rad/s²"): 6.283185307179586,
     ("1 m²/Hz", "m² s/rad"): 0.15915494309189535,
     ("1 N m rad/s", "W"): 1.0,
-    ("3 mm2", "m^2"): 3e-6,
     ("2 kNm", "N m"): 2000.0,
     ("5 m s-1", "km/h"): 18.0,
-    ("1/s", "Hz"): 1.0,
     ("12e-6 /K", "1/K"): 12e-6,
     ("5 %", "-"): 0.05,
     ("1 W/(m² K)", "mW/(mm^2 K)"): 1e-3,
     ("20 °C", "degC"): 20.0,
     ("1 1/degC", "1/K"): 1.0,
-    ("7 EUR", "EUR"): 7.0,
 }
 
 
@@ -49,18 +40,12 @@ def test_quantities_are_converted_with_their_angles():
     ("text", "unit", "word"),
     [
         ("60 1/min", "rad/s", "expected a unit with the angles of 'rad/s'; received '1/min', which says nothing"),
-        ("100 %", "rad", "which says nothing of turns or radians"),
         ("60 rpm", "1/s", "another power of angles"),
-        ("1 N m/deg", "N m", "another power of angles"),
         ("1 kg2", "kg", "Write factors apart and powers with '^', as in 'N m', 'kg m^2' and '1/s'"),
         ("1 J/kg K", "J/(kg K)", "can be read in one way alone; received 'J/kg K'. Write brackets."),
         ("1/8 in", "mm", "expected one number, with a decimal point"),
-        ("1 000 mm", "mm", "expected one number, with a decimal point"),
         ("20 degC", "K", "expected a unit whose zero is that of 'K'; received 'degC': convert it."),
-        ("300 K", "degC", "whose zero"),
-        ("2 dB", "1", "whose zero"),
         ("1e400 mm", "mm", "expected a finite quantity"),
-        ("a lot", "mm", "expected a quantity"),
         ("1 mm", "", "declares none here"),
         ("1 ± 0.1 mm", "mm", "without tolerances"),
     ],
@@ -74,12 +59,8 @@ def test_quantities_that_have_two_meanings_or_none_are_refused(text: str, unit: 
 ZONES = {
     "20 -0.02/-0.04 mm": (19.96, 19.98),
     "20 +0.1/0 mm": (20.0, 20.1),
-    "20 0/-0.1 mm": (19.9, 20.0),
     "8 +0.1 0 mm": (8.0, 8.1),
-    "1 +0.3/+0.1 mm": (1.1, 1.3),
     "20 -0/+0.1 mm": (20.0, 20.1),
-    "20 ± 0.1mm": (19.9, 20.1),
-    "20 +/- 0.1 mm": (19.9, 20.1),
     "20 +-0.1 mm": (19.9, 20.1),
     "20 +0.05/\N{MINUS SIGN}0.02 mm": (19.98, 20.05),
     "20 +1e-1/-2e-1 mm": (19.8, 20.1),
@@ -106,20 +87,17 @@ def test_what_no_drawing_says_is_refused():
             amount(text, "mm")
 
 
-@pytest.mark.parametrize(
-    ("content", "place"),
-    [
-        ({"model": {"load": True}}, ("model", "load")),
-        ({"model": {"load": {"distribution": "Normal", "mean": 1.0, "std": False}}}, ("model", "load")),
-        ({"limits": {"stress": True}}, ("limits", "stress")),
-        ({"sigmas": {"stress": "2"}}, ("sigmas", "stress")),
-        ({"sweeps": {"stress": [True]}}, ("sweeps", "stress")),
-        ({"solver": {"name": "Slsqp", "tolerance": "1e-3"}}, ("solver",)),
-        ({"grid": {"t_final": True}}, ("grid", "t_final")),
-        ({"deterministic": 1}, ("deterministic",)),
-    ],
-)
-def test_truth_values_and_texts_are_no_numbers(content: dict, place: tuple):
-    with pytest.raises(ValidationError) as refused:
-        StudyFile.model_validate({"problem": "bar:problem", **content})
-    assert refused.value.errors()[0]["loc"][: len(place)] == place
+MISTAKEN = [
+    ({"model": {"load": True}}, ("model", "load")),
+    ({"model": {"load": {"distribution": "Normal", "mean": 1.0, "std": False}}}, ("model", "load")),
+    ({"sigmas": {"stress": "2"}}, ("sigmas", "stress")),
+    ({"solver": {"name": "Slsqp", "tolerance": "1e-3"}}, ("solver",)),
+    ({"deterministic": 1}, ("deterministic",)),
+]
+
+
+def test_truth_values_and_texts_are_no_numbers():
+    for content, place in MISTAKEN:
+        with pytest.raises(ValidationError) as refused:
+            StudyFile.model_validate({"problem": "bar:problem", **content})
+        assert refused.value.errors()[0]["loc"][: len(place)] == place

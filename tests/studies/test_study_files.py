@@ -112,30 +112,20 @@ def loaded(text: str) -> Study:
 # --- In Python -------------------------------------------------------------------------------------------------------
 
 
-def test_a_file_with_a_problem_alone_is_a_study(here: Path):
-    code, said = aleator("run", "bar.py")
-    assert code == 0, said
-    designs = json.loads((here / "results/bar/designs.json").read_text())
-    assert designs["designs/problem"]["objective"]["value"] == pytest.approx(NEEDED / 0.5, rel=1e-6)
-    assert (here / "results/bar/report.html").is_file()
-    assert "evidence on problem" in said
-    assert "earlier run" not in said
-    assert "2 results were taken from an earlier run" in aleator("run", "bar.py")[1]
-    _, listed = aleator("list", "results/bar")
-    assert "solve Bar" in listed
-    assert "validate Bar" in listed
-    assert aleator("list", "results")[0] == 2
-
-
 def test_a_declared_study_sweeps_and_trades_off(here: Path):
     (here / "bar.py").write_text(SWEPT)
-    assert aleator("run", "bar.py", "--out", "there")[0] == 0
-    page = (here / "there/report.html").read_text()
+    code, said = aleator("run", "bar.py")
+    assert code == 0, said
+    assert "evidence on robust" in said
+    folder = here / "results/bar"
+    designs = json.loads((folder / "designs.json").read_text())
+    assert designs["designs/robust"]["objective"]["value"] == pytest.approx(NEEDED / 0.5, rel=1e-6)
+    page = (folder / "report.html").read_text()
     assert "Bar [v2]" in page
     assert "Trade-off: mass against stress" in page
     for value in NEEDED / np.array([0.5, 0.8]):
         assert f"{value:.3g}" in page
-    with xarray.open_datatree(here / "there/results.nc", engine="h5netcdf") as tree:
+    with xarray.open_datatree(folder / "results.nc", engine="h5netcdf") as tree:
         along = {name: one.to_dataset() for name, one in tree["along/stress"].children.items()}
     assert list(along) == ["stress = 0.5", "stress = 0.8"]
     for one in along.values():
@@ -143,23 +133,16 @@ def test_a_declared_study_sweeps_and_trades_off(here: Path):
         assert float(one["violation"].sel(limit="stress")) == 0.0
 
 
-def test_a_quick_run_takes_fewer_samples_and_points(here: Path):
-    assert load("bar.py", quick=True).solves == 1
-    (here / "bar.py").write_text(SWEPT)
+def test_an_importable_module_is_a_study_of_which_a_quick_run_takes_fewer_samples_and_points(here: Path):
+    (here / "bar.py").write_text(SWEPT + "\ndef declared():\n    return problem\n")
+    sys.path.insert(0, str(here))
+    for place in ("bar:problem", "bar:declared"):
+        assert len(load(place).problems) == 1
     study = load("bar.py", quick=True)
     assert isinstance(study, Study)
     assert study.samples == 500 // 20
     assert study.solves == 1 + 1 + 2
     assert "all samples" in study.left_out
-
-
-@pytest.mark.parametrize("place", ["bar.py", "bar:problem", "bar:declared"])
-def test_an_importable_module_is_a_study(here: Path, place: str):
-    (here / "bar.py").write_text(FILE + "\ndef declared():\n    return problem\n")
-    sys.path.insert(0, str(here))
-    study = load(place)
-    assert isinstance(study, Study)
-    assert len(study.problems) == 1
 
 
 def test_what_is_done_is_told_before_anything_is_spent(here: Path):
@@ -178,14 +161,11 @@ def test_a_new_study_can_be_checked(here: Path):
     assert aleator("new", "bracket.py")[0] == 0
     code, said = aleator("check", "bracket.py")
     assert code == 0, said
-    code, said = aleator("new", "bracket.py")
-    assert code == 2
-    assert "exists already" in said
     (here / "taken").write_text("a file in the place of a folder")
-    code, said = aleator("new", "taken/bracket.py")
-    assert code == 2
-    assert "cannot be written" in said
-    assert "name a file in a folder of your own" in said
+    for place, refusal in (("bracket.py", "exists already"), ("taken/bracket.py", "cannot be written")):
+        code, said = aleator("new", place)
+        assert code == 2
+        assert refusal in said
 
 
 @pytest.mark.slow
@@ -197,46 +177,35 @@ def test_a_new_study_runs_as_it_is(here: Path):
     assert {one["status"] for one in designs.values()} == {al.Status.SOLVED.value}
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "said"),
-    [
-        ("wrong.py", "import aleator as al\nx = 1 / 0\n", r"wrong.py, line 2: ZeroDivisionError: division by zero"),
-        ("wrong.py", "def f(:\n", r"wrong.py, line 1: "),
-        ("wrong.py", "import aleator as al\n", "expected a study, such as"),
-        ("wrong.py", "study = 3\n", "wrong.py: study: expected AbstractStudy"),
-        ("wrong.py", "import nothing_of_this_name\n", "wrong.py, line 1: ModuleNotFoundError"),
-        ("wrong.py", "import aleator as al\nal.Study({})\n", "line 2: Study: designs: expected a problem"),
-        ("wrong.py", "import sys\nsys.exit(3)\n", "wrong.py, line 2: SystemExit: 3"),
-        ("missing.py", "", "There is no file 'missing.py'"),
-        ("no_such_package.module", "", "There is no module 'no_such_package'"),
-        ("json:problem", "", "the module has no 'problem'"),
-        ("json:dumps", "", "json:dumps: TypeError"),
-        ("bars", "", "There is no study 'bars'"),
-    ],
-)
-def test_a_study_that_is_wrong_or_not_there_is_refused_with_its_line(here: Path, name: str, text: str, said: str):
+WRONG = {
+    "a slip": (
+        "wrong.py",
+        "import aleator as al\nx = 1 / 0\n",
+        "wrong.py, line 2: ZeroDivisionError: division by zero",
+    ),
+    "no Python": ("wrong.py", "def f(:\n", "wrong.py, line 1: "),
+    "no study": ("wrong.py", "import aleator as al\n", "expected a study, such as"),
+    "nothing to study": (
+        "wrong.py",
+        "import aleator as al\nal.Study({})\n",
+        "line 2: Study: designs: expected a problem",
+    ),
+    "an exit": ("wrong.py", "import sys\nsys.exit(3)\n", "wrong.py, line 2: SystemExit: 3"),
+    "a missing file": ("missing.py", "", "There is no file 'missing.py'"),
+    "a missing module": ("no_such_package.module", "", "There is no module 'no_such_package'"),
+    "a missing name": ("json:problem", "", "the module has no 'problem'"),
+    "a function that fails": ("json:dumps", "", "json:dumps: TypeError"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_a_study_that_is_wrong_or_not_there_is_refused_with_its_line(here: Path, what: str):
+    name, text, said = WRONG[what]
     (here / "wrong.py").write_text(text)
     code, told = aleator("run", name)
     assert code == 2, told
     assert said in told
     assert "Traceback" not in told
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"sweeps": {"strain": [1.0]}}, "strain"),
-        ({"sweeps": {"stress": ["a"]}}, "sweep over 'stress'"),
-        ({"points": 1}, "points"),
-        ({"wishes": {"mass": 3, "stress": 4}}, "wish 'mass'"),
-        ({"wishes": {"mass": al.output("mass").mean}}, "two"),
-        ({"solver": "ipopt"}, "solver"),
-    ],
-)
-def test_a_study_that_cannot_be_run_is_refused_when_it_is_declared(here: Path, options: dict, said: str):
-    problem = load("bar.py").problems["problem"]
-    with pytest.raises(al.ProblemError, match=said):
-        Study(problem, **options)
 
 
 # --- In TOML ---------------------------------------------------------------------------------------------------------
@@ -253,27 +222,23 @@ def test_a_file_changes_numbers_limits_margins_expansion_and_solver_in_their_uni
     assert study.solves == 2 + 2
 
 
-@pytest.mark.parametrize(
-    ("text", "load"),
-    [
-        ("load = 2.0", 2.0),
-        ('load = "2000 N"', 2.0),
-        ('load = "2000 ± 30 N"', al.Toleranced(2.0, tolerance=0.03)),
-        ('load = "2 +0.3/-0.1 kN"', al.Toleranced(2.0, plus=0.3, minus=0.1)),
-        ('load = "2000 +300/+100 N"', al.Toleranced(2.0, plus=0.3, minus=-0.1)),
-        ('load = { distribution = "Normal", mean = 2, std = "100 N" }', al.Normal(2.0, 0.1)),
-        (
-            'load = { distribution = "Normal", mean = { start = "2 kN", upper = "3000 N" }, std = 0.1 }',
-            al.Normal(al.Decision(2.0, upper=3.0), 0.1),
-        ),
-        ('load = { distribution = "Beta", alpha = 2, beta = 5, lower = "1 kN", upper = "2 kN" }',
-         al.Beta(alpha=2.0, beta=5.0, lower=1.0, upper=2.0)),
-    ],
-)  # fmt: skip
-def test_quantities_are_those_that_python_would_declare(here: Path, text: str, load):
-    (problem,) = loaded(f'problem = "bar:problem"\n[model]\n{text}\n').problems.values()
-    found = problem.system.load
-    assert str(found) == str(load)
+PYTHON = {
+    'load = "2000 N"': 2.0,
+    'load = "2000 ± 30 N"': al.Toleranced(2.0, tolerance=0.03),
+    'load = "2000 +300/+100 N"': al.Toleranced(2.0, plus=0.3, minus=-0.1),
+    'load = { distribution = "Normal", mean = { start = "2 kN", upper = "3000 N" }, std = 0.1 }': al.Normal(
+        al.Decision(2.0, upper=3.0), 0.1
+    ),
+    'load = { distribution = "Beta", alpha = 2, beta = 5, lower = "1 kN", upper = "2 kN" }': al.Beta(
+        alpha=2.0, beta=5.0, lower=1.0, upper=2.0
+    ),
+}
+
+
+def test_quantities_are_those_that_python_would_declare(here: Path):
+    for text, load_ in PYTHON.items():
+        (problem,) = loaded(f'problem = "bar:problem"\n[model]\n{text}\n').problems.values()
+        assert str(problem.system.load) == str(load_)
 
 
 def test_a_tolerance_of_a_positive_number_is_refused_with_the_distribution_that_is_taken(here: Path):
@@ -289,13 +254,6 @@ def test_a_tolerance_of_a_positive_number_is_refused_with_the_distribution_that_
     assert found.parameters["scale"] == pytest.approx(0.035 / 3)
 
 
-def test_a_check_prints_the_plain_numbers_of_the_model_with_their_units(here: Path):
-    Path("bar.toml").write_text('problem = "bar:problem"\n[model]\nload = "0.0012 MN"\n', encoding="utf-8")
-    result = CliRunner().invoke(cli.application, ["check", "bar.toml", "--json"])
-    (problem,) = json.loads(result.stdout)["problems"].values()
-    assert problem["numbers"] == {"load": {"value": pytest.approx(1.2), "unit": "kN"}}
-
-
 def test_two_bounds_make_a_limit_on_a_mean_two_sided(here: Path):
     with Path("bar.py").open("a", encoding="utf-8") as file:
         file.write('\nheavy = al.Problem(bar, minimize=stress.std, subject_to=[al.output("mass").mean >= 1.0])\n')
@@ -303,48 +261,31 @@ def test_two_bounds_make_a_limit_on_a_mean_two_sided(here: Path):
     assert [(float(one.lower), float(one.upper)) for one in problem.constraints] == [(2.0, 3.0)]
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "line", "said"),
-    [
-        ("samples = 2000", "sampels = 2000", 3, "sampels: is unknown. Did you mean 'samples'?"),
-        ("samples = 2000", 'samples = "many"', 3, "samples: input should be a valid integer"),
-        ("samples = 2000", "samples = 1", 3, "samples: input should be greater than or equal to 2"),
-        ("bar:problem", "bar:problems", 1, "no 'problems'. Did you mean 'problem'?"),
-        ("bar:problem", "no_such_module:problem", 1, "There is no module 'no_such_module'"),
-        ("load = {", "laod = {", 8, "laod: the model has no number of this name. Did you mean 'load'?"),
-        ('"2000 N"', '"2000 kg"', 8, "expected a unit that can be converted to 'kN'; received 'kg'"),
-        ('"2000 N"', '"a lot"', 8, "expected a quantity"),
-        ('"2000 N"', "nan", 8, "finite"),
-        ('"Uniform"', '"Unifrom"', 8, "model.load.distribution"),
-        ('"2000 N"', "true", 8, "input should be a valid number"),
-        ("stress = 2\n", 'stress = "2"\n', 15, "valid number"),
-        ('{ distribution = "Uniform", mean', '{ distribution = "Beta", alpha = "2", mean', 8, "received the text '2'"),
-        ('stress = "600 N/mm"', "stress = [0.5, 0.6]", 12, "Constraint 'stress': expected one number"),
-        ("half_width = 0.3", "halfwidth = 0.3", 8, "Uniform has no parameter 'halfwidth'"),
-        ("half_width = 0.3", "half_width = -0.3", 8, "half_width"),
-        ("lower = 0.1", "lower = 70", 9, "A Decision"),
-        ("lower = 0.1", "least = 0.1", 9, "least: is unknown"),
-        ('stress = "600 N/mm"', 'strain = "600 N/mm"', 12, "strain"),
-        ('stress = "600 N/mm"', 'stress = "600 N"', 12, "expected a unit that can be converted to 'kN/mm'"),
-        ("stress = 2\n", "stress = -2\n", 15, "greater than 0"),
-        ("order = 4", "order = 0.5", 18, "valid integer"),
-        ('"Slsqp"', '"SLSQP"', 21, "solver.name"),
-        ("max_iterations", "max_iteratoins", 20, "Did you mean 'max_iterations'?"),
-        ("[0.5,", "[", 25, ""),
-        ("title =", "title", 2, "expected TOML"),
-        ('[sweeps]\nstress = [0.5, "0.6 kN/mm"]', "[grid]\nsteps = 5", 24, "the model has no time"),
-    ],
-)  # fmt: skip
+MISTAKES = [
+    ("samples = 2000", "sampels = 2000", 3, "sampels: is unknown. Did you mean 'samples'?"),
+    ("samples = 2000", "samples = 1", 3, "samples: input should be greater than or equal to 2"),
+    ("bar:problem", "bar:problems", 1, "no 'problems'. Did you mean 'problem'?"),
+    ("load = {", "laod = {", 8, "laod: the model has no number of this name. Did you mean 'load'?"),
+    ('"2000 N"', '"2000 kg"', 8, "expected a unit that can be converted to 'kN'; received 'kg'"),
+    ('"2000 N"', "nan", 8, "finite"),
+    ('"Uniform"', '"Unifrom"', 8, "model.load.distribution"),
+    ('stress = "600 N/mm"', "stress = [0.5, 0.6]", 12, "Constraint 'stress': expected one number"),
+    ("half_width = 0.3", "halfwidth = 0.3", 8, "Uniform has no parameter 'halfwidth'"),
+    ("lower = 0.1", "lower = 70", 9, "A Decision"),
+    ('stress = "600 N/mm"', 'strain = "600 N/mm"', 12, "strain"),
+    ("stress = 2\n", "stress = -2\n", 15, "greater than 0"),
+    ("max_iterations", "max_iteratoins", 20, "Did you mean 'max_iterations'?"),
+    ("title =", "title", 2, "expected TOML"),
+    ('[sweeps]\nstress = [0.5, "0.6 kN/mm"]', "[grid]\nsteps = 5", 24, "the model has no time"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "line", "said"), MISTAKES)
 def test_what_is_wrong_is_told_with_its_line(here: Path, old: str, new: str, line: int, said: str):
     assert WHOLE.count(old) >= 1
-    text = WHOLE.replace(old, new, 1)
-    Path("bar.toml").write_text(text, encoding="utf-8")
-    result = CliRunner().invoke(cli.application, ["check", "bar.toml"])
-    if not said:  # still right
-        assert result.exit_code == 0
-        return
-    told = " ".join(result.output.split())
-    assert result.exit_code == 2, result.output
+    Path("bar.toml").write_text(WHOLE.replace(old, new, 1), encoding="utf-8")
+    code, told = aleator("check", "bar.toml")
+    assert code == 2, told
     assert re.search(rf"bar.toml, line {line}\b|at line {line}\b", told), told
     assert said in told
 
@@ -354,7 +295,7 @@ def test_many_files_with_something_wrong_end_in_one_sentence_each(here: Path):
     keys = ["problem", "title", "samples", "deterministic", "load", "width", "stress", "order", "name", "mean", "start"]
     values = ['"?"', "[]", "{}", "nan", "-1e400", "[[1]]", "{ a = 1 }", "1979-05-27", '"3 parsec/fortnight"', "true"]
     said: list[str] = []
-    for _ in range(100):
+    for _ in range(60):
         key = generator.choice(keys)
         if generator.random() < 0.4:
             at = generator.randrange(len(key))
@@ -366,12 +307,12 @@ def test_many_files_with_something_wrong_end_in_one_sentence_each(here: Path):
             load("bar.toml")
         except al.ProblemError as error:
             said.append(str(error))
-    assert len(said) > 70
+    assert len(said) > 40
     assert [one for one in said if not re.search(r"line \d+", one) or "\n" in one] == []
 
 
 def test_the_schema_names_every_key_and_is_printed():
-    result = CliRunner().invoke(cli.application, ["schema"])
-    assert result.exit_code == 0
+    code, said = aleator("schema")
+    assert code == 0
     assert set(schema()["properties"]) >= {"problem", "model", "limits", "sigmas", "sweeps", "grid", "solver"}
-    assert '"Uniform"' in result.output
+    assert '"Uniform"' in said
