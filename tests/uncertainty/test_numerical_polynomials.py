@@ -1,13 +1,11 @@
-"""Polynomials of distributions known by their density or data, against closed forms, chaospy, scipy and exact
-moments.
-"""
+"""Polynomials of distributions known by their density or data, against closed forms, scipy and exact moments."""
 
 import math
 from fractions import Fraction
 
 import numpy as np
 import pytest
-from scipy import special, stats
+from scipy import stats
 
 from aleator._core.errors import ProblemError
 from aleator.uncertainty import (
@@ -29,7 +27,6 @@ ORDER = 30
 CLOSED = {
     "hermite": (HermiteGerm(), lambda x: np.exp(-(x**2) / 2), -np.inf, np.inf),
     "laguerre, singular": (LaguerreGerm(0.3), lambda x: x**-0.7 * np.exp(-x), 0, np.inf),
-    "laguerre, large": (LaguerreGerm(9.0), lambda x: x**8 * np.exp(-x) / 1e5, 0, np.inf),
     "jacobi": (JacobiGerm(2.5, 4.0), lambda x: (1 + x) ** 1.5 * (1 - x) ** 3, -1, 1),
 }
 
@@ -64,10 +61,7 @@ def bumpy(x):
 # germ, SciPy's distribution
 GERMS = {
     "triangular": (TriangularGerm(0.3), stats.triang(0.3, -1, 2)),
-    "triangular, at the end": (TriangularGerm(1.0), stats.triang(1.0, -1, 2)),
     "truncated normal": (TruncatedNormalGerm(-1.0, 2.5), stats.truncnorm(-1, 2.5)),
-    "half normal": (TruncatedNormalGerm(0.0, np.inf), stats.halfnorm()),
-    "weibull": (WeibullGerm(1.5), stats.weibull_min(1.5)),
     "weibull, singular": (WeibullGerm(0.7), stats.weibull_min(0.7)),
     "gumbel": (GumbelGerm(), stats.gumbel_r()),
 }
@@ -127,12 +121,6 @@ def test_gauss_rules_quantiles_and_probabilities_agree_with_scipy(case):
     assert germ.cumulative(distribution.ppf(levels)) == pytest.approx(levels, rel=1e-10)
 
 
-def test_high_moments_of_the_weibull_distribution_are_gamma_functions():
-    nodes, weights = WeibullGerm(1.5).gauss(15)
-    for degree in range(30):
-        assert weights @ nodes**degree == pytest.approx(special.gamma(1 + degree / 1.5), rel=1e-11)
-
-
 def test_a_density_with_kinks_and_jumps_has_the_moments_of_its_pieces():
     total = Fraction(7, 10) + Fraction(64, 100)  # of the jump and of the ramp; the exponential is added below
     germ = DensityGerm(bumpy, 0.0, 1.0)
@@ -169,13 +157,6 @@ def test_polynomials_of_a_sample_are_orthonormal_under_the_data_up_to_the_last_o
     highest = min(np.unique(data).size - 1, 12)
     values = germ.polynomials(highest, data)
     assert values.T @ values / data.size == pytest.approx(np.eye(highest + 1), abs=1e-10)
-
-
-def test_the_gauss_rule_of_a_sample_has_its_moments():
-    data = 1e5 + np.random.default_rng(6).gumbel(size=200)
-    nodes, weights = SampleGerm(data).gauss(6)
-    for degree in range(12):
-        assert weights @ (nodes - 1e5) ** degree == pytest.approx(np.mean((data - 1e5) ** degree), rel=1e-7)
 
 
 def test_a_sample_of_n_values_is_its_own_gauss_rule_of_n_points():
