@@ -52,14 +52,13 @@ def test_other_numbers_and_decisions_need_no_other_trace(traces):
     assert traces.count("'<lambda>'") == 1
 
 
-@pytest.mark.parametrize("mean", [expanded, sampled])
-def test_a_changed_global_is_read(mean, monkeypatch):
+def test_a_changed_global_is_read(monkeypatch):
     def response(m):
         return GAIN["value"] + 0.0 * m["x"]
 
     for gain in (2.0, 4.0, 2.0):
         monkeypatch.setitem(GAIN, "value", gain)
-        assert mean(response, INPUT) == pytest.approx(gain)
+        assert expanded(response, INPUT) == pytest.approx(gain)
 
 
 def test_whole_numbers_of_the_model_are_part_of_the_equations():

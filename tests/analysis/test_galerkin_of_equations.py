@@ -9,6 +9,7 @@ import pytest
 
 import aleator as al
 from aleator.expansion import SmolyakPoints
+from compiling import compiled
 
 
 class Spring(al.AlgebraicSystem):
@@ -42,25 +43,30 @@ class Root(al.AlgebraicSystem):
         return {"x": rho.x, "square": rho.x**2}
 
 
-def test_a_stiffness_that_is_uniform_gives_the_moments_of_its_integrals():
+def test_a_stiffness_that_is_uniform_gives_the_moments_of_its_integrals_and_their_derivative():
     """`E[f/k] = f/(2h) log((m + h)/(m - h))` and `E[(f/k)²] = f²/((m - h)(m + h))`, here for m = 1, h = 0.5, f = 2."""
-    expanded = al.galerkin(Spring(al.Uniform(1.0, half_width=0.5)), expansion=al.Expansion(14))
-    mean = 2.0 * np.log(3.0)
-    assert float(expanded.mean["u"]) == pytest.approx(mean, rel=1e-12)
-    assert float(expanded.variance["u"]) == pytest.approx(4 / 0.75 - mean**2, rel=1e-10)
+
+    def moments(h):
+        expanded = al.galerkin(Spring(al.Uniform(1.0, half_width=h)), expansion=al.Expansion(14))
+        return expanded.mean["u"], expanded.variance["u"]
+
+    (mean, variance), (slope, _) = compiled(lambda h: (moments(h), jax.jacfwd(moments)(h)))(0.5)
+    exact = 2.0 * np.log(3.0)
+    assert float(mean) == pytest.approx(exact, rel=1e-12)
+    assert float(variance) == pytest.approx(4 / 0.75 - exact**2, rel=1e-10)
+    assert float(slope) == pytest.approx(2.0 * (2 / 0.75 - np.log(3.0) / 0.5), rel=1e-9)
 
 
 @pytest.mark.filterwarnings("ignore:galerkin:aleator.ExpansionWarning")
-@pytest.mark.parametrize("order", [2])
-def test_the_coefficients_of_a_linear_equation_solve_the_projected_one(order):
+def test_the_coefficients_of_a_linear_equation_solve_the_projected_one():
     """`k u = f` with `k = m + h xi` projects to `(m I + h J) c = f e_0`, with Jacobi's matrix of Legendre's recurrence:
     so far from converged, this is Galerkin's own answer and no other method's.
     """
-    expanded = al.galerkin(Spring(al.Uniform(1.0, half_width=0.5)), expansion=al.Expansion(order))
-    n = np.arange(1, order + 1)
+    expanded = al.galerkin(Spring(al.Uniform(1.0, half_width=0.5)), expansion=al.Expansion(2))
+    n = np.arange(1, 3)
     off = n / np.sqrt(4 * n**2 - 1)
-    projected = np.eye(order + 1) + 0.5 * (np.diag(off, 1) + np.diag(off, -1))
-    expected = np.linalg.solve(projected, 2.0 * np.eye(order + 1)[0])
+    projected = np.eye(3) + 0.5 * (np.diag(off, 1) + np.diag(off, -1))
+    expected = np.linalg.solve(projected, 2.0 * np.eye(3)[0])
     assert np.asarray(expanded.coefficients["u"]) == pytest.approx(expected, rel=1e-13)
 
 
@@ -83,12 +89,12 @@ class Chain(al.AlgebraicSystem):
     end: Any
 
     def guess(self):
-        return {"places": self.end * jnp.array([0.3, 0.6]), "force": 1.0}
+        return {"places": self.end * np.array([0.3, 0.6]), "force": 1.0}
 
     def residual(self, rho):
         walls = jnp.concatenate([jnp.zeros(1), rho.places, jnp.reshape(jnp.asarray(self.end), (1,))])
         stretch = jnp.diff(walls)
-        tension = self.stiffness * jnp.arange(1.0, 4.0) * (stretch + stretch**3)
+        tension = self.stiffness * np.arange(1.0, 4.0) * (stretch + stretch**3)
         return jnp.diff(tension), rho.force - tension[-1]
 
     def outputs(self, rho):
@@ -98,10 +104,9 @@ class Chain(al.AlgebraicSystem):
 CHAIN = Chain(stiffness=al.Normal(3.0, 0.2), end=al.Uniform(2.0, half_width=0.4))
 
 
-@pytest.mark.parametrize("points", [SmolyakPoints(7)])
-def test_nonlinear_equations_with_arrays_agree_with_collocation_of_high_order(points):
-    intrusive = al.galerkin(CHAIN, expansion=al.Expansion(5, points=points))
-    other = al.expand(lambda m: {name: value[0] for name, value in al.simulate(m).items()}, CHAIN, al.Expansion(9))
+def test_nonlinear_equations_with_arrays_agree_with_collocation_of_high_order():
+    intrusive = al.galerkin(CHAIN, expansion=al.Expansion(4, points=SmolyakPoints(5)))
+    other = al.expand(lambda m: {name: value[0] for name, value in al.simulate(m).items()}, CHAIN, al.Expansion(6))
     assert intrusive.basis.names == ("stiffness", "end")
     assert intrusive.coefficients["places"].shape == (intrusive.basis.terms, 2)
     for name in ("places", "energy"):
@@ -129,16 +134,6 @@ def test_outputs_in_closed_form_are_projected():
     assert float(expanded.variance["power"]) == pytest.approx(expected, rel=1e-12)
 
 
-def test_projected_equations_are_differentiable_through_the_distributions():
-    """`E[f/k]` by the half-width h: `f/(2h) (2m/(m² - h²) - log((m + h)/(m - h))/h)`."""
-
-    def mean(h):
-        return al.galerkin(Spring(al.Uniform(1.0, half_width=h)), expansion=al.Expansion(14)).mean["u"]
-
-    expected = 2.0 * (2 / 0.75 - np.log(3.0) / 0.5)
-    assert float(jax.grad(mean)(0.5)) == pytest.approx(expected, rel=1e-9)
-
-
 def test_too_low_an_order_warns():
     with pytest.warns(al.ExpansionWarning, match="highest degrees carry a large part of the variance of u"):
         al.galerkin(Spring(al.Uniform(1.0, half_width=0.9)), expansion=al.Expansion(2))
@@ -150,14 +145,6 @@ def test_equations_without_a_solution_are_named_with_the_numbers_at_fault():
         al.galerkin(Root(al.Uniform(0.5, half_width=1.0)))
 
 
-@pytest.mark.parametrize(
-    ("options", "received"),
-    [
-        ({"grid": al.Grid(1.0, 2)}, "grid"),
-        ({"inputs": {"road": al.Tabulated([0.0, 1.0], [0.0, 1.0])}}, "inputs"),
-        ({"grid": al.Grid(1.0, 2), "integrator": al.integrators.Tsit5()}, "grid and integrator"),
-    ],
-)
-def test_time_is_refused(options, received):
-    with pytest.raises(al.ProblemError, match=rf"Spring is algebraic .*expansion=.*; received {received}\."):
-        al.galerkin(Spring(al.Normal(5.0, 0.1)), **options)
+def test_time_is_refused():
+    with pytest.raises(al.ProblemError, match=r"Spring is algebraic .*expansion=.*; received grid and integrator\."):
+        al.galerkin(Spring(al.Normal(5.0, 0.1)), grid=al.Grid(1.0, 2), integrator=al.integrators.Tsit5())

@@ -55,7 +55,7 @@ class Pendulum(al.System):
 
 
 def test_a_nonlinear_system_with_array_states_and_uncertain_inputs_agrees_with_collocation():
-    grid = al.Grid(1.0, 200)
+    grid = al.Grid(1.0, 50)
     system = Pendulum(length=al.Uniform(1.0, half_width=0.1), start=al.Normal(0.8, 0.05))
     push = al.Tabulated([0.0, 1.0], [0.0, al.Uniform(1.0, half_width=0.3)])
     intrusive = al.galerkin(system, grid, al.Expansion(5), inputs={"push": push})
@@ -66,7 +66,7 @@ def test_a_nonlinear_system_with_array_states_and_uncertain_inputs_agrees_with_c
     for name in ("angle", "trail", "push"):
         assert np.asarray(intrusive.mean[name]) == pytest.approx(np.asarray(other.mean[name]), abs=1e-6)
         assert np.asarray(intrusive.std[name]) == pytest.approx(np.asarray(other.std[name]), abs=1e-5)
-    assert intrusive.coefficients["trail"].shape == (intrusive.basis.terms, 201, 2)
+    assert intrusive.coefficients["trail"].shape == (intrusive.basis.terms, 51, 2)
 
 
 def test_galerkin_is_differentiable_through_the_distributions():
@@ -83,21 +83,10 @@ def test_galerkin_is_differentiable_through_the_distributions():
     assert float(compiled(jax.grad(spread))(0.05)) == pytest.approx(expected, rel=1e-5)
 
 
-def test_too_low_an_order_warns():
-    drifting = Oscillator(m=1.0, c=0.0, k=al.Uniform(1.0, half_width=0.3), x0=1.0)
-    with pytest.warns(al.ExpansionWarning, match="highest degrees carry a large part"):
-        al.galerkin(drifting, al.Grid(40.0, 400), al.Expansion(3), {"force": al.Tabulated([0.0, 40.0], [0.0, 0.0])})
-
-
 def test_what_cannot_be_projected_is_refused_in_words():
     with pytest.raises(al.ProblemError, match="nothing in the system is uncertain"):
         al.galerkin(Decay(rate=0.1), GRID)
-    with pytest.raises(al.ProblemError, match="expected a System"):
-        al.galerkin(lambda m: m, GRID)
     with pytest.raises(al.ProblemError, match=r"takes the inputs \['force'\]"):
         al.galerkin(Oscillator(m=1.0, c=0.0, k=al.Normal(1.0, 0.1)), GRID)
     with pytest.raises(al.ProblemError, match="expected a fixed one"):
         al.galerkin(DECAY, GRID, al.Expansion(index_set=Adaptive()))
-    many = Decay(rate=al.Uniform(1.0, half_width=0.1), start=al.Tabulated([0.0, 1.0], [al.Normal(0.0, 1.0)] * 2).values)
-    with pytest.raises(al.ProblemError, match=r"or use al\.expand"):
-        al.galerkin(many, GRID, al.Expansion(40))

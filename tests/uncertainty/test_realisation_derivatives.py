@@ -65,11 +65,6 @@ QUICK = {
         lambda m, h: stats.uniform(m - h, 2 * h),
         [5.5, 1.7],
     ),
-    "uniform by std": (
-        Uniform(Decision(5.0), std=Decision(1.0, 0.0)),
-        lambda m, s: stats.uniform(m - s * 3**0.5, 2 * s * 3**0.5),
-        [4.0, 0.3],
-    ),
     "uniform by bounds": (
         Uniform.bounds(Decision(1.0, -5.0, 1.6), Decision(2.0, 1.6)),
         lambda a, b: stats.uniform(a, b - a),
