@@ -2,6 +2,7 @@
 
 from functools import partial
 
+import equinox as eqx
 import jax
 
 from aleator._core.compilation import Use
@@ -13,3 +14,9 @@ compiled = partial(jax.jit, compiler_options=Use.ONCE.value if _IS_CPU else {})
 
 optimised = partial(jax.jit, compiler_options=Use.ROWS.value if _IS_CPU else {})
 """As the statistics of problems without time are compiled, whose roots depend on rounding."""
+
+
+def answers(one, questions):
+    """What an object answers to every question, by one program; its arrays are arguments, which XLA does not fold."""
+    arrays, rest = eqx.partition(one, eqx.is_array)
+    return compiled(lambda arrays: [ask(eqx.combine(arrays, rest)) for ask in questions])(arrays)
