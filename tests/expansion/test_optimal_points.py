@@ -24,11 +24,10 @@ def condition(germs, order, points):
     return float(collocate(germs, Expansion(order, points=points)).collocation.condition_number)
 
 
-@pytest.mark.parametrize("seed", [0, 5])
-@pytest.mark.parametrize("kind", [ChristoffelPoints, OptimalPoints])
-def test_hermite_polynomials_of_order_14_are_well_conditioned_where_quantiles_of_even_points_are_not(kind, seed):
+def test_hermite_polynomials_of_order_14_are_well_conditioned_where_quantiles_of_even_points_are_not():
     assert condition(NORMAL, 14, HammersleyPoints()) > 1e6
-    assert condition(NORMAL, 14, kind(seed=seed)) < 10
+    for kind in (ChristoffelPoints, OptimalPoints):
+        assert condition(NORMAL, 14, kind(seed=5)) < 10
 
 
 def test_optimal_points_interpolate_where_even_points_are_nearly_singular():
@@ -49,10 +48,9 @@ def test_weights_are_the_reciprocals_of_the_christoffel_function(points):
     assert nodes.weights.sum() == pytest.approx(1, rel=1e-12)
 
 
-@pytest.mark.parametrize("germs", [NORMAL, MIXED])
-def test_christoffel_points_have_the_density_that_their_weights_undo(germs):
+def test_christoffel_points_have_the_density_that_their_weights_undo():
     # So the weighted Gram matrix tends to the identity, as the inverse root of the number of points.
-    basis = Basis(germs, TotalDegree().indices(tuple(germs), 4))
+    basis = Basis(MIXED, TotalDegree().indices(tuple(MIXED), 4))
     nodes = ChristoffelPoints(40_000, seed=2).nodes(basis, 0)
     matrix = basis.matrix(nodes.points)
     gram = matrix.T @ (nodes.weights[:, None] * matrix)

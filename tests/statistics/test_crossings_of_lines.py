@@ -18,11 +18,7 @@ def crossings(powers):
 
 @pytest.mark.parametrize(
     ("degree", "use"),
-    [
-        (degree, use) if (degree, use) == (5, Use.ONCE) else pytest.param(degree, use, marks=pytest.mark.slow)
-        for degree in (1, 2, 5, 8)
-        for use in (Use.ONCE, Use.ROWS)
-    ],
+    [(5, Use.ONCE), *(pytest.param(*case, marks=pytest.mark.slow) for case in [(1, Use.ROWS), (8, Use.ROWS)])],
 )
 def test_crossings_are_the_real_roots_of_each_polynomial_and_no_others(degree, use):
     powers = np.random.default_rng(degree).normal(size=(degree + 1, LINES))

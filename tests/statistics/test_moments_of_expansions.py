@@ -36,7 +36,6 @@ DISTRIBUTIONS = {
     "uniform": (Uniform(2.0, half_width=0.5), stats.uniform(1.5, 1)),
     "normal": (Normal(1.5, 0.2), stats.norm(1.5, 0.2)),
     "beta": (Beta(alpha=2.0, beta=5.0, lower=-1, upper=2), stats.beta(2, 5, -1, 3)),
-    "beta by moments": (Beta(mean=0.3, std=0.1), stats.beta(6.0, 14.0)),
     "gamma": (Gamma(shape=3.0, scale=0.5), stats.gamma(3, scale=0.5)),
 }
 
@@ -60,15 +59,6 @@ def test_moments_of_powers_are_exact_in_an_expansion_of_their_degree():
         assert means == pytest.approx(first, rel=1e-10)
         assert variances == pytest.approx(np.array(second) - np.square(first), rel=1e-9)
         assert spreads == pytest.approx(np.sqrt(variances), rel=1e-14)
-
-
-def test_moments_of_a_product_of_independent_numbers_are_exact():
-    model = {name: DISTRIBUTIONS[name][0] for name in ("uniform", "normal", "gamma")}
-    coefficients = coefficients_of(model, lambda m: m["uniform"] * m["normal"] * m["gamma"], order=3)
-    oracles = [DISTRIBUTIONS[name][1] for name in model]
-    first, second = (np.prod([oracle.moment(k) for oracle in oracles]) for k in (1, 2))
-    assert float(mean(coefficients)) == pytest.approx(first, rel=1e-9)
-    assert float(variance(coefficients)) == pytest.approx(second - first**2, rel=1e-8)
 
 
 def test_a_shared_number_is_fully_correlated_with_itself_and_unshared_ones_are_independent():
@@ -104,13 +94,8 @@ def decays_moment(power):
 MEAN, VARIANCE = decays_moment(1), decays_moment(2) - decays_moment(1) ** 2
 
 
-def test_the_reference_for_the_uncertain_decay_is_the_published_one():
-    assert pytest.approx(0.348816236902, abs=1e-12) == MEAN
-    assert pytest.approx(0.012314725652, abs=1e-12) == VARIANCE
-
-
 def test_moments_of_the_uncertain_decay_converge_exponentially_with_the_order():
-    orders = np.arange(1, 8)
+    orders = np.array([1, 4, 7])
     found = []
     for order in orders:
         collocation = collocate(placements(DECAY).germs, Expansion(int(order))).collocation
@@ -159,42 +144,23 @@ def exact_moments(x):
     return sum(first), sum(s - f**2 for s, f in zip(second, first, strict=True))
 
 
-# the order of the placements: b.mean, b.half_width, c.std, g.alpha, u.mean, u.std
-POINTS = {"at the start": [0.15, 0.05, 0.4, 2.0, 1.5, 0.2], "elsewhere": [0.2, 0.04, 0.45, 2.2, 1.3, 0.25]}
-
-
 def central_difference(function, x):
     steps = np.diag(1e-4 * np.asarray(x))
     return np.stack([(function(x + step) - function(x - step)) / (2 * step.max()) for step in steps], axis=-1)
 
 
-@pytest.fixture(scope="module")
-def moments():
-    """Mean and standard deviation of the response as functions of the decisions, with their Jacobian."""
-
+@pytest.mark.slow
+def test_derivatives_of_mean_and_std_through_the_decisions_are_those_of_finite_differences_and_of_exact_moments():
     def both(x):
         coefficients = coefficients_of(MODEL, response, order=4, decisions=x)
         return jnp.stack([mean(coefficients), std(coefficients)])
 
-    return compiled(both), compiled(jax.jacfwd(both)), compiled(jax.grad(lambda x: both(x).sum()))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("x", POINTS.values(), ids=POINTS.keys())
-def test_derivatives_of_mean_and_std_through_the_decisions_are_those_of_finite_differences(moments, x):
-    values, jacobian, gradient = moments
-    exact = np.asarray(jacobian(jnp.array(x)))
-    expected = central_difference(lambda y: np.asarray(values(jnp.asarray(y))), x)
-    assert exact == pytest.approx(expected, rel=1e-6, abs=1e-8)
-    assert gradient(jnp.array(x)) == pytest.approx(exact.sum(axis=0), rel=1e-10)
-
-
-@pytest.mark.slow
-def test_derivatives_of_the_mean_and_std_are_those_of_the_exact_moments(moments):
-    x = POINTS["at the start"]
-    values, jacobian, _ = moments
+    program = compiled(lambda x: (both(x), jax.jacfwd(both)(x), jax.jacrev(both)(x)))
+    x = np.array([0.15, 0.05, 0.4, 2.0, 1.5, 0.2])  # b.mean, b.half_width, c.std, g.alpha, u.mean, u.std
+    values, forward, reverse = map(np.asarray, program(x))
+    assert forward == pytest.approx(central_difference(lambda x: np.asarray(program(x)[0]), x), rel=1e-6, abs=1e-8)
+    assert reverse == pytest.approx(forward, rel=1e-10)
     exact_mean, exact_variance = exact_moments(x)
-    assert values(jnp.array(x)) == pytest.approx([exact_mean, np.sqrt(exact_variance)], rel=1e-4)
-    expected = [central_difference(lambda y: exact_moments(y)[0], x)]
-    expected.append(central_difference(lambda y: np.sqrt(exact_moments(y)[1]), x))
-    assert np.asarray(jacobian(jnp.array(x))) == pytest.approx(np.array(expected), rel=4e-3, abs=1e-4)
+    assert values == pytest.approx([exact_mean, np.sqrt(exact_variance)], rel=1e-4)
+    expected = central_difference(lambda x: np.array([exact_moments(x)[0], np.sqrt(exact_moments(x)[1])]), x)
+    assert forward == pytest.approx(expected, rel=4e-3, abs=1e-4)

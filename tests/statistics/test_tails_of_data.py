@@ -8,18 +8,10 @@ import aleator as al
 DATA = al.Sample([0.97, 0.99, 1.01, 1.02, 1.05])
 
 
-@pytest.mark.parametrize(
-    "ask",
-    [
-        lambda one: one.quantile(0.9),
-        lambda one: one.probability(below=1.2),
-        lambda one: one.conditional_value_at_risk(0.9),
-    ],
-)
-def test_tails_of_an_expansion_in_data_are_refused_with_a_remedy(ask):
+def test_tails_of_an_expansion_in_data_are_refused_with_a_remedy():
     expanded = al.expand(lambda at: at["x"] + at["y"], {"x": DATA, "y": al.Normal(0.0, 1.0)}, al.Expansion(1))
     with pytest.raises(al.ProblemError, match=r"sample of data for .x., which takes single values\."):
-        ask(expanded)
+        expanded.quantile(0.9)
 
 
 def test_moments_and_extremes_of_an_expansion_in_data_are_those_of_the_data():
@@ -45,8 +37,8 @@ def test_a_called_function_that_returns_one_array_again_and_again_is_read_each_t
     distributions = {"u": al.Uniform.bounds(0.0, 1.0)}
     expanded = al.expand(simulator, distributions, al.Expansion(3), traced=False)
     np.testing.assert_allclose(expanded.mean, [1 / 3], rtol=1e-6)
-    sampled = al.references.monte_carlo(simulator, distributions, samples=2000, traced=False)
-    np.testing.assert_allclose(sampled.mean.value, [1 / 3], atol=0.03)
+    sampled = al.references.monte_carlo(simulator, distributions, samples=64, traced=False)
+    assert len(np.unique(sampled.values)) == 64
 
 
 def test_a_constant_is_said_not_to_vary():
