@@ -167,11 +167,3 @@ def test_a_gauss_grid_that_interpolates_along_its_axes_does_not_pass_for_resolve
     with pytest.warns(al.ExpansionWarning, match="does not resolve"):
         expanded = al.expand(lambda at: jnp.cos(10 * at["x"]) + at["y"], distributions, grid)
     assert expanded.error > 0.05
-
-
-def test_an_entry_that_does_not_vary_has_neither_shape_nor_contributors():
-    times = np.array([0.0, 1.0])
-    distributions = {"k": al.Uniform.bounds(0.9, 1.1), "z": al.Normal(0.0, 1.0)}
-    expanded = al.expand(lambda at: 0.7 * jnp.exp(-at["k"] * times), distributions, al.Expansion(4))
-    assert [float(one[0]) for one in (expanded.skewness, expanded.kurtosis, expanded.sobol("k"))] == [0.0, 0.0, 0.0]
-    assert float(expanded.sobol("k")[1]) == pytest.approx(1.0)

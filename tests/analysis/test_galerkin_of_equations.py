@@ -116,24 +116,6 @@ def test_nonlinear_equations_with_arrays_agree_with_collocation_of_high_order():
     assert float(intrusive["energy"].sobol("end")) == pytest.approx(share, abs=1e-6)
 
 
-class Power(al.AlgebraicSystem):
-    """In closed form: nothing to solve."""
-
-    w: Any
-
-    def outputs(self):
-        return {"power": self.w**3}
-
-
-def test_outputs_in_closed_form_are_projected():
-    """`E[w³] = m³ + 3 m s²` and `Var[w³] = 9 m⁴ s² + 36 m² s⁴ + 15 s⁶` of a normal distribution."""
-    m, s = 1.5, 0.3
-    expanded = al.galerkin(Power(al.Normal(m, s)), expansion=al.Expansion(3))
-    assert float(expanded.mean["power"]) == pytest.approx(m**3 + 3 * m * s**2, rel=1e-13)
-    expected = 9 * m**4 * s**2 + 36 * m**2 * s**4 + 15 * s**6
-    assert float(expanded.variance["power"]) == pytest.approx(expected, rel=1e-12)
-
-
 def test_too_low_an_order_warns():
     with pytest.warns(al.ExpansionWarning, match="highest degrees carry a large part of the variance of u"):
         al.galerkin(Spring(al.Uniform(1.0, half_width=0.9)), expansion=al.Expansion(2))

@@ -10,7 +10,7 @@ import pytest
 import aleator as al
 from aleator.expansion import Adaptive
 from compiling import compiled
-from zoo import Decay, Oscillator
+from zoo import Decay
 
 GRID = al.Grid(10.0, 100)
 DECAY = Decay(rate=al.Uniform.bounds(0.1, 0.2), start=al.Normal(1.5, 0.2))
@@ -86,7 +86,5 @@ def test_galerkin_is_differentiable_through_the_distributions():
 def test_what_cannot_be_projected_is_refused_in_words():
     with pytest.raises(al.ProblemError, match="nothing in the system is uncertain"):
         al.galerkin(Decay(rate=0.1), GRID)
-    with pytest.raises(al.ProblemError, match=r"takes the inputs \['force'\]"):
-        al.galerkin(Oscillator(m=1.0, c=0.0, k=al.Normal(1.0, 0.1)), GRID)
     with pytest.raises(al.ProblemError, match="expected a fixed one"):
         al.galerkin(DECAY, GRID, al.Expansion(index_set=Adaptive()))

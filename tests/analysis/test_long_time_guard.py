@@ -61,8 +61,3 @@ def test_a_start_that_is_certain_and_crossings_do_not_count_as_unresolved():
 def test_the_warning_names_the_instant_and_the_output():
     with pytest.warns(al.ExpansionWarning, match=r"x \(error .*resolved until t = 1[0-9.]* only\)"):
         al.expand(lambda m: {"x": wave(m), "w": m["w"] * TIMES}, FREQUENCY, al.Expansion(6), times=TIMES)
-
-
-def test_times_that_do_not_fit_the_outputs_are_refused():
-    with pytest.raises(al.ProblemError, match=r"times has 4 instants.*received shape \(501,\)"):
-        al.expand(lambda m: m["w"] * TIMES, FREQUENCY, times=TIMES[:4])

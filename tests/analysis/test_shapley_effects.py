@@ -65,16 +65,6 @@ def test_effects_of_independent_inputs_are_equal_parts_of_their_sobol_indices():
         np.testing.assert_allclose(expanded.shapley(name), exact, rtol=1e-12)
 
 
-def test_effects_of_a_group_beside_an_independent_input_leave_that_one_its_variance():
-    model = {"pair": al.correlated({"k": al.LogNormal(mean=2.0, std=0.3), "c": al.Normal(0.0, 1.0)}, {("k", "c"): 0.5})}
-    model["w"] = al.Uniform.bounds(-1.0, 1.0)
-    expanded = al.expand(lambda at: at["pair"]["k"] + at["pair"]["c"] + at["w"], model, al.Expansion(order=4))
-    # The lognormal number is no polynomial of its germ: what is left of it beyond order 4 shows here.
-    np.testing.assert_allclose(expanded.shapley("w"), 1 / 3 / expanded.variance, rtol=1e-5)
-    total = sum(float(expanded.shapley(name)) for name in expanded.distributions)
-    np.testing.assert_allclose(total, 1.0, rtol=1e-12)
-
-
 def test_effects_of_arrays_and_constants_have_shapes_and_derivatives():
     def effect(slope):
         model = correlated("abc")

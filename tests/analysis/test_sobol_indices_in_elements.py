@@ -1,4 +1,4 @@
-"""Sobol indices of multi-element expansions against closed forms and single expansions."""
+"""Sobol indices of multi-element expansions against closed forms."""
 
 from itertools import chain, combinations
 
@@ -57,19 +57,6 @@ def test_ishigamis_function_has_its_published_indices_which_add_up_to_one():
     assert sum(found.values()) == pytest.approx(1.0, abs=1e-12)
     with_x3 = sum(value for one, value in found.items() if "x3" in one)
     assert float(pieces.total_sobol("x3")) == pytest.approx(with_x3, abs=1e-12)
-
-
-def test_one_element_has_the_indices_of_a_single_expansion():
-    model = {"b": al.Uniform.bounds(0.1, 0.2), "u": al.Normal(1.5, 0.2)}
-
-    def decay(at):
-        return at["u"] * jnp.exp(-10 * at["b"])
-
-    pieces = al.expand(decay, model, al.MultiElement(order=6))
-    single = al.expand(decay, model, al.Expansion(order=6))
-    assert len(pieces.partition.boxes) == 1
-    assert indices(pieces, "bu") == pytest.approx(indices(single, "bu"), abs=1e-14)
-    assert float(pieces.total_sobol("u")) == pytest.approx(float(single.total_sobol("u")), abs=1e-14)
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
-"""The collocation matrix, its condition and its coefficients against numpy and chaospy."""
+"""The collocation matrix, its condition and its coefficients against numpy."""
 
-import chaospy
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,25 +9,12 @@ from aleator.expansion import Basis, Expansion, HammersleyPoints, LeastSquares, 
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 
 GERMS = {"a": LegendreGerm(), "b": HermiteGerm(), "c": JacobiGerm(2.0, 5.0), "d": LaguerreGerm(3.0)}
-CHAOSPY = (chaospy.Uniform(-1, 1), chaospy.Normal(0, 1), chaospy.Beta(2, 5, -1, 1), chaospy.Gamma(3))
 EXPANSION = Expansion(3, points=HammersleyPoints())
 
 
 @pytest.fixture(scope="module")
 def collocation():
     return collocate(GERMS, EXPANSION).collocation
-
-
-@pytest.fixture(scope="module")
-def chaospy_basis():
-    """Chaospy's orthonormal polynomials, term by term in the order of our index set, leading coefficients positive."""
-    univariate = [chaospy.expansion.stieltjes(EXPANSION.order, distribution, normed=True) for distribution in CHAOSPY]
-    q = chaospy.variable(len(GERMS))
-    moved = [one(q[i]) for i, one in enumerate(univariate)]
-    return [
-        np.prod([1, *(moved[i][degree] for i, degree in enumerate(row) if degree)])
-        for row in TotalDegree().indices(tuple(GERMS), EXPANSION.order).tolist()
-    ]
 
 
 def nonlinear(points):
@@ -39,19 +25,6 @@ def nonlinear(points):
 def test_there_are_three_points_for_each_term_unless_told(collocation):
     assert collocation.matrix.shape == (3 * 35, 35)
     assert collocate(GERMS, Expansion(2, points=40)).collocation.matrix.shape == (40, 15)
-
-
-def test_the_matrix_holds_chaospys_orthonormal_polynomials_at_the_points(collocation, chaospy_basis):
-    points = np.asarray(collocation.points)
-    theirs = np.stack([np.ones(len(points)), *(np.asarray(p(*points.T)) for p in chaospy_basis[1:])], axis=1)
-    assert collocation.matrix == pytest.approx(theirs, rel=1e-8, abs=1e-8)
-
-
-def test_coefficients_are_those_of_chaospys_regression(collocation, chaospy_basis):
-    points = np.asarray(collocation.points)
-    basis = chaospy.polynomial(chaospy_basis)
-    _, theirs = chaospy.fit_regression(basis, points.T, nonlinear(points), retall=1)
-    assert collocation.coefficients(jnp.asarray(nonlinear(points))) == pytest.approx(theirs, rel=1e-8, abs=1e-8)
 
 
 def test_nothing_uncertain_takes_one_point_and_one_term():

@@ -1,7 +1,6 @@
-"""The leave-one-out error against refits without each point, and OpenTURNS."""
+"""The leave-one-out error against refits without each point."""
 
 import numpy as np
-import openturns as ot
 import pytest
 
 from aleator.expansion import (
@@ -65,19 +64,6 @@ def test_the_error_is_that_of_refitting_without_each_point(output):
     refitted = errors_by_refitting(np.asarray(collocation.matrix), np.asarray(samples))
     expected = np.sqrt(np.mean(refitted**2, axis=0).sum() / np.var(np.asarray(samples), axis=0).sum())
     assert error_of(collocation, samples) == pytest.approx(expected, rel=1e-8)
-
-
-def test_the_error_is_that_of_openturns():
-    collocation = collocate(GERMS, Expansion(3, points=HammersleyPoints()))
-    samples = np.asarray(scalar(collocation.points))
-    inputs, outputs = ot.Sample(np.asarray(collocation.points).tolist()), ot.Sample(samples[:, None].tolist())
-    distribution = ot.JointDistribution([ot.Uniform(-1.0, 1.0), ot.Normal()])
-    basis = ot.OrthogonalProductPolynomialFactory([ot.LegendreFactory(), ot.HermiteFactory()])
-    algorithm = ot.LeastSquaresExpansion(inputs, outputs, distribution, basis, 10)
-    algorithm.run()
-    splitter = ot.LeaveOneOutSplitter(len(samples))
-    squared = ot.FunctionalChaosValidation(algorithm.getResult(), splitter).computeMeanSquaredError()[0]
-    assert error_of(collocation, samples) == pytest.approx(np.sqrt(squared / samples.var()), rel=1e-8)
 
 
 def test_the_error_of_a_constant_output_is_zero_in_spite_of_rounding_and_a_small_variation_still_counts():

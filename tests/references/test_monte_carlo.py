@@ -55,26 +55,6 @@ def test_the_standard_error_of_a_mean_is_unbiased_when_groups_leave_a_rest():
     assert squared.mean() == pytest.approx(1 / 11, abs=4 * squared.std() / np.sqrt(40_000))
 
 
-def test_an_interval_is_that_of_student():
-    one = al.references.Estimate(np.array(2.0), np.array(0.5), groups=16)
-    lower, upper = one.interval(0.9)
-    assert (lower, upper) == pytest.approx(stats.t(15, 2.0, 0.5).interval(0.9), rel=1e-12)
-    with pytest.raises(al.ProblemError, match="between 0 and 1"):
-        one.interval(95)
-
-
-@pytest.mark.parametrize(
-    ("value", "error", "text"),
-    [
-        (0.659231, 0.000302, "0.65923 ± 0.00030"),
-        (6.59231e-9, 3.0e-12, "(6.5923 ± 0.0030)e-09"),
-        (2.0, 0.0, "2 ± 0"),
-    ],
-)
-def test_an_estimate_shows_the_digits_that_its_error_leaves(value, error, text):
-    assert str(al.references.Estimate(np.array(value), np.array(error), 50)) == text
-
-
 def test_quasi_monte_carlo_of_the_clutch_holds_the_exact_spread_closely():
     spread = al.references.quasi_monte_carlo(pressure_angle, CLUTCH, 16 * 2**13).std
     # A tenth of the standard error that as many independent samples have.
@@ -120,12 +100,6 @@ def test_inputs_follow_their_distributions_and_are_independent(method):
     np.testing.assert_allclose(correlation, np.eye(4), atol=4 / np.sqrt(2**14))
 
 
-def test_a_shared_input_is_one_and_the_same():
-    distribution = al.Normal(0.0, 1.0).shared("x")
-    values = al.references.monte_carlo(lambda m: m["a"] - m["b"], {"a": distribution, "b": distribution}, 100).values
-    np.testing.assert_array_equal(values, 0.0)
-
-
 @pytest.mark.parametrize("method", [al.references.monte_carlo, al.references.quasi_monte_carlo])
 def test_the_same_seed_gives_the_same_sample_whatever_the_batch(method):
     first, again, other = (
@@ -133,18 +107,6 @@ def test_the_same_seed_gives_the_same_sample_whatever_the_batch(method):
     )
     np.testing.assert_allclose(first, again, rtol=1e-14)
     assert not np.any(first == other)
-
-
-def test_a_plain_function_called_point_by_point_gives_the_same_sample():
-    def plain(m):
-        assert isinstance(m["x"], float)
-        return math.exp(0.5 * m["x"] + m["y"] ** 2)
-
-    traced, called = (
-        al.references.monte_carlo(one, SMOOTH, 60, batch=25, traced=how)
-        for one, how in ((smooth, True), (plain, False))
-    )
-    np.testing.assert_allclose(called.values, traced.values, rtol=1e-14)
 
 
 def test_statistics_have_the_structure_of_the_outputs():
@@ -196,19 +158,6 @@ def test_outputs_vary_together_as_their_common_input_says():
     assert float(correlation.standard_error) == pytest.approx(0.64 / 2**7, rel=0.4)
     with pytest.raises(al.ProblemError, match=r"must have one shape; received \(\) and \(2,\)"):
         sample.covariance("a", "c")
-
-
-def test_outputs_that_are_not_finite_are_refused_with_the_inputs():
-    def broken(m):
-        return {"fine": m["x"], "bad": jnp.log(m["y"] - 0.5)}
-
-    with pytest.raises(al.SimulationError, match=r"output 'bad' first at point \d+ \(x=-?0\.\d+, y=0\.[0-4]"):
-        al.references.monte_carlo(broken, SMOOTH, 20)
-
-
-def test_a_sample_that_is_too_large_is_refused():
-    with pytest.raises(al.ProblemError, match=r"at most 2 GiB; received outputs of shape \(400000, 1000\)"):
-        al.references.monte_carlo(lambda m: m["x"] * jnp.ones(1000), SMOOTH, 400_000)
 
 
 def test_nets_that_are_no_power_of_two_or_have_no_replicates_are_refused():

@@ -1,13 +1,12 @@
 """Mean, standard deviation and variance: exact values, convergence, derivatives."""
 
-import chaospy
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from aleator.expansion import Expansion, HammersleyPoints, collocate
+from aleator.expansion import Expansion, collocate
 from aleator.statistics import Mean, Std, Variance
 from aleator.uncertainty import Beta, Decision, Gamma, Normal, Uniform, placements, realise
 from compiling import compiled
@@ -66,20 +65,6 @@ def test_a_shared_number_is_fully_correlated_with_itself_and_unshared_ones_are_i
     for one, expected in ((distribution.shared("x"), 4 / 3), (distribution, 2 / 3)):
         coefficients = coefficients_of({"a": one, "b": one}, lambda m: m["a"] + m["b"], order=2)
         assert float(variance(coefficients)) == pytest.approx(expected, rel=1e-12)
-
-
-def test_moments_agree_with_chaospys_of_its_own_regression():
-    model = {"a": Uniform(0.0, half_width=1.0), "b": Normal(0.0, 1.0)}
-    # Of equal weights, as those of its regression are.
-    collocation = collocate(placements(model).germs, Expansion(4, points=HammersleyPoints())).collocation
-    joint = chaospy.J(chaospy.Uniform(-1, 1), chaospy.Normal(0, 1))
-    samples = np.exp(0.5 * np.asarray(collocation.points).sum(axis=1))
-    fitted = chaospy.fit_regression(
-        chaospy.generate_expansion(4, joint, normed=True), np.asarray(collocation.points).T, samples
-    )
-    coefficients = collocation.coefficients(jnp.asarray(samples))
-    assert float(mean(coefficients)) == pytest.approx(float(chaospy.E(fitted, joint)), rel=1e-10)
-    assert float(variance(coefficients)) == pytest.approx(float(chaospy.Var(fitted, joint)), rel=1e-9)
 
 
 DECAY = {"b": Uniform.bounds(0.1, 0.2), "u": Normal(1.5, 0.2)}

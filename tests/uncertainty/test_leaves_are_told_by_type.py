@@ -114,18 +114,14 @@ def test_numbers_of_containers_that_say_so_go_by_their_own_names_at_any_depth():
     ).germ_names == ("dimensions",)
 
 
-@pytest.mark.parametrize(
-    ("number", "least", "most"),
-    [
+def test_every_number_tells_between_which_ends_it_lies():
+    for number, *ends in [
         (np.array([1.0, 3.0]), 1.0, 3.0),
         ([al.Uniform.bounds(1.0, 4.0), 2.0], 1.0, 4.0),
         (al.Decision(np.ones(2), [0.0, 0.5], [3.0, 2.0]), 0.0, 3.0),
         (al.Uniform(al.Decision(1.0, 0.0, 5.0), half_width=al.Decision(0.5, 0.0, 2.0)), -2.0, 7.0),
-    ],
-    ids=str,
-)
-def test_every_number_tells_between_which_ends_it_lies(number, least, most):
-    np.testing.assert_allclose([lowest(number), highest(number)], [least, most], rtol=1e-12)
+    ]:
+        np.testing.assert_allclose([lowest(number), highest(number)], ends, rtol=1e-12)
 
 
 def test_look_alikes_are_refused_where_a_number_is_expected():

@@ -44,16 +44,6 @@ def test_the_recurrence_does_not_lose_digits_to_a_narrow_density_far_from_zero()
     assert b == pytest.approx(0.05 * exact, rel=1e-10)
 
 
-def test_the_weibull_distribution_of_shape_one_is_exponential_and_a_wide_truncation_is_none():
-    for ours, closed in (
-        (WeibullGerm(1.0), LaguerreGerm(1.0)),
-        (TruncatedNormalGerm(-40.0, np.inf), HermiteGerm()),
-        (TruncatedNormalGerm(-np.inf, np.inf), HermiteGerm()),
-    ):
-        for numerical, exact in zip(ours.recurrence(ORDER), closed.recurrence(ORDER), strict=True):
-            assert numerical == pytest.approx(exact, rel=1e-12, abs=1e-12)
-
-
 def bumpy(x):
     return np.exp(-3 * x) + (x > 0.3) + 2.0 * np.maximum(0.8 - x, 0)
 

@@ -85,12 +85,6 @@ def test_names_order_and_numbers_survive_flattening(change):
     assert [place.where for place in after.decisions.values()] == [place.where for place in before.decisions.values()]
 
 
-def test_parameters_keep_their_declared_order_when_their_names_sort_otherwise():
-    distribution = Uniform(Decision(5.0), half_width=Decision(1.0, 0.0))
-    assert tuple(rebuilt(distribution).decisions) == ("mean", "half_width")
-    assert str(rebuilt(distribution)) == str(distribution)
-
-
 def test_realisation_puts_numbers_at_the_decisions_everywhere_and_leaves_the_rest_alone():
     start = np.asarray(placements(car()).vector("initial"))
     moved = np.array([7.0, 6.0, 0.25, 0.9, 1.25, 8.0, 9.0, 2.0])
@@ -114,9 +108,11 @@ def test_realisation_puts_numbers_at_the_decisions_everywhere_and_leaves_the_res
 def test_a_shared_distribution_is_one_variable_wherever_it_is_placed():
     tilt = Normal(Decision(1.0, 0, 2), 2.0).shared("tilt")
     model = {"left": tilt, "right": [tilt, Normal(0.0, 1.0)]}
-    places = placements(model)
-    assert tuple(places.distributions) == ("tilt", "right.1")
-    assert tuple(places.decisions) == ("tilt.mean",)
+    for changed in (model, rebuilt(model), numbers_to_arrays(model)):
+        places = placements(changed)
+        assert tuple(places.distributions) == ("tilt", "right.1")
+        assert tuple(places.decisions) == ("tilt.mean",)
+    assert set(named_numbers(model, np.array([4.0]))) == {"tilt.mean", "tilt.std", "right.1.mean", "right.1.std"}
     real = realise(model, np.array([0.5, -1.0]), np.array([1.5]))
     assert (float(real["left"]), float(real["right"][0]), float(real["right"][1])) == (2.5, 2.5, -1.0)
 
@@ -143,14 +139,6 @@ def test_the_same_unshared_object_in_two_places_is_two_variables_and_two_decisio
     assert {name: float(value) for name, value in real.items()} == {"a": 1.0, "b": 2.0, "c": 3.0, "d": 4.0}
 
 
-def test_sharing_survives_flattening_and_the_conversion_of_numbers():
-    tilt = Uniform(Decision(1.0), half_width=Decision(0.2, 0.0).shared("w")).shared("tilt")
-    model = {"left": tilt, "right": tilt, "other": Normal(0.0, Decision(0.2, 0.0).shared("w"))}
-    for changed in (model, rebuilt(model), numbers_to_arrays(model), at_means(model)):
-        assert set(placements(changed).decisions) == {"tilt.mean", "w"}
-    assert tuple(placements(numbers_to_arrays(model)).distributions) == tuple(placements(model).distributions)
-
-
 def test_one_shared_name_for_two_things_is_refused():
     for first, second in [
         (Normal(0.0, 1.0).shared("x"), Normal(0.0, 2.0).shared("x")),
@@ -172,13 +160,6 @@ def test_two_independent_placements_that_happen_to_have_one_name_are_refused():
     ]:
         with pytest.raises(ProblemError, match="names two placements"):
             placements(model)
-
-
-def test_decided_parameters_of_distributions_come_in_the_order_of_the_decision_vector():
-    distributions = {f"k{i}": Uniform(Decision(1.0, 0.5, 2.0), half_width=Decision(0.1, 0.01, 0.2)) for i in range(8)}
-    found = placements({"free": Decision(0.0, 0.0, 1.0), **distributions})
-    assert list(found.of_distributions.values()) == list(range(1, 17))
-    assert [found.entry_names()[i] for i in found.of_distributions.values()] == list(found.of_distributions)
 
 
 def test_at_means_realises_the_means_at_the_current_decisions():
@@ -218,19 +199,6 @@ def test_whole_numbers_are_named_and_truth_values_are_not():
     assert {name: np.asarray(value).tolist() for name, value in numbers.items()} == {"b": 94, "n": 3, "v": [1, 2]}
     assert all(value.dtype == float for value in numbers.values())
     assert type(realise(model, np.zeros(0), np.zeros(0))["b"]) is int
-
-
-def test_a_shared_name_may_be_the_place_of_the_thing_that_is_shared():
-    radius, tilt = Decision(1.0).shared("c"), Normal(Decision(2.0).shared("a.mean"), 1.0)
-    model = {"a": tilt, "b": radius, "c": radius}
-    for changed in (model, at_means(model), rebuilt(model), numbers_to_arrays(model)):
-        assert tuple(placements(changed).decisions) == ("a.mean", "c")
-
-
-def test_named_numbers_of_a_shared_distribution_stand_under_its_shared_name():
-    distribution = Normal(Decision(1.0).shared("centre"), 2.0).shared("tilt")
-    numbers = named_numbers({"a": distribution, "b": distribution}, np.array([4.0]))
-    assert {name: float(value) for name, value in numbers.items()} == {"tilt.mean": 4.0, "tilt.std": 2.0}
 
 
 def test_a_decision_is_unbounded_unless_told_and_bounds_of_an_array_may_be_one_for_all_or_one_each():
