@@ -2,7 +2,6 @@
 
 from itertools import chain, combinations
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -57,19 +56,6 @@ def test_ishigamis_function_has_its_published_indices_which_add_up_to_one():
     assert sum(found.values()) == pytest.approx(1.0, abs=1e-12)
     with_x3 = sum(value for one, value in found.items() if "x3" in one)
     assert float(pieces.total_sobol("x3")) == pytest.approx(with_x3, abs=1e-12)
-
-
-@pytest.mark.slow
-def test_an_index_is_differentiable_through_the_distributions():
-    """`a + |b|` with b within h: Var|b| = h²/12 beside 1/3, so that the share of b is h²/(4 + h²)."""
-
-    def share(h):
-        distributions = {"a": al.Uniform.bounds(-1.0, 1.0), "b": al.Uniform(0.0, half_width=h)}
-        return al.expand(lambda m: m["a"] + jnp.abs(m["b"]), distributions, al.MultiElement()).sobol("b")
-
-    value, slope = jax.value_and_grad(share)(2.0)
-    assert float(value) == pytest.approx(1 / 2, rel=1e-12)
-    assert float(slope) == pytest.approx(16 / 8**2, rel=1e-10)
 
 
 def test_indices_that_there_are_not_are_refused_as_those_of_a_single_expansion(monkeypatch):

@@ -109,20 +109,3 @@ def test_every_moment_and_index_is_differentiable_through_the_distributions():
     value, slope = compiled(values), compiled(jax.jacrev(values))
     expected = (np.asarray(value(0.1 + 1e-6)) - np.asarray(value(0.1 - 1e-6))) / 2e-6
     assert np.asarray(slope(0.1)) == pytest.approx(expected, rel=1e-6)
-
-
-DISTRIBUTION = {
-    "quantile": lambda e: e.quantile(0.9),
-    "probability": lambda e: e.probability(above=2.6, below=3.0),
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", DISTRIBUTION)
-def test_distributions_are_differentiable_through_those_of_the_inputs(name):
-    def value(half_width):
-        return DISTRIBUTION[name](of_half_width(half_width))
-
-    # A step in which no line through the germ space gains or loses a crossing: there probabilities have kinks.
-    expected = float(value(0.1 + 1e-6) - value(0.1 - 1e-6)) / 2e-6
-    assert float(jax.grad(value)(0.1)) == pytest.approx(expected, rel=1e-6)

@@ -8,13 +8,6 @@ from scipy import stats
 import aleator as al
 from aleator.references._estimate import estimate, group_count
 
-CLUTCH = {"a": al.Normal(27.645, 0.05 / 3), "c": al.Normal(11.430, 0.01 / 3), "e": al.Normal(50.800, 0.0125 / 3)}
-EXACT_CLUTCH = 0.6590101 / 3  # degrees, shared/studies of the dissertation's table 7.2
-
-
-def pressure_angle(m):
-    return jnp.rad2deg(jnp.arccos((m["a"] + m["c"]) / (m["e"] - m["c"])))
-
 
 def smooth(m):
     return jnp.exp(0.5 * m["x"] + m["y"] ** 2)
@@ -53,13 +46,6 @@ def test_the_standard_error_of_a_mean_is_unbiased_when_groups_leave_a_rest():
     draws = np.random.default_rng(3).normal(size=(11, 40_000))
     squared = estimate(mean_of, draws, 4).standard_error ** 2
     assert squared.mean() == pytest.approx(1 / 11, abs=4 * squared.std() / np.sqrt(40_000))
-
-
-def test_quasi_monte_carlo_of_the_clutch_holds_the_exact_spread_closely():
-    spread = al.references.quasi_monte_carlo(pressure_angle, CLUTCH, 16 * 2**13).std
-    # A tenth of the standard error that as many independent samples have.
-    assert float(spread.standard_error) < 0.1 * EXACT_CLUTCH / np.sqrt(2 * 16 * 2**13)
-    assert abs(float(spread.value) - EXACT_CLUTCH) < 4.5 * float(spread.standard_error)
 
 
 def slope(counts, errors):

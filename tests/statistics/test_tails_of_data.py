@@ -5,20 +5,21 @@ import pytest
 
 import aleator as al
 
-DATA = al.Sample([0.97, 0.99, 1.01, 1.02, 1.05])
+DATA = np.array([0.97, 0.99, 1.01, 1.02, 1.05])
 
 
 def test_tails_of_an_expansion_in_data_are_refused_with_a_remedy():
-    expanded = al.expand(lambda at: at["x"] + at["y"], {"x": DATA, "y": al.Normal(0.0, 1.0)}, al.Expansion(1))
+    expanded = al.expand(
+        lambda at: at["x"] + at["y"], {"x": al.Sample(DATA), "y": al.Normal(0.0, 1.0)}, al.Expansion(1)
+    )
     with pytest.raises(al.ProblemError, match=r"sample of data for .x., which takes single values\."):
         expanded.quantile(0.9)
 
 
 def test_moments_and_extremes_of_an_expansion_in_data_are_those_of_the_data():
-    expanded = al.expand(lambda at: at["x"], {"x": DATA}, al.Expansion(1))
-    data = np.array([0.97, 0.99, 1.01, 1.02, 1.05])
-    assert float(expanded.mean) == pytest.approx(data.mean(), rel=1e-12)
-    assert float(expanded.std) == pytest.approx(data.std(), rel=1e-9)
+    expanded = al.expand(lambda at: at["x"], {"x": al.Sample(DATA)}, al.Expansion(1))
+    assert float(expanded.mean) == pytest.approx(DATA.mean(), rel=1e-12)
+    assert float(expanded.std) == pytest.approx(DATA.std(), rel=1e-9)
 
 
 def test_a_density_around_zero_has_tails():

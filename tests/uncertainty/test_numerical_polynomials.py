@@ -1,6 +1,5 @@
 """Polynomials of distributions known by their density or data, against closed forms, scipy and exact moments."""
 
-import math
 from fractions import Fraction
 
 import numpy as np
@@ -76,25 +75,6 @@ def test_polynomials_are_orthonormal_under_scipys_density(case):
     mass = w * distribution.pdf(x) * (high - low) * power * s ** (power - 1)
     values = germ.polynomials(12, x)
     assert (values.T * mass) @ values == pytest.approx(np.eye(13), abs=1e-10)
-
-
-# germ, its k-th moment as an exact number
-RATIONAL = {
-    "triangular": (TriangularGerm(0.5), lambda k: Fraction((1 - k % 2) * 2, (k + 1) * (k + 2))),
-    "weibull": (WeibullGerm(0.5), lambda k: Fraction(math.factorial(2 * k))),
-}
-
-
-@pytest.mark.parametrize(("germ", "moment"), RATIONAL.values(), ids=RATIONAL.keys())
-def test_recurrences_of_order_thirty_are_those_of_exact_arithmetic(germ, moment):
-    # by Gaussian elimination of the Hankel matrix of the moments: its pivots are the norms of the monic polynomials
-    rows = [[moment(i + j) for j in range(ORDER + 1)] for i in range(ORDER + 1)]
-    for i, pivot in enumerate(rows):
-        for row in rows[i + 1 :]:
-            factor = row[i] / pivot[i]
-            row[i:] = [entry - factor * above for entry, above in zip(row[i:], pivot[i:], strict=True)]
-    squares = [rows[n + 1][n + 1] / rows[n][n] for n in range(ORDER)]
-    assert germ.recurrence(ORDER)[1][1:] ** 2 == pytest.approx([float(square) for square in squares], rel=1e-12)
 
 
 def test_gauss_rules_quantiles_and_probabilities_agree_with_scipy(case):
