@@ -2,15 +2,29 @@
 tails.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import integrate, special, stats
-from small_expansions import basis_of, coefficients_of_polynomial
+from small_expansions import basis_of, coefficients_of_polynomial, random_coefficients
 
+import aleator as al
+from aleator._core.compilation import Use, compiled_for
 from aleator._core.errors import ProblemError
 from aleator.expansion import Basis
-from aleator.statistics import ConditionalValueAtRisk, Probability, Quantile, cdf, lines_through, pdf, prepare
+from aleator.statistics import (
+    ConditionalValueAtRisk,
+    Mean,
+    Probability,
+    Quantile,
+    cdf,
+    lines_through,
+    pdf,
+    prepare,
+    together,
+)
+from aleator.statistics._crossings import extrema, horner, roots_between
 from aleator.statistics._line_distribution import finite_ends, line_distribution
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 from compiling import compiled
@@ -153,3 +167,107 @@ def test_thresholds_and_levels_that_make_no_event_are_refused():
         Probability(above=2.0, below=1.0)
     with pytest.raises(ProblemError, match="Quantile"):
         Quantile(1.0)
+
+
+LINES = 1000
+
+
+def crossings(powers):
+    edges = extrema(powers)
+    return edges, roots_between(powers, edges, horner(powers, edges))
+
+
+@pytest.mark.parametrize(
+    ("degree", "use"),
+    [(5, Use.ONCE), *(pytest.param(*case, marks=pytest.mark.slow) for case in [(1, Use.ROWS), (8, Use.ROWS)])],
+)
+def test_crossings_are_the_real_roots_of_each_polynomial_and_no_others(degree, use):
+    powers = np.random.default_rng(degree).normal(size=(degree + 1, LINES))
+    program = compiled_for(use, jax.jit(crossings).lower(jnp.asarray(powers)), "cpu")
+    edges, found = map(np.asarray, program(jnp.asarray(powers)))
+    inside = (found > edges[:-1]) & (found < edges[1:])
+    for line in range(LINES):
+        roots = np.polynomial.polynomial.polyroots(powers[:, line])
+        real = np.sort(roots[(np.abs(roots.imag) < 1e-9) & (np.abs(roots.real) < 1)].real)
+        assert inside[:, line].sum() == len(real) or np.min(np.abs(np.abs(roots) - 1)) < 1e-6
+        size, slopes = np.abs(powers[:, line]).sum(), np.polynomial.polynomial.polyder(powers[:, line])
+        for root in real[np.abs(real) < 0.999]:
+            slope = abs(np.polynomial.polynomial.polyval(root, slopes))
+            # A root where the line is nearly flat is as uncertain as rounding of its values makes it.
+            assert np.min(np.abs(found[:, line] - root)) < 1e-12 + 1e-14 * size / slope, (line, root)
+
+
+BASIS = basis_of([LegendreGerm(), HermiteGerm()], 3)
+
+
+@pytest.mark.slow
+def test_tails_of_one_kind_and_shape_are_those_taken_alone():
+    generator = np.random.default_rng(5)
+    one, other = (random_coefficients(BASIS, seed, (20,)) for seed in range(2))
+    asked = [
+        (Quantile(0.9), one),
+        (Mean(), one),
+        (Quantile(0.1), other),
+        (Probability(above=0.2), one),
+        (Probability(above=-0.3), one),
+        (Probability(below=0.2), one),
+        (Quantile(0.5), one[:, :3]),
+    ]
+    constants = prepare([kind for kind, _ in asked], BASIS)
+
+    def shared(terms):
+        found = together([(kind, two) for (kind, _), two in zip(asked, terms, strict=True)], constants)
+        assert [values is not None for values in found] == [True, False, True, True, True, False, False]
+        return [values for values in found if values is not None]
+
+    def alone(terms):
+        pairs = [(kind, two) for (kind, _), two in zip(asked, terms, strict=True)]
+        return [pairs[i][0].of(pairs[i][1], constants.of(pairs[i][0])) for i in (0, 2, 3, 4)]
+
+    terms = [two for _, two in asked]
+    slopes = [jnp.asarray(generator.normal(size=two.shape)) for two in terms]
+    both = [jax.jit(lambda f=f: jax.jvp(f, (terms,), (slopes,)))() for f in (shared, alone)]
+    for found, expected in zip(*map(jax.tree.leaves, both), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-10)
+
+
+DATA = np.array([0.97, 0.99, 1.01, 1.02, 1.05])
+
+
+def test_tails_of_an_expansion_in_data_are_refused_with_a_remedy():
+    expanded = al.expand(
+        lambda at: at["x"] + at["y"], {"x": al.Sample(DATA), "y": al.Normal(0.0, 1.0)}, al.Expansion(1)
+    )
+    with pytest.raises(al.ProblemError, match=r"sample of data for .x., which takes single values\."):
+        expanded.quantile(0.9)
+
+
+def test_moments_and_extremes_of_an_expansion_in_data_are_those_of_the_data():
+    expanded = al.expand(lambda at: at["x"], {"x": al.Sample(DATA)}, al.Expansion(1))
+    assert float(expanded.mean) == pytest.approx(DATA.mean(), rel=1e-12)
+    assert float(expanded.std) == pytest.approx(DATA.std(), rel=1e-9)
+
+
+def test_a_density_around_zero_has_tails():
+    tent = al.Density(lambda x: 1 - np.abs(x), -1.0, 1.0)
+    expanded = al.expand(lambda at: at["x"], {"x": tent}, al.Expansion(1))
+    assert float(expanded.quantile(0.9)) == pytest.approx(1 - np.sqrt(0.2), rel=1e-6)
+
+
+def test_a_called_function_that_returns_one_array_again_and_again_is_read_each_time():
+    kept = np.zeros(1)
+
+    def simulator(at):
+        kept[0] = at["u"] ** 2
+        return kept
+
+    distributions = {"u": al.Uniform.bounds(0.0, 1.0)}
+    expanded = al.expand(simulator, distributions, al.Expansion(3), traced=False)
+    np.testing.assert_allclose(expanded.mean, [1 / 3], rtol=1e-6)
+    sampled = al.references.monte_carlo(simulator, distributions, samples=64, traced=False)
+    assert len(np.unique(sampled.values)) == 64
+
+
+def test_a_constant_is_said_not_to_vary():
+    expanded = al.expand(lambda at: 3.0 + 0 * at["x"], {"x": al.Normal(0.0, 1.0)}, al.Expansion(2))
+    assert "it does not vary" in str(expanded)
