@@ -16,9 +16,7 @@ from aleator.ensemble import (
     at_levels,
     draw,
     few_at_once,
-    fill,
     in_batches,
-    parts,
     random_levels,
     uncertain_places,
 )
@@ -136,14 +134,6 @@ def test_germ_points_are_quantiles_and_random_ones_depend_on_the_seed_alone():
     np.testing.assert_array_equal(many[:10], few)
     np.testing.assert_array_equal(many, at_levels(germs, random_levels(np.random.default_rng(7), 1000, 2)))
     assert stats.kstest(many[:, 1], "norm").pvalue > 1e-3
-
-
-def test_parts_hold_every_point_once_and_are_filled_with_their_own():
-    points = np.arange(14.0).reshape(7, 2)
-    some = list(parts(points, 3))
-    assert [(part.first, len(part.points)) for part in some] == [(0, 3), (3, 3), (6, 1)]
-    np.testing.assert_array_equal(fill(some[-1].points, 3), points[[6, 6, 6]])
-    np.testing.assert_array_equal(fill(points[:2], 5), points[[0, 1, 0, 1, 0]])
 
 
 @pytest.mark.parametrize("count", [1, 64, 131])

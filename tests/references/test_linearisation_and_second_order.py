@@ -108,17 +108,16 @@ def test_second_order_has_the_shift_and_the_skewness_of_the_clutch_that_linearis
 
 def test_expansions_have_the_structure_of_the_outputs():
     def outputs(m):
-        return {"path": jnp.outer(m["u"] * jnp.arange(3.0), jnp.ones(2)), "sum": m["u"] * m["n"]}
+        return {"path": m["u"] * np.outer(np.arange(3.0), np.ones(2)), "sum": m["u"] * m["n"]}
 
     first, second = al.references.linearise(outputs, MODEL), al.references.second_order(outputs, MODEL)
     spread = np.outer(np.arange(3.0), np.ones(2)) * 3 / math.sqrt(12)
     for found in (first, second):
-        np.testing.assert_allclose(found.std["path"], spread, rtol=1e-12)
+        (std,) = answers(found, [lambda one: one.std["path"]])
+        np.testing.assert_allclose(std, spread, rtol=1e-12)
         with pytest.raises(al.ProblemError, match="no output 'other'"):
             found["other"]
-    assert first.contributions["u"]["path"].shape == (3, 2)
     np.testing.assert_allclose(first.contributions["u"]["path"], [[0, 0], [100, 100], [100, 100]], rtol=1e-12)
-    np.testing.assert_allclose(second.skewness["path"], 0.0, atol=1e-12)
     assert first.sensitivities["n"]["sum"] == pytest.approx(2.5, rel=1e-12)
     assert first["sum"].worst_case(dict.fromkeys("unbg", 1.0)) == pytest.approx(2.5 + 1.0, rel=1e-12)
 
@@ -179,8 +178,9 @@ def test_correlated_inputs_of_any_distribution_have_the_correlation_that_was_giv
         al.references.second_order(lambda m: m["c"] * m["e"], model)
 
 
+LOG_STD = math.sqrt(math.log1p((0.4 / 2.0) ** 2))
 FAMILIES = {
-    "lognormal": (al.LogNormal(mean=2.0, std=0.4), None),
+    "lognormal": (al.LogNormal(mean=2.0, std=0.4), stats.lognorm(LOG_STD, scale=2.0 / math.exp(LOG_STD**2 / 2))),
     "data of few values": (al.Sample([1.0, 2.0, 2.0, 4.0]), stats.rv_discrete(values=([1, 2, 4], [0.25, 0.5, 0.25]))),
 }
 
@@ -188,9 +188,6 @@ FAMILIES = {
 @pytest.mark.parametrize("name", FAMILIES)
 def test_second_order_takes_the_moments_of_every_family_as_they_are(name):
     distribution, oracle = FAMILIES[name]
-    if oracle is None:
-        sigma = math.sqrt(math.log1p((0.4 / 2.0) ** 2))
-        oracle = stats.lognorm(sigma, scale=2.0 / math.exp(sigma**2 / 2))
     # Of x^2 - x.
     raw = [1.0, *(float(oracle.moment(k)) for k in range(1, 7))]
     mean = raw[2] - raw[1]

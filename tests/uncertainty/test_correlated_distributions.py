@@ -92,16 +92,13 @@ def test_data_and_a_normal_have_the_correlation_that_was_given_in_closed_form():
     assert rho * (np.sort(DATA) @ (ends[:-1] - ends[1:])) / DATA.std() == pytest.approx(0.5, abs=2e-4)
 
 
-def test_normals_have_the_correlation_that_was_given_and_lognormals_that_of_the_closed_form():
+def test_normals_have_the_correlation_that_was_given_and_lognormals_and_uniforms_that_of_the_closed_form():
     assert pair("normal", "toleranced", 0.3)["b"].dependence.factor[1, 0] == pytest.approx(0.3, rel=1e-13)
     s, t = np.sqrt(np.log(1 + 0.4**2)), np.sqrt(np.log(1 + 0.3**2))
     distributions = {"a": LogNormal(mean=2.0, std=0.8), "b": LogNormal(mean=1.0, std=0.3, lower=0.0)}
     for r in (0.9, 0.2, -0.7):
         rho = correlated(distributions, {("a", "b"): r})["b"].dependence.factor[1, 0]
         assert rho == pytest.approx(np.log(1 + r * 0.4 * 0.3) / (s * t), rel=1e-12)
-
-
-def test_uniforms_have_the_closed_form_of_their_normals_correlation():
     for r in (-0.9, 0.1, 0.95):
         rho = pair("uniform", "uniform", r)["b"].dependence.factor[1, 0]
         assert rho == pytest.approx(2 * np.sin(np.pi * r / 6), rel=1e-7)

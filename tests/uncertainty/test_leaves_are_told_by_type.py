@@ -10,8 +10,6 @@ import aleator as al
 from aleator._core.leaves import highest, is_leaf, lowest, named_leaves
 from aleator.uncertainty import at_means, placements, realise
 
-HOLDERS = ("model", "system", "inputs", "grid", "dimensions", "t_final", "t_start")
-
 
 class Range(eqx.Module):
     """A user's class whose fields are called like those of a decision."""
@@ -36,24 +34,11 @@ class Oddity(eqx.Module):
         return None
 
 
-class Box(eqx.Module):
-    """A user's class with every name under which a library might hold things."""
-
-    model: Any
-    system: Any
-    inputs: Any
-    grid: Any
-    dimensions: Any
-    t_final: Any
-    t_start: Any
-
-
 class Decay(al.System):
     """x' = -rate x, with the rate in a user's class that looks like a decision."""
 
     states = ("x",)
     rates: Range
-    box: Any = 1.0
     model: Any = 1.0
     inputs: Any = 1.0
     grid: Any = 1.0
@@ -88,8 +73,7 @@ def test_leaves_inside_of_classes_that_look_like_leaves_are_found():
 
 
 def test_numbers_that_would_have_one_name_go_by_their_whole_places():
-    box = Box(*(al.Normal(1.0, 0.1) for _ in HOLDERS))
-    system = Decay(Range(al.Normal(1.0, 0.05), 0.5, al.Decision(1.0, 0.5, 2.0)), box, *(al.Normal(1.0, 0.1),) * 4)
+    system = Decay(Range(al.Normal(1.0, 0.05), 0.5, al.Decision(1.0, 0.5, 2.0)), *(al.Normal(1.0, 0.1),) * 4)
     problem = al.Problem(
         system,
         grid=al.Grid(al.Decision(1.0, 0.5, 2.0), steps=10),
@@ -99,7 +83,7 @@ def test_numbers_that_would_have_one_name_go_by_their_whole_places():
     )
     # What would have one name goes by its whole place; the rest by its name in the system.
     assert problem.placements.entry_names() == ("rates.upper", "grid.t_final")
-    assert {"box.model", "box.grid", "model", "inputs", "grid", "system.t_final"} <= set(problem.placements.germ_names)
+    assert {"model", "inputs", "grid", "system.t_final"} <= set(problem.placements.germ_names)
     assert any(name.startswith("inputs.force") for name in problem.placements.germ_names)
     assert [name for name, _ in named_leaves(at_means(system))] == [name for name, _ in named_leaves(system)]
     assert problem.placements.named(np.array([1.0, 1.5])) == {"rates.upper": 1.0, "grid.t_final": 1.5}
