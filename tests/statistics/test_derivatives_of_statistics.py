@@ -11,27 +11,7 @@ import pytest
 from small_expansions import basis_of, random_coefficients
 
 from aleator import statistics
-from aleator.statistics import (
-    AbstractStatistic,
-    CoefficientProduct,
-    ConditionalValueAtRisk,
-    CornishFisher,
-    Correlation,
-    Covariance,
-    Infimum,
-    Kurtosis,
-    Mean,
-    Probability,
-    Quantile,
-    Skewness,
-    Sobol,
-    Std,
-    Supremum,
-    TotalSobol,
-    Variance,
-    _lines,
-    prepare,
-)
+from aleator.statistics import AbstractStatistic, _lines, prepare
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 from compiling import compiled
 
@@ -39,32 +19,38 @@ BOUNDED = basis_of([LegendreGerm(), JacobiGerm(2.0, 3.0)], 3)
 MIXED = basis_of([HermiteGerm(), LegendreGerm(), HermiteGerm(), LaguerreGerm(3.0)], 2)
 
 STATISTICS = [
-    Mean(),
-    Variance(),
-    Std(),
-    Skewness(),
-    Kurtosis(),
-    Covariance(),
-    CoefficientProduct(),
-    Correlation(),
-    Sobol("a"),
-    Sobol(("a", "b")),
-    TotalSobol("b"),
-    Quantile(0.9),
-    CornishFisher(0.99),
-    Probability(above=0.3),
-    ConditionalValueAtRisk(0.9),
-    Supremum(),
-    Infimum(),
+    statistics.Mean(),
+    statistics.Variance(),
+    statistics.Std(),
+    statistics.Skewness(),
+    statistics.Kurtosis(),
+    statistics.Covariance(),
+    statistics.CoefficientProduct(),
+    statistics.Correlation(),
+    statistics.Sobol("a"),
+    statistics.Sobol(("a", "b")),
+    statistics.TotalSobol("b"),
+    statistics.Quantile(0.9),
+    statistics.CornishFisher(0.99),
+    statistics.Probability(above=0.3),
+    statistics.ConditionalValueAtRisk(0.9),
+    statistics.Supremum(),
+    statistics.Infimum(),
 ]
 # Of the others all are in one program, by default.
-COSTLY = (Quantile, Probability, ConditionalValueAtRisk, Supremum, Infimum)
+COSTLY = (
+    statistics.Quantile,
+    statistics.Probability,
+    statistics.ConditionalValueAtRisk,
+    statistics.Supremum,
+    statistics.Infimum,
+)
 CASES = [
-    (ConditionalValueAtRisk(0.2, lower=True), BOUNDED),
-    (Probability(above=-0.2, below=0.5), BOUNDED),
-    (Supremum(), BOUNDED),
-    (Infimum(), BOUNDED),
-    (Quantile(0.9), MIXED),
+    (statistics.ConditionalValueAtRisk(0.2, lower=True), BOUNDED),
+    (statistics.Probability(above=-0.2, below=0.5), BOUNDED),
+    (statistics.Supremum(), BOUNDED),
+    (statistics.Infimum(), BOUNDED),
+    (statistics.Quantile(0.9), MIXED),
 ]
 
 
@@ -103,7 +89,11 @@ def test_forward_and_reverse_derivatives_are_those_of_finite_differences(statist
 
 
 def shape_of(statistic):
-    return (2,) if isinstance(statistic, Covariance | Correlation | CoefficientProduct) else ()
+    return (
+        (2,)
+        if isinstance(statistic, statistics.Covariance | statistics.Correlation | statistics.CoefficientProduct)
+        else ()
+    )
 
 
 def test_moments_shapes_and_indices_have_the_derivatives_of_finite_differences():
@@ -131,10 +121,10 @@ def test_moments_shapes_and_indices_have_the_derivatives_of_finite_differences()
 
 
 NUMBERS = [
-    (Quantile(0.9), lambda one: one.level),
-    (ConditionalValueAtRisk(0.9), lambda one: one.level),
-    (Probability(above=0.3), lambda one: one.above),
-    pytest.param(CornishFisher(0.9), lambda one: one.level, marks=pytest.mark.slow),
+    (statistics.Quantile(0.9), lambda one: one.level),
+    (statistics.ConditionalValueAtRisk(0.9), lambda one: one.level),
+    (statistics.Probability(above=0.3), lambda one: one.above),
+    pytest.param(statistics.CornishFisher(0.9), lambda one: one.level, marks=pytest.mark.slow),
 ]
 TWO = basis_of([HermiteGerm(), LegendreGerm()], 2)
 
@@ -153,8 +143,8 @@ def test_derivatives_of_tails_by_their_number_and_by_coefficients_are_those_of_d
     values, (by_number, by_coefficients) = jax.tree.map(np.asarray, program(at, moved, constants))
     assert by_number[4] == pytest.approx(float(values[0] - values[1]) / (2 * h), rel=1e-6)
     assert by_coefficients[4] @ direction == pytest.approx(float(values[2] - values[3]) / (2 * h), rel=1e-6)
-    certain = statistic.above is not None if isinstance(statistic, Probability) else 3.0
+    certain = statistic.above is not None if isinstance(statistic, statistics.Probability) else 3.0
     assert values[5] == float(certain)
     assert np.isfinite(by_coefficients[5]).all()
-    if not isinstance(statistic, Probability):
+    if not isinstance(statistic, statistics.Probability):
         assert by_coefficients[5][0] == pytest.approx(1.0)

@@ -7,49 +7,33 @@ import openturns as ot
 import pytest
 from scipy import stats
 
+import aleator as al
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.errors import ProblemError
-from aleator.uncertainty import (
-    Decision,
-    Density,
-    Exponential,
-    Gamma,
-    Gumbel,
-    HermiteGerm,
-    LogNormal,
-    Normal,
-    Sample,
-    Toleranced,
-    Uniform,
-    Weibull,
-    at_means,
-    correlated,
-    placements,
-    realise,
-)
+from aleator.uncertainty import HermiteGerm, at_means, placements, realise
 from compiling import compiled
 
 NONE = jnp.zeros(0)
 DATA = np.random.default_rng(8).gamma(3.0, size=200)
 
 DISTRIBUTIONS = {
-    "normal": Normal(1.0, 0.2),
-    "uniform": Uniform(3.0, half_width=1.0),
-    "lognormal": LogNormal(mean=2.0, std=0.8),
-    "exponential": Exponential(mean=2.0),
-    "gumbel": Gumbel(0.0, 1.0),
-    "weibull": Weibull(1.0, 1.5),
-    "gamma": Gamma(mean=2.0, std=1.0),
-    "sample": Sample(DATA),
-    "density": Density(lambda x: x * (1 - x), 0.0, 1.0),
-    "toleranced": Toleranced(5.0, plus=0.2, minus=0.1),
+    "normal": al.Normal(1.0, 0.2),
+    "uniform": al.Uniform(3.0, half_width=1.0),
+    "lognormal": al.LogNormal(mean=2.0, std=0.8),
+    "exponential": al.Exponential(mean=2.0),
+    "gumbel": al.Gumbel(0.0, 1.0),
+    "weibull": al.Weibull(1.0, 1.5),
+    "gamma": al.Gamma(mean=2.0, std=1.0),
+    "sample": al.Sample(DATA),
+    "density": al.Density(lambda x: x * (1 - x), 0.0, 1.0),
+    "toleranced": al.Toleranced(5.0, plus=0.2, minus=0.1),
 }
 TWO = {"a": DISTRIBUTIONS["normal"], "b": DISTRIBUTIONS["uniform"]}
 THREE = TWO | {"c": DISTRIBUTIONS["gumbel"]}
 
 
 def pair(first, second, correlation):
-    return correlated({"a": DISTRIBUTIONS[first], "b": DISTRIBUTIONS[second]}, {("a", "b"): correlation})
+    return al.correlated({"a": DISTRIBUTIONS[first], "b": DISTRIBUTIONS[second]}, {("a", "b"): correlation})
 
 
 def moments_by_quadrature(model, count=64):
@@ -95,9 +79,9 @@ def test_data_and_a_normal_have_the_correlation_that_was_given_in_closed_form():
 def test_normals_have_the_correlation_that_was_given_and_lognormals_and_uniforms_that_of_the_closed_form():
     assert pair("normal", "toleranced", 0.3)["b"].dependence.factor[1, 0] == pytest.approx(0.3, rel=1e-13)
     s, t = np.sqrt(np.log(1 + 0.4**2)), np.sqrt(np.log(1 + 0.3**2))
-    distributions = {"a": LogNormal(mean=2.0, std=0.8), "b": LogNormal(mean=1.0, std=0.3, lower=0.0)}
+    distributions = {"a": al.LogNormal(mean=2.0, std=0.8), "b": al.LogNormal(mean=1.0, std=0.3, lower=0.0)}
     for r in (0.9, 0.2, -0.7):
-        rho = correlated(distributions, {("a", "b"): r})["b"].dependence.factor[1, 0]
+        rho = al.correlated(distributions, {("a", "b"): r})["b"].dependence.factor[1, 0]
         assert rho == pytest.approx(np.log(1 + r * 0.4 * 0.3) / (s * t), rel=1e-12)
     for r in (-0.9, 0.1, 0.95):
         rho = pair("uniform", "uniform", r)["b"].dependence.factor[1, 0]
@@ -106,8 +90,8 @@ def test_normals_have_the_correlation_that_was_given_and_lognormals_and_uniforms
 
 def test_realisations_are_those_of_openturns_normal_copula():
     r = np.array([[1.0, 0.4, -0.2], [0.4, 1.0, 0.3], [-0.2, 0.3, 1.0]])
-    distributions = {"a": Normal(1.0, 0.2), "b": Gamma(shape=4.0, scale=0.5), "c": Weibull(2.0, 1.5)}
-    model = correlated(distributions, r)
+    distributions = {"a": al.Normal(1.0, 0.2), "b": al.Gamma(shape=4.0, scale=0.5), "c": al.Weibull(2.0, 1.5)}
+    model = al.correlated(distributions, r)
     factor = model["a"].dependence.factor
     marginals = [ot.Normal(1.0, 0.2), ot.Gamma(4.0, 2.0), ot.WeibullMin(2.0, 1.5)]
     joint = ot.JointDistribution(marginals, ot.NormalCopula(ot.CorrelationMatrix((factor @ factor.T).tolist())))
@@ -124,8 +108,8 @@ def test_realisations_are_those_of_openturns_normal_copula():
 
 
 def test_a_group_has_one_normal_germ_variable_for_each_member_wherever_the_members_are_placed():
-    distributions = correlated(TWO, {("a", "b"): 0.5}, name="spring")
-    model = {"rear": {"damper": distributions["b"]}, "x": Uniform(0.0, half_width=1.0), "front": distributions["a"]}
+    distributions = al.correlated(TWO, {("a", "b"): 0.5}, name="spring")
+    model = {"rear": {"damper": distributions["b"]}, "x": al.Uniform(0.0, half_width=1.0), "front": distributions["a"]}
     places = placements(model)
     assert set(places.germs) == {"spring.a", "spring.b", "x"}
     assert places.germs["spring.b"] == HermiteGerm()
@@ -133,9 +117,12 @@ def test_a_group_has_one_normal_germ_variable_for_each_member_wherever_the_membe
 
 
 def test_decisions_inside_correlated_distributions_move_them_and_leave_the_copula():
-    distributions = {"a": Normal(1.0, Decision(0.2, 0.0, 1.0)), "b": Gamma(mean=Decision(2.0, 1.0, 4.0), std=1.0)}
-    model = correlated(distributions, {("a", "b"): 0.5})
-    fixed = correlated({"a": Normal(1.0, 0.2), "b": Gamma(mean=2.0, std=1.0)}, {("a", "b"): 0.5})
+    distributions = {
+        "a": al.Normal(1.0, al.Decision(0.2, 0.0, 1.0)),
+        "b": al.Gamma(mean=al.Decision(2.0, 1.0, 4.0), std=1.0),
+    }
+    model = al.correlated(distributions, {("a", "b"): 0.5})
+    fixed = al.correlated({"a": al.Normal(1.0, 0.2), "b": al.Gamma(mean=2.0, std=1.0)}, {("a", "b"): 0.5})
     factor = fixed["a"].dependence.factor
     assert np.array_equal(model["a"].dependence.factor, factor)
     assert tuple(placements(model).decisions) == ("a.std", "b.mean")
@@ -157,11 +144,11 @@ def test_a_spread_may_be_differentiated_from_outside_and_a_shape_may_not():
     germ = jnp.array([0.4, -0.9])
 
     def number(s, make):
-        return realise(correlated(TWO | {"b": make(s)}, {("a", "b"): 0.5}), germ, NONE)["b"]
+        return realise(al.correlated(TWO | {"b": make(s)}, {("a", "b"): 0.5}), germ, NONE)["b"]
 
     normal = 0.5 * 0.4 - np.sqrt(0.75) * 0.9
-    assert float(jax.grad(number)(0.3, lambda s: Normal(1.0, s))) == pytest.approx(normal, rel=1e-12)
-    for make in (lambda s: Weibull(1.0, s), lambda s: LogNormal(mean=1.0, std=s)):
+    assert float(jax.grad(number)(0.3, lambda s: al.Normal(1.0, s))) == pytest.approx(normal, rel=1e-12)
+    for make in (lambda s: al.Weibull(1.0, s), lambda s: al.LogNormal(mean=1.0, std=s)):
         with pytest.raises(ProblemError, match=r"shape of a correlated distribution cannot be traced.*plain number"):
             jax.grad(number)(0.3, make)
 
@@ -187,24 +174,27 @@ def test_a_member_may_stand_at_two_places_if_it_is_said_to_be_one():
 
 def test_two_groups_need_two_names():
     first, again = pair("normal", "gumbel", 0.5), pair("normal", "gumbel", 0.2)
-    other = correlated(TWO, {("a", "b"): 0.2}, name="other")
+    other = al.correlated(TWO, {("a", "b"): 0.2}, name="other")
     with pytest.raises(ProblemError, match=r"'a~b' names two groups.*name=.*"):
         placements({"x": first["a"], "y": again["b"]})
     assert len(placements({"front": first, "rear": other}).germ_names) == 4
     with pytest.raises(
         ProblemError, match=r"'g\.a' names a germ variable of a correlated group and an independent distribution"
     ):
-        placements({"x": correlated(TWO, {}, name="g"), "g": {"a": Normal(0.0, 1.0)}})
+        placements({"x": al.correlated(TWO, {}, name="g"), "g": {"a": al.Normal(0.0, 1.0)}})
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: correlated(TWO, [[1.0, 0.5], [0.4, 1.0]]), "symmetric: received 0.5 for 'a' and 'b'.*same number"),
-        (lambda: correlated(TWO, [[1.0, 1.0], [1.0, 1.0]]), "between -1 and 1.*`shared`"),
-        (lambda: correlated(TWO, {("a", "x"): 0.5}), r"pairs of two of the distributions a, b; received \('a', 'x'\)"),
+        (lambda: al.correlated(TWO, [[1.0, 0.5], [0.4, 1.0]]), "symmetric: received 0.5 for 'a' and 'b'.*same number"),
+        (lambda: al.correlated(TWO, [[1.0, 1.0], [1.0, 1.0]]), "between -1 and 1.*`shared`"),
         (
-            lambda: correlated(THREE, {("a", "b"): 0.9, ("b", "c"): 0.9, ("a", "c"): -0.9}),
+            lambda: al.correlated(TWO, {("a", "x"): 0.5}),
+            r"pairs of two of the distributions a, b; received \('a', 'x'\)",
+        ),
+        (
+            lambda: al.correlated(THREE, {("a", "b"): 0.9, ("b", "c"): 0.9, ("a", "c"): -0.9}),
             "contradict each other.*positive definite.*smallest eigenvalue -0.8.*closer to 0",
         ),
     ],

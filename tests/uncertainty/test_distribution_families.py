@@ -5,22 +5,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from aleator.uncertainty import (
-    Beta,
-    Decision,
-    Density,
-    Exponential,
-    Gamma,
-    Gumbel,
-    LogNormal,
-    Normal,
-    Sample,
-    Triangular,
-    TruncatedNormal,
-    Uniform,
-    Weibull,
-    placements,
-)
+import aleator as al
+from aleator.uncertainty import placements
 from compiling import compiled
 
 LEVELS = np.array([1e-4, 0.01, 0.2, 0.5, 0.83, 0.99, 0.9999])
@@ -49,33 +35,33 @@ def beta_by_moments(mean, std, lower, upper):
 
 # distribution, SciPy's distribution
 LINEAR = {
-    "uniform by std": (Uniform(2.0, std=0.5), stats.uniform(2 - 0.5 * 3**0.5, 3**0.5)),
-    "uniform by bounds": (Uniform.bounds(-3, 5.5), stats.uniform(-3, 8.5)),
-    "normal": (Normal(1.5, 0.2), stats.norm(1.5, 0.2)),
-    "beta by shape on an interval": (Beta(alpha=0.5, beta=3.0, lower=-2, upper=4), stats.beta(0.5, 3, -2, 6)),
+    "uniform by std": (al.Uniform(2.0, std=0.5), stats.uniform(2 - 0.5 * 3**0.5, 3**0.5)),
+    "uniform by bounds": (al.Uniform.bounds(-3, 5.5), stats.uniform(-3, 8.5)),
+    "normal": (al.Normal(1.5, 0.2), stats.norm(1.5, 0.2)),
+    "beta by shape on an interval": (al.Beta(alpha=0.5, beta=3.0, lower=-2, upper=4), stats.beta(0.5, 3, -2, 6)),
     "beta by moments on an interval": (
-        Beta(mean=3.0, std=0.7, lower=1.0, upper=6.0),
+        al.Beta(mean=3.0, std=0.7, lower=1.0, upper=6.0),
         beta_by_moments(3.0, 0.7, 1.0, 6.0),
     ),
-    "gamma by shape above a bound": (Gamma(shape=0.7, scale=2.0, lower=-1.0), stats.gamma(0.7, -1, 2)),
-    "gamma by moments above a bound": (Gamma(mean=5.0, std=1.0, lower=3.0), stats.gamma(4, 3, 0.5)),
-    "exponential by mean above a bound": (Exponential(mean=2.5, lower=-1.0), stats.expon(-1, 3.5)),
-    "exponential by rate": (Exponential(rate=4.0, lower=3.0), stats.expon(3, 0.25)),
-    "weibull with a small shape": (Weibull(scale=2.0, shape=0.6, lower=-3.0), stats.weibull_min(0.6, -3, 2.0)),
-    "gumbel": (Gumbel(1.0, 0.2), stats.gumbel_r(1.0, 0.2)),
-    "triangular with its mode below": (Triangular(1.0, 1.0, 4.0), stats.triang(0, 1, 3)),
-    "triangular and symmetric": (Triangular(mean=5.0, half_width=0.5), stats.triang(0.5, 4.5, 1.0)),
-    "truncated normal": (TruncatedNormal(2.0, 0.5, lower=1.2, upper=3.5), truncated(2.0, 0.5, 1.2, 3.5)),
-    "truncated normal above": (TruncatedNormal(1.0, 0.5, upper=0.7), truncated(1.0, 0.5, upper=0.7)),
-    "truncated normal in the tail": (TruncatedNormal(0.0, 1.0, lower=6.0, upper=8.0), truncated(0.0, 1.0, 6.0, 8.0)),
-    "a normal density": (Density(bell, -np.inf, np.inf, location=27.6, scale=0.05), stats.norm(27.6, 0.05)),
-    "a density on the half line": (Density(lambda x: x * np.exp(-x), 0.0, np.inf), stats.gamma(2.0)),
-    "a density without bound at its end": (Density(lambda x: x**-0.5, 0, 1, location=3.0), stats.beta(0.5, 1, 3)),
+    "gamma by shape above a bound": (al.Gamma(shape=0.7, scale=2.0, lower=-1.0), stats.gamma(0.7, -1, 2)),
+    "gamma by moments above a bound": (al.Gamma(mean=5.0, std=1.0, lower=3.0), stats.gamma(4, 3, 0.5)),
+    "exponential by mean above a bound": (al.Exponential(mean=2.5, lower=-1.0), stats.expon(-1, 3.5)),
+    "exponential by rate": (al.Exponential(rate=4.0, lower=3.0), stats.expon(3, 0.25)),
+    "weibull with a small shape": (al.Weibull(scale=2.0, shape=0.6, lower=-3.0), stats.weibull_min(0.6, -3, 2.0)),
+    "gumbel": (al.Gumbel(1.0, 0.2), stats.gumbel_r(1.0, 0.2)),
+    "triangular with its mode below": (al.Triangular(1.0, 1.0, 4.0), stats.triang(0, 1, 3)),
+    "triangular and symmetric": (al.Triangular(mean=5.0, half_width=0.5), stats.triang(0.5, 4.5, 1.0)),
+    "truncated normal": (al.TruncatedNormal(2.0, 0.5, lower=1.2, upper=3.5), truncated(2.0, 0.5, 1.2, 3.5)),
+    "truncated normal above": (al.TruncatedNormal(1.0, 0.5, upper=0.7), truncated(1.0, 0.5, upper=0.7)),
+    "truncated normal in the tail": (al.TruncatedNormal(0.0, 1.0, lower=6.0, upper=8.0), truncated(0.0, 1.0, 6.0, 8.0)),
+    "a normal density": (al.Density(bell, -np.inf, np.inf, location=27.6, scale=0.05), stats.norm(27.6, 0.05)),
+    "a density on the half line": (al.Density(lambda x: x * np.exp(-x), 0.0, np.inf), stats.gamma(2.0)),
+    "a density without bound at its end": (al.Density(lambda x: x**-0.5, 0, 1, location=3.0), stats.beta(0.5, 1, 3)),
 }
 CURVED = {
-    "lognormal by moments": (LogNormal(mean=3.0, std=0.8), lognormal_by_moments(3.0, 0.8)),
-    "lognormal above a bound": (LogNormal(log_mean=0.5, log_std=0.7, lower=-1), stats.lognorm(0.7, -1, np.exp(0.5))),
-    "lognormal by median above a bound": (LogNormal(median=2.0, log_std=0.7, lower=-1), stats.lognorm(0.7, -1, 3)),
+    "lognormal by moments": (al.LogNormal(mean=3.0, std=0.8), lognormal_by_moments(3.0, 0.8)),
+    "lognormal above a bound": (al.LogNormal(log_mean=0.5, log_std=0.7, lower=-1), stats.lognorm(0.7, -1, np.exp(0.5))),
+    "lognormal by median above a bound": (al.LogNormal(median=2.0, log_std=0.7, lower=-1), stats.lognorm(0.7, -1, 3)),
 }
 DISTRIBUTIONS = LINEAR | CURVED
 # To find these quantiles takes an iteration: one of each is enough.
@@ -128,12 +114,12 @@ def test_moments_support_and_values_are_those_of_scipy(computed, name):
 
 
 MADE = {
-    "lognormal": LogNormal(mean=3.0, std=0.8),
-    "weibull": Weibull(mean=0.5, std=2.0),
-    "gumbel": Gumbel(mean=3.0, std=0.3),
-    "beta, nearly as wide as possible": Beta(mean=0.3, std=0.45),
+    "lognormal": al.LogNormal(mean=3.0, std=0.8),
+    "weibull": al.Weibull(mean=0.5, std=2.0),
+    "gumbel": al.Gumbel(mean=3.0, std=0.3),
+    "beta, nearly as wide as possible": al.Beta(mean=0.3, std=0.45),
 }
-IN_TAILS = [TruncatedNormal(0.0, 1.0, lower=30.0), TruncatedNormal(0.0, 1.0, lower=3.0, upper=3.0 + 1e-5)]
+IN_TAILS = [al.TruncatedNormal(0.0, 1.0, lower=30.0), al.TruncatedNormal(0.0, 1.0, lower=3.0, upper=3.0 + 1e-5)]
 
 
 def test_distributions_by_moments_have_them_and_those_of_truncated_normals_keep_their_digits():
@@ -164,7 +150,7 @@ def test_distributions_by_moments_have_them_and_those_of_truncated_normals_keep_
 
 @pytest.mark.parametrize("data", [[1.02, 0.97, 1.05, 0.99, 1.01], [1.0, 1.0, 1.0, 5.0]])
 def test_a_sample_has_the_moments_the_range_and_the_values_of_its_data(data):
-    data, distribution = np.array(data), Sample(data, location=1.0, scale=2.0)
+    data, distribution = np.array(data), al.Sample(data, location=1.0, scale=2.0)
     assert float(distribution.mean()) == pytest.approx(1 + 2 * data.mean(), rel=1e-14)
     assert float(distribution.std()) == pytest.approx(2 * data.std(), rel=1e-14)
     assert tuple(map(float, distribution.support())) == pytest.approx((1 + 2 * data.min(), 1 + 2 * data.max()))
@@ -176,12 +162,12 @@ def test_a_sample_has_the_moments_the_range_and_the_values_of_its_data(data):
     normals = stats.norm.ppf(levels[::100])
     by_normal = compiled(jax.vmap(lambda normal: distribution.from_normal(normal, ())))(normals)
     assert np.array_equal(by_normal, drawn[::100])
-    assert distribution.germ() == Sample(data[::-1]).germ() != Sample([*data, 9.0]).germ()
+    assert distribution.germ() == al.Sample(data[::-1]).germ() != al.Sample([*data, 9.0]).germ()
 
 
 def test_quantiles_of_a_sample_are_those_of_the_empirical_distribution():
     data = np.random.default_rng(4).normal(size=40).round(1)  # some of them alike
-    germ = Sample(data).germ()
+    germ = al.Sample(data).germ()
     levels = np.linspace(0.001, 0.999, 77)
     assert np.array_equal(germ.quantile(levels), np.quantile(data, levels, method="inverted_cdf"))
     between = np.linspace(-4.03, 4.03, 30)
@@ -193,7 +179,7 @@ def test_quantiles_of_a_sample_are_those_of_the_empirical_distribution():
 
 
 def test_distributions_with_functions_and_data_can_be_shared_and_survive_flattening():
-    for distribution in (Sample([1.0, 2.0, 3.0], location=Decision(0.0, -1.0, 1.0)), Density(bell, -1.0, 1.0)):
+    for distribution in (al.Sample([1.0, 2.0, 3.0], location=al.Decision(0.0, -1.0, 1.0)), al.Density(bell, -1.0, 1.0)):
         shared = distribution.shared("x")
         leaves, structure = jax.tree.flatten(shared)
         again = jax.tree.unflatten(structure, leaves)

@@ -3,24 +3,8 @@
 import numpy as np
 import pytest
 
+import aleator as al
 from aleator._core.errors import ProblemError
-from aleator.uncertainty import (
-    Beta,
-    Decision,
-    Density,
-    Exponential,
-    Gamma,
-    Gumbel,
-    LogNormal,
-    Normal,
-    Sample,
-    Toleranced,
-    Triangular,
-    TruncatedNormal,
-    Uniform,
-    Weibull,
-    toleranced,
-)
 
 
 def bell(x):
@@ -28,26 +12,26 @@ def bell(x):
 
 
 POSITIVE_NUMBERS = {
-    "Uniform half_width": lambda s: Uniform(1.0, half_width=s),
-    "Normal std": lambda s: Normal(1.0, s),
-    "Beta std": lambda s: Beta(mean=0.3, std=s),
-    "Beta alpha": lambda s: Beta(alpha=s, beta=2.0),
-    "Beta beta": lambda s: Beta(alpha=2.0, beta=s),
-    "Gamma scale": lambda s: Gamma(shape=2.0, scale=s),
-    "Gamma shape": lambda s: Gamma(shape=s, scale=2.0),
-    "Gamma std": lambda s: Gamma(mean=2.0, std=s),
-    "Exponential rate": lambda s: Exponential(rate=s),
-    "LogNormal mean": lambda s: LogNormal(mean=s, std=1.0),
-    "LogNormal std": lambda s: LogNormal(mean=1.0, std=s),
-    "LogNormal log_std": lambda s: LogNormal(log_mean=1.0, log_std=s),
-    "Weibull scale": lambda s: Weibull(s, 1.0),
-    "Weibull shape": lambda s: Weibull(1.0, s),
-    "Weibull std": lambda s: Weibull(mean=1.0, std=s),
-    "Gumbel scale": lambda s: Gumbel(0.0, s),
-    "Triangular half_width": lambda s: Triangular(mean=0.0, half_width=s),
-    "TruncatedNormal scale": lambda s: TruncatedNormal(1.0, s, lower=0.0),
-    "Density scale": lambda s: Density(bell, -1.0, 1.0, scale=s),
-    "Sample scale": lambda s: Sample([1.0, 2.0], scale=s),
+    "Uniform half_width": lambda s: al.Uniform(1.0, half_width=s),
+    "Normal std": lambda s: al.Normal(1.0, s),
+    "Beta std": lambda s: al.Beta(mean=0.3, std=s),
+    "Beta alpha": lambda s: al.Beta(alpha=s, beta=2.0),
+    "Beta beta": lambda s: al.Beta(alpha=2.0, beta=s),
+    "Gamma scale": lambda s: al.Gamma(shape=2.0, scale=s),
+    "Gamma shape": lambda s: al.Gamma(shape=s, scale=2.0),
+    "Gamma std": lambda s: al.Gamma(mean=2.0, std=s),
+    "Exponential rate": lambda s: al.Exponential(rate=s),
+    "LogNormal mean": lambda s: al.LogNormal(mean=s, std=1.0),
+    "LogNormal std": lambda s: al.LogNormal(mean=1.0, std=s),
+    "LogNormal log_std": lambda s: al.LogNormal(log_mean=1.0, log_std=s),
+    "Weibull scale": lambda s: al.Weibull(s, 1.0),
+    "Weibull shape": lambda s: al.Weibull(1.0, s),
+    "Weibull std": lambda s: al.Weibull(mean=1.0, std=s),
+    "Gumbel scale": lambda s: al.Gumbel(0.0, s),
+    "Triangular half_width": lambda s: al.Triangular(mean=0.0, half_width=s),
+    "TruncatedNormal scale": lambda s: al.TruncatedNormal(1.0, s, lower=0.0),
+    "Density scale": lambda s: al.Density(bell, -1.0, 1.0, scale=s),
+    "Sample scale": lambda s: al.Sample([1.0, 2.0], scale=s),
 }
 
 
@@ -60,30 +44,30 @@ def test_a_spread_or_shape_that_is_not_positive_and_finite_is_refused_by_name_an
 
 
 IMPOSSIBLE = [
-    (lambda: Uniform.bounds(1.0, 1.0), "lower=1, upper=1"),
-    (lambda: Beta(alpha=2.0, beta=2.0, lower=3.0, upper=1.0), "lower=3, upper=1"),
-    (lambda: Beta(mean=0.3, std=0.46), "std=0.46"),  # at most sqrt(mean (1 - mean)), here 0.458
-    (lambda: Gamma(mean=2.0, std=1.0, lower=3.0), "lower=3"),
-    (lambda: Exponential(mean=1.0, lower=2.0), "finite mean above lower.*lower=2"),
-    (lambda: LogNormal(mean=1.0, std=0.5, lower=1.0), "lower=1"),
-    (lambda: Triangular(1.0, 0.5, 2.0), "mode=0.5"),
-    (lambda: TruncatedNormal(0.0, 1.0, lower=2.0, upper=1.0), "lower < upper"),
-    (lambda: TruncatedNormal(0.0, 1.0, lower=40.0), "within 37 scales.*lower=40"),
-    (lambda: Density(np.sin, 0.0, 7.0), "not negative.*received -0"),
-    (lambda: Density(lambda x: np.exp(-(((x - 20) / 1e-3) ** 2)), -np.inf, np.inf), "no mass"),
-    (lambda: Density(lambda x: 1 / x, 0.0, 1.0), "converge towards its end 0"),
-    (lambda: Density(lambda x: (1 - x) ** -0.5, 0.0, 1.0), "grows without bound towards its end 1.*location"),
-    (lambda: Density(lambda x: 1 / (1 + x**2), -np.inf, np.inf), "moments"),
-    (lambda: Sample([2.0, 2.0]), "differ"),
-    (lambda: Uniform(1.0, half_width=0.1, std=0.1), "half_width, std"),
-    (lambda: Gamma(shape=2.0, std=1.0), "shape, std, lower"),
-    (lambda: Normal(1.0, Decision(0.0, 0.0)), r"std=Decision\(0 in"),
-    (lambda: Decision(1.0, lower=2.0, upper=0.0), "lower=2.0, upper=0.0"),
-    (lambda: Decision(np.array([1.0, 5.0]), 0.0, 2.0), "between its bounds"),
-    (lambda: Decision(np.ones(3), lower=np.zeros(2)), r"shape \(3,\)"),
-    (lambda: Decision(np.ones(2), lower=np.array([0.0, 3.0]), upper=2.0), "lower bound"),
-    (lambda: Toleranced(1.0, plus=0.1, minus=-0.1), "in order.*minus=-0.1"),
-    (lambda: Toleranced(1.0, tolerance=0.1, cp=1.0, cpk=1.2), "cpk=1.2"),
+    (lambda: al.Uniform.bounds(1.0, 1.0), "lower=1, upper=1"),
+    (lambda: al.Beta(alpha=2.0, beta=2.0, lower=3.0, upper=1.0), "lower=3, upper=1"),
+    (lambda: al.Beta(mean=0.3, std=0.46), "std=0.46"),  # at most sqrt(mean (1 - mean)), here 0.458
+    (lambda: al.Gamma(mean=2.0, std=1.0, lower=3.0), "lower=3"),
+    (lambda: al.Exponential(mean=1.0, lower=2.0), "finite mean above lower.*lower=2"),
+    (lambda: al.LogNormal(mean=1.0, std=0.5, lower=1.0), "lower=1"),
+    (lambda: al.Triangular(1.0, 0.5, 2.0), "mode=0.5"),
+    (lambda: al.TruncatedNormal(0.0, 1.0, lower=2.0, upper=1.0), "lower < upper"),
+    (lambda: al.TruncatedNormal(0.0, 1.0, lower=40.0), "within 37 scales.*lower=40"),
+    (lambda: al.Density(np.sin, 0.0, 7.0), "not negative.*received -0"),
+    (lambda: al.Density(lambda x: np.exp(-(((x - 20) / 1e-3) ** 2)), -np.inf, np.inf), "no mass"),
+    (lambda: al.Density(lambda x: 1 / x, 0.0, 1.0), "converge towards its end 0"),
+    (lambda: al.Density(lambda x: (1 - x) ** -0.5, 0.0, 1.0), "grows without bound towards its end 1.*location"),
+    (lambda: al.Density(lambda x: 1 / (1 + x**2), -np.inf, np.inf), "moments"),
+    (lambda: al.Sample([2.0, 2.0]), "differ"),
+    (lambda: al.Uniform(1.0, half_width=0.1, std=0.1), "half_width, std"),
+    (lambda: al.Gamma(shape=2.0, std=1.0), "shape, std, lower"),
+    (lambda: al.Normal(1.0, al.Decision(0.0, 0.0)), r"std=Decision\(0 in"),
+    (lambda: al.Decision(1.0, lower=2.0, upper=0.0), "lower=2.0, upper=0.0"),
+    (lambda: al.Decision(np.array([1.0, 5.0]), 0.0, 2.0), "between its bounds"),
+    (lambda: al.Decision(np.ones(3), lower=np.zeros(2)), r"shape \(3,\)"),
+    (lambda: al.Decision(np.ones(2), lower=np.array([0.0, 3.0]), upper=2.0), "lower bound"),
+    (lambda: al.Toleranced(1.0, plus=0.1, minus=-0.1), "in order.*minus=-0.1"),
+    (lambda: al.Toleranced(1.0, tolerance=0.1, cp=1.0, cpk=1.2), "cpk=1.2"),
 ]
 
 
@@ -96,23 +80,31 @@ def test_numbers_that_cannot_be_are_refused_with_what_was_received(make, receive
 def test_a_text_that_is_no_toleranced_dimension_is_refused_with_the_forms_that_are():
     for text in ("27.645", "27,645 ±0.05", "200-0.02", "8 +0.1/-0.1/-0.2"):
         with pytest.raises(ProblemError, match=r"is no toleranced dimension: expected .*\+0\.05/-0\.02"):
-            toleranced(text)
+            al.toleranced(text)
 
 
 NARROW, FINITE = "Narrow the bounds of its decisions", "Give the decision finite bounds"
 INSIDE_OUT = {
-    "gamma below its bound": (lambda: Gamma(mean=Decision(2, -3, 5), std=1), "mean=-3", NARROW),
-    "uniform crossing": (lambda: Uniform.bounds(Decision(1, 0, 5), Decision(2, 0, 5)), "lower=5, upper=0", NARROW),
-    "normal of unbounded std": (lambda: Normal(1.0, Decision(0.1)), "std=-inf", FINITE),
+    "gamma below its bound": (lambda: al.Gamma(mean=al.Decision(2, -3, 5), std=1), "mean=-3", NARROW),
+    "uniform crossing": (
+        lambda: al.Uniform.bounds(al.Decision(1, 0, 5), al.Decision(2, 0, 5)),
+        "lower=5, upper=0",
+        NARROW,
+    ),
+    "normal of unbounded std": (lambda: al.Normal(1.0, al.Decision(0.1)), "std=-inf", FINITE),
     "beta crossing": (
-        lambda: Beta(alpha=2, beta=2, lower=Decision(0, -1, 2), upper=Decision(1, 0, 3)),
+        lambda: al.Beta(alpha=2, beta=2, lower=al.Decision(0, -1, 2), upper=al.Decision(1, 0, 3)),
         "lower=2, upper=0",
         NARROW,
     ),
-    "beta wider than possible": (lambda: Beta(mean=Decision(0.5, 0.1, 0.9), std=0.4), "mean=0.1", NARROW),
-    "weibull by moments": (lambda: Weibull(mean=2.0, std=Decision(1.0, 0.0, 3.0)), "std=0", NARROW),
-    "truncated normal": (lambda: TruncatedNormal(Decision(0.0), 1.0, lower=0.0), "location=-inf", FINITE),
-    "capability": (lambda: Toleranced(1.0, tolerance=0.1, cp=1.0, cpk=Decision(0.8, 0.5, 1.5)), "cpk=1.5", NARROW),
+    "beta wider than possible": (lambda: al.Beta(mean=al.Decision(0.5, 0.1, 0.9), std=0.4), "mean=0.1", NARROW),
+    "weibull by moments": (lambda: al.Weibull(mean=2.0, std=al.Decision(1.0, 0.0, 3.0)), "std=0", NARROW),
+    "truncated normal": (lambda: al.TruncatedNormal(al.Decision(0.0), 1.0, lower=0.0), "location=-inf", FINITE),
+    "capability": (
+        lambda: al.Toleranced(1.0, tolerance=0.1, cp=1.0, cpk=al.Decision(0.8, 0.5, 1.5)),
+        "cpk=1.5",
+        NARROW,
+    ),
 }
 
 
@@ -125,15 +117,15 @@ def test_a_distribution_that_its_decisions_turn_inside_out_is_refused_with_the_c
 
 
 def test_a_spread_may_vanish_or_grow_without_bound_where_every_decision_in_between_makes_a_distribution():
-    Normal(Decision(0), Decision(1, 0))
-    Uniform.bounds(Decision(1, -np.inf, 2), Decision(3, 2, np.inf))
-    Beta(alpha=2, beta=2, lower=Decision(0, 0, 1), upper=1)
-    Gamma(shape=2, scale=Decision(1, 0), lower=Decision(0))
-    Beta(mean=Decision(0.5, 0.2, 0.8), std=Decision(0.1, 0.01, 0.3))
+    al.Normal(al.Decision(0), al.Decision(1, 0))
+    al.Uniform.bounds(al.Decision(1, -np.inf, 2), al.Decision(3, 2, np.inf))
+    al.Beta(alpha=2, beta=2, lower=al.Decision(0, 0, 1), upper=1)
+    al.Gamma(shape=2, scale=al.Decision(1, 0), lower=al.Decision(0))
+    al.Beta(mean=al.Decision(0.5, 0.2, 0.8), std=al.Decision(0.1, 0.01, 0.3))
 
 
 def test_decisions_shared_under_one_name_reach_only_the_corners_that_they_share():
-    k = Decision(2.0, 1.0, 5.0).shared("k")
-    distribution = Beta(mean=k, std=0.1, lower=0.0, upper=Decision(9.0, 6.0, 10.0))
+    k = al.Decision(2.0, 1.0, 5.0).shared("k")
+    distribution = al.Beta(mean=k, std=0.1, lower=0.0, upper=al.Decision(9.0, 6.0, 10.0))
     assert len(list(distribution.corners())) == 4
-    assert list(Gamma(mean=k, std=k).corners()) == [{"mean": 1.0, "std": 1.0}, {"mean": 5.0, "std": 5.0}]
+    assert list(al.Gamma(mean=k, std=k).corners()) == [{"mean": 1.0, "std": 1.0}, {"mean": 5.0, "std": 5.0}]

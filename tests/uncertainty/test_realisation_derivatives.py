@@ -9,21 +9,9 @@ import numpy as np
 import pytest
 from scipy import optimize, special, stats
 
+import aleator as al
 from aleator._core.errors import ProblemError
-from aleator.uncertainty import (
-    Beta,
-    Decision,
-    Exponential,
-    Gamma,
-    LogNormal,
-    Normal,
-    Triangular,
-    TruncatedNormal,
-    Uniform,
-    Weibull,
-    placements,
-    realise,
-)
+from aleator.uncertainty import placements, realise
 from compiling import compiled
 
 LEVELS = np.array([0.01, 0.2, 0.5, 0.83, 0.99])
@@ -51,58 +39,58 @@ def truncated_normal(location, scale, lower=-np.inf, upper=np.inf):
 
 
 MOMENTS = {
-    "mean": Decision(2.0, 1.0, 4.0),
-    "std": Decision(1.0, 0.1, 2.0),
-    "lower": Decision(0.5, -1.0, 0.9),
+    "mean": al.Decision(2.0, 1.0, 4.0),
+    "std": al.Decision(1.0, 0.1, 2.0),
+    "lower": al.Decision(0.5, -1.0, 0.9),
 }
 
 # distribution, SciPy's distribution at decisions, decisions away from the start
 QUICK = {
     "uniform": (
-        Uniform(Decision(5.0), half_width=Decision(1.0, 0.0)),
+        al.Uniform(al.Decision(5.0), half_width=al.Decision(1.0, 0.0)),
         lambda m, h: stats.uniform(m - h, 2 * h),
         [5.5, 1.7],
     ),
     "uniform by bounds": (
-        Uniform.bounds(Decision(1.0, -5.0, 1.6), Decision(2.0, 1.6)),
+        al.Uniform.bounds(al.Decision(1.0, -5.0, 1.6), al.Decision(2.0, 1.6)),
         lambda a, b: stats.uniform(a, b - a),
         [1.4, 2.2],
     ),
-    "normal": (Normal(Decision(1.0), Decision(0.5, 0.0)), stats.norm, [1.2, 0.8]),
+    "normal": (al.Normal(al.Decision(1.0), al.Decision(0.5, 0.0)), stats.norm, [1.2, 0.8]),
     "gamma with decided scale and bound": (
-        Gamma(shape=2.0, scale=Decision(0.5, 0.0), lower=Decision(1.0)),
+        al.Gamma(shape=2.0, scale=al.Decision(0.5, 0.0), lower=al.Decision(1.0)),
         lambda s, low: stats.gamma(2.0, low, s),
         [0.7, -1.0],
     ),
     "exponential by mean": (
-        Exponential(mean=Decision(2.0, 1.0, 4.0), lower=Decision(0.5, -1.0, 0.9)),
+        al.Exponential(mean=al.Decision(2.0, 1.0, 4.0), lower=al.Decision(0.5, -1.0, 0.9)),
         lambda m, low: stats.expon(low, m - low),
         [2.4, 0.3],
     ),
-    "lognormal by moments": (LogNormal(**MOMENTS), lognormal_by_moments, [2.4, 0.8, 0.3]),
+    "lognormal by moments": (al.LogNormal(**MOMENTS), lognormal_by_moments, [2.4, 0.8, 0.3]),
     "weibull": (
-        Weibull(Decision(2.0, 0.0), Decision(1.5, 0.2, 5.0), lower=Decision(1.0)),
+        al.Weibull(al.Decision(2.0, 0.0), al.Decision(1.5, 0.2, 5.0), lower=al.Decision(1.0)),
         lambda s, k, low: stats.weibull_min(k, low, s),
         [2.4, 0.8, 0.5],
     ),
-    "weibull by moments": (Weibull(**MOMENTS), weibull_by_moments, [2.4, 0.8, 0.3]),
+    "weibull by moments": (al.Weibull(**MOMENTS), weibull_by_moments, [2.4, 0.8, 0.3]),
     "triangular": (
-        Triangular(Decision(1.0, 0.5, 1.8), Decision(2.0, 1.8, 3.0), Decision(4.0, 3.0, 5.0)),
+        al.Triangular(al.Decision(1.0, 0.5, 1.8), al.Decision(2.0, 1.8, 3.0), al.Decision(4.0, 3.0, 5.0)),
         lambda low, mode, up: stats.triang((mode - low) / (up - low), low, up - low),
         [1.2, 2.6, 4.4],
     ),
     "truncated normal": (
-        TruncatedNormal(
-            Decision(2.0, 1.0, 3.0),
-            Decision(0.5, 0.2, 2.0),
-            lower=Decision(1.2, 1.0, 2.0),
-            upper=Decision(3.5, 3.0, 9.0),
+        al.TruncatedNormal(
+            al.Decision(2.0, 1.0, 3.0),
+            al.Decision(0.5, 0.2, 2.0),
+            lower=al.Decision(1.2, 1.0, 2.0),
+            upper=al.Decision(3.5, 3.0, 9.0),
         ),
         truncated_normal,
         [2.2, 0.8, 1.5, 3.1],
     ),
     "truncated normal in its tail, on one side": (
-        TruncatedNormal(0.0, Decision(1.0, 0.8, 2.0), lower=Decision(6.0, 5.0, 7.0)),
+        al.TruncatedNormal(0.0, al.Decision(1.0, 0.8, 2.0), lower=al.Decision(6.0, 5.0, 7.0)),
         lambda s, low: truncated_normal(0.0, s, low),
         [1.1, 5.8],
     ),
@@ -111,16 +99,16 @@ QUICK = {
 # the same, each in a program of its own, at several decisions: shapes below 1 and large ones too
 ITERATED = {
     "beta": (
-        Beta(
-            alpha=Decision(2.0, 0.1, 200.0),
-            beta=Decision(5.0, 0.1, 200.0),
-            lower=Decision(-1.0, -2.0, 1.0),
-            upper=Decision(3.0, 1.0, 4.0),
+        al.Beta(
+            alpha=al.Decision(2.0, 0.1, 200.0),
+            beta=al.Decision(5.0, 0.1, 200.0),
+            lower=al.Decision(-1.0, -2.0, 1.0),
+            upper=al.Decision(3.0, 1.0, 4.0),
         ),
         lambda a, b, low, up: stats.beta(a, b, low, up - low),
         [[1.4, 6.0, -0.5, 3.5], [0.3, 0.6, -1.0, 2.0], [90.0, 140.0, 0.1, 1.5]],
     ),
-    "gamma by moments": (Gamma(**MOMENTS), gamma_by_moments, [[2.4, 0.8, 0.3], [1.2, 1.6, 0.1], [3.9, 0.2, 0.5]]),
+    "gamma by moments": (al.Gamma(**MOMENTS), gamma_by_moments, [[2.4, 0.8, 0.3], [1.2, 1.6, 0.1], [3.9, 0.2, 0.5]]),
 }
 
 
@@ -178,13 +166,13 @@ def test_numbers_and_slopes_of_betas_and_gammas_are_those_of_scipys_quantile(dis
 
 # a distribution of one shape parameter, its value, SciPy's distribution
 SHAPES = {
-    "beta": (lambda s: Beta(alpha=s, beta=5.0), 2.0, lambda s: stats.beta(s, 5.0)),
-    "gamma": (lambda s: Gamma(shape=s, scale=0.5), 3.0, lambda s: stats.gamma(s, scale=0.5)),
-    "weibull": (lambda s: Weibull(1.0, s), 2.2, lambda s: stats.weibull_min(s)),
-    "triangular": (lambda s: Triangular(0.0, s, 1.0), 0.3, lambda s: stats.triang(s)),
-    "lognormal": (lambda s: LogNormal(median=1.0, log_std=s), 0.3, lambda s: stats.lognorm(s)),
+    "beta": (lambda s: al.Beta(alpha=s, beta=5.0), 2.0, lambda s: stats.beta(s, 5.0)),
+    "gamma": (lambda s: al.Gamma(shape=s, scale=0.5), 3.0, lambda s: stats.gamma(s, scale=0.5)),
+    "weibull": (lambda s: al.Weibull(1.0, s), 2.2, lambda s: stats.weibull_min(s)),
+    "triangular": (lambda s: al.Triangular(0.0, s, 1.0), 0.3, lambda s: stats.triang(s)),
+    "lognormal": (lambda s: al.LogNormal(median=1.0, log_std=s), 0.3, lambda s: stats.lognorm(s)),
     "truncated normal": (
-        lambda s: TruncatedNormal(1.0, s, lower=0.0, upper=2.5),
+        lambda s: al.TruncatedNormal(1.0, s, lower=0.0, upper=2.5),
         0.8,
         lambda s: truncated_normal(1.0, s, 0.0, 2.5),
     ),
@@ -215,7 +203,7 @@ def test_first_and_second_derivatives_by_decided_and_by_traced_shapes_are_those_
     def numbers(name, shape, germs):
         """The numbers by a decision and by a traced shape; and the latter added up, for derivatives in reverse."""
         make, start, _ = SHAPES[name]
-        decided = make(Decision(start, 0.8 * start, 1.25 * start))
+        decided = make(al.Decision(start, 0.8 * start, 1.25 * start))
         return numbers_at(decided, germs, shape[None]), jax.vmap(make(shape).value)(germs[:, 0])
 
     def twice(name, shape, germs):
@@ -241,7 +229,9 @@ def test_first_and_second_derivatives_by_decided_and_by_traced_shapes_are_those_
 
 @pytest.mark.slow
 def test_mixed_second_derivatives_of_a_beta_quantile_are_differences_of_the_first():
-    distribution = Beta(alpha=Decision(2.0, 1.0, 4.0), beta=Decision(3.0, 1.0, 4.0), upper=Decision(2.0, 1.0, 3.0))
+    distribution = al.Beta(
+        alpha=al.Decision(2.0, 1.0, 4.0), beta=al.Decision(3.0, 1.0, 4.0), upper=al.Decision(2.0, 1.0, 3.0)
+    )
     xi, x = np.asarray(distribution.germ().quantile(np.array([0.7]))), np.array([2.2, 2.7, 1.9])
     gradient = jax.grad(lambda x: realise(distribution, jnp.asarray(xi), x))
     slopes = compiled(lambda x: (gradient(x), jax.jacfwd(gradient)(x)))
@@ -263,7 +253,7 @@ def test_the_slope_of_a_gamma_number_by_its_germ_is_that_of_scipys_quantile():
 def test_distributions_of_known_numbers_may_be_made_and_expanded_inside_compiled_code():
     @compiled
     def mean(x):
-        made = Gamma(mean=Decision(2.0, 1.0, 3.0), std=0.5)
+        made = al.Gamma(mean=al.Decision(2.0, 1.0, 3.0), std=0.5)
         nodes, weights = made.germ().gauss(20)
         return jnp.asarray(weights) @ numbers_at(made, nodes[:, None], x)
 
@@ -274,8 +264,8 @@ def test_moments_are_differentiable_in_every_parameter():
     def moments(make):
         return lambda p: jnp.stack([make(p).mean(), make(p).std()])
 
-    by_moments = moments(lambda p: Weibull(mean=p[0], std=p[1], lower=p[2]))
-    of_truncated = moments(lambda p: TruncatedNormal(p[0], p[1], lower=p[2]))
+    by_moments = moments(lambda p: al.Weibull(mean=p[0], std=p[1], lower=p[2]))
+    of_truncated = moments(lambda p: al.TruncatedNormal(p[0], p[1], lower=p[2]))
     at = np.array([1.0, 0.5, 0.3])
     same, slopes = compiled(lambda p: (jax.jacfwd(by_moments)(p), jax.jacfwd(of_truncated)(p)))(at)
     assert np.asarray(same) == pytest.approx(np.eye(2, 3), rel=1e-6, abs=1e-9)
@@ -288,7 +278,7 @@ def test_moments_are_differentiable_in_every_parameter():
 
 
 def test_the_germ_does_not_depend_on_the_decisions_values():
-    assert Gamma(**MOMENTS).germ() == Gamma(mean=2.0, std=1.0, lower=0.5).germ()
+    assert al.Gamma(**MOMENTS).germ() == al.Gamma(mean=2.0, std=1.0, lower=0.5).germ()
 
 
 def test_a_germ_whose_shape_is_no_known_number_is_refused():
@@ -300,4 +290,4 @@ def test_a_germ_whose_shape_is_no_known_number_is_refused():
 
 def test_parameters_that_make_no_distribution_are_refused_while_they_are_differentiated():
     with pytest.raises(ProblemError, match=r"Beta needs .*received Beta"):
-        jax.grad(lambda a: Beta(alpha=a, beta=5.0).mean())(-1.0)
+        jax.grad(lambda a: al.Beta(alpha=a, beta=5.0).mean())(-1.0)
