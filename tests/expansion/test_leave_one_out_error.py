@@ -3,16 +3,9 @@
 import numpy as np
 import pytest
 
-from aleator.expansion import (
-    ChristoffelPoints,
-    Expansion,
-    HammersleyPoints,
-    Projection,
-    SmolyakPoints,
-    leave_one_out,
-    leave_one_out_by_entry,
-)
+import aleator as al
 from aleator.expansion import collocate as discretise
+from aleator.expansion import leave_one_out, leave_one_out_by_entry
 from aleator.uncertainty import HermiteGerm, LegendreGerm
 from compiling import compiled
 
@@ -47,10 +40,10 @@ def histories(points):
     return np.exp(-times * (1 + 0.5 * x[:, :1])) * (2 + x[:, 1:2])
 
 
-@pytest.mark.parametrize("points", [HammersleyPoints(), ChristoffelPoints(30)])
+@pytest.mark.parametrize("points", [al.points.HammersleyPoints(), al.points.ChristoffelPoints(30)])
 @pytest.mark.parametrize("output", [scalar, histories])
 def test_the_error_is_that_of_refitting_without_each_point(output, points):
-    collocation = collocate(GERMS, Expansion(3, points=points))
+    collocation = collocate(GERMS, al.Expansion(3, points=points))
     matrix, weights = np.asarray(collocation.matrix), np.asarray(collocation.weights)
     samples, roots = output(collocation.points).reshape(30, -1), np.sqrt(weights)[:, None]
     squares = np.zeros(samples.shape)
@@ -64,7 +57,7 @@ def test_the_error_is_that_of_refitting_without_each_point(output, points):
 
 
 def test_the_error_of_a_constant_output_is_zero_in_spite_of_rounding_and_a_small_variation_still_counts():
-    collocation = collocate(GERMS, Expansion(3, points=HammersleyPoints()))
+    collocation = collocate(GERMS, al.Expansion(3, points=al.points.HammersleyPoints()))
     for constant in (0.0, 0.1, 1 / 3, np.pi, -1e9, 1e-300):
         assert error_of(collocation, np.full(30, constant)) == 0.0
     varying = scalar(collocation.points)
@@ -72,13 +65,16 @@ def test_the_error_of_a_constant_output_is_zero_in_spite_of_rounding_and_a_small
 
 
 def test_interpolation_and_projection_by_a_sparse_grid_leave_nothing_to_check_by_so_the_error_is_infinite():
-    for expansion in (Expansion(3, points=10), Expansion(3, points=SmolyakPoints(), fit=Projection())):
+    for expansion in (
+        al.Expansion(3, points=10),
+        al.Expansion(3, points=al.points.SmolyakPoints(), fit=al.fits.Projection()),
+    ):
         collocation = collocate(GERMS, expansion)
         assert error_of(collocation, scalar(collocation.points)) == np.inf
 
 
 def test_samples_that_are_not_finite_do_not_pass_for_a_good_fit():
-    collocation = collocate(GERMS, Expansion(3, points=HammersleyPoints()))
+    collocation = collocate(GERMS, al.Expansion(3, points=al.points.HammersleyPoints()))
     for bad in (np.nan, np.inf):
         samples = np.array(scalar(collocation.points))
         samples[3] = bad
@@ -86,7 +82,7 @@ def test_samples_that_are_not_finite_do_not_pass_for_a_good_fit():
 
 
 def test_the_error_of_each_entry_is_that_of_the_entry_alone():
-    collocation = collocate(GERMS, Expansion(3, points=ChristoffelPoints(30)))
+    collocation = collocate(GERMS, al.Expansion(3, points=al.points.ChristoffelPoints(30)))
     one = histories(collocation.points)
     samples = np.stack([one, 3 + one**2, np.full(one.shape, 0.3)], axis=2)
     each = by_entry(collocation, samples)
