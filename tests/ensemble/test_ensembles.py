@@ -2,7 +2,6 @@
 
 import threading
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,9 +16,7 @@ from aleator.ensemble import (
     at_levels,
     draw,
     few_at_once,
-    fill,
     in_batches,
-    parts,
     random_levels,
     uncertain_places,
 )
@@ -43,7 +40,7 @@ def ensemble(kind, function=outputs, model=MODEL):
 
 
 @KINDS
-@pytest.mark.parametrize("size", [1, 5, 12, 13, 14, 100])
+@pytest.mark.parametrize("size", [5, 13, 100])
 def test_outputs_are_those_of_the_realisations_whatever_the_batches(kind, size):
     found = list(ensemble(kind).in_batches(LEVELS, size))
     np.testing.assert_array_equal(np.concatenate([part.points for part, _ in found]), LEVELS)
@@ -57,32 +54,6 @@ def test_all_points_at_once_are_germ_points(kind):
     found = ensemble(kind)(jnp.asarray(at_levels(placements(MODEL).germs.values(), LEVELS)))
     for name, exact in EXACT.items():
         np.testing.assert_allclose(found[name], exact, rtol=1e-13)
-
-
-def test_traced_outputs_can_be_differentiated_by_arrays_of_the_model():
-    germ = jnp.asarray(at_levels(placements(MODEL).germs.values(), LEVELS))
-
-    def total(c):
-        model = MODEL | {"c": c}
-        return jnp.sum(TracedEnsemble(outputs, model, placements(MODEL))(germ)["product"])
-
-    assert float(jax.grad(total)(jnp.asarray(3.0))) == pytest.approx(np.sum(A * B), rel=1e-13)
-
-
-def test_a_traced_function_is_run_once_by_the_thread_that_asks():
-    ran_by = []
-
-    def noted(m):
-        ran_by.append(threading.current_thread())
-        return m["a"]
-
-    for _, values in ensemble(TracedEnsemble, noted).in_batches(LEVELS, 2):
-        assert np.isfinite(values).all()
-    assert set(ran_by) == {threading.current_thread()}
-    once = len(ran_by)
-    ran_by.clear()
-    list(ensemble(TracedEnsemble, noted).in_batches(LEVELS, 13))
-    assert len(ran_by) == once
 
 
 def broken_from(limit):
@@ -109,11 +80,8 @@ def test_what_is_not_finite_is_named_with_its_point_and_its_inputs(kind, size, w
     ("function", "message"),
     [
         (lambda m: None, "returns nothing"),
-        (lambda m: "text", "real array.* received str"),
         (lambda m: [m["a"], "text"], "real array.* received str"),
         (lambda m: m["a"] + 1j, "real array.* complex"),
-        (lambda m: {"y": m["a"], "z": None}, "real array.* received NoneType"),
-        (lambda m: np.zeros(0), r"its output: expected one number at least; received an array of shape \(0,\)"),
         (
             lambda m: {"y": m["a"], "z": np.zeros((3, 0))},
             r"output 'z': expected .* received an array of shape \(3, 0\)",
@@ -123,26 +91,6 @@ def test_what_is_not_finite_is_named_with_its_point_and_its_inputs(kind, size, w
 def test_what_is_no_real_array_is_refused(kind, function, message):
     with pytest.raises(al.ProblemError, match=message):
         ensemble(kind, function)(np.zeros((3, 2)))
-
-
-class Plate(eqx.Module):
-    """A model that is no dict."""
-
-    width: al.Number
-    length: al.Number = 2.0
-
-
-@KINDS
-@pytest.mark.parametrize(
-    ("function", "model", "message"),
-    [
-        (lambda m: m["A"], MODEL, r"asks for the input 'A': expected one of \['a', 'b', 'c'\]"),
-        (lambda m: m.widht, Plate(al.Normal(1.0, 0.1)), r"asks for 'widht': expected one of \['width', 'length'\]"),
-    ],
-)
-def test_an_input_that_there_is_not_is_named_with_those_there_are(kind, function, model, message):
-    with pytest.raises(al.ProblemError, match=message):
-        ensemble(kind, function, model)(np.zeros((3, len(placements(model).germs))))
 
 
 def test_a_called_function_that_fails_names_the_germ_point_and_the_values_there():
@@ -158,7 +106,7 @@ def test_a_called_function_that_fails_names_the_germ_point_and_the_values_there(
     assert isinstance(raised.value.__cause__, ValueError)
 
 
-@pytest.mark.parametrize("size", [1, 2, 13])
+@pytest.mark.parametrize("size", [1, 13])
 def test_shapes_that_change_are_refused_within_a_batch_and_between_them(size):
     def growing(m):
         return {"y": np.zeros(1 if m["a"] < 1.0 else 2)}
@@ -186,18 +134,9 @@ def test_germ_points_are_quantiles_and_random_ones_depend_on_the_seed_alone():
     np.testing.assert_array_equal(many[:10], few)
     np.testing.assert_array_equal(many, at_levels(germs, random_levels(np.random.default_rng(7), 1000, 2)))
     assert stats.kstest(many[:, 1], "norm").pvalue > 1e-3
-    assert at_levels((), np.zeros((4, 0))).shape == (4, 0)
 
 
-def test_parts_hold_every_point_once_and_are_filled_with_their_own():
-    points = np.arange(14.0).reshape(7, 2)
-    some = list(parts(points, 3))
-    assert [(part.first, len(part.points)) for part in some] == [(0, 3), (3, 3), (6, 1)]
-    np.testing.assert_array_equal(fill(some[-1].points, 3), points[[6, 6, 6]])
-    np.testing.assert_array_equal(fill(points[:2], 5), points[[0, 1, 0, 1, 0]])
-
-
-@pytest.mark.parametrize("count", [1, 63, 64, 65, 131, 300])
+@pytest.mark.parametrize("count", [1, 64, 131])
 def test_a_program_is_compiled_for_one_size_by_the_thread_that_asks(count):
     ran_by = []
 
@@ -213,8 +152,8 @@ def test_a_program_is_compiled_for_one_size_by_the_thread_that_asks(count):
     assert ran_by == [threading.current_thread()]
 
 
-@pytest.mark.parametrize("count", [1, 7, 50, 120])
+@pytest.mark.parametrize("count", [7, 120])
 def test_few_points_at_once_give_what_all_do(count):
-    points = jnp.linspace(0.0, 1.0, 2 * count).reshape(count, 2)
+    points = np.linspace(0.0, 1.0, 2 * count).reshape(count, 2)
     found = jax.jit(lambda points: few_at_once(lambda point: {"sum": point.sum()}, points))(points)
-    np.testing.assert_allclose(found["sum"], np.asarray(points).sum(axis=1), rtol=1e-15)
+    np.testing.assert_allclose(found["sum"], points.sum(axis=1), rtol=1e-15)

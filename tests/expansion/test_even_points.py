@@ -18,19 +18,15 @@ from aleator.expansion import (
 from aleator.uncertainty import HermiteGerm, LegendreGerm
 
 EVEN = [HammersleyPoints(), HaltonPoints(), SobolPoints(), LatinHypercubePoints(), RandomPoints()]
-NESTED = [points for points in EVEN if points.nested]
 SEEDED = [SobolPoints, LatinHypercubePoints, RandomPoints, ChristoffelPoints, OptimalPoints]
 
 
-def test_the_hammersley_set_has_halton_columns_beside_an_even_one():
+def test_the_halton_sequence_is_scipys_without_the_origin_and_the_hammersley_set_has_it_beside_an_even_column():
     halton = qmc.Halton(d=5, scramble=False).random(51)[1:]
     points = HammersleyPoints().levels(50, 6)
     assert points[:, 0] == pytest.approx((np.arange(50) + 0.5) / 50, rel=1e-15)
     assert points[:, 1:] == pytest.approx(halton, rel=1e-13)
-
-
-def test_the_halton_sequence_is_scipys_without_the_origin():
-    assert HaltonPoints().levels(99, 12) == pytest.approx(qmc.Halton(12, scramble=False).random(100)[1:], rel=1e-12)
+    assert HaltonPoints().levels(50, 5) == pytest.approx(halton, rel=1e-13)
 
 
 def test_scrambled_sobol_points_fill_every_elementary_interval():
@@ -47,20 +43,19 @@ def test_a_latin_hypercube_has_one_point_in_each_slice_of_each_variable():
 
 
 @pytest.mark.parametrize("points", EVEN)
-def test_all_points_lie_strictly_inside_the_unit_cube_and_none_comes_twice(points):
-    for count, variables in ((1, 1), (64, 12), (243, 5)):
-        levels = points.levels(count, variables)
-        assert levels.shape == (count, variables)
-        assert np.all((levels > 0) & (levels < 1))
-        assert all(len(np.unique(column)) == count for column in levels.T)
-
-
-@pytest.mark.parametrize("points", NESTED)
-def test_nested_sets_hold_all_their_smaller_ones(points):
+def test_points_lie_strictly_inside_the_unit_cube_none_twice_and_are_the_germs_quantiles_of_equal_weight(points):
+    levels = points.levels(64, 12)
+    assert levels.shape == (64, 12)
+    assert np.all((levels > 0) & (levels < 1))
+    assert all(len(np.unique(column)) == 64 for column in levels.T)
     basis = Basis({"u": LegendreGerm(), "n": HermiteGerm()}, np.zeros((1, 2), dtype=int))
-    large = points.nodes(basis, 100).points
-    for count in (1, 7, 32, 65):
-        assert np.array_equal(points.nodes(basis, count).points, large[:count])
+    nodes, levels = points.nodes(basis, 32), points.levels(32, 2)
+    assert nodes.weights == pytest.approx(np.full(32, 1 / 32), rel=1e-15)
+    np.testing.assert_allclose(
+        nodes.points, np.stack([2 * levels[:, 0] - 1, norm.ppf(levels[:, 1])], axis=1), rtol=1e-11
+    )
+    if points.nested:
+        assert np.array_equal(points.nodes(basis, 100).points[:32], nodes.points)
 
 
 @pytest.mark.parametrize(("points", "slope"), [(RandomPoints, -0.5), (SobolPoints, -1.5)])
@@ -82,14 +77,3 @@ def test_a_seed_gives_the_same_points_again_and_another_one_others(kind):
     first, again, other = (kind(10, seed=seed).nodes(basis, 0).points for seed in (1, 1, 2))
     assert np.array_equal(first, again)
     assert not np.any(first == other)
-
-
-@pytest.mark.parametrize("points", EVEN)
-def test_weights_are_equal_and_points_the_germs_quantiles(points):
-    basis = Basis({"u": LegendreGerm(), "n": HermiteGerm()}, np.zeros((1, 2), dtype=int))
-    nodes = points.nodes(basis, 30)
-    assert nodes.weights == pytest.approx(np.full(30, 1 / 30), rel=1e-15)
-    levels = points.levels(30, 2)
-    np.testing.assert_allclose(
-        nodes.points, np.stack([2 * levels[:, 0] - 1, norm.ppf(levels[:, 1])], axis=1), rtol=1e-11
-    )

@@ -22,17 +22,16 @@ def expanded_and_warned(function, distributions, expansion):
     return expanded, any(issubclass(one.category, al.ExpansionWarning) for one in told)
 
 
-@pytest.mark.parametrize("waves", [1.0, 4.0, 10.0])
-def test_an_expansion_that_is_not_warned_of_has_the_spread_of_the_closed_form(waves):
-    k = waves
+@pytest.mark.parametrize("k", [1.0, 10.0])
+def test_an_expansion_that_is_not_warned_of_has_the_spread_of_the_closed_form(k):
     first = np.cos(k * MEAN) * np.exp(-((k * STD) ** 2) / 2)
     variance = (1 + np.cos(2 * k * MEAN) * np.exp(-2 * (k * STD) ** 2)) / 2 - first**2
     verdicts = []
-    for order in (3, 5, 8):
+    for order in (3, 8):
         expanded, warned = expanded_and_warned(lambda m: jnp.cos(k * m["w"]), W, al.Expansion(order))
         assert warned or float(expanded.variance) == pytest.approx(variance, rel=0.05)
         verdicts.append(warned)
-    assert verdicts[0] is (waves == 10.0)
+    assert verdicts == [k == 10.0, False]
 
 
 def test_the_tolerance_is_an_option_and_decides_what_is_said():

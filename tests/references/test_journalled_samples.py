@@ -1,6 +1,5 @@
 """Samples in the journal of a run: what was ended goes on from there, with the same digits."""
 
-import sys
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from pathlib import Path
@@ -130,21 +129,3 @@ def test_the_whole_sample_of_a_black_box_is_kept_unless_it_may_drop_some(tmp_pat
     assert [one[1:] for one in samples] == [(0, 1), (1, 0), (0, 0), (0, 0)]
     assert all(one[0] == samples[0][0] for one in samples)
     assert samples[0][0] == bits(al.references.monte_carlo(called, MODEL, 64, traced=False))
-
-
-@pytest.mark.slow
-def test_samples_of_commands_are_left_to_the_journal_of_their_box(tmp_path: Path):
-    script = tmp_path / "double.py"
-    script.write_text("import sys\nprint(2 * float(sys.argv[1]))\n")
-    command = al.foreign.Command([sys.executable, str(script), "{off}"])
-    box = al.foreign.BlackBox(command, journal=tmp_path / "runs.jsonl")
-    with al.journal(tmp_path / "run") as kept:
-        values = al.references.monte_carlo(box, {"off": al.Normal(0.0, 1.0)}, 4).values
-        assert kept.begun == 0
-    drawn = al.references.monte_carlo(doubled, {"off": al.Normal(0.0, 1.0)}, 4, traced=False)
-    assert values.tobytes() == drawn.values.tobytes()
-    assert len((tmp_path / "runs.jsonl").read_text().splitlines()) >= 4
-
-
-def doubled(model):
-    return 2 * model["off"]

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import special, stats
 
 import aleator as al
 from compiling import compiled
@@ -34,53 +34,31 @@ def clutch_slopes():
     }
 
 
-def test_the_direct_linearisation_of_the_clutch_is_the_published_one():
-    found = al.references.linearise(pressure_angle, CLUTCH)
+def test_the_direct_linearisation_of_the_clutch_is_the_published_one_and_tolerances_stack_up_as_by_hand():
+    found, slopes = al.references.linearise(pressure_angle, CLUTCH), clutch_slopes()
     assert 3 * float(found.std) == pytest.approx(0.65788, abs=5e-6)  # dissertation, table 7.2
     # Its printed range, 6.3605 to 7.6763 degrees, has the middle 7.0184.
     assert float(found.mean) == pytest.approx(7.0184, abs=5e-5)
-    for name, slope in clutch_slopes().items():
-        assert float(found.sensitivities[name]) == pytest.approx(slope, rel=1e-10)
-
-
-def test_tolerances_of_the_clutch_stack_up_as_by_hand():
-    found, slopes = al.references.linearise(pressure_angle, CLUTCH), clutch_slopes()
     parts = {name: abs(slope) * LIMITS[name] for name, slope in slopes.items()}
-    for wrong in ({"a": 0.05}, {**LIMITS, "d": 0.1}):
-        with pytest.raises(al.ProblemError, match=r"one tolerance for each of \['a', 'c', 'e'\]"):
-            found.worst_case(wrong)
     assert float(found.worst_case(LIMITS)) == pytest.approx(sum(parts.values()), rel=1e-12)
     assert float(found.rss(LIMITS)) == pytest.approx(math.hypot(*parts.values()), rel=1e-12)
     # The distributions have a third of the limits as standard deviation.
     assert float(found.rss(LIMITS)) == pytest.approx(3 * float(found.std), rel=1e-12)
     total = sum(part**2 for part in parts.values())
     for name, part in parts.items():
+        assert float(found.sensitivities[name]) == pytest.approx(slopes[name], rel=1e-10)
         assert float(found.contributions[name]) == pytest.approx(100 * part**2 / total, rel=1e-10)
+    with pytest.raises(al.ProblemError, match=r"one tolerance for each of \['a', 'c', 'e'\]"):
+        found.worst_case({"a": 0.05})
 
 
-WEIGHTS = {"u": 2.0, "n": -3.0, "b": 0.5, "g": 1.5}
+def moments_of_second_order(function, model):
+    @compiled
+    def moments():
+        found = al.references.second_order(function, model)
+        return found.mean, found.variance, found.skewness
 
-
-def linear(m):
-    return 4.0 + sum(weight * m[name] for name, weight in WEIGHTS.items())
-
-
-def linear_moments():
-    mean = 4.0 + sum(weight * DISTRIBUTIONS[name][1].mean() for name, weight in WEIGHTS.items())
-    variance = sum(weight**2 * DISTRIBUTIONS[name][1].var() for name, weight in WEIGHTS.items())
-    third = sum(
-        weight**3 * DISTRIBUTIONS[name][1].stats("s") * DISTRIBUTIONS[name][1].std() ** 3
-        for name, weight in WEIGHTS.items()
-    )
-    return mean, variance, third / variance**1.5
-
-
-def test_both_expansions_are_exact_for_a_linear_function_of_any_distributions():
-    mean, variance, skewness = linear_moments()
-    for found in (al.references.linearise(linear, MODEL), al.references.second_order(linear, MODEL)):
-        assert (float(found.mean), float(found.variance)) == pytest.approx((mean, variance), rel=1e-12)
-        assert float(found.std) == pytest.approx(math.sqrt(variance), rel=1e-12)
-    assert float(al.references.second_order(linear, MODEL).skewness) == pytest.approx(float(skewness), rel=1e-10)
+    return tuple(map(float, moments()))
 
 
 def quadratic(m):
@@ -90,87 +68,70 @@ def quadratic(m):
     )  # fmt: skip
 
 
-def tensor_quadrature(function, oracles, nodes=8):
-    """Moments by the tensor product of Gauss rules: exact for polynomials, here with rules made from raw moments."""
-    rules = [gauss_from_moments(distribution, nodes) for distribution in oracles.values()]
-    grid = np.meshgrid(*[points for points, _ in rules], indexing="ij")
-    weight = np.prod(np.meshgrid(*[weights for _, weights in rules], indexing="ij"), axis=0)
-    values = function(dict(zip(oracles, grid, strict=True)))
+def moments_by_quadrature(function, rules):
+    """Mean, variance and skewness by the tensor product of Gauss rules."""
+    grid = np.meshgrid(*[points for points, _ in rules.values()], indexing="ij")
+    weight = np.prod(np.meshgrid(*[weights / weights.sum() for _, weights in rules.values()], indexing="ij"), axis=0)
+    values = function(dict(zip(rules, grid, strict=True)))
     mean = np.sum(weight * values)
     variance = np.sum(weight * (values - mean) ** 2)
     return mean, variance, np.sum(weight * (values - mean) ** 3) / variance**1.5
 
 
-def gauss_from_moments(distribution, nodes):
-    """Golub and Welsch's rule from the Cholesky factor of the Hankel matrix of the standardised distribution's
-    moments.
-    """
-    mean, std = distribution.mean(), distribution.std()
-    moments = [
-        distribution.expect(lambda x, k=k: ((x - mean) / std) ** k, epsabs=1e-13, epsrel=1e-13)
-        for k in range(2 * nodes)
-    ]
-    moments.append(distribution.expect(lambda x: ((x - mean) / std) ** (2 * nodes), epsabs=1e-13, epsrel=1e-13))
-    hankel = np.array([[moments[i + j] for j in range(nodes + 1)] for i in range(nodes + 1)])
-    upper = np.linalg.cholesky(hankel).T
-    ratio = np.array([upper[i, i + 1] / upper[i, i] for i in range(nodes)])
-    middle = np.diff(ratio, prepend=0.0)
-    side = np.array([upper[i + 1, i + 1] / upper[i, i] for i in range(nodes - 1)])
-    points, vectors = np.linalg.eigh(np.diag(middle) + np.diag(side, 1) + np.diag(side, -1))
-    return mean + std * points, vectors[0] ** 2
+def moved(rule, location, scale):
+    return location + scale * rule[0], rule[1]
 
 
 def test_second_order_moments_are_exact_for_a_quadratic_function_of_any_distributions():
-    exact = tensor_quadrature(
-        quadratic, {name: distribution for name, (_, distribution) in DISTRIBUTIONS.items()}, nodes=4
-    )
-    found = al.references.second_order(quadratic, MODEL)
-    # The oracle's moments come from adaptive quadrature.
-    assert (float(found.mean), float(found.variance), float(found.skewness)) == pytest.approx(exact, rel=1e-7)
+    rules = {
+        "u": moved(special.roots_legendre(4), 2.5, 1.5),
+        "n": moved(special.roots_hermitenorm(4), -1.0, 0.3),
+        "b": moved(special.roots_jacobi(4, 4.0, 1.0), 1.5, 1.5),
+        "g": moved(special.roots_genlaguerre(4, 2.0), 0.0, 0.5),
+    }
+    exact = moments_by_quadrature(quadratic, rules)
+    assert moments_of_second_order(quadratic, MODEL) == pytest.approx(exact, rel=1e-10)
 
 
 def test_second_order_has_the_shift_and_the_skewness_of_the_clutch_that_linearisation_lacks():
-    reference = al.references.quasi_monte_carlo(pressure_angle, CLUTCH, 2**17)
-    first, second = al.references.linearise(pressure_angle, CLUTCH), al.references.second_order(pressure_angle, CLUTCH)
-    assert abs(float(second.mean) - reference.mean.value) < 0.02 * abs(float(first.mean) - reference.mean.value)
+    normal = special.roots_hermitenorm(10)
+    rules = {name: moved(normal, one.parameters["mean"], one.parameters["std"]) for name, one in CLUTCH.items()}
+    mean, variance, skewness = moments_by_quadrature(
+        lambda m: np.rad2deg(np.arccos((m["a"] + m["c"]) / (m["e"] - m["c"]))), rules
+    )
+    first, second = al.references.linearise(pressure_angle, CLUTCH), moments_of_second_order(pressure_angle, CLUTCH)
+    assert abs(second[0] - mean) < 0.02 * abs(float(first.mean) - mean)
+    assert abs(second[1] - variance) < abs(float(first.variance) - variance)
     # What is left out of the skewness is smaller by the square of the spread, 0.22 in 7 degrees.
-    skewed = reference.estimate(skewness)
-    assert float(second.skewness) == pytest.approx(float(skewed.value), rel=0.02)
-    assert abs(float(second.std) - 0.6590101 / 3) < abs(float(first.std) - 0.6590101 / 3)
-
-
-def skewness(values):
-    return stats.skew(values, axis=0)
+    assert second[2] == pytest.approx(skewness, rel=0.02)
 
 
 def test_expansions_have_the_structure_of_the_outputs():
     def outputs(m):
-        return {"path": jnp.outer(m["u"] * jnp.arange(3.0), jnp.ones(2)), "sum": m["u"] * m["n"]}
+        return {"path": m["u"] * np.outer(np.arange(3.0), np.ones(2)), "sum": m["u"] * m["n"]}
 
-    first, second = al.references.linearise(outputs, MODEL), al.references.second_order(outputs, MODEL)
-    spread = np.outer(np.arange(3.0), np.ones(2)) * 3 / math.sqrt(12)
-    for found in (first, second):
-        np.testing.assert_allclose(found.std["path"], spread, rtol=1e-12)
-        np.testing.assert_allclose(found["path"].std, spread, rtol=1e-12)
-        with pytest.raises(al.ProblemError, match="no output 'other'"):
-            found["other"]
-    assert first.contributions["u"]["path"].shape == (3, 2)
+    first = al.references.linearise(outputs, MODEL)
+    second = compiled(lambda: al.references.second_order(outputs, MODEL).std)()
+    for std in (first.std, second):
+        np.testing.assert_allclose(std["path"], np.outer(np.arange(3.0), np.ones(2)) * 3 / math.sqrt(12), rtol=1e-12)
+    with pytest.raises(al.ProblemError, match="no output 'other'"):
+        first["other"]
     np.testing.assert_allclose(first.contributions["u"]["path"], [[0, 0], [100, 100], [100, 100]], rtol=1e-12)
-    np.testing.assert_allclose(second.skewness["path"], 0.0, atol=1e-12)
     assert first.sensitivities["n"]["sum"] == pytest.approx(2.5, rel=1e-12)
     assert first["sum"].worst_case(dict.fromkeys("unbg", 1.0)) == pytest.approx(2.5 + 1.0, rel=1e-12)
 
 
-@pytest.mark.parametrize("distribution", ["a", "z"])
-def test_decisions_stand_at_their_initial_values_wherever_they_are(distribution):
-    model = {
-        distribution: al.Normal(al.Decision(2.0), al.Decision(0.5, lower=0.1, upper=1.0)),
-        "k": al.Decision(np.array([3.0, 7.0])),
-    }
-    for method in (al.references.linearise, al.references.second_order):
-        found = method(lambda m: m["k"] * m[distribution], model)
-        np.testing.assert_allclose(found.mean, [6.0, 14.0], rtol=1e-12)
-        np.testing.assert_allclose(found.std, [1.5, 3.5], rtol=1e-12)
+def test_decisions_stand_at_their_initial_values():
+    model = {"z": al.Normal(al.Decision(2.0), al.Decision(0.5, 0.1, 1.0)), "k": al.Decision(np.array([3.0, 7.0]))}
+
+    @compiled
+    def moments():
+        both = [
+            method(lambda m: m["k"] * m["z"], model) for method in (al.references.linearise, al.references.second_order)
+        ]
+        return [(found.mean, found.std) for found in both]
+
+    np.testing.assert_allclose(moments(), [[[6.0, 14.0], [1.5, 3.5]]] * 2, rtol=1e-12)
 
 
 def test_what_does_not_vary_has_zero_spread_with_zero_derivative():
@@ -185,64 +146,46 @@ def test_what_does_not_vary_has_zero_spread_with_zero_derivative():
 
 
 def test_spreads_are_differentiable_in_the_distributions():
-    def traced(function):
-        return compiled(jax.grad(function))
-
-    def model(spread):
-        return {"x": al.Uniform(2.0, half_width=spread)}
-
-    def square(m):
-        return m["x"] ** 2
+    def moments(w):
+        model = {"x": al.Uniform(2.0, half_width=w)}
+        first = al.references.linearise(lambda m: m["x"] ** 2, model)
+        second = al.references.second_order(lambda m: m["x"] ** 2, model)
+        return first.std, second.mean, second.variance
 
     w, m = 0.3, 2.0
-    assert float(traced(lambda w: al.references.linearise(square, model(w)).std)(w)) == pytest.approx(
-        2 * m / math.sqrt(3), rel=1e-12
-    )
-    assert float(traced(lambda w: al.references.second_order(square, model(w)).mean)(w)) == pytest.approx(
-        2 * w / 3, rel=1e-12
-    )
     # Var x^2 = 4 m^2 w^2 / 3 + 4 w^4 / 45.
-    slope = 8 * m**2 * w / 3 + 16 * w**3 / 45
-    assert float(traced(lambda w: al.references.second_order(square, model(w)).variance)(w)) == pytest.approx(
-        slope, rel=1e-12
-    )
+    exact = 2 * m / math.sqrt(3), 2 * w / 3, 8 * m**2 * w / 3 + 16 * w**3 / 45
+    assert [float(slope) for slope in compiled(jax.jacrev(moments))(w)] == pytest.approx(exact, rel=1e-12)
 
 
 def test_correlated_normal_inputs_have_their_exact_moments():
     normals = al.correlated({"x": al.Normal(1.0, 0.3), "y": al.Normal(-2.0, 0.5)}, {("x", "y"): 0.6})
     model = {**normals, "z": al.Uniform(0.5, std=0.2)}
     covariance = 0.6 * 0.3 * 0.5
-    summed = al.references.linearise(lambda m: 2 * m["x"] + m["y"] + m["z"], model)
-    assert float(summed.variance) == pytest.approx(4 * 0.09 + 0.25 + 4 * covariance + 0.04, rel=1e-12)
-    assert sum(map(float, summed.contributions.values())) == pytest.approx(100, rel=1e-12)
-    product = al.references.second_order(lambda m: m["x"] * m["y"] + m["z"], model)
+
+    @compiled
+    def moments():
+        summed = al.references.linearise(lambda m: 2 * m["x"] + m["y"] + m["z"], model)
+        product = al.references.second_order(lambda m: m["x"] * m["y"] + m["z"], model)
+        return summed.variance, sum(summed.contributions.values()), product.mean, product.variance
+
     # Bohrnstedt and Goldberger (1969), for normal numbers.
     variance = 1.0 * 0.25 + 4.0 * 0.09 + 2 * 1.0 * -2.0 * covariance + 0.09 * 0.25 + covariance**2
-    assert float(product.mean) == pytest.approx(-2.0 + covariance + 0.5, rel=1e-12)
-    assert float(product.variance) == pytest.approx(variance + 0.04, rel=1e-12)
+    exact = 4 * 0.09 + 0.25 + 4 * covariance + 0.04, 100.0, -2.0 + covariance + 0.5, variance + 0.04
+    assert [float(one) for one in moments()] == pytest.approx(exact, rel=1e-12)
 
 
-SKEWED = {"k": al.Normal(5.0, 0.2), "c": al.LogNormal(mean=2.0, std=0.3), "e": al.Exponential(mean=0.4)}
-
-
-def test_correlated_inputs_of_any_distribution_have_the_correlations_that_were_given():
-    model = al.correlated(SKEWED, {("k", "c"): 0.5, ("c", "e"): -0.3})
-    found = al.references.linearise(lambda m: m["k"] + m["c"] + m["e"], model)
-    stds = {"k": 0.2, "c": 0.3, "e": 0.4}
-    cross = 2 * (0.5 * 0.2 * 0.3 - 0.3 * 0.3 * 0.4)
-    assert float(found.variance) == pytest.approx(sum(std**2 for std in stds.values()) + cross, rel=1e-9)
-
-
-def test_second_order_moments_of_correlated_inputs_that_are_not_normal_are_refused():
-    model = al.correlated(SKEWED, {("k", "c"): 0.5})
+def test_correlated_inputs_of_any_distribution_have_the_correlation_that_was_given():
+    model = al.correlated({"c": al.LogNormal(mean=2.0, std=0.3), "e": al.Exponential(mean=0.4)}, {("c", "e"): -0.3})
+    variance = compiled(lambda: al.references.linearise(lambda m: m["c"] + m["e"], model).variance)()
+    assert float(variance) == pytest.approx(0.3**2 + 0.4**2 - 2 * 0.3 * 0.3 * 0.4, rel=1e-9)
     with pytest.raises(al.ProblemError, match=r"must be normal; received e ~ Exponential"):
-        al.references.second_order(lambda m: m["k"] * m["c"], model)
+        al.references.second_order(lambda m: m["c"] * m["e"], model)
 
 
+LOG_STD = math.sqrt(math.log1p((0.4 / 2.0) ** 2))
 FAMILIES = {
-    "exponential": (al.Exponential(mean=0.7), stats.expon(scale=0.7)),
-    "lognormal": (al.LogNormal(mean=2.0, std=0.4), None),
-    "triangular": (al.Triangular(1.0, 2.0, 4.0), stats.triang(1 / 3, 1, 3)),
+    "lognormal": (al.LogNormal(mean=2.0, std=0.4), stats.lognorm(LOG_STD, scale=2.0 / math.exp(LOG_STD**2 / 2))),
     "data of few values": (al.Sample([1.0, 2.0, 2.0, 4.0]), stats.rv_discrete(values=([1, 2, 4], [0.25, 0.5, 0.25]))),
 }
 
@@ -250,28 +193,20 @@ FAMILIES = {
 @pytest.mark.parametrize("name", FAMILIES)
 def test_second_order_takes_the_moments_of_every_family_as_they_are(name):
     distribution, oracle = FAMILIES[name]
-    if oracle is None:
-        sigma = math.sqrt(math.log1p((0.4 / 2.0) ** 2))
-        oracle = stats.lognorm(sigma, scale=2.0 / math.exp(sigma**2 / 2))
     # Of x^2 - x.
     raw = [1.0, *(float(oracle.moment(k)) for k in range(1, 7))]
     mean = raw[2] - raw[1]
     second = raw[4] - 2 * raw[3] + raw[2]
     third = raw[6] - 3 * raw[5] + 3 * raw[4] - raw[3]
     variance = second - mean**2
-    found = al.references.second_order(lambda m: m["x"] ** 2 - m["x"], {"x": distribution})
-    assert (float(found.mean), float(found.variance)) == pytest.approx((mean, variance), rel=1e-8)
-    assert float(found.skewness) == pytest.approx((third - 3 * mean * second + 2 * mean**3) / variance**1.5, rel=1e-7)
+    found = moments_of_second_order(lambda m: m["x"] ** 2 - m["x"], {"x": distribution})
+    skewness = (third - 3 * mean * second + 2 * mean**3) / variance**1.5
+    assert found == pytest.approx((mean, variance, skewness), rel=1e-7)
 
 
-@pytest.mark.parametrize("method", [al.references.linearise, al.references.second_order])
-def test_functions_that_cannot_be_expanded_are_refused(method):
+def test_functions_that_cannot_be_expanded_are_refused():
     model = {"x": al.Normal(0.0, 1.0)}
     with pytest.raises(al.ProblemError, match="cannot differentiate"):
-        method(lambda m: math.exp(m["x"]), model)
+        al.references.linearise(lambda m: math.exp(m["x"]), model)
     with pytest.raises(al.SimulationError, match="not finite at the means"):
-        method(lambda m: jnp.sqrt(m["x"]), model)
-    with pytest.raises(al.ProblemError, match="nothing in the model is uncertain"):
-        method(lambda m: m["x"], {"x": 1.0})
-    with pytest.raises(al.ProblemError, match="real array"):
-        method(lambda m: m["x"] * 1j, model)
+        al.references.second_order(lambda m: jnp.sqrt(m["x"]), model)

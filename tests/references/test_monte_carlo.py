@@ -8,13 +8,6 @@ from scipy import stats
 import aleator as al
 from aleator.references._estimate import estimate, group_count
 
-CLUTCH = {"a": al.Normal(27.645, 0.05 / 3), "c": al.Normal(11.430, 0.01 / 3), "e": al.Normal(50.800, 0.0125 / 3)}
-EXACT_CLUTCH = 0.6590101 / 3  # degrees, shared/studies of the dissertation's table 7.2
-
-
-def pressure_angle(m):
-    return jnp.rad2deg(jnp.arccos((m["a"] + m["c"]) / (m["e"] - m["c"])))
-
 
 def smooth(m):
     return jnp.exp(0.5 * m["x"] + m["y"] ** 2)
@@ -24,87 +17,35 @@ SMOOTH = {"x": al.Uniform(0.0, half_width=1.0), "y": al.Uniform.bounds(0.0, 1.0)
 SMOOTH_MEAN = 2 * math.sinh(0.5) * 1.4626517459071816  # the second factor is the integral of exp(y^2) over (0, 1)
 
 
-STATISTICS = {
-    "mean": lambda values: values.mean(axis=0),
-    "std": lambda values: values.std(axis=0, ddof=1),
-    "median": lambda values: np.median(values, axis=0),
-    "upper tail": lambda values: np.quantile(values, 0.95, axis=0),
-    "probability": lambda values: (values > 3.0).mean(axis=0),
-}
+def mean_of(values):
+    return values.mean(axis=0)
 
 
-@pytest.mark.parametrize("name", ["mean", "std", "upper tail"])
-def test_confidence_intervals_hold_the_truth_as_often_as_they_say(name):
+def test_confidence_intervals_hold_the_truth_as_often_as_they_say():
     distribution, repetitions, samples = stats.gamma(4.0, scale=0.5), 400, 1000
-    truth = {
-        "mean": distribution.mean(),
-        "std": distribution.std(),
-        "median": distribution.median(),
-        "upper tail": distribution.ppf(0.95),
-        "probability": distribution.sf(3.0),
-    }[name]
-    generator = np.random.default_rng(5)
-    held = 0
+    generator, held = np.random.default_rng(5), 0
     for _ in range(repetitions):
         values = distribution.rvs(samples, random_state=generator)
-        lower, upper = estimate(STATISTICS[name], values, group_count(samples)).interval()
-        held += lower <= truth <= upper
+        one = estimate(lambda values: np.quantile(values, 0.95, axis=0), values, group_count(samples))
+        lower, upper = one.interval()
+        held += lower <= distribution.ppf(0.95) <= upper
     # 95 % with a standard deviation of 1.1 %, of 400 repetitions; skewed estimates lose some two percent.
     assert 0.905 < held / repetitions < 0.98
 
 
-@pytest.mark.parametrize(("samples", "groups"), [(32, 32), (60, 4), (16, 2)])
-def test_the_standard_error_of_a_mean_is_the_spread_of_the_group_means(samples, groups):
-    values = np.random.default_rng(1).normal(size=(samples, 3))
-    means = values.reshape(groups, -1, 3).mean(axis=1)
-    ours = estimate(STATISTICS["mean"], values, groups)
-    np.testing.assert_allclose(ours.standard_error, means.std(axis=0, ddof=1) / np.sqrt(groups), rtol=1e-12)
+def test_the_standard_error_of_a_mean_is_the_spread_of_the_group_means():
+    values = np.random.default_rng(1).normal(size=(60, 3))
+    means = values.reshape(4, -1, 3).mean(axis=1)
+    ours = estimate(mean_of, values, 4)
+    np.testing.assert_allclose(ours.standard_error, means.std(axis=0, ddof=1) / 2, rtol=1e-12)
     np.testing.assert_allclose(ours.value, values.mean(axis=0), rtol=1e-14)
 
 
 def test_the_standard_error_of_a_mean_is_unbiased_when_groups_leave_a_rest():
     # 11 values in 4 groups of 2: three of them are in no group.
     draws = np.random.default_rng(3).normal(size=(11, 40_000))
-    squared = estimate(STATISTICS["mean"], draws, 4).standard_error ** 2
+    squared = estimate(mean_of, draws, 4).standard_error ** 2
     assert squared.mean() == pytest.approx(1 / 11, abs=4 * squared.std() / np.sqrt(40_000))
-
-
-def test_an_interval_is_that_of_student():
-    one = al.references.Estimate(np.array(2.0), np.array(0.5), groups=16)
-    lower, upper = one.interval(0.9)
-    assert (lower, upper) == pytest.approx(stats.t(15, 2.0, 0.5).interval(0.9), rel=1e-12)
-    with pytest.raises(al.ProblemError, match="between 0 and 1"):
-        one.interval(95)
-
-
-@pytest.mark.parametrize(
-    ("value", "error", "text"),
-    [
-        (0.659231, 0.000302, "0.65923 ± 0.00030"),
-        (-12.3456, 0.123, "-12.35 ± 0.12"),
-        (1234.5, 56.0, "1234 ± 56"),
-        (0.0, 0.02, "0.000 ± 0.020"),
-        (6.59231e-9, 3.0e-12, "(6.5923 ± 0.0030)e-09"),
-        (3.2e8, 4.1e6, "(3.200 ± 0.041)e+08"),
-        (2.0, 0.0, "2 ± 0"),
-    ],
-)
-def test_an_estimate_shows_the_digits_that_its_error_leaves(value, error, text):
-    assert str(al.references.Estimate(np.array(value), np.array(error), 50)) == text
-
-
-@pytest.mark.slow
-def test_two_and_a_half_million_samples_of_the_clutch_are_off_by_as_much_as_the_dissertation_is():
-    spread = al.references.monte_carlo(pressure_angle, CLUTCH, 2_500_000).std
-    assert 3 * float(spread.standard_error) == pytest.approx(3e-4, rel=0.4)
-    assert abs(float(spread.value) - EXACT_CLUTCH) < 4 * float(spread.standard_error)
-
-
-def test_quasi_monte_carlo_of_the_clutch_holds_the_exact_spread_closely():
-    spread = al.references.quasi_monte_carlo(pressure_angle, CLUTCH, 16 * 2**13).std
-    # A tenth of the standard error that as many independent samples have.
-    assert float(spread.standard_error) < 0.1 * EXACT_CLUTCH / np.sqrt(2 * 16 * 2**13)
-    assert abs(float(spread.value) - EXACT_CLUTCH) < 4.5 * float(spread.standard_error)
 
 
 def slope(counts, errors):
@@ -112,7 +53,7 @@ def slope(counts, errors):
 
 
 def test_standard_errors_of_quasi_monte_carlo_fall_faster_for_a_smooth_function():
-    counts = [16 * 2**k for k in range(4, 12)]
+    counts = [16 * 2**k for k in (3, 6, 10)]
     means = [al.references.quasi_monte_carlo(smooth, SMOOTH, count, seed=count).mean for count in counts]
     assert slope(counts, [one.standard_error for one in means]) < -1.2
     # Student's distribution with 15 degrees of freedom leaves 4.9 once in ten thousand.
@@ -145,12 +86,6 @@ def test_inputs_follow_their_distributions_and_are_independent(method):
     np.testing.assert_allclose(correlation, np.eye(4), atol=4 / np.sqrt(2**14))
 
 
-def test_a_shared_input_is_one_and_the_same():
-    distribution = al.Normal(0.0, 1.0).shared("x")
-    values = al.references.monte_carlo(lambda m: m["a"] - m["b"], {"a": distribution, "b": distribution}, 100).values
-    np.testing.assert_array_equal(values, 0.0)
-
-
 @pytest.mark.parametrize("method", [al.references.monte_carlo, al.references.quasi_monte_carlo])
 def test_the_same_seed_gives_the_same_sample_whatever_the_batch(method):
     first, again, other = (
@@ -160,24 +95,12 @@ def test_the_same_seed_gives_the_same_sample_whatever_the_batch(method):
     assert not np.any(first == other)
 
 
-def test_a_plain_function_called_point_by_point_gives_the_same_sample():
-    def plain(m):
-        assert isinstance(m["x"], float)
-        return math.exp(0.5 * m["x"] + m["y"] ** 2)
-
-    traced, called = (
-        al.references.monte_carlo(one, SMOOTH, 60, batch=25, traced=how)
-        for one, how in ((smooth, True), (plain, False))
-    )
-    np.testing.assert_allclose(called.values, traced.values, rtol=1e-14)
-
-
 def test_statistics_have_the_structure_of_the_outputs():
     def outputs(m):
-        return {"path": m["x"] * jnp.linspace(0.0, 1.0, 5), "sum": m["x"] + m["y"]}
+        return {"path": m["x"] * np.linspace(0.0, 1.0, 5), "sum": m["x"] + m["y"]}
 
-    sample = al.references.monte_carlo(outputs, SMOOTH, 5000)
-    assert sample.samples == 5000
+    sample = al.references.monte_carlo(outputs, SMOOTH, 2**14)
+    assert sample.samples == 2**14
     assert set(sample.mean) == {"path", "sum"}
     path, total = sample["path"].std, sample["sum"].variance
     np.testing.assert_allclose(path.value, np.linspace(0, 1, 5) / np.sqrt(3), rtol=0.04)
@@ -186,21 +109,19 @@ def test_statistics_have_the_structure_of_the_outputs():
     assert "sum: mean" in str(sample)
     with pytest.raises(al.ProblemError, match=r"no output 'other'.*path"):
         sample["other"]
-    with pytest.raises(al.ProblemError, match="Drop"):
-        sample["path"]["path"]
 
 
 def test_every_statistic_of_a_gamma_distribution_is_held_by_its_confidence_interval():
     distribution = stats.gamma(4.0)
     quantile = distribution.ppf(0.9)
-    tail_mean = (
-        4.0 * stats.gamma(5.0).sf(quantile) / 0.1
-    )  # x times its density is the density of the next gamma distribution
+    # x times its density is the density of the next gamma distribution.
+    tail_mean = 4.0 * stats.gamma(5.0).sf(quantile) / 0.1
     lowest = 4.0 * stats.gamma(5.0).cdf(distribution.ppf(0.1)) / 0.1
-    sample = al.references.monte_carlo(lambda m: m["g"], {"g": al.Gamma(shape=4.0, scale=1.0)}, 2**15, seed=3)
+    sample = al.references.monte_carlo(lambda m: m["g"], {"g": al.Gamma(shape=4.0, scale=1.0)}, 2**14, seed=3)
     exact = [
         (sample.skewness, 1.0),
         (sample.kurtosis, 4.5),
+        (sample.estimate(lambda values: values.std(axis=0)), 2.0),
         (sample.quantile(0.9), quantile),
         (sample.probability(above=quantile), 0.1),
         (sample.probability(above=4.0, below=quantile), 0.9 - distribution.cdf(4.0)),
@@ -209,7 +130,7 @@ def test_every_statistic_of_a_gamma_distribution_is_held_by_its_confidence_inter
     ]
     for found, truth in exact:
         # Student's distribution with 31 degrees of freedom leaves 3.7 once in a thousand.
-        assert 0 < found.standard_error < 0.05 * truth
+        assert 0 < found.standard_error < 0.07 * truth
         assert abs(found.value - truth) < 3.7 * found.standard_error
 
 
@@ -225,24 +146,10 @@ def test_outputs_vary_together_as_their_common_input_says():
         sample.covariance("a", "c")
 
 
-@pytest.mark.parametrize("traced", [True, False])
-def test_outputs_that_are_not_finite_are_refused_with_the_inputs(traced):
-    def broken(m):
-        return {"fine": m["x"], "bad": jnp.log(m["y"] - 0.5)}
-
-    with pytest.raises(al.SimulationError, match=r"output 'bad' first at point \d+ \(x=-?0\.\d+, y=0\.[0-4]"):
-        al.references.monte_carlo(broken, SMOOTH, 20, traced=traced)
-
-
-def test_a_sample_that_is_too_large_is_refused():
-    with pytest.raises(al.ProblemError, match=r"at most 2 GiB; received outputs of shape \(400000, 1000\)"):
-        al.references.monte_carlo(lambda m: m["x"] * jnp.ones(1000), SMOOTH, 400_000)
-
-
-@pytest.mark.parametrize("settings", [{"samples": 1000}, {"samples": 16}, {"replicates": 1}, {"replicates": 3}])
-def test_nets_that_are_no_power_of_two_or_have_no_replicates_are_refused(settings):
-    with pytest.raises(al.ProblemError, match="quasi_monte_carlo: expected"):
-        al.references.quasi_monte_carlo(smooth, SMOOTH, **settings)
+def test_nets_that_are_no_power_of_two_or_have_no_replicates_are_refused():
+    for settings in ({"samples": 1000}, {"replicates": 1}):
+        with pytest.raises(al.ProblemError, match="quasi_monte_carlo: expected"):
+            al.references.quasi_monte_carlo(smooth, SMOOTH, **settings)
 
 
 def test_no_sample_is_infinite_at_the_ends_of_unbounded_distributions():

@@ -1,6 +1,5 @@
 """Skewness, kurtosis, Cornish-Fisher quantile, covariance and correlation: closed forms and chaospy."""
 
-import chaospy
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,55 +22,23 @@ def value(statistic, coefficients, basis):
     return np.asarray(of(statistic, coefficients, prepare([statistic], basis).of(statistic)))
 
 
-DISTRIBUTIONS = {
-    "normal": (HermiteGerm(), stats.norm()),
-    "uniform": (LegendreGerm(), stats.uniform(-1, 2)),
-    "beta": (JacobiGerm(2.0, 5.0), stats.beta(2, 5, -1, 2)),
-    "gamma": (LaguerreGerm(3.0), stats.gamma(3)),
-}
-
-
 @pytest.mark.parametrize("order", [2, 8])
-@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
-def test_skewness_and_kurtosis_of_a_distribution_are_those_of_scipy_at_any_order(distribution, order):
-    germ, oracle = DISTRIBUTIONS[distribution]
-    basis = basis_of([germ], order)
-    coefficients = coefficients_of_polynomial(basis, lambda a: 3.0 * a - 1.0)
-    skewness, excess = oracle.stats("sk")
-    assert value(Skewness(), coefficients, basis) == pytest.approx(float(skewness), rel=1e-9, abs=1e-9)
-    assert value(Kurtosis(), coefficients, basis) == pytest.approx(3 + float(excess), rel=1e-9)
+def test_skewness_and_kurtosis_of_a_distribution_are_those_of_scipy_at_any_order(order):
+    germs = [(LegendreGerm(), stats.uniform(-1, 2)), (JacobiGerm(2.0, 5.0), stats.beta(2, 5, -1, 2))]
+    germs += [(HermiteGerm(), stats.norm()), (LaguerreGerm(3.0), stats.gamma(3))]
+    for germ, oracle in germs:
+        basis = basis_of([germ], order)
+        coefficients = coefficients_of_polynomial(basis, lambda a: 3.0 * a - 1.0)
+        skewness, excess = oracle.stats("sk")
+        assert value(Skewness(), coefficients, basis) == pytest.approx(float(skewness), rel=1e-9, abs=1e-9)
+        assert value(Kurtosis(), coefficients, basis) == pytest.approx(3 + float(excess), rel=1e-9)
 
 
-@pytest.mark.parametrize("degrees_of_freedom", [1, 4])
-def test_a_sum_of_squared_normals_has_the_skewness_and_kurtosis_of_chi_square(degrees_of_freedom):
-    basis = basis_of([HermiteGerm()] * degrees_of_freedom, 2)
+def test_a_sum_of_squared_normals_has_the_skewness_and_kurtosis_of_chi_square():
+    basis = basis_of([HermiteGerm()] * 4, 2)
     coefficients = coefficients_of_polynomial(basis, lambda *x: sum(one**2 for one in x))
-    assert value(Skewness(), coefficients, basis) == pytest.approx(np.sqrt(8 / degrees_of_freedom), rel=1e-10)
-    assert value(Kurtosis(), coefficients, basis) == pytest.approx(3 + 12 / degrees_of_freedom, rel=1e-10)
-
-
-def test_skewness_and_kurtosis_agree_with_chaospys_of_the_same_polynomial():
-    basis = basis_of([LegendreGerm(), HermiteGerm(), LaguerreGerm(2.0)], 2)
-    coefficients = coefficients_of_polynomial(basis, lambda a, b, c: 1 + a + 0.5 * b * c - 0.3 * b**2 + 0.2 * a * b)
-    joint = chaospy.J(chaospy.Uniform(-1, 1), chaospy.Normal(0, 1), chaospy.Gamma(2))
-    a, b, c = chaospy.variable(3)
-    theirs = 1 + a + 0.5 * b * c - 0.3 * b**2 + 0.2 * a * b
-    assert value(Skewness(), coefficients, basis) == pytest.approx(float(chaospy.Skew(theirs, joint)), rel=1e-7)
-    assert value(Kurtosis(), coefficients, basis) == pytest.approx(
-        float(chaospy.Kurt(theirs, joint, fisher=False)), rel=1e-7
-    )
-
-
-def test_the_square_of_an_expansion_is_its_square_at_every_point():
-    basis = basis_of([LegendreGerm(), LaguerreGerm(1.5), HermiteGerm()], 3)
-    coefficients = random_coefficients(basis)
-    doubled = basis_of([LegendreGerm(), LaguerreGerm(1.5), HermiteGerm()], 6)
-    squared = compiled(square(basis).of)(coefficients)
-    points = basis.map_to_germ(np.random.default_rng(1).uniform(0.05, 0.95, (200, 3)))
-    expected = (basis.matrix(points) @ np.asarray(coefficients)) ** 2
-    fitted = np.linalg.lstsq(doubled.matrix(points), expected, rcond=None)[0]
-    assert np.sort(np.asarray(squared)) == pytest.approx(np.sort(fitted), abs=1e-9)
-    assert np.asarray(squared)[: basis.terms] == pytest.approx(fitted[: basis.terms], abs=1e-9)
+    assert value(Skewness(), coefficients, basis) == pytest.approx(np.sqrt(2), rel=1e-10)
+    assert value(Kurtosis(), coefficients, basis) == pytest.approx(6, rel=1e-10)
 
 
 def test_many_instants_are_the_same_as_each_alone_and_a_constant_has_no_shape():
@@ -138,11 +105,6 @@ def test_covariance_and_correlation_are_those_of_the_closed_form():
     # The last is with a certain output.
     assert np.asarray(correlations) == pytest.approx([2 / np.sqrt(np.prod(variances)), -1.0, 0.0], rel=1e-12)
     assert np.isfinite(slopes).all()
-
-
-def test_a_covariance_of_one_output_is_refused():
-    with pytest.raises(ProblemError, match="two outputs"):
-        Covariance().of(jnp.zeros((4, 3)), ())
 
 
 def test_a_basis_without_variables_has_statistics():

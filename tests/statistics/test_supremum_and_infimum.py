@@ -1,14 +1,12 @@
 """Supremum and infimum: bounds that hold, that are tight, and what is said of unbounded distributions."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import optimize
 from small_expansions import basis_of, coefficients_of_polynomial, random_coefficients
 
 from aleator._core.errors import ProblemError
-from aleator.expansion import Basis
-from aleator.statistics import Infimum, Supremum, _branch_and_bound, _enclosure, prepare
+from aleator.statistics import Infimum, Supremum, _branch_and_bound, prepare
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 from compiling import compiled
 
@@ -18,34 +16,6 @@ both = compiled(lambda statistic, c, constants: (statistic.of(c, constants), sta
 def ends(statistic, coefficients, basis):
     """The guaranteed bound and an attained value."""
     return [np.asarray(one) for one in both(statistic, coefficients, prepare([statistic], basis).of(statistic))]
-
-
-CASES = {
-    "one variable": ([LegendreGerm()], 7),
-    "two variables": ([LegendreGerm(), JacobiGerm(2.0, 3.0)], 5),
-    "three variables": ([JacobiGerm(0.5, 1.5), LegendreGerm(), LegendreGerm()], 3),
-    "five variables": ([LegendreGerm()] * 5, 2),
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", CASES)
-def test_attained_and_guaranteed_values_enclose_the_extremes_of_random_expansions(case):
-    germs, order = CASES[case]
-    basis = basis_of(germs, order)
-    # More than are searched together, where that takes little time.
-    path = random_coefficients(basis, shape=(20,) if basis.variables < 3 else (6,), decay=0.8)
-    levels = np.random.default_rng(1).uniform(size=(100_000, basis.variables))
-    values = basis.matrix(basis.map_to_germ(levels)) @ np.asarray(path)
-    spread = np.ptp(values, axis=0)
-    upper, high = ends(Supremum(), path, basis)
-    lower, low = (-one for one in ends(Supremum(), -path, basis))
-    assert np.all(values.max(axis=0) <= upper)
-    assert np.all(values.min(axis=0) >= lower)
-    assert np.all((values.max(axis=0) - 1e-9 <= high) & (high <= upper))
-    assert np.all((values.min(axis=0) + 1e-9 >= low) & (low >= lower))
-    assert np.max((upper - high) / spread) < 1e-3
-    assert np.max((low - lower) / spread) < 1e-3
 
 
 def test_extremes_of_one_variable_are_those_found_by_scipy_and_a_constant_is_its_own():
@@ -96,15 +66,6 @@ def test_the_gap_falls_with_the_square_of_the_width_of_the_boxes(monkeypatch):
     assert gaps[2] < gaps[1] / 20
 
 
-@pytest.mark.slow
-def test_eight_variables_of_order_four_are_within_reach():
-    basis = basis_of([LegendreGerm()] * 8, 4)
-    coefficients = random_coefficients(basis, decay=0.2)
-    upper, high = ends(Supremum(), coefficients, basis)
-    levels = np.random.default_rng(1).uniform(size=(2000, 8))
-    assert (basis.matrix(basis.map_to_germ(levels)) @ np.asarray(coefficients)).max() <= high <= upper
-
-
 def test_an_unbounded_support_is_refused_with_a_remedy():
     basis = basis_of([LegendreGerm(), HermiteGerm(), LaguerreGerm(2.0)], 2)
     for statistic in (Supremum(), Infimum()):
@@ -112,16 +73,6 @@ def test_an_unbounded_support_is_refused_with_a_remedy():
             ProblemError, match=r"'b', 'c' can take values without bound.*bounded distributions.*quantile"
         ):
             prepare([statistic], basis)
-
-
-def test_too_many_bernstein_coefficients_are_refused_with_a_remedy(monkeypatch):
-    monkeypatch.setattr(_enclosure, "_MOST_COEFFICIENTS", 10)
-    with pytest.raises(ProblemError, match="lower order or fewer variables"):
-        prepare([Supremum()], basis_of([LegendreGerm()] * 2, 3))
-
-
-def test_an_output_without_uncertain_variables_is_its_own_supremum():
-    assert ends(Supremum(), jnp.array([3.0]), Basis({}, np.zeros((1, 0), dtype=int))) == [3.0, 3.0]
 
 
 def test_the_extremes_of_a_sample_are_its_largest_and_smallest_values():

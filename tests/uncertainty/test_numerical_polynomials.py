@@ -1,13 +1,8 @@
-"""Polynomials of distributions known by their density or data, against closed forms, chaospy, scipy and exact
-moments.
-"""
-
-import math
-from fractions import Fraction
+"""Polynomials of distributions known by their density or data, against closed forms and scipy."""
 
 import numpy as np
 import pytest
-from scipy import special, stats
+from scipy import stats
 
 from aleator._core.errors import ProblemError
 from aleator.uncertainty import (
@@ -22,14 +17,12 @@ from aleator.uncertainty import (
     WeibullGerm,
 )
 
-EPS = np.finfo(float).eps
 ORDER = 30
 
 # closed form, its density as a user may write it, with its bounds
 CLOSED = {
     "hermite": (HermiteGerm(), lambda x: np.exp(-(x**2) / 2), -np.inf, np.inf),
     "laguerre, singular": (LaguerreGerm(0.3), lambda x: x**-0.7 * np.exp(-x), 0, np.inf),
-    "laguerre, large": (LaguerreGerm(9.0), lambda x: x**8 * np.exp(-x) / 1e5, 0, np.inf),
     "jacobi": (JacobiGerm(2.5, 4.0), lambda x: (1 + x) ** 1.5 * (1 - x) ** 3, -1, 1),
 }
 
@@ -47,39 +40,17 @@ def test_the_recurrence_does_not_lose_digits_to_a_narrow_density_far_from_zero()
     assert b == pytest.approx(0.05 * exact, rel=1e-10)
 
 
-def test_the_weibull_distribution_of_shape_one_is_exponential_and_a_wide_truncation_is_none():
-    for ours, closed in (
-        (WeibullGerm(1.0), LaguerreGerm(1.0)),
-        (TruncatedNormalGerm(-40.0, np.inf), HermiteGerm()),
-        (TruncatedNormalGerm(-np.inf, np.inf), HermiteGerm()),
-    ):
-        for numerical, exact in zip(ours.recurrence(ORDER), closed.recurrence(ORDER), strict=True):
-            assert numerical == pytest.approx(exact, rel=1e-12, abs=1e-12)
-
-
-def bumpy(x):
-    return np.exp(-3 * x) + (x > 0.3) + 2.0 * np.maximum(0.8 - x, 0)
-
-
 # germ, SciPy's distribution
 GERMS = {
     "triangular": (TriangularGerm(0.3), stats.triang(0.3, -1, 2)),
-    "triangular, at the end": (TriangularGerm(1.0), stats.triang(1.0, -1, 2)),
     "truncated normal": (TruncatedNormalGerm(-1.0, 2.5), stats.truncnorm(-1, 2.5)),
-    "half normal": (TruncatedNormalGerm(0.0, np.inf), stats.halfnorm()),
-    "weibull": (WeibullGerm(1.5), stats.weibull_min(1.5)),
     "weibull, singular": (WeibullGerm(0.7), stats.weibull_min(0.7)),
     "gumbel": (GumbelGerm(), stats.gumbel_r()),
 }
 
 
-@pytest.fixture(params=GERMS.values(), ids=GERMS.keys())
-def case(request):
-    return request.param
-
-
-def test_polynomials_are_orthonormal_under_scipys_density(case):
-    germ, distribution = case
+@pytest.mark.parametrize(("germ", "distribution"), GERMS.values(), ids=GERMS.keys())
+def test_polynomials_are_orthonormal_under_scipys_density(germ, distribution):
     # independent of the germ's own quadrature: many equal panels in a power of the coordinate, with a break at -0.4
     low, high = max(germ.support()[0], -40.0), min(germ.support()[1], 4000.0 if germ == WeibullGerm(0.7) else 150.0)
     power = 8 if low == 0 else 1
@@ -94,50 +65,10 @@ def test_polynomials_are_orthonormal_under_scipys_density(case):
     assert (values.T * mass) @ values == pytest.approx(np.eye(13), abs=1e-10)
 
 
-# germ, its k-th moment as an exact number
-RATIONAL = {
-    "triangular": (TriangularGerm(0.5), lambda k: Fraction((1 - k % 2) * 2, (k + 1) * (k + 2))),
-    "weibull": (WeibullGerm(0.5), lambda k: Fraction(math.factorial(2 * k))),
-}
-
-
-@pytest.mark.parametrize(("germ", "moment"), RATIONAL.values(), ids=RATIONAL.keys())
-def test_recurrences_of_order_thirty_are_those_of_exact_arithmetic(germ, moment):
-    # by Gaussian elimination of the Hankel matrix of the moments: its pivots are the norms of the monic polynomials
-    rows = [[moment(i + j) for j in range(ORDER + 1)] for i in range(ORDER + 1)]
-    for i, pivot in enumerate(rows):
-        for row in rows[i + 1 :]:
-            factor = row[i] / pivot[i]
-            row[i:] = [entry - factor * above for entry, above in zip(row[i:], pivot[i:], strict=True)]
-    squares = [rows[n + 1][n + 1] / rows[n][n] for n in range(ORDER)]
-    assert germ.recurrence(ORDER)[1][1:] ** 2 == pytest.approx([float(square) for square in squares], rel=1e-12)
-
-
-def test_gauss_rules_quantiles_and_probabilities_agree_with_scipy(case):
-    germ, distribution = case
-    for count in (1, 2, 5):
-        nodes, weights = germ.gauss(count)
-        assert weights.sum() == pytest.approx(1.0, rel=100 * EPS)
-        # SciPy's own moments are integrals with errors of about 1e-8.
-        for degree in range(min(2 * count, 6)):
-            size = weights @ np.abs(nodes) ** degree
-            assert weights @ nodes**degree == pytest.approx(distribution.moment(degree), rel=1e-6, abs=1e-6 * size)
-    levels = np.array([[1e-9, 1e-4, 0.03], [0.4, 0.8, 0.9999]])
-    assert germ.quantile(levels) == pytest.approx(distribution.ppf(levels), rel=1e-11, abs=1e-12)
-    assert germ.cumulative(distribution.ppf(levels)) == pytest.approx(levels, rel=1e-10)
-
-
-def test_high_moments_of_the_weibull_distribution_are_gamma_functions():
-    nodes, weights = WeibullGerm(1.5).gauss(15)
-    for degree in range(30):
-        assert weights @ nodes**degree == pytest.approx(special.gamma(1 + degree / 1.5), rel=1e-11)
-
-
 def test_a_density_with_kinks_and_jumps_has_the_moments_of_its_pieces():
-    total = Fraction(7, 10) + Fraction(64, 100)  # of the jump and of the ramp; the exponential is added below
-    germ = DensityGerm(bumpy, 0.0, 1.0)
+    germ = DensityGerm(lambda x: np.exp(-3 * x) + (x > 0.3) + 2.0 * np.maximum(0.8 - x, 0), 0.0, 1.0)
     nodes, weights = germ.gauss(12)
-    mass = (1 - np.exp(-3)) / 3 + float(total)
+    mass = (1 - np.exp(-3)) / 3 + 0.7 + 0.64
     mean = (1 - 4 * np.exp(-3)) / 9 + (1 - 0.09) / 2 + 2 * (0.8**3 / 2 - 0.8**3 / 3)
     assert weights @ nodes == pytest.approx(mean / mass, rel=1e-12)
     assert germ.cumulative(np.array(0.3)) == pytest.approx(
@@ -145,14 +76,6 @@ def test_a_density_with_kinks_and_jumps_has_the_moments_of_its_pieces():
     )
     values = germ.polynomials(10, nodes)
     assert (values.T * weights) @ values == pytest.approx(np.eye(11), abs=1e-12)
-
-
-def test_the_recurrence_of_a_density_is_computed_once_and_cannot_be_changed():
-    germ = WeibullGerm(1.7)
-    first, again = germ.recurrence(6), WeibullGerm(1.7).recurrence(6)
-    assert first[0] is again[0]
-    with pytest.raises(ValueError, match="read-only"):
-        first[1][0] = 1.0
 
 
 def test_a_tail_that_carries_few_moments_carries_few_polynomials():
@@ -169,13 +92,6 @@ def test_polynomials_of_a_sample_are_orthonormal_under_the_data_up_to_the_last_o
     highest = min(np.unique(data).size - 1, 12)
     values = germ.polynomials(highest, data)
     assert values.T @ values / data.size == pytest.approx(np.eye(highest + 1), abs=1e-10)
-
-
-def test_the_gauss_rule_of_a_sample_has_its_moments():
-    data = 1e5 + np.random.default_rng(6).gumbel(size=200)
-    nodes, weights = SampleGerm(data).gauss(6)
-    for degree in range(12):
-        assert weights @ (nodes - 1e5) ** degree == pytest.approx(np.mean((data - 1e5) ** degree), rel=1e-7)
 
 
 def test_a_sample_of_n_values_is_its_own_gauss_rule_of_n_points():

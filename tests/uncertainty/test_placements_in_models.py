@@ -4,7 +4,6 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -63,37 +62,19 @@ def rebuilt(model):
     return jax.tree.unflatten(structure, leaves)
 
 
-def test_distributions_are_found_anywhere_and_named_by_their_place():
-    assert tuple(placements(car()).distributions) == (
-        "mass",
-        "springs.0.stiffness",
-        "springs.1.0.stiffness",
-        "settings.a.front",
-        "settings.z",
+def test_distributions_and_decisions_are_found_anywhere_and_named_by_their_place():
+    found = placements(car())
+    assert " ".join(found.distributions) == (
+        "mass springs.0.stiffness springs.1.0.stiffness settings.a.front settings.z"
     )
-
-
-def test_decisions_are_found_anywhere_also_inside_distributions():
-    assert tuple(placements(car()).decisions) == (
-        "mass.std",
-        "springs.0.stiffness.mean",
-        "springs.0.stiffness.half_width",
-        "springs.0.damping",
-        "settings.a.front.lower",
-        "settings.a.rear",
-        "settings.z.alpha",
+    assert " ".join(found.decisions) == (
+        "mass.std springs.0.stiffness.mean springs.0.stiffness.half_width springs.0.damping settings.a.front.lower "
+        "settings.a.rear settings.z.alpha"
     )
 
 
 @pytest.mark.parametrize(
-    "change",
-    [
-        rebuilt,
-        lambda model: rebuilt(rebuilt(model)),
-        numbers_to_arrays,
-        lambda model: uncertain_again(at_means(model)),
-        lambda model: jax.tree.map(lambda leaf: leaf, model),
-    ],
+    "change", [lambda model: rebuilt(rebuilt(model)), numbers_to_arrays, lambda model: uncertain_again(at_means(model))]
 )
 def test_names_order_and_numbers_survive_flattening(change):
     before, after = placements(car()), placements(change(car()))
@@ -102,12 +83,6 @@ def test_names_order_and_numbers_survive_flattening(change):
     for attribute in ("initial", "lower", "upper"):
         assert after.vector(attribute).tolist() == before.vector(attribute).tolist()
     assert [place.where for place in after.decisions.values()] == [place.where for place in before.decisions.values()]
-
-
-def test_parameters_keep_their_declared_order_when_their_names_sort_otherwise():
-    distribution = Uniform(Decision(5.0), half_width=Decision(1.0, 0.0))
-    assert tuple(rebuilt(distribution).decisions) == ("mean", "half_width")
-    assert str(rebuilt(distribution)) == str(distribution)
 
 
 def test_realisation_puts_numbers_at_the_decisions_everywhere_and_leaves_the_rest_alone():
@@ -130,39 +105,28 @@ def test_realisation_puts_numbers_at_the_decisions_everywhere_and_leaves_the_res
     assert (alone.label, alone.settings["count"], alone.mass) == ("car", 3, 2.0)
 
 
-def test_a_germ_of_the_wrong_length_is_refused():
-    with pytest.raises(ValueError, match="zip"):
-        realise({"a": Normal(0.0, 1.0)}, jnp.zeros(2), jnp.zeros(0))
-
-
 def test_a_shared_distribution_is_one_variable_wherever_it_is_placed():
     tilt = Normal(Decision(1.0, 0, 2), 2.0).shared("tilt")
     model = {"left": tilt, "right": [tilt, Normal(0.0, 1.0)]}
-    places = placements(model)
-    assert tuple(places.distributions) == ("tilt", "right.1")
-    assert tuple(places.decisions) == ("tilt.mean",)
-    real = realise(model, jnp.array([0.5, -1.0]), jnp.array([1.5]))
+    for changed in (model, rebuilt(model), numbers_to_arrays(model)):
+        places = placements(changed)
+        assert tuple(places.distributions) == ("tilt", "right.1")
+        assert tuple(places.decisions) == ("tilt.mean",)
+    assert set(named_numbers(model, np.array([4.0]))) == {"tilt.mean", "tilt.std", "right.1.mean", "right.1.std"}
+    real = realise(model, np.array([0.5, -1.0]), np.array([1.5]))
     assert (float(real["left"]), float(real["right"][0]), float(real["right"][1])) == (2.5, 2.5, -1.0)
 
 
 def test_a_shared_decision_is_one_decision_wherever_it_is_placed():
     radius = Decision(np.array([1.0, 2.0]), 0.0, 3.0).shared("radius")
-    model = {"c": radius, "d": radius, "e": Decision(5.0)}
-    places = placements(model)
-    assert tuple(places.decisions) == ("radius", "e")
-    assert places.size == 3
-    real = realise(model, jnp.zeros(0), jnp.array([8.0, 9.0, 7.0]))
-    assert real["c"].tolist() == real["d"].tolist() == [8.0, 9.0]
-    assert float(real["e"]) == 7.0
-
-
-def test_a_shared_decision_may_sit_in_a_distribution_and_beside_it():
     k = Decision(3.0, 1.0, 5.0).shared("k")
-    model = {"a": Uniform(k, half_width=1.0), "b": k, "c": Normal(0.0, k)}
+    model = {"a": Uniform(k, half_width=1.0), "b": k, "c": radius, "d": radius, "e": Normal(0.0, k)}
     places = placements(model)
-    assert tuple(places.decisions) == ("k",)
-    real = realise(model, jnp.array([1.0, 2.0]), jnp.array([4.0]))
-    assert (float(real["a"]), float(real["b"]), float(real["c"])) == (5.0, 4.0, 8.0)
+    assert tuple(places.decisions) == ("k", "radius")
+    assert places.size == 3
+    real = realise(model, np.array([1.0, 2.0]), np.array([4.0, 8.0, 9.0]))
+    assert (float(real["a"]), float(real["b"]), float(real["e"])) == (5.0, 4.0, 8.0)
+    assert real["c"].tolist() == real["d"].tolist() == [8.0, 9.0]
 
 
 def test_the_same_unshared_object_in_two_places_is_two_variables_and_two_decisions():
@@ -171,31 +135,16 @@ def test_the_same_unshared_object_in_two_places_is_two_variables_and_two_decisio
     places = placements(model)
     assert tuple(places.distributions) == ("a", "b")
     assert tuple(places.decisions) == ("c", "d")
-    real = realise(model, jnp.array([1.0, 2.0]), jnp.array([3.0, 4.0]))
+    real = realise(model, np.array([1.0, 2.0]), np.array([3.0, 4.0]))
     assert {name: float(value) for name, value in real.items()} == {"a": 1.0, "b": 2.0, "c": 3.0, "d": 4.0}
-
-
-def test_sharing_survives_flattening_and_the_conversion_of_numbers():
-    tilt = Uniform(Decision(1.0), half_width=Decision(0.2, 0.0).shared("w")).shared("tilt")
-    model = {"left": tilt, "right": tilt, "other": Normal(0.0, Decision(0.2, 0.0).shared("w"))}
-    for changed in (model, rebuilt(model), numbers_to_arrays(model), at_means(model)):
-        assert tuple(placements(changed).decisions) == ("tilt.mean", "w") or tuple(placements(changed).decisions) == (
-            "w",
-            "tilt.mean",
-        )
-    assert tuple(placements(numbers_to_arrays(model)).distributions) == tuple(placements(model).distributions)
 
 
 def test_one_shared_name_for_two_things_is_refused():
     for first, second in [
         (Normal(0.0, 1.0).shared("x"), Normal(0.0, 2.0).shared("x")),
-        (Normal(0.0, 1.0).shared("x"), Uniform(0.0, std=1.0).shared("x")),
         (Decision(1.0).shared("x"), Decision(1.0, lower=0.0).shared("x")),
-        (Decision(1.0).shared("x"), Decision(np.ones(2)).shared("x")),
-        (Normal(Decision(1.0).shared("x"), 1.0), Decision(2.0).shared("x")),
         (Normal(Decision(1.0), 1.0).shared("x"), Normal(Decision(1.0, upper=9.0), 1.0).shared("x")),
         (Normal(0.0, 1.0).shared("x"), Decision(1.0).shared("x")),
-        (Normal(Decision(1.0).shared("x"), 1.0), Normal(0.0, 1.0).shared("x")),
     ]:
         with pytest.raises(ProblemError, match="'x' is shared by two placements that differ"):
             placements({"a": first, "b": second})
@@ -205,43 +154,26 @@ def test_two_independent_placements_that_happen_to_have_one_name_are_refused():
     for model in [
         {"a": Normal(0.0, 1.0).shared("b"), "b": Normal(0.0, 1.0)},
         {"a.b": Normal(0.0, 1.0), "a": {"b": Normal(0.0, 1.0)}},
-        {"a": Normal(Decision(1.0), 2.0), "b": Decision(1.0).shared("a.mean")},
         {"a": Decision(1.0, 0.0, 10.0).shared("c"), "c": 50.0},
-        {"c": 50, "d": Decision(1.0, 0.0, 10.0).shared("c")},
-        {"a": Normal(0.0, 1.0).shared("c"), "c": np.ones(2)},
-        {"a": Normal(Decision(1.0).shared("c"), 1.0), "c": Normal(0.0, 1.0)},
         {"a": Decision(1.0).shared("c.0"), "c": [50.0]},
         {"a": Decision(1.0).shared("c.std"), "c": Normal(0.0, 1.0)},
-        {"a": Decision(1.0).shared("c.std"), "c": Uniform.bounds(0.0, 1.0)},
-        {"a": Normal(0.0, 1.0), "a.mean": 3.0},
     ]:
         with pytest.raises(ProblemError, match="names two placements"):
             placements(model)
-
-
-def test_decided_parameters_of_distributions_come_in_the_order_of_the_decision_vector():
-    distributions = {f"k{i}": Uniform(Decision(1.0, 0.5, 2.0), half_width=Decision(0.1, 0.01, 0.2)) for i in range(8)}
-    found = placements({"free": Decision(0.0, 0.0, 1.0), **distributions})
-    assert list(found.of_distributions.values()) == list(range(1, 17))
-    assert [found.entry_names()[i] for i in found.of_distributions.values()] == list(found.of_distributions)
-
-
-def test_at_means_leaves_no_germ_but_keeps_all_decisions():
-    held = placements(at_means(car()))
-    assert held.distributions == {}
-    assert tuple(held.decisions) == tuple(placements(car()).decisions)
 
 
 def test_at_means_realises_the_means_at_the_current_decisions():
     model = at_means(
         {"a": Uniform.bounds(Decision(1.0, upper=2.5), 3.0), "b": Gamma(shape=2.0, scale=Decision(3.0, 0.0)), "c": 5.0}
     )
-    real = realise(model, jnp.zeros(0), jnp.array([2.0, 4.0]))
+    real = realise(model, np.zeros(0), np.array([2.0, 4.0]))
     assert (float(real["a"]), float(real["b"]), real["c"]) == (2.5, 8.0, 5.0)
 
 
 def test_at_means_twice_is_at_means_once_and_uncertain_again_undoes_it():
     once = at_means(car())
+    assert placements(once).distributions == {}
+    assert tuple(placements(once).decisions) == tuple(placements(car()).decisions)
     assert eqx.tree_equal(at_means(once), once)
     assert eqx.tree_equal(uncertain_again(once), car())
     assert eqx.tree_equal(uncertain_again(car()), car())
@@ -250,7 +182,7 @@ def test_at_means_twice_is_at_means_once_and_uncertain_again_undoes_it():
 def test_named_numbers_hold_places_parameters_and_moments_at_the_current_decisions():
     model = {"k": Uniform(Decision(5.0), half_width=3.0), "m": 2.0, "v": np.array([1.0, 2.0]), "d": Decision(1.0)}
     for changed in (model, at_means(model)):
-        numbers = named_numbers(changed, jnp.array([9.0, 6.0]))
+        numbers = named_numbers(changed, np.array([9.0, 6.0]))
         assert {name: np.asarray(value).tolist() for name, value in numbers.items()} == {
             "d": 9.0,
             "k.mean": 6.0,
@@ -262,35 +194,15 @@ def test_named_numbers_hold_places_parameters_and_moments_at_the_current_decisio
 
 
 def test_whole_numbers_are_named_and_truth_values_are_not():
-    model = {"b": 94, "n": np.int64(3), "v": jnp.array([1, 2]), "yes": True, "flags": np.array([True]), "s": "name"}
-    numbers = named_numbers(model, jnp.zeros(0))
+    model = {"b": 94, "n": np.int64(3), "v": np.array([1, 2]), "yes": True, "flags": np.array([True]), "s": "name"}
+    numbers = named_numbers(model, np.zeros(0))
     assert {name: np.asarray(value).tolist() for name, value in numbers.items()} == {"b": 94, "n": 3, "v": [1, 2]}
     assert all(value.dtype == float for value in numbers.values())
-    assert type(realise(model, jnp.zeros(0), jnp.zeros(0))["b"]) is int
+    assert type(realise(model, np.zeros(0), np.zeros(0))["b"]) is int
 
 
-def test_a_shared_name_may_be_the_place_of_the_thing_that_is_shared():
-    radius, tilt = Decision(1.0).shared("c"), Normal(Decision(2.0).shared("a.mean"), 1.0)
-    model = {"a": tilt, "b": radius, "c": radius}
-    for changed in (model, at_means(model), rebuilt(model), numbers_to_arrays(model)):
-        assert tuple(placements(changed).decisions) == ("a.mean", "c")
-
-
-def test_named_numbers_of_a_shared_distribution_stand_under_its_shared_name():
-    distribution = Normal(Decision(1.0).shared("centre"), 2.0).shared("tilt")
-    numbers = named_numbers({"a": distribution, "b": distribution}, jnp.array([4.0]))
-    assert {name: float(value) for name, value in numbers.items()} == {"tilt.mean": 4.0, "tilt.std": 2.0}
-
-
-def test_a_decision_may_start_on_its_bound_and_be_fixed_by_equal_bounds():
-    assert Decision(2.0, 2.0, 2.0).lower == 2.0
-
-
-def test_a_decision_is_unbounded_unless_told():
+def test_a_decision_is_unbounded_unless_told_and_bounds_of_an_array_may_be_one_for_all_or_one_each():
     assert (Decision(2).lower, Decision(2).upper) == (-np.inf, np.inf)
-
-
-def test_bounds_of_an_array_may_be_one_for_all_or_one_each():
     places = placements({"x": Decision(np.array([1.0, 2.0]), lower=0.0, upper=np.array([3.0, 4.0]))})
     assert places.vector("lower").tolist() == [0.0, 0.0]
     assert places.vector("upper").tolist() == [3.0, 4.0]
@@ -305,7 +217,7 @@ def test_changing_the_array_it_was_made_from_does_not_change_a_decision():
 
 
 def test_array_decisions_fill_the_vector_and_are_named_entry_by_entry():
-    places = placements({"a": Decision(7.0), "b": Decision(np.arange(6.0).reshape(2, 3)), "c": Decision(jnp.ones(1))})
+    places = placements({"a": Decision(7.0), "b": Decision(np.arange(6.0).reshape(2, 3)), "c": Decision(np.ones(1))})
     assert places.size == 8
     assert places.vector("initial").tolist() == [7, 0, 1, 2, 3, 4, 5, 1]
     assert places.entry_names() == ("a", "b[0]", "b[1]", "b[2]", "b[3]", "b[4]", "b[5]", "c[0]")
@@ -313,7 +225,3 @@ def test_array_decisions_fill_the_vector_and_are_named_entry_by_entry():
     assert named["a"] == 10.0
     assert named["b"].tolist() == [[11, 12, 13], [14, 15, 16]]
     assert named["c"].tolist() == [17]
-
-
-def test_a_model_without_decisions_has_an_empty_vector():
-    assert placements({"a": 1.0}).vector("initial").shape == (0,)

@@ -3,35 +3,17 @@
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import aleator as al
 from aleator._core.errors import ProblemError
-from aleator.uncertainty import (
-    Beta,
-    Decision,
-    Density,
-    Exponential,
-    Gamma,
-    Gumbel,
-    LogNormal,
-    Normal,
-    Sample,
-    Triangular,
-    TruncatedNormal,
-    Uniform,
-    Weibull,
-    at_means,
-    fields_of,
-    parameter,
-    refuse_nonpositive,
-)
+from aleator.uncertainty import at_means, fields_of, refuse_nonpositive
 
 
 class Mass(eqx.Module):
-    m: Any = parameter("kg", positive=True)
-    offset: Any = parameter("m", default=0.0)
+    m: Any = al.parameter("kg", positive=True)
+    offset: Any = al.parameter("m", default=0.0)
 
 
 class Holder(eqx.Module):
@@ -46,102 +28,52 @@ class Whole(NamedTuple):
 
 REACH_ZERO = {
     "zero": 0.0,
-    "nan": float("nan"),
     "array": np.array([1.0, 0.0]),
-    "jax array": jnp.asarray(np.array([1.0, -2.0])),
-    "normal": Normal(10.0, 0.001),
-    "uniform that touches zero": Uniform(1.0, half_width=1.0),
-    "uniform by bounds": Uniform.bounds(0.0, 1.0),
-    "beta from zero": Beta(alpha=2.0, beta=2.0),
-    "gamma from zero": Gamma(shape=2.0, scale=2.0),
-    "decision": Decision(1.0, 0.0, 2.0),
-    "unbounded decision": Decision(1.0),
-    "decided mean": Uniform(Decision(3.0, 1.0, 5.0), half_width=1.0),
-    "decided both": Uniform(Decision(3.0, 2.0, 5.0), half_width=Decision(1.0, 0.5, 2.0)),
-    "decided bound": Uniform.bounds(Decision(1.0, 0.0, 2.0), 3.0),
-    "unbounded spread": Uniform(3.0, half_width=Decision(1.0, 0.0)),
-    "beta with decided lower end": Beta(mean=1.5, std=0.1, lower=Decision(1.0, 0.0, 1.2), upper=2.0),
-    "inside a list": [1.0, 0.0],
-    "lognormal": LogNormal(mean=1.0, std=0.5, lower=-0.1),
-    "truncated normal": TruncatedNormal(1.0, 0.5, upper=3.0),
-    "truncated normal with decided end": TruncatedNormal(1.0, 0.5, lower=Decision(0.1, 0.0, 0.2)),
-    "triangular": Triangular(0.0, 0.2, 0.4),
-    "weibull": Weibull(1.0, 2.0),
-    "gumbel": Gumbel(10.0, 0.1),
-    "exponential": Exponential(mean=2.0),
-    "sample": Sample([1.0, 2.0], location=Decision(0.0, -2.0, 0.0)),
-    "density": Density(np.ones_like, 0.0, 2.0),
-    "held at its mean": at_means(Uniform(1.0, half_width=2.0)),
+    "normal": al.Normal(10.0, 0.001),
+    "uniform that touches zero": al.Uniform(1.0, half_width=1.0),
+    "decision": al.Decision(1.0, 0.0, 2.0),
+    "decided both": al.Uniform(al.Decision(3.0, 2.0, 5.0), half_width=al.Decision(1.0, 0.5, 2.0)),
+    "beta with decided lower end": al.Beta(mean=1.5, std=0.1, lower=al.Decision(1.0, 0.0, 1.2), upper=2.0),
+    "lognormal": al.LogNormal(mean=1.0, std=0.5, lower=-0.1),
+    "truncated normal with decided end": al.TruncatedNormal(1.0, 0.5, lower=al.Decision(0.1, 0.0, 0.2)),
+    "sample": al.Sample([1.0, 2.0], location=al.Decision(0.0, -2.0, 0.0)),
+    "held at its mean": at_means(al.Uniform(1.0, half_width=2.0)),
 }
 STAY_POSITIVE = {
-    "number": 1.0,
-    "whole number": 2,
     "array": np.array([1.0, 0.1]),
-    "uniform": Uniform(1.0, half_width=0.999),
-    "beta": Beta(alpha=2.0, beta=2.0, lower=0.1, upper=2.0),
-    "beta whose decided spread may nearly vanish": Beta(
-        mean=0.5, std=Decision(0.1, 1e-6, 0.2), lower=Decision(0.1, 0.1, 0.2), upper=1.0
+    "beta whose decided spread may nearly vanish": al.Beta(
+        mean=0.5, std=al.Decision(0.1, 1e-6, 0.2), lower=al.Decision(0.1, 0.1, 0.2), upper=1.0
     ),
-    "gamma": Gamma(shape=2.0, scale=2.0, lower=0.1),
-    "gamma whose decided spread may nearly vanish": Gamma(mean=2.0, std=Decision(0.1, 1e-6, 0.2), lower=0.1),
-    "uniform whose decided spread may vanish": Uniform(2.0, std=Decision(0.1, 0.0, 0.2)),
-    "uniform whose upper end is unbounded": Uniform.bounds(Decision(1.0, 0.5, 1.5), Decision(2.0, 1.5)),
-    "decision": Decision(1.0, 0.1, 2.0),
-    "decided uniform": Uniform(Decision(3.0, 2.0, 5.0), half_width=Decision(1.0, 0.5, 1.999)),
+    "gamma whose decided spread may nearly vanish": al.Gamma(mean=2.0, std=al.Decision(0.1, 1e-6, 0.2), lower=0.1),
+    "decided uniform": al.Uniform(al.Decision(3.0, 2.0, 5.0), half_width=al.Decision(1.0, 0.5, 1.999)),
     "no numbers": np.zeros(0),
-    "nothing": None,
     "a function": abs,
-    "lognormal": LogNormal(mean=Decision(1.0, 0.5, 2.0), std=0.5),
-    "truncated normal": TruncatedNormal(1.0, 0.5, lower=0.1),
-    "triangular": Triangular(0.1, 0.2, 0.4),
-    "weibull": Weibull(1.0, 2.0, lower=0.3),
-    "exponential": Exponential(mean=Decision(2.0, 1.0, 3.0), lower=0.5),
-    "sample": Sample([1.0, 2.0]),
-    "density": Density(np.ones_like, 1.0, 2.0),
+    "lognormal": al.LogNormal(mean=al.Decision(1.0, 0.5, 2.0), std=0.5),
 }
 
 
-@pytest.mark.parametrize("value", REACH_ZERO.values(), ids=REACH_ZERO.keys())
-def test_what_can_reach_zero_is_refused_by_name(value):
-    with pytest.raises(ProblemError, match="'m' must stay positive"):
-        refuse_nonpositive(Mass(value))
+def test_what_can_reach_zero_is_refused_by_name():
+    for value in REACH_ZERO.values():
+        with pytest.raises(ProblemError, match="'m' must stay positive"):
+            refuse_nonpositive(Mass(value))
 
 
 def test_what_stays_positive_is_let_through_and_other_fields_may_be_anything():
     for value in STAY_POSITIVE.values():
-        refuse_nonpositive(Mass(value, offset=Normal(-5.0, 3.0)))
+        refuse_nonpositive(Mass(value, offset=al.Normal(-5.0, 3.0)))
 
 
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [
-        (Uniform(1.0, half_width=1.5), r"Uniform\(mean=1, half_width=1.5\) can reach -0.5"),
-        (Normal(1e6, 1.0), r"but .* is unbounded below\. Reduce its spread"),
-        (Uniform(3.0, half_width=Decision(1.0, 0.0)), r"but .* is unbounded below\. Reduce its spread"),
-        ("heavy", "expected a number.*received str 'heavy'"),
-        (["1.0", "2.0"], "expected a number.*received str '1.0'"),
-    ],
-)
-def test_the_refusal_names_what_it_found_and_its_lowest_value(value, message):
-    with pytest.raises(ProblemError, match="'m' must stay positive.*" + message):
-        refuse_nonpositive(Mass(value))
-
-
-@pytest.mark.parametrize(
-    ("model", "name"),
-    [
-        (Holder(Mass(0.0)), "inside.m"),
-        (Holder([Mass(1.0), Mass(0.0)]), "inside.1.m"),
-        (Holder({"a": (Mass(0.0),)}), "inside.a.0.m"),
-        (Whole(Mass(0.0), {}), "system.m"),
-        (Whole(1.0, {"u": Mass(0.0)}), "inputs.u.m"),
-        ([Mass(0.0)], "0.m"),
-    ],
-    ids=["module", "list", "dict and tuple", "a field called system", "inputs", "list at the top"],
-)
-def test_positive_fields_are_found_anywhere_in_a_model(model, name):
-    with pytest.raises(ProblemError, match=f"^'{name}' must stay positive"):
-        refuse_nonpositive(model)
+def test_positive_fields_are_found_anywhere_in_a_model_and_the_lowest_value_is_told():
+    for model, message in [
+        ([Mass(1.0), Mass(al.Uniform(1.0, half_width=1.5))], r"^'1.m' must stay .*half_width=1.5\) can reach -0.5"),
+        (
+            Holder({"a": (Mass(al.Normal(1e6, 1.0)),)}),
+            r"^'inside.a.0.m' must stay .*unbounded below\. Reduce its spread",
+        ),
+        (Whole(Mass("heavy"), {}), "^'system.m' must stay .*expected a number.*received str 'heavy'"),
+    ]:
+        with pytest.raises(ProblemError, match=message):
+            refuse_nonpositive(model)
 
 
 def test_units_are_found_with_the_fields():
