@@ -30,14 +30,18 @@ LARGEST_PICTURE = 60_000  # bytes
 # --- Code ------------------------------------------------------------------------------------------------------------
 
 
+def code_of(document: str) -> str:
+    """All Python shown in a document, as one program; an example as it is."""
+    text = (ROOT / document).read_text(encoding="utf-8")
+    return text if document.endswith(".py") else "\n".join(re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL))
+
+
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Run all Python of a document, or an example, as `python shown.py` would, in this process and its own folder."""
 
     def run(document: str) -> None:
-        text = (ROOT / document).read_text(encoding="utf-8")
-        if document.endswith(".md"):
-            text = "\n".join(re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL))
+        text = code_of(document)
         path = tmp_path / "shown.py"
         path.write_text(text, encoding="utf-8")
         module = types.ModuleType("__main__")
