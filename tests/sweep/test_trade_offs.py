@@ -179,7 +179,7 @@ def test_no_end_of_a_front_is_dominated_where_a_slope_is_infinite():
 WAYS = {"boundary": {}, "starts": {"starts": 4}, "population": POPULATION}
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", ["boundary", pytest.param("starts", marks=pytest.mark.slow), "population"])
 def test_both_parts_of_a_front_with_a_hole_are_found(way):
     found = curve(16, slope=-1.0, wave=-0.25, upper=0.7, **WAYS[way])
     a = np.linspace(0.0, 0.7, 200_001)
