@@ -15,7 +15,7 @@ from aleator.studies import STUDIES
 
 ROOT = Path(__file__).parents[1]
 FIRST = ("README.md", "docs/index.md")
-# The page on FMUs needs one: see foreign/test_fmu_document.py.
+# The page on FMUs needs one: see foreign/test_fmu_systems.py.
 DOCUMENTS = sorted(
     str(path.relative_to(ROOT))
     for path in (ROOT / "docs").glob("*.md")
