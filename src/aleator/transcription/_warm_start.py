@@ -106,16 +106,15 @@ def _refitted(
         rows = [weights[:, None] * one.values(fractions, duration).reshape(len(fractions), -1) for one in curves]
         return jnp.concatenate([jnp.ravel(one) for one in rows])
 
-    @jax.jit
     def new(moved: Array) -> Array:
-        return sampled(*_realised(problem, jnp.asarray(vector).at[free].set(moved), paths))
+        return sampled(*_realised(problem, jax_array(vector).at[free].set(moved), paths))
 
-    start = jax_array(vector[free])
-    missing = np.asarray(sampled(old, known) - new(start))
-    slopes = np.asarray(jax.jit(jax.jacfwd(new))(start))
+    # One program each: single operations would be compiled one by one.
+    before = np.asarray(jax.jit(lambda: sampled(old, known))())
+    now, slopes = jax.jit(lambda moved: (new(moved), jax.jacfwd(new)(moved)))(jax_array(vector[free]))
     result = vector.copy()
     # The solution of least norm leaves decisions unchanged that do not affect the curve.
-    result[free] += np.linalg.lstsq(slopes, missing, rcond=None)[0]
+    result[free] += np.linalg.lstsq(np.asarray(slopes), before - np.asarray(now), rcond=None)[0]
     return result
 
 

@@ -2,7 +2,6 @@
 
 from typing import final
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -84,8 +83,9 @@ class Systems:
             return result
         beyond = EXCESS_OVER_TIME(self._finer, jax_array(germ), self._decisions)
         refuse_broken(self._finer, np.isfinite(beyond).all(axis=0)[:count], germ[:count], self._vector)
-        rows = jnp.array([i for i, one in enumerate(self.problem.constraints) if is_over_time(one)])
-        return result._replace(excess=result.excess.at[rows].set(beyond))
+        excess = np.array(result.excess)
+        excess[[i for i, one in enumerate(self.problem.constraints) if is_over_time(one)]] = beyond
+        return result._replace(excess=jax_array(excess))
 
 
 def _on_finer(problem: Problem, factor: int) -> Problem:
