@@ -1,10 +1,11 @@
-"""Figures of motion: a linkage and bands, from arrays alone."""
+"""Figures of motion: a linkage, paths in the plane and bands, from arrays alone."""
 
 import numpy as np
 import pytest
 
-from aleator.reporting import Scene, bands_figure, linkage_animation, looks
+from aleator.reporting import Scene, bands_figure, linkage_animation, looks, plane_figure
 
+LOOK = looks(["robust"])["robust"]
 TIMES = np.linspace(0.0, 2.0, 201)
 RATES = np.linspace(0.8, 1.2, 40)
 
@@ -17,9 +18,8 @@ def turning(rates):
 
 
 def test_links_keep_their_lengths_in_every_frame_from_the_first_instant_to_the_last():
-    scene, look = Scene(((1.0, 1.0, 0.25),), wall=-1.5), looks(["robust"])["robust"]
-    mean = turning(np.ones(1))[0]
-    animation = linkage_animation(TIMES, turning(RATES), mean, look=look, scene=scene, target=(0.0, 1.5))
+    scene, mean = Scene(((1.0, 1.0, 0.25),), wall=-1.5), turning(np.ones(1))[0]
+    animation = linkage_animation(TIMES, turning(RATES), mean, look=LOOK, scene=scene, target=(0.0, 1.5))
     assert len(animation.frames) == 60
     assert [animation.frames[0].name, animation.frames[-1].name] == ["0.00", "2.00"]
     for frame in animation.frames:
@@ -30,6 +30,14 @@ def test_links_keep_their_lengths_in_every_frame_from_the_first_instant_to_the_l
     steps = animation.layout.sliders[0].steps
     assert [step.args[0][0] for step in steps] == [frame.name for frame in animation.frames]
     assert {trace for frame in animation.frames for trace in frame.traces} == {1, 2}
+
+
+def test_systems_that_violate_are_counted_in_the_plane():
+    joints, broken = turning(RATES), RATES > 1.1
+    figure = plane_figure(joints[..., -1, :], joints[0, :, -1], look=LOOK, broken=broken)
+    names = [trace.name for trace in figure.data]
+    assert f"within the limits ({int((~broken).sum())} of 40 drawn)" in names
+    assert f"violating ({int(broken.sum())} of 40 drawn)" in names
 
 
 def test_the_bands_reach_one_sigma_and_the_whole_range():

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import aleator as al
 from aleator import cli
-from aleator.studies import Study, load
+from aleator.studies import Study, load, schema
 from zoo import SPREAD
 
 NEEDED = 1.0 + 3.0 * SPREAD  # the width is NEEDED / stress
@@ -220,6 +220,19 @@ def test_quantities_are_those_that_python_would_declare(here: Path):
         assert str(problem.system.load) == str(load_)
 
 
+def test_a_tolerance_of_a_positive_number_is_refused_with_the_distribution_that_is_taken(here: Path):
+    head = 'problem = "bar:problem"\n[model]\nload = { start = 1.0 }\nwidth = '
+    with pytest.raises(al.ProblemError, match="'width' must stay positive") as refused:
+        loaded(f'{head}"27.645 +0.05/-0.02 mm"\n')
+    advised = re.search(r"write (TruncatedNormal)\((.*?)\)", str(refused.value))
+    assert advised is not None
+    (problem,) = loaded(f'{head}{{ distribution = "{advised[1]}", {advised[2]} }}\n').problems.values()
+    found = problem.system.width
+    # The zone of the drawing, whose half-width is three standard deviations.
+    assert [float(one) for one in found.support()] == pytest.approx([27.625, 27.695])
+    assert found.parameters["scale"] == pytest.approx(0.035 / 3)
+
+
 def test_two_bounds_make_a_limit_on_a_mean_two_sided(here: Path):
     with Path("bar.py").open("a", encoding="utf-8") as file:
         file.write('\nheavy = al.Problem(bar, minimize=stress.std, subject_to=[al.output("mass").mean >= 1.0])\n')
@@ -245,3 +258,10 @@ def test_what_is_wrong_is_told_with_its_line(here: Path, old: str, new: str, lin
     assert code == 2, told
     assert re.search(rf"bar.toml, line {line}\b|at line {line}\b", told), told
     assert said in told
+
+
+def test_the_schema_names_every_key_and_is_printed():
+    code, said = aleator("schema")
+    assert code == 0
+    assert set(schema()["properties"]) >= {"problem", "model", "limits", "sigmas", "sweeps", "grid", "solver"}
+    assert '"Uniform"' in said
