@@ -10,9 +10,8 @@ import shown_results as shown
 
 import aleator as al
 from aleator import ProblemError
-from aleator.reporting import Choice, Linked, Table, front_blocks, report, share_text, trade_off_blocks
+from aleator.reporting import front_blocks, report, share_text, trade_off_blocks
 from aleator.reporting._choices import choice
-from aleator.reporting._stages import choices_data
 
 
 def facts(choice, caption):
@@ -101,29 +100,3 @@ def test_what_a_wish_buys_is_the_ratio_of_weights_and_a_decision_at_its_bound_te
     assert float(told.split(" ")[0]) == pytest.approx(2.0)
     # The mass is the width, whose lower bound it reaches.
     assert facts(choice("alone", given.bar()), "Shadow prices")["bound of width"] == "1.000 per mm"
-
-
-def test_bands_on_the_page_are_thin_and_exact_to_a_pixel():
-    solution = given.solution()
-    path = al.results.Moments(np.sin(np.linspace(0, 9, 51)) * 1e5 + 3e8, np.linspace(0, 1e4, 51))
-    odd = dataclasses.replace(solution, moments={**solution.moments, "back(t)": path})
-    data = choices_data(linked({"uOpt": al.results.Front(given.NAME, np.array([0.2]), (odd,))}))
-    (band,) = data["choices"][0]["bands"].values()
-    reach = np.ptp([*path.mean, 0.2])
-    np.testing.assert_allclose(band["mean"], path.mean, atol=reach / 1000)
-    np.testing.assert_allclose(band["std"], path.std, atol=reach / 1000)
-    assert band["limits"][0][0] == 0.2
-
-
-def test_a_front_and_a_trade_off_are_reported_together(tmp_path):
-    both = {"u": given.front(), "traded": shown.trade_off(2)}
-    page = report({"u": given.solution()}, fronts=both, path=tmp_path / "page.html").read_text(encoding="utf-8")
-    assert page.count('<figure class="linked"') == 2
-
-
-def test_a_block_whose_table_does_not_fit_its_choices_is_refused():
-    table, choices = Table("t", ["a"], [["1"], ["2"]]), [Choice("one", [])]
-    with pytest.raises(ProblemError, match="expected 1 rows, one a choice; received 2"):
-        Linked([], "h", table, choices)
-    with pytest.raises(ProblemError, match="expected the place of one of 2 choices; received 2"):
-        Linked([], "h", table, choices * 2, chosen=2)

@@ -1,7 +1,4 @@
-"""Pages driven in a browser: by mouse, by keyboard, on a phone, in the dark, on paper, and without scripts."""
-
-import base64
-import io
+"""Pages driven in a browser: by mouse and by keyboard, and on a phone."""
 
 import pytest
 import report_problems as given
@@ -22,18 +19,12 @@ def address(tmp_path_factory):
     return report(designs, evidence, {"uOpt": given.front()}, along=along, path=path).as_uri()
 
 
-def opened(browser, address, *, width=1400, height=900, scheme="light"):
+def opened(browser, address, *, width=1400, height=900):
     """The page, as a screen of that size shows it."""
     size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    prefer(browser, scheme)
     browser.get(address)
     return browser
-
-
-def prefer(browser, scheme):
-    features = [{"name": "prefers-color-scheme", "value": scheme}]
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": features})
 
 
 def errors(browser):
@@ -113,57 +104,3 @@ def test_a_click_on_a_point_and_arrow_keys_show_one_design_after_another(browser
     assert "infeasible" in text(browser, ".linked .facts")
     assert ring(browser, 1) == [None, None]
     assert errors(browser) == []
-
-
-def brightness(browser):
-    """How bright the corners of the page and of its first figure are, of 255."""
-    image = pytest.importorskip("PIL.Image")
-    browser.execute_script("document.querySelector('.plot').scrollIntoView()")
-    place = "const r = document.querySelector('.plot').getBoundingClientRect(); return [r.left + 3, r.top + 3]"
-    corner = [round(one) for one in browser.execute_script(place)]
-    shot = image.open(io.BytesIO(browser.get_screenshot_as_png())).convert("L")
-    return shot.getpixel((3, 3)), shot.getpixel(tuple(corner))
-
-
-def test_page_and_figures_follow_the_scheme_also_when_it_changes(browser, address):
-    opened(browser, address, scheme="light")
-    light = brightness(browser)
-    prefer(browser, "dark")
-    dark = brightness(browser)
-    assert min(light) > 250
-    assert max(dark) < 30
-    # A figure's ground is the page's own.
-    assert light[0] == light[1]
-    assert dark[0] == dark[1]
-
-
-def test_the_printed_page_has_the_verdict_the_designs_and_no_dark_ground(browser, address):
-    pypdf = pytest.importorskip("pypdf", reason="pypdf is not installed")
-    opened(browser, address, scheme="dark")
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
-    grounds = "return ['body', '.plot'].map(s => getComputedStyle(document.querySelector(s)))"
-    ground = browser.execute_script(f"{grounds}.map(s => s.backgroundColor + s.filter)")
-    assert ground[0].startswith("rgb(255, 255, 255)")
-    assert ground[1].endswith("none")
-    told = browser.execute_script("return document.querySelector('#headline').innerText")
-    prefer(browser, "light")
-    printed = browser.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True, "printBackground": True})
-    pages = pypdf.PdfReader(io.BytesIO(base64.b64decode(printed["data"]))).pages
-    said = "".join("".join(page.extract_text().split()) for page in pages)
-    for words in ("".join(told.split()), "Chosendesign:reach<b>&:0.9m", "Theproblemasmathematics"):
-        assert words in said
-    assert "Contents" not in said
-
-
-def test_without_scripts_the_table_of_designs_remains(browser, address):
-    browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
-    try:
-        opened(browser, address)
-        shown = {
-            one: [element.is_displayed() for element in browser.find_elements("css selector", one)]
-            for one in (".linked tbody tr", ".linked input", ".linked .chosen", ".plot")
-        }
-    finally:
-        browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": False})
-    assert shown[".linked tbody tr"] == [True] * 4
-    assert not any(shown[".linked input"] + shown[".linked .chosen"] + shown[".plot"])

@@ -1,4 +1,4 @@
-"""Figures of reports: fronts, boxes, trajectories, calibrations and meshes show the numbers that they are of."""
+"""Figures of reports: fronts, trajectories, percentiles and calibrations show the numbers that they are of."""
 
 import dataclasses
 import html
@@ -7,24 +7,17 @@ import numpy as np
 import pytest
 import report_problems as given
 
-from aleator.dynamics import HermiteSimpson, Radau
 from aleator.reporting import (
-    Axis,
-    Box,
     calibration_figure,
-    density_figure,
     front_figure,
     interval,
-    mesh_figure,
     percent,
     percentile_figure,
-    projection_figure,
     relative_figure,
     shadow_price_figure,
     trajectory_figure,
 )
 from aleator.reporting._samples import curves
-from aleator.solution import MeshError
 
 
 def traces(figure, mode):
@@ -60,20 +53,6 @@ def test_shadow_prices_and_decisions_along_a_front_are_in_the_unit_asked():
     (line,) = relative_figure(front, {"c.mean": "damper"}, x="Reach", y="Share").data
     chosen = [float(one.decisions["c.mean"]) for one in front.solutions[:3]]
     np.testing.assert_allclose(numbers(line.y[:3]), 100 * np.array(chosen))  # of a start of one
-
-
-def test_a_projection_draws_the_mean_the_box_and_the_limits():
-    axes = {"a": Axis("Holding", "m", {"H": 3.0}), "b": Axis("Travel", "m", {"R": 5.0})}
-    boxes = [
-        Box("uOpt", {"a": 1.0, "b": 2.0}, {"a": 0.5, "b": 0.25}),
-        Box("dOpt", {"a": 2.0, "b": 2.0}, {"a": 0, "b": 0}),
-    ]
-    figure = projection_figure(boxes, "a", "b", axes)
-    (outline,) = traces(figure, "lines")
-    assert (min(outline.x), max(outline.x), min(outline.y), max(outline.y)) == (0.5, 1.5, 1.75, 2.25)
-    assert [(point.x[0], point.y[0]) for point in traces(figure, "markers")] == [(1.0, 2.0), (2.0, 2.0)]
-    assert sorted(shape.x0 for shape in figure.layout.shapes) == [0, 3.0]
-    assert figure.layout.xaxis.range[1] > 3.0
 
 
 def test_trajectories_are_those_kept_and_the_title_gives_the_share_with_its_interval():
@@ -112,50 +91,3 @@ def test_a_calibration_shows_every_trial_with_its_interval_and_the_target():
     assert figure.data[1].y == (100 * calibration.confirmation.estimate,)
     unconfirmed = dataclasses.replace(calibration, confirmation=None, missing="it was interrupted")
     assert len(calibration_figure(unconfirmed).data[1].x) == 0
-
-
-@pytest.mark.parametrize("logarithmic", [False, True])
-def test_a_density_shows_its_limits_and_what_is_rejected_beyond_them(logarithmic):
-    values = np.linspace(-4.0, 4.0, 81)
-    density = np.exp(-0.5 * values**2) / np.sqrt(2 * np.pi)
-    how = {"limits": (-2.03, 3.04), "tails": ("22 800\nppm", "1 350\nppm"), "logarithmic": logarithmic}
-    figure = density_figure(values, {"normal": density}, x="Angle", unit="°", **how)
-    assert [line.x0 for line in figure.layout.shapes] == [-2.03, 3.04]
-    shaded = [np.array(one.x) for one in figure.data if one.fill == "tozeroy"]
-    assert shaded[0].max() == pytest.approx(-2.03)
-    assert shaded[1].min() == pytest.approx(3.04)
-    said = {one.text: one.x for one in figure.layout.annotations if "ppm" in one.text}
-    assert said == {"22 800<br>ppm": -2.03, "1 350<br>ppm": 3.04}
-    assert figure.layout.yaxis.type == ("log" if logarithmic else None)
-
-
-MESHES = (
-    MeshError(np.array([0.0, 1.0, 3.0]), HermiteSimpson(), np.array([[1e-3, 2e-6], [4e-3, 1e-7]]), 1e-5, {"m": 2.0}),
-    MeshError(
-        np.array([0.0, 0.5, 1.0, 3.0]), Radau(4), np.array([[1e-6, 2e-6, 0.0], [4e-6, 1e-7, 0.0]]), 1e-5, {"m": 1.0}
-    ),
-)
-
-
-def test_meshes_are_drawn_with_their_nodes_their_worst_errors_and_what_was_asked():
-    figure = mesh_figure(MESHES)
-    drawn = {one.name: one for one in figure.data}
-    for i, mesh in enumerate(MESHES, 1):
-        np.testing.assert_allclose(drawn[f"nodes of mesh {i}"].x[::3], mesh.nodes)
-        np.testing.assert_allclose(drawn[f"errors of mesh {i}"].x, mesh.nodes)
-        assert drawn[f"errors of mesh {i}"].line.shape == "hv"
-    np.testing.assert_allclose(drawn["errors of mesh 1"].y, [4e-3, 2e-6, 2e-6])
-    # An error of zero has no place on a logarithmic axis.
-    np.testing.assert_allclose(drawn["errors of mesh 2"].y, [4e-6, 2e-6, np.nan, np.nan])
-    assert set(drawn["asked"].y) == {1e-5}
-    assert figure.layout.yaxis.type == "log"
-    assert figure.layout.xaxis.range[0] < 0.0 < 3.0 < figure.layout.xaxis.range[1]
-    assert [one.text for one in figure.layout.annotations] == [
-        "Mesh 1: 2 intervals of HermiteSimpson, 0.0040",
-        "Mesh 2: 3 intervals of Radau(4), 4.0·10⁻⁶, as asked",
-    ]
-    # Every mesh is darker than the one before.
-    shades = [one.line.color for one in mesh_figure([MESHES[1]] * 8).data if one.name.startswith("errors")]
-    light = [sum(map(int, one[4:-1].split(","))) for one in shades]
-    assert light == sorted(light, reverse=True)
-    assert len(set(light)) == 8

@@ -1,6 +1,5 @@
 """The page of a report: one file, escaped, whose verdict says what was checked and what was not."""
 
-import math
 import re
 from dataclasses import replace
 from html import unescape
@@ -12,9 +11,8 @@ import report_problems as given
 
 import aleator as al
 from aleator import ProblemError
-from aleator.reporting import Card, Page, Section, Table, Text, Verdict, page_html, report
-from aleator.reporting._numbers import count, number, percent, residual, seconds, values_text
-from aleator.reporting._numbers import given as given_number
+from aleator.reporting import report
+from aleator.reporting._numbers import number
 from aleator.reporting._tables import certificate_table, designs_table
 from aleator.reporting._verdict import verdict
 from aleator.validation import Proportion
@@ -94,14 +92,6 @@ def test_an_infeasible_solution_is_named_first_with_the_reason(tmp_path):
     assert text.index("Not solved") < text.index(one.why()) < text.index("Designs")
 
 
-def test_a_problem_without_time_has_no_time_axes(tmp_path):
-    page = reported(tmp_path, given.bar(), al.validate(given.bar(), 500))
-    assert "Time (s)" not in page.text
-    assert "Trajectories" not in page.text
-    assert "Other statistics" in page.text
-    assert "Q0.9[stress] (N/mm)" in page.text
-
-
 def test_a_solution_by_collocation_tells_its_equalities_what_is_violated_and_how_states_were_found(tmp_path):
     found = given.collocated()
     text = reported(tmp_path, found).text
@@ -139,17 +129,6 @@ def test_a_page_tells_that_a_front_found_a_better_optimum_than_its_design(tmp_pa
     assert "a neighbour led to a better one than the problem's own start" in said
     alone = al.results.Front("a", front.values[1:], (design,))
     assert "optima" not in reported(tmp_path, {"mine": design}, fronts={"mine": alone}).text
-
-
-def test_repeated_headings_get_anchors_of_their_own_and_the_verdict_is_a_mark_and_a_word_and_never_colour_alone():
-    sections = [Section("Same", [Text(["one"])]), Section("Same", [Table("t", ["a"], [["1"]])])]
-    for level in ("good", "caution", "bad"):
-        text = page_html(Page("t", "s", Verdict(level, "A word", "All well", (), [Card("a", "1")]), sections))
-        assert 'id="same"' in text
-        assert 'id="same-2"' in text
-        assert "<span>A word</span>" in text
-        assert f"verdict-{level}" in text
-        assert text.count("<svg") == 1
 
 
 def test_where_no_limit_is_counted_the_verdict_says_so_and_why_and_claims_no_share():
@@ -190,13 +169,6 @@ def test_the_verdict_is_on_the_proposed_design_and_tells_the_others_for_comparis
     turned = verdict(designs, {"nominal": few, "robust": often})
     assert turned.word == "Solved, limits often broken"
     assert "of the systems of robust break a limit: check the margin. For comparison: 0.100" in turned.headline
-
-
-@pytest.mark.parametrize("write", [number, given_number, percent, residual, count, seconds, values_text])
-def test_what_is_no_number_is_written_all_the_same(write):
-    assert "–" in write(math.nan)
-    assert "∞" in write(math.inf)
-    assert "∞" in write(-math.inf)
 
 
 def test_numbers_are_written_with_four_significant_digits():

@@ -73,14 +73,6 @@ def test_a_solution_by_collocation_reopens_with_states_costates_meshes_and_its_s
     assert "RungeKutta4" not in data.attrs["problem"]
 
 
-def test_a_solution_without_time_reopens_with_its_statistics(tree):
-    data, found = tree["bar"].to_dataset(), given.bar()
-    assert "time" not in data.dims
-    np.testing.assert_array_equal(data["mean mass"], found.moments["mass"].mean)
-    assert float(data["statistic Q0.9[stress]"]) == float(found.statistics["Q0.9[stress]"])
-    assert data["statistic Q0.9[stress]"].attrs["units"] == "N/mm"
-
-
 def test_evidence_and_a_calibration_reopen_with_equal_numbers(tree):
     data, one = tree["evidence/uOpt"].to_dataset(), given.evidence()
     assert float(data["violation_upper"].sel(limit=given.NAME)) == one.violations[given.NAME].upper

@@ -143,20 +143,6 @@ def test_given_and_cheapest_and_safe_tolerances_are_all_counted_and_the_verdict_
     assert any(one.startswith("The given tolerances") and "breaks 6°" in one for one in said.sentences)
 
 
-@pytest.mark.slow
-def test_the_study_writes_its_files_and_tables(study, results, tmp_path):
-    study.save(tmp_path)
-    saved = json.loads((tmp_path / "designs.json").read_text(encoding="utf-8"))
-    tightened = saved["allocation"]["decisions"]["a.tolerance"]["value"]
-    assert tightened == pytest.approx(tolerances_of(results.allocation)["a"])
-    assert next(iter(study.tables())).caption.split(":")[0] == "Table 7.2 and more"
-    headings = [one.heading for one in study.page().sections]
-    assert headings[:4] == ["The clutch", "Table 7.2", "The given tolerances", "Allocation"]
-    with xarray.open_datatree(tmp_path / "results.nc", engine="h5netcdf") as stored:
-        total = results.analyses["limits"].contributions["e"].total
-        assert float(stored["analyses/limits"]["total_share"].sel(dimension="e")) == total
-
-
 def test_what_the_first_stages_find_is_stored_before_there_is_a_design(tmp_path):
     """Table 7.2 and the counts are no designs; a run that is killed after their stages keeps them as well."""
     study, counts = load("clutch", quick=True), count_rejects(TOLERANCES, 1000)

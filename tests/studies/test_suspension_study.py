@@ -14,14 +14,12 @@ import aleator as al
 from aleator import cli
 from aleator._core.progress import silent
 from aleator.design import responses
-from aleator.studies import suspension
 from aleator.studies.suspension import apportionment_problem, deterministic_problem, robust_problem
 from aleator.studies.suspension._run import BUILT, TARGET, Effort, SuspensionResults, calibrate_designs
 from aleator.transcription import transcribe
-from aleator.uncertainty import LegendreGerm
 from compiling import compiled
 from numpy_quarter_car import quarter_car
-from zoo import STEPS, derivative_error, optimum, oscillator_problem
+from zoo import optimum, oscillator_problem
 
 PROBLEMS = {"dOpt": deterministic_problem, "uOpt": robust_problem, "aOpt": apportionment_problem}
 MEAN, WIDTH = np.array([376.0, 30e3, 2000.0, 1.39, 200e3]), np.array([47.0, 3750.0, 250.0, 0.17375, 25e3])
@@ -32,24 +30,6 @@ def best(name):
     return optimum(PROBLEMS[name]())
 
 
-def test_the_road_is_the_documented_one():
-    road = suspension.road()
-    assert road.values.shape == (2801,)
-    np.testing.assert_allclose(np.diff(road.times), 1e-3, rtol=1e-9)
-    assert road.span() == (0.0, 2.8)
-
-
-def test_the_problems_read_as_in_the_chapter():
-    robust, apportioned = str(robust_problem()), str(apportionment_problem())
-    assert "minimise    μ[∫comfort dt] + σ[∫comfort dt]" in robust
-    assert "travel: μ[z_s(t)] + σ[z_s(t)] − μ[z_u(t)] + σ[z_u(t)] ≤ 0.203 for all t" in robust
-    assert "travel: μ[z_s(t)] − σ[z_s(t)] − μ[z_u(t)] − σ[z_u(t)] ≥ -0.203 for all t" in robust
-    assert "holding: μ[rms(grip)] + σ[rms(grip)] ≤ 0.034" in robust
-    assert "order 3 in 5 variables, TotalDegree index set" in robust
-    assert "(0.5 + 1.4e+06/k_s.half_width^1.5)" in apportioned
-    assert "ride: μ[∫comfort dt] + σ[∫comfort dt] ≤ 220" in apportioned
-
-
 def test_an_independent_simulation_reproduces_ride_travel_and_holding():
     problem, germ = robust_problem(), np.random.default_rng(4).uniform(-1, 1, (5, 5))
     functionals = (al.integral("comfort"), al.rms("grip"), al.path("travel"))
@@ -58,41 +38,6 @@ def test_an_independent_simulation_reproduces_ride_travel_and_holding():
     np.testing.assert_allclose(ours[0], ride, rtol=1e-10)
     np.testing.assert_allclose(ours[1], holding, rtol=1e-10)
     np.testing.assert_allclose(ours[2], travel.T, atol=1e-10 * np.abs(travel).max())
-
-
-@pytest.mark.slow
-def test_the_expansion_agrees_with_tensor_gauss_quadrature():
-    nodes, weights = LegendreGerm().gauss(5)
-    grid = np.stack([axis.ravel() for axis in np.meshgrid(*[nodes] * 5, indexing="ij")])
-    weight = np.prod(np.meshgrid(*[weights] * 5, indexing="ij"), axis=0).ravel()
-    ride = quarter_car(*(MEAN + WIDTH * grid.T).T)[0]
-    expected = weight @ ride
-    moments = transcribe(robust_problem()).resolve(MEAN[1:3])["∫comfort dt"]
-    assert float(moments.mean) == pytest.approx(expected, rel=1e-4)
-    assert float(moments.std) == pytest.approx(np.sqrt(weight @ (ride - expected) ** 2), rel=1e-3)
-
-
-@pytest.mark.slow
-def test_derivatives_of_every_objective_and_constraint_agree_with_central_differences():
-    transcription = transcribe(apportionment_problem())
-    point = transcription.program.start * np.linspace(1.02, 1.1, transcription.places.size)
-    exact = transcription.program.evaluate(point)
-
-    def values(x):
-        evaluation = transcription.program.evaluate(x)
-        return np.append(evaluation.constraints, evaluation.objective)
-
-    jacobian = np.vstack([exact.jacobian, exact.gradient])
-    blocks = [*transcription.rows, slice(len(exact.constraints), None)]
-    assert derivative_error(values, jacobian, point, blocks, STEPS[2:5]) < 1e-6
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "solver"), [("uOpt", al.solvers.Slsqp()), ("aOpt", al.solvers.Ipopt())], ids=["Slsqp", "Ipopt"]
-)
-def test_the_solvers_agree_on_an_optimum(name, solver):
-    assert optimum(PROBLEMS[name](), solver).objective == pytest.approx(best(name).objective, rel=1e-5)
 
 
 def test_the_robust_optimum_is_that_of_an_independent_program():
