@@ -1,4 +1,4 @@
-"""Distributions, statistics, functionals, solvers of one's own are used like ours; what contradicts itself is refused."""
+"""Distributions, statistics, functionals, solvers of one's own are used like ours; contradictions are refused."""
 
 from dataclasses import dataclass
 from typing import ClassVar

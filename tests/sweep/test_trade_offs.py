@@ -36,12 +36,12 @@ class Near(al.AlgebraicSystem):
         return {**named, **bells, "row": self.slopes @ self.place, "x": self.place[0] + self.off}
 
 
-def near(*others, factors=(1.0, 1.0, 1.0), row=IDLE, reach=4.0, **options):
+def near(*others, factors=(1.0, 1.0, 1.0), row=IDLE):
     """Three places that one would like to be at, and a limit `slopes @ place >= bound`."""
-    place, others = al.Decision(np.full(3, 0.4), -reach, reach), np.array([*others, ELSEWHERE][:3])
+    place, others = al.Decision(np.full(3, 0.4), -4.0, 4.0), np.array([*others, ELSEWHERE][:3])
     model = Near(place, others, np.array(factors), np.array(row[0]), al.Uniform(0.0, half_width=0.1))
     limit = (al.output("row").mean >= row[1]).named("row")
-    return al.Problem(model, minimize=al.output("x").mean, subject_to=[limit], **options)
+    return al.Problem(model, minimize=al.output("x").mean, subject_to=[limit])
 
 
 WISHES = {"here": al.output("near0").mean, "there": al.output("near1").mean}
