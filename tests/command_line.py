@@ -5,7 +5,6 @@ import json
 import shutil
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -13,7 +12,6 @@ from typer.testing import CliRunner
 
 from aleator import cli, solving
 from aleator.cli._record import Record
-from aleator.studies import _swept
 from zoo import SPREAD
 
 STUDY = """import aleator as al
@@ -104,16 +102,3 @@ def interrupted_at(monkeypatch: pytest.MonkeyPatch, python_interrupts):
 def nothing_solved(interrupted_at) -> None:
     """No solve may happen."""
     interrupted_at(1)
-
-
-@pytest.fixture
-def begun(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """How many workers were begun each time; they are threads here."""
-    counts = list[int]()
-
-    def threads(count: int) -> ThreadPoolExecutor:
-        counts.append(count)
-        return ThreadPoolExecutor(count)
-
-    monkeypatch.setattr(_swept, "workers", threads)
-    return counts

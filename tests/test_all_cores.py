@@ -7,7 +7,6 @@ from itertools import count, islice
 import pytest
 
 import aleator as al
-from aleator._core import beside as cores
 from aleator._core.beside import CORES, beside, dropped_on_failure, in_order
 from zoo import MASS, Bar, bar_problem
 
@@ -51,18 +50,6 @@ def test_what_fails_does_so_after_what_comes_before_it_and_no_more_is_taken_than
         next(found)
 
 
-def test_one_thread_does_it_all_by_itself_when_it_is_asked_for():
-    al.threads(1)
-    here = threading.current_thread()
-    found = list(in_order(lambda item: (item, threading.current_thread() is here), range(3)))
-    assert found == [(0, True), (1, True), (2, True)]
-    done = []
-    begun = beside(done.append, here)
-    assert done == []
-    begun()
-    assert done == [here]
-
-
 @pytest.mark.parametrize("count", [2, 3])
 def test_no_more_threads_work_at_once_than_are_allowed(count):
     al.threads(count)
@@ -104,16 +91,6 @@ def test_what_waits_for_a_thread_is_worked_on_by_the_caller_and_dropped_where_it
     assert beside(lambda: 2)() == 2
     with pytest.raises(ZeroDivisionError):
         beside(lambda: 1 / 0)()
-
-
-def test_the_environment_bounds_the_threads(monkeypatch):
-    for said, expected in ((" 3 ", 3), ("", CORES)):
-        monkeypatch.setenv(cores.VARIABLE, said)
-        assert cores._wanted() == expected
-    for said in ("0", "two"):
-        monkeypatch.setenv(cores.VARIABLE, said)
-        with pytest.warns(al.AleatorWarning, match="ALEATOR_THREADS: expected a whole number"):
-            assert cores._wanted() == CORES
 
 
 RUN_BY = set()

@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,6 @@ from aleator.cli._record import Record
 from aleator.journalling import FILE
 from aleator.studies import load
 from command_line import EDITED, NEEDED, NEEDED_NOW, STUDY, aleator, document, said
-from command_line import begun as begun
 from command_line import finished as finished
 from command_line import here as here
 from command_line import interrupted_at as interrupted_at
@@ -68,16 +66,6 @@ def test_designs_that_are_infeasible_are_told_among_those_that_are_solved(here: 
     assert "infeasible" in document(sampled)["designs"]["impossible"]["why"]
 
 
-def test_a_model_without_finite_numbers_ends_with_its_reason_and_a_page(here: Path):
-    broken = "import aleator as al, zoo\nbar = zoo.Bar(al.Decision(0.0, 0.0, 1.0), 1.0)\n"
-    (here / "bar.py").write_text(broken + "problem = al.Problem(bar, minimize=zoo.STRESS.mean)\n")
-    result = aleator("run", "bar.py")
-    assert result.exit_code == 1
-    assert isinstance(result.exception, SystemExit), "no traceback of ours"
-    assert "is not finite: output 'stress'" in said(result)
-    assert "model failed" in (here / "results/bar/report.html").read_text()
-
-
 # --- Sweep -----------------------------------------------------------------------------------------------------------
 
 
@@ -128,23 +116,6 @@ def test_a_front_is_printed_kept_and_written_as_a_page_and_its_points_are_recall
     none = aleator(*SWEEP, "--values", "0.01", "--json", "--out", "none")
     assert none.exit_code == 1, none.output
     assert "No point over stress is solved" in document(none)["verdict"]
-
-
-def test_the_command_line_says_how_many_workers_share_the_work(here: Path, finished: Path, begun: list[int]):
-    result = aleator(*SWEEP, "--values", "0.5,0.6", "--out", "there", "--workers", "2", "--json")
-    assert result.exit_code == 0, result.output
-    with ThreadPoolExecutor(2) as executor:
-        front = al.pareto(load("bar.py").problems["robust"], "stress", [0.5, 0.6], executor=executor)
-    assert objectives(result) == front.objectives.tolist()
-    assert aleator("resume", "there").exit_code == 0
-    assert aleator("resume", "there", "--workers", "4").exit_code == 0
-    assert begun == [2, 2, 4]
-    arguments = ("--samples", "200", "--seed", "11", "--json")
-    shutil.copytree(finished, here / "other")
-    alone = aleator("validate", "results", *arguments)
-    shared = aleator("validate", "other", *arguments, "--workers", "2")
-    assert begun[3:] == [2]
-    assert document(alone)["designs"] == document(shared)["designs"]
 
 
 # --- Validate --------------------------------------------------------------------------------------------------------

@@ -1,7 +1,5 @@
 """The commands that compute nothing: list, report and compare; whose folder it is, and what is refused."""
 
-import json
-import sys
 from pathlib import Path
 
 import pytest
@@ -11,12 +9,10 @@ from aleator.cli._record import Record
 from aleator.journalling import FILE, Entry
 from aleator.reporting import only_writer
 from command_line import EDITED, NEEDED, NEEDED_NOW, STUDY, aleator, document, said
-from command_line import begun as begun
 from command_line import finished as finished
 from command_line import here as here
 from command_line import interrupted_at as interrupted_at
 from command_line import nothing_solved as nothing_solved
-from zoo import bar_problem
 
 SWEEP = ("sweep", "bar.py", "--bound", "stress", "--values")
 
@@ -90,21 +86,6 @@ def test_a_page_is_written_without_computing_or_noting_anything_and_after_an_edi
     assert (finished / FILE).read_bytes() == noted
 
 
-@pytest.mark.parametrize("workers", [0, 2])
-def test_a_front_without_one_of_its_points_is_on_the_page_with_the_others(
-    finished: Path, begun: list[int], nothing_solved, workers: int
-):
-    # By workers, all points start where the design does: the second is not that of a single process.
-    Record("bar.py", workers=workers).write(finished)
-    (lost,) = (entry.file for entry in al.load("results").entries if entry.name == "stress = 0.6")
-    (finished / lost).write_bytes(b"") if workers else (finished / lost).unlink()
-    (missing,) = document(aleator("report", "results", "--json"))["missing"]  # evidence on the other points is there
-    why = "is not what was written there" if workers else "cannot be read (No such file or directory)"
-    assert missing == f"'front over stress' is not finished: 'results/{lost}' {why}."
-    page = (finished / "report-so-far.html").read_text()
-    assert "1 of 2 points of the front over stress are available" in page
-
-
 def test_where_the_study_has_gone_the_page_shows_what_the_folder_keeps(here: Path, finished: Path):
     study = here / "bar.py"
     for lose, why in (
@@ -118,40 +99,6 @@ def test_where_the_study_has_gone_the_page_shows_what_the_folder_keeps(here: Pat
     assert aleator("validate", "results", "--samples", "200").exit_code == 0
 
 
-OWN_MODEL = """import aleator as al
-from zoo import MASS, Bar
-
-class Own(Bar):
-    pass
-
-problem = al.Problem(Own(al.Uniform(al.Decision(4.0, 0.1, 10.0), half_width=0.1), 1.0), minimize=MASS.mean)
-study = al.Study({"robust": problem}, samples=200)
-"""
-
-
-@pytest.mark.filterwarnings("default::aleator.JournalWarning")
-def test_where_the_model_has_gone_too_the_page_shows_the_numbers_that_were_written(here: Path):
-    (here / "bar.py").write_text(OWN_MODEL)
-    assert aleator("run", "bar.py", "--out", "results").exit_code == 0
-    (here / "bar.py").unlink()
-    sys.modules.pop("bar", None)
-    result = aleator("report", "results", "--json")
-    assert result.exit_code == 0, result.output
-    assert "the page shows what designs.json says" in " ".join(document(result)["missing"])
-    objective = json.loads((here / "results/designs.json").read_text())["designs/robust"]["objective"]["value"]
-    assert f"{objective:.6g}" in (here / "results/report-so-far.html").read_text()
-
-
-def test_what_a_script_has_kept_needs_no_study(here: Path):
-    with al.journal("kept"):
-        al.solve(bar_problem())
-    found = document(aleator("validate", "kept", "--samples", "200", "--json"))["designs"]
-    assert found["solve Bar 1"]["samples"] == 200
-
-
-# --- Compare ---------------------------------------------------------------------------------------------------------
-
-
 def test_runs_are_compared_design_by_design_and_by_what_they_follow_from(here: Path, finished: Path):
     (here / "bar.py").write_text(EDITED)
     assert aleator("run", "bar.py", "--out", "other").exit_code == 0
@@ -162,9 +109,6 @@ def test_runs_are_compared_design_by_design_and_by_what_they_follow_from(here: P
     assert result["differences"]["designs/robust"] == {"other": ["numbers of the problem"]}
     told = said(aleator("compare", "results", "other"))
     assert "Systems that violate stress" in told
-
-
-# --- Whose folder it is ----------------------------------------------------------------------------------------------
 
 
 def test_neither_a_sweep_nor_a_run_nor_another_study_replaces_what_a_folder_has(

@@ -6,13 +6,11 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
 import pytest
 
-from aleator._core.compilation import Use, compiled_for
 from aleator._core.devices import here, over_devices
 
 SCRIPT = Path(__file__).with_name("answers_on_devices.py")
@@ -62,23 +60,6 @@ def test_parts_come_in_their_order_and_a_failure_in_its_turn():
     with jax.default_device(first):
         assert list(over_devices(lambda item: told.append((item, here().id)) or item, range(3))) == [0, 1, 2]
     assert {place for _, place in told} == {first.id}
-
-
-class Recorded:
-    """A traced program that notes the options with which it is compiled."""
-
-    options: Any = None
-
-    def compile(self, compiler_options=None):
-        self.options = compiler_options
-
-
-def test_options_of_the_compiler_for_cpus_are_given_to_no_other():
-    for use in Use:
-        for platform, options in (("cpu", use.value), ("gpu", {}), ("tpu", {})):
-            recorded: Any = Recorded()
-            compiled_for(use, recorded, platform)
-            assert recorded.options == options
 
 
 def gpus():

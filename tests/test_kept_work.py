@@ -134,13 +134,6 @@ def test_designs_found_by_kept_work_are_parts_of_its_result(tmp_path):
     assert [one.what for one in al.load(tmp_path).entries] == ["work the lightest"]
 
 
-def test_what_cannot_be_kept_work_is_refused():
-    with pytest.raises(al.ProblemError, match="received others: missing a required argument: 'count'"):
-        kept("bars", widths, 1.0)
-    with pytest.raises(al.ProblemError, match=r"kept: 'bars': expected .* that returns what is kept"):
-        kept("bars", lambda count: None, 1)
-
-
 # --- Parts and lines -------------------------------------------------------------------------------------------------
 
 

@@ -7,7 +7,6 @@ import sys
 
 import pytest
 
-import aleator as al
 from aleator._core import kept_programs
 
 # Solves models, each a module of the same name with a module of numbers, and tells the decision of each and how many
@@ -167,34 +166,6 @@ def test_files_that_are_lost_or_damaged_are_made_anew_and_what_calls_python_is_n
     assert [run["model"][0] for run in (third, fourth)] == [first["model"][0]] * 2
     assert fourth["model"][1] == 0
     assert min(run["called"][1] for run in (third, fourth)) >= 1
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="files of limited size are known to POSIX systems")
-def test_a_full_disk_and_a_folder_that_cannot_be_made_stop_nothing(tmp_path):
-    limited = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))\n"
-    script = "import jax, jax.numpy as jnp, aleator as al; al.solve; print(float(jax.jit(jnp.sum)(jnp.ones(3))))"
-    (tmp_path / "file").write_text("no folder")
-    for place, before, told in ((tmp_path, limited, ""), (tmp_path / "file", "", "ALEATOR_CACHE: ")):
-        command = [sys.executable, "-c", before + script]
-        run = subprocess.run(command, env=os.environ | {"ALEATOR_CACHE": str(place)}, capture_output=True, text=True)
-        assert (run.returncode, run.stdout.strip()) == (0, "3.0"), run.stderr
-        assert told in run.stderr
-
-
-# --- The folder ------------------------------------------------------------------------------------------------------
-
-
-def test_each_word_for_off_keeps_nothing_and_a_folder_that_cannot_be_is_refused(monkeypatch, tmp_path):
-    before = kept_programs.jax.config.jax_compilation_cache_dir
-    for off in ("Off ", "no", "0", ""):
-        monkeypatch.setenv(kept_programs.VARIABLE, off)
-        kept_programs.keep_by_default()
-        assert kept_programs.jax.config.jax_compilation_cache_dir == before
-    (tmp_path / "file").write_text("no folder")
-    for place in (tmp_path / "file", "~nobody-of-this-name/programs", "zero\0byte"):
-        with pytest.raises(al.ProblemError, match="cannot be kept in"):
-            al.compilation_cache(place)
 
 
 def test_the_programs_unused_for_longest_are_forgotten_and_other_files_are_spared(tmp_path, monkeypatch):

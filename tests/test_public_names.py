@@ -1,11 +1,14 @@
 """The package's face: what `import aleator` shows and what it loads."""
 
+import dataclasses
+import re
 import subprocess
 import sys
 import types
 from collections import Counter
 
 import aleator as al
+from aleator import extending
 
 
 def public(module):
@@ -50,6 +53,17 @@ def test_what_is_shown_is_documented_and_ours():
         for name, one in public(place).items():
             assert isinstance(one, types.ModuleType) or one is al.Number or one.__module__.startswith("aleator"), name
             assert isinstance(one, types.ModuleType) or one.__doc__, name
+
+
+def test_every_class_that_a_result_holds_has_a_public_name():
+    shown = {name for place in (al, extending, *(getattr(al, topic) for topic in TOPICS)) for name in public(place)}
+    held = set()
+    for result in filter(dataclasses.is_dataclass, (al.Solution, *public(al.results).values())):
+        told = [field.type for field in dataclasses.fields(result)]
+        told += [one.fget.__annotations__["return"] for one in vars(result).values() if isinstance(one, property)]
+        held |= set(re.findall(r"aleator[\w.]*\.(\w+)", " ".join(map(str, told))))
+    # What expressions and expansions are made of, which tell it in words.
+    assert held - shown == {"Statistic", "Collocation", "Partition"}
 
 
 def test_no_name_is_in_two_topics_or_in_one_and_flat():

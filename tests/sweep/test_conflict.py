@@ -1,6 +1,5 @@
 """Limits that cannot hold together: irreducible sets, checked by linear programs, and what relaxing them would cost."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import linprog
@@ -115,21 +114,6 @@ class Edge(al.AlgebraicSystem):
 def edge(*limits, start=-1.0):
     model = Edge(al.Decision(start, -4.0, 4.0), al.Uniform(0.0, half_width=0.1))
     return al.Problem(model, minimize=X.mean**2, subject_to=limits)
-
-
-def logarithm(expression):
-    return al.expressions.function(jnp.log, expression)
-
-
-def test_where_the_start_is_not_finite_searches_begin_elsewhere():
-    low = (logarithm(X.mean) <= -1.0).named("log")
-    found = al.conflict(edge(low, (X.mean >= 2.0).named("high")))
-    assert found.names == ("log", "high")
-    assert found.shown
-    relaxed = [one.relaxed for one in found.limits]
-    np.testing.assert_allclose(relaxed, [np.log(2.0) + 1.0, 2.0 - np.exp(-1.0)], rtol=1e-5)
-    with pytest.raises(al.SimulationError, match="finite neither at the start nor at 64 other designs"):
-        al.conflict(edge((logarithm(X.mean - 30.0) <= 0.0).named("log")))
 
 
 def test_limits_on_realisations_name_the_systems_in_the_way():

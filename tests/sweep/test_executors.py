@@ -87,15 +87,10 @@ def test_warnings_and_refusals_of_workers_are_told_with_their_place(travelling: 
         next(each_done(travelling, square, [{"x": 3}], ["at x = 3"]))
 
 
-def full(results: list):
-    raise OSError("queue is full")
-
-
 UNBELIEVED = {
     "other work": (lambda results: results[0], "at x = 1: the executor gave the result of other work"),
     "nonsense": (lambda results: b"nonsense", "at x = .: expected what a worker has found; received b'nonsense'"),
     "a strange pickle": (lambda results: pickle.dumps((1, 2)), "at x = .: expected what a worker has found"),
-    "a full queue": (full, r"the executor did not take the work \(OSError: queue is full\)"),
 }
 
 
@@ -118,29 +113,6 @@ def test_a_thread_that_gives_the_result_of_other_work_is_not_believed(threads: E
     monkeypatch.setattr(threads, "submit", submitted)
     with pytest.raises(al.SimulationError, match=r"at x = 1.*the result of other work"):
         done(threads)
-
-
-def test_what_was_sent_is_cancelled_where_an_executor_takes_no_more_or_gives_no_future_of_its_own(
-    travelling: Executor, monkeypatch
-):
-    taken = []
-
-    def submit(*_):
-        if len(taken) == 2:
-            raise RuntimeError("cannot schedule new futures after shutdown")
-        taken.append(Future())
-        return taken[-1]
-
-    one = Future()
-    for given, said in (
-        (submit, "cannot schedule new futures after shutdown"),
-        (lambda *_: 5, "expected a future of concurrent.futures"),
-        (lambda *_: one, "the same future"),
-    ):
-        monkeypatch.setattr(travelling, "submit", given)
-        with pytest.raises(al.SimulationError, match=said):
-            done(travelling, 3)
-    assert [future.cancelled() for future in (*taken, one)] == [True, True, True]
 
 
 def test_lost_workers_are_told_and_ctrl_c_in_one_is_ctrl_c():
@@ -220,28 +192,6 @@ def test_local_searches_of_a_portfolio_by_an_executor_that_a_journal_has_are_not
     assert len(sent) == 2
     assert resumed.optima == undisturbed.optima
     assert resumed.best.vector.tobytes() == undisturbed.best.vector.tobytes()
-
-
-WISHES = {"depth": al.output("depth").mean, "spread": al.output("depth").std}
-NORMAL = {"off": al.Normal(0, 1)}
-REFUSED = {
-    "trade_off": (lambda it: al.trade_off(valleys_problem(), WISHES, executor=it), "expected method=.population. or"),
-    "solve": (
-        lambda it: al.solve(valleys_problem(), al.solvers.NelderMead(), executor=it),
-        "expected a solver that evaluates many designs at once",
-    ),
-    "a black box": (
-        lambda it: al.references.monte_carlo(al.foreign.BlackBox(scattered), NORMAL, 8, executor=it),
-        "give the executor to the black box",
-    ),
-}
-
-
-@pytest.mark.parametrize("what", REFUSED)
-def test_executors_that_cannot_do_the_work_are_refused(what, travelling: Executor):
-    work, said = REFUSED[what]
-    with pytest.raises(al.ProblemError, match=said):
-        work(travelling)
 
 
 # --- Generations of a search -----------------------------------------------------------------------------------------

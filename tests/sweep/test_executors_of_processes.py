@@ -74,33 +74,6 @@ def test_the_death_of_a_worker_is_survived_with_the_results_of_here_and_work_tha
     assert found.tobytes() == searched(valleys_problem(), SEARCH).tobytes()
 
 
-AT_CTRL_C = """
-    import multiprocessing
-    import os
-    import signal
-
-    import aleator as al
-
-    if __name__ == "__main__":
-        signal.signal(signal.SIGINT, signal.default_int_handler)  # which a run in the background ignores
-        with al.workers(2) as executor:
-            try:
-                print([one.result() for one in [executor.submit(abs, -number) for number in range(4)]])
-                for one in multiprocessing.active_children():
-                    os.kill(one.pid, signal.SIGINT)
-                signal.raise_signal(signal.SIGINT)
-            except KeyboardInterrupt:
-                print("interrupted")
-"""
-
-
-def test_workers_without_work_end_at_ctrl_c_without_a_word(tmp_path: Path):
-    ended = ran(AT_CTRL_C, tmp_path)
-    assert ended.stdout.split("\n") == ["[0, 1, 2, 3]", "interrupted", ""], ended.stderr
-    assert ended.stderr == ""
-    assert ended.returncode == 0
-
-
 ON_A_CLUSTER = """
     import os
     import signal

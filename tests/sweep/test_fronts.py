@@ -1,7 +1,5 @@
 """Fronts along a bound against their closed forms, what becomes of points without a design, and evidence along them."""
 
-import contextlib
-import signal
 import warnings
 
 import jax.numpy as jnp
@@ -13,7 +11,7 @@ import aleator as al
 from aleator.reporting import front_figure
 from aleator.reporting._datasets import front_dataset
 from aleator.sweep import _each as each_module
-from zoo import MASS, SPREAD, STRESS, Bar, Decay, bar_problem, gain_problem
+from zoo import MASS, SPREAD, STRESS, Bar, Decay, bar_problem
 
 NEEDED = 1.0 + 3.0 * SPREAD
 
@@ -37,17 +35,6 @@ def test_a_front_is_that_of_single_solves_and_of_the_closed_form():
     assert np.isnan([front.objectives[1], front.shadow_prices[1]]).all()
     assert front.violations[1] > 0.01
     assert "'stress' is violated by" in str(front)
-
-
-@pytest.mark.slow
-def test_fronts_and_starts_by_collocation_are_those_of_closed_forms():
-    way, bounds = al.Simultaneous(al.schemes.GaussLegendre(1)), np.array([1.0, 2.0])
-    optima = (bounds / (1 + SPREAD) - 3) ** 2 + 1
-    front = al.pareto(gain_problem(), "response", bounds, transcription=way)
-    np.testing.assert_allclose(front.objectives, optima, rtol=1e-7)
-    starts = al.multistart(gain_problem(), 2, transcription=way)
-    np.testing.assert_allclose([one.objective for one in starts.solutions], optima[1], rtol=1e-7)
-    assert all(one.states is not None for one in (*front.solutions, *starts.solutions))
 
 
 def decaying():
@@ -95,32 +82,6 @@ def test_ctrl_c_ends_a_front_with_the_points_that_are_finished_and_is_itself_whe
     allowed = 0
     with pytest.raises(KeyboardInterrupt):
         al.pareto(bar_problem(), "stress", [0.5, 0.4])
-
-
-@pytest.mark.usefixtures("python_interrupts")
-def test_a_ctrl_c_that_a_callback_swallows_ends_the_front_after_the_point():
-    def swallow(task, done, total):
-        # So do destructors and callbacks of the garbage collector, which Python lets no exception out of.
-        if done == 1:
-            with contextlib.suppress(KeyboardInterrupt):
-                signal.raise_signal(signal.SIGINT)
-
-    before = signal.getsignal(signal.SIGINT)
-    front = al.pareto(bar_problem(), "stress", [0.5, 0.4, 0.3], progress=swallow)
-    assert front.interrupted
-    assert str(front).endswith("interrupted by the user")
-    assert front.values.tolist() == [0.5]
-    assert signal.getsignal(signal.SIGINT) is before
-
-
-def test_fronts_that_make_no_sense_are_refused():
-    for name, values, said in (
-        ("stress", [], "at least one value"),
-        ("travel", [1.0], "There is no constraint 'travel'"),
-        ("stress", [1.0, np.nan], "expected a finite number; received nan"),
-    ):
-        with pytest.raises(al.ProblemError, match=said):
-            al.pareto(bar_problem(), name, values)
 
 
 # --- Evidence at every design ----------------------------------------------------------------------------------------
@@ -175,13 +136,3 @@ def test_designs_that_cannot_be_simulated_are_told_and_others_kept():
     assert "not finite" in found.refused[1]
     assert not found.agrees
     assert "not finite" in str(found)
-
-
-def test_ctrl_c_keeps_what_was_validated(strong):
-    def stop(_stage, done, _total):
-        if done == 1:
-            raise KeyboardInterrupt
-
-    found = al.validate_all(strong, 500, progress=stop)
-    assert found.interrupted
-    assert len(found.designs) == len(found.evidence) == 1

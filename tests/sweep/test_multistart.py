@@ -3,11 +3,9 @@
 import warnings
 
 import jax.numpy as jnp
-import numpy as np
 import pytest
 
 import aleator as al
-from aleator.sweep import _each as each_module
 
 
 class Wells(al.AlgebraicSystem):
@@ -64,28 +62,6 @@ def test_where_all_fail_the_least_violated_is_the_best():
     assert not any(one.ok for one in starts.solutions)
     assert starts.optima == ()
     assert starts.best.certificate.violation == min(one.certificate.violation for one in starts.solutions)
-
-
-def test_an_interrupted_search_returns_what_is_finished():
-    def impatient(what, done, total):
-        if done == 1:
-            raise KeyboardInterrupt
-
-    starts = al.multistart(wells(), [{"x": 1.7}, {"x": -1.3}], progress=impatient)
-    assert starts.interrupted
-    assert len(starts.solutions) == 1
-
-
-def test_starts_that_make_no_sense_are_refused_before_anything_is_solved(monkeypatch):
-    monkeypatch.setattr(each_module, "solve", lambda *_, **__: pytest.fail("solved"))
-    for starts, said in (
-        ([], "at least one start"),
-        ([{"x": 1.0}, {"y": 1.0}], r"decisions by their names, some of \['x'\]; received \{'y': 1.0\}"),
-        ([{}, {"x": [1.0, 2.0]}], r"start: 'x': expected finite numbers of shape \(\)"),
-        ([{}, {"x": np.nan}], "start: 'x': .* received nan"),
-    ):
-        with pytest.raises(al.ProblemError, match=said):
-            al.multistart(wells(), starts)
 
 
 def test_optima_at_one_place_and_mirrored_ones_count_as_one():

@@ -35,19 +35,6 @@ def test_a_point_above_the_curve_is_in_doubt_from_each_neighbour(name):
         assert pairs == {(BOUNDS[i], BOUNDS[j]) for j in (i - 1, i + 1) if 0 <= j < len(BOUNDS)}
 
 
-def test_a_weaker_limit_is_never_worse_than_a_tighter_one():
-    flat = [Place(1.0, 2.0, 0.0), Place(2.0, 2.0 + 1e-5, 0.0), Place(3.0, 2.0 + 2e-5, -9.0)]
-    assert list(doubtful(flat, 1, 2.0)) == [(2.0, 1.0), (3.0, 2.0)]
-    assert (1.0, 2.0) in set(doubtful([Place(1.0, 2.1, 0.0), *flat[1:]], -1, 2.0))
-
-
-def test_a_point_without_an_optimum_is_in_doubt_from_the_nearest_solved_ones():
-    nowhere = [Place(b, np.nan, np.nan) for b in (1.0, 2.0)]
-    known = [Place(0.0, 1.0, 0.0), Place(3.0, 1.0, 0.0)]
-    assert set(doubtful([*nowhere, *known], 1, 1.0)) == {(b, n) for b in (1.0, 2.0) for n in (0.0, 3.0)}
-    assert list(doubtful(nowhere, 1, 0.0)) == []
-
-
 class TwoBasins(al.AlgebraicSystem):
     """A loss with minima 1 at `a = 1` and 3 at `a = 5`, which meet at `a = 3.25`."""
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import aleator as al
-import aleator.sweep._portfolio as portfolio_module
 
 
 class Swell(al.AlgebraicSystem):
@@ -78,12 +77,6 @@ def test_a_problem_without_a_design_gives_the_least_violated_one():
     assert found.best.status is al.Status.INFEASIBLE
 
 
-def test_decisions_without_bounds_need_no_search():
-    with pytest.raises(al.ProblemError, match=r"portfolio: DifferentialEvolution searches between bounds.*'phase'"):
-        al.portfolio(problem(upper=np.inf))
-    assert al.portfolio(problem(upper=np.inf), 2, search=None).best.ok
-
-
 def pressed(stage, after):
     """A callback that presses Ctrl-C in a stage."""
 
@@ -106,33 +99,3 @@ def test_ctrl_c_keeps_what_was_found():
     assert found.starts == 0
     assert found.best.objective == pytest.approx(minima()[0], rel=1e-5)
     assert "Nothing can be said" in found.sure()
-
-
-@pytest.mark.usefixtures("python_interrupts")
-def test_ctrl_c_in_the_global_search_ends_the_local_ones_too():
-    def stop(task, done, total):
-        if done > 100:
-            signal.raise_signal(signal.SIGINT)
-
-    found = al.portfolio(problem(), 6, search=replace(SEARCH, progress=stop))
-    assert found.interrupted
-    assert found.starts == 0
-    assert found.best.ok
-    assert found.searched.end == "stopped by the user"
-
-
-def test_ctrl_c_while_the_best_is_certified_ends_with_its_certificate(monkeypatch):
-    calls = []
-
-    def solved(*arguments, **options):
-        calls.append(options["start"])
-        if len(calls) == 1:
-            raise KeyboardInterrupt
-        return al.solve(*arguments, **options)
-
-    monkeypatch.setattr(portfolio_module, "solve", solved)
-    found = al.portfolio(problem(), 4, search=None)
-    assert found.interrupted
-    assert found.starts == 4
-    assert found.best.ok
-    assert calls[0] == calls[1]

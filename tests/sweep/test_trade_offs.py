@@ -1,7 +1,6 @@
 """Fronts of several wishes against their closed forms, and against linear programs."""
 
 import signal
-import sys
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,8 +11,7 @@ from scipy.optimize import linprog
 import aleator as al
 from aleator.extending import save
 from aleator.sweep._hypervolume import efficient, hypervolume
-from aleator.sweep._places import box, simplex
-from zoo import MASS, bar_problem, cases
+from zoo import cases
 
 HERE, THERE, ELSEWHERE = (1.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 1.0)
 VARIANCE = 3 * 0.1**2 / 3
@@ -38,12 +36,12 @@ class Near(al.AlgebraicSystem):
         return {**named, **bells, "row": self.slopes @ self.place, "x": self.place[0] + self.off}
 
 
-def near(*others, factors=(1.0, 1.0, 1.0), row=IDLE, reach=4.0, **options):
+def near(*others, factors=(1.0, 1.0, 1.0), row=IDLE):
     """Three places that one would like to be at, and a limit `slopes @ place >= bound`."""
-    place, others = al.Decision(np.full(3, 0.4), -reach, reach), np.array([*others, ELSEWHERE][:3])
+    place, others = al.Decision(np.full(3, 0.4), -4.0, 4.0), np.array([*others, ELSEWHERE][:3])
     model = Near(place, others, np.array(factors), np.array(row[0]), al.Uniform(0.0, half_width=0.1))
     limit = (al.output("row").mean >= row[1]).named("row")
-    return al.Problem(model, minimize=al.output("x").mean, subject_to=[limit], **options)
+    return al.Problem(model, minimize=al.output("x").mean, subject_to=[limit])
 
 
 WISHES = {"here": al.output("near0").mean, "there": al.output("near1").mean}
@@ -237,14 +235,6 @@ def test_no_point_is_weakly_efficient(seed):
         assert max(improvable(slopes, bounds, point) for point in found.values) < 1e-4
 
 
-def test_a_population_needs_bounds_and_its_library(monkeypatch):
-    with pytest.raises(al.ProblemError, match=r"of which \['place\[0\]', 'place\[1\]', 'place\[2\]'\] have none"):
-        al.trade_off(near(HERE, THERE, reach=np.inf), WISHES, method="population")
-    monkeypatch.setitem(sys.modules, "pymoo.algorithms.moo.nsga2", None)
-    with pytest.raises(al.MissingExtraError, match=r"aleator\[fronts\]"):
-        al.trade_off(near(HERE, THERE), WISHES, method="population")
-
-
 def pressed(stage, after):
     """A callback that presses Ctrl-C in a stage."""
 
@@ -265,20 +255,6 @@ def test_ctrl_c_keeps_the_points_found(stage, after, options):
     assert "interrupted" in str(found)
 
 
-@pytest.mark.usefixtures("python_interrupts")
-def test_ctrl_c_while_the_best_of_each_wish_is_sought_keeps_those_found():
-    found = al.trade_off(near(np.eye(3)[0], np.eye(3)[1]), THREE, 15, progress=pressed("best of each wish", 1))
-    assert found.interrupted
-    np.testing.assert_allclose(found.best[:1], VARIANCE, atol=1e-6)
-    assert np.isnan(found.best[1:]).all()
-    assert "interrupted" in str(found)
-    assert "do not conflict" not in str(found)
-
-
-LOW = (al.value("width") <= 1.0).named("low")
-BAR = al.Problem(bar_problem().system, minimize=MASS.mean, subject_to=[LOW])
-
-
 def test_the_hypervolume_of_boxes_is_their_union():
     points = np.array([[0.0, 2.0, 1.0], [1.0, 0.0, 2.0], [2.0, 1.0, 0.0], [5.0, 5.0, 5.0]])
     drawn = np.random.default_rng(0).uniform(0.0, 3.0, (400_000, 3))
@@ -292,28 +268,3 @@ def test_a_design_that_is_equal_in_one_wish_and_worse_in_another_is_dominated():
     points = np.array([[0.0, 1.0], [0.0, 2.0], [1.0, 0.0], [1.0, 1e-4]])
     assert efficient(points, np.full(2, 1e-2)).tolist() == [True, False, True, True]
     assert efficient(points, np.full(2, 1e-5)).tolist() == [True, False, True, False]
-
-
-def test_places_on_a_front_are_as_many_as_were_asked_for():
-    assert [len(simplex(3, count)) for count in range(1, 20)] == list(range(1, 20))
-    assert [one.sum() for one in simplex(4, 12)] == pytest.approx([1.0] * 12)
-    # Lines in the direction of the diagonal that meet the unit cube.
-    for one in box(3, 6):
-        assert np.max(-one) < np.min(1.0 - one)
-
-
-REFUSED = {
-    "one wish": (near(HERE, THERE), {"one": P}, "two expressions or more by name"),
-    "no design": (near(HERE, THERE, row=((1, 0, 0), 20.0)), WISHES, "row"),
-    "its own names": (near(HERE, THERE, decisions={"trade-off.level": al.Decision(1.0)}), WISHES, "trade_off's own"),
-    "a soft limit": (al.soft(BAR, weight=9.0, exact=True), WISHES, r"al\.value\('low\.excess'\)"),
-    "no decisions": (al.Problem(Curve(0.0, 0.0, np.ones(4)), minimize=P), WISHES, "no decisions"),
-    "a wish that stays": (BAR, {"mass": MASS.mean, "still": 0.0 * MASS.mean + 3.0}, "'still': no decision changes it"),
-}
-
-
-@pytest.mark.parametrize("what", REFUSED)
-def test_what_is_no_trade_off_is_refused(what):
-    problem, wishes, words = REFUSED[what]
-    with pytest.raises(al.ProblemError, match=words):
-        al.trade_off(problem, wishes)
