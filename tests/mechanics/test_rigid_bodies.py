@@ -125,15 +125,6 @@ def test_gimbal_lock_is_refused_with_its_angle_and_time():
         )
 
 
-def test_body_rates_that_pass_for_rates_of_angles_are_refused():
-    class Misnamed(Angles):
-        velocity_names = None
-
-    diagnosis = al.ForwardDynamics(Misnamed()).diagnose(al.Grid(1.0, 10))
-    assert "the velocity 'yaw_rate' is named as the rate of 'yaw'" in diagnosis
-    assert "velocity_names" in diagnosis
-
-
 class Top(al.Multibody):
     gravity = (0.0, 0.0, 0.0)
 

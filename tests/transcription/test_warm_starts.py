@@ -109,15 +109,6 @@ def test_a_start_lies_within_the_bounds_and_on_other_nodes_a_control_is_the_same
     np.testing.assert_allclose(started_from(fine, levels), np.repeat(RANDOM[:4], 2))
 
 
-def test_what_a_solution_does_not_know_is_named(solution):
-    known = replace(solution, problem=problem(spline(np.zeros(5), degree=1)), vector=np.zeros(5))
-    heavier = problem(spline(np.zeros(5), degree=1), mass=al.Decision(1.0, 0.5, 2.0))
-    with pytest.raises(al.ProblemError, match=r"does not have the decision 'mass'.*received a solution with the"):
-        al.solve(heavier, warm_start=known)
-    told = problem(spline(np.zeros(9), degree=1), mass=al.Decision(1.0, 0.5, 2.0))
-    assert started_from(told, known, ["mass"]).shape == (10,)
-
-
 def test_from_coarse_to_fine_the_optimum_of_the_closed_form_is_reached():
     # With the way limited to h, the least effort is 4 / (9 h), by straight lines whose corners are at 3 h and 1 - 3 h:
     # between the knots of the coarse spline, on those of the fine one.
