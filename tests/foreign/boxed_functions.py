@@ -1,8 +1,6 @@
 """Black boxes for tests: their reference, functions that count and fail, and refusals."""
 
-import multiprocessing
 import queue
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -24,10 +22,6 @@ def assert_same(expanded, other):
         np.testing.assert_array_equal(expanded.coefficients[name], coefficients)
         np.testing.assert_array_equal(expanded.samples[name], other.samples[name])
     np.testing.assert_array_equal(expanded.collocation.points, other.collocation.points)
-
-
-def spawned(workers=2):
-    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
 
 
 class Counted:

@@ -63,12 +63,6 @@ def test_a_function_that_would_end_this_process_fails_one_sample():
     assert "failed at sample 1 (x=" in refused(al.foreign.BlackBox(lambda at: sys.exit(3)))
 
 
-def test_an_input_that_there_is_not_ends_at_once_whatever_may_be_dropped():
-    counted = Counted(lambda at: at["w"])
-    assert "asks for the input 'w'" in refused(al.foreign.BlackBox(counted, drop=0.4, retries=3), kind=al.ProblemError)
-    assert counted.calls == 1
-
-
 def test_a_sample_that_fails_once_is_run_again():
     seen = set()
 

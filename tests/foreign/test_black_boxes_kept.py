@@ -1,18 +1,17 @@
 """Journals of black boxes, executors that run them, and functions in processes of their own."""
 
-import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 import threading
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
-from boxed_functions import ORDER, TWO, Counted, assert_same, directly, odd, refused, spawned, until
+from boxed_functions import ORDER, TWO, Counted, assert_same, directly, odd, refused, until
 
 import aleator as al
 import black_boxes as boxes
@@ -130,25 +129,6 @@ def test_a_file_that_is_no_journal_is_refused_and_left_as_it_is(tmp_path):
 
 
 # --- Executors -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_a_process_that_ends_breaks_its_executor_and_finished_samples_are_kept(tmp_path):
-    journal = tmp_path / "runs.jsonl"
-    with spawned(1) as executor:
-        message = refused(al.foreign.BlackBox(boxes.crash, executor=executor, drop=0.4, journal=journal))
-        assert "its executor is broken" in message
-        assert "al.foreign.Isolated" in message
-        known = len(journal.read_text().splitlines()) - 1
-        assert known >= 1
-        assert f"kept in runs.jsonl ({known})" in message
-
-
-@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no forks here")
-def test_forked_processes_are_refused():
-    executor = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("fork"))
-    with executor, pytest.raises(al.ProblemError, match=r"whose processes are spawned.*mp_context=multiproc"):
-        al.foreign.BlackBox(boxes.smooth, executor=executor)
 
 
 def test_ctrl_c_leaves_what_has_finished(python_interrupts):

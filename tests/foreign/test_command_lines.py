@@ -86,9 +86,7 @@ def test_the_output_is_what_a_program_prints_last_unless_that_is_doubtful(script
     [
         ("print('all is well')", "expected JSON in its standard output; received 'all is well'"),
         ('print(\'{"y": "fast"}\')', "the output 'y': expected numbers; received 'fast'"),
-        ('print(\'{"a": 1, "a": 2}\')', "expected each output once; received 'a' twice"),
         ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "it ended by the signal SIGSEGV; its stderr is"),
-        ("print('NaN')", "its output is nan"),
         ("import sys; sys.exit('mesh is tangled')", "exit code 1; its stderr ends with: mesh is tangled"),
     ],
 )
@@ -152,11 +150,6 @@ def test_ctrl_c_ends_the_commands_that_threads_wait_for(script, tmp_path, python
     with ThreadPoolExecutor(1) as executor, pytest.raises(KeyboardInterrupt):
         al.expand(al.foreign.BlackBox(command, executor=executor), TWO, ORDER)
     assert not survived.exists()
-
-
-def test_a_program_that_is_not_found_ends_at_once():
-    box = al.foreign.BlackBox(al.foreign.Command(["no-such-program", "{x}", "{z}"]), drop=0.4, retries=9)
-    assert refused(box, kind=al.ProblemError).startswith("Command: no-such-program cannot be run (")
 
 
 def test_journals_are_lines_of_json_that_are_read_back_to_the_same_bits(tmp_path):

@@ -76,15 +76,6 @@ def projector(jacobian):
     return np.linalg.pinv(jacobian) @ jacobian
 
 
-def assert_same_speeds_are_forbidden(path, robot):
-    q = satisfying(robot)
-    jacobian, apart = by_mujoco(path, robot, q)
-    assert np.abs(apart).max() < 1e-12
-    ours = np.asarray(compiled(robot.constraint_jacobian)(q))
-    np.testing.assert_allclose(projector(ours), projector(jacobian), rtol=0, atol=1e-9)
-    return ours, jacobian
-
-
 FEW = ("weld somewhere else", "several")  # of them, the others are slow
 
 
@@ -94,50 +85,9 @@ FEW = ("weld somewhere else", "several")  # of them, the others are slow
 def test_equations_forbid_the_speeds_that_those_of_mujoco_forbid(name, tmp_path):
     path = written(tmp_path, SPACE.format(EQUATIONS[name]))
     robot = al.foreign.read_mjcf(path)
-    ours, jacobian = assert_same_speeds_are_forbidden(path, robot)
+    q = satisfying(robot)
+    jacobian, apart = by_mujoco(path, robot, q)
+    assert np.abs(apart).max() < 1e-12
+    ours = np.asarray(compiled(robot.constraint_jacobian)(q))
+    np.testing.assert_allclose(projector(ours), projector(jacobian), rtol=0, atol=1e-9)
     assert ours.shape == jacobian.shape == (len(robot.constraints), len(robot.speeds))
-
-
-def test_what_is_said_of_equations(tmp_path):
-    robot = al.foreign.read_mjcf(written(tmp_path, SPACE.format(EQUATIONS["several"])))
-    assert robot.constraints == ("equality_0_x", "equality_0_y", "equality_0_z", "equality_1")
-    assert "Equations hold exactly, where MuJoCo yields: equality_0, equality_1." in robot.notes
-    assert "Equations that are not active at the start are not read (1)." in robot.notes
-    left = al.foreign.read_mjcf(tmp_path / "robot.xml", leave_out="equality")
-    assert left.constraints == ()
-    assert any(note.startswith("Left out, as asked: equality") for note in left.notes)
-
-
-def test_points_that_no_joint_brings_together_are_refused(tmp_path):
-    bodies = (
-        '<body name="a"><joint name="p" axis="0 1 0"/><geom size="0.1" pos="1 0 0"/><site name="s" pos="1 0 0"/></body>'
-        '<body name="b" pos="2 0 0"><joint name="q" axis="0 1 0"/><geom size="0.1" pos="1 0 0"/>'
-        '<site name="t" pos="-1 0.3 0"/></body><site name="u"/><site name="v" pos="0 0 0.5"/>'
-    )
-    for pair, distance in ((("s", "t"), "0.3 m"), (("u", "v"), "0.5 m")):
-        equation = f'<connect name="pin" site1="{pair[0]}" site2="{pair[1]}"/>'
-        text = f"<mujoco><worldbody>{bodies}</worldbody><equality>{equation}</equality></mujoco>"
-        with pytest.raises(al.ProblemError, match=rf"robot.xml, equality 'pin': expected points .* stay {distance}"):
-            al.foreign.read_mjcf(written(tmp_path, text))
-
-
-FOUR_BAR = """<mujoco>
-  <worldbody>
-    <body name="crank" euler="0 -40 0"><joint name="crank_angle" axis="0 1 0"/>
-      <geom type="capsule" fromto="0 0 0 0.1 0 0" size="0.01"/>
-      <body name="coupler" pos="0.1 0 0"><joint name="coupler_angle" axis="0 1 0"/>
-        <geom type="capsule" fromto="0 0 0 0.35 0 0" size="0.01"/></body></body>
-    <body name="rocker" pos="0.4 0 0"><joint name="rocker_angle" axis="0 1 0"/>
-      <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.01"/></body>
-  </worldbody>
-  <equality><connect name="pin" body1="coupler" body2="rocker" anchor="0.35 0 0"/></equality>
-</mujoco>
-"""
-
-
-def test_a_loop_of_hinges_is_closed_in_its_plane(tmp_path):
-    path = written(tmp_path, FOUR_BAR)
-    robot = al.foreign.read_mjcf(path)
-    assert robot.constraints == ("pin_z", "pin_x")
-    assert robot.loops["pin"].planar
-    assert_same_speeds_are_forbidden(path, robot)

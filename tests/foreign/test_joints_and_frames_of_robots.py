@@ -1,6 +1,5 @@
 """What files say about joints and frames, on small robots that have all of it, against MuJoCo."""
 
-import equinox as eqx
 import jax
 import mujoco
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 from mujoco_robots import assert_same, by_aleator, by_mujoco, file_of, states, urdf_by_mujoco
 
 import aleator as al
-from aleator._core.leaves import is_leaf, named_leaves
 
 EVERYTHING = """<mujoco>
   <compiler angle="degree"/>
@@ -110,32 +108,6 @@ def test_limits_have_the_names_of_outputs(tmp_path):
         "down_torque": (-30.0, 30.0),
     }
     assert {"down", "down_rate"} <= set(robot.coordinates) | set(robot.speeds)
-
-
-def test_a_joint_named_as_a_link_gets_a_name_of_its_own(tmp_path):
-    text = ARM.replace('"shoulder"', '"upper"')
-    assert set(al.foreign.read_urdf(written(tmp_path, text)).coordinates) == {"upper_joint", "down"}
-    text = text.replace('"down"', '"upper_joint"')
-    assert set(al.foreign.read_urdf(written(tmp_path, text)).coordinates) == {"upper_joint", "upper_joint_2"}
-
-
-def test_any_number_may_be_uncertain_and_is_named_after_its_part(tmp_path):
-    robot = al.foreign.read_urdf(written(tmp_path, ARM))
-
-    def places(robot):
-        upper, shoulder = robot.parts["upper"], robot.parts["shoulder"]
-        return upper.mass, upper.center[2], shoulder.joint.damping, shoulder.joint.armature, shoulder.position[0]
-
-    values = al.Uniform(2.0, std=0.1), *(al.Normal(mean, 0.01) for mean in (0.3, 0.4, 0.2, 1.0))
-    uncertain = eqx.tree_at(places, robot, values)
-    system = al.InverseDynamics(uncertain, motion=dict.fromkeys(robot.coordinates, 0.2))
-    assert {name for name, number in named_leaves(system) if is_leaf(number)} == {
-        "upper.mass",
-        "upper.center.2",
-        "shoulder.joint.damping",
-        "shoulder.joint.armature",
-        "shoulder.position.0",
-    }
 
 
 @pytest.mark.slow

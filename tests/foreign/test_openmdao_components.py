@@ -83,22 +83,6 @@ def test_the_optimum_of_openmdao_keeps_each_limit():
     np.testing.assert_allclose(model.get_val("areas"), [most / 2.0, 1.5 * most / 2.5], rtol=1e-6)
 
 
-def test_a_component_in_a_larger_model_passes_derivatives_on():
-    model, _ = built(truss(), declared=False)
-    model.model.add_subsystem("before", om.ExecComp("load = 2 * mass"), promotes_inputs=["mass"])
-    model.model.connect("before.load", "load:mean")
-    model.model.add_subsystem("after", om.ExecComp("cost = total ** 2"), promotes_outputs=["cost"])
-    model.model.connect("objective", "after.total")
-    model.model.set_order(["before", "design", "after"])
-    model.model.set_input_defaults("mass", 2.2)
-    run(model)
-    objective = 1.5 * (2.0 + 3.0) - 4.4
-    assert model.get_val("cost") == pytest.approx(objective**2)
-    total = model.compute_totals(of=["cost"], wrt=["mass", "areas"], return_format="flat_dict")
-    np.testing.assert_allclose(total["cost", "mass"], [[2 * objective * -1.0 * 2.0]], rtol=1e-12)
-    np.testing.assert_allclose(total["cost", "areas"], [[2 * objective * 1.5] * 2], rtol=1e-12)
-
-
 class Plate(al.AlgebraicSystem):
     """The sag of a plate under an uncertain pressure, in declared units."""
 
@@ -135,11 +119,3 @@ def test_declared_units_are_those_of_inputs_and_outputs():
 def test_units_are_spelt_as_in_openmdao_or_there_is_none():
     spelt = {"m²/s⁴": "m**2/s**4", "J/(kg K)": "J/(kg*K)", "°": "deg", "°C": None, "bananas": None}
     assert {unit: as_in_openmdao(unit) for unit in spelt} == spelt
-
-
-def test_a_model_without_finite_values_lets_the_driver_step_back():
-    model, _ = built(truss())
-    run(model)
-    model.set_val("areas", [0.0, 1.0])
-    with pytest.raises(om.AnalysisError, match="no finite values or derivatives at"):
-        model.run_model()

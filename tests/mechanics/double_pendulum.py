@@ -92,12 +92,6 @@ class Tendons(Matrices):
         return jnp.array([[1.0, -0.4, 0.3], [0.2, 1.0, -0.7]])
 
 
-class Passive(Matrices):
-    """Nothing drives it."""
-
-    actuator_names = ()
-
-
 class Rates(al.Accelerations):
     """The same by its accelerations."""
 

@@ -184,18 +184,6 @@ class Slides(al.Multibody):
         return tuple(al.BodyLoad(name, force=(WIND, 0.0, 0.0)) for name in self.named)
 
 
-class Doubled(al.Multibody):
-    """Its velocity is half the rate of its coordinate."""
-
-    gravity = (0.0, 0.0, 0.0)
-
-    def bodies(self):
-        return (al.Body("a", joint=al.joints.Prismatic("x"), mass=1.0),)
-
-    def velocity_map(self, q):
-        return 2.0 * jnp.eye(1)
-
-
 def test_what_a_class_adds_to_bias_and_mass_matrix_counts_in_all_three_dynamics():
     grid, motion = al.Grid(1.0, 100), {"a": al.PowerSeries(start=(0.0, 1.0, 1.0))}
     t = np.linspace(0, 1, 101)
@@ -208,9 +196,3 @@ def test_what_a_class_adds_to_bias_and_mass_matrix_counts_in_all_three_dynamics(
     mixed = simulate(al.HybridDynamics(Slides(named=("a", "b")), motion=motion, start={"b_rate": 1.0}), grid)
     np.testing.assert_allclose(mixed["a_torque"], needed, rtol=1e-13)
     np.testing.assert_allclose(mixed["b_rate"], slowing, rtol=1e-7)
-
-
-def test_a_velocity_map_of_one_s_own_makes_the_rates():
-    assert not Doubled().moves_directly
-    found = simulate(al.ForwardDynamics(Doubled(), start={"a_rate": 1.0}), al.Grid(1.0, 4))
-    np.testing.assert_allclose(found["a"], 2.0 * np.linspace(0, 1, 5), rtol=1e-14)

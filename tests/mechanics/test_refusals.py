@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from double_pendulum import Matrices, Passive, Pendubot, Rates
+from double_pendulum import Matrices, Pendubot, Rates
 
 import aleator as al
 
@@ -33,7 +33,7 @@ class Energy(al.Lagrangian):
     names = ("x",)
 
     def kinetic_energy(self, q, v):
-        return jnp.sum(0.5 * v**2 + v**4)
+        return (v @ v) ** 2
 
 
 class Cart(al.Mechanical):
@@ -42,27 +42,22 @@ class Cart(al.Mechanical):
     wind: al.Number = 0.0
 
     def mass_matrix(self, q):
-        return self.mass * jnp.eye(1)
+        return self.mass * np.eye(1)
 
     def load(self, q, v):
         return jnp.reshape(self.wind, (1,))
 
 
 class Slide(al.Multibody):
-    loads: Any = ()
     high: al.Number = 0.0
 
     def bodies(self):
         return (al.Body("a", joint=al.joints.Prismatic("x"), mass=1.0, position=(0.0, 0.0, self.high)),)
 
-    def body_loads(self, q, v):
-        return self.loads() if callable(self.loads) else self.loads
-
 
 WIND = al.processes.RandomProcess(al.processes.SquaredExponentialCovariance(1.0), t_final=2.0, std=0.4, modes=3)
 RISING = al.processes.signal(lambda t, p: 0.1 * t)
 FADING = al.processes.signal(lambda t, p: 0.5 - t)
-PAIR = al.BSpline(np.zeros((4, 2)))
 TABLE = al.Tabulated([0.0, 1.0], [0.0, 1.0])
 
 
@@ -79,38 +74,17 @@ def inverse(motion, model=Matrices):
     return al.InverseDynamics(model(), motion=motion)
 
 
-def hybrid(motion, model=Pendubot, **options):
-    return al.HybridDynamics(model(), motion=motion, **options)
-
-
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
         (lambda: inverse(MOTION, Pendubot), r"Pendubot is under-actuated: .*Use al\.HybridDynamics"),
-        (lambda: inverse(MOTION, Passive), r"its torques \(none\) cannot realise"),
-        (lambda: inverse({"elbow": 1.0}), r"received none for \['shoulder'\]"),
         (lambda: inverse({"shoulder": TABLE, "elbow": 0.0}), "a prescribed motion needs velocity and acceleration"),
-        (lambda: al.ForwardDynamics(Matrices(), torque={"hip_torque": 1.0}), r"no \['hip_torque'\]"),
-        (
-            lambda: al.ForwardDynamics(Matrices(), torque={"elbow_torque": PAIR}),
-            r"one number; received shape \(2,\)",
-        ),
-        (lambda: hybrid({"shoulder": 1.0}, start={"shoulder": 0.0}), r"no \['shoulder'\] to start; .*'elbow_rate'\]"),
-        (
-            lambda: hybrid({"shoulder": 1.0}, torque={"shoulder_torque": 1.0}),
-            r"the unknown torques \(none\) cannot realise a prescribed motion of shoulder: expected at least 1",
-        ),
         (lambda: problem(flat((1.0, 1.0), (1.0, 1.0))), "singular at the start .*resists"),
         (lambda: problem(flat((1.0, 0.0), (0.0, -1.0))), "not positive definite at the start"),
         (lambda: problem(flat((1.0, 0.2), (0.0, 1.0))), "is not symmetric at the start"),
-        (lambda: problem(flat((np.inf, 0.0), (0.0, 1.0))), "is not finite at the start"),
         # `C v` in the place of `C`: the product with `v` would be one number, added to all forces.
         (lambda: problem(changed(coriolis=lambda self, q, v: v)), r"coriolis\(q, v\): expected shape \(2, 2\)"),
         (lambda: problem(al.ForwardDynamics(Energy())), "expected a quadratic function of the velocities"),
-        (
-            lambda: al.simulate(al.ForwardDynamics(Matrices(), torque=TABLE), GRID),
-            r"one value for each of \['shoulder_torque', 'elbow_torque'\]; received shape \(\)",
-        ),
         (
             lambda: problem(changed(Rates, accelerations=lambda self, q, v, torque: torque**2)),
             "expected accelerations affine in the torques",
@@ -121,28 +95,13 @@ def hybrid(motion, model=Pendubot, **options):
         ),
         (lambda: problem(changed(actuator_names=("motor",))), r"\['motor'\] do not say along which velocity"),
         (
-            lambda: problem(changed(outputs=lambda self, motion: {"elbow": motion.q[1]})),
-            r"\['elbow'\] are standard outputs of every mechanical system; rename yours",
-        ),
-        (lambda: al.Grid(al.Decision(1.0, 0.0, 2.0), 10), r"a decision that may be 0\.0: raise its lower bound"),
-        (
             lambda: problem(al.ForwardDynamics(Matrices(m_2=al.Uniform(1.0, half_width=1.2)))),
             r"not positive definite at the start .*In the system with m_2 = -0\.2",
         ),
-        (lambda: changed(Cart, load=lambda self, q: q), r"load: expected load\(q, v\), or load\(q, v, t\) "),
-        (
-            lambda: problem(al.ForwardDynamics(Slide(loads=lambda: (al.BodyLoad("b"),)))),
-            r"no body 'b'; expected one of \['a'\]",
-        ),
         (lambda: problem(al.ForwardDynamics(Slide(high=RISING))), "the place or the axis of 'a' depends on time"),
-        (lambda: Cart(wind=RISING).bias(jnp.zeros(1), jnp.zeros(1)), r"at an instant, such as model\.at\(0\.0\)"),
         (
-            lambda: problem(changed(Cart, mass_matrix=lambda self, q, t: (1.0 - t) * jnp.eye(1))),
+            lambda: problem(changed(Cart, mass_matrix=lambda self, q, t: (1.0 - t) * np.eye(1))),
             r"singular at t = 1 s \(x = 0\)",
-        ),
-        (
-            lambda: problem(al.ForwardDynamics(Cart(wind=al.Tabulated([0.0, 0.5], [1.0, 1.0])))),
-            "Signal 'parameters' of ForwardDynamics is known from 0 to 0.5 s, but the grid runs from 0 to 1 s",
         ),
         (lambda: problem(al.ForwardDynamics(Cart(mass=WIND))), "'mass' must stay positive, but a RandomProcess is"),
         (lambda: problem(al.ForwardDynamics(Cart(mass=FADING))), "is singular about t = 0.5 s"),

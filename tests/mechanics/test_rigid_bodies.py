@@ -1,4 +1,4 @@
-"""A free rigid body as a mechanical system of one's own: by Euler angles, and by quaternions."""
+"""A free rigid body as a mechanical system of one's own, and bodies on joints, by quaternions."""
 
 from functools import cache
 
@@ -35,19 +35,7 @@ class Body(al.Mechanical):
         return jnp.cross(v, jnp.array(self.inertia) * v)
 
     def actuation(self, q):
-        return jnp.eye(3)
-
-
-class Angles(Body):
-    """Yaw, pitch and roll about turning axes."""
-
-    names = ("yaw", "pitch", "roll")
-
-    def velocity_map(self, q):
-        sin, cos, tan = jnp.sin(q[2]), jnp.cos(q[2]), jnp.tan(q[1])
-        return jnp.array(
-            [[0.0, sin / jnp.cos(q[1]), cos / jnp.cos(q[1])], [0.0, cos, -sin], [1.0, sin * tan, cos * tan]]
-        )
+        return np.eye(3)
 
 
 class Quaternion(Body):
@@ -115,25 +103,6 @@ def test_velocities_of_a_prescribed_motion_are_those_of_its_rotation():
     np.testing.assert_allclose(torque_rate, slope, rtol=0, atol=1e-3 * np.abs(torque_rate).max())
 
 
-def test_gimbal_lock_is_refused_with_its_angle_and_time():
-    through = al.PowerSeries(start=(np.array([0.1, 0.0, 0.2]),), end=(np.array([0.1, np.pi, 0.2]),))
-    with pytest.raises(al.ProblemError, match=r"singular at t = 0\.5 s .*pitch = 1\.571.*rate of '(yaw|roll)'.*gimbal"):
-        al.Problem(
-            al.InverseDynamics(Angles(inertia=(0.5, 1.1, al.Decision(1.7, 1.0, 2.0))), motion=through),
-            grid=al.Grid(1.0, 10),
-            minimize=al.objectives.effort("couple_x"),
-        )
-
-
-def test_body_rates_that_pass_for_rates_of_angles_are_refused():
-    class Misnamed(Angles):
-        velocity_names = None
-
-    diagnosis = al.ForwardDynamics(Misnamed()).diagnose(al.Grid(1.0, 10))
-    assert "the velocity 'yaw_rate' is named as the rate of 'yaw'" in diagnosis
-    assert "velocity_names" in diagnosis
-
-
 class Top(al.Multibody):
     gravity = (0.0, 0.0, 0.0)
 
@@ -160,14 +129,6 @@ def test_components_of_a_quaternion_that_a_start_leaves_out_are_those_of_no_turn
     np.testing.assert_allclose(start, np.array([1.0, 0.05, 0.0, 0.0]) / np.hypot(1.0, 0.05), rtol=1e-15)
     half_turn = al.ForwardDynamics(Top(), start={"b_w": 0.0, "b_x": 0.05}).initial()["q"]
     np.testing.assert_allclose(half_turn, [0.0, 1.0, 0.0, 0.0])
-
-
-def test_a_prescribed_quaternion_that_passes_through_zero_is_refused_with_its_joint_and_time():
-    motion = {"b_w": 0.0, "b_x": al.PowerSeries(start=(1.0, 0.0), end=(-1.0, 0.0)), "b_y": 0.0, "b_z": 0.0}
-    diagnosis = al.InverseDynamics(Top(), motion=motion).diagnose(al.Grid(1.0, 10))
-    assert "quaternion of 'b_w' is zero at t = 0.5 s" in diagnosis
-    long = motion | {"b_y": 7.0}
-    assert al.InverseDynamics(Top(), motion=long).diagnose(al.Grid(1.0, 10)) == ""
 
 
 @pytest.mark.slow

@@ -142,22 +142,3 @@ def test_least_time_to_move_a_block_is_bang_bang(way):
     prices = solution.bound_multipliers["inputs.force"]
     assert np.abs(prices).sum() == pytest.approx(np.sqrt(distance), rel=1e-5)
     assert (prices * np.repeat([prices[0], -prices[0]], 5) >= 0).all()
-
-
-# --- What is refused -------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("made", "told"),
-    [
-        (lambda: al.Control(0.0, degree=2), "al.BSpline"),
-        (lambda: lag(al.Control(np.zeros(5))), "one number or 4, one for each of the steps of the grid; received 5"),
-        (lambda: lag(al.Control(lambda s: 4 * s, -1.0, 1.0)), "between its bounds"),
-        (lambda: al.simulate(Lag(), al.Grid(1.0, 4), {"u": al.Control(0.0)}), "by itself it has none"),
-        (lambda: al.InverseDynamics(Pendulum(), motion={"angle": al.Control(0.0, degree=1)}), "velocity and accelera"),
-    ],
-)
-def test_what_makes_no_control_is_refused_in_one_sentence(made, told):
-    with pytest.raises(al.ProblemError) as refused:
-        made()
-    assert told in str(refused.value)

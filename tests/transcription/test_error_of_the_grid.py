@@ -223,24 +223,3 @@ def test_loose_tolerances_of_adaptive_integrators_are_seen_and_tightened():
     assert "steps and smaller tolerances of the integrator" in str(solution.certificate.grid_error)
     fine = al.solve(problem, refine=True, accuracy=1e-6)
     assert fine.objective == pytest.approx(np.exp(-5.0), rel=2e-6)
-
-
-class Switched(al.System):
-    """`x' = gain` after an instant that no uniform grid contains."""
-
-    states = ("x",)
-    gain: al.Number
-
-    def rhs(self, t, z):
-        return (jnp.where(t > 1 / np.pi, self.gain, 0.0),)
-
-    def outputs(self, t, z):
-        return {"x": z.x}
-
-
-@pytest.mark.slow
-def test_a_jump_in_time_is_named_with_its_instant_where_refining_does_not_help():
-    problem = al.Problem(Switched(al.Decision(1.0, 0.5, 2.0)), grid=al.Grid(1.0, 10), minimize=al.terminal("x").mean)
-    with pytest.raises(al.SolveError, match=r"'x\(t_f\)'|objective") as raised:
-        al.solve(problem, refine=True, accuracy=1e-9)
-    assert "jump in time, near t = 0.31" in str(raised.value)

@@ -65,13 +65,6 @@ def test_first_and_second_derivatives_agree_with_central_differences(further):
     np.testing.assert_allclose(found, np.tril(bends), atol=2e-6 * np.abs(bends).max())
 
 
-@pytest.mark.slow
-def test_limits_on_the_worst_case_have_second_derivatives():
-    problem = pushed(minimize=al.integral("effort").mean, subject_to=[al.terminal("x").at_most(1.5, worst_case=True)])
-    known, exact = (al.solve(problem, transcription=way, between=1) for way in (al.Sequential(), EXACT))
-    assert exact.objective == pytest.approx(known.objective, rel=1e-6)
-
-
 def test_moments_statistics_and_outputs_of_a_linear_response_are_exact():
     transcription, point = transcribe(gain_problem()), np.array([1.7])
     response = transcription.resolve(point)["response(t_f)"]

@@ -127,16 +127,6 @@ def test_the_worst_of_many_variables_is_found_at_its_corner():
     assert solution.decisions["gain"] == pytest.approx(1 / (6 + 0.02 * 36), rel=1e-6)
 
 
-@pytest.mark.slow
-def test_a_distribution_whose_shape_is_decided_keeps_its_ends():
-    distribution = al.Beta(alpha=al.Decision(2.0, 1.0, 4.0), beta=3.0, lower=-1.0, upper=1.0)
-    program = transcribe(largest_gain("a line", a=distribution, b=0.0)).program
-    # To begin with, limits are held at both ends.
-    found = program.evaluate(program.start)
-    assert found.constraints[:2] == pytest.approx(program.start[0] * np.array([1.0, 3.0]), rel=1e-12)
-    np.testing.assert_allclose(found.jacobian[:2], [[1.0, 0.0], [3.0, 0.0]], atol=1e-12)
-
-
 # --- Over time -------------------------------------------------------------------------------------------------------
 
 
@@ -207,8 +197,3 @@ def test_limits_over_time_hold_at_each_point(way):
     found = optimum(problem, transcription=way)
     points = np.asarray(found.transcribed.collocation.points)
     assert found.decisions["start"] == pytest.approx(0.5 * np.exp(1.0 + 0.1 * points.max()), rel=1e-5)
-
-
-def test_it_is_no_objective():
-    with pytest.raises(al.ProblemError, match="no place in an objective"):
-        al.Problem(largest_gain("a square").system, minimize=AT_POINTS.expression)

@@ -45,29 +45,17 @@ def test_a_spread_or_shape_that_is_not_positive_and_finite_is_refused_by_name_an
 
 IMPOSSIBLE = [
     (lambda: al.Uniform.bounds(1.0, 1.0), "lower=1, upper=1"),
-    (lambda: al.Beta(alpha=2.0, beta=2.0, lower=3.0, upper=1.0), "lower=3, upper=1"),
     (lambda: al.Beta(mean=0.3, std=0.46), "std=0.46"),  # at most sqrt(mean (1 - mean)), here 0.458
-    (lambda: al.Gamma(mean=2.0, std=1.0, lower=3.0), "lower=3"),
     (lambda: al.Exponential(mean=1.0, lower=2.0), "finite mean above lower.*lower=2"),
-    (lambda: al.LogNormal(mean=1.0, std=0.5, lower=1.0), "lower=1"),
     (lambda: al.Triangular(1.0, 0.5, 2.0), "mode=0.5"),
-    (lambda: al.TruncatedNormal(0.0, 1.0, lower=2.0, upper=1.0), "lower < upper"),
     (lambda: al.TruncatedNormal(0.0, 1.0, lower=40.0), "within 37 scales.*lower=40"),
     (lambda: al.Density(np.sin, 0.0, 7.0), "not negative.*received -0"),
-    (lambda: al.Density(lambda x: np.exp(-(((x - 20) / 1e-3) ** 2)), -np.inf, np.inf), "no mass"),
     (lambda: al.Density(lambda x: 1 / x, 0.0, 1.0), "converge towards its end 0"),
     (lambda: al.Density(lambda x: (1 - x) ** -0.5, 0.0, 1.0), "grows without bound towards its end 1.*location"),
     (lambda: al.Density(lambda x: 1 / (1 + x**2), -np.inf, np.inf), "moments"),
-    (lambda: al.Sample([2.0, 2.0]), "differ"),
-    (lambda: al.Uniform(1.0, half_width=0.1, std=0.1), "half_width, std"),
-    (lambda: al.Gamma(shape=2.0, std=1.0), "shape, std, lower"),
     (lambda: al.Normal(1.0, al.Decision(0.0, 0.0)), r"std=Decision\(0 in"),
     (lambda: al.Decision(1.0, lower=2.0, upper=0.0), "lower=2.0, upper=0.0"),
-    (lambda: al.Decision(np.array([1.0, 5.0]), 0.0, 2.0), "between its bounds"),
-    (lambda: al.Decision(np.ones(3), lower=np.zeros(2)), r"shape \(3,\)"),
-    (lambda: al.Decision(np.ones(2), lower=np.array([0.0, 3.0]), upper=2.0), "lower bound"),
     (lambda: al.Toleranced(1.0, plus=0.1, minus=-0.1), "in order.*minus=-0.1"),
-    (lambda: al.Toleranced(1.0, tolerance=0.1, cp=1.0, cpk=1.2), "cpk=1.2"),
 ]
 
 
@@ -77,20 +65,9 @@ def test_numbers_that_cannot_be_are_refused_with_what_was_received(make, receive
         make()
 
 
-def test_a_text_that_is_no_toleranced_dimension_is_refused_with_the_forms_that_are():
-    for text in ("27.645", "27,645 ±0.05", "200-0.02", "8 +0.1/-0.1/-0.2"):
-        with pytest.raises(ProblemError, match=r"is no toleranced dimension: expected .*\+0\.05/-0\.02"):
-            al.toleranced(text)
-
-
 NARROW, FINITE = "Narrow the bounds of its decisions", "Give the decision finite bounds"
 INSIDE_OUT = {
     "gamma below its bound": (lambda: al.Gamma(mean=al.Decision(2, -3, 5), std=1), "mean=-3", NARROW),
-    "uniform crossing": (
-        lambda: al.Uniform.bounds(al.Decision(1, 0, 5), al.Decision(2, 0, 5)),
-        "lower=5, upper=0",
-        NARROW,
-    ),
     "normal of unbounded std": (lambda: al.Normal(1.0, al.Decision(0.1)), "std=-inf", FINITE),
     "beta crossing": (
         lambda: al.Beta(alpha=2, beta=2, lower=al.Decision(0, -1, 2), upper=al.Decision(1, 0, 3)),
@@ -98,13 +75,6 @@ INSIDE_OUT = {
         NARROW,
     ),
     "beta wider than possible": (lambda: al.Beta(mean=al.Decision(0.5, 0.1, 0.9), std=0.4), "mean=0.1", NARROW),
-    "weibull by moments": (lambda: al.Weibull(mean=2.0, std=al.Decision(1.0, 0.0, 3.0)), "std=0", NARROW),
-    "truncated normal": (lambda: al.TruncatedNormal(al.Decision(0.0), 1.0, lower=0.0), "location=-inf", FINITE),
-    "capability": (
-        lambda: al.Toleranced(1.0, tolerance=0.1, cp=1.0, cpk=al.Decision(0.8, 0.5, 1.5)),
-        "cpk=1.5",
-        NARROW,
-    ),
 }
 
 

@@ -4,11 +4,10 @@ from typing import Any
 
 import equinox as eqx
 import numpy as np
-import pytest
 
 import aleator as al
 from aleator._core.leaves import highest, is_leaf, lowest, named_leaves
-from aleator.uncertainty import at_means, placements, realise
+from aleator.uncertainty import placements, realise
 
 
 class Range(eqx.Module):
@@ -34,26 +33,6 @@ class Oddity(eqx.Module):
         return None
 
 
-class Decay(al.System):
-    """x' = -rate x, with the rate in a user's class that looks like a decision."""
-
-    states = ("x",)
-    rates: Range
-    model: Any = 1.0
-    inputs: Any = 1.0
-    grid: Any = 1.0
-    t_final: Any = 1.0
-
-    def initial(self):
-        return {"x": 1.0}
-
-    def rhs(self, t, z, force):
-        return (-(self.rates.initial + self.rates.lower + self.rates.upper) * z.x + 0 * force,)
-
-    def outputs(self, t, z):
-        return {"x": z.x, "sum": self.model + self.inputs + self.grid + self.t_final + 0 * z.x}
-
-
 def test_no_class_of_a_user_is_taken_for_a_leaf():
     for model in (Range(1.0, 0.0, 2.0), Oddity(), Oddity(distribution=Oddity())):
         assert not is_leaf(model)
@@ -70,23 +49,6 @@ def test_leaves_inside_of_classes_that_look_like_leaves_are_found():
     realised = realise(model, np.array([1.0, 1.0]), np.array([0.25]))
     ((_, first), (_, second), (_, third)) = [pair for pair in named_leaves(realised) if eqx.is_array(pair[1])]
     np.testing.assert_allclose([first, second, third], [1.1, 0.25, 1.0])
-
-
-def test_numbers_that_would_have_one_name_go_by_their_whole_places():
-    system = Decay(Range(al.Normal(1.0, 0.05), 0.5, al.Decision(1.0, 0.5, 2.0)), *(al.Normal(1.0, 0.1),) * 4)
-    problem = al.Problem(
-        system,
-        grid=al.Grid(al.Decision(1.0, 0.5, 2.0), steps=10),
-        inputs={"force": al.Tabulated([0.0, 2.0], [al.Normal(0.0, 1.0), 0.0])},
-        minimize=al.terminal("x").mean,
-        expansion=al.Expansion(order=1),
-    )
-    # What would have one name goes by its whole place; the rest by its name in the system.
-    assert problem.placements.entry_names() == ("rates.upper", "grid.t_final")
-    assert {"model", "inputs", "grid", "system.t_final"} <= set(problem.placements.germ_names)
-    assert any(name.startswith("inputs.force") for name in problem.placements.germ_names)
-    assert [name for name, _ in named_leaves(at_means(system))] == [name for name, _ in named_leaves(system)]
-    assert problem.placements.named(np.array([1.0, 1.5])) == {"rates.upper": 1.0, "grid.t_final": 1.5}
 
 
 def test_numbers_of_containers_that_say_so_go_by_their_own_names_at_any_depth():
@@ -106,9 +68,3 @@ def test_every_number_tells_between_which_ends_it_lies():
         (al.Uniform(al.Decision(1.0, 0.0, 5.0), half_width=al.Decision(0.5, 0.0, 2.0)), -2.0, 7.0),
     ]:
         np.testing.assert_allclose([lowest(number), highest(number)], ends, rtol=1e-12)
-
-
-def test_look_alikes_are_refused_where_a_number_is_expected():
-    for odd in (Range(1.0, 0.0, 2.0), Oddity()):
-        with pytest.raises(al.ProblemError, match="'mean' takes one number"):
-            al.Normal(odd, 1.0)

@@ -193,27 +193,11 @@ def test_named_numbers_hold_places_parameters_and_moments_at_the_current_decisio
         }
 
 
-def test_whole_numbers_are_named_and_truth_values_are_not():
-    model = {"b": 94, "n": np.int64(3), "v": np.array([1, 2]), "yes": True, "flags": np.array([True]), "s": "name"}
-    numbers = named_numbers(model, np.zeros(0))
-    assert {name: np.asarray(value).tolist() for name, value in numbers.items()} == {"b": 94, "n": 3, "v": [1, 2]}
-    assert all(value.dtype == float for value in numbers.values())
-    assert type(realise(model, np.zeros(0), np.zeros(0))["b"]) is int
-
-
 def test_a_decision_is_unbounded_unless_told_and_bounds_of_an_array_may_be_one_for_all_or_one_each():
     assert (Decision(2).lower, Decision(2).upper) == (-np.inf, np.inf)
     places = placements({"x": Decision(np.array([1.0, 2.0]), lower=0.0, upper=np.array([3.0, 4.0]))})
     assert places.vector("lower").tolist() == [0.0, 0.0]
     assert places.vector("upper").tolist() == [3.0, 4.0]
-
-
-def test_changing_the_array_it_was_made_from_does_not_change_a_decision():
-    start = np.array([1.0, 2.0])
-    decision = Decision(start, lower=start - 1)
-    start[:] = 100.0
-    assert decision.initial.tolist() == [1.0, 2.0]
-    assert decision.lower.tolist() == [0.0, 1.0]
 
 
 def test_array_decisions_fill_the_vector_and_are_named_entry_by_entry():

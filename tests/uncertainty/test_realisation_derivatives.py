@@ -10,7 +10,6 @@ import pytest
 from scipy import optimize, special, stats
 
 import aleator as al
-from aleator._core.errors import ProblemError
 from aleator.uncertainty import placements, realise
 from compiling import compiled
 
@@ -250,16 +249,6 @@ def test_the_slope_of_a_gamma_number_by_its_germ_is_that_of_scipys_quantile():
     )
 
 
-def test_distributions_of_known_numbers_may_be_made_and_expanded_inside_compiled_code():
-    @compiled
-    def mean(x):
-        made = al.Gamma(mean=al.Decision(2.0, 1.0, 3.0), std=0.5)
-        nodes, weights = made.germ().gauss(20)
-        return jnp.asarray(weights) @ numbers_at(made, nodes[:, None], x)
-
-    assert float(mean(np.array([2.0]))) == pytest.approx(2.0, rel=1e-12)
-
-
 def test_moments_are_differentiable_in_every_parameter():
     def moments(make):
         return lambda p: jnp.stack([make(p).mean(), make(p).std()])
@@ -275,19 +264,3 @@ def test_moments_are_differentiable_in_every_parameter():
         return np.array([mean, np.sqrt(variance)])
 
     assert np.asarray(slopes) == pytest.approx(central_difference(exact, at), rel=1e-6, abs=1e-9)
-
-
-def test_the_germ_does_not_depend_on_the_decisions_values():
-    assert al.Gamma(**MOMENTS).germ() == al.Gamma(mean=2.0, std=1.0, lower=0.5).germ()
-
-
-def test_a_germ_whose_shape_is_no_known_number_is_refused():
-    for name in ("beta", "weibull"):
-        make, shape, _ = SHAPES[name]
-        with pytest.raises(ProblemError, match=r"known numbers.*jax\.grad works"):
-            jax.jit(lambda s, make=make: make(s).germ().gauss(3)[0].sum())(shape)
-
-
-def test_parameters_that_make_no_distribution_are_refused_while_they_are_differentiated():
-    with pytest.raises(ProblemError, match=r"Beta needs .*received Beta"):
-        jax.grad(lambda a: al.Beta(alpha=a, beta=5.0).mean())(-1.0)

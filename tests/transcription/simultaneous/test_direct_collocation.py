@@ -8,7 +8,7 @@ from scipy.sparse.linalg import spsolve
 
 import aleator as al
 from aleator.transcription import transcribe
-from zoo import Hardening, Tank, block_problem, optimum
+from zoo import Tank, block_problem, optimum
 
 
 def test_an_uncertain_mass_spreads_the_end_by_its_own_spread():
@@ -55,37 +55,6 @@ def test_both_transcriptions_give_the_same_answer(name):
         np.testing.assert_allclose(other.statistics[text], one, rtol=1e-3, atol=1e-3)
 
 
-def test_algebraic_systems_are_refused():
-    problem = al.Problem(Hardening(al.Decision(1.0, 0.5, 2.0)), minimize=al.output("x").mean)
-    with pytest.raises(al.ProblemError, match=r"Hardening, which is algebraic. Use al\.Sequential"):
-        al.solve(problem, transcription=al.Simultaneous())
-
-
-class Divided(al.System):
-    """An output that is not a number where the state starts."""
-
-    states = ("x",)
-
-    def rhs(self, t, z, u):
-        return (u,)
-
-    def outputs(self, t, z, u):
-        return {"x": z.x, "ratio": z.x / z.x}
-
-
-@pytest.mark.slow
-def test_a_model_that_is_not_finite_at_the_start_is_told():
-    problem = al.Problem(
-        Divided(),
-        grid=al.Grid(1.0, 4),
-        inputs={"u": al.Control(0.0, -1.0, 1.0)},
-        minimize=al.integral("ratio").mean,
-        subject_to=[al.terminal("x").mean.equals(1.0)],
-    )
-    with pytest.raises(al.SimulationError, match="ratio"):
-        al.solve(problem, transcription=al.Simultaneous())
-
-
 # --- Schemes ---------------------------------------------------------------------------------------------------------
 
 
@@ -111,22 +80,6 @@ def test_the_quadrature_is_exact_up_to_the_order_and_rates_that_are_polynomials_
         assert scheme.weights[-1] @ scheme.nodes**degree == pytest.approx(1 / (degree + 1), rel=1e-13)
     # The next power is not integrated: the order is no higher than it says.
     assert abs(scheme.weights[-1] @ scheme.nodes**order - 1 / (order + 1)) > 1e-5
-
-
-@pytest.mark.parametrize(
-    ("made", "message"),
-    [
-        (lambda: al.schemes.MultipleShooting(2000), "at most 100 steps in a segment"),
-        (
-            lambda: al.Simultaneous(error=1e-6, most_stages=8),
-            r"expected a scheme whose stages can be raised to 8.*HermiteSimpson",
-        ),
-        (lambda: al.Simultaneous(al.schemes.Radau(3), most_stages=8), "expected an error to refine them for"),
-    ],
-)
-def test_schemes_and_meshes_that_cannot_be_are_refused(made, message):
-    with pytest.raises(al.ProblemError, match=message):
-        made()
 
 
 # --- Algebraic variables ---------------------------------------------------------------------------------------------

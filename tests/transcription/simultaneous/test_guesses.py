@@ -1,12 +1,11 @@
 """Guesses of states: where simultaneous programs start whose simulation at the initial decisions is useless."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray
-from collocated_problems import Swing, states_at_start, turned
+from collocated_problems import Swing, states_at_start
 
 import aleator as al
 from aleator.transcription import transcribe
@@ -72,30 +71,6 @@ def test_a_table_starts_where_a_function_does(name):
     np.testing.assert_allclose(states, np.broadcast_to(expected, states.shape), rtol=1e-14, atol=1e-14)
 
 
-def test_a_table_is_kept_as_it_was_given():
-    table = {"time": TIMES, "angle": np.zeros(3), "rate": np.zeros(3)}
-    given = al.Simultaneous(guess=table)
-    table["angle"] += 1.0
-    transcribed = transcribe(swing_up(10), given)
-    assert not transcribed.program.start[transcribed.layout.numbers.states].any()
-
-
-@pytest.mark.slow
-def test_realisations_start_from_the_nearest_ones_or_from_the_mean():
-    robust = al.solve(turned(), transcription=al.Simultaneous(), accuracy=0.1, between=1)
-    same, _ = states_at_start(turned(), robust)
-    known = np.stack(list(robust.states.values.values()), axis=2)
-    np.testing.assert_allclose(same, known, atol=1e-12)
-    third, _ = states_at_start(turned(expansion=al.Expansion(order=3)), robust)
-    assert max(np.abs(known - one).max(axis=(1, 2)).min() for one in third) < 1e-12
-    plain, _ = states_at_start(al.deterministic(turned()), robust)
-    np.testing.assert_allclose(plain[0], known.mean(axis=0), atol=1e-12)
-    mean = al.solve(al.deterministic(turned()), transcription=al.Simultaneous(), accuracy=0.1, between=1)
-    spread, _ = states_at_start(turned(), mean)
-    expected = np.stack(list(mean.states.values.values()), axis=2)
-    np.testing.assert_allclose(spread, np.broadcast_to(expected, spread.shape), atol=1e-12)
-
-
 def pushed(mass: Any = 1.0, points: int = 5) -> al.Problem:
     force = al.BSpline(al.Decision(np.zeros(points), -50.0, 50.0), degree=3)
     return block_problem(mass, inputs={"force": force})
@@ -118,47 +93,6 @@ def test_decisions_that_a_solution_has_are_where_a_program_starts(moved):
     # On the same grid each realisation begins at the states of the solution.
     states, times = states_at_start(pushed(), moved)
     np.testing.assert_allclose(states[0, :, 0], 3 * times**2 - 2 * times**3, atol=1e-6)
-
-
-def test_a_guess_is_no_answer(moved):
-    """Whatever the guess was, the model is judged: here it is stopped before it could move."""
-    problem, guess = swing_up(10), al.Simultaneous(guess=turning)
-    found = al.solve(problem, al.solvers.Ipopt(max_iterations=1), transcription=guess, throw=False, between=1)
-    assert not found.ok
-    assert found.certificate.violation > 1e-3
-
-
-REFUSED = {
-    "a table that ends early": (
-        {"time": TIMES / 2, **COLUMNS},
-        r"expected a table from 0 to 3 s, .* received one from 0 to 1\.5 s",
-    ),
-    "a state that is missing": (
-        {"time": TIMES, "angle": np.zeros(3)},
-        r"expected all of \['angle', 'rate'\]; received none for \['rate'\]",
-    ),
-    "not a number": (
-        {"time": TIMES, "angle": [0.0, np.nan, 1.0], "rate": np.zeros(3)},
-        r"at t = .* s, 'angle': expected finite numbers",
-    ),
-    "a function that fails": (lambda t: 1 / 0, r"guess raised ZeroDivisionError at t = 0 s: division by zero"),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_is_no_guess_is_refused_in_one_sentence(name):
-    guess, sentence = REFUSED[name]
-    with pytest.raises(al.ProblemError, match=sentence):
-        al.solve(swing_up(10), transcription=al.Simultaneous(guess=guess))
-
-
-def test_solutions_with_other_states_or_without_finite_ones_are_refused(moved):
-    with pytest.raises(al.ProblemError, match=r"a solution of a system with the states 'angle', 'rate'; received one"):
-        al.solve(swing_up(10), transcription=al.Simultaneous(guess=moved))
-    missing = {name: np.full_like(one, np.nan) for name, one in moved.states.values.items()}
-    broken = replace(moved, states=replace(moved.states, values=missing))
-    with pytest.raises(al.ProblemError, match="a solution with finite states"):
-        al.solve(pushed(), transcription=al.Simultaneous(guess=broken))
 
 
 # --- Robust problems started from the answer to their deterministic ones ---------------------------------------------

@@ -9,8 +9,7 @@ from collocated_problems import Regulated, VanDerPol
 from scipy.optimize import brentq
 
 import aleator as al
-from aleator.transcription import transcribe
-from zoo import Launched, Oscillator, sine
+from zoo import Launched
 from zoo import optimum as found
 
 GRAVITY = 9.80665
@@ -113,21 +112,3 @@ def test_errors_of_the_optimum_fall_by_the_order_of_the_scheme(name):
     exact = np.sinh(w * duration) / (w * np.cosh(w * duration) + np.sinh(w * duration))
     first, second = (abs(optimum(regulated(some, duration), scheme) - exact) for some in intervals)
     assert np.log2(first / second) == pytest.approx(scheme.order, abs=0.3)
-
-
-def test_eulers_method_makes_a_program_as_large_as_the_dissertation_says():
-    """Section 3.3: ten steps for a mass on a spring and a damper, both decided, make 20 equalities in 22 variables.
-
-    The implicit method of Euler is Radau's with one stage.
-    """
-    sprung = Oscillator(1.0, al.Decision(0.5, 0.1, 1.0), al.Decision(1.0, 0.5, 2.0), x0=1.0)
-    problem = al.Problem(sprung, grid=al.Grid(1.0, 10), inputs={"force": sine()}, minimize=al.integral("x").mean)
-    transcribed = transcribe(problem, al.Simultaneous(al.schemes.Radau(1)))
-    program, numbers = transcribed.program, transcribed.layout.numbers
-    free, states = program.lower < program.upper, numbers.states[0, 1:]
-    ties = transcribed.assembled.rows.ties.variables
-    assert free[numbers.decisions].sum() + states.size == 22
-    assert np.isin(ties, states).sum() == 20
-    # Every other free variable has a row of its own that says what it is.
-    lifted = np.setdiff1d(np.flatnonzero(free), np.append(numbers.decisions, states))
-    np.testing.assert_array_equal(np.sort(ties[~np.isin(ties, states)]), lifted)

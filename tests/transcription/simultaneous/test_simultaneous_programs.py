@@ -84,16 +84,6 @@ def test_no_entry_of_the_hessian_couples_two_realisations():
 
 
 @pytest.mark.slow
-def test_the_first_point_is_the_simulation():
-    usual, other = transcribe(everything()), transcribe(everything(), al.Simultaneous())
-    one, same = usual.at(usual.program.start), other.at(other.program.start)
-    assert same.objective == pytest.approx(one.objective, rel=5e-3)
-    for ours, theirs in zip((*same.constraints, *same.statistics), (*one.constraints, *one.statistics), strict=True):
-        np.testing.assert_allclose(ours, theirs, atol=5e-3 * max(1.0, np.abs(theirs).max()))
-    np.testing.assert_allclose(same.times, one.times, rtol=1e-14)
-
-
-@pytest.mark.slow
 def test_condensing_has_the_optimum_of_ipopt():
     problem = turned(8, grid=al.Grid(al.Decision(1.0, 0.8, 1.5), 8))
     program = transcribe(problem, al.Simultaneous(al.schemes.HermiteSimpson())).program
