@@ -1,6 +1,7 @@
 """What documents show runs as it stands, and the site has every page, every public class and every link."""
 
 import re
+import runpy
 import subprocess
 import sys
 import types
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import aleator as al
+from aleator.studies import STUDIES
 
 ROOT = Path(__file__).parents[1]
 FIRST = ("README.md", "docs/index.md")
@@ -82,6 +84,18 @@ def test_every_public_class_is_on_a_page():
     told = {name for page in pages for name in re.findall(r"::: aleator\.(\w+)", page)}
     assert {name for name in dir(al) if not ELSEWHERE.match(name) and not name.startswith("_")} <= told
     assert {name for name in told if not hasattr(al, name)} == set()
+
+
+def test_the_gallery_is_what_its_script_writes_of_every_example_and_study_with_a_small_picture():
+    gallery = runpy.run_path(str(ROOT / "docs/gallery.py"))
+    assert (ROOT / "docs/gallery.md").read_text(encoding="utf-8") == gallery["page"]()
+    assert set(gallery["EVERY"]["Examples"]) == {path.stem for path in (ROOT / "examples").glob("*.py")}
+    assert set(gallery["EVERY"]["Studies"]) == set(STUDIES)
+    pictures = {path.stem: path for path in (ROOT / "docs/pictures").iterdir()}
+    assert set(pictures) == {gallery["FIRST"], *(name for chapter in gallery["EVERY"].values() for name in chapter)}
+    for name, path in pictures.items():
+        assert "<svg" in path.read_text(encoding="utf-8")
+        assert path.stat().st_size < 60_000, name
 
 
 @pytest.mark.slow
