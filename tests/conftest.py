@@ -1,19 +1,19 @@
 """What every test may rely on: nothing is left behind, no rank promotion, arrays of the shapes annotated."""
 
-import atexit
 import contextlib
 import gc
 import os
 import shutil
 import signal
-import tempfile
 from pathlib import Path
 
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    # What one worker compiles, the others read, small programs too; nothing of it outlives the run.
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="aleator-tests-")
+    # What one worker or an earlier run has compiled, the others read, small programs too: JAX finds them by their text.
+    programs = Path(__file__).parents[1] / ".pytest_cache" / "programs"
+    if sum(file.stat().st_size for file in programs.glob("*")) > 1e9:
+        shutil.rmtree(programs)
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(programs)
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
-    atexit.register(shutil.rmtree, os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 
 import jax
 import pytest
