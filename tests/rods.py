@@ -33,7 +33,6 @@ REALS: list[tuple[str, str, str, str | None, float | None, str]] = [
     ("wall", "parameter", "fixed", "exact", -0.5, 'unit="rad"'),
 ]
 UNITS = sorted({found for *_, more in REALS for found in re.findall(r'unit="([^"]+)"', more)})
-OUTPUTS = ("angle", "rate", "energy")
 
 
 def description(version: int, *, wall: bool, slopes: bool, kinds: str) -> str:
