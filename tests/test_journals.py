@@ -1,5 +1,6 @@
 """Journals of runs: what is kept, what is taken from there, and what is not."""
 
+import configparser
 import dataclasses
 import json
 import os
@@ -15,7 +16,9 @@ import xarray
 
 import aleator as al
 from aleator import solving
+from aleator.design import _physics
 from aleator.journalling import FILE, Entry
+from aleator.journalling._keys import Keys
 from zoo import SPREAD, Bar, bar_problem
 
 NEEDED = 1.0 + 3.0 * SPREAD
@@ -266,3 +269,25 @@ def test_a_run_that_is_killed_twice_ends_as_an_undisturbed_one(tmp_path: Path):
     assert begun("killed", "resumed.npy").wait() == 0
     whole, resumed = np.load(tmp_path / "whole.npy"), np.load(tmp_path / "resumed.npy")
     assert whole.tobytes() == resumed.tobytes()
+
+
+PLACE: list[str] = []
+
+
+class Mapped(al.AlgebraicSystem):
+    width: al.Number
+
+    def outputs(self):
+        table = configparser.ConfigParser()
+        table.read(PLACE)
+        return {"mass": float(table["bar"]["density"]) * self.width}
+
+
+def test_equations_that_change_without_the_code_are_another_result(tmp_path: Path):
+    PLACE[:], keys = [str(tmp_path / "table.ini")], set()
+    for density in (1.0, 3.0):
+        (tmp_path / "table.ini").write_text(f"[bar]\ndensity = {density}\n")
+        _physics._known.clear()  # as in another process
+        problem = al.Problem(Mapped(al.Decision(4.0, 0.1, 10.0)), minimize=al.output("mass").mean)
+        keys.add(Keys().identity("solve", {"problem": problem}).key)
+    assert len(keys) == 2

@@ -118,3 +118,14 @@ def test_a_jump_far_in_a_tail_that_the_first_samples_miss_is_found_at_fresh_poin
     first, second = (distribution.expect(lambda x, p=p: x**p, lb=1.2, ub=3.0) for p in (1, 2))
     assert float(pieces.mean) == pytest.approx(first, abs=1e-6)
     assert float(pieces.variance) == pytest.approx(second - first**2, abs=1e-6)
+
+
+def test_a_quantile_over_elements_moves_with_the_spread_as_in_closed_form():
+    def quantile(half_width):
+        model = {"w": al.Uniform(1.0, half_width=half_width)}
+        return al.expand(lambda m: jnp.abs(m["w"] - 0.94), model, al.MultiElement(error=1e-4)).quantile(0.9)
+
+    # P(|w - c| < q) = (q + h - d) / (2 h) for d = 1 - c and q between h - d and h + d.
+    value, slope = jax.value_and_grad(quantile)(0.1)
+    assert float(value) == pytest.approx(0.8 * 0.1 + 0.06, abs=1e-3)
+    assert float(slope) == pytest.approx(0.8, rel=0.02)

@@ -6,6 +6,7 @@ from html import unescape
 from html.parser import HTMLParser
 
 import jax.numpy as jnp
+import numpy as np
 import pytest
 import report_problems as given
 
@@ -13,10 +14,11 @@ import aleator as al
 from aleator import ProblemError
 from aleator.reporting import report
 from aleator.reporting._numbers import number
-from aleator.reporting._tables import certificate_table, designs_table
+from aleator.reporting._tables import certificate_table, designs_table, evidence_table
 from aleator.reporting._verdict import verdict
 from aleator.validation import Proportion
 from aleator.validation._disagreement import Disagreement
+from zoo import MASS, STRESS, bar_problem
 
 
 class Reader(HTMLParser):
@@ -174,3 +176,19 @@ def test_the_verdict_is_on_the_proposed_design_and_tells_the_others_for_comparis
 def test_numbers_are_written_with_four_significant_digits():
     texts = {0.0: "0", 23339.0: "23 339", -0.0322: "−0.03220", 1e-6: "1.00·10⁻⁶", 220.0: "220.0"}
     assert {value: number(value).replace("\u202f", " ") for value in texts} == texts
+
+
+def test_percentiles_of_a_table_are_those_of_its_heading():
+    evidence = al.validate(al.solve(bar_problem()), 2000)
+    table = evidence_table({"bar": evidence})
+    (row,) = [one for one in table.rows if one[0].startswith("bar, stress")]
+    assert table.header[-3:] == ["5 %", "Median", "95 %"]
+    expected = np.percentile(evidence.functionals["stress"].values, (5, 50, 95))
+    np.testing.assert_allclose([float(one) for one in row[-3:]], expected, rtol=2e-3)
+
+
+def test_of_several_limits_of_one_name_the_worst_is_shown():
+    limits = [(STRESS.mean <= 5.0).named("stress"), *bar_problem().constraints]
+    found = al.solve(al.Problem(bar_problem().system, minimize=MASS.mean, subject_to=limits))
+    rows = {row[0]: row[1] for row in designs_table({"bar": found}, {}).rows}
+    assert rows["stress: worst value"].endswith("≤ 0.5")

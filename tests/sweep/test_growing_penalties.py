@@ -49,3 +49,10 @@ def test_only_named_constraints_grow_and_the_others_hold():
     assert len(found.solutions) == 3
     assert found.best.decisions["width"] == pytest.approx(2.5, rel=1e-5)
     assert str(found).endswith("allow larger weights, or see al.conflict")
+
+
+def test_of_several_limits_of_one_name_the_worst_excess_counts():
+    found = al.harden(problem((MASS.mean <= LIMIT).named("band"), (MASS.mean >= 1.0).named("band")), weight=1.0, most=1)
+    # Least by (a - 3)² + (a - 2)²: at 2.5.
+    assert found.excesses[0]["band"] == pytest.approx(0.5 / LIMIT, rel=1e-4)
+    assert not found.holds

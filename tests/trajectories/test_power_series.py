@@ -87,3 +87,10 @@ def test_derivatives_by_the_middle_its_time_and_the_duration_agree_with_differen
 def test_power_series_that_make_no_sense_are_refused_in_words(wrong, message):
     with pytest.raises(al.ProblemError, match=message):
         wrong()
+
+
+def test_rates_on_a_grid_that_begins_late_are_per_second_of_its_duration():
+    rate = al.PowerSeries(start=(0.0, 0.0), end=(1.0, 0.0)).derivative()
+    at = np.linspace(0.0, 1.0, 5)
+    # 3 f² - 2 f³ of the fraction f, in two seconds.
+    np.testing.assert_allclose(rate.sampled(at, 1.0, 3.0), 6 * at * (1 - at) / 2.0, atol=1e-12)

@@ -223,3 +223,27 @@ def test_loose_tolerances_of_adaptive_integrators_are_seen_and_tightened():
     assert "steps and smaller tolerances of the integrator" in str(solution.certificate.grid_error)
     fine = al.solve(problem, refine=True, accuracy=1e-6)
     assert fine.objective == pytest.approx(np.exp(-5.0), rel=2e-6)
+
+
+class Swung(al.System):
+    """An oscillator under a push whose mean is zero, as its own is on every grid."""
+
+    states = ("x", "v")
+
+    push: al.Number
+    cost: al.Number
+
+    def rhs(self, t, z):
+        return z.v, 100.0 * (self.push - z.x)
+
+    def outputs(self, t, z):
+        return {"x": z.x, "cost": self.cost + 0.0 * t}
+
+
+def test_the_error_of_a_spread_is_told_where_the_mean_has_none():
+    model = Swung(al.Uniform(0.0, half_width=1.0), al.Decision(1.5, 1.0, 2.0))
+    limit, cost = (al.terminal("x").std <= 5.0).named("x"), al.terminal("cost").mean
+    with pytest.warns(al.GridWarning, match=r"'x\(t_f\)' is off by"):
+        found = al.solve(al.Problem(model, grid=al.Grid(3.0, 40), minimize=cost, subject_to=[limit]))
+    off = abs(float(found.moments["x(t_f)"].std) - (1 - np.cos(30.0)) / np.sqrt(3))
+    assert off <= found.certificate.grid_error.functionals["x(t_f)"].error <= 3 * off
