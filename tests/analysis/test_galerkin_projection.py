@@ -159,6 +159,17 @@ def test_a_quadratic_residual_of_order_one_has_the_coefficients_that_two_equatio
     assert np.asarray(expanded.coefficients["square"]) == pytest.approx([2.0, 1 / np.sqrt(3)], rel=1e-13)
 
 
+def test_a_distribution_that_is_not_affine_in_the_germ_is_not_truncated():
+    """`E[f/k] = f exp(s²/2 - m)` and `E[(f/k)²] = f² exp(2 s² - 2 m)` for a lognormal stiffness."""
+    s = np.sqrt(np.log(1.04))
+    m = -(s**2) / 2
+    stiffness = al.LogNormal(mean=1.0, std=0.2)
+    expanded = al.galerkin(Spring(stiffness), expansion=al.Expansion(8, points=al.points.GaussPoints(20)))
+    mean = 2.0 * np.exp(s**2 / 2 - m)
+    assert float(expanded.mean["u"]) == pytest.approx(mean, rel=1e-9)
+    assert float(expanded.variance["u"]) == pytest.approx(4 * np.exp(2 * s**2 - 2 * m) - mean**2, rel=1e-7)
+
+
 class Chain(al.AlgebraicSystem):
     """Masses between hardening springs: an unknown that is an array beside a number."""
 

@@ -28,6 +28,13 @@ def test_a_kink_in_a_product():
     assert float(pieces.total_sobol("y")) == pytest.approx(1 / 4, abs=1e-12)
 
 
+def test_a_jump_and_a_kink_that_add_up():
+    """Var[2 1(x > 0)] = 1 and Var|y| = 1/12: nothing acts together."""
+    pieces = al.expand(lambda m: 2 * (m["x"] > 0) + jnp.abs(m["y"]), BOTH, al.MultiElement())
+    expected = {("x",): 12 / 13, ("y",): 1 / 13, ("x", "y"): 0.0}
+    assert indices(pieces, "xy") == pytest.approx(expected, abs=1e-12)
+
+
 def test_a_kink_under_distributions_that_are_not_uniform():
     """`|z| b` with z standard normal and b of Beta(2, 5): moments in closed form."""
     beta = stats.beta(2, 5)

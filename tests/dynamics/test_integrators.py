@@ -229,3 +229,28 @@ def test_adaptive_integrators_take_any_grid_whatever_its_rounding():
         assert float(grid.times[-1]) == t_final
         outputs = al.simulate(Decay(1.0), grid, integrator=al.integrators.Tsit5())
         np.testing.assert_allclose(outputs["x"], np.exp(-np.linspace(0.0, t_final, 50)), atol=1e-7)
+
+
+class Draining(al.System):
+    """A tank that is empty already: the rate is a root, whose slope at zero is infinite."""
+
+    states = ("level",)
+    size: al.Number
+
+    def rhs(self, t, z):
+        return (-self.size * jnp.sqrt(z.level),)
+
+    def outputs(self, t, z):
+        return {"level": z.level + self.size}
+
+
+@pytest.mark.slow
+def test_slopes_that_are_not_finite_are_no_error_of_the_program_for_a_stiff_integrator():
+    problem = al.Problem(
+        Draining(al.Uniform(al.Decision(2.0, 1.0, 3.0), half_width=0.1)),
+        grid=al.Grid(1.0, 4),
+        minimize=al.terminal("level").mean,
+        expansion=al.Expansion(order=1),
+        integrator=al.integrators.Kvaerno5(max_steps=100),
+    )
+    assert al.solve(problem, throw=False).status is al.Status.EVALUATION_FAILED

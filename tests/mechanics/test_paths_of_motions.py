@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 import aleator as al
@@ -57,3 +58,36 @@ def test_a_velocity_map_in_very_different_units_is_no_gimbal_lock():
     assert al.ForwardDynamics(Mapped(map=((1e9, 0.0), (0.0, 1.0)))).diagnose(al.Grid(1.0, 4)) == ""
     for locked in (((1e9, 1.0), (1e9, 1.0)), ((1.0, 0.0), (0.0, 0.0))):
         assert "gimbal lock" in al.ForwardDynamics(Mapped(map=locked)).diagnose(al.Grid(1.0, 4))
+
+
+class Stiff(al.Multibody):
+    """A block on a very stiff, well damped slide of an arm that swings."""
+
+    gravity = (0.0, -9.81, 0.0)
+
+    def bodies(self):
+        slide = al.joints.Prismatic("x", stiffness=1e6, damping=3.4e3)
+        return (
+            al.Body("arm", joint=al.joints.Revolute("z"), mass=1.0, center=(0.5, 0.0, 0.0), inertia=(0, 0, 0.1)),
+            al.Body("block", parent="arm", joint=slide, mass=1.0, inertia=(0, 0, 0.1)),
+        )
+
+
+def test_a_stiff_model_is_not_blamed_for_steps_that_are_too_long_for_it():
+    system = al.ForwardDynamics(Stiff(), start={"arm_rate": 1.0, "block": 0.3})
+    assert system.diagnose(al.Grid(2.0, 100)) == ""
+
+
+class Coupled(al.Mechanical):
+    """A mass matrix that is singular where x is one."""
+
+    names = ("x", "y")
+
+    def mass_matrix(self, q):
+        return jnp.array([[1.0, q[0]], [q[0], 1.0]])
+
+
+def test_a_singular_mass_matrix_is_named():
+    motionless = {"x": 1.0 - 1e-13, "x_rate": 0.0}
+    diagnosis = al.ForwardDynamics(Coupled(), start=motionless).diagnose(al.Grid(1.0, 4))
+    assert "mass matrix of Coupled is singular at the start" in diagnosis
