@@ -119,9 +119,7 @@ class Compiled:
         reals, rest = eqx.partition(fixed, is_real)
         numbers, shapes = jax.tree.flatten(reals)
         ends = np.cumsum([leaf.size for leaf in numbers])[:-1].tolist()
-        # By NumPy: operations of JAX would be compiled one by one.
-        together = np.concatenate([np.zeros(0), *(np.ravel(leaf) for leaf in numbers)])
-        vector = jax.device_put(together, placed(numbers))
+        vector = jax.device_put(Packed.arrays(reals)[0], placed(numbers))
         arrays, static = eqx.partition(rest, eqx.is_array)
         # Leaves instead of trees, which would be flattened at every call.
         others, structure = jax.tree.flatten(arrays)

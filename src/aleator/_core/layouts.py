@@ -6,9 +6,10 @@ from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
+
+from aleator._core.arrays import in_library
 
 
 class Leaves(NamedTuple):
@@ -49,7 +50,8 @@ class Packed(NamedTuple):
     @staticmethod
     def arrays(tree: Any) -> list[Array]:
         leaves = jax.tree.leaves(tree)
-        vector = jnp.concatenate([jnp.zeros(0), *(jnp.ravel(leaf) for leaf in leaves if is_real(leaf))])
+        library, numbers = in_library([leaf for leaf in leaves if is_real(leaf)])
+        vector = library.concatenate([library.zeros(0), *map(library.ravel, numbers)])
         return [vector, *(leaf for leaf in leaves if not is_real(leaf))]
 
     def read(self, arrays: list[jax.Array]) -> Any:

@@ -3,6 +3,7 @@
 import math
 from typing import Any, ClassVar, final
 
+import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
@@ -55,7 +56,7 @@ class PowerSeries(AbstractTrajectory):
     def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
         coefficients = self.coefficients(duration)
         library, fractions, coefficients, duration = in_library(fractions, coefficients, duration)
-        powers = _powers(library, fractions, len(coefficients), order)
+        powers = _powers(fractions, len(coefficients), order)
         return jax_array(library.tensordot(powers, coefficients, axes=1) / duration**order)
 
     def coefficients(self, duration: Any = 1.0) -> Float[Array, "n ..."]:
@@ -66,14 +67,15 @@ class PowerSeries(AbstractTrajectory):
         count = len(ends) + len(inner)
         places, orders, values = zip(*ends, *inner, strict=True)
         library, places, values, duration = in_library(*([*map(as_array, each)] for each in (places, values)), duration)
-        rows = [_powers(library, place[None], count, order)[0] for place, order in zip(places, orders, strict=True)]
+        rows = [_powers(place[None], count, order)[0] for place, order in zip(places, orders, strict=True)]
         wanted = [value * duration**order for value, order in zip(values, orders, strict=True)]
         right = library.stack(wanted).reshape(count, -1)
         return jax_array(library.linalg.solve(library.stack(rows), right).reshape(count, *self.shape))
 
 
-def _powers(library: Any, u: Any, count: int, order: int) -> Any:
-    """Derivatives of some order of the powers 0 to `count - 1` of `u`, shape (n,): a table of shape (n, count)."""
+def _powers(u: Fractions, count: int, order: int) -> Float[np.ndarray | Array, "n count"]:
+    """Derivatives of some order of the powers 0 to `count - 1` of `u`."""
+    library, u = in_library(u)
     terms = [
         math.perm(power, order) * u ** (power - order) if power >= order else library.zeros_like(u)
         for power in range(count)
