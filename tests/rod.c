@@ -26,7 +26,7 @@ typedef fmi3ValueReference Reference;
 #endif
 
 enum { TIME, ANGLE, RATE, ANGLE_RATE, RATE_RATE, MASS, LENGTH, DAMPING, GRAVITY, TORQUE, ENERGY, INERTIA, FAIL_AT, WALL_AT, REALS };
-enum { FINE, FAILS, TERMINATES, IS_NAN, NO_START, WRONG_SLOPES, NO_SLOPES_BY_PARAMETERS, REMEMBERS, ABORTS, LOOPS, SHOUTS, LEAVES, DIES_IN_SLOPES };
+enum { FINE, FAILS, TERMINATES, IS_NAN, NO_START, WRONG_SLOPES, NO_SLOPES_BY_PARAMETERS, REMEMBERS, ABORTS, LOOPS, LEAVES };
 enum { BEHAVIOUR = 100, STARTED = 101 };
 
 typedef struct {
@@ -71,10 +71,6 @@ static int refresh(Rod *rod) {
     }
     while (is_due(rod, LOOPS)) continue;
     if (is_due(rod, LEAVES)) exit(3);
-    if (is_due(rod, SHOUTS)) {
-        for (int i = 0; i < 4096; i++) putchar(i % 256);
-        fflush(stdout);
-    }
     evaluate(rod->v);
     if (rod->behaviour == REMEMBERS) rod->v[RATE_RATE] -= rod->last, rod->last = rod->v[ANGLE];
     if (is_due(rod, IS_NAN)) rod->v[RATE_RATE] = rod->v[ENERGY] = NAN;
@@ -107,7 +103,6 @@ static double slope(const double *v, Reference of, Reference by) {
 
 static int directional(Rod *rod, const Reference *of, size_t n_of, const Reference *by, size_t n_by, const double *seed, double *found) {
     if (refresh(rod) != OK) return ERROR;
-    if (rod->behaviour == DIES_IN_SLOPES) *(volatile int *)0 = 1;
     for (size_t i = 0; i < n_of; i++) {
         found[i] = 0;
         for (size_t j = 0; j < n_by; j++) {

@@ -18,7 +18,7 @@ from rods import here
 pytestmark = pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="processes are watched as Linux does")
 
 GRID = al.Grid(2.0, 4)
-ABORTS, LOOPS, LEAVES = 8, 9, 11
+ABORTS, LOOPS, LEAVES = 8, 9, 10
 
 
 def fmu_of(rods, behaviour, *, version=3, **given):
