@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree, in_library, jax_array
-from aleator._core.tracing import evaluate
+from aleator._core.compilation import evaluate
 from aleator.analysis import _sampled_distribution as sampled_distribution
 from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, prepared
 from aleator.analysis._element_sobol import Rule, variance_part

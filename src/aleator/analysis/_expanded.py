@@ -12,8 +12,7 @@ from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree, in_library, jax_array, numbers_to_arrays
-from aleator._core.compilation import Use
-from aleator._core.tracing import evaluate
+from aleator._core.compilation import Use, evaluate
 from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, prepared
 from aleator.analysis._expanded_text import as_lines, contributors, distribution_rows, nothing, output_rows, trust
 from aleator.analysis._shapley import shapley_matrix

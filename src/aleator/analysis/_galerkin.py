@@ -12,11 +12,10 @@ from jaxtyping import Array
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree, numbers_to_arrays
-from aleator._core.compilation import Use
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ExpansionWarning, ProblemError, SimulationError
 from aleator._core.given import one_of, refusal
 from aleator._core.leaves import transparent
-from aleator._core.tracing import evaluate
 from aleator.analysis._expanded import Expanded
 from aleator.analysis._galerkin_equations import projected_outputs, unsolved_node
 from aleator.analysis._projection import Quadrature, quadrature_over

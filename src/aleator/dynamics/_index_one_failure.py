@@ -9,8 +9,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from aleator._core.compilation import Use
-from aleator._core.tracing import trace
+from aleator._core.compilation import Use, evaluate
 from aleator.dynamics._evaluation import derivative, initial_state
 from aleator.dynamics._grid import Grid
 from aleator.dynamics._index_one import guessed_algebraic, solved_algebraic
@@ -37,7 +36,7 @@ def explain_algebraic(
     def found(t: Array, row: Array) -> Array:
         return jnp.isfinite(row).all() & solved_algebraic(system, t, named(row), now(t))[0].converged
 
-    good = np.asarray(trace(lambda: jax.vmap(found)(jnp.asarray(times), jnp.asarray(course)), use=Use.ONCE)())
+    good = np.asarray(evaluate(jax.vmap(found), times, course, use=Use.ONCE))
     if good.all():
         return ""
     last = max(int(np.argmin(good)) - 1, 0)
@@ -64,7 +63,7 @@ def explain_from(system: System, t: float, z: Any, step: float, now: Callable[[A
         at = system, later, place, now(later)
         return solved_algebraic(*at)[0], place, guessed_algebraic(*at)
 
-    roots, places, guesses = trace(lambda: jax.vmap(onward)(jnp.asarray(shares)), use=Use.ONCE)()
+    roots, places, guesses = evaluate(jax.vmap(onward), shares, use=Use.ONCE)
     failed = ~np.asarray(jax.vmap(lambda one: one.converged)(roots))
     if not failed.any():
         return ""

@@ -11,10 +11,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree, Scalar, in_library, jax_array, numbers_to_arrays
-from aleator._core.compilation import Use
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
 from aleator._core.module import Module
-from aleator._core.tracing import evaluate, trace
 from aleator.ensemble import Function, part
 from aleator.references._inputs import Inputs, traceable
 from aleator.statistics._moments import root
@@ -136,7 +135,7 @@ def linearise(function: Function, model: Pytree) -> Linearised:
         slopes, found = jax.jacfwd(twice, has_aux=True)(means)
         return found, jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), slopes)
 
-    mean, jacobian = trace(with_slopes, means, use=Use.ONCE)(means)
+    mean, jacobian = evaluate(with_slopes, means, use=Use.ONCE)
     inputs.refuse_nonfinite((mean, jacobian))
     library, correlation, stds = in_library(_correlation(distributions), stds)
     covariance = jax_array(correlation * library.multiply.outer(stds, stds))

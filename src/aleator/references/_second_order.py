@@ -8,10 +8,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
-from aleator._core.compilation import Use
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
 from aleator._core.module import Module
-from aleator._core.tracing import evaluate, trace
 from aleator.ensemble import Function, part
 from aleator.references._inputs import Inputs, traceable
 from aleator.statistics._moments import root
@@ -81,7 +80,7 @@ def second_order(function: Function, model: Pytree) -> SecondOrder:
     def taylor(means: Float[Array, " variables"]) -> tuple[Pytree, Pytree, Pytree]:
         return checked(means), gradient(means), jax.jacfwd(gradient)(means)
 
-    expansion = trace(taylor, means, use=Use.ONCE)(means)
+    expansion = evaluate(taylor, means, use=Use.ONCE)
     inputs.refuse_nonfinite(expansion)
     leaves = zip(*map(jax.tree.leaves, expansion), strict=True)
     moments = [evaluate(_moments, variables, *each, use=Use.ONCE) for each in leaves]

@@ -1,19 +1,33 @@
-"""Compiled programs kept between runs by JAX's persistent compilation cache, in the user's own folder.
+"""Compiled programs on the disk: later runs need not trace, lower or compile them again.
 
-They are machine code: each kind of machine has its own part of the folder, which nobody else may write to.
+They are in the user's own folder, in a part for each kind of machine, because they are machine code. JAX's persistent
+compilation cache keeps small programs there, which it finds by their lowered text; those of problems are kept beside
+them under lasting names (`identity`), because tracing and lowering take longer than all the rest.
+
+Reading a file runs what it holds: machine code, and a pickle, because JAX has no other form of an executable. So only
+files are opened that belong to this user, that nobody else can write to, and whose digest is that of their name and
+content. What cannot be read or loaded is deleted, and the program is compiled as if it had never been kept. Nobody is
+told, since nothing is lost but time.
 """
 
 import contextlib
+import functools
 import hashlib
 import os
+import pickle
 import platform
+import re
 import sys
+import threading
 import warnings
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import platformdirs
+from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache import compilation_cache as persistent
 
 from aleator._core.errors import ProblemError
@@ -30,7 +44,14 @@ _KIND_GLOB = "[0-9a-f]" * _DIGITS
 _PROCESSOR = Path("/proc/cpuinfo")
 _ON = ("on", "yes", "1", "true")
 _OFF = ("off", "no", "none", "0", "false", "")
+
+# Calls of functions outside XLA in the text of a program.
+_CALLED, _LAPACK = re.compile(r"custom_call @([^(]+)"), "lapack_"
+_DIGEST = hashlib.sha256().digest_size
+_BINARY = getattr(os, "O_BINARY", 0)  # on Windows
+
 _folder: Path | None = None
+_heard = threading.local()
 
 
 def compilation_cache(folder: str | os.PathLike[str] | None) -> None:
@@ -60,15 +81,11 @@ def keep_by_default() -> None:
     if wanted is not None and wanted.strip().lower() in _OFF:
         return
     try:
-        _keep_in(_made(_usual() if wanted is None or wanted.strip().lower() in _ON else Path(wanted)))
-    except ProblemError as error:
+        usual = wanted is None or wanted.strip().lower() in _ON
+        _keep_in(_made(platformdirs.user_cache_path("aleator") if usual else Path(str(wanted))))
+    except (ProblemError, RuntimeError) as error:  # the latter where the user's home is unknown
         if wanted is not None:
             warnings.warn(f"{VARIABLE}: {error} Nothing is kept.", stacklevel=2)
-
-
-def own_folder() -> Path | None:
-    """The folder of kept programs; None if they are not kept, or kept in a folder given to JAX."""
-    return _folder
 
 
 def is_private(status: os.stat_result) -> bool:
@@ -76,12 +93,95 @@ def is_private(status: os.stat_result) -> bool:
     return sys.platform == "win32" or (status.st_uid == os.getuid() and not status.st_mode & 0o022)
 
 
-def _usual() -> Path:
-    """The user's cache folder. Raises `ProblemError` if the user's home is unknown."""
+def keeps(name: str | None) -> bool:
+    """Whether a program of this name is kept at all."""
+    return name is not None and _folder is not None
+
+
+def load(name: str | None, inputs: list[Any]) -> tuple[Any, Any] | None:
+    """The executable that an earlier run has kept under a name, and the layout of its results; None if there is none.
+
+    - `inputs`: arrays like those that it is called with.
+    """
+    if name is None or (path := _path(name)) is None:
+        return None
     try:
-        return platformdirs.user_cache_path("aleator")
-    except RuntimeError as error:
-        raise ProblemError(f"There is no folder to keep compiled programs in: {error}.") from error
+        with path.open("rb") as file:
+            if not is_private(os.fstat(file.fileno())):
+                raise PermissionError(path)
+            digest, content = file.read(_DIGEST), file.read()
+        if _digest(name, content) != digest:
+            raise ValueError(path)
+        _prepare_lapack()
+        payload, layout, count = pickle.loads(content)
+        trees = jax.tree.structure((tuple(inputs), {})), jax.tree.structure([0] * count)
+        return serialize_executable.deserialize_and_load(payload, *trees), layout
+    except FileNotFoundError:
+        return None
+    except Exception:  # XLA, JAX and pickle have no common one
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+        return None
+
+
+def keep(name: str, lowered: jax.stages.Lowered, executable: jax.stages.Compiled, layout: Any) -> None:
+    """Keep an executable with the layout of its results for later runs; silently skipped if it cannot be written.
+
+    It is skipped too if it calls anything outside XLA other than LAPACK, such as Python code: such a function may not
+    exist in another run.
+    """
+    path = _path(name)
+    if path is None or not all(one.startswith(_LAPACK) for one in _CALLED.findall(lowered.as_text())):
+        return
+    try:
+        payload, _, results = serialize_executable.serialize(executable)
+        content = pickle.dumps((payload, layout, results.num_leaves))
+    except Exception:  # XLA, JAX and pickle have no common one
+        return
+    # Of a run that is ended here, the name lets it be counted and deleted as the others are.
+    trial = path.with_name(f".{os.getpid()}.{threading.get_ident()}.{path.name}")
+    with contextlib.suppress(OSError):
+        try:
+            # Private whatever the user's mask is; a new file, because its name could be a link.
+            with os.fdopen(os.open(trial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o600), "wb") as file:
+                file.write(_digest(name, content) + content)
+            trial.replace(path)
+            # JAX's own copy goes: found there when this file is lost, the program could never be written again.
+            for copy in path.parent.glob(f"jit_*{name}-*"):
+                copy.unlink(missing_ok=True)
+        finally:
+            trial.unlink(missing_ok=True)
+
+
+def found_by_jax() -> int:
+    """How many programs this thread has found in JAX's own cache. Written again, such a program has lost its code."""
+    return getattr(_heard, "hits", 0)
+
+
+def _hear(event: str, **_: Any) -> None:
+    if event.endswith("/cache_hits"):
+        _heard.hits = found_by_jax() + 1
+
+
+jax.monitoring.register_event_listener(_hear)
+
+
+def _path(name: str) -> Path | None:
+    return None if _folder is None else _folder / f"aleator_{name}-cache"
+
+
+def _digest(name: str, content: bytes) -> bytes:
+    """Of the name too: under another one, an executable would compute something else."""
+    return hashlib.sha256(name.encode() + b"\0" + content).digest()
+
+
+@functools.cache
+def _prepare_lapack() -> None:
+    """Make JAX look up LAPACK's functions, which it does otherwise only when it lowers a call of one.
+
+    A loaded program that calls one before crashes the process.
+    """
+    jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), float))
 
 
 def _keep_in(folder: Path | None) -> None:
@@ -136,11 +236,9 @@ def _forget_oldest(folder: Path) -> None:
     """
     found: list[tuple[float, int, Path]] = []
     for path in folder.parent.glob(f"{_KIND_GLOB}/*-cache"):
-        try:
+        with contextlib.suppress(OSError):
             status = path.stat()
-        except OSError:
-            continue
-        found.append((max(status.st_atime, status.st_mtime), status.st_size, path))
+            found.append((max(status.st_atime, status.st_mtime), status.st_size, path))
     total = sum(size for _, size, _ in found)
     for _, size, path in sorted(found):
         if total <= _MOST_BYTES:
