@@ -11,7 +11,7 @@ import aleator as al
 UNITS = {
     **{"place": "m", "other_place": "m", "long": "mm", "acceleration": "m/s²", "torque": "N m", "moment": "N·m"},
     **{"energy": "J", "turned": "deg", "angle": "rad", "speed": "m/s", "rate": "m s^-1", "share": "-", "percent": "%"},
-    **{"odd": "furlong", "two_ways": "W/m² K", "none": "", "wrong": 3.0, "warm": "°C", "heat": "K"},
+    **{"odd": "bananas", "two_ways": "W/m² K", "none": "", "wrong": 3.0, "warm": "°C", "heat": "K"},
 }
 
 

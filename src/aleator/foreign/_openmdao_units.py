@@ -4,13 +4,13 @@ import math
 import re
 from typing import Any
 
-from aleator._core.dimensions import measure
+from aleator._core.units import measure
 
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺", "0123456789-+")
-_SI = ("m", "kg", "s", "A", "degK", "mol", "cd")
-
-# OpenMDAO takes angles for a dimension of their own.
-_ANGLES = ("", "*rad", "/rad")
+_ROOTS = {
+    **{"meter": "m", "gram": "g", "second": "s", "ampere": "A", "kelvin": "degK", "mole": "mol", "candela": "cd"},
+    "radian": "rad",
+}
 
 # Digits of the sizes of units in OpenMDAO's library, such as that of psi.
 _DIGITS = 1e-8
@@ -23,12 +23,11 @@ def as_in_openmdao(unit: str) -> str | None:
     a standard deviation has none.
     """
     measured, text = measure(unit), _spelt(unit)
-    if measured is None:
+    if measured is None or not measured.powers.keys() <= _ROOTS.keys():
         return None
-    base = "*".join(["m/m", *(f"{name}**{power}" for name, power in zip(_SI, measured.powers, strict=True) if power)])
-    sizes = (_size(text, f"{base}{angle}") for angle in _ANGLES)
-    size = next((one for one in sizes if one is not None), None)
-    return text if size is not None and math.isclose(size, measured.scale, rel_tol=_DIGITS) else None
+    powers = {**measured.powers, "radian": measured.angles}
+    size = _size(text, "*".join(["m/m", *(f"{_ROOTS[name]}**{power}" for name, power in powers.items() if power)]))
+    return text if size is not None and math.isclose(size, measured.size, rel_tol=_DIGITS) else None
 
 
 def _spelt(unit: str) -> str:
