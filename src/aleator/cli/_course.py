@@ -4,18 +4,28 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, final
 
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import one_of
 from aleator._core.interruption import Interruptions
-from aleator.cli._facts import facts_of
-from aleator.cli._progress import shown
-from aleator.cli._record import RECORD, Record
+from aleator.cli._folder import RECORD, Record, is_stale
+from aleator.cli._shown import shown
 from aleator.cli._terminal import FAILED, USAGE, Terminal
 from aleator.journalling import Journal, journal
-from aleator.reporting import PAGE, Table, by_place, check_writable, only_writer, save_study, words
+from aleator.reporting import (
+    PAGE,
+    Table,
+    by_place,
+    check_writable,
+    designs_document,
+    only_writer,
+    savable,
+    save_study,
+    words,
+)
 from aleator.solution import Solution
 from aleator.studies import AbstractStudy, PartlySavedError, tables_of
 from aleator.sweep import Front, point_name
@@ -55,6 +65,8 @@ def executed(
             if record is not None:
                 record.check_owns(folder)
             kept = held.enter_context(journal(folder, afresh=bool(afresh)))
+            if is_stale(folder):  # so that no design of an earlier form goes by the name of this run's
+                kept.append(*(replace(one, name="") for one in kept.entries if one.name))
             if record is None:
                 (folder / RECORD).unlink(missing_ok=True)
             else:
@@ -239,7 +251,7 @@ class _Course:
         if not self._terminal.is_json:
             return {}
         facts = {"folder": str(self._folder), "finished": self._finished, "files": [str(one) for one in self._paths]}
-        return {**facts, **facts_of(job)}
+        return {**facts, **_facts(job)}
 
 
 def _points(found: Mapping[str, Any]) -> dict[str, Solution]:
@@ -263,3 +275,35 @@ def _told(seconds: float, recalled: int, begun: int) -> str:
     if not recalled:
         return f"{seconds:.1f} s"
     return f"{seconds:.1f} s, {recalled} of {recalled + begun} recalled" if begun else "recalled from an earlier run"
+
+
+def _facts(job: AbstractStudy) -> dict[str, Any]:
+    """A study's verdict, designs and fronts, whatever of them is available."""
+    try:
+        results, verdict = savable("results", job.results())[0], job.headline()
+    except ProblemError:  # told already, where it was saved and printed
+        results, verdict = {}, None
+    named = {"title": job.title, "verdict": verdict}
+    fronts = {place: _front_facts(one) for place, one in by_place(results).items() if isinstance(one, Front)}
+    return {**named, "designs": designs_document(results), "fronts": fronts}
+
+
+def _front_facts(front: Front) -> dict[str, Any]:
+    """A front, point by point."""
+    columns = zip(front.values, front.points, front.objectives, front.shadow_prices, front.violations, strict=True)
+    return {
+        "bound": front.bound,
+        "interrupted": front.interrupted,
+        "points": [
+            {
+                "value": value,
+                "status": one.status.value,
+                "objective": objective,
+                "shadow_price": price,
+                "violation": violation,
+                "decisions": dict(one.decisions) if isinstance(one, Solution) and one.ok else {},
+                "why": None if one.ok else one.why(),
+            }
+            for value, one, objective, price, violation in columns
+        ],
+    }

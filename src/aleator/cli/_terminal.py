@@ -1,18 +1,23 @@
-"""What a command says: results on stdout, errors on stderr; or one JSON document on stdout, and all else on stderr."""
+"""What a command says, and the arguments that commands share.
+
+Results go to stdout, errors to stderr; or one JSON document to stdout, and all else to stderr.
+"""
 
 import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, NoReturn, final
+from pathlib import Path
+from typing import Annotated, Any, NoReturn, TypeAlias, final
 
 import typer
 from rich.console import Console
 from rich.text import Text
 
 from aleator._core.errors import AleatorError, AleatorWarning
-from aleator.cli._tables import fitted
+from aleator.cli._shown import fitted
 from aleator.reporting import Table, json_text
+from aleator.studies import STUDIES
 
 FAILED, USAGE = 1, 2
 
@@ -125,3 +130,42 @@ class Terminal:
 def _console(*, stderr: bool = False) -> Console:
     """A console that prints text literally, without markup."""
     return Console(stderr=stderr, markup=False, emoji=False, highlight=False)
+
+
+def _names_of_studies(incomplete: str) -> list[str]:
+    """Names of studies, and study files, that begin with what was typed."""
+    files = [*Path().glob(f"{_literal(incomplete)}*")] if not Path(incomplete).is_absolute() else []
+    own = [f"{one}/" if one.is_dir() else f"{one}" for one in files if one.is_dir() or one.suffix in (".py", ".toml")]
+    return sorted([name for name in STUDIES if name.startswith(incomplete)] + own)
+
+
+def _literal(text: str) -> str:
+    return "".join(f"[{one}]" if one in "*?[" else one for one in text)
+
+
+StudyName: TypeAlias = Annotated[
+    str,
+    typer.Argument(
+        help="Name of a case study (see `aleator list`), or a file or module of your own.",
+        autocompletion=_names_of_studies,
+        show_default=False,
+    ),
+]
+StudyOrFolder: TypeAlias = Annotated[
+    str,
+    typer.Argument(
+        help="A study, or a run's folder.", metavar="STUDY|FOLDER", autocompletion=_names_of_studies, show_default=False
+    ),
+]
+Folder: TypeAlias = Annotated[Path, typer.Argument(help="A run's folder.", show_default=False)]
+AsJson: TypeAlias = Annotated[
+    bool, typer.Option("--json", help="Print one JSON document on stdout, and all else on stderr.")
+]
+Afresh: TypeAlias = Annotated[bool, typer.Option("--afresh", help="Compute everything anew.")]
+Workers: TypeAlias = Annotated[
+    int | None,
+    typer.Option("--workers", min=1, help="Processes that share the work.", show_default="as many as the study says"),
+]
+Design: TypeAlias = Annotated[
+    str | None, typer.Option("--design", help="Name of one of its designs.", show_default=False)
+]

@@ -4,7 +4,6 @@ import time
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, final
 
@@ -15,19 +14,15 @@ from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import meant
 from aleator._core.interruption import Interruptions
 from aleator._core.progress import Progress
-from aleator.cli._kept import sorted_by_kind
-from aleator.cli._options import AsJson, Design, StudyOrFolder, folder_of
-from aleator.cli._origin import Origin, with_origin
-from aleator.cli._progress import shown
-from aleator.cli._record import Record, study_of
-from aleator.cli._terminal import FAILED, Terminal
-from aleator.cli._written import value_text
+from aleator.cli._folder import Record, folder_of, is_stale, sorted_by_kind, stale, study_of, value_text
+from aleator.cli._shown import shown
+from aleator.cli._terminal import FAILED, AsJson, Design, StudyOrFolder, Terminal
 from aleator.design import Problem
 from aleator.journalling import Journal, journal
 from aleator.reporting import Table, evidence_document, evidence_table, share_text, solution_document
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
-from aleator.studies import AbstractStudy, Study, SweptStudy, executor_of, problems_of
+from aleator.studies import AbstractStudy, executor_of, problems_of
 from aleator.validation import Evidence
 from aleator.validation import validate as validated
 
@@ -47,9 +42,8 @@ def validate(
 ) -> None:
     """Count on fresh random systems how often designs break their limits, with 95 % intervals.
 
-    Designs are taken from the folder (of a study: results/STUDY), and solved first where they are not there, or where
-    an `al.Study` has changed since: which of these is told of each. The evidence is kept there too; the study's page
-    stays as it is.
+    Designs are taken from the folder (of a study: results/STUDY), and solved first where they are not there. A folder
+    whose study has been edited since is refused. The evidence is kept there too; the study's page stays as it is.
     """
     terminal = Terminal("validate", as_json)
     with ExitStack() as held:
@@ -60,8 +54,7 @@ def validate(
             study, folder, why = _meant(place)
             kept = held.enter_context(journal(folder))
             designs = _wanted(study, why, kept, folder, design)
-            declared, solving = _declared(study), {} if study is None else study.solving
-        code = sampling.of(designs, kept, declared, solving)
+        code = sampling.of(designs, kept, {} if study is None else study.solving)
     terminal.note(folder=str(folder), samples=samples, seed=seed, designs=sampling.document())
     if sampling.found:
         terminal.table(_decisions(sampling.found))
@@ -73,11 +66,13 @@ def validate(
 def _meant(place: str) -> tuple[AbstractStudy | None, Path, str]:
     """The study and the folder of a name: a folder's study, or why it cannot be had; a study's folder."""
     folder = Path(place)
-    if not folder.is_dir():
-        study, folder = studies.load(place), folder_of(place)
+    if folder.is_dir():
+        study, why = study_of(folder)
+    else:
+        study, folder, why = studies.load(place), folder_of(place), ""
         Record(place).check_owns(folder)
-        return study, folder, ""
-    study, why = study_of(folder)
+    if is_stale(folder):
+        raise ProblemError(f"validate: {stale(folder)}")
     return study, folder, why
 
 
@@ -85,12 +80,11 @@ def _wanted(
     study: AbstractStudy | None, why: str, kept: Journal, folder: Path, design: str | None
 ) -> Mapping[str, Solution | Problem]:
     """Designs of a folder, and problems that are to be solved first, by name."""
-    found: dict[str, Solution | Problem] = {}
-    if not isinstance(study, Study):  # whose designs the journal knows by all that they follow from
-        designs = sorted_by_kind(kept.finished())[0]
-        # What a study does not call by a name is of an earlier form of it.
-        of_now = {name: one for name, one in designs.items() if study is not None and not name.startswith("solve ")}
-        found.update({name: one for name, one in (of_now or designs).items() if one.ok})
+    designs = sorted_by_kind(kept.finished())[0]
+    # What has no name of its own in the folder of a study is no design of its run.
+    found: dict[str, Solution | Problem] = {
+        name: one for name, one in designs.items() if one.ok and (study is None or not name.startswith("solve "))
+    }
     if study is not None and (not found or (design is not None and design not in found)):
         found = {**problems_of(study), **found}
     if design is not None and design not in found:
@@ -99,11 +93,6 @@ def _wanted(
     if not found:
         raise ProblemError(f"validate: there is no finished design in '{folder}' that can be read. {why or _NAME_IT}")
     return found if design is None else {design: found[design]}
-
-
-def _declared(study: AbstractStudy | None) -> Mapping[str, Problem]:
-    """What a sweep says now of its points, by name. What a study of one's own solves need not be what it declares."""
-    return study.points if isinstance(study, SweptStudy) else {}
 
 
 def _decisions(found: Mapping[str, Evidence]) -> Table:
@@ -132,30 +121,18 @@ class _Sampling:
         self.interruptions = Interruptions(lambda: terminal.ended_at_once(_KEPT, self.interruptions.exit_code))
         self.found: dict[str, Evidence] = {}
         self._refused: dict[str, str] = {}
-        self._origins: dict[str, Origin] = {}
+        self._solved: dict[str, bool] = {}
 
-    def of(
-        self,
-        designs: Mapping[str, Solution | Problem],
-        kept: Journal,
-        declared: Mapping[str, Problem],
-        solving: Mapping[str, Any],
-    ) -> int:
-        """Sample designs, those not kept solved first; returns the exit code.
-
-        `declared`: what the study says of them now, by name, if it does; `solving`: how it solves them.
-        """
+    def of(self, designs: Mapping[str, Solution | Problem], kept: Journal, solving: Mapping[str, Any]) -> int:
+        """Sample designs, problems solved first (as `solving` says); returns the exit code."""
         try:
             with shown(self._terminal.console, len(designs)) as progress, self.interruptions.work():
                 for name, one in designs.items():
-                    begun = time.perf_counter()
+                    started = time.perf_counter()
                     progress.begin(f"evidence on {name}")
                     with self._telling(name):
-                        design, origin = with_origin(
-                            kept, name, one, declared.get(name), partial(solve, **solving, throw=False)
-                        )
-                        self._sample(name, design, origin, progress.show)
-                    progress.end(f"evidence on {name}", 1.0, f"{time.perf_counter() - begun:.1f} s")
+                        self._sample(name, self._design(name, one, kept, solving), progress.show)
+                    progress.end(f"evidence on {name}", 1.0, f"{time.perf_counter() - started:.1f} s")
         except KeyboardInterrupt:
             self.interruptions.conclude()
             self._terminal.last_words(_KEPT)
@@ -169,14 +146,25 @@ class _Sampling:
         return {**told, **{name: {"why": why} for name, why in self._refused.items()}}
 
     def _told(self, name: str, design: Solution) -> dict[str, Any]:
-        origin, document = self._origins[name], solution_document(design)
-        told = {"solved": origin.solved, "origin": origin.told, "differs": origin.differs}
-        return {**told, "decisions": document["decisions"], "objective": document["objective"]}
+        document = solution_document(design)
+        return {
+            "solved": self._solved[name],
+            "decisions": document["decisions"],
+            "objective": document["objective"],
+        }
 
-    def _sample(self, name: str, design: Solution, origin: Origin, progress: Progress) -> None:
-        self._origins[name] = origin
-        say = self._terminal.tell if origin.as_declared else self._terminal.look_at
-        say(f"design {name}: {origin.told}")
+    def _design(self, name: str, one: Solution | Problem, kept: Journal, solving: Mapping[str, Any]) -> Solution:
+        """A design of the folder, or of a solve of now, which has this name in the folder from now on."""
+        begun = kept.begun
+        design = one if isinstance(one, Solution) else solve(one, **solving, throw=False)
+        self._solved[name] = kept.begun > begun
+        if self._solved[name]:
+            kept.call({name: design})
+        said = "solved, because the folder does not have it" if self._solved[name] else "taken from the folder"
+        self._terminal.tell(f"design {name}: {said}.")
+        return design
+
+    def _sample(self, name: str, design: Solution, progress: Progress) -> None:
         progress(f"{name}: {in_brief(design)}", 0, self._samples)
         if not design.ok:
             raise ProblemError(design.why())

@@ -79,12 +79,6 @@ class SweptStudy(AbstractStudy):
         return {self._name: self._problem}
 
     @property
-    def points(self) -> Mapping[str, Problem]:
-        """The problem at each value of the bound, by its name in a journal: `stress = 0.5`."""
-        bound = self._bound
-        return {point_name(bound, one): self._problem.with_bound(bound, one) for one in self._values.tolist()}
-
-    @property
     @override
     def solving(self) -> Mapping[str, Any]:
         return self._solving
