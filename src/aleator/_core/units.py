@@ -24,7 +24,8 @@ _TURN = 2 * math.pi
 _TIMES = re.compile(r"\s*[·⋅×*]\s*|(?<=[\w)])\.(?=[^\W\d])|(?<=[^\s*/])\s+(?=[^\s*/])")
 # `W/m² K` is `W/(m² K)` to some, and `(W/m²) K` to others.
 _AMBIGUOUS = re.compile(r"//|/\s*(?:[^*/()]|\([^()]*\))+\*")
-_PLAIN_POWER = re.compile(r"(?<![\w^.])([^\W\d_]+)(-?\d+)(?!\w)")
+# `s-1` is a power, and so are `m2` and `s2`; `N2` is nitrogen as well.
+_PLAIN_POWER = re.compile(r"(?<![\w^.])([^\W\d_]+(?=-)|[a-zµμ]?[ms]|in|ft)(-?\d+)(?!\w)")
 
 
 def common(units: Iterable[str]) -> str:
@@ -130,8 +131,8 @@ class Measure(NamedTuple):
 
 def is_same(first: str, second: str) -> bool:
     """Whether two units are known and equal, however they are written."""
-    if first == second:
-        return bool(first)
+    if first == second or not (first and second):
+        return first == second != ""
     one, other = measure(first), measure(second)
     if one is None or other is None or one.powers != other.powers:
         return False
@@ -148,7 +149,7 @@ def measure(unit: str) -> Measure | None:
         return None
     registry = _registry()
     try:
-        written = registry.parse_units(_PLAIN_POWER.sub(_power, f"1{text}" if text.startswith("/") else text))
+        written = registry.parse_units(_PLAIN_POWER.sub(r"\1^\2", f"1{text}" if text.startswith("/") else text))
         root = registry.Quantity(1.0, written).to_root_units()
         zero = registry.Quantity(0.0, written).to_root_units().magnitude
     except Exception:  # pint, and Python's tokenizer below it, have one for each way to fail
@@ -158,16 +159,6 @@ def measure(unit: str) -> Measure | None:
     factors = dict(registry.Quantity(1.0, written).unit_items())
     hertz = sum(power for name, power in factors.items() if name.endswith("hertz"))
     return Measure(float(root.magnitude - zero), float(zero), powers, angles, hertz, factors.get("radian", 0) == angles)
-
-
-def _power(match: re.Match[str]) -> str:
-    """`s-1` and `mm2` as powers; digits without a sign count for lengths and times only."""
-    name, digits = match.groups()
-    registry = _registry()
-    if not digits.startswith("-") and match[0] in registry:
-        return match[0]
-    is_simple = name in registry and str(registry.get_dimensionality(name)) in ("[length]", "[time]")
-    return f"{name}**{digits}" if digits.startswith("-") or is_simple else match[0]
 
 
 @functools.cache

@@ -163,7 +163,7 @@ def _source(study: str) -> str:
     file = study if study.endswith(_FILES) else ""
     if not file and study not in studies.STUDIES:
         with suppress(ImportError, ValueError):
-            file = getattr(find_spec(study.partition(":")[0]), "origin", "")
+            file = getattr(find_spec(study.partition(":")[0]), "origin", "") or ""
     digest = hashlib.sha256(f"{aleator.__version__} {version('jax')} ".encode())
     with suppress(OSError):
         digest.update(Path(file).read_bytes())
