@@ -14,8 +14,7 @@ from aleator._core.progress import Progress
 from aleator.design import Problem
 from aleator.reporting import Section, Table, Verdict, count, number, sections, words
 from aleator.solution import Solution, in_brief
-from aleator.studies._declared import Stage
-from aleator.studies._study import AbstractStudy, stop_if_interrupted
+from aleator.studies._study import AbstractStudy, Stage, stop_if_interrupted
 from aleator.sweep import Front, Refused, pareto, point_name, workers
 
 
