@@ -40,16 +40,16 @@ def check(study: StudyName, as_json: AsJson = False) -> None:
     terminal = Terminal("check", as_json)
     interruptions = Interruptions(lambda: terminal.ended_at_once("Interrupted.", interruptions.exit_code))
     with interruptions, terminal.refusing():
-        looked = Check(studies.load(study))
-    for one in looked.mathematics():
-        terminal.title(one.heading)
-        terminal.tell(one.text)
-    if (numbers := looked.numbers()) is not None:
+        checked = Check(studies.load(study))
+    for problem in checked.mathematics():
+        terminal.title(problem.heading)
+        terminal.tell(problem.text)
+    if (numbers := checked.numbers()) is not None:
         terminal.table(numbers)
-    terminal.table(looked.table())
-    for one in looked.troubles:
-        terminal.look_at(one)
-    terminal.note(study=study, problems=looked.document(), look_at=looked.troubles)
+    terminal.table(checked.table())
+    for trouble in checked.troubles:
+        terminal.look_at(trouble)
+    terminal.note(study=study, problems=checked.document(), look_at=checked.troubles)
     terminal.conclude(0)
 
 
@@ -109,7 +109,7 @@ def sweep(
 def _numbers(text: str) -> tuple[float, ...]:
     """Numbers with commas between them. Raises `ProblemError` for anything else."""
     try:
-        return tuple(float(one) for one in text.split(",") if one.strip())
+        return tuple(float(number) for number in text.split(",") if number.strip())
     except ValueError:
         raise refusal("sweep: --values", "numbers with commas between them, such as 1,1.2,1.4", text) from None
 
@@ -126,14 +126,13 @@ def list_studies(
         _tell_studies(terminal)
     else:
         with terminal.refusing():
-            found = examined(folder)
-        names = names_of(found)
-        terminal.tell(listing(folder, found))
-        if is_stale(folder):
+            entries = examined(folder)
+        names, is_edited = names_of(entries), is_stale(folder)
+        terminal.tell(listing(folder, entries))
+        if is_edited:
             terminal.look_at(stale(folder))
-        terminal.note(
-            folder=str(folder), stale=is_stale(folder), results=[_row(one, names.get(one.key)) for one in found]
-        )
+        results = [_row(entry, names.get(entry.key)) for entry in entries]
+        terminal.note(folder=str(folder), stale=is_edited, results=results)
     terminal.conclude(0)
 
 
@@ -145,16 +144,19 @@ def _tell_studies(terminal: Terminal) -> None:
     terminal.note(studies=[{"name": name, "about": entry.about} for name, entry in STUDIES.items()])
 
 
-def _row(one: Entry, called: str | None) -> dict[str, Any]:
-    told = {
-        "name": one.name,
-        "load": called,
-        "what": one.what,
-        "state": one.state.value,
-        "why": one.why,
-        "file": one.file,
+def _row(entry: Entry, name: str | None) -> dict[str, Any]:
+    return {
+        "name": entry.name,
+        "load": name,
+        "what": entry.what,
+        "state": entry.state.value,
+        "why": entry.why,
+        "file": entry.file,
+        "host": entry.host,
+        "process": entry.process,
+        "since": entry.since,
+        "seconds": entry.seconds or None,
     }
-    return {**told, "host": one.host, "process": one.process, "since": one.since, "seconds": one.seconds or None}
 
 
 def print_schema() -> None:
@@ -166,7 +168,7 @@ def print_schema() -> None:
 _UsageError = cast(type[typer.BadParameter], typer.BadParameter.__mro__[1])
 
 
-_ASKED = "aleator.asked"
+_WORDS = "aleator.words"
 
 
 @final
@@ -175,23 +177,23 @@ class _Commands(TyperGroup):
 
     @override
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        ctx.meta[_ASKED] = asked = tuple(args)
-        with _documented(asked):
+        ctx.meta[_WORDS] = words = tuple(args)
+        with _documented(words):
             return super().parse_args(ctx, args)
 
     @override
     def invoke(self, ctx: Any) -> Any:
-        with _documented(ctx.meta[_ASKED]):
+        with _documented(ctx.meta[_WORDS]):
             return super().invoke(ctx)
 
 
 @contextmanager
-def _documented(asked: Sequence[str]) -> Iterator[None]:
+def _documented(words: Sequence[str]) -> Iterator[None]:
     try:
         yield
     except _UsageError as error:
-        command = next((one for one in asked if not one.startswith("-")), "")
-        Terminal(command, "--json" in asked).print_refusal(error.format_message(), USAGE)
+        command = next((word for word in words if not word.startswith("-")), "")
+        Terminal(command, "--json" in words).print_refusal(error.format_message(), USAGE)
         raise
 
 

@@ -87,10 +87,10 @@ class Record:
             return False
         if not self.study.endswith(_FILES) or not other.study.endswith(_FILES):
             return self.study == other.study
-        places = [one for one in other.places(folder) if one.is_file()]
+        places = [place for place in other.places(folder) if place.is_file()]
         if not places:
             return Path(self.study).name == Path(other.study).name
-        return Path(self.study).resolve() in [one.resolve() for one in places]
+        return Path(self.study).resolve() in [place.resolve() for place in places]
 
     def _another(self, folder: Path, other: "Record") -> Path:
         """A name for another folder, which tells what differs: the bound, or the kind of the study's file."""
@@ -171,7 +171,7 @@ def _source(study: str) -> str:
 
 
 def study_of(folder: Path) -> tuple[AbstractStudy | None, str]:
-    """The study that began the run of a folder; or none, and why, if the folder says one that cannot be had any more.
+    """The study that began the run of a folder; or none, and why, if it cannot be loaded any more.
 
     Modules beside its file can be imported from now on, also where the file has gone.
     """
@@ -188,7 +188,7 @@ def recorded(folder: Path) -> Record:
 
     Raises `ProblemError` if the folder does not say, or if the study's file has gone.
     """
-    return _found(_read(folder), folder)
+    return _in_its_place(_read(folder), folder)
 
 
 def _read(folder: Path) -> Record:
@@ -196,7 +196,7 @@ def _read(folder: Path) -> Record:
     path = folder / RECORD
     try:
         data = json.loads(path.read_bytes())
-        return Record(**{name: _known(data[name], name) for name in (one.name for one in fields(Record))})
+        return Record(**{name: _checked(data[name], name) for name in (field.name for field in fields(Record))})
     except FileNotFoundError:
         raise ProblemError(
             f"There is no '{RECORD}' in '{folder}': expected a folder that `aleator run` or `aleator sweep` has begun. "
@@ -209,14 +209,14 @@ def _read(folder: Path) -> Record:
         ) from error
 
 
-def _known(value: Any, name: str) -> Any:
+def _checked(value: Any, name: str) -> Any:
     kinds = {"quick": bool, "workers": int, "values": list}
     if not isinstance(value, kinds.get(name, str)):
         raise TypeError(f"{name} = {value!r}")
     return tuple(map(float, value)) if isinstance(value, list) else value
 
 
-def _found(record: Record, folder: Path) -> Record:
+def _in_its_place(record: Record, folder: Path) -> Record:
     """The record, with the study's file where it is now: as it was given, or as it lies from the folder."""
     if not record.study.endswith(_FILES):
         if record.directory not in sys.path:
@@ -226,29 +226,23 @@ def _found(record: Record, folder: Path) -> Record:
     for place in places:
         if place.is_file():
             return replace(record, study=str(place))
-    sys.path[:0] = [f"{one.parent.resolve()}" for one in places if one.parent.is_dir()]
+    sys.path[:0] = [f"{place.parent.resolve()}" for place in places if place.parent.is_dir()]
     raise ProblemError(
         f"The study of '{folder}' has gone: there is no file '{places[0]}', nor '{places[1]}'. Put it back, or run it "
         "where it is now, with --out for this folder."
     )
 
 
-def sorted_by_kind(finished: Mapping[str, Any]) -> tuple[dict[str, Solution], dict[str, Evidence]]:
+def designs_and_evidence(results: Mapping[str, Any]) -> tuple[dict[str, Solution], dict[str, Evidence]]:
     """The designs among results, and the last evidence on each of them, by the names of the designs.
 
-    Where a study names its designs (`designs/robust`), only these are told, by the last part of their names.
+    Where a study names its designs (`designs/robust`), only these count, by the last part of their names.
     """
-    solutions = {name: one for name, one in finished.items() if isinstance(one, Solution)}
-    named = {name.rpartition("/")[2]: one for name, one in solutions.items() if "/" in name}
+    solutions = {name: result for name, result in results.items() if isinstance(result, Solution)}
+    named = {name.rpartition("/")[2]: solution for name, solution in solutions.items() if "/" in name}
     designs = named or solutions
-    found = {name: evidence_on(design, finished) for name, design in designs.items()}
-    return designs, {name: one for name, one in found.items() if one is not None}
-
-
-def evidence_on(design: Solution, finished: Mapping[str, Any]) -> Evidence | None:
-    """The last evidence on a design among results; None if there is none."""
-    found = [one for one in finished.values() if isinstance(one, Evidence) and _is_on(one, design)]
-    return found[-1] if found else None
+    evidence = [result for result in results.values() if isinstance(result, Evidence)]
+    return designs, {name: last for name, design in designs.items() for last in evidence if _is_on(last, design)}
 
 
 def _is_on(evidence: Evidence, design: Solution) -> bool:
@@ -266,16 +260,16 @@ def written_designs(folder: Path) -> Mapping[str, Any]:
     if not path.is_file():
         return {}
     try:
-        found = json.loads(path.read_bytes())
-        return {name: found[name] for name in found if isinstance(found[name]["decisions"], dict)}
-    except (OSError, ValueError, TypeError, KeyError) as error:
+        designs = json.loads(path.read_bytes())
+        return {name: design for name, design in designs.items() if isinstance(design["decisions"], dict)}
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise ProblemError(
             f"'{path}' cannot be read as the designs of a run ({type(error).__name__}: {error})."
         ) from error
 
 
-def value_text(told: Mapping[str, Any] | None) -> str:
+def value_text(number: Mapping[str, Any] | None) -> str:
     """A decision or an objective with its unit."""
-    if told is None or told["value"] is None:
+    if number is None or number["value"] is None:
         return "–"
-    return values_text(told["value"], 6, told["unit"])
+    return values_text(number["value"], 6, number["unit"])

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from aleator._core.errors import AleatorError, ProblemError
-from aleator.cli._folder import is_stale, sorted_by_kind, stale, study_of, value_text, written_designs
+from aleator.cli._folder import designs_and_evidence, is_stale, stale, study_of, value_text, written_designs
 from aleator.cli._terminal import AsJson, Folder, Terminal
 from aleator.journalling import FILE, Recalled, recalling
 from aleator.reporting import (
@@ -61,11 +61,11 @@ def report(
     missing = list[str]()
     terminal.note(folder=str(folder), files=[], missing=missing, verdict=None)
     with terminal.refusing(), terminal.warning():
-        with recalling(folder) as kept:
-            page = _page(folder, kept, missing)
+        with recalling(folder) as run:
+            page = _page(folder, run, missing)
         path = write_page(page, out or _place(folder, missing))
-    for one in missing:
-        terminal.look_at(one)
+    for sentence in missing:
+        terminal.look_at(sentence)
     if path.name == _SO_FAR:
         terminal.look_at(f"{folder / PAGE} stays as it is, because the page of now is without what is missing.")
     terminal.tell(f"wrote {path}")
@@ -78,7 +78,7 @@ def _place(folder: Path, missing: Sequence[str]) -> Path:
     return folder / (_SO_FAR if missing and (folder / PAGE).exists() else PAGE)
 
 
-def _page(folder: Path, kept: Recalled, missing: list[str]) -> Page:
+def _page(folder: Path, run: Recalled, missing: list[str]) -> Page:
     """The page; what is missing from it is added, a sentence each."""
     study, why = study_of(folder)
     if why:
@@ -86,20 +86,20 @@ def _page(folder: Path, kept: Recalled, missing: list[str]) -> Page:
     elif is_stale(folder):
         missing.append(stale(folder))
     if study is not None:
-        missing += _recalled(study, kept)
-        if any(one is not None for one in by_place(study.results()).values()):
+        missing += _recalled(study, run)
+        if any(result is not None for result in by_place(study.results()).values()):
             return study.page()
-    return _bare_page(folder, kept, study, missing)
+    return _bare_page(folder, run, study, missing)
 
 
-def _recalled(study: AbstractStudy, kept: Recalled) -> list[str]:
+def _recalled(study: AbstractStudy, run: Recalled) -> list[str]:
     """Let a study take all its results from a folder; what is not there, a sentence each."""
     missing = []
     for name in study.stages:
         try:
             study.run(name)
         except KeyboardInterrupt:
-            absent = " ".join(dict.fromkeys(kept.missing)) or _FOLLOWS_FROM
+            absent = " ".join(dict.fromkeys(run.missing)) or _FOLLOWS_FROM
             missing.append(f"'{name}' is not finished: {absent}")
         except AleatorError as error:
             missing.append(f"'{name}' failed: {error}")
@@ -108,16 +108,16 @@ def _recalled(study: AbstractStudy, kept: Recalled) -> list[str]:
                 raise
             study.failed_parts = ()
             missing.append(f"'{name}' is not finished: {_FOLLOWS_FROM}")
-        kept.missing.clear()
+        run.missing.clear()
     return missing
 
 
-def _bare_page(folder: Path, kept: Recalled, study: AbstractStudy | None, missing: list[str]) -> Page:
+def _bare_page(folder: Path, run: Recalled, study: AbstractStudy | None, missing: list[str]) -> Page:
     """A page of all designs and all evidence in a folder, whatever computed them; adds what is missing from it."""
-    designs, evidence = sorted_by_kind(kept.finished())
-    missing += dict.fromkeys(kept.missing)
+    designs, evidence = designs_and_evidence(run.finished())
+    missing += dict.fromkeys(run.missing)
     if not designs:
-        return _written_page(folder, kept.missing, missing)
+        return _written_page(folder, run.missing, missing)
     return Page(
         title=study.title if study is not None else folder.resolve().name,
         subtitle=f"Kept in {folder.resolve().name}: {words(list(designs))}",
@@ -135,13 +135,17 @@ def _written_page(folder: Path, unread: Sequence[str], missing: list[str]) -> Pa
     if not written:
         raise ProblemError(f"report: no design in '{folder}' can be read: {unread[0]}")
     missing.append(_WITHOUT_THE_MODEL)
+    chapters = [_written_section(name, design) for name, design in written.items()]
     return Page(
         title=folder.resolve().name,
         subtitle=f"Written in {folder.resolve().name}: {words(list(written))}",
         verdict=Verdict(
             "caution", "Numbers only", "The model's code cannot be read: these are the numbers of its run."
         ),
-        sections=[*(_written_section(name, one) for name, one in written.items()), Section("Missing", [Text(missing)])],
+        sections=[
+            *(_written_section(name, design) for name, design in written.items()),
+            Section("Missing", [Text(missing)]),
+        ],
         footer=footer(),
     )
 
@@ -149,9 +153,9 @@ def _written_page(folder: Path, unread: Sequence[str], missing: list[str]) -> Pa
 def _written_section(name: str, design: Mapping[str, Any]) -> Section:
     """A design on a page: decisions, objective, how often limits are broken, and the problem as mathematics."""
     rows = [["Status", design["status"]], ["Objective", value_text(design["objective"])]]
-    rows += [[decision, value_text(one)] for decision, one in design["decisions"].items()]
+    rows += [[decision, value_text(number)] for decision, number in design["decisions"].items()]
     shares = design.get("evidence", {}).get("violations", {})
-    rows += [[f"Systems that violate {_violated(limit)}", _interval_text(one)] for limit, one in shares.items()]
+    rows += [[f"Systems that violate {_violated(limit)}", _interval_text(share)] for limit, share in shares.items()]
     return Section(name, [Table(name, ["", "Value"], rows), Code("The problem", "\n".join(design["problem"]))])
 
 
@@ -182,14 +186,14 @@ def compare(
         differences[name] = {label: first and other and _differing(first, other) for label, other in others}
         for label, differing in differences[name].items():
             terminal.tell(f"{name}: {_sentence(reference, label, differing)}")
-    terminal.note(folders=[str(one) for one in folders], designs=compared, differences=differences)
+    terminal.note(folders=[str(folder) for folder in folders], designs=compared, differences=differences)
     terminal.conclude(0)
 
 
 def _labels(folders: Sequence[Path]) -> list[str]:
     """The last parts of the folders' names where these differ, the whole names elsewhere."""
-    short = [one.resolve().name for one in folders]
-    return short if len(set(short)) == len(short) else [str(one) for one in folders]
+    short = [folder.resolve().name for folder in folders]
+    return short if len(set(short)) == len(short) else [str(folder) for folder in folders]
 
 
 def _designs(folder: Path) -> Mapping[str, Any]:
@@ -202,15 +206,17 @@ def _designs(folder: Path) -> Mapping[str, Any]:
             "`al.journal(folder)` has kept results."
         )
     study_of(folder)  # so that its models' modules are there, if they are
-    designs, evidence = sorted_by_kind(Recalled(folder).finished())
-    return {name: json.loads(json_text(solution_document(one, evidence.get(name)))) for name, one in designs.items()}
+    designs, evidence = designs_and_evidence(Recalled(folder).finished())
+    return json.loads(
+        json_text({name: solution_document(design, evidence.get(name)) for name, design in designs.items()})
+    )
 
 
 def _name_in(designs: Mapping[str, Any], name: str, runs: Iterable[Mapping[str, Any]]) -> str | None:
     """What a run calls a design that some run calls `name`: the same, or else the name of the same problem."""
     if name in designs:
         return name
-    problems = [one[name]["problem"] for one in runs if name in one]
+    problems = [run[name]["problem"] for run in runs if name in run]
     return next((own for own, design in designs.items() if design["problem"] in problems), None)
 
 
@@ -219,18 +225,17 @@ def _numbers(design: Mapping[str, Any] | None) -> list[dict[str, tuple[Any, str]
     if design is None:
         return [{}, {}, {}, {}]
     shares = design.get("evidence", {}).get("violations", {})
-    objective = design["objective"]
     return [
         {"Status": (design["status"], design["status"].partition(":")[0])},
-        {name: ((one["value"], one["unit"]), value_text(one)) for name, one in design["decisions"].items()},
-        {"Objective": ((objective["value"], objective["unit"]), value_text(objective))},
-        {f"Systems that violate {_violated(limit)}": (one, _interval_text(one)) for limit, one in shares.items()},
+        {name: (_with_unit(number), value_text(number)) for name, number in design["decisions"].items()},
+        {"Objective": (_with_unit(design["objective"]), value_text(design["objective"]))},
+        {f"Systems that violate {_violated(limit)}": (share, _interval_text(share)) for limit, share in shares.items()},
     ]
 
 
 def _table(name: str, names: Sequence[str | None], designs: Mapping[str, Any]) -> Table:
     """One design in every run."""
-    rows = [["There as", *(one or "–" for one in names)]] if set(names) - {None, name} else []
+    rows = [["There as", *(own or "–" for own in names)]] if set(names) - {None, name} else []
     for groups in zip(*map(_numbers, designs.values()), strict=True):
         labels = dict.fromkeys(label for group in groups for label in group)
         rows += [[label, *(group[label][1] if label in group else "–" for group in groups)] for label in labels]
@@ -240,9 +245,9 @@ def _table(name: str, names: Sequence[str | None], designs: Mapping[str, Any]) -
 def _differing(first: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
     """What differs between two designs, down to the last digit."""
     whole = [
-        {label: number for group in _numbers(one) for label, (number, _) in group.items()}
-        | {"constraints": one["constraints"], "the problem": one["problem"]}
-        for one in (first, other)
+        {label: number for group in _numbers(design) for label, (number, _) in group.items()}
+        | {"constraints": design["constraints"], "the problem": design["problem"]}
+        for design in (first, other)
     ]
     return [label for label in {**whole[0], **whole[1]} if whole[0].get(label) != whole[1].get(label)]
 
@@ -253,11 +258,13 @@ def _sentence(first: str, other: str, differing: list[str] | None) -> str:
     return f"{first} and {other} differ in {words(differing)}." if differing else f"{first} and {other} are equal."
 
 
-def _interval_text(told: Mapping[str, Any] | None) -> str:
+def _with_unit(number: Mapping[str, Any]) -> tuple[Any, str]:
+    return number["value"], number["unit"]
+
+
+def _interval_text(share: Mapping[str, Any]) -> str:
     """The share of systems that break a limit, with its interval."""
-    if told is None:
-        return "–"
-    return f"{percent(told['estimate'])} [{percent(told['lower'])} to {percent(told['upper'])}]"
+    return f"{percent(share['estimate'])} [{percent(share['lower'])} to {percent(share['upper'])}]"
 
 
 def _violated(limit: str) -> str:

@@ -35,7 +35,7 @@ def fitted(table: Table, width: int) -> Iterator[RichTable]:
 
     The caption stands above the first block, the note below the last.
     """
-    columns = [list(one) for one in zip(table.header, *(map(str, row) for row in table.rows), strict=True)]
+    columns = [list(column) for column in zip(table.header, *(map(str, row) for row in table.rows), strict=True)]
     blocks = list(_blocks(columns, width))
     for i, block in enumerate(blocks):
         title, note = table.caption if i == 0 else None, table.note if i == len(blocks) - 1 else None
@@ -43,8 +43,8 @@ def fitted(table: Table, width: int) -> Iterator[RichTable]:
 
 
 def _blocks(columns: Sequence[Sequence[str]], width: int) -> Iterator[list[int]]:
-    """The columns of each block, by their numbers: as many as fit without a word cut, one beside the first at least."""
-    needs = [_needed(one) + _AROUND for one in columns]
+    """The columns of each block, by their numbers: as many as fit without a word cut, two at least."""
+    needs = [_needed(column) + _AROUND for column in columns]
     block = [0][: len(columns)]
     for j in range(1, len(columns)):
         if len(block) > 1 and sum(needs[k] for k in (*block, j)) + _END > width:
@@ -66,24 +66,25 @@ def _needed(column: Sequence[str]) -> int:
 
 def _drawn(columns: Sequence[list[str]], width: int, title: str | None, note: str | None) -> RichTable:
     widths = _widths(columns, width - _AROUND * len(columns) - _END)
-    wrapped = [["\n".join(_lines(text, room)) for text in one] for one, room in zip(columns, widths, strict=True)]
+    pairs = zip(columns, widths, strict=True)
+    wrapped = [["\n".join(_lines(text, room)) for text in column] for column, room in pairs]
     drawn = RichTable(title=title, caption=note, caption_justify="left")
     for header, *_ in wrapped:
         drawn.add_column(header, overflow="fold")
-    for row in zip(*(one[1:] for one in wrapped), strict=True):
+    for row in zip(*(column[1:] for column in wrapped), strict=True):
         drawn.add_row(*row)
     return drawn
 
 
 def _widths(columns: Sequence[Sequence[str]], room: int) -> list[int]:
     """A width for each column: all that it asks for if there is room, or else what it needs, and a part of the rest."""
-    natural = [_natural(one) for one in columns]
-    widths = [min(_needed(one), wish) for one, wish in zip(columns, natural, strict=True)]
+    natural = [_natural(column) for column in columns]
+    widths = [min(_needed(column), wish) for column, wish in zip(columns, natural, strict=True)]
     if len(columns) > 1 and sum(widths) > room:  # two columns of long words: the first is that of labels
         widths[0] = max(min(widths[0], max(room - widths[1], room // 3)), 1)
         widths[1] = max(min(widths[1], room - widths[0]), 1)
     for j in cycle(range(len(columns))):
-        if sum(widths) >= room or all(one >= wish for one, wish in zip(widths, natural, strict=True)):
+        if sum(widths) >= room or all(width >= wish for width, wish in zip(widths, natural, strict=True)):
             return widths
         widths[j] += widths[j] < natural[j]
     return widths

@@ -45,8 +45,8 @@ class Terminal:
 
     def table(self, table: Table) -> None:
         """Print a table."""
-        for one in fitted(table, self.console.width):
-            self.console.print(one)
+        for block in fitted(table, self.console.width):
+            self.console.print(block)
 
     def look_at(self, said: str) -> None:
         """Print what deserves a look."""
@@ -90,7 +90,7 @@ class Terminal:
             typer.echo(self._finished_document(code), nl=False)
 
     def print_refusal(self, said: str, code: int) -> None:
-        """Print the JSON document, if there is one, of an error that has been told to people elsewhere."""
+        """Print the JSON document, if there is one, of an error that people have read elsewhere."""
         self._said.append(said)
         self.print_document(code)
 
@@ -134,13 +134,14 @@ def _console(*, stderr: bool = False) -> Console:
 
 def _names_of_studies(incomplete: str) -> list[str]:
     """Names of studies, and study files, that begin with what was typed."""
-    files = [*Path().glob(f"{_literal(incomplete)}*")] if not Path(incomplete).is_absolute() else []
-    own = [f"{one}/" if one.is_dir() else f"{one}" for one in files if one.is_dir() or one.suffix in (".py", ".toml")]
-    return sorted([name for name in STUDIES if name.startswith(incomplete)] + own)
+    paths = [*Path().glob(f"{_literal(incomplete)}*")] if not Path(incomplete).is_absolute() else []
+    folders = [f"{path}/" for path in paths if path.is_dir()]
+    files = [f"{path}" for path in paths if path.is_file() and path.suffix in (".py", ".toml")]
+    return sorted([*(name for name in STUDIES if name.startswith(incomplete)), *folders, *files])
 
 
 def _literal(text: str) -> str:
-    return "".join(f"[{one}]" if one in "*?[" else one for one in text)
+    return "".join(f"[{character}]" if character in "*?[" else character for character in text)
 
 
 StudyName: TypeAlias = Annotated[
