@@ -142,10 +142,7 @@ def _written_page(folder: Path, unread: Sequence[str], missing: list[str]) -> Pa
         verdict=Verdict(
             "caution", "Numbers only", "The model's code cannot be read: these are the numbers of its run."
         ),
-        sections=[
-            *(_written_section(name, design) for name, design in written.items()),
-            Section("Missing", [Text(missing)]),
-        ],
+        sections=[*chapters, Section("Missing", [Text(missing)])],
         footer=footer(),
     )
 
