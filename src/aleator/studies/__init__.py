@@ -16,15 +16,15 @@ from typing import Any, NamedTuple
 
 from aleator._core.errors import ProblemError
 from aleator.studies._check import Check as Check
-from aleator.studies._declared import PartlySavedError as PartlySavedError
-from aleator.studies._declared import Stage as Stage
-from aleator.studies._declared import tables_of as tables_of
 from aleator.studies._files import begin_file as begin_file
 from aleator.studies._files import load_file as load_file
 from aleator.studies._files import load_module as load_module
 from aleator.studies._own import Study as Study
 from aleator.studies._study import AbstractStudy as AbstractStudy
+from aleator.studies._study import PartlySavedError as PartlySavedError
+from aleator.studies._study import Stage as Stage
 from aleator.studies._study import stop_if_interrupted as stop_if_interrupted
+from aleator.studies._study import tables_of as tables_of
 from aleator.studies._swept import SweptStudy as SweptStudy
 from aleator.studies._swept import executor_of as executor_of
 from aleator.studies._swept import problems_of as problems_of
