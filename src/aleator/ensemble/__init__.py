@@ -1,25 +1,25 @@
 """Functions of a model's realisations at many germ points: traced or called, in batches, with failures named."""
 
 from aleator.ensemble._batches import Part as Part
+from aleator.ensemble._batches import at_levels as at_levels
+from aleator.ensemble._batches import draw as draw
+from aleator.ensemble._batches import drawn_from as drawn_from
 from aleator.ensemble._batches import each as each
 from aleator.ensemble._batches import few_at_once as few_at_once
 from aleator.ensemble._batches import fill as fill
 from aleator.ensemble._batches import in_batches as in_batches
 from aleator.ensemble._batches import parts as parts
-from aleator.ensemble._box import AbstractBox as AbstractBox
-from aleator.ensemble._box import Realisation as Realisation
+from aleator.ensemble._batches import random_levels as random_levels
+from aleator.ensemble._ensemble import AbstractBox as AbstractBox
 from aleator.ensemble._ensemble import AbstractEnsemble as AbstractEnsemble
 from aleator.ensemble._ensemble import Alone as Alone
 from aleator.ensemble._ensemble import BoxEnsemble as BoxEnsemble
 from aleator.ensemble._ensemble import CalledEnsemble as CalledEnsemble
+from aleator.ensemble._ensemble import Realisation as Realisation
 from aleator.ensemble._ensemble import TracedEnsemble as TracedEnsemble
 from aleator.ensemble._ensemble import ensemble_for as ensemble_for
 from aleator.ensemble._ensemble import same_shapes as same_shapes
 from aleator.ensemble._ensemble import uncertain_places as uncertain_places
-from aleator.ensemble._levels import at_levels as at_levels
-from aleator.ensemble._levels import draw as draw
-from aleator.ensemble._levels import drawn_from as drawn_from
-from aleator.ensemble._levels import random_levels as random_levels
 from aleator.ensemble._outputs import UNTRACEABLE as UNTRACEABLE
 from aleator.ensemble._outputs import Function as Function
 from aleator.ensemble._outputs import absent as absent

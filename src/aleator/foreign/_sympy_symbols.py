@@ -9,7 +9,7 @@ from aleator._core.given import meant, refusal
 from aleator.foreign._sympy_assumptions import refuse_contradiction, refuse_stepping
 from aleator.foreign._sympy_program import load_sympy
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
-from aleator.trajectories._trajectory import copied, shape_of
+from aleator.trajectories._signals import copied, shape_of
 
 
 class Found(NamedTuple):

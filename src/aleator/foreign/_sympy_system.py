@@ -28,7 +28,7 @@ from aleator.foreign._sympy_symbols import (
     time_symbol,
     units_for,
 )
-from aleator.trajectories._trajectory import copied, shape_of
+from aleator.trajectories._signals import copied, shape_of
 
 _WHO = "from_sympy"
 

@@ -12,7 +12,7 @@ from aleator._core.errors import ProblemError
 from aleator.mechanics._instant import course
 from aleator.mechanics._mechanical import AbstractMechanical
 from aleator.trajectories import AbstractSignal, AbstractTrajectory, PowerSeries, Stack
-from aleator.trajectories._trajectory import copied, shape_of
+from aleator.trajectories._signals import copied, shape_of
 
 
 @final

@@ -1,9 +1,14 @@
-"""Trajectories: functions over a duration that is set elsewhere, with their derivatives."""
+"""Functions of time: signals (inputs of a system, prescribed motions), tables of them, and trajectories.
+
+Trajectories are functions over a duration that is set elsewhere, with their derivatives.
+"""
 
 import abc
-from typing import Any, ClassVar, final
+from pathlib import Path
+from typing import Any, ClassVar, Self, final
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -12,9 +17,44 @@ from typing_extensions import override
 
 from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
-from aleator._core.given import is_masked
-from aleator._core.leaves import AbstractLeaf, realised_shape
-from aleator.trajectories._signal import AbstractSignal
+from aleator._core.given import is_masked, real_array
+from aleator._core.leaves import AbstractLeaf, is_leaf, realised_shape
+from aleator._core.module import Module
+from aleator._core.tables import entry, read_table
+
+
+class AbstractSignal(Module):
+    """An input of a system as a function of time. It is part of the model: its numbers may be uncertain or decided.
+
+    `unbounded` says that its values have no bound whatever its numbers are, as for a Gaussian process.
+    """
+
+    unbounded: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
+        """The value at time `t`, s."""
+
+    @abc.abstractmethod
+    def span(self) -> tuple[float, float]:
+        """The first and last time at which the signal is known (infinite if everywhere)."""
+
+    def over(self, t_start: Any, t_final: Any) -> "AbstractSignal":
+        """The signal on a grid from `t_start` to `t_final`, s: trajectories are stretched to fill it."""
+        del t_start, t_final
+        return self
+
+    def sampled(self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
+        """Its values at fixed fractions of the time from `t_start` to `t_final`."""
+        return jax.vmap(self.over(t_start, t_final))(instants(fractions, t_start, t_final))
+
+
+def instants(fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, " n"]:
+    """Fractions of the time from `t_start` to `t_final` as times; 1 is `t_final` to the last bit."""
+    # A signal is undefined even a rounding error beyond its end, and so is an adaptive integrator's solution.
+    xp, fractions, t_start, t_final = in_library(fractions, t_start, t_final)
+    return jax_array(xp.where(fractions < 1, t_start + fractions * (t_final - t_start), t_final))
+
 
 Fractions = Float[np.ndarray, " n"] | Float[Array, " n"]
 
@@ -183,3 +223,85 @@ def copied(kind: str, name: str, number: Any) -> Any:
     if not np.isfinite(array).all():
         raise ProblemError(f"{kind}: its {name} must be finite; received {number!r}.")
     return array
+
+
+@final
+class Tabulated(AbstractSignal):
+    """A table of times (s) and values, linear between its samples.
+
+    Times are plain numbers. The values may be one array-valued `Decision`, or a list in which any value is a
+    distribution or a `Decision`: `Tabulated([0.0, 1.0], [Uniform(2.0, half_width=0.1), 3.0])`. A caller's arrays are
+    copied.
+
+    Raises `ProblemError` if the two differ in length, if there are fewer than two samples, if a number is not finite or
+    if the times do not increase.
+    """
+
+    times: Float[np.ndarray, " samples"]
+    values: Any
+
+    def __init__(self, times: Any, values: Any):
+        self.times = _numbers("times", times)
+        self.values = values if is_leaf(values) else _samples(values)
+        length = _shape(self.values)
+        if self.times.ndim != 1 or self.times.shape != length or self.times.size < 2:
+            raise ProblemError(
+                "Tabulated: expected two vectors of the same length, of at least 2; "
+                f"received times {self.times.shape} and values {length}."
+            )
+        plain = [value for value in jax.tree.leaves(self.values, is_leaf=is_leaf) if not is_leaf(value)]
+        if not all(np.isfinite(numbers).all() for numbers in [self.times, *plain]):
+            raise ProblemError("Tabulated: every time and value must be finite.")
+        if not np.all(np.diff(self.times) > 0):
+            at = int(np.argmin(np.diff(self.times) > 0)) + 1
+            raise ProblemError(f"Tabulated: times must increase, but sample {at} is not after the one before it.")
+
+    @classmethod
+    def from_csv(cls, path: str | Path, time: str, value: str) -> Self:
+        """Read the columns `time` and `value` of a CSV file; lines that start with `#` are comments.
+
+        Raises `ProblemError` if the file does not exist, is not a table, or does not have each of the two columns once.
+        """
+        names, rows = read_table("Tabulated.from_csv", path)
+        for name in (time, value):
+            if names.count(name) != 1:
+                raise ProblemError(f"{path}: expected one column '{name}'; received {names}.")
+        try:
+            return cls(*(np.array([entry(row, names.index(name)) for row in rows]) for name in (time, value)))
+        except ValueError as error:
+            raise ProblemError(f"{path}: {error}") from error
+
+    @override
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, ""]:
+        values = (
+            jnp.stack([jnp.asarray(value) for value in self.values]) if isinstance(self.values, tuple) else self.values
+        )
+        return jnp.interp(t, self.times, values)
+
+    @override
+    def span(self) -> tuple[float, float]:
+        return float(self.times[0]), float(self.times[-1])
+
+
+def _samples(values: Any) -> np.ndarray | tuple[Any, ...]:
+    """An array of numbers or, where some are uncertain or decided, a tuple of single values."""
+    if not (isinstance(values, list | tuple) and any(is_leaf(value) for value in values)):
+        return _numbers("values", values)
+    samples = tuple(value if is_leaf(value) else _numbers("values", value) for value in values)
+    for place, sample in enumerate(samples):
+        if _shape(sample) != ():
+            raise ProblemError(
+                f"Tabulated: expected one number in each sample; received shape {_shape(sample)} in sample {place}."
+            )
+    return samples
+
+
+def _numbers(name: str, values: Any) -> np.ndarray:
+    return real_array(f"Tabulated: {name}", values, "plain numbers")
+
+
+def _shape(values: Any) -> tuple[int, ...]:
+    """The shape of numbers, or of those that replace a distribution (a single one) or a decision on realisation."""
+    if isinstance(values, tuple):
+        return (len(values),)
+    return realised_shape(values)

@@ -1,8 +1,11 @@
-"""`RandomProcess`: a random process as a signal, through its Karhunen-Loève expansion."""
+"""Signals with numbers of a model in them: random processes, functions of time and parameters, and sums."""
 
 import warnings
+from collections.abc import Callable, Iterable
+from types import SimpleNamespace
 from typing import Any, ClassVar, final
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,10 +13,14 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ExpansionWarning, ProblemError
-from aleator.processes._checks import number_or_distribution, plain_number
-from aleator.processes._covariance import AbstractCovariance
-from aleator.processes._karhunen_loeve import karhunen_loeve, legendre
-from aleator.processes._total import common_span
+from aleator._core.leaves import AbstractLeaf
+from aleator.processes._covariance import (
+    AbstractCovariance,
+    karhunen_loeve,
+    legendre,
+    number_or_distribution,
+    plain_number,
+)
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import Decision, Normal
 
@@ -150,3 +157,119 @@ def _check_size(energy: float | None, modes: int | None) -> None:
         )
     if modes is not None and (isinstance(modes, bool) or not isinstance(modes, int | np.integer) or modes < 1):
         raise ProblemError(f"RandomProcess: modes is a whole number of at least 1; received {modes!r}.")
+
+
+@final
+class Parametrised(AbstractSignal):
+    """A function of time and parameters; see `signal`. A parameter's name is its place: `inputs.force.p.amplitude`."""
+
+    function: Callable[[Any, Any], Any] = eqx.field(static=True)
+    p: dict[str, Any]
+
+    def __init__(self, function: Callable[[Any, Any], Any], parameters: dict[str, Any]):
+        if not callable(function):
+            raise ProblemError(
+                "signal: expected a function of time and parameters, such as lambda t, p: p.rate * t; "
+                f"received {type(function).__name__} {function!r}."
+            )
+        self.function = function
+        self.p = {name: _parameter(name, value) for name, value in parameters.items()}
+
+    @override
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
+        return jnp.asarray(self.function(t, SimpleNamespace(**self.p)), dtype=float)
+
+    @override
+    def span(self) -> tuple[float, float]:
+        return -np.inf, np.inf
+
+
+def signal(function: Callable[[Any, Any], Any], /, **parameters: Any) -> Parametrised:
+    """The signal `function(t, p)`, where each parameter is an attribute of `p`.
+
+    A parameter is a number or an array, a distribution, a `Decision` or another signal: `signal(lambda t, p:
+    p.amplitude * jnp.sin(p.frequency * t), amplitude=Normal(1.0, 0.1),
+    frequency=3.0)`. The function is written with `jax.numpy`, for one instant `t` in seconds.  Uncertain coefficients
+    of given functions of time also make a random process; `RandomProcess` makes one from its covariance.
+
+    The function is part of a problem's structure: define it once and reuse it, and it is compiled once.
+
+    Raises `ProblemError` if `function` is not a function, or for a parameter of any other kind.
+    """
+    return Parametrised(function, parameters)
+
+
+def _parameter(name: str, value: Any) -> Any:
+    """A parameter as it is stored: floats are data, which never cause recompilation; integers are structure."""
+    if isinstance(value, AbstractLeaf | AbstractSignal | jax.Array) or (
+        isinstance(value, int) and not isinstance(value, bool)
+    ):
+        return value
+    if (
+        not isinstance(value, float | list | tuple | np.ndarray | np.generic)
+        or np.asarray(value).dtype.kind not in "iuf"
+    ):
+        raise ProblemError(
+            f"signal: parameter '{name}' takes numbers, a distribution, a Decision or a signal; "
+            f"received {type(value).__name__} {value!r}."
+        )
+    numbers = np.array(value, dtype=float)  # copies the caller's arrays
+    if not np.isfinite(numbers).all():
+        raise ProblemError(f"signal: parameter '{name}' must be finite; received {value!r}.")
+    return float(numbers) if numbers.ndim == 0 else numbers
+
+
+@final
+class Total(AbstractSignal):
+    """The sum of signals; see `total`. Its numbers are named after their signal's place: `inputs.force.parts.0...`."""
+
+    parts: tuple[AbstractSignal, ...]
+
+    def __init__(self, parts: Iterable[AbstractSignal]):
+        self.parts = tuple(parts)
+        for part in self.parts:
+            if not isinstance(part, AbstractSignal):
+                raise ProblemError(
+                    "total: expected signals, such as al.processes.total(command, noise); received "
+                    f"{type(part).__name__} {part!r}. Make a constant or a function of time a signal with "
+                    "al.processes.signal."
+                )
+        if not self.parts:
+            raise ProblemError("total: expected at least one signal; received none.")
+        self.span()
+
+    @override
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
+        first, *others = (part(t) for part in self.parts)
+        return sum(others, start=first)
+
+    @override
+    def over(self, t_start: Any, t_final: Any) -> "Total":
+        return Total(part.over(t_start, t_final) for part in self.parts)
+
+    @override
+    def sampled(self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
+        first, *others = (part.sampled(fractions, t_start, t_final) for part in self.parts)
+        return sum(others, start=first)
+
+    @override
+    def span(self) -> tuple[float, float]:
+        return common_span(part.span() for part in self.parts)
+
+
+def total(*signals: AbstractSignal) -> Total:
+    """The sum of signals: a command and the actuator's noise, a mean road and its roughness.
+
+    Raises `ProblemError` for arguments that are not signals, and for signals with no common time.
+    """
+    return Total(signals)
+
+
+def common_span(spans: Iterable[tuple[float, float]]) -> tuple[float, float]:
+    """The times that lie in all spans. Raises `ProblemError` if there are none."""
+    spans = tuple(spans)
+    first, last = max(start for start, _ in spans), min(end for _, end in spans)
+    if not first < last:
+        known = " and ".join(f"from {start:g} to {end:g} s" for start, end in spans)
+        raise ProblemError(f"Signals that are added must be known at the same times; received signals known {known}.")
+    return first, last
