@@ -8,12 +8,17 @@ from jaxtyping import Float
 from typing_extensions import override
 
 from aleator.uncertainty import AbstractGerm, LegendreGerm
-from aleator.uncertainty._stieltjes import recurrence_of
+from aleator.uncertainty._families import tanh_sinh
+from aleator.uncertainty._measure import recurrence_of
 
 
 def restricted(germ: AbstractGerm, low: float, high: float) -> AbstractGerm:
     """The distribution of `germ` given that its probability level lies between `low` and `high`."""
     return germ if (low, high) == (0.0, 1.0) else RestrictedGerm(germ, low, high)
+
+
+# Probability levels that cluster at both ends of an element, with their weights.
+_LEVELS, _WEIGHTS = tanh_sinh(240, -4.0, 4.0)
 
 
 @final
@@ -58,14 +63,3 @@ class RestrictedGerm(AbstractGerm):
         levels = self.low + _LEVELS * (self.high - self.low)
         inside = (levels > 0) & (levels < 1)
         return self.germ.quantile(levels[inside]), _WEIGHTS[inside] / _WEIGHTS[inside].sum()
-
-
-def _double_exponential(nodes: int = 240, reach: float = 4.0) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights on (0, 1) that tolerate singular end points (Takahasi and Mori, 1974)."""
-    t = np.linspace(-reach, reach, nodes)
-    u = np.pi * np.sinh(t)
-    weights = np.cosh(t) / np.cosh(u / 2) ** 2
-    return 1 / (1 + np.exp(-u)), weights / weights.sum()
-
-
-_LEVELS, _WEIGHTS = _double_exponential()
