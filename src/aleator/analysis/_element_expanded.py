@@ -37,7 +37,7 @@ from aleator.statistics import (
     refuse_correlated,
     varies,
 )
-from aleator.statistics._moments import root
+from aleator.statistics._statistic import root
 from aleator.uncertainty import AbstractDistribution, AbstractGerm, Placements
 
 

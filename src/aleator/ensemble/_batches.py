@@ -13,6 +13,10 @@ from aleator._core.compilation import Compiled
 from aleator._core.devices import over_devices
 from aleator.uncertainty import AbstractGerm
 
+# Systems whose histories are held in memory at a time: larger batches gain little time.
+_TOGETHER = 64
+_FINE_TOGETHER = 50
+
 
 def at_levels(
     germs: Collection[AbstractGerm], levels: Float[np.ndarray, "n variables"]
@@ -44,10 +48,6 @@ def drawn_from(
     bits.advance(first * len(germs))
     return draw(germs, count, np.random.Generator(bits))
 
-
-# Systems whose histories are held in memory at a time: larger batches gain little time.
-_TOGETHER = 64
-_FINE_TOGETHER = 50
 
 _Result = TypeVar("_Result")
 

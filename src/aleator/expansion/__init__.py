@@ -6,6 +6,7 @@ from aleator.expansion._basis import Basis as Basis
 from aleator.expansion._basis import HyperbolicCross as HyperbolicCross
 from aleator.expansion._basis import TensorProduct as TensorProduct
 from aleator.expansion._basis import TotalDegree as TotalDegree
+from aleator.expansion._collocation import ROUNDING as ROUNDING
 from aleator.expansion._collocation import UNRESOLVED as UNRESOLVED
 from aleator.expansion._collocation import Collocation as Collocation
 from aleator.expansion._collocation import jackknife as jackknife

@@ -33,6 +33,9 @@ SMALLER = (
 )
 """The remedy for a basis that is too large."""
 
+# The matrix, and the column of each of its entries in one variable.
+_MATRICES = 2
+
 
 class AbstractIndexSet(Module):
     """Which multi-indices an expansion of a given order keeps.
@@ -157,10 +160,6 @@ def _refuse_too_many(terms: float, variables: int) -> None:
             f"Expansion: more than {_MOST_TERMS} terms in {variables} variables, at least {count}: their collocation "
             f"matrix alone would need hundreds of GiB of memory. {SMALLER}"
         )
-
-
-# The matrix, and the column of each of its entries in one variable.
-_MATRICES = 2
 
 
 @final

@@ -33,6 +33,12 @@ _MATRICES = 7
 # The default order of fixed index sets, and the default limit of those that grow.
 _ORDER, _HIGHEST_ORDER = 3, 20
 
+# Corners that are checked: all those of up to ten variables, and at most as many of more variables.
+_MOST_CORNERS = 1024
+
+# Most variables that a sentence names.
+_NAMED = 5
+
 
 @final
 class Expansion(Module):
@@ -166,13 +172,6 @@ def candidate_terms(germs: Mapping[str, AbstractGerm], expansion: Expansion) -> 
     nodes = expansion.points.nodes(candidates, usual)
     candidates.refuse_beyond_memory(len(nodes.points), _MATRICES)
     return candidates, nodes
-
-
-# Corners that are checked: all those of up to ten variables, and at most as many of more variables.
-_MOST_CORNERS = 1024
-
-# Most variables that a sentence names.
-_NAMED = 5
 
 
 @final

@@ -30,6 +30,9 @@ _DIGITS = 10
 # Largest error of orthonormality with which a rule counts as exact for products of polynomials.
 _ORTHONORMAL = 1e-8
 
+# By how much missing points may multiply the condition number: one digit.
+_WORSE = 10.0
+
 
 class AbstractFit(Module):
     """How coefficients follow from samples: by a linear map, which depends on the germ alone once terms are chosen.
@@ -167,10 +170,6 @@ def _checked_condition(triangular: Float[np.ndarray, "terms terms"], count: int)
             "order, or al.points.OptimalPoints()."
         )
     return condition
-
-
-# By how much missing points may multiply the condition number: one digit.
-_WORSE = 10.0
 
 
 def at_fewer_points(

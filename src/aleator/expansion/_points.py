@@ -21,6 +21,12 @@ from aleator.uncertainty import AbstractGerm
 
 _SOBOL_BITS = 30
 
+# Candidates per selected point.
+_CANDIDATES = 10
+
+# Roots of a rule beyond twice the degree, so that a distribution is nearly uniform between two of them.
+_FINE = 60
+
 
 class Nodes(NamedTuple):
     """Collocation points with weights that add up to one, equal unless the set says otherwise.
@@ -185,13 +191,6 @@ def _primes(count: int) -> list[int]:
             primes.append(candidate)
         candidate += 1
     return primes
-
-
-# Candidates per selected point.
-_CANDIDATES = 10
-
-# Roots of a rule beyond twice the degree, so that a distribution is nearly uniform between two of them.
-_FINE = 60
 
 
 @final

@@ -30,6 +30,15 @@ _GROWTH = 0.3
 # Candidates whose polynomials are held in memory at a time.
 _CHUNK = 2000
 
+# Principal components are ranked until the rest holds less than this part of all squares.
+_NEGLIGIBLE = 1e-6
+
+# At most one term per this many points: with more terms the corrected error rises.
+_FEWEST_PER_TERM = 2
+
+# A column is dependent if less than this is left of it after projecting out those before it.
+_DEPENDENT = 1e-7
+
 
 @final
 class Adaptive(Module):
@@ -227,16 +236,6 @@ def _warn(basis: Basis, nodes: Nodes, error: float, settings: Adaptive, limit: s
         ExpansionWarning,
         stacklevel=4,
     )
-
-
-# Principal components are ranked until the rest holds less than this part of all squares.
-_NEGLIGIBLE = 1e-6
-
-# At most one term per this many points: with more terms the corrected error rises.
-_FEWEST_PER_TERM = 2
-
-# A column is dependent if less than this is left of it after projecting out those before it.
-_DEPENDENT = 1e-7
 
 
 @final

@@ -27,6 +27,9 @@ from aleator.geometry._shapes import (
 ROUNDING = 1e-12
 """The gap between two cores, relative to their size, below which their nearest points define no direction."""
 
+PARALLEL = 1e-14
+"""The squared sine of the angle below which two directions count as parallel."""
+
 
 def distance(first: AbstractShape, second: AbstractShape) -> Float[Array, ""]:
     """The signed distance (m) between two solid shapes: their gap, or minus the depth of their overlap.
@@ -87,10 +90,6 @@ def _check_dimensions(first: tuple[AbstractShape, int], second: tuple[AbstractSh
     if first[1] != second[1]:
         one, other = (f"a {type(shape).__name__} in {size} dimensions" for shape, size in (first, second))
         raise ProblemError(f"distance: expected two shapes of the same space; received {one} and {other}.")
-
-
-PARALLEL = 1e-14
-"""The squared sine of the angle below which two directions count as parallel."""
 
 
 def separation(first: Body, second: Body) -> Float[Array, ""]:

@@ -23,6 +23,18 @@ from aleator._core.errors import ProblemError
 from aleator._core.module import Module
 from aleator.uncertainty import AbstractDistribution, Decision
 
+# Numbers of polynomials, tried in turn.
+_SIZES = (32, 48, 64, 96, 128, 192, 256, 384, 512)
+
+# Converged: shares of variance agree between two sizes to this, and the last eighth of the polynomials is as small.
+_CONVERGED = 1e-11
+
+# Modes with a smaller share of the variance are lost in rounding.
+_LEAST_SHARE = 1e-12
+
+# An eigenvalue below this is truly negative: quadrature errors are smaller.
+_NEGATIVE = -1e-6
+
 
 class AbstractCovariance(Module):
     """The covariance of a stationary process, as `std² * correlation(lag)`.
@@ -152,19 +164,6 @@ class BandLimitedCovariance(AbstractCovariance):
 
     def __str__(self) -> str:
         return f"covariance of the band from {float(self.frequencies[0]):g} to {float(self.frequencies[-1]):g} Hz"
-
-
-# Numbers of polynomials, tried in turn.
-_SIZES = (32, 48, 64, 96, 128, 192, 256, 384, 512)
-
-# Converged: shares of variance agree between two sizes to this, and the last eighth of the polynomials is as small.
-_CONVERGED = 1e-11
-
-# Modes with a smaller share of the variance are lost in rounding.
-_LEAST_SHARE = 1e-12
-
-# An eigenvalue below this is truly negative: quadrature errors are smaller.
-_NEGATIVE = -1e-6
 
 
 class Modes(NamedTuple):

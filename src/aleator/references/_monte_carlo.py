@@ -45,6 +45,13 @@ from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation,
 Estimates: TypeAlias = Any
 """An `Estimate`, or a dict of them if the outputs are a dict."""
 
+# Binary digits of a Sobol point. Its coordinates are multiples of 2^-30, including 0.
+_DIGITS = 30
+
+_MOST_BYTES = 2 * 2**30
+# Parts of a sample at most whose points are evaluated one by one.
+_MOST = 128
+
 
 @final
 class RandomSample(AbstractMeasured[Estimates]):
@@ -110,10 +117,6 @@ class RandomSample(AbstractMeasured[Estimates]):
         for name, (_, mean), std in zip(names, rows, jax.tree.leaves(stds), strict=True):
             lines.append(f"{name}: mean {mean}, std {std}")
         return "\n".join(lines)
-
-
-# Binary digits of a Sobol point. Its coordinates are multiples of 2^-30, including 0.
-_DIGITS = 30
 
 
 def monte_carlo(
@@ -241,10 +244,6 @@ def _is_power_of_two(number: int) -> bool:
 
 Evaluate: TypeAlias = Callable[[Sequence[Part], int], Iterator[tuple[Part, Pytree]]]
 """The outputs at the points of some parts, in order; none has more points than the number."""
-
-_MOST_BYTES = 2 * 2**30
-# Parts of a sample at most whose points are evaluated one by one.
-_MOST = 128
 
 
 def ensemble_of(verb: str, function: Function, model: Pytree, *, traced: bool) -> AbstractEnsemble:

@@ -17,7 +17,7 @@ from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.module import Module
 from aleator._core.tracing import evaluate, trace
 from aleator.ensemble import UNTRACEABLE, AbstractBox, Function, concrete, name_of, outputs_of, part, uncertain_places
-from aleator.statistics._moments import root
+from aleator.statistics._statistic import root
 from aleator.uncertainty import (
     AbstractDistribution,
     AbstractGerm,
@@ -30,6 +30,10 @@ from aleator.uncertainty import (
     uncertain_numbers,
     with_distributions,
 )
+
+# Of Gauss quadrature: 4 are exact for moments up to the sixth; their derivatives by the shape of a distribution, and
+# correlations, are no polynomials and need more.
+_NODES = 32
 
 
 @final
@@ -94,11 +98,6 @@ def traceable(verb: str, function: Function) -> Function:
             ) from error
 
     return checked
-
-
-# Of Gauss quadrature: 4 are exact for moments up to the sixth; their derivatives by the shape of a distribution, and
-# correlations, are no polynomials and need more.
-_NODES = 32
 
 
 @final

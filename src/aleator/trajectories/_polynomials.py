@@ -28,6 +28,11 @@ from aleator.trajectories._signals import (
 
 _KIND = "PowerSeries"
 
+# A fraction this close to a node is that node, up to rounding.
+_AT = 1e-12
+# Nodes are whole multiples of a part of the duration, which is not smaller than this.
+_FINEST = 10**7
+
 
 @final
 class PowerSeries(AbstractTrajectory):
@@ -107,11 +112,6 @@ def _check_inside(time: Any) -> None:
 
 
 Tree = TypeVar("Tree")
-
-# A fraction this close to a node is that node, up to rounding.
-_AT = 1e-12
-# Nodes are whole multiples of a part of the duration, which is not smaller than this.
-_FINEST = 10**7
 
 
 @final

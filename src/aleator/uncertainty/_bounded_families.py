@@ -14,6 +14,9 @@ from aleator.uncertainty._distribution import AbstractDistribution, Canonical, F
 from aleator.uncertainty._measure import AbstractDensityGerm
 from aleator.uncertainty._polynomials import AbstractGerm
 
+_REACH = 80.0  # the density is 1e-17 of its peak where half the square of the germ has grown by half of this
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(96)
+
 
 @final
 @dataclass(frozen=True)
@@ -150,10 +153,6 @@ def _truncated_quantile(below: Array, above: Array, low: Array, high: Array) -> 
     from_high = (low > 0) | ((high > 0) & (below > above))
     tail = jnp.where(from_high, special.ndtr(-high) + above * mass, special.ndtr(low) + below * mass)
     return jnp.where(from_high, -1, 1) * special.ndtri(tail)
-
-
-_REACH = 80.0  # the density is 1e-17 of its peak where half the square of the germ has grown by half of this
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(96)
 
 
 def _truncated_moments(low: Scalar, high: Scalar) -> tuple[Array, Array]:

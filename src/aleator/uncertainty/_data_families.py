@@ -21,6 +21,8 @@ from aleator.uncertainty._distribution import AbstractDistribution, Canonical, F
 from aleator.uncertainty._measure import AbstractDensityGerm, recurrence_of
 from aleator.uncertainty._polynomials import AbstractGerm
 
+_NORMALS = np.linspace(-8.2, 8.2, 4101)
+
 
 @final
 @dataclass(frozen=True)
@@ -167,9 +169,6 @@ def _ends(lower: Any, upper: Any) -> tuple[float, float]:
     if not low < high:
         raise ProblemError(f"Density needs lower < upper; received lower={low:g}, upper={high:g}.")
     return low, high
-
-
-_NORMALS = np.linspace(-8.2, 8.2, 4101)
 
 
 @functools.lru_cache(maxsize=32)

@@ -23,6 +23,8 @@ from aleator._core.errors import ProblemError
 from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
 from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 
+_BISECTIONS = 70
+
 
 @final
 class Uniform(AbstractDistribution):
@@ -244,9 +246,6 @@ class Gamma(AbstractDistribution):
     @override
     def support(self) -> tuple[Scalar, Scalar]:
         return self.parameters["lower"], np.inf
-
-
-_BISECTIONS = 70
 
 
 def tanh_sinh(nodes: int = 111, first: float = -6.0, last: float = 3.4) -> tuple[np.ndarray, np.ndarray]:

@@ -32,6 +32,9 @@ _BISECTIONS = 60
 
 _FINITE_END, _FAR, _NEAR = 6.0, 4.5, 6.7  # values of t where a map is within 1e-275 of an end, or 1e30 away
 
+_HALVINGS = 7
+_AGREEMENT = 1e-11  # of two rules; the coefficients taken are those of the finer one, which is far more accurate
+
 
 class _Map(NamedTuple):
     """A map between `t` in (first, last) and the support of a density."""
@@ -243,10 +246,6 @@ class Measure:
                     f"A density could not be integrated: its integral does not converge towards its end {end:g}. "
                     "Set `lower` and `upper` so that its integral is finite."
                 )
-
-
-_HALVINGS = 7
-_AGREEMENT = 1e-11  # of two rules; the coefficients taken are those of the finer one, which is far more accurate
 
 
 def recurrence_of(

@@ -16,6 +16,8 @@ from aleator.uncertainty._families import bisect
 from aleator.uncertainty._measure import AbstractDensityGerm
 from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm, LaguerreGerm
 
+_GUMBEL_STD = np.pi / np.sqrt(6)
+
 
 @final
 @dataclass(frozen=True)
@@ -264,9 +266,6 @@ class Weibull(AbstractDistribution):
     @override
     def support(self) -> tuple[Scalar, Scalar]:
         return self.parameters["lower"], np.inf
-
-
-_GUMBEL_STD = np.pi / np.sqrt(6)
 
 
 @final
