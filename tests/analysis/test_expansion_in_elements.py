@@ -7,8 +7,7 @@ import pytest
 from scipy import stats
 
 import aleator as al
-from aleator.analysis._box import Box
-from aleator.analysis._restricted_germ import RestrictedGerm
+from aleator.analysis._elements import Box, RestrictedGerm
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 
 WIDE = {"w": al.Uniform.bounds(0.7, 1.3)}
