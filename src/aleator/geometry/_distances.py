@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal, refuse_missing, traceable, whole
+from aleator._core.leaves import stored_numbers
 from aleator.geometry._shapes import (
     AbstractBounded,
     AbstractShape,
@@ -20,7 +21,6 @@ from aleator.geometry._shapes import (
     cross,
     plain,
     sign_table,
-    stored,
     unit,
 )
 
@@ -244,7 +244,7 @@ def smallest(distances: Any, sharpness: Any = 1e3) -> Float[Array, ""]:
 
     Raises `ProblemError` if there are no distances, or if a plain sharpness is not positive.
     """
-    sharpness = stored("smallest", "sharpness", sharpness)
+    sharpness = stored_numbers("smallest: 'sharpness'", sharpness)
     check_number("smallest", "sharpness", sharpness)
     known = plain(sharpness)
     if known is not None and not known > 0:

@@ -9,14 +9,12 @@ from typing import Any, NamedTuple, final
 
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Number
 from aleator._core.errors import ProblemError
-from aleator._core.given import real_array
-from aleator._core.leaves import AbstractLeaf, lowest, realised_shape
+from aleator._core.leaves import AbstractLeaf, lowest, realised_shape, stored_numbers
 from aleator._core.module import Module
 
 TINY = 1e-200
@@ -112,8 +110,8 @@ class Sphere(AbstractBounded):
     radius: Number
 
     def __init__(self, center: Any, radius: Any = 0.0):
-        self.center = stored("Sphere", "center", center)
-        self.radius = stored("Sphere", "radius", radius)
+        self.center = stored_numbers("Sphere: 'center'", center)
+        self.radius = stored_numbers("Sphere: 'radius'", radius)
         check_point("Sphere", "center", self.center)
         check_radius("Sphere", self.radius)
 
@@ -140,9 +138,9 @@ class Capsule(AbstractBounded):
     radius: Number
 
     def __init__(self, start: Any, end: Any, radius: Any = 0.0):
-        self.start = stored("Capsule", "start", start)
-        self.end = stored("Capsule", "end", end)
-        self.radius = stored("Capsule", "radius", radius)
+        self.start = stored_numbers("Capsule: 'start'", start)
+        self.end = stored_numbers("Capsule: 'end'", end)
+        self.radius = stored_numbers("Capsule: 'radius'", radius)
         check_point("Capsule", "start", self.start)
         check_same_size("Capsule", start=self.start, end=self.end)
         check_radius("Capsule", self.radius)
@@ -174,14 +172,14 @@ class Box(AbstractBounded):
     orientation: Any
 
     def __init__(self, center: Any, half_sizes: Any, orientation: Any = None):
-        self.center = stored("Box", "center", center)
-        self.half_sizes = stored("Box", "half_sizes", half_sizes)
-        self.orientation = None if orientation is None else stored("Box", "orientation", orientation)
+        self.center = stored_numbers("Box: 'center'", center)
+        self.half_sizes = stored_numbers("Box: 'half_sizes'", half_sizes)
+        self.orientation = None if orientation is None else stored_numbers("Box: 'orientation'", orientation)
         check_point("Box", "center", self.center)
         check_same_size("Box", center=self.center, half_sizes=self.half_sizes)
         check_lengths("Box", "half_sizes", self.half_sizes)
         if self.orientation is not None:
-            _check_orientation(self.orientation, shape_of(self.center)[0])
+            _check_orientation(self.orientation, realised_shape(self.center)[0])
 
     @override
     def body(self) -> Body:
@@ -215,8 +213,8 @@ class HalfSpace(AbstractShape):
     offset: Number
 
     def __init__(self, normal: Any, offset: Any):
-        self.normal = stored("HalfSpace", "normal", normal)
-        self.offset = stored("HalfSpace", "offset", offset)
+        self.normal = stored_numbers("HalfSpace: 'normal'", normal)
+        self.offset = stored_numbers("HalfSpace: 'offset'", offset)
         check_point("HalfSpace", "normal", self.normal)
         check_number("HalfSpace", "offset", self.offset)
         normal = plain(self.normal)
@@ -235,55 +233,32 @@ class HalfSpace(AbstractShape):
 
 def _check_orientation(orientation: Any, dimension: int) -> None:
     wanted, words = ((), "one angle in rad") if dimension == 2 else ((3, 3), "a rotation matrix of shape (3, 3)")
-    if shape_of(orientation) != wanted:
+    if realised_shape(orientation) != wanted:
         raise ProblemError(
-            f"Box: in {dimension} dimensions 'orientation' takes {words}; received shape {shape_of(orientation)}."
+            f"Box: in {dimension} dimensions 'orientation' takes {words}; received shape {realised_shape(orientation)}."
         )
     matrix = plain(orientation)
     if dimension == 3 and matrix is not None and not np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=1e-6):
         raise ProblemError(f"Box: 'orientation' is not a rotation matrix: its columns are not orthonormal; {matrix}.")
 
 
-def stored(owner: str, name: str, value: Any) -> Any:
-    """The numbers of a field as a shape keeps them.
-
-    Plain numbers become a float or a NumPy copy, checked to be finite. Distributions, decisions and traced arrays are
-    kept unchanged, even inside a sequence, which becomes a tuple. Raises `ProblemError` for anything else.
-    """
-    if _is_open(value):
-        return value
-    if isinstance(value, list | tuple) and _has_open(value):
-        return tuple(stored(owner, name, part) for part in value)
-    numbers = real_array(f"{owner}: '{name}'", value, "numbers, distributions, decisions or arrays")
-    if not np.isfinite(numbers).all():
-        raise ProblemError(f"{owner}: '{name}' must be finite; received {numbers}.")
-    return numbers if numbers.ndim else float(numbers)
-
-
-def shape_of(value: Any) -> tuple[int, ...]:
-    """The shape of a stored field once it is realised."""
-    if isinstance(value, tuple):
-        return (len(value), *_common_shape(value))
-    return realised_shape(value)
-
-
 def plain(value: Any) -> np.ndarray | None:
     """The values of a stored field if they are known; `None` where they are uncertain, decided or traced."""
-    return np.asarray(value) if isinstance(value, float | np.ndarray) else None
+    return value if isinstance(value, np.ndarray) else None
 
 
 def check_point(owner: str, name: str, value: Any) -> None:
     """Raise `ProblemError` unless `value` is a vector of the plane or of space."""
-    if shape_of(value) not in ((2,), (3,)):
+    if realised_shape(value) not in ((2,), (3,)):
         raise ProblemError(
-            f"{owner}: '{name}' takes 2 numbers in the plane or 3 in space; received shape {shape_of(value)}. "
+            f"{owner}: '{name}' takes 2 numbers in the plane or 3 in space; received shape {realised_shape(value)}. "
             "For a batch of shapes, use `jax.vmap`."
         )
 
 
 def check_same_size(owner: str, **fields: Any) -> None:
     """Raise `ProblemError` unless two vectors have one size."""
-    sizes = {name: shape_of(value) for name, value in fields.items()}
+    sizes = {name: realised_shape(value) for name, value in fields.items()}
     if len(set(sizes.values())) > 1:
         received = " and ".join(f"'{name}' of shape {size}" for name, size in sizes.items())
         raise ProblemError(f"{owner}: expected vectors of the same size; received {received}.")
@@ -291,8 +266,8 @@ def check_same_size(owner: str, **fields: Any) -> None:
 
 def check_number(owner: str, name: str, value: Any) -> None:
     """Raise `ProblemError` unless `value` is one number."""
-    if shape_of(value) != ():
-        raise ProblemError(f"{owner}: '{name}' takes one number; received shape {shape_of(value)}.")
+    if realised_shape(value) != ():
+        raise ProblemError(f"{owner}: '{name}' takes one number; received shape {realised_shape(value)}.")
 
 
 def check_radius(owner: str, value: Any) -> None:
@@ -338,21 +313,3 @@ def realised_point(owner: str, name: str, value: Any) -> Float[Array, " d"]:
     point = realised(owner, name, value)
     check_point(owner, name, point)
     return point
-
-
-def _is_open(value: Any) -> bool:
-    """Whether the value is not known yet: a distribution, a decision or a traced number."""
-    return isinstance(value, AbstractLeaf | Tracer)
-
-
-def _has_open(value: Any) -> bool:
-    if isinstance(value, list | tuple):
-        return any(_has_open(part) for part in value)
-    return _is_open(value)
-
-
-def _common_shape(parts: tuple[Any, ...]) -> tuple[int, ...]:
-    shapes = {shape_of(part) for part in parts}
-    if len(shapes) > 1:
-        raise ProblemError(f"A shape's numbers do not form an array: their parts have shapes {sorted(shapes)}.")
-    return shapes.pop()

@@ -20,8 +20,9 @@ from numpy.polynomial.legendre import leggauss, legvander
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
+from aleator._core.given import positive, real
+from aleator._core.leaves import AbstractLeaf
 from aleator._core.module import Module
-from aleator.uncertainty import AbstractDistribution, Decision
 
 # Numbers of polynomials, tried in turn.
 _SIZES = (32, 48, 64, 96, 128, 192, 256, 384, 512)
@@ -295,38 +296,14 @@ def legendre(x: Float[Array, ""], size: int) -> Float[Array, " size"]:
 
 def plain_number(owner: str, name: str, value: Any) -> float:
     """A finite plain number. Raises `ProblemError` for anything else, such as a decision."""
-    if isinstance(value, AbstractDistribution | Decision):
+    if isinstance(value, AbstractLeaf):
         raise ProblemError(
             f"{owner}: '{name}' sets the covariance's eigenfunctions, which are computed once; expected a plain "
             f"number; received {value}. Make `std` or `mean` uncertain or decided instead."
         )
-    number = _finite(value)
-    if number is None:
-        raise ProblemError(f"{owner}: '{name}' is a finite number; received {value!r}.")
-    return number
+    return real(f"{owner}: '{name}'", value)
 
 
 def positive_number(owner: str, name: str, value: Any) -> float:
     """A positive finite plain number. Raises `ProblemError` for anything else."""
-    number = plain_number(owner, name, value)
-    if not number > 0:
-        raise ProblemError(f"{owner}: '{name}' must be positive; received {number:g}.")
-    return number
-
-
-def number_or_distribution(owner: str, name: str, value: Any) -> Any:
-    """One number of a model: plain, uncertain, decided or traced by JAX. Raises `ProblemError` for anything else."""
-    if isinstance(value, AbstractDistribution) or (isinstance(value, jax.Array) and value.ndim == 0):
-        return value
-    if isinstance(value, Decision) and np.ndim(value.initial) == 0:
-        return value
-    number = _finite(value)
-    if number is None:
-        raise ProblemError(f"{owner}: '{name}' takes one number, one distribution or one Decision; received {value!r}.")
-    return number
-
-
-def _finite(value: Any) -> float | None:
-    """A finite plain number as a float; `None` for anything else."""
-    is_real = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    return float(value) if is_real and np.isfinite(value) else None
+    return positive(f"{owner}: '{name}'", plain_number(owner, name, value))

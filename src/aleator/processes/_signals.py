@@ -13,12 +13,12 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ExpansionWarning, ProblemError
-from aleator._core.leaves import AbstractLeaf
+from aleator._core.given import real, real_array, refusal
+from aleator._core.leaves import AbstractLeaf, realised_shape
 from aleator.processes._covariance import (
     AbstractCovariance,
     karhunen_loeve,
     legendre,
-    number_or_distribution,
     plain_number,
 )
 from aleator.trajectories import AbstractSignal
@@ -84,23 +84,23 @@ class RandomProcess(AbstractSignal):
         self.covariance = covariance
         self.t_start, self.t_final = _interval(t_start, t_final)
         self.std = _spread(std)
-        self.mean = mean if isinstance(mean, AbstractSignal) else number_or_distribution("RandomProcess", "mean", mean)
+        self.mean = mean if isinstance(mean, AbstractSignal) else _number("mean", mean)
         _check_size(energy, modes)
         duration = self.t_final - self.t_start
-        found = karhunen_loeve(covariance, duration, _ENERGY if energy is None else float(energy), modes)
-        self.xi = (Normal(0.0, 1.0),) * len(found.shares)
-        self.eigenvalues = found.shares * duration
-        self.functions = found.functions
+        retained = karhunen_loeve(covariance, duration, _ENERGY if energy is None else float(energy), modes)
+        self.xi = (Normal(0.0, 1.0),) * len(retained.shares)
+        self.eigenvalues = retained.shares * duration
+        self.functions = retained.functions
         self.span()
         if self.share < _LITTLE:
-            said = (
+            remedy = (
                 "what they leave out is in no statistic, limit or sample. Ask for more modes, or a smoother covariance."
             )
-            warnings.warn(f"{self}: {said}", ExpansionWarning, stacklevel=3)
+            warnings.warn(f"{self}: {remedy}", ExpansionWarning, stacklevel=3)
 
     @override
     def __call__(self, t: Float[Array, ""]) -> Float[Array, ""]:
-        coefficients = jnp.asarray(self.functions) @ jnp.stack([jnp.asarray(one, dtype=float) for one in self.xi])
+        coefficients = jnp.asarray(self.functions) @ jnp.stack([jnp.asarray(xi, dtype=float) for xi in self.xi])
         mean = self.mean(t) if isinstance(self.mean, AbstractSignal) else self.mean
         return mean + self.std * (self._polynomials(t) @ coefficients)
 
@@ -138,8 +138,15 @@ def _interval(t_start: float, t_final: float) -> tuple[float, float]:
     return start, end
 
 
+def _number(name: str, value: Any) -> Any:
+    """One number of a model: plain, uncertain, decided or traced by JAX. Raises `ProblemError` for anything else."""
+    if isinstance(value, AbstractLeaf | jax.Array) and realised_shape(value) == ():
+        return value
+    return real(f"RandomProcess: '{name}'", value, "one number, one distribution or one Decision")
+
+
 def _spread(std: Any) -> Any:
-    std = number_or_distribution("RandomProcess", "std", std)
+    std = _number("std", std)
     lowest = std if isinstance(std, float) else float(std.lower) if isinstance(std, Decision) else 0.0
     if lowest < 0:
         raise ProblemError(f"RandomProcess: 'std' must not be negative; received {lowest:g}.")
@@ -201,21 +208,12 @@ def signal(function: Callable[[Any, Any], Any], /, **parameters: Any) -> Paramet
 
 def _parameter(name: str, value: Any) -> Any:
     """A parameter as it is stored: floats are data, which never cause recompilation; integers are structure."""
-    if isinstance(value, AbstractLeaf | AbstractSignal | jax.Array) or (
-        isinstance(value, int) and not isinstance(value, bool)
-    ):
+    is_structure = isinstance(value, int) and not isinstance(value, bool)
+    if is_structure or isinstance(value, AbstractLeaf | AbstractSignal | jax.Array):
         return value
-    if (
-        not isinstance(value, float | list | tuple | np.ndarray | np.generic)
-        or np.asarray(value).dtype.kind not in "iuf"
-    ):
-        raise ProblemError(
-            f"signal: parameter '{name}' takes numbers, a distribution, a Decision or a signal; "
-            f"received {type(value).__name__} {value!r}."
-        )
-    numbers = np.array(value, dtype=float)  # copies the caller's arrays
+    numbers = real_array(f"signal: parameter '{name}'", value, "finite numbers, a distribution, a Decision or a signal")
     if not np.isfinite(numbers).all():
-        raise ProblemError(f"signal: parameter '{name}' must be finite; received {value!r}.")
+        raise refusal(f"signal: parameter '{name}'", "finite numbers", value)
     return float(numbers) if numbers.ndim == 0 else numbers
 
 

@@ -16,6 +16,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree, Scalar, in_library, jax_array, quietly
 from aleator._core.errors import ProblemError
+from aleator._core.given import real
 from aleator._core.leaves import is_traced
 from aleator._core.module import Module
 from aleator._core.units import PURE, product, squared
@@ -300,9 +301,6 @@ def level_given(kind: str, level: Any) -> Scalar:
 
 def number_given(kind: str, name: str, value: Any) -> Scalar:
     """A finite number; an array of JAX, traced or not, stays one. Raises `ProblemError` for anything else."""
-    if isinstance(value, jax.Array) and value.ndim == 0:
-        if is_traced(value) or np.isfinite(value):
-            return value
-    elif isinstance(value, int | float | np.number) and not isinstance(value, bool) and np.isfinite(value):
-        return float(value)
-    raise ProblemError(f"{kind}: {name} is one finite number; received {value!r}.")
+    if isinstance(value, jax.Array) and value.ndim == 0 and (is_traced(value) or np.isfinite(value)):
+        return value
+    return real(f"{kind}: {name}", value, "one finite number")

@@ -17,8 +17,8 @@ from typing_extensions import override
 from aleator._core import given as check
 from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import AbstractLeaf, is_leaf, lowest
-from aleator.trajectories._signals import AbstractTrajectory, Fractions, as_array, conditions, copied, shape_of
+from aleator._core.leaves import AbstractLeaf, is_leaf, lowest, realised_shape, stored_numbers
+from aleator.trajectories._signals import AbstractTrajectory, Fractions, as_array, conditions
 
 _KIND = "BSpline"
 
@@ -60,8 +60,8 @@ class BSpline(AbstractTrajectory):
         knots: Any = None,
         spans: Any = None,
     ):
-        self.free = copied(_KIND, "control points", free)
-        if len(shape_of(self.free)) == 0:
+        self.free = stored_numbers(f"{_KIND}: control points", free)
+        if len(realised_shape(self.free)) == 0:
             raise ProblemError(
                 f"{_KIND}: expected several control points, such as al.Decision(np.zeros(8), -3.0, 3.0); received one."
             )
@@ -78,8 +78,8 @@ class BSpline(AbstractTrajectory):
         if interior < 0:
             raise ProblemError(
                 f"{_KIND}: degree {degree} needs at least {degree + 1} control points in all; received "
-                f"{shape_of(self.free)[0]} free ones and {len(self.start)} conditions at the start and {len(self.end)} "
-                f"at the end. Give {-interior} more free control points."
+                f"{realised_shape(self.free)[0]} free ones and {len(self.start)} conditions at the start and "
+                f"{len(self.end)} at the end. Give {-interior} more free control points."
             )
         if knots is not None and spans is not None:
             raise ProblemError(f"{_KIND}: expected knots or spans; received both.")
@@ -89,12 +89,12 @@ class BSpline(AbstractTrajectory):
     @property
     @override
     def shape(self) -> tuple[int, ...]:
-        return shape_of(self.free)[1:]
+        return realised_shape(self.free)[1:]
 
     @property
     def count(self) -> int:
         """The total number of control points."""
-        return shape_of(self.free)[0] + len(self.start) + len(self.end)
+        return realised_shape(self.free)[0] + len(self.start) + len(self.end)
 
     def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
         """As in `AbstractTrajectory.values`; derivatives by the splines of equations (56) and (57)."""
@@ -203,9 +203,9 @@ def _checked_knots(knots: Any, interior: int) -> tuple[float, ...]:
 
 
 def _checked_spans(spans: Any, count: int) -> Any:
-    kept = copied(_KIND, "spans", spans)
+    kept = stored_numbers(f"{_KIND}: spans", spans)
     least = lowest(kept)
-    if shape_of(kept) != (count,) or (least is not None and least <= 0):
+    if realised_shape(kept) != (count,) or (least is not None and least <= 0):
         raise ProblemError(
             f"{_KIND}: expected {count} positive spans, or distributions that stay positive, or a Decision of that "
             f"many with positive lower bounds, such as al.Decision(np.ones({count}), 0.2, 5.0); received {spans!r}."

@@ -15,15 +15,13 @@ from typing_extensions import override
 
 from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import highest, lowest, transparent
+from aleator._core.leaves import highest, lowest, realised_shape, stored_numbers, transparent
 from aleator.trajectories._signals import (
     AbstractTrajectory,
     Derivative,
     Fractions,
     as_array,
     conditions,
-    copied,
-    shape_of,
 )
 
 _KIND = "PowerSeries"
@@ -57,19 +55,19 @@ class PowerSeries(AbstractTrajectory):
         values = start if isinstance(start, list | tuple) else (start,)
         if not values:
             raise ProblemError(f"{_KIND}: expected at least a value at the start; received none.")
-        shape = shape_of(values[0])
+        shape = realised_shape(values[0])
         self.start = conditions(_KIND, "start", start, shape)
         self.end = conditions(_KIND, "end", end, shape)
-        self.middle = None if middle is None else copied(_KIND, "middle", middle)
-        if middle is not None and shape_of(self.middle) != shape:
-            raise ProblemError(f"{_KIND}: expected a middle of shape {shape}; received {shape_of(self.middle)}.")
-        self.middle_time = copied(_KIND, "middle time", middle_time)
+        self.middle = None if middle is None else stored_numbers(f"{_KIND}: middle", middle)
+        if middle is not None and realised_shape(self.middle) != shape:
+            raise ProblemError(f"{_KIND}: expected a middle of shape {shape}; received {realised_shape(self.middle)}.")
+        self.middle_time = stored_numbers(f"{_KIND}: middle time", middle_time)
         _check_inside(self.middle_time)
 
     @property
     @override
     def shape(self) -> tuple[int, ...]:
-        return shape_of(self.start[0])
+        return realised_shape(self.start[0])
 
     @override
     def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
@@ -104,7 +102,7 @@ def _powers(u: Fractions, count: int, order: int) -> Float[np.ndarray | Array, "
 
 def _check_inside(time: Any) -> None:
     known = [end for end in (lowest(time), highest(time)) if end is not None]
-    if shape_of(time) != () or not all(0 < end < 1 for end in known):
+    if realised_shape(time) != () or not all(0 < end < 1 for end in known):
         raise ProblemError(
             f"{_KIND}: expected a middle time strictly between 0 and 1, as a fraction of the duration, or a "
             f"distribution or a Decision in that range; received {time!r}."

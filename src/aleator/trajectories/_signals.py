@@ -11,14 +11,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
-from aleator._core.given import is_masked, real_array
-from aleator._core.leaves import AbstractLeaf, is_leaf, realised_shape
+from aleator._core.given import real_array
+from aleator._core.leaves import realised_shape, stored_numbers
 from aleator._core.module import Module
 from aleator._core.tables import entry, read_table
 
@@ -166,13 +165,6 @@ class _Stretched(AbstractSignal):
         return -np.inf, np.inf
 
 
-def shape_of(number: Any) -> tuple[int, ...]:
-    """The shape of a field once it is realised: of numbers, of a distribution or of a decision."""
-    if isinstance(number, list | tuple):
-        return (len(number), *(shape_of(number[0]) if number else ()))
-    return realised_shape(number)
-
-
 def as_array(number: Any) -> Float[Array, "..."]:
     """A realised number, or a sequence of them, as an array."""
     if isinstance(number, list | tuple):
@@ -195,34 +187,13 @@ def conditions(kind: str, where: str, given: Any, shape: tuple[int, ...]) -> tup
     kept = []
     for number, name in zip(given, ("value", "velocity", "acceleration"), strict=False):
         is_zero = isinstance(number, int | float) and number == 0
-        if shape_of(number) != shape and not is_zero:
+        if realised_shape(number) != shape and not is_zero:
             raise ProblemError(
                 f"{kind}: expected a {name} of shape {shape} at the {where}, that of its control points; "
-                f"received shape {shape_of(number)}."
+                f"received shape {realised_shape(number)}."
             )
-        # An integer would be static, so that each value would be compiled anew.
-        kept.append(np.zeros(shape) if is_zero else copied(kind, f"{name} at the {where}", number))
+        kept.append(np.zeros(shape) if is_zero else stored_numbers(f"{kind}: {name} at the {where}", number))
     return tuple(kept)
-
-
-def copied(kind: str, name: str, number: Any) -> Any:
-    """Plain numbers as a new array; distributions, decisions, traced numbers and sequences that contain any, unchanged.
-
-    Raises `ProblemError` for anything else, and for numbers that are not finite.
-    """
-    if isinstance(number, AbstractLeaf | Tracer):
-        return number
-    if isinstance(number, list | tuple):
-        parts = tuple(copied(kind, name, one) for one in number)
-        plain = all(isinstance(one, np.ndarray) for one in parts)
-        return np.stack(parts) if parts and plain else parts
-    is_given = not is_masked(number) and (hasattr(number, "dtype") or isinstance(number, int | float))
-    if not is_given or np.asarray(number).dtype.kind not in "iuf":
-        raise ProblemError(f"{kind}: expected numbers, distributions or decisions as its {name}; received {number!r}.")
-    array = np.array(number, dtype=float)
-    if not np.isfinite(array).all():
-        raise ProblemError(f"{kind}: its {name} must be finite; received {number!r}.")
-    return array
 
 
 @final
@@ -241,17 +212,16 @@ class Tabulated(AbstractSignal):
     values: Any
 
     def __init__(self, times: Any, values: Any):
-        self.times = _numbers("times", times)
-        self.values = values if is_leaf(values) else _samples(values)
-        length = _shape(self.values)
+        self.times = real_array("Tabulated: times", times, "plain numbers")
+        self.values = stored_numbers("Tabulated: values", values)
+        length = realised_shape(self.values)
         if self.times.ndim != 1 or self.times.shape != length or self.times.size < 2:
             raise ProblemError(
                 "Tabulated: expected two vectors of the same length, of at least 2; "
                 f"received times {self.times.shape} and values {length}."
             )
-        plain = [value for value in jax.tree.leaves(self.values, is_leaf=is_leaf) if not is_leaf(value)]
-        if not all(np.isfinite(numbers).all() for numbers in [self.times, *plain]):
-            raise ProblemError("Tabulated: every time and value must be finite.")
+        if not np.isfinite(self.times).all():
+            raise ProblemError("Tabulated: times must be finite.")
         if not np.all(np.diff(self.times) > 0):
             at = int(np.argmin(np.diff(self.times) > 0)) + 1
             raise ProblemError(f"Tabulated: times must increase, but sample {at} is not after the one before it.")
@@ -273,35 +243,8 @@ class Tabulated(AbstractSignal):
 
     @override
     def __call__(self, t: Float[Array, ""]) -> Float[Array, ""]:
-        values = (
-            jnp.stack([jnp.asarray(value) for value in self.values]) if isinstance(self.values, tuple) else self.values
-        )
-        return jnp.interp(t, self.times, values)
+        return jnp.interp(t, self.times, as_array(self.values))
 
     @override
     def span(self) -> tuple[float, float]:
         return float(self.times[0]), float(self.times[-1])
-
-
-def _samples(values: Any) -> np.ndarray | tuple[Any, ...]:
-    """An array of numbers or, where some are uncertain or decided, a tuple of single values."""
-    if not (isinstance(values, list | tuple) and any(is_leaf(value) for value in values)):
-        return _numbers("values", values)
-    samples = tuple(value if is_leaf(value) else _numbers("values", value) for value in values)
-    for place, sample in enumerate(samples):
-        if _shape(sample) != ():
-            raise ProblemError(
-                f"Tabulated: expected one number in each sample; received shape {_shape(sample)} in sample {place}."
-            )
-    return samples
-
-
-def _numbers(name: str, values: Any) -> np.ndarray:
-    return real_array(f"Tabulated: {name}", values, "plain numbers")
-
-
-def _shape(values: Any) -> tuple[int, ...]:
-    """The shape of numbers, or of those that replace a distribution (a single one) or a decision on realisation."""
-    if isinstance(values, tuple):
-        return (len(values),)
-    return realised_shape(values)

@@ -16,8 +16,8 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar, jax_array
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name, is_masked
-from aleator._core.leaves import AbstractLeaf, is_traced
+from aleator._core.given import a_name, real_array, refusal
+from aleator._core.leaves import AbstractLeaf, is_traced, realised_shape
 from aleator._core.libraries import is_library
 from aleator._core.module import Module
 from aleator.uncertainty._decision import Decision
@@ -51,18 +51,13 @@ def constant(tree: Any) -> Any:
 
 def plain(name: str, value: Any, family: type) -> Any:
     """A parameter as a float, a scalar array or a scalar `Decision`."""
-    if isinstance(value, Decision):
-        if np.ndim(value.initial) == 0:
-            return value
-        received = f"a Decision of shape {np.shape(value.initial)}"
-    elif isinstance(value, jax.Array) and value.ndim == 0:
+    if isinstance(value, Decision | jax.Array) and realised_shape(value) == ():
         return value
-    else:
-        is_real = isinstance(value, int | float | np.number | np.ndarray) and not is_masked(value)
-        if is_real and np.ndim(value) == 0 and np.asarray(value).dtype.kind in "iuf":
-            return float(value)
-        received = f"{type(value).__name__} {value!r}"
-    raise ProblemError(f"{family.__name__}: '{name}' takes one number or one Decision; received {received}.")
+    what, expected = f"{family.__name__}: '{name}'", "one number or one Decision"
+    number = real_array(what, value, expected)
+    if number.ndim:
+        raise refusal(what, expected, value)
+    return float(number)
 
 
 def brief(value: Any) -> str:
