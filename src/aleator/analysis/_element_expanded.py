@@ -3,7 +3,7 @@
 Sobol indices are exact parts of the variance of a piecewise polynomial. Given some of the variables, the conditional
 mean of the output is a piecewise polynomial of these: in each element the terms that depend on no others, weighted by
 the probability of the element's extent in the other variables. Its variance is a sum over all pairs of elements of
-integrals over the intersection of their boxes, which factor by variable and are exact by Gauss quadrature. Definitions:
+integrals over the intersection of their cells, which factor by variable and are exact by Gauss quadrature. Definitions:
 Sobol (2001), Global sensitivity indices for nonlinear mathematical models.
 
 Quantiles and probabilities are those of a large sample: values by counting, derivatives by a kernel. The proportion of
@@ -218,7 +218,7 @@ class ElementExpanded(AbstractExpanded):
         return self.partition.germs
 
     def __str__(self) -> str:
-        count, basis = len(self.partition.boxes), self.partition.bases[0]
+        count, basis = len(self.partition.cells), self.partition.bases[0]
         how = f"{count} element{'s' * (count != 1)} of order {basis.order}, {self.calls} calls"
         rows = [
             ("expansion", how),
@@ -233,13 +233,13 @@ class ElementExpanded(AbstractExpanded):
         if not self.splits:
             return "nothing: one element is enough"
         times = ", ".join(f"{name} {count} times" for name, count in Counter(self.splits).most_common())
-        smallest = min(range(len(self.partition.boxes)), key=lambda k: self.partition.boxes[k].probability)
-        box, germs = self.partition.boxes[smallest], self.partition.bases[smallest].germs
+        smallest = min(range(len(self.partition.cells)), key=lambda k: self.partition.cells[k].probability)
+        cell, germs = self.partition.cells[smallest], self.partition.bases[smallest].germs
         ends = np.array([germ.support() for germ in germs.values()]).T
         places = Placements(dict(self.distributions), {})
         low, high = (inputs_at(places, end, jnp.zeros(0)) for end in ends)
         where = ", ".join(f"{name} from {low[name]:.6g} to {high[name]:.6g}" for name in self.distributions)
-        return f"{times}; the smallest element: {where}, probability {box.probability:.2g}"
+        return f"{times}; the smallest element: {where}, probability {cell.probability:.2g}"
 
 
 def variance_part(partition: Partition, kind: Sobol | TotalSobol) -> Rule:
@@ -273,19 +273,19 @@ def _explained(partition: Partition, known: tuple[int, ...]) -> Rule:
     unknown = [i for i in range(indices.shape[1]) if i not in known]
     chosen = np.flatnonzero((indices[:, unknown] == 0).all(axis=1))
     degrees = indices[chosen]
-    size = len(partition.boxes) * len(chosen)
+    size = len(partition.cells) * len(chosen)
     refuse_beyond_memory(
-        f"Sobol index: all pairs of {len(chosen)} terms in {len(partition.boxes)} elements",
+        f"Sobol index: all pairs of {len(chosen)} terms in {len(partition.cells)} elements",
         NUMBER * _MATRICES * size**2,
         "Lower the budget of al.MultiElement, or take al.references.sobol_indices.",
     )
     cuts = [_cuts(partition, i) for i in range(indices.shape[1])]
-    weights = np.prod([cuts[i].widths[cuts[i].owner] for i in unknown], axis=0) * np.ones(len(partition.boxes))
+    weights = np.prod([cuts[i].widths[cuts[i].owner] for i in unknown], axis=0) * np.ones(len(partition.cells))
     rows = np.repeat(weights, len(chosen))
     form = rows[:, None] * rows[None]
     for i in known:
         gram = _gram(partition, i, cuts[i], int(degrees[:, i].max()))
-        of_rows = np.repeat(cuts[i].owner, len(chosen)), np.tile(degrees[:, i], len(partition.boxes))
+        of_rows = np.repeat(cuts[i].owner, len(chosen)), np.tile(degrees[:, i], len(partition.cells))
         form *= gram[of_rows[0][:, None], of_rows[0][None], of_rows[1][:, None], of_rows[1][None]]
 
     def variance(terms: Float[Array, "elements terms *shape"]) -> Float[Array, "*shape"]:
@@ -312,7 +312,7 @@ class _Cuts(NamedTuple):
 
 
 def _cuts(partition: Partition, variable: int) -> _Cuts:
-    ends = np.array([(box.low[variable], box.high[variable]) for box in partition.boxes])
+    ends = np.array([(cell.low[variable], cell.high[variable]) for cell in partition.cells])
     different, owner = np.unique(ends, axis=0, return_inverse=True)
     return _Cuts(different, owner.ravel())
 

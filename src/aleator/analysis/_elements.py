@@ -1,4 +1,4 @@
-"""Elements of a germ's domain, each a box with an expansion of its own: multi-element gPC, [11]-[16]."""
+"""Elements of a germ's domain, each a cell with an expansion of its own: multi-element gPC, [11]-[16]."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -108,7 +108,7 @@ class RestrictedGerm(AbstractGerm):
 
 @final
 @dataclass(frozen=True)
-class Box:
+class Cell:
     """The probability levels of each germ variable between `low` and `high`."""
 
     low: tuple[float, ...]
@@ -116,25 +116,25 @@ class Box:
 
     @property
     def probability(self) -> float:
-        """The probability that the germ lies in the box."""
+        """The probability that the germ lies in the cell."""
         return float(np.prod(np.subtract(self.high, self.low)))
 
-    def halves(self, variable: int) -> tuple["Box", "Box"]:
-        """Two boxes of equal probability, from a cut across one variable."""
+    def halves(self, variable: int) -> tuple["Cell", "Cell"]:
+        """Two cells of equal probability, from a cut across one variable."""
         middle = (self.low[variable] + self.high[variable]) / 2
 
         def at_middle(ends: tuple[float, ...]) -> tuple[float, ...]:
             return (*ends[:variable], middle, *ends[variable + 1 :])
 
-        return Box(self.low, at_middle(self.high)), Box(at_middle(self.low), self.high)
+        return Cell(self.low, at_middle(self.high)), Cell(at_middle(self.low), self.high)
 
     def germs(self, germs: Mapping[str, AbstractGerm]) -> dict[str, AbstractGerm]:
-        """The distributions of the germ variables, conditional on the box."""
+        """The distributions of the germ variables, conditional on the cell."""
         limits = zip(germs.items(), self.low, self.high, strict=True)
         return {name: restricted(germ, low, high) for (name, germ), low, high in limits}
 
     def holds(self, levels: Float[np.ndarray, "n variables"]) -> Bool[np.ndarray, " n"]:
-        """Which points of the unit cube lie in the box. A face between two boxes belongs to the upper one."""
+        """Which points of the unit cube lie in the cell. A face between two cells belongs to the upper one."""
         low, high = np.array(self.low)[None], np.array(self.high)[None]
         return np.all((levels >= low) & ((levels < high) | (high == 1)), axis=1)
 
@@ -142,14 +142,14 @@ class Box:
 @final
 @dataclass(frozen=True)
 class Element:
-    """The expansion of all outputs in one box.
+    """The expansion of all outputs in one cell.
 
     - `coefficients`: of each output, shape (terms, *shape);
     - `known`: the same as plain numbers, a list with shapes (terms, entries);
     - `squared_errors`: mean squared leave-one-out error of each output, summed over its entries.
     """
 
-    box: Box
+    cell: Cell
     basis: Basis
     points: int
     coefficients: Pytree
@@ -157,14 +157,14 @@ class Element:
     squared_errors: Float[np.ndarray, " outputs"]
 
     def prediction(self, points: Float[np.ndarray, "n variables"]) -> list[Float[np.ndarray, "n entries"]]:
-        """Each output at germ points of the box."""
+        """Each output at germ points of the cell."""
         matrix = self.basis.matrix(points)
         return [matrix @ terms for terms in self.known]
 
 
-def expanded_in(box: Box, germs: Mapping[str, AbstractGerm], expansion: Expansion, sampler: Sampler) -> Element:
-    """Expand all outputs in one box."""
-    basis, collocation = collocate(box.germs(germs), expansion)
+def expanded_in(cell: Cell, germs: Mapping[str, AbstractGerm], expansion: Expansion, sampler: Sampler) -> Element:
+    """Expand all outputs in one cell."""
+    basis, collocation = collocate(cell.germs(germs), expansion)
     samples = sampler.samples(collocation.points)
     values = flat(samples)
     known = [np.asarray(collocation.coefficients(jax_array(output))) for output in values]
@@ -173,7 +173,7 @@ def expanded_in(box: Box, germs: Mapping[str, AbstractGerm], expansion: Expansio
         for output, terms in zip(values, known, strict=True)
     ]
     coefficients = jax.tree.map(collocation.coefficients, samples)
-    return Element(box, basis, len(collocation.points), coefficients, known, np.array(errors))
+    return Element(cell, basis, len(collocation.points), coefficients, known, np.array(errors))
 
 
 def flat(samples: Pytree) -> list[Float[np.ndarray, "points entries"]]:
@@ -197,7 +197,7 @@ class Refinement:
         self.calls = 0
         self._generator = np.random.default_rng(0)
         self._fresh_variance: Float[np.ndarray, " outputs"] = np.zeros(1)
-        self._add(Box((0.0,) * len(self.germs), (1.0,) * len(self.germs)))
+        self._add(Cell((0.0,) * len(self.germs), (1.0,) * len(self.germs)))
 
     def run(self) -> None:
         """Split until the error is small enough, at fresh points too, or the budget is spent."""
@@ -221,19 +221,19 @@ class Refinement:
     def _affords(self, calls: int) -> bool:
         return self.calls + calls <= self._settings.budget
 
-    def _add(self, box: Box) -> None:
-        self.elements.append(expanded_in(box, self.germs, self._expansion, self._sampler))
+    def _add(self, cell: Cell) -> None:
+        self.elements.append(expanded_in(cell, self.germs, self._expansion, self._sampler))
         self.calls += self.elements[-1].points
 
     def _split(self, worst: Element) -> None:
         across = _direction(worst)
-        for half in worst.box.halves(across):
+        for half in worst.cell.halves(across):
             self._add(half)
         self.splits.append(worst.basis.names[across])
 
     def _shares(self) -> Float[np.ndarray, "elements outputs"]:
         """Each element's part in the squared error of each output, relative to its variance."""
-        probability = np.array([element.box.probability for element in self.elements])
+        probability = np.array([element.cell.probability for element in self.elements])
         errors = probability[:, None] * np.array([element.squared_errors for element in self.elements])
         outputs = zip(*(element.known for element in self.elements), strict=True)
         scale = np.maximum([_variance(probability, terms) for terms in outputs], self._fresh_variance)
@@ -247,10 +247,10 @@ class Refinement:
         self.calls += _FRESH_POINTS
         self._fresh_variance = np.array([output.var(axis=0).sum() for output in values])
         for k, element in enumerate(self.elements):
-            inside = element.box.holds(levels)
+            inside = element.cell.holds(levels)
             misses = zip(element.prediction(points[inside]), values, strict=True)
             squares = np.array([((predicted - true[inside]) ** 2).sum() for predicted, true in misses])
-            fresh = squares / (_FRESH_POINTS * element.box.probability)
+            fresh = squares / (_FRESH_POINTS * element.cell.probability)
             self.elements[k] = replace(element, squared_errors=np.maximum(element.squared_errors, fresh))
 
 
@@ -272,7 +272,7 @@ def _direction(worst: Element) -> int:
     highest = degrees.sum(axis=1) >= degrees.sum(axis=1).max() - 1
     squares = sum(np.sum(terms**2, axis=1) / (np.sum(terms[1:] ** 2) or 1.0) for terms in worst.known)
     parts = (squares * highest) @ degrees
-    return int(np.argmax(parts if parts.max() > 0 else np.subtract(worst.box.high, worst.box.low)))
+    return int(np.argmax(parts if parts.max() > 0 else np.subtract(worst.cell.high, worst.cell.low)))
 
 
 class Scattered(NamedTuple):
@@ -295,23 +295,23 @@ class Scattered(NamedTuple):
 @final
 @dataclass(frozen=True, eq=False)
 class Partition:
-    """Boxes that fill a germ's probability space, with the orthonormal polynomials in each."""
+    """Cells that fill a germ's probability space, with the orthonormal polynomials in each."""
 
     germs: Mapping[str, AbstractGerm]
-    boxes: tuple[Box, ...]
+    cells: tuple[Cell, ...]
     bases: tuple[Basis, ...]
 
     @property
     def probability(self) -> Float[np.ndarray, " elements"]:
         """The probability of each element."""
-        return np.array([box.probability for box in self.boxes])
+        return np.array([cell.probability for cell in self.cells])
 
     def scatter(self, points: Float[np.ndarray, "points variables"]) -> Scattered:
         """Germ points by element."""
         levels = [germ.cumulative(points[:, i]) for i, germ in enumerate(self.germs.values())]
         owner = np.zeros(len(points), dtype=int)
-        for k, box in enumerate(self.boxes):
-            owner[box.holds(np.stack(levels, axis=1))] = k
+        for k, cell in enumerate(self.cells):
+            owner[cell.holds(np.stack(levels, axis=1))] = k
         matrices = [basis.matrix(points[owner == k]) for k, basis in enumerate(self.bases)]
         return Scattered(matrices, np.argsort(np.argsort(owner, kind="stable"), kind="stable"))
 

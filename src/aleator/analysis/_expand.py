@@ -94,12 +94,12 @@ def _in_elements(sampler: Sampler, settings: MultiElement) -> ElementExpanded:
     refinement = Refinement(sampler, settings)
     refinement.run()
     elements, calls, error = refinement.elements, refinement.calls, refinement.error
-    boxes, bases = tuple(element.box for element in elements), tuple(element.basis for element in elements)
+    cells, bases = tuple(element.cell for element in elements), tuple(element.basis for element in elements)
     coefficients = jax.tree.map(_stacked, *(element.coefficients for element in elements))
-    partition = Partition(refinement.germs, boxes, bases)
+    partition = Partition(refinement.germs, cells, bases)
     if not error <= settings.error:
         warnings.warn(
-            f"MultiElement: {len(boxes)} elements leave an estimated error of {error:.1e} of the standard deviation, "
+            f"MultiElement: {len(cells)} elements leave an estimated error of {error:.1e} of the standard deviation, "
             f"where {settings.error:.1e} is asked, after {calls} of {settings.budget} calls. Raise the budget or the "
             "error.",
             ExpansionWarning,

@@ -35,7 +35,7 @@ from aleator.dynamics import (
 from aleator.dynamics._algebraic import equations, first_guess, outputs_at
 from aleator.dynamics._named_roots import constant_terms
 from aleator.dynamics._newton import newton
-from aleator.ensemble import concrete
+from aleator.ensemble import concrete, is_finite
 from aleator.expansion import Adaptive, Basis, Expansion, GaussPoints, SmolyakPoints
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import placements, realise
@@ -283,8 +283,7 @@ def _refuse_diverged(expanded: Expanded, times: np.ndarray) -> None:
 
 def _refuse_unsolved(expanded: Expanded, realised_at: Any, quadrature: Quadrature) -> None:
     """Refuse coefficients that are not finite because Newton's method found no solution."""
-    known = {name: concrete(terms) for name, terms in expanded.coefficients.items()}
-    bad = [name for name, terms in known.items() if terms is not None and not np.isfinite(terms).all()]
+    bad = [name for name, terms in expanded.coefficients.items() if not is_finite(terms)]
     if bad:
         why = unsolved_node(realised_at, quadrature.points)
         raise SimulationError(

@@ -26,6 +26,7 @@ from aleator.ensemble._outputs import absent as absent
 from aleator.ensemble._outputs import as_outputs as as_outputs
 from aleator.ensemble._outputs import concrete as concrete
 from aleator.ensemble._outputs import inputs_at as inputs_at
+from aleator.ensemble._outputs import is_finite as is_finite
 from aleator.ensemble._outputs import listed as listed
 from aleator.ensemble._outputs import name_of as name_of
 from aleator.ensemble._outputs import outputs_of as outputs_of

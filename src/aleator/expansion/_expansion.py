@@ -177,7 +177,10 @@ def candidate_terms(germs: Mapping[str, AbstractGerm], expansion: Expansion) -> 
 @final
 @dataclass(frozen=True)
 class Unseen(Printed):
-    """A corner of the germ's domain that holds no collocation point.
+    """A corner of the germ's domain that holds no collocation point, about which an expansion knows nothing.
+
+    A spike there, such as a resonance that only the softest spring with the lightest damper meets, changes no
+    coefficient and no leave-one-out error. The probability of such a corner shows how much can be missed.
 
     - `probability`: that a system lies in it; `share`: the part of each variable's own distribution that it covers;
     - `ends`: the end of each variable's distribution at which it lies, "low" or "high".

@@ -16,7 +16,7 @@ from aleator._core.compilation import Use
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.module import Module
 from aleator._core.tracing import evaluate, trace
-from aleator.ensemble import UNTRACEABLE, AbstractBox, Function, concrete, name_of, outputs_of, part, uncertain_places
+from aleator.ensemble import UNTRACEABLE, AbstractBox, Function, is_finite, name_of, outputs_of, part, uncertain_places
 from aleator.statistics._statistic import root
 from aleator.uncertainty import (
     AbstractDistribution,
@@ -71,14 +71,12 @@ class Inputs:
 
     def refuse_nonfinite(self, expanded: Pytree) -> None:
         """Raise `SimulationError` if a value or derivative at the means is not finite, as far as values are known."""
-        for leaf in jax.tree.leaves(expanded):
-            known = concrete(leaf)
-            if known is not None and not np.isfinite(known).all():
-                where = ", ".join(f"{name} ~ {distribution}" for name, distribution in self.distributions.items())
-                raise SimulationError(
-                    f"{self._verb}: the function or its derivative is not finite at the means of {where}. It needs a "
-                    "function that is smooth there: use al.references.monte_carlo."
-                )
+        if not is_finite(expanded):
+            where = ", ".join(f"{name} ~ {distribution}" for name, distribution in self.distributions.items())
+            raise SimulationError(
+                f"{self._verb}: the function or its derivative is not finite at the means of {where}. It needs a "
+                "function that is smooth there: use al.references.monte_carlo."
+            )
 
 
 def _initial(places: Placements) -> Float[Array, " n"]:
