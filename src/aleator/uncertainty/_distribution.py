@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import Scalar, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, real_array, refusal
+from aleator._core.identity import is_library
 from aleator._core.leaves import AbstractLeaf, is_traced, realised_shape
-from aleator._core.libraries import is_library
 from aleator._core.module import Module
 from aleator.uncertainty._decision import Decision
 from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm
