@@ -18,7 +18,7 @@ from aleator.design._scope import AbstractAtom, Units
 from aleator.design._statistic import Statistic
 from aleator.mechanics import AbstractFormulation
 from aleator.uncertainty import AbstractDistribution, fields_of
-from aleator.uncertainty._at_mean import free
+from aleator.uncertainty._placements import free
 
 # The parameters of distributions that have the unit of the uncertain number itself.
 _LIKE_THE_NUMBER = (

@@ -1,13 +1,13 @@
-"""A function at many realisations of a model: traced and compiled by JAX, or called with plain numbers.
+"""A function at many realisations of a model: traced and compiled by JAX, called with plain numbers, or a black box.
 
 Simulating the systems of a problem (evidence, scenarios of the worst case, outputs that choose an expansion's terms) is
 not done here: those programs take the problem's numbers as arguments, at any decisions, and reduce the results within
-the same program. They share levels, batches and messages with this module, and stand where they are used.
+the same program. They share levels, batches and messages with this package, and stand where they are used.
 """
 
 import abc
 import functools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, ClassVar, NamedTuple, TypeAlias, final
 
 import equinox as eqx
@@ -23,9 +23,7 @@ from aleator._core.compilation import evaluate_traced
 from aleator._core.equations import TracedFunction, digest_of, refuse_unsteady
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import named_leaves
-from aleator.ensemble._batches import Part, each, fill, parts
-from aleator.ensemble._box import AbstractBox, Realisation
-from aleator.ensemble._levels import at_levels
+from aleator.ensemble._batches import Part, at_levels, each, fill, parts
 from aleator.ensemble._outputs import (
     UNTRACEABLE,
     Function,
@@ -36,6 +34,38 @@ from aleator.ensemble._outputs import (
     refuse_nonfinite,
 )
 from aleator.uncertainty import Placements, placements, realise
+
+
+class Realisation(NamedTuple):
+    """A model with plain numbers: the number of its sample, from 1 on, and the values of its uncertain inputs."""
+
+    number: int
+    model: Pytree
+    inputs: dict[str, float]
+
+    def __str__(self) -> str:
+        return f"sample {self.number} ({listed(self.inputs)})"
+
+
+class AbstractBox(abc.ABC):
+    """A function of a realised model that is never traced, and is asked for many realisations at once."""
+
+    @abc.abstractmethod
+    def __call__(self, realised: Pytree) -> Pytree:
+        """The outputs at one realisation."""
+
+    @abc.abstractmethod
+    def at_all(self, realisations: Sequence[Realisation], *, whole: bool) -> list[Pytree | None]:
+        """The outputs at each realisation as finite NumPy arrays of the same shapes; None where a sample is left out.
+
+        `whole`: no sample may be left out, because the method needs all of them.
+        """
+
+    @property
+    def follows_from(self) -> Any:
+        """All that its outputs follow from besides the model, for a journal; None if its results are not kept there."""
+        return None
+
 
 Points: TypeAlias = Float[np.ndarray, "points variables"] | Float[Array, "points variables"]
 

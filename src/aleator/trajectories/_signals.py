@@ -1,20 +1,59 @@
-"""Trajectories: functions over a duration that is set elsewhere, with their derivatives."""
+"""Functions of time: signals (inputs of a system, prescribed motions), tables of them, and trajectories.
+
+Trajectories are functions over a duration that is set elsewhere, with their derivatives.
+"""
 
 import abc
-from typing import Any, ClassVar, final
+from pathlib import Path
+from typing import Any, ClassVar, Self, final
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
-from aleator._core.given import is_masked
-from aleator._core.leaves import AbstractLeaf, realised_shape
-from aleator.trajectories._signal import AbstractSignal
+from aleator._core.given import real_array
+from aleator._core.leaves import realised_shape, stored_numbers
+from aleator._core.module import Module
+from aleator._core.tables import entry, read_table
+
+
+class AbstractSignal(Module):
+    """An input of a system as a function of time. It is part of the model: its numbers may be uncertain or decided.
+
+    `unbounded` says that its values have no bound whatever its numbers are, as for a Gaussian process.
+    """
+
+    unbounded: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
+        """The value at time `t`, s."""
+
+    @abc.abstractmethod
+    def span(self) -> tuple[float, float]:
+        """The first and last time at which the signal is known (infinite if everywhere)."""
+
+    def over(self, t_start: Any, t_final: Any) -> "AbstractSignal":
+        """The signal on a grid from `t_start` to `t_final`, s: trajectories are stretched to fill it."""
+        del t_start, t_final
+        return self
+
+    def sampled(self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
+        """Its values at fixed fractions of the time from `t_start` to `t_final`."""
+        return jax.vmap(self.over(t_start, t_final))(instants(fractions, t_start, t_final))
+
+
+def instants(fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, " n"]:
+    """Fractions of the time from `t_start` to `t_final` as times; 1 is `t_final` to the last bit."""
+    # A signal is undefined even a rounding error beyond its end, and so is an adaptive integrator's solution.
+    xp, fractions, t_start, t_final = in_library(fractions, t_start, t_final)
+    return jax_array(xp.where(fractions < 1, t_start + fractions * (t_final - t_start), t_final))
+
 
 Fractions = Float[np.ndarray, " n"] | Float[Array, " n"]
 
@@ -126,13 +165,6 @@ class _Stretched(AbstractSignal):
         return -np.inf, np.inf
 
 
-def shape_of(number: Any) -> tuple[int, ...]:
-    """The shape of a field once it is realised: of numbers, of a distribution or of a decision."""
-    if isinstance(number, list | tuple):
-        return (len(number), *(shape_of(number[0]) if number else ()))
-    return realised_shape(number)
-
-
 def as_array(number: Any) -> Float[Array, "..."]:
     """A realised number, or a sequence of them, as an array."""
     if isinstance(number, list | tuple):
@@ -155,31 +187,64 @@ def conditions(kind: str, where: str, given: Any, shape: tuple[int, ...]) -> tup
     kept = []
     for number, name in zip(given, ("value", "velocity", "acceleration"), strict=False):
         is_zero = isinstance(number, int | float) and number == 0
-        if shape_of(number) != shape and not is_zero:
+        if realised_shape(number) != shape and not is_zero:
             raise ProblemError(
                 f"{kind}: expected a {name} of shape {shape} at the {where}, that of its control points; "
-                f"received shape {shape_of(number)}."
+                f"received shape {realised_shape(number)}."
             )
-        # An integer would be static, so that each value would be compiled anew.
-        kept.append(np.zeros(shape) if is_zero else copied(kind, f"{name} at the {where}", number))
+        kept.append(np.zeros(shape) if is_zero else stored_numbers(f"{kind}: {name} at the {where}", number))
     return tuple(kept)
 
 
-def copied(kind: str, name: str, number: Any) -> Any:
-    """Plain numbers as a new array; distributions, decisions, traced numbers and sequences that contain any, unchanged.
+@final
+class Tabulated(AbstractSignal):
+    """A table of times (s) and values, linear between its samples.
 
-    Raises `ProblemError` for anything else, and for numbers that are not finite.
+    Times are plain numbers. The values may be one array-valued `Decision`, or a list in which any value is a
+    distribution or a `Decision`: `Tabulated([0.0, 1.0], [Uniform(2.0, half_width=0.1), 3.0])`. A caller's arrays are
+    copied.
+
+    Raises `ProblemError` if the two differ in length, if there are fewer than two samples, if a number is not finite or
+    if the times do not increase.
     """
-    if isinstance(number, AbstractLeaf | Tracer):
-        return number
-    if isinstance(number, list | tuple):
-        parts = tuple(copied(kind, name, one) for one in number)
-        plain = all(isinstance(one, np.ndarray) for one in parts)
-        return np.stack(parts) if parts and plain else parts
-    is_given = not is_masked(number) and (hasattr(number, "dtype") or isinstance(number, int | float))
-    if not is_given or np.asarray(number).dtype.kind not in "iuf":
-        raise ProblemError(f"{kind}: expected numbers, distributions or decisions as its {name}; received {number!r}.")
-    array = np.array(number, dtype=float)
-    if not np.isfinite(array).all():
-        raise ProblemError(f"{kind}: its {name} must be finite; received {number!r}.")
-    return array
+
+    times: Float[np.ndarray, " samples"]
+    values: Any
+
+    def __init__(self, times: Any, values: Any):
+        self.times = real_array("Tabulated: times", times, "plain numbers")
+        self.values = stored_numbers("Tabulated: values", values)
+        length = realised_shape(self.values)
+        if self.times.ndim != 1 or self.times.shape != length or self.times.size < 2:
+            raise ProblemError(
+                "Tabulated: expected two vectors of the same length, of at least 2; "
+                f"received times {self.times.shape} and values {length}."
+            )
+        if not np.isfinite(self.times).all():
+            raise ProblemError("Tabulated: times must be finite.")
+        if not np.all(np.diff(self.times) > 0):
+            at = int(np.argmin(np.diff(self.times) > 0)) + 1
+            raise ProblemError(f"Tabulated: times must increase, but sample {at} is not after the one before it.")
+
+    @classmethod
+    def from_csv(cls, path: str | Path, time: str, value: str) -> Self:
+        """Read the columns `time` and `value` of a CSV file; lines that start with `#` are comments.
+
+        Raises `ProblemError` if the file does not exist, is not a table, or does not have each of the two columns once.
+        """
+        names, rows = read_table("Tabulated.from_csv", path)
+        for name in (time, value):
+            if names.count(name) != 1:
+                raise ProblemError(f"{path}: expected one column '{name}'; received {names}.")
+        try:
+            return cls(*(np.array([entry(row, names.index(name)) for row in rows]) for name in (time, value)))
+        except ValueError as error:
+            raise ProblemError(f"{path}: {error}") from error
+
+    @override
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, ""]:
+        return jnp.interp(t, self.times, as_array(self.values))
+
+    @override
+    def span(self) -> tuple[float, float]:
+        return float(self.times[0]), float(self.times[-1])
