@@ -15,9 +15,9 @@ from aleator.nlp._answer import Answer
 from aleator.nlp._evaluations import NotFiniteError
 from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._matrices import dense_rows
-from aleator.nlp._outcome import Status
 from aleator.nlp._program import Evaluation
 from aleator.nlp._scaling import ScaledProgram
+from aleator.nlp._solver import Status
 
 # SLSQP's exit modes (Kraft 1988).
 _CONVERGED, _INCOMPATIBLE, _ITERATION_LIMIT = 0, 4, 9
