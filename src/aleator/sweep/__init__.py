@@ -6,6 +6,7 @@ from aleator.sweep._calibration import Trial as Trial
 from aleator.sweep._conflict import Conflict as Conflict
 from aleator.sweep._conflict import Limit as Limit
 from aleator.sweep._conflict import conflict as conflict
+from aleator.sweep._front import SAME as SAME
 from aleator.sweep._front import Front as Front
 from aleator.sweep._front import Refused as Refused
 from aleator.sweep._front import pareto as pareto
@@ -14,7 +15,6 @@ from aleator.sweep._harden import Hardened as Hardened
 from aleator.sweep._harden import harden as harden
 from aleator.sweep._multistart import Starts as Starts
 from aleator.sweep._multistart import multistart as multistart
-from aleator.sweep._neighbours import SAME as SAME
 from aleator.sweep._portfolio import Optimum as Optimum
 from aleator.sweep._portfolio import Portfolio as Portfolio
 from aleator.sweep._portfolio import portfolio as portfolio
