@@ -1,18 +1,24 @@
-"""What a page shows of one design that a reader chooses: its facts as tables, and its paths."""
+"""What a page shows of designs that a reader chooses: facts as tables, paths, and the data of both for its script."""
 
-from collections.abc import Iterable, Iterator, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from aleator.reporting import _units
-from aleator.reporting._blocks import Band, Choice, Table
-from aleator.reporting._limited_paths import components, limits_of, paths_of
+from aleator.reporting._blocks import Band, Choice, Linked, Table
 from aleator.reporting._numbers import count, number, residual, share_text, words
+from aleator.reporting._paths import components, ends, limits_of, path_figure, paths_of
+from aleator.reporting._style import padded, plain
 from aleator.reporting._tables import STATUS_WORDS, decision_text, objective_text, worst_text
-from aleator.solution import Solution
+from aleator.solution import Moments, Solution
 from aleator.sweep import Refused
 from aleator.validation import Evidence
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
 
 # Instants of a path on a page: more than its figure has pixels for would only make the page larger.
 _INSTANTS = 200
@@ -137,3 +143,84 @@ def bands(solution: Solution) -> list[Band]:
                 Band(one, unit, times[kept], moments.mean[kept], moments.std[kept], limits.sigmas, limits.texts)
             )
     return every
+
+
+# A band is written to this part of the range of its figure, finer than a pixel.
+_FINE = 2000
+
+
+def stages(block: Linked) -> "dict[str, Figure]":
+    """A figure for each path of the choices, by its name, as the first choice that has it; all on the same axes."""
+    return {name: _stage(bands) for name, bands in _by_name(block).items()}
+
+
+def choices_data(block: Linked) -> dict[str, Any]:
+    """Names, facts and paths of the choices, as JSON."""
+    grouped = _by_name(block)
+    digits = {name: _digits(_reached(bands)) for name, bands in grouped.items()}
+    seconds = {name: _digits([edge for one in bands for edge in ends(one.times)]) for name, bands in grouped.items()}
+    return {
+        "paths": list(grouped),
+        "choices": [
+            {
+                "name": one.name,
+                "facts": [_written(table) for table in one.facts],
+                "bands": {band.name: _numbers(band, digits[band.name], seconds[band.name]) for band in one.bands},
+            }
+            for one in block.choices
+        ],
+    }
+
+
+def _by_name(block: Linked) -> dict[str, list[Band]]:
+    """The bands of all choices by the names of their paths."""
+    every = [band for one in block.choices for band in one.bands]
+    return {name: [one for one in every if one.name == name] for name in dict.fromkeys(one.name for one in every)}
+
+
+def _stage(bands: Sequence[Band]) -> "Figure":
+    first = bands[0]
+    figure = path_figure(
+        first.times,
+        {f"mean of {first.name}": Moments(first.mean, first.std)},
+        sigmas=first.sigmas,
+        y=first.name,
+        unit=first.unit,
+        limits=first.limits,
+    )
+    figure.update_layout(height=300)
+    figure.update_xaxes(range=[min(one.times.min() for one in bands), max(one.times.max() for one in bands)])
+    return figure.update_yaxes(range=padded(_reached(bands), 0.1))
+
+
+def _reached(bands: Sequence[Band]) -> list[float]:
+    """The ends of all bands, and their limits."""
+    edges = [edge for one in bands for sign in (-1, 1) for edge in ends(one.mean + sign * one.sigmas * one.std)]
+    return [*edges, *(value for one in bands for value in one.limits)]
+
+
+def _digits(values: Sequence[float]) -> int:
+    """The decimals by which a figure that reaches over these values is drawn exactly."""
+    wide = max(values, default=1.0) - min(values, default=0.0)
+    return math.ceil(-math.log10(wide / _FINE)) if wide > 0 else 6
+
+
+def _numbers(band: Band, digits: int, seconds: int) -> dict[str, Any]:
+    return {
+        "times": _rounded(band.times, seconds),
+        "mean": _rounded(band.mean, digits),
+        # One digit more: it is multiplied.
+        "std": _rounded(band.std, digits + 1),
+        "sigmas": band.sigmas,
+        "limits": [[value, plain(text)] for value, text in band.limits.items()],
+    }
+
+
+def _rounded(values: np.ndarray, digits: int) -> list[float | None]:
+    """Numbers as JSON, without a fraction where they have none; null where one is not finite."""
+    rounded = (round(float(one), digits) if math.isfinite(one) else None for one in values)
+    return [int(one) if one is not None and one.is_integer() else one for one in rounded]
+
+
+def _written(table: Table) -> dict[str, Any]:
+    return {"caption": table.caption, "rows": [list(row) for row in table.rows], "note": table.note}

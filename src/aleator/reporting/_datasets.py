@@ -1,13 +1,14 @@
-"""Results as labelled arrays with units: one dataset for a solution, evidence, a front, a calibration."""
+"""Results as labelled arrays with units, and which can be saved: by name, nested as needed."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from aleator._core.errors import ProblemError
+from aleator._core.given import one_of, refusal
 from aleator.design import statistics_in
 from aleator.reporting import _units
-from aleator.reporting._nested import leaves
 from aleator.solution import Solution
 from aleator.statistics import Mean, Std
 from aleator.sweep import Calibration, Front, TradeOff
@@ -15,6 +16,21 @@ from aleator.validation import PERCENTILES, Evidence, Share
 
 if TYPE_CHECKING:
     import xarray
+
+
+def leaves(results: Mapping[str, Any], *outer: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Each result with the names under which it stands, the outermost first."""
+    for name, one in results.items():
+        if isinstance(one, Mapping):
+            yield from leaves(one, *outer, str(name))
+        else:
+            yield (*outer, str(name)), one
+
+
+def by_place(results: Mapping[str, Any]) -> dict[str, Any]:
+    """Each result by its place, such as `designs/robust`."""
+    return {"/".join(names): one for names, one in leaves(results)}
+
 
 Variable = tuple[Any, Any, dict[str, str], dict[str, Any]]
 # This halves time histories; stronger compression takes longer and saves little more.
@@ -285,3 +301,46 @@ def tree(results: Mapping[str, Any]) -> "xarray.DataTree":
 def _is_empty(one: Any) -> bool:
     """Whether a sweep was interrupted before its first point."""
     return isinstance(one, Front) and not one.solutions
+
+
+KINDS = (Solution, Evidence, Front, TradeOff, Calibration)
+"""The kinds of results that have labelled arrays."""
+
+
+def savable(what: str, results: Any) -> tuple[dict[str, Any], list[ProblemError]]:
+    """The results that can be saved, and a refusal for each of the others, beginning with `what` and its place."""
+    if not isinstance(results, Mapping):
+        raise refusal(what, "results by name: a mapping", results)
+    kept: dict[str, Any] = {}
+    refused: list[ProblemError] = []
+    for name, one in results.items():
+        place = f"{what}: '{name}'"
+        try:
+            if isinstance(one, Mapping):
+                kept[_name(what, name)], inside = savable(place, one)
+                refused += inside
+            else:
+                kept[_name(what, name)] = _leaf(place, one)
+        except ProblemError as error:
+            refused.append(error)
+    return kept, refused
+
+
+def _name(what: str, name: Any) -> str:
+    """A valid name of a group; `.` and `..` stand for other groups."""
+    if not isinstance(name, str | int | float) or str(name) in ("", ".", ".."):
+        raise refusal(what, "results by name", name)
+    return str(name)
+
+
+def _leaf(what: str, one: Any) -> Any:
+    """A result, or a user's own data in a form that netCDF can hold."""
+    if one is None or not is_own_data(one):
+        return one if one is None else one_of(what, one, KINDS, "what `solve` gives, or a dataset of xarray")
+    import xarray
+
+    try:
+        xarray.DataTree.from_dict({"/one": one}).to_netcdf(engine="h5netcdf")
+    except (TypeError, ValueError, NotImplementedError) as error:
+        raise ProblemError(f"{what}: expected data that netCDF can hold; received other data: {error}") from error
+    return one

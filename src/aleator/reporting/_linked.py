@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from aleator.reporting import _units
-from aleator.reporting._along_bounds import bound_unit, optimum_figure, price_figure
 from aleator.reporting._blocks import Choice, Linked, Table
 from aleator.reporting._choices import choice, evidence_on
 from aleator.reporting._numbers import given, number, share_text, words
+from aleator.reporting._sweeps import bound_unit, optimum_figure, price_figure, told_values, trade_off_figure, unit_of
 from aleator.reporting._tables import STATUS_WORDS, objective_text
-from aleator.reporting._trade_offs import told_values, trade_off_figure, unit_of
 from aleator.solution import Solution
 from aleator.sweep import SAME, Front, Refused, TradeOff
 from aleator.validation import Evidence

@@ -11,8 +11,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from aleator._core.errors import MissingExtraError, ProblemError
-from aleator.reporting._paper_marks import Axes, draw_bars, draw_curve, draw_note, draw_shape, listed, numbers
-from aleator.reporting._paper_style import FONT, colour, drawn_text
+from aleator.reporting._paper_marks import (
+    FONT,
+    Axes,
+    colour,
+    draw_bars,
+    draw_curve,
+    draw_note,
+    draw_shape,
+    drawn_text,
+    listed,
+    numbers,
+)
 
 if TYPE_CHECKING:
     import matplotlib.figure

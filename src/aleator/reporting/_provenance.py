@@ -11,7 +11,7 @@ import numpy as np
 
 from aleator.design import equations_digest
 from aleator.reporting._blocks import Block, Section, Table
-from aleator.reporting._nested import leaves
+from aleator.reporting._datasets import leaves
 from aleator.reporting._numbers import count, number
 from aleator.solution import Solution
 from aleator.sweep import Calibration, Front, TradeOff

@@ -14,19 +14,17 @@ from aleator.reporting._blocks import Block, Code, Drawing, Section, Text
 from aleator.reporting._choices import evidence_on
 from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._linked import disagreements, front_blocks, trade_off_blocks
-from aleator.reporting._meshes import mesh_drawing
 from aleator.reporting._numbers import words
-from aleator.reporting._page import Page, write_page
+from aleator.reporting._page import Page, verdict, write_page
 from aleator.reporting._provenance import provenance
 from aleator.reporting._samples import percentile_figure, trajectory_figure
-from aleator.reporting._searches import search_drawings
+from aleator.reporting._searches import mesh_drawing, search_drawings
 from aleator.reporting._tables import (
     certificate_table,
     designs_table,
     evidence_table,
     statistics_table,
 )
-from aleator.reporting._verdict import verdict
 from aleator.solution import Solution
 from aleator.sweep import EvidenceOfAll, Front, TradeOff
 from aleator.validation import Evidence

@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from aleator.reporting import _units
-from aleator.reporting._datasets import tree
+from aleator.reporting._datasets import by_place, savable, tree
 from aleator.reporting._files import write_together
-from aleator.reporting._nested import by_place
 from aleator.reporting._provenance import design_digest, environment
-from aleator.reporting._savable import savable
 from aleator.solution import ConstraintResult, Solution
 from aleator.sweep import Calibration, Front, TradeOff
 from aleator.validation import Evidence, Proportion

@@ -1,6 +1,7 @@
-"""Figures and facts of solutions."""
+"""Figures and facts of solutions, and of their histories over time: states, costates, switching functions."""
 
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -8,18 +9,70 @@ from aleator._core.errors import ProblemError
 from aleator._core.given import positive, whole
 from aleator.reporting import _units
 from aleator.reporting._blocks import Table
-from aleator.reporting._decisions import decisions_figure
-from aleator.reporting._limited_paths import components, limits_of, paths_of
-from aleator.reporting._meshes import mesh_figure
+from aleator.reporting._designs import decisions_figure
 from aleator.reporting._numbers import number, words
-from aleator.reporting._paths import histories_figure, limits_text, path_figure
-from aleator.reporting._searches import search_figure
+from aleator.reporting._paths import components, histories_figure, limits_of, limits_text, path_figure, paths_of
+from aleator.reporting._searches import mesh_figure, search_figure
 from aleator.reporting._tables import STATUS_WORDS, decision_text, limit_rows
-from aleator.reporting.drawn._facts import Facts, facts_of
-from aleator.reporting.drawn._histories import CostatesPlots, SwitchingPlots, state_figure
+from aleator.reporting.drawn._facts import AbstractPlots, Backend, Facts, chosen, drawn_by, facts_of, plots_of, unknown
 from aleator.reporting.drawn._paths_of import outputs_of, simulated
-from aleator.reporting.drawn._plots import AbstractPlots, Backend, chosen, drawn_by, plots_of, unknown
-from aleator.solution import MeshError, Solution
+from aleator.solution import Costates, MeshError, Solution, States, Switching
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+_NO_INPUT = "expected inputs that are certain; received none."
+_NONE = "expected states that are variables of the program; received a system without states."
+
+
+def state_figure(states: States, name: str | None, units: Mapping[str, str]) -> "Figure":
+    """A state of all realisations over time, with its unit as far as it is known."""
+    name, values = chosen("plot.state", name, states.values, _NONE)
+    return histories_figure(states.times, values, y=name, unit=units.get(name, ""), who="realisations")
+
+
+class StatesPlots(AbstractPlots[States]):
+    """Figures of the states of all realisations."""
+
+    def state(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+        """A state over time, of every realisation at the collocation points; by default the first."""
+        return drawn_by(backend, state_figure(self._result, name, {}))
+
+
+plots_of.register(States, StatesPlots)
+
+
+class CostatesPlots(AbstractPlots[Costates]):
+    """Figures of costates."""
+
+    def costate(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+        """The costate of a state over time, of every realisation at the collocation points; by default the first."""
+        name, values = chosen("plot.costate", name, self._result.values, _NONE)
+        figure = histories_figure(self._result.times, values, y=f"Costate of {name}", who="realisations")
+        return drawn_by(backend, figure)
+
+
+plots_of.register(Costates, CostatesPlots)
+
+
+class SwitchingPlots(AbstractPlots[Switching]):
+    """Figures of switching functions."""
+
+    def input(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+        """The switching function of an input over time, with its zero; by default of the first."""
+        name, values = chosen("plot.input", name, self._result.values, _NO_INPUT)
+        figure = histories_figure(
+            self._result.times,
+            np.asarray(values)[None],
+            y=f"Switching function of {name}",
+            who="switching functions",
+            limits={0.0: "an input inside its bounds makes it zero"},
+        )
+        return drawn_by(backend, figure)
+
+
+plots_of.register(Switching, SwitchingPlots)
+
 
 _NO_PATH = (
     "expected a path in the objective or in a limit, such as al.path('x'); received a problem without one. "
@@ -152,10 +205,6 @@ plots_of.register(Solution, SolutionPlots)
 
 class MeshPlots(AbstractPlots[MeshError]):
     """The figure of one mesh."""
-
-    def __call__(self, *, backend: Backend = "plotly") -> Any:
-        """The nodes of the mesh, and the error of each interval."""
-        return self.mesh(backend=backend)
 
     def mesh(self, *, backend: Backend = "plotly") -> Any:
         """The nodes of the mesh, and the error of each interval."""

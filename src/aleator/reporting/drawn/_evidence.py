@@ -9,14 +9,11 @@ from aleator._core.given import positive
 from aleator.design import functionals_of
 from aleator.reporting import _units
 from aleator.reporting._blocks import Table
-from aleator.reporting._limited_paths import components, limits_of, paths_of
 from aleator.reporting._methods import density_figure
 from aleator.reporting._numbers import count, number, share_text
-from aleator.reporting._paths import path_figure
-from aleator.reporting._samples import percentile_figure, trajectory_figure
-from aleator.reporting._shares import shares_figure
-from aleator.reporting.drawn._facts import Facts, facts_of
-from aleator.reporting.drawn._plots import AbstractPlots, Backend, chosen, drawn_by, plots_of
+from aleator.reporting._paths import components, limits_of, path_figure, paths_of
+from aleator.reporting._samples import percentile_figure, shares_figure, trajectory_figure
+from aleator.reporting.drawn._facts import AbstractPlots, Backend, Facts, chosen, drawn_by, facts_of, plots_of
 from aleator.sweep import EvidenceOfAll
 from aleator.validation import Evidence, Sampled
 
@@ -109,10 +106,6 @@ plots_of.register(Evidence, EvidencePlots)
 
 class EvidenceOfAllPlots(AbstractPlots[EvidenceOfAll]):
     """The figure of evidence on several designs."""
-
-    def __call__(self, *, backend: Backend = "plotly") -> Any:
-        """How many systems of each design break each limit."""
-        return self.violations(backend=backend)
 
     def violations(self, *, backend: Backend = "plotly") -> Any:
         """How many systems of each design break each limit, with 95 % confidence intervals."""
