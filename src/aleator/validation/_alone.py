@@ -10,10 +10,9 @@ from aleator._core.errors import ProblemError
 from aleator.design import functionals_of, refuse_changed
 from aleator.nlp import HELD
 from aleator.solution import Solution
-from aleator.validation._counted import is_counted, tolerances, uncounted
-from aleator.validation._disagreement import Disagreement
+from aleator.validation._compared import Disagreement
+from aleator.validation._counted import Proportion, is_counted, tolerances, uncounted
 from aleator.validation._evidence import Evidence, Sampled
-from aleator.validation._proportion import Proportion
 from aleator.validation._sampling import SIMULATE_BATCH
 from aleator.validation._systems import refuse_broken
 

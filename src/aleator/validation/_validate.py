@@ -20,9 +20,8 @@ from aleator.solution import Solution
 from aleator.validation._alone import alone
 from aleator.validation._counted import tolerances
 from aleator.validation._evidence import Evidence
-from aleator.validation._stretches import Plan, Simulated, Stretch, simulated
 from aleator.validation._systems import Systems
-from aleator.validation._tally import Tally
+from aleator.validation._tally import Plan, Simulated, Stretch, Tally, simulated
 
 _Simulate: TypeAlias = Callable[[Sequence[Stretch]], Iterator[tuple[Stretch, Simulated]]]
 """What each of some stretches finds, in order."""
