@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, final
 
 import numpy as np
-import scipy.sparse
+import scipy
 
 from aleator._core.errors import ProblemError
 from aleator._core.heard import noting
