@@ -1,16 +1,19 @@
-"""Several solves, or evidence of several designs: here one after the other, or at once by an executor."""
+"""Several solves, or evidence of several designs: here one after the other, or at once by an executor; until Ctrl-C."""
 
 import pickle
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, Literal, TypeAlias, cast
+from typing import Any, Literal, TypeAlias, cast, final
 
 from aleator._core.elsewhere import is_of_this_process, packed, sending
 from aleator._core.errors import AleatorError, SimulationError
+from aleator._core.heard import heeding
 from aleator._core.journalled import AbstractEntry, NotKeptError, calling, entry_of
 from aleator._core.warned import warned_of
 from aleator.design import Problem, refuse_changed, refuse_other_code
+from aleator.nlp import Status
 from aleator.solution import Solution
 from aleator.solving import Call, follows_from, solve
 from aleator.validation import validate, validated_from
@@ -31,6 +34,33 @@ def each(
     workers keep dying.
     """
     return _here(work, calls, where) if executor is None else _elsewhere(work, calls, where, executor)
+
+
+@final
+class Steps:
+    """The steps of a sweep. `interrupted`: whether Ctrl-C ended them early."""
+
+    def __init__(self, heed: Callable[[], None]):
+        self._heed, self.interrupted = heed, False
+
+    def heed(self, ended: Status | None = None) -> None:
+        """Raise `KeyboardInterrupt` if Ctrl-C `ended` the solve of the last step, or was lost in it."""
+        if ended is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        self._heed()
+
+
+@contextmanager
+def until_interrupted(has_results: Callable[[], object]) -> Iterator[Steps]:
+    """Work in steps that Ctrl-C ends early, if there is any result yet; else it raises `KeyboardInterrupt`."""
+    with heeding() as heed:
+        steps = Steps(heed)
+        try:
+            yield steps
+        except KeyboardInterrupt:
+            if not has_results():
+                raise
+            steps.interrupted = True
 
 
 def _here(work: Work, calls: Sequence[Mapping[str, Any]], where: Sequence[str]) -> Iterator[tuple[int, Any]]:

@@ -11,14 +11,13 @@ from jaxtyping import Float
 from aleator._core.elsewhere import check_executor
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import a_name, one_of, real_array
-from aleator._core.heard import heeding
 from aleator._core.journalled import expected
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn, Printed
 from aleator.design import Problem, current
 from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution, in_brief
-from aleator.sweep._each import each
+from aleator.sweep._each import Steps, each, until_interrupted
 from aleator.transcription import DEFAULT, AbstractTranscription
 
 # Objectives with a smaller difference, as a part of the largest on the front, are the same: solvers leave that much.
@@ -210,15 +209,9 @@ def pareto(
     check_executor("pareto", executor)
     problem, own = current(problem), {"solver": solver, "transcription": transcription}
     sweep = _Sweep(bound, {value: problem.with_bound(bound, value) for value in bounds}, own, progress)
-    interrupted = True
-    try:
-        with expected("solve", sweep.named), heeding() as heed:
-            sweep.solve(executor, heed)
-        interrupted = False
-    except KeyboardInterrupt:
-        if sweep.is_empty:
-            raise
-    return sweep.front(interrupted)
+    with until_interrupted(lambda: sweep.solutions) as steps, expected("solve", sweep.named):
+        sweep.solve(executor, steps)
+    return sweep.front(steps.interrupted)
 
 
 @final
@@ -235,45 +228,41 @@ class _Sweep:
         """The problems by the values of their bounds, in words."""
         return {self._place(value): one for value, one in self._problems.items()}
 
-    def solve(self, executor: Executor | None, heed: Callable[[], None]) -> None:
+    def solve(self, executor: Executor | None, steps: Steps) -> None:
         """Solve each point from the problem's own start, then those from a neighbour that this may better.
 
         A point is tried from each design of a neighbour once, until none is bettered any more.
         """
-        self._each([_Try(value) for value in self._problems], executor, heed)
+        self._each([_Try(value) for value in self._problems], executor, steps)
         tried, bettered = set[tuple[float, ...]](), True
         while bettered and (again := [one for one in self._doubtful() if one.key not in tried]):
             tried.update(one.key for one in again)
-            bettered = self._each(again, executor, heed)
+            bettered = self._each(again, executor, steps)
 
     def front(self, interrupted: bool) -> Front:
         """What was found, in the order of the bounds. Raises the first refusal if every point was refused."""
-        if self._first is not None and not self._solutions:
+        if self._first is not None and not self.solutions:
             raise self._first
         finished = [value for value in self._problems if value in self._kept]
         points, neighbours = zip(*(self._kept[value] for value in finished), strict=True)
         return Front(self._bound, np.array(finished), points, interrupted, neighbours)
 
     @property
-    def is_empty(self) -> bool:
-        """Whether nothing has been solved."""
-        return not self._solutions
-
-    @property
-    def _solutions(self) -> dict[float, Solution]:
+    def solutions(self) -> dict[float, Solution]:
+        """What has been solved, by the values of the bound."""
         return {value: one.point for value, one in self._kept.items() if isinstance(one.point, Solution)}
 
     def _doubtful(self) -> list["_Try"]:
         relaxing = _relaxing(self._problems, self._bound)
-        places = [Place(value, *_optimum(one, self._bound, relaxing)) for value, one in self._solutions.items()]
+        places = [Place(value, *_optimum(one, self._bound, relaxing)) for value, one in self.solutions.items()]
         pairs = doubtful(places, relaxing, self._size)
-        return [_Try(value, neighbour, self._solutions[neighbour]) for value, neighbour in pairs]
+        return [_Try(value, neighbour, self.solutions[neighbour]) for value, neighbour in pairs]
 
     @property
     def _size(self) -> float:
-        return max((abs(one.objective) for one in self._solutions.values() if one.ok), default=0.0)
+        return max((abs(one.objective) for one in self.solutions.values() if one.ok), default=0.0)
 
-    def _each(self, tries: Sequence["_Try"], executor: Executor | None, heed: Callable[[], None]) -> bool:
+    def _each(self, tries: Sequence["_Try"], executor: Executor | None, steps: Steps) -> bool:
         """Solve some points; whether one has been bettered."""
         calls = [{"problem": self._problems[one.value], "warm_start": one.design, **self._own} for one in tries]
         where = [f"pareto, at {self._place(one.value, one.neighbour)}" for one in tries]
@@ -282,9 +271,7 @@ class _Sweep:
         for done, (i, found) in enumerate(each("solve", calls, where, executor), 1):
             bettered |= self._keep(tries[i], found)
             self._progress(f"{what}: {self._in_brief(tries[i].value)}", done, len(tries))
-            if isinstance(found, Solution) and found.status is Status.INTERRUPTED:
-                raise KeyboardInterrupt
-            heed()
+            steps.heed(found.status if isinstance(found, Solution) else None)
         return bettered
 
     def _place(self, value: float, neighbour: float | None = None) -> str:
@@ -297,7 +284,7 @@ class _Sweep:
 
     def _keep(self, begun: "_Try", found: Solution | AleatorError) -> bool:
         """Keep what is better than what was known; whether it is."""
-        known = self._solutions.get(begun.value)
+        known = self.solutions.get(begun.value)
         if isinstance(found, Solution):
             if known is not None and not _is_better(found, known, SAME * self._size):
                 return False

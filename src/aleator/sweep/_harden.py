@@ -9,15 +9,15 @@ from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, one_of, positive, refusal, whole
-from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn
 from aleator._core.warned import warned_of
 from aleator.certification import bound_size
 from aleator.design import Constraint, Problem, current, soft
-from aleator.nlp import AbstractSolver, Status
+from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.solving import solve
+from aleator.sweep._each import until_interrupted
 from aleator.transcription import DEFAULT, AbstractTranscribed, AbstractTranscription, transcribe
 
 # Beyond this weight, a penalty leaves no digit of the objective, and its square overflows.
@@ -107,29 +107,21 @@ def harden(
     hard = None
     solutions: list[Solution] = []
     excesses: list[Mapping[str, float]] = []
-    interrupted = True
-    try:
-        with heeding() as heed:
-            for done, each in enumerate(weights):
-                progress("weights", done, most)
-                softened = soft(problem, *names, weight=float(each), exact=exact)
-                start = solutions[-1].decisions if solutions else None
-                with warned_of(f"harden, weight {each:.4g}"):
-                    found = solve(softened, solver, transcription=transcription, start=start, throw=False)
-                hard = hard or transcribe(problem, DEFAULT)
-                excesses.append(_excesses(hard, _chosen(problem, names), found))
-                solutions.append(found)
-                if found.ok and max(excesses[-1].values()) <= tolerance:
-                    break
-                if found.status is Status.INTERRUPTED:
-                    raise KeyboardInterrupt
-                heed()
-        interrupted = False
-    except KeyboardInterrupt:
-        if not solutions:
-            raise
+    with until_interrupted(lambda: solutions) as steps:
+        for done, each in enumerate(weights):
+            progress("weights", done, most)
+            softened = soft(problem, *names, weight=float(each), exact=exact)
+            start = solutions[-1].decisions if solutions else None
+            with warned_of(f"harden, weight {each:.4g}"):
+                solution = solve(softened, solver, transcription=transcription, start=start, throw=False)
+            hard = hard or transcribe(problem, DEFAULT)
+            excesses.append(_excesses(hard, _chosen(problem, names), solution))
+            solutions.append(solution)
+            if solution.ok and max(excesses[-1].values()) <= tolerance:
+                break
+            steps.heed(solution.status)
     used = tuple(float(one) for one in weights[: len(solutions)])
-    return Hardened(tuple(solutions), used, tuple(excesses[: len(solutions)]), tolerance, interrupted)
+    return Hardened(tuple(solutions), used, tuple(excesses[: len(solutions)]), tolerance, steps.interrupted)
 
 
 def _chosen(problem: Problem, names: tuple[str, ...]) -> tuple[str, ...]:

@@ -11,7 +11,6 @@ from jaxtyping import Float
 from aleator._core.elsewhere import check_executor, each_done
 from aleator._core.errors import ProblemError
 from aleator._core.given import one_of, whole
-from aleator._core.heard import heeding
 from aleator._core.journalled import entry_of, journalled
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn, Printed
@@ -29,6 +28,7 @@ from aleator.nlp import (
 )
 from aleator.solution import Solution
 from aleator.solving import check_search, solve
+from aleator.sweep._each import until_interrupted
 from aleator.transcription import DEFAULT, transcribe, valued_by
 
 
@@ -256,27 +256,20 @@ def portfolio(
     ended: dict[int, _End] = {}
     found: Sequence[Float[np.ndarray, " n"]] = []
     searched: Searched | None = None
-    interrupted = True
-    try:
-        with heeding() as heed:
-            if search is not None:
-                found_by = searched_globally(problem, program, search, max(starts // 2, 1), executor)
-                found, searched = found_by.candidates, found_by.searched
-                if found_by.status is Status.INTERRUPTED:
-                    raise KeyboardInterrupt
-            begun = list(_starts(program, found, starts, seed))
-            progress("local searches", 0, starts)
-            points = [one.point for one in begun]
-            for i, outcome in each_outcome(problem, program, local.local, points, executor):
-                if outcome.status is Status.INTERRUPTED:
-                    raise KeyboardInterrupt
-                ended[i] = _End(outcome, begun[i].is_random)
-                progress("local searches", len(ended), starts)
-                heed()
-        interrupted = False
-    except KeyboardInterrupt:
-        if not ended and not found:
-            raise
+    with until_interrupted(lambda: ended or found) as steps:
+        if search is not None:
+            found_by = searched_globally(problem, program, search, max(starts // 2, 1), executor)
+            found, searched = found_by.candidates, found_by.searched
+            steps.heed(found_by.status)
+        begun = list(_starts(program, found, starts, seed))
+        progress("local searches", 0, starts)
+        points = [one.point for one in begun]
+        for i, outcome in each_outcome(problem, program, local.local, points, executor):
+            if outcome.status is Status.INTERRUPTED:
+                raise KeyboardInterrupt
+            ended[i] = _End(outcome, begun[i].is_random)
+            progress("local searches", len(ended), starts)
+            steps.heed()
     ends = [ended[i] for i in sorted(ended)]
     optima = _optima(problem, ends)
     points = _worth_certifying(optima, ends, found)
@@ -284,7 +277,7 @@ def portfolio(
         best = _certified(problem, local.local, search, points)
     except KeyboardInterrupt:
         # Here Ctrl-C ends the comparison, not the certificate, without which there would be no result.
-        interrupted = True
+        steps.interrupted = True
         best = _certified(problem, local.local, search, points[:1])
     return Portfolio(
         best=best,
@@ -294,7 +287,7 @@ def portfolio(
         solved=sum(one.is_random and one.outcome.ok for one in ends),
         searched=searched,
         proven=best.ok and _is_least(program, best.objective, local.tolerance),
-        interrupted=interrupted,
+        interrupted=steps.interrupted,
     )
 
 

@@ -10,12 +10,12 @@ from jaxtyping import Float
 from aleator._core.elsewhere import check_executor
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, one_of, refusal, whole
-from aleator._core.heard import heeding
 from aleator._core.journalled import calling
 from aleator._core.progress import Progress, check_progress, silent
 from aleator.design import Expression, Problem, current
 from aleator.nlp import AbstractSolver
 from aleator.sweep._crowd import Budget, Gap, Member, box, check_crowd, crowd, simplex
+from aleator.sweep._each import until_interrupted
 from aleator.sweep._seeking import SAME, Anchors, Seeker, between
 from aleator.sweep._trade_off import TradeOff, efficient
 from aleator.sweep._wishes import Compromise, Design, Found, Wishes, refuse_own_names
@@ -264,24 +264,17 @@ def trade_off(
     one_of("trade_off: transcription", transcription, AbstractTranscription, "al.Sequential()")
     _check_problem(problem, wishes)
     front = FrontInTheMaking(Wishes(current(problem), wishes), Seeker(transcription, solver, starts, executor), points)
-    interrupted = True
-    try:
-        with heeding() as heed:
-            with calling("best of each wish"):
-                front.anchors.find(lambda done: progress("best of each wish", done, len(names)), heed)
-            stopped = method == "population" and front.spread(
-                budget, lambda done: progress("population", done, evaluations)
-            )
-            for one in front.problems(method):
-                progress("trade-off", front.done, points)
-                with calling(f"trade-off, point {front.done + 1}"):
-                    front.add(one)
-                heed()
-        interrupted = stopped
-    except KeyboardInterrupt:
-        if not front.anchors.designs:
-            raise
-    return front.told(interrupted)
+    with until_interrupted(lambda: front.anchors.designs) as steps:
+        with calling("best of each wish"):
+            front.anchors.find(lambda done: progress("best of each wish", done, len(names)), steps.heed)
+        if method == "population":
+            steps.interrupted = front.spread(budget, lambda done: progress("population", done, evaluations))
+        for one in front.problems(method):
+            progress("trade-off", front.done, points)
+            with calling(f"trade-off, point {front.done + 1}"):
+                front.add(one)
+            steps.heed()
+    return front.told(steps.interrupted)
 
 
 def _names(wishes: Mapping[str, Expression]) -> tuple[str, ...]:
