@@ -48,17 +48,13 @@ def _are_lost(program: NonlinearProgram, point: np.ndarray, here: Evaluation, wh
 
 def _steps(program: NonlinearProgram, point: np.ndarray, which: np.ndarray) -> Iterator[Evaluation]:
     """Evaluations with some variables moved by each step, away from a bound that is too close."""
-    size = program.variable_scale[which]
+    size, bounds = program.variable_scale[which], (program.lower[which], program.upper[which])
     for step in _STEPS:
-        places = [np.clip(point[which] + sign * step * size, *_bounds(program, which)) for sign in (1, -1)]
+        places = [np.clip(point[which] + sign * step * size, *bounds) for sign in (1, -1)]
         first, second = (np.abs(place - point[which]) for place in places)
         moved = point.copy()
         moved[which] = np.where(first >= second, *places)
         yield program.evaluate(moved)
-
-
-def _bounds(program: NonlinearProgram, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return program.lower[which], program.upper[which]
 
 
 def _changes_blindly(here: Evaluation, there: Evaluation, which: np.ndarray) -> bool:
@@ -184,7 +180,8 @@ def _probes(program: NonlinearProgram, outcome: Outcome, which: int, step: np.nd
     here = outcome.point
     points = [np.clip(here + part * step, program.lower, program.upper) for part in _BESIDE]
     if _is_flat(outcome.evaluation, which):
-        points += [_with(here, which, place) for place in _range(program, here, which)]
+        is_moved = np.arange(here.size) == which
+        points += [np.where(is_moved, place, here) for place in _range(program, here, which)]
     found = []
     for point in points:
         evaluation = None if np.array_equal(point, here) else program.evaluate(point)
@@ -200,12 +197,6 @@ def _range(program: NonlinearProgram, here: np.ndarray, which: int) -> list[floa
     if np.isfinite(lower) and np.isfinite(upper):
         places |= set(np.linspace(lower, upper, 5).tolist())
     return sorted(places)
-
-
-def _with(point: np.ndarray, which: int, value: float) -> np.ndarray:
-    changed = point.copy()
-    changed[which] = value
-    return changed
 
 
 def _is_flat(evaluation: Evaluation, which: int) -> bool:

@@ -164,7 +164,10 @@ def choices_data(block: Linked) -> dict[str, Any]:
         "choices": [
             {
                 "name": one.name,
-                "facts": [_written(table) for table in one.facts],
+                "facts": [
+                    {"caption": table.caption, "rows": [list(row) for row in table.rows], "note": table.note}
+                    for table in one.facts
+                ],
                 "bands": {band.name: _numbers(band, digits[band.name], seconds[band.name]) for band in one.bands},
             }
             for one in block.choices
@@ -220,7 +223,3 @@ def _rounded(values: np.ndarray, digits: int) -> list[float | None]:
     """Numbers as JSON, without a fraction where they have none; null where one is not finite."""
     rounded = (round(float(one), digits) if math.isfinite(one) else None for one in values)
     return [int(one) if one is not None and one.is_integer() else one for one in rounded]
-
-
-def _written(table: Table) -> dict[str, Any]:
-    return {"caption": table.caption, "rows": [list(row) for row in table.rows], "note": table.note}

@@ -293,14 +293,10 @@ def tree(results: Mapping[str, Any]) -> "xarray.DataTree":
     nodes = {
         "/".join(["", *map(_key, names)]): dataset(one)
         for names, one in leaves(results)
-        if one is not None and not _is_empty(one)
+        # A front may have been interrupted before its first point.
+        if one is not None and not (isinstance(one, Front) and not one.solutions)
     }
     return xarray.DataTree.from_dict(nodes)
-
-
-def _is_empty(one: Any) -> bool:
-    """Whether a sweep was interrupted before its first point."""
-    return isinstance(one, Front) and not one.solutions
 
 
 KINDS = (Solution, Evidence, Front, TradeOff, Calibration)

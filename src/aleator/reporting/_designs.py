@@ -9,7 +9,7 @@ import numpy as np
 from aleator._core.errors import ProblemError
 from aleator.reporting import _units
 from aleator.reporting._numbers import given, number
-from aleator.reporting._style import LIMIT, MUTED, SIZE, Look, blank, label, limit_line, looks, padded, plain
+from aleator.reporting._style import DASHES, LIMIT, MUTED, SIZE, Look, blank, label, limit_line, looks, padded, plain
 from aleator.solution import Solution
 from aleator.uncertainty import Decision
 

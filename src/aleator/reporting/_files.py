@@ -202,7 +202,7 @@ def _exchange(folder: Path, names: list[str], staged: Mapping[str, Path]) -> Non
     try:
         for name in others:
             if (folder / name).exists():
-                aside[name] = (folder / name).replace(_place_beside(folder))
+                aside[name] = (folder / name).replace(folder / f"{_STAGED}{uuid.uuid4().hex}")
         _sync(folder)
         staged[first].replace(folder / first)
     except BaseException:
@@ -227,10 +227,6 @@ def _temporary(folder: Path, prefix: str, suffix: str) -> Path:
     handle, name = tempfile.mkstemp(dir=folder, prefix=prefix, suffix=suffix)
     os.close(handle)
     return Path(name)
-
-
-def _place_beside(folder: Path) -> Path:
-    return folder / f"{_STAGED}{uuid.uuid4().hex}"
 
 
 def _finish(file: Path) -> None:

@@ -134,11 +134,8 @@ def _add_solved(
 
 def _symbols(front: Front, look: Look) -> list[str]:
     """The markers of a front's points: filled where the swept bound is active."""
-    return [f"{look.symbol}{'' if _holds(one, front.bound) else '-open'}" for one in front.points]
-
-
-def _holds(point: Solution | Refused, bound: str) -> bool:
-    return isinstance(point, Solution) and point.multiplier(bound) > 0
+    active = [isinstance(one, Solution) and one.multiplier(front.bound) > 0 for one in front.points]
+    return [look.symbol if is_active else f"{look.symbol}-open" for is_active in active]
 
 
 def _hover(front: Front, i: int) -> str:
@@ -160,7 +157,7 @@ def _add_infeasible(
     missing = [i for i, one in enumerate(front.points) if not one.ok]
     if not missing:
         return
-    last = max(missing, key=lambda i: front.values[i])
+    last, middle = max(missing, key=lambda i: front.values[i]), (front.values.min() + front.values.max()) / 2
     figure.add_scatter(
         x=front.values[missing],
         y=[height] * len(missing),
@@ -169,7 +166,7 @@ def _add_infeasible(
         showlegend=False,
         marker={"symbol": "x", "size": 10, "color": look.colour},
         text=[f" {plain(name)} infeasible" if i == last else "" for i in missing],
-        textposition="middle right" if 2 * front.values[last] < sum(_ends(front)) else "middle left",
+        textposition="middle right" if front.values[last] < middle else "middle left",
         textfont={"size": SIZE - 1, "color": look.colour},
         customdata=[_why(front.points[i]) for i in missing],
         meta=[places[i] for i in missing],
@@ -178,10 +175,6 @@ def _add_infeasible(
         ),
         cliponaxis=False,
     )
-
-
-def _ends(front: Front) -> tuple[float, float]:
-    return float(front.values.min()), float(front.values.max())
 
 
 def _why(solution: Solution | Refused) -> str:
@@ -264,7 +257,8 @@ def decision_path_figure(
             name=plain(name),
             line={"color": look.colour, "width": 1.5},
             marker={"symbol": f"{look.symbol}-open", "size": 10, "color": look.colour, "line": {"width": 2}},
-            text=_last_label(places, bounds),
+            # Labels at both ends of several fronts would overlap.
+            text=[text if place == max(places) else "" for place, text in zip(places, bounds, strict=True)],
             textposition="middle left",
             textfont={"size": SIZE - 2, "color": look.colour},
             customdata=bounds,
@@ -280,11 +274,6 @@ def decision_path_figure(
         figure.update_yaxes(range=padded([lower, *reached], 0.12))
     figure.update_yaxes(tickformat=",d")
     return figure
-
-
-def _last_label(places: list[float], texts: list[str]) -> list[str]:
-    """The label of the rightmost point only: labels at both ends of several fronts would overlap."""
-    return [text if place == max(places) else "" for place, text in zip(places, texts, strict=True)]
 
 
 def relative_figure(

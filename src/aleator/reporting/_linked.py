@@ -57,7 +57,8 @@ def linked_front(
     choices = [choice(name, point, evidence_on(point, known)) for name, point in places]
     doubts = [f"{name}: {one}." for name, front in fronts.items() for one in front.doubts()]
     caption = " ".join(filter(None, [caption, *doubts, _CHOOSE]))
-    return Linked(figures, heading, _front_table(fronts, known), choices, _first_solved(points), caption, number)
+    first = next((i for i, one in enumerate(points) if one.ok), 0)
+    return Linked(figures, heading, _front_table(fronts, known), choices, first, caption, number)
 
 
 def disagreements(designs: Mapping[str, Solution], fronts: Mapping[str, Front]) -> list[str]:
@@ -86,10 +87,6 @@ def _places(group: Mapping[str, Front]) -> list[str]:
         before = f"{name}, " if len(group) > 1 else ""
         places += [f"{before}{front.bound}: {given(value, bound_unit(front))}" for value in front.values]
     return places
-
-
-def _first_solved(points: list[Solution | Refused]) -> int:
-    return next((i for i, one in enumerate(points) if one.ok), 0)
 
 
 def _front_table(group: Mapping[str, Front], evidence: list[Evidence]) -> Table:

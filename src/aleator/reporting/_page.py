@@ -151,7 +151,8 @@ def page_html(page: Page) -> str:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    drawings = [_drawn(block, i) for i, block in enumerate(_drawings(page))]
+    blocks = [block for section in page.sections for block in section.blocks if isinstance(block, Drawing | Linked)]
+    drawings = [_drawn(block, i) for i, block in enumerate(blocks)]
     return environment.from_string(source["page.html.j2"]).render(
         page=page,
         anchors=_anchors(page),
@@ -174,10 +175,6 @@ def _anchors(page: Page) -> list[str]:
         repeats = sum(re.fullmatch(rf"{re.escape(section.anchor)}(-\d+)?", one) is not None for one in found)
         found.append(f"{section.anchor}-{repeats + 1}" if repeats else section.anchor)
     return found
-
-
-def _drawings(page: Page) -> list[Drawing | Linked]:
-    return [block for section in page.sections for block in section.blocks if isinstance(block, Drawing | Linked)]
 
 
 def _drawn(block: Drawing | Linked, place: int) -> dict[str, Any]:

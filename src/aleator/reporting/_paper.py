@@ -162,11 +162,7 @@ def _fit(axes: Axes, layout: Any) -> None:
             getattr(axes, f"set_{name}lim")(*bounds)
         elif axis.rangemode == "tozero":
             low, high = getattr(axes, f"get_{name}lim")()
-            getattr(axes, f"set_{name}lim")(min(low, 0.0) if low < 0 and _reaches_below(axes) else 0.0, high)
-
-
-def _reaches_below(axes: Axes) -> bool:
-    return bool(axes.dataLim.y0 < 0)
+            getattr(axes, f"set_{name}lim")(min(low, 0.0) if low < 0 and axes.dataLim.y0 < 0 else 0.0, high)
 
 
 def _add_legend(paper: "matplotlib.figure.Figure", axes: Axes, layout: Any) -> None:

@@ -75,19 +75,13 @@ def _rows(results: Mapping[str, Any]) -> Iterator[list[str]]:
         if isinstance(one, Solution):
             yield [here, design_digest(one), one.effort.solver, "–", _seconds(_time_of(one))]
         elif isinstance(one, Evidence):
-            yield [here, design_digest(one.solution), *_sampled(one)]
+            sample = [f"{count(one.samples)} fresh systems", str(one.seed), _seconds(one.seconds)]
+            yield [here, design_digest(one.solution), *sample]
         elif isinstance(one, Calibration):
-            yield [here, design_digest(one.solution), f"{count(len(one.trials))} trials", *_of_confirmation(one)]
+            fresh = ["–", "–"] if one.evidence is None else [str(one.evidence.seed), _seconds(one.evidence.seconds)]
+            yield [here, design_digest(one.solution), f"{count(len(one.trials))} trials", *fresh]
         elif isinstance(one, Front | TradeOff) and one.solutions:
             yield [here, *_of_front(one.solutions)]
-
-
-def _sampled(evidence: Evidence) -> list[str]:
-    return [f"{count(evidence.samples)} fresh systems", str(evidence.seed), _seconds(evidence.seconds)]
-
-
-def _of_confirmation(found: Calibration) -> list[str]:
-    return ["–", "–"] if found.evidence is None else [str(found.evidence.seed), _seconds(found.evidence.seconds)]
 
 
 def _of_front(solutions: Any) -> list[str]:

@@ -141,23 +141,18 @@ def sections(
     if not designs:
         return []
     known = [*along, *evidence.values()]
+    failed = [Text([one.why()], lead=f"{name} is not solved.") for name, one in designs.items() if not one.ok]
+    optima = [Text(said, lead="Several local optima.")] if (said := disagreements(designs, fronts)) else []
+    meshes = [mesh_drawing(one.meshes, name) for name, one in designs.items() if any(mesh.worst for mesh in one.meshes)]
     every = [
-        Section("Designs", _design_blocks(designs, evidence)),
+        Section("Designs", [*failed, designs_table(designs, evidence)]),
         Section("Trajectories", _trajectory_blocks(evidence)),
-        Section(
-            "Trade-offs",
-            [*_disagreements(designs, fronts), *front_blocks(fronts, known), *trade_off_blocks(trade_offs, known)],
-        ),
+        Section("Trade-offs", [*optima, *front_blocks(fronts, known), *trade_off_blocks(trade_offs, known)]),
         Section("Evidence", _evidence_blocks(evidence)),
-        Section("Certificate", [certificate_table(designs), *_mesh_blocks(designs), *search_drawings(designs)]),
+        Section("Certificate", [certificate_table(designs), *meshes, *search_drawings(designs)]),
         Section("The problem as mathematics", [Code(name, one.problem_text, True) for name, one in designs.items()]),
     ]
     return [one for one in every if one.blocks]
-
-
-def _disagreements(designs: Mapping[str, Solution], fronts: Mapping[str, Front]) -> list[Text]:
-    said = disagreements(designs, fronts)
-    return [Text(said, lead="Several local optima.")] if said else []
 
 
 def _page(
@@ -196,11 +191,6 @@ def footer() -> str:
     )
 
 
-def _design_blocks(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -> list[Block]:
-    failed = [Text([one.why()], lead=f"{name} is not solved.") for name, one in designs.items() if not one.ok]
-    return [*failed, designs_table(designs, evidence)]
-
-
 def _trajectory_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
     """One drawing for each design and path constraint."""
     blocks: list[Block] = []
@@ -217,10 +207,6 @@ def _trajectory_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
                 )
             )
     return blocks
-
-
-def _mesh_blocks(designs: Mapping[str, Solution]) -> list[Block]:
-    return [mesh_drawing(one.meshes, name) for name, one in designs.items() if any(mesh.worst for mesh in one.meshes)]
 
 
 def _evidence_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:

@@ -49,7 +49,8 @@ def trajectory_figure(
     Those that violate any of them are highlighted. The title gives the proportion over all samples.
     """
     share = evidence.violations.get(name)
-    figure = blank(label("Time", "s"), label(y or name, unit), title=_violation_title(share, who), height=380)
+    title = "" if share is None else f"{share_text(share)} of {plain(who)} violate"
+    figure = blank(label("Time", "s"), label(y or name, unit), title=title, height=380)
     kept = [one for one in evidence.trajectories if one.name == name]
     times = evidence.solution.instants[::every]
     distinct = _distinct(kept)
@@ -76,12 +77,6 @@ def curves(values: np.ndarray, violating: np.ndarray) -> tuple[np.ndarray, np.nd
         return values, broken
     flat = values.reshape(*values.shape[:2], -1)
     return np.moveaxis(flat, 2, 1).reshape(-1, values.shape[1]), np.repeat(broken, flat.shape[2])
-
-
-def _violation_title(share: object, who: str) -> str:
-    from aleator.validation import Proportion
-
-    return f"{share_text(share)} of {plain(who)} violate" if isinstance(share, Proportion) else ""
 
 
 def _distinct(kept: list[Trajectories]) -> list[Trajectories]:

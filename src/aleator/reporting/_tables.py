@@ -8,7 +8,7 @@ from aleator.nlp import Status
 from aleator.reporting import _units
 from aleator.reporting._blocks import Table
 from aleator.reporting._numbers import count, given, number, residual, seconds, share_text, values_text, words
-from aleator.solution import Certificate, ConstraintResult, Effort, Solution
+from aleator.solution import Certificate, ConstraintResult, Solution
 from aleator.statistics import Mean, Std
 from aleator.validation import Checked, Evidence
 
@@ -130,6 +130,7 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
     """The certificate of each design: residuals of the optimality conditions, effort, quality of the expansion."""
     every = list(solutions.values())
     certificates, efforts = [one.certificate for one in every], [one.effort for one in every]
+    times = [one.times for one in efforts]
     expanded = [one.expansion for one in certificates if _expanded(one)]
     rows = [
         ["Status", *(STATUS_WORDS[one.status] for one in every)],
@@ -146,9 +147,12 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
         *_said(certificates),
         *([["Search", *(str(one.searched or "–") for one in efforts)]] if any(one.searched for one in efforts) else []),
         ["Iterations / evaluations", *(f"{one.iterations} / {one.evaluations}" for one in efforts)],
-        ["Time to compile / to solve", *map(_times, efforts)],
+        ["Time to compile / to solve", *(f"{seconds(t.compile_)} / {seconds(t.solve)}" for t in times)],
         ["Expansion: order, terms, points", *map(_expansion, certificates)],
-        ["Condition number", *map(_condition_number, certificates)],
+        [
+            "Condition number",
+            *(number(one.expansion.condition_number, 3) if _expanded(one) else "–" for one in certificates),
+        ],
     ]
     for text in _union([list(one.leave_one_out) for one in expanded]):
         rows.append([f"Leave-one-out error, {text}", *(_leave_one_out(one, text) for one in certificates)])
@@ -182,10 +186,6 @@ def _said(certificates: list[Certificate]) -> list[list[str]]:
     return [row for row in rows if any(text != "–" for text in row[1:])]
 
 
-def _times(effort: Effort) -> str:
-    return f"{seconds(effort.times.compile_)} / {seconds(effort.times.solve)}"
-
-
 def _between(certificate: Certificate) -> str:
     one = certificate.between
     if one is None:
@@ -200,10 +200,6 @@ def _expanded(certificate: Certificate) -> bool:
 def _expansion(certificate: Certificate) -> str:
     one = certificate.expansion
     return f"{one.order}, {one.terms}, {one.points}" if _expanded(certificate) else "nothing is uncertain"
-
-
-def _condition_number(certificate: Certificate) -> str:
-    return number(certificate.expansion.condition_number, 3) if _expanded(certificate) else "–"
 
 
 def _leave_one_out(certificate: Certificate, text: str) -> str:

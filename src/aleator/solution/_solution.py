@@ -116,7 +116,9 @@ class ConstraintResult(Printed):
     @property
     def worst_time(self) -> float | None:
         """The instant (s) at which the constraint is closest to, or furthest beyond, its bound."""
-        return None if self.times is None else float(self.times[np.argmax(_by_instant(self.excess))])
+        if self.times is None:
+            return None
+        return float(self.times[np.argmax(self.excess.reshape(len(self.times), -1).max(axis=1))])
 
     @property
     def shadow_price(self) -> float:
@@ -150,10 +152,6 @@ class ConstraintResult(Printed):
         if np.any(self.active):
             return f"{self.name}: {self.text}: active{when}, shadow price {self.shadow_price:.4g}"
         return f"{self.name}: {self.text}: slack {-float(np.max(self.excess)):.4g}{when}"
-
-
-def _by_instant(values: np.ndarray) -> np.ndarray:
-    return values.reshape(len(values), -1).max(axis=1)
 
 
 @final

@@ -14,7 +14,7 @@ from aleator.design import Problem
 from aleator.nlp import NonlinearProgram, load_pymoo, population_front
 from aleator.sweep._trade_off import efficient
 from aleator.sweep._wishes import LEVEL, Design, Wishes, pressed, without_level
-from aleator.transcription import DEFAULT, AbstractTranscribed, transcribe, valued_by
+from aleator.transcription import DEFAULT, transcribe, valued_by
 
 # Points that are nearer to one another, as a part of their range, are the same place.
 _APART = 1e-3
@@ -129,7 +129,8 @@ def crowd(
     program, places = valued_by(budget.executor, transcribed.program, "trade_off"), transcribed.places
     is_level = np.array([name == LEVEL for name in places.entry_names()])
     known = np.array([one.values for one in anchors])
-    rows = np.array([_row(transcribed, pressed(name)) for name in wishes.names])
+    constraints = [one.name for one in transcribed.problem.constraints]
+    rows = np.array([transcribed.rows[constraints.index(pressed(name))].start for name in wishes.names])
 
     def whole(free: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "k all"]:
         every = np.repeat(program.start[None], len(free), axis=0)
@@ -183,11 +184,6 @@ def _population(
         found, reached = (np.concatenate(part) for part in zip(*seen, strict=True))
         kept = efficient(reached, np.zeros(reached.shape[1]))
         return found[kept], reached[kept], True
-
-
-def _row(transcribed: AbstractTranscribed, name: str) -> int:
-    names = [one.name for one in transcribed.problem.constraints]
-    return transcribed.rows[names.index(name)].start
 
 
 def _violations(program: NonlinearProgram, constraints: Float[np.ndarray, "k m"]) -> Float[np.ndarray, " k"]:

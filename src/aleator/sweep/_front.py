@@ -270,17 +270,15 @@ class _Sweep:
         self._progress(what, 0, len(tries))
         for done, (i, found) in enumerate(each("solve", calls, where, executor), 1):
             bettered |= self._keep(tries[i], found)
-            self._progress(f"{what}: {self._in_brief(tries[i].value)}", done, len(tries))
+            point = self._kept[tries[i].value].point
+            brief = in_brief(point) if isinstance(point, Solution) else "no design"
+            self._progress(f"{what}: {self._place(tries[i].value)}, {brief}", done, len(tries))
             steps.heed(found.status if isinstance(found, Solution) else None)
         return bettered
 
     def _place(self, value: float, neighbour: float | None = None) -> str:
         """A point in words."""
         return point_name(self._bound, value) + (f", from {neighbour:.6g}" if neighbour is not None else "")
-
-    def _in_brief(self, value: float) -> str:
-        point = self._kept[value].point
-        return f"{self._place(value)}, {in_brief(point) if isinstance(point, Solution) else 'no design'}"
 
     def _keep(self, begun: "_Try", found: Solution | AleatorError) -> bool:
         """Keep what is better than what was known; whether it is."""

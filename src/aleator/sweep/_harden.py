@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, one_of, positive, refusal, whole
@@ -13,7 +12,7 @@ from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn
 from aleator._core.warned import warned_of
 from aleator.certification import bound_size
-from aleator.design import Constraint, Problem, current, soft
+from aleator.design import Problem, current, soft
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.solving import solve
@@ -104,6 +103,7 @@ def harden(
     check_progress("harden", progress)
     one_of("harden: transcription", transcription, AbstractTranscription, "al.Sequential()")
     problem = current(problem)
+    chosen = tuple(dict.fromkeys(a_name("harden: a constraint", name) for name in names)) or problem.names
     hard = None
     solutions: list[Solution] = []
     excesses: list[Mapping[str, float]] = []
@@ -115,17 +115,13 @@ def harden(
             with warned_of(f"harden, weight {each:.4g}"):
                 solution = solve(softened, solver, transcription=transcription, start=start, throw=False)
             hard = hard or transcribe(problem, DEFAULT)
-            excesses.append(_excesses(hard, _chosen(problem, names), solution))
+            excesses.append(_excesses(hard, chosen, solution))
             solutions.append(solution)
             if solution.ok and max(excesses[-1].values()) <= tolerance:
                 break
             steps.heed(solution.status)
     used = tuple(float(one) for one in weights[: len(solutions)])
     return Hardened(tuple(solutions), used, tuple(excesses[: len(solutions)]), tolerance, steps.interrupted)
-
-
-def _chosen(problem: Problem, names: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(a_name("harden: a constraint", name) for name in names)) or problem.names
 
 
 def _excesses(hard: AbstractTranscribed, names: tuple[str, ...], found: Solution) -> dict[str, float]:
@@ -137,10 +133,6 @@ def _excesses(hard: AbstractTranscribed, names: tuple[str, ...], found: Solution
     excesses = dict.fromkeys(names, 0.0)
     for one, size, rows in zip(hard.problem.constraints, hard.scales, values, strict=True):
         if one.name in excesses:
-            excesses[one.name] = max(excesses[one.name], _beyond(rows, one) / (bound_size(one) or size))
+            beyond = float(np.max(np.maximum(float(one.lower) - rows, rows - float(one.upper))))
+            excesses[one.name] = max(excesses[one.name], beyond / (bound_size(one) or size))
     return excesses
-
-
-def _beyond(rows: Float[np.ndarray, " rows"], constraint: Constraint) -> float:
-    lower, upper = float(constraint.lower), float(constraint.upper)
-    return float(np.max(np.maximum(np.maximum(lower - rows, rows - upper), 0.0)))

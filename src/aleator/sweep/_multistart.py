@@ -53,16 +53,15 @@ class Starts(Drawn):
         solved = sorted((one for one in self.solutions if one.ok), key=lambda one: one.objective)
         starts = [one.problem.placements.vector("initial") for one in solved]
         size = np.max(np.abs([*starts, *(one.vector for one in solved)]), axis=0, initial=1e-12)
-        found: list[tuple[Solution, int]] = []
+        optima: list[tuple[Solution, int]] = []
         for one in solved:
-            best = found[-1][0] if found else None
-            if best and (
-                _close(one.objective, best.objective) or np.all(np.abs(one.vector - best.vector) < _SAME * size)
-            ):
-                found[-1] = (best, found[-1][1] + 1)
+            best, count = optima[-1] if optima else (one, 0)
+            close = abs(one.objective - best.objective) <= _SAME * max(abs(one.objective), 1e-12)
+            if count and (close or np.all(np.abs(one.vector - best.vector) < _SAME * size)):
+                optima[-1] = (best, count + 1)
             else:
-                found.append((one, 1))
-        return tuple(found)
+                optima.append((one, 1))
+        return tuple(optima)
 
     def __str__(self) -> str:
         rows = [f"{one.objective:14.8g}  from {count} of {len(self.solutions)} starts" for one, count in self.optima]
@@ -70,10 +69,6 @@ class Starts(Drawn):
         return "\n".join(
             ["local optima (equal objectives count as one)", *rows, *([f"{failed} starts failed"] if failed else [])]
         )
-
-
-def _close(one: float, other: float) -> bool:
-    return abs(one - other) <= _SAME * max(abs(one), 1e-12)
 
 
 def multistart(

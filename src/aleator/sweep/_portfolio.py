@@ -314,13 +314,12 @@ def _optima(problem: Problem, ends: Sequence[_End]) -> list[tuple[Optimum, Float
             groups[-1].append(one)
         else:
             groups.append([one])
-    return [(_optimum(problem, group), group[0].outcome.point) for group in groups]
-
-
-def _optimum(problem: Problem, group: Sequence[_End]) -> Optimum:
-    first = group[0].outcome
-    named = problem.placements.named(first.point)
-    return Optimum(first.evaluation.objective, named, len(group), sum(one.is_random for one in group))
+    optima = []
+    for group in groups:
+        best = group[0].outcome
+        named, random = problem.placements.named(best.point), sum(one.is_random for one in group)
+        optima.append((Optimum(best.evaluation.objective, named, len(group), random), best.point))
+    return optima
 
 
 def _at_starts(ends: Sequence[_End]) -> float:

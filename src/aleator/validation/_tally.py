@@ -181,7 +181,8 @@ class Tally:
 
     def evidence(self, solution: Solution, seed: int, seconds: float) -> Evidence:
         """Everything sampled, as evidence."""
-        broken = {name: self._breaks(name) for name in self._sampled_names()}
+        names = dict.fromkeys(one.name for one in self._problem.constraints if is_counted(one))
+        broken = {name: self._breaks(name) for name in names}
         functionals = {one.text(): self._sampled(i, one, solution) for i, one in enumerate(self._functionals)}
         statistics = {one.text(): self._checked(one, solution) for one in self._countable_statistics()}
         shares = {name: Proportion(int(mask.sum()), self._samples) for name, mask in broken.items()}
@@ -253,9 +254,6 @@ class Tally:
             return Checked(statistic, expanded, float(statistic.kind.of_sample(values)), np.nan)
         found = estimate(statistic.kind.of_sample, np.asarray(values), group_count(self._samples))
         return Checked(statistic, expanded, float(found.value), float(found.standard_error))
-
-    def _sampled_names(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(one.name for one in self._problem.constraints if is_counted(one)))
 
     def _breaks(self, name: str) -> np.ndarray:
         rows = [i for i, one in enumerate(self._problem.constraints) if one.name == name and is_counted(one)]
