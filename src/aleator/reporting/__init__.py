@@ -20,7 +20,10 @@ from aleator.reporting._datasets import tree as tree
 from aleator.reporting._designs import Axis as Axis
 from aleator.reporting._designs import Box as Box
 from aleator.reporting._designs import decisions_figure as decisions_figure
+from aleator.reporting._designs import mesh_drawing as mesh_drawing
+from aleator.reporting._designs import mesh_figure as mesh_figure
 from aleator.reporting._designs import projection_figure as projection_figure
+from aleator.reporting._designs import search_figure as search_figure
 from aleator.reporting._files import as_path as as_path
 from aleator.reporting._files import check_writable as check_writable
 from aleator.reporting._files import has_writer as has_writer
@@ -56,8 +59,6 @@ from aleator.reporting._page import write_page as write_page
 from aleator.reporting._paper import paper_figure as paper_figure
 from aleator.reporting._paths import histories_figure as histories_figure
 from aleator.reporting._paths import path_figure as path_figure
-from aleator.reporting._provenance import design_digest as design_digest
-from aleator.reporting._provenance import provenance as provenance
 from aleator.reporting._report import HOW_TO_READ as HOW_TO_READ
 from aleator.reporting._report import footer as footer
 from aleator.reporting._report import report as report
@@ -68,13 +69,12 @@ from aleator.reporting._samples import percentile_figure as percentile_figure
 from aleator.reporting._samples import shares_figure as shares_figure
 from aleator.reporting._samples import signal_figure as signal_figure
 from aleator.reporting._samples import trajectory_figure as trajectory_figure
-from aleator.reporting._searches import mesh_drawing as mesh_drawing
-from aleator.reporting._searches import mesh_figure as mesh_figure
-from aleator.reporting._searches import search_figure as search_figure
 from aleator.reporting._store import PAGE as PAGE
+from aleator.reporting._store import design_digest as design_digest
 from aleator.reporting._store import designs_document as designs_document
 from aleator.reporting._store import evidence_document as evidence_document
 from aleator.reporting._store import json_text as json_text
+from aleator.reporting._store import provenance as provenance
 from aleator.reporting._store import save as save
 from aleator.reporting._store import save_study as save_study
 from aleator.reporting._store import solution_document as solution_document

@@ -7,9 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aleator.reporting import _units
 from aleator.reporting._blocks import Band, Choice, Linked, Table
-from aleator.reporting._numbers import count, number, residual, share_text, words
+from aleator.reporting._numbers import (
+    count,
+    number,
+    residual,
+    share_text,
+    unit_of_decision,
+    unit_of_functional,
+    unit_of_limit,
+    unit_of_objective,
+    units_of_statistics,
+    words,
+)
 from aleator.reporting._paths import components, ends, limits_of, path_figure, paths_of
 from aleator.reporting._style import padded, plain
 from aleator.reporting._tables import STATUS_WORDS, decision_text, objective_text, worst_text
@@ -77,14 +87,14 @@ def _prices(solution: Solution) -> Iterator[tuple[str, str]]:
     """The shadow price of each limit, and those of the bounds of decisions where these lie at one. Of designs alone."""
     if not solution.ok:
         return
-    objective = _units.of_expression(solution.problem.objective, solution.problem)
+    objective = unit_of_objective(solution.problem)
     for name in _limits(solution):
-        unit = _units.of_expression(solution.problem.named(name)[0].expression, solution.problem)
+        unit = unit_of_limit(name, solution.problem)
         yield name, number(solution.multiplier(name), 4, _per(objective, unit))
     for name, value in solution.bound_multipliers.items():
         if np.any(value) and solution.is_at_bound(name):
             price = float(np.sum(np.abs(value)))
-            yield f"bound of {name}", number(price, 4, _per(objective, _units.of_decision(name, solution.problem)))
+            yield f"bound of {name}", number(price, 4, _per(objective, unit_of_decision(name, solution.problem)))
 
 
 def _per(unit: str, by: str) -> str:
@@ -93,7 +103,7 @@ def _per(unit: str, by: str) -> str:
 
 def _statistics(solution: Solution) -> Iterator[tuple[str, str]]:
     """The statistics in the problem that are numbers; those of paths are drawn."""
-    units = _units.of_statistics(solution.problem)
+    units = units_of_statistics(solution.problem)
     for text, value in solution.statistics.items():
         if np.ndim(value) == 0:
             yield text, number(float(value), 5, units.get(text, ""))
@@ -134,7 +144,7 @@ def bands(solution: Solution) -> list[Band]:
     """The paths in the problem of a design, with their limits, at no more than 200 instants."""
     every = []
     for name, functional in paths_of(solution.problem).items():
-        unit = _units.of_functional(functional, solution.problem)
+        unit = unit_of_functional(functional, solution.problem)
         limits = limits_of(solution.problem, functional, unit)
         found, times = solution.moments[functional.text()], solution.instants
         kept = np.unique(np.linspace(0, len(times) - 1, min(_INSTANTS, len(times))).round().astype(int))

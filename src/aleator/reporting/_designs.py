@@ -1,4 +1,6 @@
-"""Figures of designs: decisions between their bounds, and boxes of mean ± sigma in the space of requirements."""
+"""Figures of designs: decisions between their bounds, boxes of mean ± sigma in the space of requirements; and of how
+a design came about: what a search evaluated, and the meshes of a simultaneous program.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -7,10 +9,26 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from aleator._core.errors import ProblemError
-from aleator.reporting import _units
-from aleator.reporting._numbers import given, number
-from aleator.reporting._style import DASHES, LIMIT, MUTED, SIZE, Look, blank, label, limit_line, looks, padded, plain
-from aleator.solution import Solution
+from aleator.nlp import Searched
+from aleator.reporting._blocks import Drawing
+from aleator.reporting._numbers import count, given, number, residual, unit_of_decision, unit_of_objective
+from aleator.reporting._style import (
+    ALARM,
+    DASHES,
+    INK,
+    LIMIT,
+    MUTED,
+    SIZE,
+    Look,
+    blank,
+    label,
+    limit_line,
+    looks,
+    padded,
+    plain,
+    short,
+)
+from aleator.solution import MeshError, Solution
 from aleator.uncertainty import Decision
 
 if TYPE_CHECKING:
@@ -131,7 +149,7 @@ def decisions_figure(solution: Solution) -> "Figure":
             ("start", one.initial, f"{look.symbol}-open", MUTED),
             ("design", solution.decisions[name], look.symbol, look.colour),
         )
-        unit = _units.of_decision(name, solution.problem)
+        unit = unit_of_decision(name, solution.problem)
         figure.add_scatter(
             x=[0, 100],
             y=[plain(name)] * 2,
@@ -173,4 +191,180 @@ def _tell(figure: "Figure", name: str, decision: Decision, value: Any, unit: str
         text=plain(f"{told}between {given(low)} and {given(high, unit)}"),
         showarrow=False,
         font={"size": SIZE - 2, "color": LIMIT},
+    )
+
+
+# A point that violates a constraint by more than this, relative to its magnitude, is drawn as one that does not hold.
+_HELD = 1e-2
+# The axis shows the best values and this part of all others: a few are often far above.
+_SHOWN = 0.8
+_CAPTION = (
+    "Each point is one simulated design; those that violate a constraint by more than one part in a hundred are drawn "
+    "as crosses. The line is the best of the others so far, from which derivatives continue."
+)
+
+
+def search_drawings(designs: Mapping[str, Solution]) -> list[Drawing]:
+    """The searches for some designs, by their names, for a page: of those that were searched for."""
+    drawn = []
+    for name, one in designs.items():
+        searched = one.effort.searched
+        if searched is not None and searched.evaluations:
+            figure = search_figure(searched, unit_of_objective(one.problem))
+            drawn.append(Drawing([figure], f"Search for {name} by {searched.method}", _CAPTION))
+    return drawn
+
+
+def search_figure(searched: Searched, unit: str = "") -> "Figure":
+    """The objective, in its `unit`, of every point that a search evaluated, in order, and the best so far."""
+    figure = blank(label("Evaluation"), label("Objective", unit))
+    order, held = 1 + np.arange(searched.evaluations), searched.violations <= _HELD
+    values = {"feasible": np.where(held, searched.objectives, np.nan)}
+    if not held.all():
+        values["violates a constraint"] = np.where(held, np.nan, searched.objectives)
+    for (name, some), symbol, colour in zip(values.items(), ("circle", "x-thin"), (MUTED, ALARM), strict=False):
+        figure.add_scatter(
+            x=short(order),
+            y=short(some),
+            mode="markers",
+            name=plain(name),
+            marker={
+                "symbol": symbol,
+                "size": 4,
+                "color": colour,
+                "opacity": 0.5,
+                "line": {"color": colour, "width": 1},
+            },
+            hovertemplate="evaluation %{x}: %{y:.5g}<extra></extra>",
+        )
+    best, look = searched.best(_HELD), looks(["best so far"])["best so far"]
+    figure.add_scatter(
+        x=short(order),
+        y=short(best),
+        mode="lines",
+        name="best so far",
+        line={"color": look.colour, "width": 2, "shape": "hv"},
+        hovertemplate="best of %{x}: %{y:.5g}<extra></extra>",
+    )
+    known = searched.objectives[np.isfinite(searched.objectives)]
+    if len(known):
+        figure.update_yaxes(range=padded([*known[known <= np.quantile(known, _SHOWN)], *best[np.isfinite(best)]]))
+    return figure
+
+
+# From the first mesh to the last: shades of one hue, so that their order is seen without telling colours apart.
+_FIRST, _LAST = (163, 196, 220), (0, 76, 120)
+# Heights in pixels: of the errors, of one mesh's nodes with their name, and of what surrounds both.
+_ERRORS, _MESH_ROW, _AROUND_MESHES = 260, 46, 90
+# How far the marks of nodes reach up and down in their row, and how much of the height lies between both parts.
+_REACH, _BETWEEN = 0.16, 0.05
+# Powers of ten that are all named, and room for a line that lies on one.
+_MOST_TICKS, _ROOM = 8, 0.1
+
+_NODES = (
+    "Above, the nodes of each mesh. Below, how far states drift from their equations within each interval, relative to "
+    "their magnitudes, in the realisation that is worst there."
+)
+_REFINED = " The last mesh is the darkest. Intervals above the dashed line were divided, or their order was raised."
+
+
+def mesh_drawing(meshes: Sequence[MeshError], name: str) -> Drawing:
+    """The meshes of the design called `name`, for a page."""
+    caption = _NODES + _REFINED * (len(meshes) > 1)
+    return Drawing([mesh_figure(meshes)], f"Meshes of {name}", caption)
+
+
+def mesh_figure(meshes: Sequence[MeshError]) -> "Figure":
+    """The history of the meshes of a solution: the nodes of each, and below them the error of each interval."""
+    rows = len(meshes) * _MESH_ROW
+    share = _ERRORS / (_ERRORS + rows)
+    figure = blank(label("Time", "s"), "Drift of the states", height=_AROUND_MESHES + _ERRORS + rows)
+    for i, (mesh, colour) in enumerate(zip(meshes, _shades(len(meshes)), strict=True)):
+        is_last = i == len(meshes) - 1
+        scheme = "" if i and mesh.scheme == meshes[i - 1].scheme else f" of {mesh.scheme}"
+        end = _verdict(mesh) if is_last else ""
+        name = f"Mesh {i + 1}: {count(mesh.intervals)} intervals{scheme}, {residual(mesh.worst)}{end}"
+        _add_nodes(figure, mesh, i, colour, name)
+        _add_errors(figure, mesh, i, colour, width=2.0 if is_last else 1.3)
+    _add_request(figure, meshes[-1])
+    figure.update_xaxes(range=padded(meshes[-1].nodes[[0, -1]], 0.01))
+    low, high = _decades(meshes)
+    errors = {"domain": [0, share - _BETWEEN], "type": "log", "exponentformat": "power", "range": [low, high]}
+    errors["dtick"] = 1 if high - low <= _MOST_TICKS else 2
+    nodes = {"domain": [share, 1], "range": [len(meshes) - 0.5, -0.75], "visible": False, "fixedrange": True}
+    figure.update_layout(showlegend=False, yaxis=errors, yaxis2=nodes)
+    return figure
+
+
+def _verdict(mesh: MeshError) -> str:
+    if np.isinf(mesh.asked):
+        return ""
+    return ", as asked" if mesh.is_met else ", more than asked"
+
+
+def _decades(meshes: Sequence[MeshError]) -> tuple[int, int]:
+    """The powers of ten between which all errors lie, and the one asked for; what is smaller than rounding is cut."""
+    errors = np.concatenate([one.errors for one in meshes] + [[one.asked] for one in meshes if np.isfinite(one.asked)])
+    powers = np.log10(np.maximum(errors, np.finfo(float).eps))
+    return int(np.floor(powers.min() - _ROOM)), int(np.ceil(powers.max() + _ROOM))
+
+
+def _shades(number: int) -> list[str]:
+    """Colours from the first mesh to the last; one alone has the last."""
+    ways = np.linspace(0.0, 1.0, number) if number > 1 else np.ones(1)
+    mixed = np.rint(np.outer(1 - ways, _FIRST) + np.outer(ways, _LAST)).astype(int)
+    return [f"rgb({red},{green},{blue})" for red, green, blue in mixed.tolist()]
+
+
+def _add_nodes(figure: "Figure", mesh: MeshError, row: int, colour: str, name: str) -> None:
+    """The nodes of a mesh as marks in a row, under its name: one line with gaps, however many they are."""
+    figure.add_scatter(
+        x=short(np.repeat(mesh.nodes, 3)),
+        y=short(np.tile([row - _REACH, row + _REACH, np.nan], len(mesh.nodes))),
+        yaxis="y2",
+        mode="lines",
+        line={"color": colour, "width": 1},
+        name=f"nodes of mesh {row + 1}",
+        hoverinfo="skip",
+    )
+    figure.add_annotation(
+        text=name,
+        xref="paper",
+        x=0,
+        xanchor="left",
+        yref="y2",
+        y=row - _REACH,
+        yanchor="bottom",
+        showarrow=False,
+        font={"size": SIZE - 2, "color": INK},
+    )
+
+
+def _add_errors(figure: "Figure", mesh: MeshError, row: int, colour: str, width: float) -> None:
+    """The error of each interval as a step; one that is zero has no place on a logarithmic axis."""
+    errors = np.where(mesh.errors > 0, mesh.errors, np.nan)
+    figure.add_scatter(
+        x=short(mesh.nodes),
+        y=short(np.append(errors, errors[-1])),
+        mode="lines",
+        line={"color": colour, "width": width, "shape": "hv"},
+        name=f"errors of mesh {row + 1}",
+        hovertemplate=f"mesh {row + 1}: %{{y:.2~e}} from %{{x:.4~g}} s<extra></extra>",
+    )
+
+
+def _add_request(figure: "Figure", mesh: MeshError) -> None:
+    """The error that was asked for, as a line."""
+    if np.isinf(mesh.asked):
+        return
+    figure.add_scatter(
+        x=short(mesh.nodes[[0, -1]]),
+        y=[mesh.asked, mesh.asked],
+        mode="lines+text",
+        text=["", f"{residual(mesh.asked)} asked"],
+        textposition="top left",
+        textfont={"size": SIZE - 1, "color": LIMIT},
+        line={"color": LIMIT, "width": 1.3, "dash": "dash"},
+        name="asked",
+        hoverinfo="skip",
     )

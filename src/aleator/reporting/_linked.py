@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from aleator.reporting import _units
 from aleator.reporting._blocks import Choice, Linked, Table
 from aleator.reporting._choices import choice, evidence_on
-from aleator.reporting._numbers import given, number, share_text, words
+from aleator.reporting._numbers import given, number, share_text, unit_of_decision, words
 from aleator.reporting._sweeps import bound_unit, optimum_figure, price_figure, told_values, trade_off_figure, unit_of
 from aleator.reporting._tables import STATUS_WORDS, objective_text
 from aleator.solution import Solution
@@ -123,7 +122,7 @@ def _decided(point: Solution | Refused, name: str) -> str:
     """A decision where there is a design."""
     if isinstance(point, Refused) or not point.ok:
         return "–"
-    return number(float(point.decisions[name]), 5, _units.of_decision(name, point.problem))
+    return number(float(point.decisions[name]), 5, unit_of_decision(name, point.problem))
 
 
 def trade_off_blocks(fronts: Mapping[str, TradeOff], evidence: Iterable[Evidence] = ()) -> list[Linked]:

@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from aleator.nlp import Status
-from aleator.reporting import _units
 from aleator.reporting._blocks import Card, Drawing, Linked, Section, Verdict
 from aleator.reporting._choices import choices_data, stages
 from aleator.reporting._files import write_text
-from aleator.reporting._numbers import count, interval, number, percent, words
+from aleator.reporting._numbers import count, interval, number, percent, unit_of_objective, words
 from aleator.reporting._tables import unresolved
 from aleator.solution import Solution
 from aleator.validation import Evidence
@@ -108,7 +107,7 @@ def _violation_sentence(name: str, evidence: Evidence) -> str:
 def _solution_cards(designs: Mapping[str, Solution]) -> list[Card]:
     cards = []
     for name, one in list(designs.items())[:2]:
-        unit = _units.of_expression(one.problem.objective, one.problem)
+        unit = unit_of_objective(one.problem)
         note = f"held by {words(one.active, 'nothing')}" if one.ok else "not solved"
         cards.append(Card(f"Objective of {name}", number(one.objective, 4, unit), note))
     return cards

@@ -9,16 +9,15 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name
-from aleator.reporting import _units
 from aleator.reporting._blocks import Block, Code, Drawing, Section, Text
 from aleator.reporting._choices import evidence_on
+from aleator.reporting._designs import mesh_drawing, search_drawings
 from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._linked import disagreements, front_blocks, trade_off_blocks
-from aleator.reporting._numbers import words
+from aleator.reporting._numbers import unit_of_limit, units_of_moments, words
 from aleator.reporting._page import Page, verdict, write_page
-from aleator.reporting._provenance import provenance
 from aleator.reporting._samples import percentile_figure, trajectory_figure
-from aleator.reporting._searches import mesh_drawing, search_drawings
+from aleator.reporting._store import provenance
 from aleator.reporting._tables import (
     certificate_table,
     designs_table,
@@ -197,7 +196,7 @@ def _trajectory_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
     for name, one in evidence.items():
         problem = one.solution.problem
         for limit in dict.fromkeys(kept.name for kept in one.trajectories):
-            unit = _units.of_expression(problem.named(limit)[0].expression, problem)
+            unit = unit_of_limit(limit, problem)
             figure = trajectory_figure(one, limit, unit=unit)
             blocks.append(
                 Drawing(
@@ -227,7 +226,7 @@ def _evidence_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
         group = {name: one.functionals[text] for name, one in evidence.items() if text in one.functionals}
         if any(np.ndim(one.mean) or one.percentiles is None for one in group.values()):
             continue
-        unit = _units.of_moments(next(iter(evidence.values())).solution.problem).get(text, "")
+        unit = units_of_moments(next(iter(evidence.values())).solution.problem).get(text, "")
         figure = percentile_figure(group, x=text, unit=unit)
         blocks.append(
             Drawing(

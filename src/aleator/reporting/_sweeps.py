@@ -8,9 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from aleator.reporting import _units
 from aleator.reporting._fronts import front_figure, ordered, shadow_price_figure
-from aleator.reporting._numbers import given, number
+from aleator.reporting._numbers import (
+    given,
+    number,
+    unit_of_decision,
+    unit_of_expression,
+    unit_of_limit,
+    unit_of_objective,
+)
 from aleator.reporting._style import FONT, GRID, INK, MUTED, SIZE, blank, label, limit_line, looks, plain
 from aleator.sweep import Front, Hardened, TradeOff
 
@@ -22,7 +28,7 @@ def optimum_figure(fronts: Mapping[str, Front]) -> "Figure":
     """The optimum along one bound, for some fronts by name, with the units of their problem."""
     front = next(iter(fronts.values()))
     problem = front.solutions[0].problem
-    x_unit, y_unit = bound_unit(front), _units.of_expression(problem.objective, problem)
+    x_unit, y_unit = bound_unit(front), unit_of_objective(problem)
     return front_figure(fronts, y="Objective", y_unit=y_unit, x=f"Limit of {front.bound}", x_unit=x_unit)
 
 
@@ -30,7 +36,7 @@ def price_figure(fronts: Mapping[str, Front]) -> "Figure":
     """The shadow price of one bound along it, for some fronts by name, with its unit."""
     front = next(iter(fronts.values()))
     problem = front.solutions[0].problem
-    x_unit, y_unit = bound_unit(front), _units.of_expression(problem.objective, problem)
+    x_unit, y_unit = bound_unit(front), unit_of_objective(problem)
     per = f"{y_unit or '1'} per {x_unit}" if x_unit else ""
     x = f"Limit of {front.bound}"
     return shadow_price_figure(fronts, y="Shadow price of the bound", y_unit=per, x=x, x_unit=x_unit)
@@ -39,13 +45,13 @@ def price_figure(fronts: Mapping[str, Front]) -> "Figure":
 def bound_unit(front: Front) -> str:
     """The unit of the bound along which a front lies."""
     problem = front.solutions[0].problem
-    return _units.of_expression(problem.named(front.bound)[0].expression, problem)
+    return unit_of_limit(front.bound, problem)
 
 
 def decision_figure(front: Front, name: str) -> "Figure":
     """A decision along the bound of a front, of an array each entry; gaps where there is no design."""
     front, problem = ordered(front), front.solutions[0].problem
-    unit = _units.of_decision(name, problem)
+    unit = unit_of_decision(name, problem)
     figure = blank(label(f"Limit of {front.bound}", bound_unit(front)), label(name, unit))
     shape = np.shape(problem.placements.decisions[name].decision.initial)
     entries = [f"{name}[{i}]" for i in range(int(np.prod(shape)))] if shape else [name]
@@ -144,7 +150,7 @@ def _told(front: TradeOff, row: "list[float]") -> list[str]:
 
 def unit_of(front: TradeOff, which: int) -> str:
     """The unit of a wish; empty where it is unknown."""
-    return _units.of_expression(front.wishes[which], front.solutions[0].problem) if front.solutions else ""
+    return unit_of_expression(front.wishes[which], front.solutions[0].problem) if front.solutions else ""
 
 
 def excesses_figure(hardened: Hardened) -> "Figure":

@@ -5,9 +5,22 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from aleator.nlp import Status
-from aleator.reporting import _units
 from aleator.reporting._blocks import Table
-from aleator.reporting._numbers import count, given, number, residual, seconds, share_text, values_text, words
+from aleator.reporting._numbers import (
+    count,
+    given,
+    number,
+    residual,
+    seconds,
+    share_text,
+    unit_of_decision,
+    unit_of_expression,
+    unit_of_objective,
+    unit_of_statistic,
+    units_of_moments,
+    values_text,
+    words,
+)
 from aleator.solution import Certificate, ConstraintResult, Solution
 from aleator.statistics import Mean, Std
 from aleator.validation import Checked, Evidence
@@ -72,13 +85,13 @@ def _violation_rows(names: Sequence[str], evidence: Mapping[str, Evidence]) -> l
 def _decision(solution: Solution, name: str) -> str:
     if name not in solution.decisions:
         return "–"
-    text = values_text(solution.decisions[name], 5, _units.of_decision(name, solution.problem))
+    text = values_text(solution.decisions[name], 5, unit_of_decision(name, solution.problem))
     return f"{text} (at its bound)" if solution.is_at_bound(name) else text
 
 
 def decision_text(solution: Solution, name: str) -> str:
     """A decision with its unit, of an array from where to where it goes."""
-    value, unit = np.asarray(solution.decisions[name], float), _units.of_decision(name, solution.problem)
+    value, unit = np.asarray(solution.decisions[name], float), unit_of_decision(name, solution.problem)
     at = " (at its bound)" if solution.is_at_bound(name) else ""
     if value.ndim == 0:
         return number(float(value), 5, unit) + at
@@ -86,16 +99,14 @@ def decision_text(solution: Solution, name: str) -> str:
 
 
 def objective_text(solution: Solution) -> str:
-    return number(solution.objective, 5, _units.of_expression(solution.problem.objective, solution.problem))
+    return number(solution.objective, 5, unit_of_objective(solution.problem))
 
 
 def _parts(solution: Solution, name: str) -> list[tuple[ConstraintResult, str]]:
     """The constraints of one name with their units."""
     pairs = zip(solution.constraints, solution.problem.constraints, strict=True)
     return [
-        (one, _units.of_expression(declared.expression, solution.problem))
-        for one, declared in pairs
-        if one.name == name
+        (one, unit_of_expression(declared.expression, solution.problem)) for one, declared in pairs if one.name == name
     ]
 
 
@@ -216,7 +227,7 @@ def evidence_table(evidence: Mapping[str, Evidence]) -> Table:
     """Sampled statistics compared with the expansion's, and percentiles."""
     rows = []
     for name, one in evidence.items():
-        units = _units.of_moments(one.solution.problem)
+        units = units_of_moments(one.solution.problem)
         for text, sampled in one.functionals.items():
             if np.ndim(sampled.mean) or sampled.percentiles is None:
                 continue
@@ -249,7 +260,7 @@ def statistics_table(evidence: Mapping[str, Evidence]) -> Table | None:
         for text, checked in one.statistics.items():
             if isinstance(checked.statistic.kind, Mean | Std):
                 continue
-            unit = _units.of_statistic(checked.statistic, one.solution.problem)
+            unit = unit_of_statistic(checked.statistic, one.solution.problem)
             rows.append(
                 [
                     f"{name}, {text}" + (f" ({unit})" if unit else ""),

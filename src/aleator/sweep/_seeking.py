@@ -1,24 +1,35 @@
 """Solving the problems that lead to points of a front, first to its anchors: the best design of each wish, at which the
-others are as good as they can be without making it worse.
+others are as good as they can be without making it worse; and a population from which lines lead to the front.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Any, TypeAlias, final
+from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from aleator._core.errors import ProblemError
+from aleator._core.heard import answering
 from aleator._core.warned import warned_of
 from aleator.design import Problem
-from aleator.nlp import AbstractSearch, AbstractSolver, DifferentialEvolution, NonlinearProgram, Slsqp, variable_range
+from aleator.nlp import (
+    AbstractSearch,
+    AbstractSolver,
+    DifferentialEvolution,
+    NonlinearProgram,
+    Slsqp,
+    load_pymoo,
+    population_front,
+    variable_range,
+)
 from aleator.solution import Solution
 from aleator.solving import solve
 from aleator.sweep._portfolio import Portfolio, portfolio
-from aleator.sweep._wishes import LEVEL, Compromise, Design, Found, Wishes, pressed
-from aleator.transcription import AbstractTranscription, transcribe
+from aleator.sweep._trade_off import efficient, far_apart
+from aleator.sweep._wishes import LEVEL, Compromise, Design, Found, Wishes, pressed, without_level
+from aleator.transcription import DEFAULT, AbstractTranscription, transcribe, valued_by
 
 Start: TypeAlias = Solution | Mapping[str, Any] | None
 
@@ -228,3 +239,111 @@ def _refuse_still(
     if still.any():
         name = names[int(np.argmax(still))]
         raise ProblemError(f"trade_off: wish '{name}': no decision changes it; leave it out.")
+
+
+# Violations of at most this part of a constraint's magnitude count as none.
+_HELD = 1e-6
+
+
+class Budget(NamedTuple):
+    """Simulations of a population, the seed of its random numbers, and the executor that simulates, if any."""
+
+    evaluations: int
+    seed: int
+    executor: Executor | None
+
+
+class Member(NamedTuple):
+    """A design of a population: its wishes, in their own units, and its decisions by name."""
+
+    values: Float[np.ndarray, " wishes"]
+    decisions: Mapping[str, Any]
+
+
+def check_crowd(problem: Problem) -> None:
+    """Raise `ProblemError` for decisions without finite bounds, `MissingExtraError` without the library."""
+    load_pymoo('trade_off: method="population"')
+    places = problem.placements
+    open_ended = ~np.isfinite(places.vector("upper") - places.vector("lower"))
+    if open_ended.any():
+        names = [name for name, is_open in zip(places.entry_names(), open_ended, strict=True) if is_open]
+        raise ProblemError(
+            f'trade_off: method="population" draws designs between the bounds of decisions, of which {names[:5]} have '
+            'none: give them lower= and upper=, or use method="boundary".'
+        )
+
+
+def crowd(
+    wishes: Wishes, anchors: Sequence[Design], points: int, budget: Budget, heed: Callable[[int], None]
+) -> tuple[list[Member], bool]:
+    """Designs of a population spread over the front, at most `points`, as far from one another as can be; and whether
+    Ctrl-C ended it, after which they are the best until then.
+
+    - `anchors`: the best designs of the wishes, of its first generation; `heed`: called with the evaluations done.
+    """
+    transcribed = transcribe(wishes.unscaled().problem, DEFAULT)
+    program, places = valued_by(budget.executor, transcribed.program, "trade_off"), transcribed.places
+    is_level = np.array([name == LEVEL for name in places.entry_names()])
+    known = np.array([one.values for one in anchors])
+    constraints = [one.name for one in transcribed.problem.constraints]
+    rows = np.array([transcribed.rows[constraints.index(pressed(name))].start for name in wishes.names])
+
+    def whole(free: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "k all"]:
+        every = np.repeat(program.start[None], len(free), axis=0)
+        every[:, ~is_level] = free
+        return every
+
+    def values(free: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
+        assert program.values is not None
+        _, constraints = program.values(whole(free))
+        return constraints[:, rows], _violations(program, constraints)
+
+    every = np.array([places.moved(program.start, without_level(one.solution.decisions)) for one in anchors])
+    bounds = program.lower[~is_level], program.upper[~is_level]
+    found, reached, interrupted = _population(values, bounds, every[:, ~is_level], points, budget, heed)
+    # The anchors are on the front already.
+    reached = np.concatenate([known, reached])
+    chosen = [i - len(known) for i in far_apart(reached, points, taken=len(known))]
+    return [Member(reached[len(known) + i], places.named(whole(found[i : i + 1])[0])) for i in chosen], interrupted
+
+
+def _population(
+    values: Callable[[Float[np.ndarray, "k n"]], tuple[np.ndarray, np.ndarray]],
+    bounds: tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]],
+    first: Float[np.ndarray, "some n"],
+    points: int,
+    budget: Budget,
+    heed: Callable[[int], None],
+) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k wishes"], bool]:
+    """The front of a population and its wishes; after Ctrl-C, the best of all designs until then, and True."""
+    seen: list[tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k wishes"]]] = []
+
+    def noted(free: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
+        reached, violations = values(free)
+        held = violations <= _HELD
+        seen.append((free[held], reached[held]))
+        return reached, violations
+
+    try:
+        with answering() as answer:
+
+            def heeded(done: int) -> None:
+                heed(done)
+                answer()
+
+            own = {"points": points, "evaluations": budget.evaluations, "seed": budget.seed, "heed": heeded}
+            found = population_front(noted, *bounds, first, **own)
+            return found, values(found)[0], False
+    except KeyboardInterrupt:
+        if not seen:
+            raise
+        found, reached = (np.concatenate(part) for part in zip(*seen, strict=True))
+        kept = efficient(reached, np.zeros(reached.shape[1]))
+        return found[kept], reached[kept], True
+
+
+def _violations(program: NonlinearProgram, constraints: Float[np.ndarray, "k m"]) -> Float[np.ndarray, " k"]:
+    """The largest violation of each design, over the magnitudes of the constraints."""
+    beyond = np.fmax(constraints - program.constraint_upper, program.constraint_lower - constraints)
+    worst = np.max(beyond / program.constraint_scale, axis=1, initial=0.0)
+    return np.where(np.isfinite(constraints).all(axis=1), worst, np.inf)

@@ -14,10 +14,9 @@ from aleator._core.journalled import calling
 from aleator._core.progress import Progress, check_progress, silent
 from aleator.design import Expression, Problem, current
 from aleator.nlp import AbstractSolver
-from aleator.sweep._crowd import Budget, Gap, Member, box, check_crowd, crowd, simplex
 from aleator.sweep._each import until_interrupted
-from aleator.sweep._seeking import SAME, Anchors, Seeker, between
-from aleator.sweep._trade_off import TradeOff, efficient
+from aleator.sweep._seeking import SAME, Anchors, Budget, Member, Seeker, between, check_crowd, crowd
+from aleator.sweep._trade_off import Gap, TradeOff, box, efficient, simplex
 from aleator.sweep._wishes import Compromise, Design, Found, Wishes, refuse_own_names
 from aleator.transcription import DEFAULT, AbstractTranscription
 

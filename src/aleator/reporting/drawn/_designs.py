@@ -7,12 +7,17 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import positive, whole
-from aleator.reporting import _units
 from aleator.reporting._blocks import Table
-from aleator.reporting._designs import decisions_figure
-from aleator.reporting._numbers import number, words
+from aleator.reporting._designs import decisions_figure, mesh_figure, search_figure
+from aleator.reporting._numbers import (
+    number,
+    unit_of_expression,
+    unit_of_functional,
+    unit_of_objective,
+    units_of_outputs,
+    words,
+)
 from aleator.reporting._paths import components, histories_figure, limits_of, limits_text, path_figure, paths_of
-from aleator.reporting._searches import mesh_figure, search_figure
 from aleator.reporting._tables import STATUS_WORDS, decision_text, limit_rows
 from aleator.reporting.drawn._facts import AbstractPlots, Backend, Facts, chosen, drawn_by, facts_of, plots_of, unknown
 from aleator.reporting.drawn._paths_of import outputs_of, simulated
@@ -98,7 +103,7 @@ class SolutionPlots(AbstractPlots[Solution]):
         if known and output is not None and not (isinstance(output, str) and output in known):
             raise ProblemError(f"{unknown('plot.band', output, known)} plot.histories simulates any other output.")
         name, functional = chosen("plot.band", output, known, _NO_PATH)
-        unit = _units.of_functional(functional, problem)
+        unit = unit_of_functional(functional, problem)
         limits, found = limits_of(problem, functional, unit), self._result.moments[functional.text()]
         figure = path_figure(
             self._result.instants,
@@ -129,7 +134,7 @@ class SolutionPlots(AbstractPlots[Solution]):
             outputs,
             _NO_OUTPUT,
         )
-        unit = _units.of_outputs(problem).get(name, "")
+        unit = units_of_outputs(problem).get(name, "")
         values = simulated(self._result, name, samples, seed)
         limits = [one for text, one in paths.items() if one.output == name and text == name]
         texts = limits_of(problem, limits[0], unit).texts if limits else {}
@@ -144,7 +149,7 @@ class SolutionPlots(AbstractPlots[Solution]):
         over_time = {one.name: (one, one.times, declared) for one, declared in pairs if one.times is not None}
         nothing = "expected a limit over time; received a problem without one."
         name, (one, times, declared) = chosen("plot.limit", name, over_time, nothing)
-        unit = _units.of_expression(declared.expression, self._result.problem)
+        unit = unit_of_expression(declared.expression, self._result.problem)
         figure = path_figure(
             times,
             components(str(declared.expression), one.values, np.zeros_like(one.values)),
@@ -170,7 +175,7 @@ class SolutionPlots(AbstractPlots[Solution]):
 
     def state(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
         """A state over time, of all realisations of a simultaneous program."""
-        units = _units.of_outputs(self._result.problem)
+        units = units_of_outputs(self._result.problem)
         return drawn_by(backend, state_figure(_found(self._result.states, "plot.state"), name, units))
 
     def costate(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
@@ -193,7 +198,7 @@ class SolutionPlots(AbstractPlots[Solution]):
         searched = self._result.effort.searched or self._result.effort.visited
         if searched is None or not searched.evaluations:
             raise ProblemError("plot.search: expected a solve that evaluated designs; received one without a history.")
-        return drawn_by(backend, search_figure(searched, _objective_unit(self._result)))
+        return drawn_by(backend, search_figure(searched, unit_of_objective(self._result.problem)))
 
     def _told(self) -> str:
         """What a reader must know of a design that is not solved."""
@@ -217,16 +222,17 @@ plots_of.register(MeshError, MeshPlots)
 @facts_of.register(Solution)
 def _(solution: Solution) -> Facts:
     heading = f"Solution: {STATUS_WORDS[solution.status]}"
-    rows = [("objective", f"{number(solution.objective, 5, _objective_unit(solution))} = {solution.problem.objective}")]
+    rows = [
+        (
+            "objective",
+            f"{number(solution.objective, 5, unit_of_objective(solution.problem))} = {solution.problem.objective}",
+        )
+    ]
     rows += [(name, decision_text(solution, name)) for name in solution.decisions]
     limits = [(f"limit {name}", text) for name, text in limit_rows(solution)]
     active = [("active", words(list(solution.active), "nothing"))]
     table = Table("", ["", ""], [*rows, *limits, *active, ("solver", solution.effort.solver)])
     return Facts(heading, "" if solution.ok else solution.why(), [table])
-
-
-def _objective_unit(solution: Solution) -> str:
-    return _units.of_expression(solution.problem.objective, solution.problem)
 
 
 def _found(part: Any, what: str) -> Any:

@@ -7,12 +7,20 @@ import numpy as np
 from aleator._core.errors import ProblemError
 from aleator.crosschecking import CrossChecked
 from aleator.nlp import Searched
-from aleator.reporting import _units
 from aleator.reporting._blocks import Table
+from aleator.reporting._designs import search_figure
 from aleator.reporting._methods import bars_figure
-from aleator.reporting._numbers import count, given, number, percent, share_text, words
+from aleator.reporting._numbers import (
+    count,
+    given,
+    number,
+    percent,
+    share_text,
+    unit_of_expression,
+    unit_of_objective,
+    words,
+)
 from aleator.reporting._samples import calibration_figure, magnitudes_figure
-from aleator.reporting._searches import search_figure
 from aleator.reporting._style import ALARM, blank, label, looks, padded
 from aleator.reporting._sweeps import (
     bound_unit,
@@ -143,7 +151,7 @@ def _point(front: Front, one: Solution | Refused) -> list[str]:
 @facts_of.register(TradeOff)
 def _(front: TradeOff) -> Facts:
     problem = front.solutions[0].problem if front.solutions else None
-    units = [_units.of_expression(one, problem) if problem else "" for one in front.wishes]
+    units = [unit_of_expression(one, problem) if problem else "" for one in front.wishes]
     rows = [[number(value, 5, unit) for value, unit in zip(row, units, strict=True)] for row in front.values]
     failed = f"No design: {'; '.join(front.failed)}" if front.failed else ""
     heading = f"Trade-off of {words(list(front.names))}: {len(rows)} designs{', interrupted' * front.interrupted}"
@@ -179,7 +187,7 @@ class StartsPlots(AbstractPlots[Starts]):
     def objectives(self, *, backend: Backend = "plotly") -> Any:
         """The objectives that the starts led to, best first; starts that failed come last, as crosses."""
         every = self._result.solutions
-        figure = blank(label("Starts, best first"), label("Objective", _objective_unit(every[0])))
+        figure = blank(label("Starts, best first"), label("Objective", unit_of_objective(every[0].problem)))
         look = looks(["solved"])["solved"]
         solved = sorted(one.objective for one in every if one.ok)
         failed = sorted(one.objective for one in every if not one.ok)
@@ -215,7 +223,7 @@ class PortfolioPlots(AbstractPlots[Portfolio]):
 
     def optima(self, *, backend: Backend = "plotly") -> Any:
         """How many starts led to each optimum, best first: in all, and of the random ones."""
-        unit = _objective_unit(self._result.best)
+        unit = unit_of_objective(self._result.best.problem)
         places = [f"{i + 1}: {number(one.objective, 5, unit)}" for i, one in enumerate(self._result.optima)]
         if not places:
             raise ProblemError(f"plot.optima: expected an optimum; received none: {self._result.best.why()}")
@@ -230,7 +238,7 @@ class PortfolioPlots(AbstractPlots[Portfolio]):
         """What the global search evaluated."""
         if self._result.searched is None:
             raise ProblemError("plot.search: expected a portfolio with a global search; received one without.")
-        return drawn_by(backend, search_figure(self._result.searched, _objective_unit(self._result.best)))
+        return drawn_by(backend, search_figure(self._result.searched, unit_of_objective(self._result.best.problem)))
 
 
 plots_of.register(Portfolio, PortfolioPlots)
@@ -270,7 +278,7 @@ plots_of.register(CrossChecked, CrossCheckedPlots)
 
 @facts_of.register(Starts)
 def _(starts: Starts) -> Facts:
-    unit, every = _objective_unit(starts.best), len(starts.solutions)
+    unit, every = unit_of_objective(starts.best.problem), len(starts.solutions)
     rows = [[number(one.objective, 6, unit), f"{led} of {every}"] for one, led in starts.optima]
     said = "" if starts.best.ok else starts.best.why()
     heading = f"{every} starts: {len(rows)} local optima{', interrupted' * starts.interrupted}"
@@ -279,7 +287,7 @@ def _(starts: Starts) -> Facts:
 
 @facts_of.register(Portfolio)
 def _(found: Portfolio) -> Facts:
-    unit = _objective_unit(found.best)
+    unit = unit_of_objective(found.best.problem)
     rows = [[number(one.objective, 6, unit), f"{one.starts}", f"{one.random}"] for one in found.optima]
     heading = f"Portfolio of {found.starts} starts: {len(rows)} optima{', interrupted' * found.interrupted}"
     said = found.sure() if found.best.ok else found.best.why()
@@ -294,7 +302,3 @@ def _(searched: Searched) -> Facts:
 @facts_of.register(CrossChecked)
 def _(found: CrossChecked) -> Facts:
     return Facts(f"Cross-check: {'the solutions agree' if found.agree else 'the solutions do not agree'}")
-
-
-def _objective_unit(solution: Solution) -> str:
-    return _units.of_expression(solution.problem.objective, solution.problem)

@@ -1,4 +1,4 @@
-"""The simplex of Nelder and Mead."""
+"""Searches that go from one point to the next: the simplex of Nelder and Mead, and generalised simulated annealing."""
 
 from dataclasses import dataclass
 from typing import ClassVar, final
@@ -63,3 +63,35 @@ def _simplex(sought: Sought, point: Float[np.ndarray, " size"]) -> Float[np.ndar
     """A simplex within the bounds, with one corner at the point."""
     outside = point + _EDGE > sought.upper
     return np.concatenate([point[None], point + np.diag(np.where(outside, -_EDGE, _EDGE))])
+
+
+# The budget ends the search.
+_ENDLESS = 10**7
+
+
+@final
+@dataclass(frozen=True)
+class DualAnnealing(AbstractSearch):
+    """Generalised simulated annealing (Xiang et al. 1997), in SciPy: rugged objectives, one point after the other.
+
+    Arguments: see `AbstractSearch`.
+    """
+
+    at_once: ClassVar[bool] = False
+
+    @property
+    @override
+    def method(self) -> str:
+        return f"dual annealing (SciPy {scipy.__version__})"
+
+    @override
+    def explore(self, sought: Sought, first: Float[np.ndarray, "k size"], generator: np.random.Generator) -> None:
+        scipy.optimize.dual_annealing(
+            sought.merit,
+            scipy.optimize.Bounds(sought.lower, sought.upper),
+            x0=first[0],
+            maxiter=_ENDLESS,
+            maxfun=_ENDLESS,
+            no_local_search=True,  # the answer is polished with exact derivatives instead
+            rng=generator,
+        )
