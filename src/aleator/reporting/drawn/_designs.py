@@ -10,7 +10,6 @@ from aleator._core.given import positive, whole
 from aleator.reporting._blocks import Table
 from aleator.reporting._designs import decisions_figure, mesh_figure, search_figure
 from aleator.reporting._numbers import (
-    number,
     unit_of_expression,
     unit_of_functional,
     unit_of_objective,
@@ -18,7 +17,7 @@ from aleator.reporting._numbers import (
     words,
 )
 from aleator.reporting._paths import components, histories_figure, limits_of, limits_text, path_figure, paths_of
-from aleator.reporting._tables import STATUS_WORDS, decision_text, limit_rows
+from aleator.reporting._tables import STATUS_WORDS, decision_text, limit_rows, objective_text
 from aleator.reporting.drawn._facts import AbstractPlots, Backend, Facts, chosen, drawn_by, facts_of, plots_of, unknown
 from aleator.reporting.drawn._paths_of import outputs_of, simulated
 from aleator.solution import Costates, MeshError, Solution, States, Switching
@@ -222,12 +221,7 @@ plots_of.register(MeshError, MeshPlots)
 @facts_of.register(Solution)
 def _(solution: Solution) -> Facts:
     heading = f"Solution: {STATUS_WORDS[solution.status]}"
-    rows = [
-        (
-            "objective",
-            f"{number(solution.objective, 5, unit_of_objective(solution.problem))} = {solution.problem.objective}",
-        )
-    ]
+    rows = [("objective", f"{objective_text(solution)} = {solution.problem.objective}")]
     rows += [(name, decision_text(solution, name)) for name in solution.decisions]
     limits = [(f"limit {name}", text) for name, text in limit_rows(solution)]
     active = [("active", words(list(solution.active), "nothing"))]
