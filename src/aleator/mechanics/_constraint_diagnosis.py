@@ -1,6 +1,5 @@
 """What can be wrong with constraints, in words: a start that contradicts them, redundancy, singular postures."""
 
-import functools
 from typing import Any
 
 import jax
@@ -9,7 +8,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import numbers_to_arrays
-from aleator._core.code import told_apart
 from aleator._core.compilation import Compiled, Use
 from aleator.mechanics._constraints import Loose, jacobian_of
 from aleator.mechanics._instant import Instants
@@ -178,8 +176,8 @@ def _jacobians(now: Instants, path: Array) -> Array:
     return now.each(jacobian_of, path)
 
 
-_LINEARISED = Compiled(_linearised, use=Use.ONCE, code=functools.partial(told_apart, _linearised))
-_JACOBIANS = Compiled(_jacobians, use=Use.ONCE, code=functools.partial(told_apart, _jacobians))
+_LINEARISED = Compiled(_linearised, use=Use.ONCE)
+_JACOBIANS = Compiled(_jacobians, use=Use.ONCE)
 
 
 def _listed(names: tuple[str, ...], values: Any) -> str:

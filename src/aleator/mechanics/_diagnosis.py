@@ -1,6 +1,5 @@
 """Diagnosis of a realised mechanical system: wrong shapes and singular matrices, with posture and time."""
 
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -10,7 +9,6 @@ import numpy as np
 from jaxtyping import Array
 
 from aleator._core.arrays import numbers_to_arrays
-from aleator._core.code import told_apart
 from aleator._core.compilation import Compiled, Use
 from aleator.dynamics import Grid, RungeKutta4, System, simulate
 from aleator.mechanics._constraint_diagnosis import constraint_diagnosis_along, lost_rank
@@ -218,7 +216,7 @@ def _followed(system: System, grid: Grid) -> Array:
 
 
 # Compiled once for all systems of a family, each of which is checked.
-_FOLLOWED = Compiled(_followed, use=Use.ONCE, code=functools.partial(told_apart, _followed))
+_FOLLOWED = Compiled(_followed, use=Use.ONCE)
 
 
 def _posture(model: AbstractMechanical, q: Any) -> str:

@@ -1,6 +1,5 @@
 """`HybridDynamics`: some coordinates are prescribed, others integrated, and torques follow (equations 70 and 71)."""
 
-import functools
 from collections.abc import Collection, Mapping
 from typing import Any, ClassVar, final
 
@@ -12,7 +11,6 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import numbers_to_arrays
-from aleator._core.code import told_apart
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
@@ -306,8 +304,8 @@ def _effects(system: HybridDynamics, now: Instants, path: Array) -> Array:
     return now.each(lambda model, q: effect_of_torques(model, system._parts, q), path)
 
 
-_EFFECT = Compiled(effect_of_torques, use=Use.ONCE, code=functools.partial(told_apart, effect_of_torques))
-_EFFECTS = Compiled(_effects, use=Use.ONCE, code=functools.partial(told_apart, _effects))
+_EFFECT = Compiled(effect_of_torques, use=Use.ONCE)
+_EFFECTS = Compiled(_effects, use=Use.ONCE)
 
 
 def _check_names(model: AbstractMechanical, motion: Any, torque: Any) -> None:

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from aleator.design import equations_digest
 from aleator.reporting._blocks import Block, Section, Table
 from aleator.reporting._datasets import by_place, leaves, savable, tree
 from aleator.reporting._files import write_together
@@ -39,7 +38,7 @@ def design_digest(solution: Solution) -> str:
     They change with any of these, and are the same on this page and in `designs.json`.
     """
     numbers = np.array([*solution.vector, solution.objective], dtype=float)
-    return _digest(equations_digest(solution.problem).encode() + numbers.tobytes())
+    return _digest(solution.problem.physics.text.encode() + numbers.tobytes())
 
 
 def provenance(results: Mapping[str, Any]) -> Section:

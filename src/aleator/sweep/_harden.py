@@ -12,7 +12,7 @@ from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn
 from aleator._core.warned import warned_of
 from aleator.certification import bound_size
-from aleator.design import Problem, current, soft
+from aleator.design import Problem, soft
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.solving import solve
@@ -102,7 +102,6 @@ def harden(
     weights = weight * factor ** np.arange(most)
     check_progress("harden", progress)
     one_of("harden: transcription", transcription, AbstractTranscription, "al.Sequential()")
-    problem = current(problem)
     chosen = tuple(dict.fromkeys(a_name("harden: a constraint", name) for name in names)) or problem.names
     hard = None
     solutions: list[Solution] = []

@@ -13,7 +13,7 @@ from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import one_of, positive, whole
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn
-from aleator.design import Problem, current
+from aleator.design import Problem
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.sweep._each import each, until_interrupted
@@ -104,7 +104,6 @@ def multistart(
     given = list(starts)
     if not given:
         raise ProblemError("multistart: expected at least one start; received none.")
-    problem = current(problem)
     places = problem.placements
     for start in given:
         places.moved(places.vector("initial"), start)

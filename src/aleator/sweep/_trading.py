@@ -12,7 +12,7 @@ from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, one_of, refusal, whole
 from aleator._core.journalled import calling
 from aleator._core.progress import Progress, check_progress, silent
-from aleator.design import Expression, Problem, current
+from aleator.design import Expression, Problem
 from aleator.nlp import AbstractSolver
 from aleator.sweep._each import until_interrupted
 from aleator.sweep._seeking import SAME, Anchors, Budget, Member, Seeker, between, check_crowd, crowd
@@ -262,7 +262,7 @@ def trade_off(
     check_progress("trade_off", progress)
     one_of("trade_off: transcription", transcription, AbstractTranscription, "al.Sequential()")
     _check_problem(problem, wishes)
-    front = FrontInTheMaking(Wishes(current(problem), wishes), Seeker(transcription, solver, starts, executor), points)
+    front = FrontInTheMaking(Wishes(problem, wishes), Seeker(transcription, solver, starts, executor), points)
     with until_interrupted(lambda: front.anchors.designs) as steps:
         with calling("best of each wish"):
             front.anchors.find(lambda done: progress("best of each wish", done, len(names)), steps.heed)
