@@ -14,7 +14,7 @@ from aleator.ensemble import draw, drawn_from
 from aleator.solution import Solution
 from aleator.uncertainty import HermiteGerm, LegendreGerm
 from aleator.validation import Evidence, _tally, _validate
-from aleator.validation._folded import folds
+from aleator.validation._systems import folds
 from executors import AsProcesses
 
 SAMPLES = 3000

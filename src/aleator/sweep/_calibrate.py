@@ -19,9 +19,8 @@ from aleator.design import Problem, uncertain
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.solving import solve
-from aleator.sweep._calibration import Calibration, Trial
 from aleator.sweep._each import until_interrupted
-from aleator.sweep._margins import MarginSearch
+from aleator.sweep._margins import Calibration, MarginSearch, Trial
 from aleator.transcription import DEFAULT, AbstractTranscription
 from aleator.validation import Evidence, Proportion, Share, rare_violation, validate, why_uncounted
 

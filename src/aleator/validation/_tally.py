@@ -30,9 +30,8 @@ from aleator.statistics import Infimum, Mean, Sobol, Std, Supremum, TotalSobol, 
 from aleator.validation._compared import Compared, compared
 from aleator.validation._counted import Proportion, finer_by, is_counted, uncounted
 from aleator.validation._evidence import PERCENTILES, Checked, Evidence, Sample, Sampled, Trajectories, disagreements
-from aleator.validation._sampling import Batch
 from aleator.validation._sums import Sums
-from aleator.validation._systems import Systems
+from aleator.validation._systems import Batch, Systems
 
 # Stretches of a sample at most: a millisecond each is spent on beginning one elsewhere, and as much on keeping one.
 _MOST = 128

@@ -1,12 +1,25 @@
-"""Figures and facts of solutions, and of their histories over time: states, costates, switching functions."""
+"""Figures and facts of solutions: paths, histories of simulated systems, decisions, states, costates, switching."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
-from aleator._core.errors import ProblemError
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.compilation import Compiled
+from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.given import positive, whole
+from aleator.design import (
+    AbstractFunctional,
+    Problem,
+    history,
+    path,
+    responses,
+)
+from aleator.ensemble import draw
 from aleator.reporting._blocks import Table
 from aleator.reporting._designs import decisions_figure, mesh_figure, search_figure
 from aleator.reporting._numbers import (
@@ -19,11 +32,45 @@ from aleator.reporting._numbers import (
 from aleator.reporting._paths import components, histories_figure, limits_of, limits_text, path_figure, paths_of
 from aleator.reporting._tables import STATUS_WORDS, decision_text, limit_rows, objective_text
 from aleator.reporting.drawn._facts import AbstractPlots, Backend, Facts, chosen, drawn_by, facts_of, plots_of, unknown
-from aleator.reporting.drawn._paths_of import outputs_of, simulated
 from aleator.solution import Costates, MeshError, Solution, States, Switching
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
+
+
+def _respond(
+    problem: Problem, functional: AbstractFunctional, germ: Float[jax.Array, "systems variables"], decisions: jax.Array
+) -> Float[jax.Array, "systems instants ..."]:
+    return responses(problem, (functional,), germ, decisions)[0]
+
+
+_RESPOND = Compiled(_respond)
+
+
+def simulated(solution: Solution, output: str, samples: int, seed: int) -> Float[np.ndarray, "systems instants ..."]:
+    """An output of random systems at the decisions of a solution; of the one system where nothing is uncertain.
+
+    Raises `ProblemError` if the code of the system has changed, and `SimulationError` for what is not finite.
+    """
+    problem = solution.problem
+    germs = tuple(problem.placements.germs.values())
+    points = draw(germs, samples, np.random.default_rng(seed)) if germs else np.zeros((1, 0))
+    found = _RESPOND(numbers_to_arrays(problem), path(output), jnp.asarray(points), jnp.asarray(solution.vector))
+    values = np.asarray(found)
+    if not np.isfinite(values).all():
+        raise SimulationError(
+            f"plot.histories: expected finite numbers; '{output}' is not finite on some systems: see al.validate."
+        )
+    return values
+
+
+def outputs_of(problem: Problem, solution: Solution) -> Mapping[str, str]:
+    """The outputs of a system, by name. Raises `ProblemError` for a system without time."""
+    if not problem.system.has_time:
+        raise ProblemError("plot.histories: expected a system that evolves in time; received an algebraic one.")
+    germ = jnp.zeros(len(problem.placements.germs))
+    return dict.fromkeys(jax.eval_shape(lambda: history(problem, germ, jnp.asarray(solution.vector))), "")
+
 
 _NO_INPUT = "expected inputs that are certain; received none."
 _NONE = "expected states that are variables of the program; received a system without states."
