@@ -18,12 +18,7 @@ from aleator.reporting._numbers import unit_of_limit, units_of_moments, words
 from aleator.reporting._page import Page, verdict, write_page
 from aleator.reporting._samples import percentile_figure, trajectory_figure
 from aleator.reporting._store import provenance
-from aleator.reporting._tables import (
-    certificate_table,
-    designs_table,
-    evidence_table,
-    statistics_table,
-)
+from aleator.reporting._tables import certificate_table, designs_table, evidence_table, statistics_table
 from aleator.solution import Solution
 from aleator.sweep import EvidenceOfAll, Front, TradeOff
 from aleator.validation import Evidence

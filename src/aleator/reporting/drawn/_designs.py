@@ -12,13 +12,7 @@ from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.given import positive, whole
-from aleator.design import (
-    AbstractFunctional,
-    Problem,
-    history,
-    path,
-    responses,
-)
+from aleator.design import AbstractFunctional, Problem, history, path, responses
 from aleator.ensemble import draw
 from aleator.reporting._blocks import Table
 from aleator.reporting._designs import decisions_figure, mesh_figure, search_figure

@@ -9,14 +9,7 @@ from aleator._core.given import positive
 from aleator.design import functionals_of
 from aleator.reporting._blocks import Table
 from aleator.reporting._methods import density_figure
-from aleator.reporting._numbers import (
-    count,
-    number,
-    share_text,
-    unit_of_functional,
-    unit_of_limit,
-    units_of_moments,
-)
+from aleator.reporting._numbers import count, number, share_text, unit_of_functional, unit_of_limit, units_of_moments
 from aleator.reporting._paths import components, limits_of, path_figure, paths_of
 from aleator.reporting._samples import percentile_figure, shares_figure, trajectory_figure
 from aleator.reporting.drawn._facts import AbstractPlots, Backend, Facts, chosen, drawn_by, facts_of, plots_of
