@@ -13,6 +13,10 @@ from aleator.nlp._local_solver import AbstractLocalSolver as AbstractLocalSolver
 from aleator.nlp._matrices import Matrix as Matrix
 from aleator.nlp._matrices import SparseMatrix as SparseMatrix
 from aleator.nlp._matrices import with_entries as with_entries
+from aleator.nlp._probing import Slopes as Slopes
+from aleator.nlp._probing import lost_variables as lost_variables
+from aleator.nlp._probing import moved_on as moved_on
+from aleator.nlp._probing import slopes_at as slopes_at
 from aleator.nlp._program import Evaluation as Evaluation
 from aleator.nlp._program import Hessian as Hessian
 from aleator.nlp._program import Magnitudes as Magnitudes
@@ -20,15 +24,11 @@ from aleator.nlp._program import NonlinearProgram as NonlinearProgram
 from aleator.nlp._program import Ties as Ties
 from aleator.nlp._scaling import Multipliers as Multipliers
 from aleator.nlp._scaling import ScaledProgram as ScaledProgram
-from aleator.nlp._slopes import Slopes as Slopes
-from aleator.nlp._slopes import slopes_at as slopes_at
 from aleator.nlp._slsqp import Slsqp as Slsqp
 from aleator.nlp._solver import AbstractSolver as AbstractSolver
 from aleator.nlp._solver import Outcome as Outcome
 from aleator.nlp._solver import Searched as Searched
 from aleator.nlp._solver import Status as Status
-from aleator.nlp._unmoved import lost_variables as lost_variables
-from aleator.nlp._unmoved import moved_on as moved_on
 from aleator.nlp._uno import FilterSQP as FilterSQP
 from aleator.nlp._uno import InteriorPoint as InteriorPoint
 from aleator.nlp._uno import default_solver as default_solver

@@ -33,9 +33,6 @@ from aleator.reporting._fronts import decision_path_figure as decision_path_figu
 from aleator.reporting._fronts import front_figure as front_figure
 from aleator.reporting._fronts import relative_figure as relative_figure
 from aleator.reporting._fronts import shadow_price_figure as shadow_price_figure
-from aleator.reporting._linked import front_blocks as front_blocks
-from aleator.reporting._linked import linked_front as linked_front
-from aleator.reporting._linked import trade_off_blocks as trade_off_blocks
 from aleator.reporting._methods import Trial as Trial
 from aleator.reporting._methods import bars_figure as bars_figure
 from aleator.reporting._methods import density_figure as density_figure
@@ -82,11 +79,14 @@ from aleator.reporting._style import DASHES as DASHES
 from aleator.reporting._style import Look as Look
 from aleator.reporting._style import looks as looks
 from aleator.reporting._sweeps import decision_figure as decision_figure
+from aleator.reporting._sweeps import front_blocks as front_blocks
+from aleator.reporting._sweeps import linked_front as linked_front
 from aleator.reporting._sweeps import optimum_figure as optimum_figure
 from aleator.reporting._sweeps import pair_figure as pair_figure
 from aleator.reporting._sweeps import parallel_figure as parallel_figure
 from aleator.reporting._sweeps import price_figure as price_figure
 from aleator.reporting._sweeps import space_figure as space_figure
+from aleator.reporting._sweeps import trade_off_blocks as trade_off_blocks
 from aleator.reporting._sweeps import trade_off_figure as trade_off_figure
 from aleator.reporting._tables import certificate_table as certificate_table
 from aleator.reporting._tables import designs_table as designs_table

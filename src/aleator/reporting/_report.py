@@ -13,11 +13,11 @@ from aleator.reporting._blocks import Block, Code, Drawing, Section, Text
 from aleator.reporting._choices import evidence_on
 from aleator.reporting._designs import mesh_drawing, search_drawings
 from aleator.reporting._files import as_path, check_writable
-from aleator.reporting._linked import disagreements, front_blocks, trade_off_blocks
 from aleator.reporting._numbers import unit_of_limit, units_of_moments, words
 from aleator.reporting._page import Page, verdict, write_page
 from aleator.reporting._samples import percentile_figure, trajectory_figure
 from aleator.reporting._store import provenance
+from aleator.reporting._sweeps import disagreements, front_blocks, trade_off_blocks
 from aleator.reporting._tables import certificate_table, designs_table, evidence_table, statistics_table
 from aleator.solution import Solution
 from aleator.sweep import EvidenceOfAll, Front, TradeOff

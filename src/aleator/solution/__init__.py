@@ -3,13 +3,13 @@
 from aleator.solution._certificate import TOLERATED as TOLERATED
 from aleator.solution._certificate import Between as Between
 from aleator.solution._certificate import Certificate as Certificate
+from aleator.solution._certificate import ExpansionQuality as ExpansionQuality
+from aleator.solution._certificate import Moments as Moments
 from aleator.solution._certificate import SecondOpinion as SecondOpinion
+from aleator.solution._certificate import Tangent as Tangent
 from aleator.solution._certificate import WorstCase as WorstCase
 from aleator.solution._certificate import WorstRealisation as WorstRealisation
-from aleator.solution._expansion import ExpansionQuality as ExpansionQuality
-from aleator.solution._expansion import Moments as Moments
-from aleator.solution._expansion import Tangent as Tangent
-from aleator.solution._expansion import ends as ends
+from aleator.solution._certificate import ends as ends
 from aleator.solution._grid import Costates as Costates
 from aleator.solution._grid import Deviation as Deviation
 from aleator.solution._grid import GridError as GridError

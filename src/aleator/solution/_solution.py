@@ -11,8 +11,7 @@ from aleator._core.arrays import jax_array
 from aleator._core.shown import Drawn, Printed
 from aleator.design import Problem, grid_at, problem_text
 from aleator.nlp import HELD, Searched, Status
-from aleator.solution._certificate import Certificate, lines
-from aleator.solution._expansion import Moments
+from aleator.solution._certificate import Certificate, Moments, lines
 from aleator.solution._grid import Costates, MeshError, States, Switching
 
 

@@ -26,8 +26,7 @@ from aleator.statistics import (
     Supremum,
     Variance,
 )
-from aleator.validation._compared import Compared, Disagreement, is_rare, worst_disagreement
-from aleator.validation._counted import Proportion
+from aleator.validation._limits import Compared, Disagreement, Proportion, is_rare, worst_disagreement
 
 _NO_LIMITS = "  no constraint is a limit on single systems, so none is counted"
 

@@ -22,7 +22,7 @@ from aleator._core.part_by_part import call_by_call
 from aleator._core.progress import Progress, check_progress, silent
 from aleator.ensemble import Part, at_levels, each, fill, parts
 from aleator.solution import Solution
-from aleator.validation._counted import Share, WeightedProportion, is_counted, tolerances
+from aleator.validation._limits import Share, WeightedProportion, is_counted, tolerances
 from aleator.validation._systems import Systems
 from aleator.validation._validate import validate
 

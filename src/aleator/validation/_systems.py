@@ -41,7 +41,7 @@ from aleator.dynamics import Asked
 from aleator.ensemble import few_at_once, inputs_at, listed
 from aleator.solution import Solution
 from aleator.uncertainty import named_numbers, realise
-from aleator.validation._counted import finer_by, is_counted, sampled_by
+from aleator.validation._limits import finer_by, is_counted, sampled_by
 
 
 class Batch(NamedTuple):

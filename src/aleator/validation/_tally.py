@@ -27,9 +27,8 @@ from aleator.ensemble import Part, drawn_from, each, fill
 from aleator.references._estimate import estimate, group_count
 from aleator.solution import Solution
 from aleator.statistics import Infimum, Mean, Sobol, Std, Supremum, TotalSobol, Variance
-from aleator.validation._compared import Compared, compared
-from aleator.validation._counted import Proportion, finer_by, is_counted, uncounted
 from aleator.validation._evidence import PERCENTILES, Checked, Evidence, Sample, Sampled, Trajectories, disagreements
+from aleator.validation._limits import Compared, Proportion, compared, finer_by, is_counted, uncounted
 from aleator.validation._sums import Sums
 from aleator.validation._systems import Batch, Systems
 

@@ -22,9 +22,8 @@ from aleator._core.progress import Progress, check_progress, silent
 from aleator.design import functionals_of, refuse_large_histories, refuse_other_code, uncertain
 from aleator.nlp import HELD
 from aleator.solution import Solution
-from aleator.validation._compared import Disagreement
-from aleator.validation._counted import Proportion, is_counted, tolerances, uncounted
 from aleator.validation._evidence import Evidence, Sampled
+from aleator.validation._limits import Disagreement, Proportion, is_counted, tolerances, uncounted
 from aleator.validation._systems import SIMULATE_BATCH, Systems, refuse_broken
 from aleator.validation._tally import Plan, Simulated, Stretch, Tally, simulated
 

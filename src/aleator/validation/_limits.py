@@ -1,4 +1,5 @@
-"""Where samples and a solution disagree, beyond chance and by an amount that matters; and limits on sampled statistics.
+"""Limits against samples: which of them single systems are counted against, with exact confidence intervals; those on
+statistics; and where samples and a solution disagree, beyond chance and by an amount that matters.
 
 Two numbers disagree if they differ by more than four standard errors of the sampled one, and by more than a hundredth
 of what one system contributes (the standard error times the square root of the number of samples): a larger sample
@@ -14,7 +15,7 @@ slightly.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import final
+from typing import TypeAlias, final
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,9 +23,187 @@ import scipy
 from jaxtyping import Float
 
 from aleator._core.shown import Printed
-from aleator.design import Constraint, Estimated, Problem, Statistic, estimated, grid_at
+from aleator.design import (
+    AbstractFunctional,
+    Constraint,
+    Estimated,
+    Expression,
+    Extreme,
+    Problem,
+    Statistic,
+    estimated,
+    grid_at,
+)
+from aleator.nlp import HELD
 from aleator.references._estimate import pair
-from aleator.validation._counted import Proportion
+from aleator.solution import Solution
+
+
+@final
+@dataclass(frozen=True)
+class Proportion(Printed):
+    """A count in independent samples, as an estimate of a probability.
+
+    `lower` and `upper` enclose the true probability with at least the given confidence (Clopper and Pearson, 1934),
+    even where nothing or everything was counted.
+    """
+
+    count: int
+    samples: int
+    confidence: float = 0.95
+
+    @property
+    def estimate(self) -> float:
+        """The observed frequency."""
+        return self.count / self.samples
+
+    @property
+    def lower(self) -> float:
+        """Lower end of the confidence interval."""
+        tail = (1 - self.confidence) / 2
+        return float(scipy.special.betaincinv(self.count, self.samples - self.count + 1, tail)) if self.count else 0.0
+
+    @property
+    def upper(self) -> float:
+        """Upper end of the confidence interval."""
+        tail, missed = (1 - self.confidence) / 2, self.samples - self.count
+        return float(scipy.special.betaincinv(self.count + 1, missed, 1 - tail)) if missed else 1.0
+
+    def __str__(self) -> str:
+        return f"{percent(self.estimate)} ({percent(self.lower)} to {percent(self.upper)})"
+
+
+def percent(probability: float) -> str:
+    """Three significant digits: 11.4 %, 0.0369 %."""
+    return f"{100 * probability:.3g} %"
+
+
+@final
+@dataclass(frozen=True)
+class WeightedProportion(Printed):
+    """The probability of an event, estimated from samples of another distribution by their likelihood ratios.
+
+    With the weight `w` of a sample in the event and 0 elsewhere, `estimate` is the mean of the weights, which is
+    unbiased whatever distribution the samples were drawn from; `variance` is the sum of their squares divided by the
+    squared number of samples, and `largest` the largest weight divided by that number.
+
+    `lower` and `upper` are those of Fay and Feuer (Statistics in Medicine 16, 1997) for weighted counts: by the gamma
+    distribution, with one more count of the largest weight at the upper end; for equal weights they are the exact
+    interval of a Poisson count. They are valid if the samples have met every way in which the event happens.
+    """
+
+    estimate: float
+    variance: float
+    largest: float
+    samples: int
+    confidence: float = 0.95
+
+    @classmethod
+    def of(cls, weights: Float[np.ndarray, " samples"]) -> "WeightedProportion":
+        """From the weights of all samples, 0 outside the event."""
+        count = len(weights)
+        return cls(
+            float(weights.mean()), float(np.sum(weights**2)) / count**2, float(weights.max(initial=0.0)) / count, count
+        )
+
+    @property
+    def effective(self) -> float:
+        """The number of equal weights with the same relative variance (Kish's effective sample size, of those in the
+        event).
+        """
+        return self.estimate**2 / self.variance if self.variance > 0 else 0.0
+
+    @property
+    def lower(self) -> float:
+        """Lower end of the confidence interval; 0 where it never happened."""
+        return _gamma_quantile(self.estimate, self.variance, (1 - self.confidence) / 2) if self.variance > 0 else 0.0
+
+    @property
+    def upper(self) -> float:
+        """Upper end of the confidence interval; 1 where it never happened, since nothing is known then."""
+        if self.variance == 0:
+            return 1.0
+        mean, variance = self.estimate + self.largest, self.variance + self.largest**2
+        return min(_gamma_quantile(mean, variance, (1 + self.confidence) / 2), 1.0)
+
+    def __str__(self) -> str:
+        return f"{percent(self.estimate)} ({percent(self.lower)} to {percent(self.upper)})"
+
+
+Share: TypeAlias = Proportion | WeightedProportion
+"""A probability estimate, counted or weighted: both have `estimate`, `lower`, `upper` and `confidence`."""
+
+
+def _gamma_quantile(mean: float, variance: float, level: float) -> float:
+    return float(variance / mean * scipy.special.gammaincinv(mean**2 / variance, level))
+
+
+_AN_ORDER_BELOW = 0.1
+
+
+def is_counted(constraint: Constraint) -> bool:
+    """Whether systems can be counted against a constraint: it applies to a single system, and is not an equality."""
+    return not _reason(constraint)
+
+
+def uncounted(problem: Problem) -> dict[str, str]:
+    """The constraints against which no system is counted, as mathematics, with the reasons."""
+    return {str(one): reason for one in problem.constraints if (reason := _reason(one))}
+
+
+def tolerances(solution: Solution) -> Float[np.ndarray, " constraints"]:
+    """The excess over each constraint that does not count as a violation, so that rounding does not break a limit."""
+    return np.array([HELD * one.scale for one in solution.constraints])
+
+
+def why_uncounted(problem: Problem, name: str) -> str:
+    """Why no system can be counted against the constraints called `name`; empty where it can."""
+    reasons = [_reason(one) for one in problem.named(name)]
+    return "" if "" in reasons else reasons[0]
+
+
+def sampled_by(solution: Solution) -> int:
+    """The refinement factor, relative to a solution's own grid, of the grid for sampling systems.
+
+    1 if the error of its own grid is an order of magnitude below the tolerance; otherwise that of the grid used to
+    estimate it.
+    """
+    error = solution.certificate.grid_error
+    return 1 if error is None or error.ratio <= _AN_ORDER_BELOW else error.factor
+
+
+def finer_by(solution: Solution) -> int:
+    """The refinement factor, relative to a solution's own grid, of the grid for counting against limits over time.
+
+    It is that of the grid on which limits were held between instants, if they were; otherwise that of all samples.
+    """
+    between = solution.certificate.between
+    return between.factor if between is not None and between.is_strict else sampled_by(solution)
+
+
+def _reason(constraint: Constraint) -> str:
+    """Why no system is counted against a constraint; empty if systems are."""
+    expression = constraint.expression
+    if float(constraint.lower) == float(constraint.upper):
+        return "an equality, which no single system meets"
+    if _speaks_of_one_system(expression):
+        return ""
+    if any(isinstance(atom, Statistic) for atom in expression.atoms):
+        return "a statistic of all systems together"
+    inside = any(isinstance(atom, Statistic) for atom in expression.leaves)
+    return "a function or an integral of statistics" if inside else "numbers of the design alone"
+
+
+def _speaks_of_one_system(expression: Expression) -> bool:
+    """Whether it involves the value of a single system: a spread, or the gap between two quantiles, does not."""
+    if any(isinstance(atom, Extreme) for atom in expression.atoms):
+        return True
+    factors: dict[tuple[AbstractFunctional, ...], float] = {}
+    for factor, atom in zip(expression.factors, expression.atoms, strict=True):
+        if isinstance(atom, Statistic) and atom.kind.speaks_of_one_system:
+            factors[atom.functionals] = factors.get(atom.functionals, 0.0) + float(factor)
+    return any(factor != 0 for factor in factors.values())
+
 
 # The two-sided probability beyond four standard deviations of a normal variable.
 _RARE = math.erfc(4 / math.sqrt(2))
