@@ -1,19 +1,17 @@
 """Figures of evidence: trajectories, percentiles, shares of systems, the calibration of a margin; and of signals."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from aleator.reporting._numbers import given, number, share_text
 from aleator.reporting._style import ALARM, INK, blank, label, limit_line, looks, padded, plain, short
 from aleator.sweep import Calibration
-from aleator.validation import Evidence, Sampled, Trajectories
+from aleator.validation import Evidence, Sampled, Share, Trajectories
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
-
-    from aleator.validation import Share
 
 DRAWN, EVERY = 60, 4
 
@@ -181,15 +179,7 @@ def calibration_figure(calibration: Calibration, *, who: str = "systems") -> "Fi
         figure.add_scatter(
             x=sigmas,
             y=[100 * one.estimate for one in shares],
-            error_y={
-                "type": "data",
-                "symmetric": False,
-                "array": [100 * (one.upper - one.estimate) for one in shares],
-                "arrayminus": [100 * (one.estimate - one.lower) for one in shares],
-                "color": colour,
-                "thickness": 1.5,
-                "width": 4,
-            },
+            error_y=_intervals(shares, colour),
             mode="markers+lines" if len(sigmas) > 1 else "markers",
             line={"color": colour, "width": 1, "dash": "dot"},
             marker={"color": colour, "symbol": symbol, "size": 8 if symbol == "circle" else 14},
@@ -203,7 +193,7 @@ def calibration_figure(calibration: Calibration, *, who: str = "systems") -> "Fi
 
 
 def shares_figure(
-    places: Sequence[str], shares: "Mapping[str, Sequence[Share | None]]", *, x: str = "", y: str
+    places: Sequence[str], shares: Mapping[str, Sequence[Share | None]], *, x: str = "", y: str
 ) -> "Figure":
     """How many systems, in percent, break each limit at each place, with their intervals; nothing where it is None."""
     figure = blank(plain(x), label(y, "%"), height=380)
@@ -212,15 +202,7 @@ def shares_figure(
         figure.add_scatter(
             x=[plain(place) for place, _ in known],
             y=[100 * one.estimate for _, one in known],
-            error_y={
-                "type": "data",
-                "symmetric": False,
-                "array": [100 * (one.upper - one.estimate) for _, one in known],
-                "arrayminus": [100 * (one.estimate - one.lower) for _, one in known],
-                "color": look.colour,
-                "thickness": 1.5,
-                "width": 4,
-            },
+            error_y=_intervals([one for _, one in known], look.colour),
             mode="markers",
             marker={"symbol": look.symbol, "size": 9, "color": look.colour},
             cliponaxis=False,
@@ -256,3 +238,16 @@ def magnitudes_figure(
     figure.update_xaxes(type="log", exponentformat="power", dtick=2)
     figure.update_yaxes(type="category", range=[len(names) - 0.5, -0.5])
     return figure
+
+
+def _intervals(shares: Sequence[Share], colour: str) -> dict[str, Any]:
+    """The confidence intervals of some shares, in percent, as error bars."""
+    return {
+        "type": "data",
+        "symmetric": False,
+        "array": [100 * (one.upper - one.estimate) for one in shares],
+        "arrayminus": [100 * (one.estimate - one.lower) for one in shares],
+        "color": colour,
+        "thickness": 1.5,
+        "width": 4,
+    }
