@@ -9,7 +9,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import numbers_to_arrays
-from aleator._core.code import told_apart
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_traced
@@ -108,7 +107,7 @@ def _found(
     return q, consistent_velocities(model, q, v, loose.speeds)
 
 
-_FOUND = Compiled(_found, use=Use.ONCE, code=functools.partial(told_apart, _found))
+_FOUND = Compiled(_found, use=Use.ONCE)
 
 
 def consistent_coordinates(

@@ -10,15 +10,14 @@ from typing_extensions import override
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
 from aleator.mechanics._consistent import checked_guess, consistent_start, kept_of, start_unknown
-from aleator.mechanics._constraint_diagnosis import start_diagnosis
 from aleator.mechanics._constraints import (
     Bound,
+    Loose,
     Saddle,
     all_loose,
     put_back,
 )
-from aleator.mechanics._diagnosis import diagnosis_along, diagnosis_at
-from aleator.mechanics._formulation import AbstractFormulation, model_given
+from aleator.mechanics._formulation import AbstractFormulation, Start, model_given
 from aleator.mechanics._given import (
     Given,
     checked_start,
@@ -28,7 +27,7 @@ from aleator.mechanics._given import (
     signals_for,
     vector,
 )
-from aleator.mechanics._instant import at, instants_of, is_timed
+from aleator.mechanics._instant import at, is_timed
 from aleator.mechanics._kinematics import accelerations, rates
 from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, bias_of, driven, load_on, mass_of
 from aleator.mechanics._motion import Motion
@@ -105,7 +104,7 @@ class ForwardDynamics(AbstractFormulation):
         """The start of a model at an instant, as its constraints allow."""
         q, v = self._near()
         if model.constraints:
-            q, v = consistent_start(model, q, v, kept_of(model, self.start).loose(model))
+            q, v = consistent_start(model, q, v, self.loose(at_start=True))
         return {"q": q, "v": v}
 
     def _near(self) -> tuple[Array, Array]:
@@ -134,14 +133,17 @@ class ForwardDynamics(AbstractFormulation):
         return _rates_of(model, found), _outputs_of(model, t, z, torque, torque_rate, found)
 
     @override
-    def diagnose(self, grid: Grid) -> str:
-        near, first = self._near(), instants_of(self.model, grid).at(0)
-        if not self.model.constraints:
-            return diagnosis_at(first, near[0], "at the start") or diagnosis_along(self, grid)
-        loose = kept_of(self.model, self.start).loose(self.model)
-        q, v = consistent_start(first, *near, loose)
-        found = start_diagnosis(first, near[0], (q, v), loose) or diagnosis_at(first, q, "at the start")
-        return found or diagnosis_along(self, grid, loose=all_loose(self.model))
+    def beginning(self, model: AbstractMechanical, grid: Grid) -> Start:
+        del grid
+        near, v = self._near()
+        q = near
+        if model.constraints:
+            q, v = consistent_start(model, near, v, self.loose(at_start=True))
+        return Start(near, v, self.posture(model, q, at_start=True), None)
+
+    @override
+    def loose(self, *, at_start: bool = False) -> Loose:
+        return kept_of(self.model, self.start).loose(self.model) if at_start else all_loose(self.model)
 
     def _given(self, torque: Any) -> Array:
         n = len(self.model.actuators)

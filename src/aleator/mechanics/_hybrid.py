@@ -1,6 +1,5 @@
 """`HybridDynamics`: some coordinates are prescribed, others integrated, and torques follow (equations 70 and 71)."""
 
-import functools
 from collections.abc import Collection, Mapping
 from typing import Any, ClassVar, final
 
@@ -11,15 +10,11 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import numbers_to_arrays
-from aleator._core.code import told_apart
-from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
-from aleator.mechanics._consistent import Kept, checked_guess, consistent_start, kept_of, start_unknown
-from aleator.mechanics._constraint_diagnosis import start_diagnosis
-from aleator.mechanics._diagnosis import diagnosis_along, diagnosis_at, quaternion_diagnosis
-from aleator.mechanics._formulation import AbstractFormulation, model_given
+from aleator.mechanics._consistent import checked_guess, consistent_start, kept_of, start_unknown
+from aleator.mechanics._constraints import Loose
+from aleator.mechanics._formulation import AbstractFormulation, Start, model_given
 from aleator.mechanics._given import (
     Given,
     asks_torque_rates,
@@ -33,7 +28,7 @@ from aleator.mechanics._given import (
     signals_for,
     vector,
 )
-from aleator.mechanics._instant import Instants, along_time, at, instants_of
+from aleator.mechanics._instant import along_time, at
 from aleator.mechanics._kinematics import accelerations, rates
 from aleator.mechanics._mechanical import AbstractMechanical, rate_map
 from aleator.mechanics._motion import Motion
@@ -140,7 +135,7 @@ class HybridDynamics(AbstractFormulation):
             return self.initial()
         model = at(self.model, t, inputs.get("parameters"))
         given = Prescribed(inputs["position"], inputs["velocity"], inputs["acceleration"], self._known(None))
-        q, v = consistent_start(model, *self._near(model, given), self._begins().loose(model))
+        q, v = consistent_start(model, *self._near(model, given), self.loose(at_start=True))
         return self._stated(taken(q, self._parts.others), taken(v, self._parts.undriven))
 
     @override
@@ -209,33 +204,38 @@ class HybridDynamics(AbstractFormulation):
         return self._rates_of(model, found), outputs
 
     @override
-    def diagnose(self, grid: Grid) -> str:
+    def beginning(self, model: AbstractMechanical, grid: Grid) -> Start:
+        """`own` is the velocity map in a generic posture, in which no angle happens to be zero."""
+        near, v = self._near(model, self._prescribed_at(grid))
+        q = near
+        if model.constraints:
+            q, v = consistent_start(model, near, v, self.loose(at_start=True))
+        generic = None if model.moves_directly else rate_map(model, q + np.linspace(0.2, 0.3, len(q)))
+        return Start(near, v, self.posture(model, q, at_start=True), generic)
+
+    @override
+    def loose(self, *, at_start: bool = False) -> Loose:
+        if not at_start:
+            return self._parts.loose
+        return kept_of(self.model, self.start, self.prescribed, self.driven).loose(self.model)
+
+    @override
+    def prescribed_path(self, grid: Grid) -> Array:
         motion = combined_motion(self._followed(), self.motion).sampled(grid.fractions, grid.t_start, grid.t_final)
         others = self._others_near()
-        given = jax.vmap(lambda position: self._parts.merged(position, others))(motion)
-        q = self.model.normalised(given[0])
-        first = instants_of(self.model, grid).at(0)
-        if self.model.constraints:
-            loose = self._begins().loose(self.model)
-            near, v = self._near(first, self._prescribed_at(grid))
-            q, v = consistent_start(first, near, v, loose)
-            if found := start_diagnosis(first, near, (q, v), loose):
-                return found
-        if found := diagnosis_at(first, q, "at the start"):
-            return found
-        effect = np.asarray(_EFFECT(numbers_to_arrays(first), self._parts, q))
-        if not effect.size or np.linalg.matrix_rank(effect) < len(self.driven):
-            return self._unrealisable()
-        found = self._entangled(first, q) or quaternion_diagnosis(self.model, np.asarray(grid.times), given)
-        return found or diagnosis_along(self, grid, _EFFECTS, self._parts.loose if self.model.constraints else None)
+        return jax.vmap(lambda position: self._parts.merged(position, others))(motion)
 
-    def _entangled(self, model: AbstractMechanical, q: Array) -> str:
-        """Why the prescribed rates do not determine velocities of their own; empty if they do."""
-        if model.moves_directly:
-            return ""
-        # A generic posture, in which no angle happens to be zero.
-        H = np.asarray(rate_map(model, q + jnp.linspace(0.2, 0.3, len(q))))
-        if not np.any(H[np.ix_(self.prescribed, self._parts.undriven)]):
+    @override
+    def effects(self, model: AbstractMechanical, q: Array) -> Array:
+        return effect_of_torques(model, self._parts, q)
+
+    @override
+    def diagnose_start(self, start: Start) -> str:
+        """Torques that cannot act on the prescribed motion, and velocities of others that enter its rates."""
+        effects = start.posture.effects
+        if not effects.size or np.linalg.matrix_rank(effects) < len(self.driven):
+            return self._unrealisable()
+        if start.own is None or not np.any(start.own[np.ix_(self.prescribed, self._parts.undriven)]):
             return ""
         names = ", ".join(self.model.coordinates[i] for i in self.prescribed)
         return (
@@ -282,10 +282,6 @@ class HybridDynamics(AbstractFormulation):
         curve = [motion.derivative(k).sampled(np.zeros(1), grid.t_start, grid.t_final)[0] for k in range(3)]
         return Prescribed(curve[0], curve[1], curve[2], self._known(None))
 
-    def _begins(self) -> Kept:
-        """What stays at the start."""
-        return kept_of(self.model, self.start, self.prescribed, self.driven)
-
     def _followed(self) -> tuple[str, ...]:
         return tuple(self.model.coordinates[i] for i in self.prescribed)
 
@@ -300,14 +296,6 @@ class HybridDynamics(AbstractFormulation):
 
     def _known(self, given: Any) -> Float[Array, " known"]:
         return jnp.zeros(len(self.known)) if given is None else given
-
-
-def _effects(system: HybridDynamics, now: Instants, path: Array) -> Array:
-    return now.each(lambda model, q: effect_of_torques(model, system._parts, q), path)
-
-
-_EFFECT = Compiled(effect_of_torques, use=Use.ONCE, code=functools.partial(told_apart, effect_of_torques))
-_EFFECTS = Compiled(_effects, use=Use.ONCE, code=functools.partial(told_apart, _effects))
 
 
 def _check_names(model: AbstractMechanical, motion: Any, torque: Any) -> None:

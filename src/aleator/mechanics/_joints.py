@@ -19,6 +19,7 @@ from aleator.mechanics._spatial import (
     as_array,
     from_quaternion,
     is_known,
+    library,
     quaternion_rates,
     unit,
     unit_quaternion,
@@ -59,7 +60,7 @@ class AbstractJoint(Module):
     def passive(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
         """The force of springs and dampers along each speed, N or N·m."""
         del q
-        return jnp.zeros_like(v)
+        return library(v).zeros_like(v)
 
     def rotors(self) -> Block:
         """The inertia along each speed of what turns with the joint alone, (speeds, speeds); `None` for none."""

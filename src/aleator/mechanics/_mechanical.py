@@ -46,6 +46,7 @@ class AbstractMechanical(Module, Printed):
     """
 
     units: ClassVar[Mapping[str, str]] = {}
+    _rule: ClassVar[str] = ""
     _when: Any = eqx.field(default=None, init=False, repr=False)
 
     def __check_init__(self):
@@ -176,10 +177,18 @@ class AbstractMechanical(Module, Printed):
         """The acceleration `v̇` under a generalised force; NaN where `M` is singular."""
         return solve_positive(mass_of(self, q), force - bias_of(self, q, v))
 
-    def diagnose(self, q: Float[Array, " coordinates"]) -> str:
-        """What is wrong with the realised model itself, as a sentence; empty if nothing."""
+    @property
+    def computes_by_numpy(self) -> bool:
+        """Whether NumPy alone computes the equations of motion at known numbers, without a program."""
+        return False
+
+    def refuse_impossible(self) -> None:
+        """Raise `ProblemError` for known numbers that no such system has, such as negative masses."""
+
+    def stated_twice(self, q: Float[Array, " coordinates"]) -> tuple[Array, Array] | None:
+        """A quantity by two ways, which differ where the model breaks a rule of its class; none by default."""
         del q
-        return ""
+        return None
 
     def _named_map(self) -> Float[np.ndarray, "speeds actuators"]:
         """Which torque acts along which velocity, by their names."""
@@ -227,7 +236,8 @@ def load_on(model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float
 
 def required_force(model: AbstractMechanical, q: Array, v: Array, v_dot: Array) -> Float[Array, " speeds"]:
     """The generalised force that the actuators must provide for a motion, under the external load (equation 69)."""
-    return shaped(model, "inverse_dynamics", (q, v, v_dot), (len(model.speeds),)) - load_on(model, q, v)
+    force = shaped(model, "inverse_dynamics", (q, v, v_dot), (len(model.speeds),))
+    return force - load_on(model, q, v) if model.is_loaded else force
 
 
 def driven(model: AbstractMechanical, q: Array, v: Array, force: Array) -> Float[Array, " speeds"]:

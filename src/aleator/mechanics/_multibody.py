@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
@@ -14,7 +15,7 @@ from aleator._core.once import once_for_each
 from aleator.mechanics._body import Body
 from aleator.mechanics._body_load import BodyLoad, refuse_moving_places, wrenches_of
 from aleator.mechanics._closure import Closure, checked_closures, residuals
-from aleator.mechanics._instant import later
+from aleator.mechanics._instant import is_timed, later
 from aleator.mechanics._joints import AbstractJoint
 from aleator.mechanics._mechanical import AbstractMechanical, evaluated
 from aleator.mechanics._recursions import (
@@ -186,14 +187,20 @@ class Multibody(AbstractMechanical):
             return q
         return jnp.concatenate([link.joint.normalised(q[link.q]) for link in self._tree().links])
 
+    @property
     @override
-    def diagnose(self, q: Float[Array, " coordinates"]) -> str:
-        """Nothing more than what joints refuse themselves, such as negative damping or armature."""
-        tree = self._tree()
-        for link in tree.links:
-            link.joint.passive(q[link.q], jnp.zeros(link.v.stop - link.v.start))
+    def computes_by_numpy(self) -> bool:
+        """True for the bodies alone, without loops or loads, on joints of one degree of freedom."""
+        own = type(self).actuation is AbstractMechanical.actuation and self._is_bodies_alone()
+        return own and self.moves_directly and not (self.is_loaded or self.constraints or is_timed(self))
+
+    @override
+    def refuse_impossible(self) -> None:
+        """What bodies and joints refuse themselves, such as impossible inertias, negative damping or armature."""
+        for link in self._tree().links:
+            coordinates, speeds = (np.zeros(part.stop - part.start) for part in (link.q, link.v))
+            link.joint.passive(coordinates, speeds)
             link.joint.rotors()
-        return ""
 
     @override
     def speeds_along(self, coordinates: Collection[str]) -> tuple[int, ...]:

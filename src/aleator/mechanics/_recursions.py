@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator._core.arrays import jax_array
 from aleator.mechanics._matrices import solve_positive
 from aleator.mechanics._spatial import (
     Articulated,
@@ -26,6 +27,7 @@ from aleator.mechanics._spatial import (
     cross_force,
     cross_motion,
     inertia_outside,
+    library,
     load,
     momentum,
     plus,
@@ -100,7 +102,7 @@ def inverse_dynamics(
         forces.insert(0, plus(power(link.joint.subspace(q[link.q]), wrenches[i]), accelerated) - passive)
         if link.parent != GROUND:
             wrenches[link.parent] = added(wrenches[link.parent], wrench_outside(poses[i], wrenches[i]))
-    return jnp.concatenate([jnp.zeros(0), *forces])
+    return jax_array(library(*forces).concatenate([np.zeros(0), *forces]))
 
 
 def motion_apart(
@@ -166,7 +168,8 @@ def mass_matrix(tree: Tree, q: Float[Array, " coordinates"]) -> Float[Array, "sp
                 blocks[j][i], blocks[i][j] = coupling, coupling.T
     if not blocks:
         return jnp.zeros((0, 0))
-    return jnp.concatenate([jnp.concatenate(row, axis=1) for row in blocks])
+    xp = library(*(block for row in blocks for block in row))
+    return jax_array(xp.concatenate([xp.concatenate(row, axis=1) for row in blocks]))
 
 
 def forward_dynamics(
