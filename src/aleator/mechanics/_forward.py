@@ -109,8 +109,7 @@ class ForwardDynamics(AbstractFormulation):
 
     def _near(self) -> tuple[Array, Array]:
         """Coordinates and velocities as they are given."""
-        q = self.model.normalised(coordinates_at(self.model, {**self.guess, **self.start}))
-        return q, vector(self.model.speeds, self.start)
+        return coordinates_at(self.model, {**self.guess, **self.start}), vector(self.model.speeds, self.start)
 
     @override
     def rhs(self, t: Any, z: Any, torque: Any = None, parameters: Any = None) -> tuple[Array, Array]:
@@ -135,7 +134,7 @@ class ForwardDynamics(AbstractFormulation):
     @override
     def beginning(self, model: AbstractMechanical, grid: Grid) -> Start:
         del grid
-        near, v = self._near()
+        near, v = model.as_computed(self._near())
         q = near
         if model.constraints:
             q, v = consistent_start(model, near, v, self.loose(at_start=True))

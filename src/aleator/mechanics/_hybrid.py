@@ -267,8 +267,7 @@ class HybridDynamics(AbstractFormulation):
 
     def _others_near(self) -> Array:
         """The coordinates that are not prescribed at the start, as they are given."""
-        q = self.model.normalised(coordinates_at(self.model, {**self.guess, **self.start}))
-        return taken(q, self._parts.others)
+        return taken(coordinates_at(self.model, {**self.guess, **self.start}), self._parts.others)
 
     def _near(self, model: AbstractMechanical, given: Prescribed) -> tuple[Array, Array]:
         """Coordinates and velocities at the start, those that are not prescribed as they are given."""

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Array
 from typing_extensions import override
 
-from aleator._core.arrays import in_library
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
 from aleator.mechanics._actuation import Actuation, scheme, torques
@@ -143,9 +142,8 @@ class InverseDynamics(AbstractFormulation):
     def beginning(self, model: AbstractMechanical, grid: Grid) -> Start:
         """`own` are the torques, velocities and accelerations."""
         curve = [self._motion().derivative(k).sampled(np.zeros(1), grid.t_start, grid.t_final) for k in range(3)]
-        _, curve = in_library(curve)
-        torque, path = _torques(model, *(row[0] for row in curve))
-        return Start(curve[0][0], path.v, self.posture(model, path.q, at_start=True), (torque, path.v, path.v_dot))
+        torque, path = _torques(model, *(row[0] for row in model.as_computed(curve)))
+        return Start(path.q, path.v, self.posture(model, path.q, at_start=True), (torque, path.v, path.v_dot))
 
     @override
     def prescribed_path(self, grid: Grid) -> Array:

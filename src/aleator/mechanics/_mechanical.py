@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator._core.arrays import in_library
 from aleator._core.errors import ProblemError
 from aleator._core.given import traceable
 from aleator._core.module import Module
@@ -19,6 +20,7 @@ from aleator.mechanics._instant import at, course, is_timed
 from aleator.mechanics._matrices import solve_positive
 from aleator.mechanics._motion import Motion
 from aleator.mechanics._signatures import call_of, timed_methods
+from aleator.mechanics._spatial import Numbers
 
 
 class AbstractMechanical(Module, Printed):
@@ -147,7 +149,7 @@ class AbstractMechanical(Module, Printed):
         """The sum of all external loads, as a generalised force."""
         return shaped(self, "load", (q, v), (len(self.speeds),))
 
-    def normalised(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
+    def normalised(self, q: Float[Numbers, " coordinates"]) -> Float[Numbers, " coordinates"]:
         """The coordinates projected to valid ones, such as unit quaternions; unchanged by default."""
         return q
 
@@ -182,10 +184,14 @@ class AbstractMechanical(Module, Printed):
         """Whether NumPy alone computes the equations of motion at known numbers, without a program."""
         return False
 
+    def as_computed(self, arrays: Any) -> Any:
+        """Arrays for these equations: known ones as NumPy's, if it computes them."""
+        return in_library(arrays)[1] if self.computes_by_numpy else arrays
+
     def refuse_impossible(self) -> None:
         """Raise `ProblemError` for known numbers that no such system has, such as negative masses."""
 
-    def stated_twice(self, q: Float[Array, " coordinates"]) -> tuple[Array, Array] | None:
+    def stated_twice(self, q: Float[Numbers, " coordinates"]) -> tuple[Array, Array] | None:
         """A quantity by two ways, which differ where the model breaks a rule of its class; none by default."""
         del q
         return None
@@ -206,7 +212,7 @@ class AbstractMechanical(Module, Printed):
         return {}
 
 
-def mass_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "speeds speeds"]:
+def mass_of(model: AbstractMechanical, q: Float[Numbers, " coordinates"]) -> Float[Array, "speeds speeds"]:
     """`M(q)` as an array. Raises `ProblemError` for another shape."""
     n = len(model.speeds)
     return shaped(model, "mass_matrix", (q,), (n, n))

@@ -26,7 +26,7 @@ from aleator.mechanics._recursions import (
     moving,
     world_poses,
 )
-from aleator.mechanics._spatial import Block, Pose, as_array, composed, cross, momentum, plus, power
+from aleator.mechanics._spatial import Block, Numbers, Pose, as_array, composed, cross, library, momentum, plus, power
 from aleator.mechanics._structure import with_numbers, without_numbers
 from aleator.mechanics._tree import GROUND, Tree, build_tree, sorted_bodies
 
@@ -131,7 +131,7 @@ class Multibody(AbstractMechanical):
         rows = [closure.jacobian(tree, q, poses) for closure in self._closures()]
         return jnp.concatenate([jnp.zeros((0, tree.speeds)), *rows])
 
-    def mass_matrix(self, q: Float[Array, " coordinates"]) -> Float[Array, "speeds speeds"]:
+    def mass_matrix(self, q: Float[Numbers, " coordinates"]) -> Float[Array, "speeds speeds"]:
         """`M(q)`, by the composite-rigid-body algorithm."""
         return mass_matrix(self._tree(), q)
 
@@ -140,7 +140,7 @@ class Multibody(AbstractMechanical):
         return inverse_dynamics(self._tree(), self._gravity(), q, v, jnp.zeros_like(v))
 
     def inverse_dynamics(
-        self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], v_dot: Float[Array, " speeds"]
+        self, q: Float[Numbers, " coordinates"], v: Float[Numbers, " speeds"], v_dot: Float[Numbers, " speeds"]
     ) -> Float[Array, " speeds"]:
         """The generalised force that a motion requires, by the recursive Newton-Euler algorithm."""
         if not self._is_bodies_alone():
@@ -181,11 +181,11 @@ class Multibody(AbstractMechanical):
         blocks = [link.joint.velocity_map(q[link.q]) for link in tree.links]
         return jax.scipy.linalg.block_diag(*blocks) if blocks else jnp.zeros((0, 0))
 
-    def normalised(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
+    def normalised(self, q: Float[Numbers, " coordinates"]) -> Float[Numbers, " coordinates"]:
         """The coordinates, with quaternions normalised; a zero quaternion becomes the identity."""
         if all(type(joint).normalised is AbstractJoint.normalised for _, joint in self._joints()):
             return q
-        return jnp.concatenate([link.joint.normalised(q[link.q]) for link in self._tree().links])
+        return library(q).concatenate([link.joint.normalised(q[link.q]) for link in self._tree().links])
 
     @property
     @override
