@@ -5,7 +5,8 @@ the start is one program, all along the motion another; trees of bodies on simpl
 """
 
 import abc
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -18,7 +19,7 @@ from typing_extensions import override
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
 from aleator._core.given import one_of
-from aleator._core.leaves import transparent
+from aleator._core.leaves import is_traced, transparent
 from aleator.dynamics import Grid, RungeKutta4, System, simulate
 from aleator.mechanics._constraint_diagnosis import constraint_diagnosis_along, lost_rank, start_diagnosis
 from aleator.mechanics._constraints import Loose, all_loose
@@ -79,6 +80,20 @@ class AbstractFormulation(System):
     """
 
     model: eqx.AbstractVar[AbstractMechanical]
+
+    @override
+    def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
+        """As `started`. Constraints are solved by one program: operation by operation takes several times as long."""
+        if self.model.constraints and not is_traced((self, t, inputs)):
+            # No program can be traced of some code, such as of what branches on a number.
+            with contextlib.suppress(Exception):
+                return _STARTED(*numbers_to_arrays((self, t, dict(inputs))))
+        return self.started(t, inputs)
+
+    def started(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The states at the start, with the inputs there, as constraints allow; none by default."""
+        del t, inputs
+        return {}
 
     @abc.abstractmethod
     def beginning(self, model: AbstractMechanical, grid: Grid) -> Start:
@@ -194,8 +209,13 @@ def _path(system: AbstractFormulation, grid: Grid) -> Path:
     return Path(q, instants_of(model, grid).each(system.posture, q), given, valid)
 
 
+def _started(system: AbstractFormulation, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
+    return system.started(t, inputs)
+
+
 # Compiled once for all systems of a family, each of which is checked.
 _PROGRAMS = {function: Compiled(function, use=Use.ONCE) for function in (_start, _path)}
+_STARTED = Compiled(_started, use=Use.ONCE)
 
 
 def _examined(function: Callable[..., Any], system: AbstractFormulation, grid: Grid) -> Any:

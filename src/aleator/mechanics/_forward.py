@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple, final
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 from typing_extensions import override
 
@@ -94,16 +95,13 @@ class ForwardDynamics(AbstractFormulation):
     def initial(self) -> Mapping[str, Any]:
         if self.model.constraints and is_timed(self.model):
             raise ProblemError(start_unknown("ForwardDynamics", self.model))
-        return self._beginning(self.model)
+        return self.starting(np.zeros(()), {})
 
     @override
-    def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
-        return self._beginning(at(self.model, t, inputs.get("parameters")))
-
-    def _beginning(self, model: AbstractMechanical) -> Mapping[str, Any]:
-        """The start of a model at an instant, as its constraints allow."""
+    def started(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
         q, v = self._near()
-        if model.constraints:
+        if self.model.constraints:
+            model = at(self.model, t, inputs.get("parameters"))
             q, v = consistent_start(model, q, v, self.loose(at_start=True))
         return {"q": q, "v": v}
 

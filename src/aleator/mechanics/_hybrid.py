@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
 from aleator.mechanics._consistent import checked_guess, consistent_start, kept_of, start_unknown
@@ -127,12 +128,12 @@ class HybridDynamics(AbstractFormulation):
     def initial(self) -> Mapping[str, Any]:
         if self.model.constraints:
             raise ProblemError(start_unknown("HybridDynamics", self.model))
-        return self._stated(self._others_near(), vector(self._loose_speeds(), self.start))
+        return self.starting(np.zeros(()), {})
 
     @override
-    def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
+    def started(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
         if not self.model.constraints:
-            return self.initial()
+            return self._stated(self._others_near(), vector(self._loose_speeds(), self.start))
         model = at(self.model, t, inputs.get("parameters"))
         given = Prescribed(inputs["position"], inputs["velocity"], inputs["acceleration"], self._known(None))
         q, v = consistent_start(model, *self._near(model, given), self.loose(at_start=True))
@@ -267,7 +268,8 @@ class HybridDynamics(AbstractFormulation):
 
     def _others_near(self) -> Array:
         """The coordinates that are not prescribed at the start, as they are given."""
-        return taken(coordinates_at(self.model, {**self.guess, **self.start}), self._parts.others)
+        _, q = in_library(coordinates_at(self.model, {**self.guess, **self.start}))
+        return jax_array(taken(q, self._parts.others))
 
     def _near(self, model: AbstractMechanical, given: Prescribed) -> tuple[Array, Array]:
         """Coordinates and velocities at the start, those that are not prescribed as they are given."""

@@ -96,7 +96,7 @@ class InverseDynamics(AbstractFormulation):
 
     @override
     def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
-        return self._driven().starting(t, inputs) if self.model.constraints else {}
+        return self._driven().starting(t, inputs) if self.model.constraints else super().starting(t, inputs)
 
     @override
     def rhs(
