@@ -136,7 +136,8 @@ class AbstractFormulation(System):
     @override
     def diagnose(self, grid: Grid) -> str:
         # A program of code that has changed since may let a fault pass, but must not refuse what is right.
-        return self._diagnosed(grid, _examined) and self._diagnosed(grid, _examined_anew)
+        system, grid = _known((self, grid))
+        return system._diagnosed(grid, _examined) and system._diagnosed(grid, _examined_anew)
 
     def _diagnosed(self, grid: Grid, examined: Callable[..., Any]) -> str:
         model, times = self.model, np.asarray(grid.times)
@@ -190,7 +191,7 @@ def model_given(who: str, model: Any) -> AbstractMechanical:
 
 def examined_start(system: AbstractFormulation, grid: Grid) -> Start:
     """The start on a grid, in arrays of NumPy."""
-    return _examined(_start, system, grid)[1]
+    return _examined(_start, *_known((system, grid)))[1]
 
 
 def _start(system: AbstractFormulation, grid: Grid) -> tuple[Any, Start]:
@@ -219,9 +220,9 @@ _STARTED = Compiled(_started, use=Use.ONCE)
 
 
 def _examined(function: Callable[..., Any], system: AbstractFormulation, grid: Grid) -> Any:
-    """`function(system, grid)` as arrays of NumPy."""
+    """`function(system, grid)`, of known numbers and as such."""
     if function is _start and system.model.computes_by_numpy:
-        found = function(*_known((system, grid)))
+        found = function(system, grid)
     else:
         found = _PROGRAMS[function](*numbers_to_arrays((system, grid)))
     return _known(found)

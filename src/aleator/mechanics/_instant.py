@@ -112,11 +112,12 @@ def at(model: Model, t: Any, parameters: Any) -> Model:
             f"{type(model).__name__}: expected {'values of' if places else 'no'} parameters that change with time; "
             f"received {'none' if places else 'an input of that name'}."
         )
+    if not is_timed(model):
+        return model
     rows = [()] if parameters is None else [_split(row, [leaves[i] for i in places]) for row in parameters]
     for place, value in zip(places, rows[0], strict=True):
         leaves[place] = value
-    found = jax.tree.unflatten(structure, leaves)
-    return _remembering(found, When(t, tuple(rows[1:]), places)) if is_timed(model) else found
+    return _remembering(jax.tree.unflatten(structure, leaves), When(t, tuple(rows[1:]), places))
 
 
 def later(model: Model, s: Any) -> Model:
