@@ -16,7 +16,6 @@ import xarray
 
 import aleator as al
 from aleator import solving
-from aleator.design import _physics
 from aleator.journalling import FILE, Entry
 from aleator.journalling._keys import Keys
 from zoo import SPREAD, Bar, bar_problem
@@ -287,7 +286,6 @@ def test_equations_that_change_without_the_code_are_another_result(tmp_path: Pat
     PLACE[:], keys = [str(tmp_path / "table.ini")], set()
     for density in (1.0, 3.0):
         (tmp_path / "table.ini").write_text(f"[bar]\ndensity = {density}\n")
-        _physics._known.clear()  # as in another process
         problem = al.Problem(Mapped(al.Decision(4.0, 0.1, 10.0)), minimize=al.output("mass").mean)
         keys.add(Keys().identity("solve", {"problem": problem}).key)
     assert len(keys) == 2

@@ -11,7 +11,7 @@ from aleator._core.errors import SimulationError
 from aleator._core.given import refusal
 from aleator._core.shown import Printed
 from aleator.certification import bound_size
-from aleator.design import Expression, Problem, current, statistics_in
+from aleator.design import Expression, Problem, statistics_in
 from aleator.nlp import Searched, Slopes, lost_variables, slopes_at
 from aleator.solution import Solution
 from aleator.statistics import AbstractTail

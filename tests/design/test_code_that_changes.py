@@ -1,4 +1,4 @@
-"""Code that changes between declaration, solution and evidence: compiled anew, or refused by name, never mixed."""
+"""A problem is its equations as they were declared: code that changes later takes effect by declaring again."""
 
 import random
 
@@ -64,42 +64,79 @@ def through_function_of_another_module():
     return declared(lambda self: changing_physics.goal()), lambda value: setattr(changing_physics, "GOAL", value)
 
 
-WAYS = {
-    through_global: r"the global 'GOAL' that .*<lambda> reads was 1.0 and is 3.0",
-    through_closure: r"the closure variable 'where' that .*<lambda> reads was 1.0 and is 3.0",
-    through_class_attribute: r"Reads.goal has changed",
-    through_array: r"the global 'ARRAY' that .*<lambda> reads has changed",
-    through_function_of_another_module: r"the global 'GOAL' that goal reads was 1.0 and is 3.0",
-}
+WAYS = (
+    through_global,
+    through_closure,
+    through_class_attribute,
+    through_array,
+    through_function_of_another_module,
+)
 
 
-@pytest.mark.parametrize(("way", "named"), WAYS.items())
-def test_a_solution_is_of_the_code_as_it_is_now_and_evidence_refuses_any_other_by_name(way, named):
+def solved(problem):
+    return al.solve(problem).decisions["a.mean"]
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_designs_and_evidence_are_of_the_equations_that_were_declared(way):
     one, change = way()
     solution = al.solve(one)
     assert solution.decisions["a.mean"] == pytest.approx(1.0, abs=1e-6)
     change(3.0)
     try:
-        with pytest.raises(al.ProblemError, match=rf"validate: the code of Reads is not what it was when .*{named}"):
-            al.validate(solution, 100)
-        if way is through_global:
-            moved = al.solve(one)
-            assert moved.decisions["a.mean"] == pytest.approx(3.0, abs=1e-6)
-            assert al.validate(moved, 100).functionals["x"].mean == pytest.approx(0.25 / 3, rel=0.3)
+        assert solved(one) == pytest.approx(1.0, abs=1e-6)
+        assert al.validate(solution, 100).functionals["x"].mean == pytest.approx(0.25 / 3, rel=0.3)
+        again = al.Problem(one.system, minimize=one.objective, subject_to=one.constraints, expansion=one.expansion)
+        assert solved(again) == pytest.approx(3.0, abs=1e-6)
     finally:
         change(1.0)
-    al.validate(solution, 100)
 
 
 def test_sweeps_do_not_mix_two_states_of_the_code():
     one, change = through_global()
-
-    def progress(what, done, total):
-        change(3.0 if done == 2 else 1.0)
-
-    with pytest.raises(al.ProblemError, match="the global 'GOAL'"):
-        al.pareto(one, "x", [50.0, 60.0, 70.0], progress=progress)
+    front = al.pareto(one, "x", [50.0, 60.0], progress=lambda what, done, total: change(3.0))
     change(1.0)
+    assert [point.decisions["a.mean"] for point in front.solutions] == pytest.approx([1.0, 1.0], abs=1e-6)
+
+
+def test_no_method_of_a_model_is_called_once_it_is_declared():
+    calls = []
+
+    class Watched(al.System):
+        states = ("x",)
+        algebraic = ("y",)
+        rate: al.Number = al.Uniform(al.Decision(1.0, 0.5, 3.0), half_width=0.1)
+
+        def initial(self):
+            calls.append("initial")
+            return {"x": 1.0}
+
+        def rhs(self, t, z, push):
+            calls.append("rhs")
+            return (-self.rate * z.y + push,)
+
+        def residual(self, t, z):
+            calls.append("residual")
+            return (z.y - z.x,)
+
+        def algebraic_guess(self, t, z):
+            calls.append("guess")
+            return {"y": z.x}
+
+        def outputs(self, t, z):
+            calls.append("outputs")
+            return {"miss": (z.x - 0.2) ** 2}
+
+    inputs = {"push": al.Tabulated([0.0, 1.0], [0.0, 0.0])}
+    one = al.Problem(Watched(), grid=al.Grid(1.0, 10), inputs=inputs, minimize=al.terminal("miss").mean)
+    assert {*calls} == {"initial", "rhs", "residual", "guess", "outputs"}
+    calls.clear()
+    solution = al.solve(one)
+    al.validate(solution, 20)
+    al.solve(al.deterministic(one))
+    al.solve(one, transcription=al.Simultaneous())
+    assert not calls
+    assert solution.decisions["rate.mean"] == pytest.approx(-np.log(0.2), rel=0.05)
 
 
 def test_arrays_of_a_model_are_those_of_its_declaration():
@@ -149,7 +186,7 @@ def test_code_that_computes_something_else_each_time_is_refused_by_name(target, 
         def initial(self):
             return {"x": target(self) if method == "initial" else 0.0}
 
-    with pytest.raises(al.ProblemError, match=rf"Fickle computes something else each time .*\b{target.__name__}\b"):
+    with pytest.raises(al.ProblemError, match="Fickle computes something else each time"):
         al.Problem(Fickle(), grid=al.Grid(1.0, 2), minimize=al.terminal("x").mean)
 
 

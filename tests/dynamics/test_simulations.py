@@ -1,9 +1,5 @@
 """`simulate`: one program serves the same equations with any numbers; what it cannot run is refused in words."""
 
-from collections.abc import Callable
-from pathlib import Path
-
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +11,6 @@ from compiling import compiled
 from zoo import Decay
 
 GRID = al.Grid(1.0, 20)
-PUSH = 1.0
 
 
 class Branching(al.System):
@@ -34,13 +29,6 @@ class Branching(al.System):
         return {"x": 1.0}
 
 
-class Pushed(Branching):
-    """`x' = PUSH`, which the code reads from a global name."""
-
-    def rhs(self, t, z):
-        return (PUSH + 0.0 * z.x,)
-
-
 def test_other_numbers_need_no_other_program():
     integrator = al.integrators.Tsit5(rtol=1e-10, atol=1e-12)
     before = _HISTORY.compilations
@@ -53,31 +41,6 @@ def test_other_numbers_need_no_other_program():
 def test_a_number_that_code_branches_on_is_taken_as_it_is():
     np.testing.assert_allclose(al.simulate(Branching(2.0), GRID)["x"][-1], np.exp(-2.0), rtol=1e-5)
     np.testing.assert_array_equal(al.simulate(Branching(-2.0), GRID)["x"], np.ones(21))
-
-
-def test_what_the_code_reads_may_change(monkeypatch):
-    assert float(al.simulate(Pushed(0.0), GRID)["x"][-1]) == pytest.approx(2.0)
-    monkeypatch.setattr("test_simulations.PUSH", 3.0)
-    assert float(al.simulate(Pushed(0.0), GRID)["x"][-1]) == pytest.approx(4.0)
-
-
-class FromFile(Branching):
-    """`x' = k`, with `k` from a file that the code reads in some way."""
-
-    read: Callable[[Path], float]
-    path: Path = eqx.field(static=True)
-
-    def rhs(self, t, z):
-        return (self.read(self.path) + 0.0 * z.x,)
-
-
-@pytest.mark.parametrize("read", [lambda path: float(path.read_text()), lambda path: float(np.loadtxt(path))])
-def test_a_file_that_the_code_reads_may_change(read, tmp_path):
-    path = tmp_path / "k.txt"
-    model = FromFile(0.0, read, path)
-    for number in (1.0, 2.0):
-        path.write_text(f"{number}\n")
-        assert float(al.simulate(model, GRID)["x"][-1]) == pytest.approx(1.0 + number)
 
 
 def test_impossible_numbers_are_refused_though_the_program_is_there():

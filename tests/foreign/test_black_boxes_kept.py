@@ -4,9 +4,7 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -31,12 +29,13 @@ def test_a_second_call_goes_on_where_the_first_failed(tmp_path):
 
 def test_threads_finish_what_they_have_begun_and_nothing_is_run_twice(tmp_path):
     counted = Counted(until(tmp_path / "repaired", boxes.stiff))
+    kept = {"journal": tmp_path / "runs.jsonl", "version": 1}
     with ThreadPoolExecutor(3) as executor:
-        refused(al.foreign.BlackBox(counted, executor=executor, journal=tmp_path / "runs.jsonl"))
+        refused(al.foreign.BlackBox(counted, executor=executor, **kept))
     known = len((tmp_path / "runs.jsonl").read_text().splitlines()) - 1
     (tmp_path / "repaired").touch()
     before = counted.calls
-    al.expand(al.foreign.BlackBox(counted, journal=tmp_path / "runs.jsonl"), TWO, ORDER)
+    al.expand(al.foreign.BlackBox(counted, **kept), TWO, ORDER)
     assert known + counted.calls - before == 30
 
 
@@ -91,30 +90,9 @@ def test_a_box_that_has_changed_is_told_and_run_again(tmp_path):
     assert_same(expanded, directly(other))
 
 
-@pytest.mark.parametrize("kept", [False, True], ids=["in memory", "in a journal"])
-def test_a_number_that_the_function_reads_may_change_between_two_calls(tmp_path, kept):
-    # A lock cannot be read as code; what the function counts itself is no change.
-    state = {"stiffness": 3.0, "beside": None if kept else threading.Lock(), "calls": 0}
-
-    def spring(at):
-        state["calls"] += 1
-        return state["stiffness"] * at["x"]
-
-    def mean():
-        return float(al.expand(box, {"x": al.Uniform.bounds(0.0, 1.0)}, al.Expansion(order=2)).mean)
-
-    box = al.foreign.BlackBox(spring, journal=tmp_path / "runs.jsonl" if kept else None)
-    assert mean() == mean() == pytest.approx(1.5)
-    calls, state["stiffness"] = state["calls"], 7.0
-    said = pytest.warns(al.SimulationWarning, match="such as a count of its calls") if kept else nullcontext()
-    with said:
-        assert mean() == pytest.approx(3.5)
-    assert state["calls"] == 2 * calls
-
-
 def test_a_plain_number_of_the_model_is_part_of_a_sample(tmp_path):
     counted = Counted(lambda at: at["gain"] * at["x"])
-    box = al.foreign.BlackBox(counted, journal=tmp_path / "runs.jsonl")
+    box = al.foreign.BlackBox(counted, journal=tmp_path / "runs.jsonl", version=1)
     spreads = [float(al.expand(box, TWO | {"gain": gain}).std) for gain in (1.0, 2.0, 1.0)]
     assert spreads[1] == pytest.approx(2 * spreads[0])
     assert counted.calls == 2 * 30

@@ -17,9 +17,8 @@ from aleator._core import stored
 from aleator._core.beside import beside, undisturbed
 from aleator._core.devices import Device, devices, elsewhere, home, placed
 from aleator._core.differentiable import explained
-from aleator._core.errors import ProblemError
 from aleator._core.executables import OnEach, Tried, ready
-from aleator._core.lasting import lasting_name
+from aleator._core.identity import lasting_name
 from aleator._core.layouts import Leaves, Packed, Way, is_real
 from aleator._core.programs import PROGRAMS, Executable, Program
 
@@ -57,23 +56,10 @@ class Compiled:
     compiling. Within a part that runs on another device (`over_devices`), so does the program; it is traced once.
 
     - `use`: the use of its programs, or a function of the arguments that gives it.
-
-    If the arguments hold code, such as the methods of a system, the objects that this code reads must be distinguished
-    too:
-
-    - `code(*arguments)`: a key, equal for code that computes the same, if the arguments themselves are no such key;
-    - `unchanged(*arguments)`: raises if the code may have changed during compilation; nothing is kept then.
     """
 
-    def __init__(
-        self,
-        function: Callable[..., Any],
-        *,
-        use: Use | Callable[..., Use] = Use.LOOPS,
-        code: Callable[..., Hashable] | None = None,
-        unchanged: Callable[..., None] | None = None,
-    ):
-        self._function, self._use, self._code, self._unchanged = function, use, code, unchanged
+    def __init__(self, function: Callable[..., Any], *, use: Use | Callable[..., Use] = Use.LOOPS):
+        self._function, self._use = function, use
         self._lock = threading.Lock()
         self.compilations = 0
         self.seconds = 0.0
@@ -106,7 +92,7 @@ class Compiled:
             return self._function(*eqx.combine(jax.tree.unflatten(structure, leaves), static))
 
         build = functools.partial(self._compile, Leaves, flat, *leaves)
-        return self._known(self._key(arguments, "leaves", leaves, structure, static), arguments, build), leaves
+        return self._known(self._key("leaves", leaves, structure, static), arguments, build), leaves
 
     def bound(self, *fixed: Any, packed: bool = True) -> "Bound":
         """The function with all arguments but the last fixed, for many calls that differ in that one: a tree of arrays.
@@ -134,7 +120,7 @@ class Compiled:
         def key(last: Any) -> Hashable:
             leaves, last_structure = jax.tree.flatten(last)
             trees = shapes, structure, last_structure
-            return self._key((*fixed, last), way, [*numbers, *others, *leaves], trees, static)
+            return self._key(way, [*numbers, *others, *leaves], trees, static)
 
         def program(key: Hashable, last: Any) -> Program:
             build = functools.partial(self._compile, read_by, result, vector, others, last)
@@ -142,42 +128,24 @@ class Compiled:
 
         return Bound(key, program, (vector, others))
 
-    def _key(self, arguments: tuple[Any, ...], way: str, leaves: list[Any], structure: Any, static: Any) -> Hashable:
+    def _key(self, way: str, leaves: list[Any], structure: Any, static: Any) -> Hashable:
         """The key of arguments of one structure."""
         static_leaves, static_structure = jax.tree.flatten(static)
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         kinds = tuple(type(leaf) for leaf in static_leaves)  # 1 and True are equal, but not the same structure
-        code = self._code(*arguments) if self._code else None
         device = placed(leaves) or home()
-        return self, way, structure, static_structure, tuple(static_leaves), kinds, shapes, device, code
+        return self, way, structure, static_structure, tuple(static_leaves), kinds, shapes, device
 
-    def _known(
-        self, key: Hashable, arguments: tuple[Any, ...], build: Callable[..., Callable[[], Executable]]
-    ) -> Program:
+    def _known(self, key: Any, arguments: tuple[Any, ...], build: Callable[..., Callable[[], Executable]]) -> Program:
         """The program of a key, traced by `build` if there is none yet."""
         program, is_new = PROGRAMS.found(key)
         if is_new:
-            program.trace(functools.partial(self._checked, key, arguments, build))
+            use = self._use if isinstance(self._use, Use) else self._use(*arguments)
+            name = lasting_name(self._function, _alike(arguments), key[1], use)
+            program.trace(functools.partial(build, use=use, name=name))
         elif program.was_interrupted():  # in the thread that was tracing
             return self._known(key, arguments, build)
         return program
-
-    def _checked(
-        self, key: Any, arguments: tuple[Any, ...], build: Callable[..., Callable[[], Executable]]
-    ) -> Callable[[], Executable]:
-        """The function that compiles, once it is certain that the code traced is that of the key."""
-        # A key from a reading of code alone is certain within one run, but not between runs.
-        use = self._use_of(arguments)
-        name = None if self._code else lasting_name(self._function, _alike(arguments), key[1], use)
-        built = build(use=use, name=name)
-        if self._code and self._code(*arguments) != key[-1]:
-            raise ProblemError("The code of the system has changed while it was compiled. Run it again.")
-        if self._unchanged:
-            self._unchanged(*arguments)
-        return built
-
-    def _use_of(self, arguments: tuple[Any, ...]) -> Use:
-        return self._use if isinstance(self._use, Use) else self._use(*arguments)
 
     def _compile(
         self, way: Way, function: Callable[..., Any], *arguments: Any, use: Use, name: str | None

@@ -1,11 +1,12 @@
-"""Traced code as text: two functions with the same text have the same values and derivatives."""
+"""Digests of traced functions: two with the same digest have the same values and derivatives."""
 
 import hashlib
 import inspect
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterator, Mapping
 from functools import partial
 from types import FunctionType
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -20,20 +21,32 @@ _OPAQUE = {"callback", "bwd", "fwd_jaxpr_thunk"}
 _DERIVED: set[str] = set()
 
 
-def equations_text(closed: ClosedJaxpr) -> str | None:
-    """The equations of a traced function, and a digest of their parts that are not printed.
+class Digest(NamedTuple):
+    """What tells equations apart.
 
-    These are the arrays that inner functions hold, and their rules of differentiation. Arrays that the outermost
-    function holds are its constants, and not part of the text. None if the text does not determine the computation: if
-    an inner function or a rule holds an array that is itself being traced, or if Python code is called, by
-    `jax.pure_callback` or as the rules of `jax.custom_vjp`.
+    - `text`: equal for equal equations, in any process; `is_whole`: whether they show all that is computed. They do not
+      if they call Python code, by `jax.pure_callback` or as the rules of `jax.custom_vjp`.
     """
-    digest = hashlib.sha256()
-    for part in _hidden(closed.jaxpr):
+
+    text: str
+    is_whole: bool
+
+
+def digest_of(closed: ClosedJaxpr, *, constants: bool = True) -> Digest:
+    """The digest of a traced function: of its equations, the inner arrays and rules of these, and its `constants`."""
+    digest, is_whole = hashlib.sha256(str(closed.jaxpr).encode()), True
+    for part in itertools.chain(closed.consts if constants else (), _hidden(closed.jaxpr)):
         if isinstance(part, Tracer) or callable(part):
-            return None
+            is_whole = False
+            break
         digest.update(part.encode() if isinstance(part, str) else array_digest(part).encode())
-    return f"{closed.jaxpr}\n{digest.hexdigest()}"
+    return Digest(digest.hexdigest(), is_whole)
+
+
+def joint_digest(parts: Mapping[str, Digest]) -> Digest:
+    """One digest of several, by name."""
+    text = "\n".join(f"{name} {one.text}" for name, one in parts.items())
+    return Digest(hashlib.sha256(text.encode()).hexdigest(), all(one.is_whole for one in parts.values()))
 
 
 def derived(rule: FunctionType) -> FunctionType:

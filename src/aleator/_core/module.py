@@ -11,3 +11,8 @@ class Module(eqx.Module):
     """
 
     __getattribute__ = object.__getattribute__
+
+    @property
+    def is_declared(self) -> bool:
+        """Whether it holds a digest of equations that tells all code in it."""
+        return False

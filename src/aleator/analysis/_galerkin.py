@@ -16,7 +16,7 @@ from aleator._core.compilation import Use
 from aleator._core.errors import ExpansionWarning, ProblemError, SimulationError
 from aleator._core.given import one_of, refusal
 from aleator._core.leaves import transparent
-from aleator._core.tracing import trace
+from aleator._core.tracing import evaluate
 from aleator.analysis._expanded import Expanded
 from aleator.analysis._galerkin_equations import projected_outputs, unsolved_node
 from aleator.analysis._projection import Quadrature, quadrature_over
@@ -135,8 +135,7 @@ def galerkin(
         return {name: jnp.moveaxis(values, 1, 0) for name, values in outputs.items()}
 
     use = Use.ONCE if isinstance(system, AlgebraicSystem) else Use.LOOPS
-    written = {"code": (model, integrator), "name": type(system).__name__}
-    coefficients = trace(projected, numbers, quadrature, **written, use=use)(numbers, quadrature)
+    coefficients = evaluate(projected, numbers, quadrature, use=use)
     distributions = {name: distribution.initial() for name, distribution in places.distributions.items()}
     expanded = Expanded(distributions, basis, coefficients, None, None, expansion.tolerance)
     if isinstance(grid, Grid):

@@ -15,7 +15,6 @@ from aleator.design import (
     OneSystem,
     Problem,
     functionals_of,
-    refuse_changed_code,
     responses,
     step_at,
 )
@@ -58,7 +57,7 @@ def _elsewhere(problem: Problem, germ: Float[Array, " variables"], decisions: Fl
     return alone(problem, dict(zip(functionals, (one[0] for one in found), strict=True)), decisions)
 
 
-ELSEWHERE = Compiled(_elsewhere, use=Use.ONCE, unchanged=refuse_changed_code)
+ELSEWHERE = Compiled(_elsewhere, use=Use.ONCE)
 
 
 def alone_elsewhere(

@@ -19,7 +19,6 @@ from aleator.design import (
     Statistic,
     functionals_of,
     grid_at,
-    refuse_changed_code,
 )
 from aleator.dynamics import Grid
 from aleator.expansion import Collocation
@@ -78,7 +77,7 @@ def _referenced(
     return values, means, stds, reaches, alone(problem, one_system, decisions)
 
 
-REFERENCE = Compiled(_referenced, use=Use.ROWS, unchanged=refuse_changed_code)
+REFERENCE = Compiled(_referenced, use=Use.ROWS)
 
 
 def reference_factor(problem: Problem, between: int | None) -> int:

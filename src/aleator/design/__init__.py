@@ -46,13 +46,9 @@ from aleator.design._objectives import terminal_variance as terminal_variance
 from aleator.design._objectives import time_integral as time_integral
 from aleator.design._objectives import time_integrals as time_integrals
 from aleator.design._objectives import torque_rate as torque_rate
-from aleator.design._physics import equations_digest as equations_digest
-from aleator.design._physics import refuse_changed_code as refuse_changed_code
 from aleator.design._problem import Problem as Problem
-from aleator.design._problem import current as current
 from aleator.design._problem import declared_anew as declared_anew
 from aleator.design._problem import deterministic as deterministic
-from aleator.design._problem import refuse_changed as refuse_changed
 from aleator.design._problem import refuse_other_code as refuse_other_code
 from aleator.design._problem import uncertain as uncertain
 from aleator.design._response import OneSystem as OneSystem

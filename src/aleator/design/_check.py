@@ -1,25 +1,24 @@
 """Checks of a problem before anything is compiled; each refusal says what was expected and what was received."""
 
 import dataclasses
-import hashlib
-from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import ClosedJaxpr
 
 from aleator._core.arrays import jax_array, numbers_to_arrays
-from aleator._core.equations import array_digest, equations_text
+from aleator._core.equations import Digest, digest_of, joint_digest
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import meant, traceable
+from aleator._core.identity import is_library
 from aleator.design._cost import CostCurve
 from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Expression
 from aleator.design._extreme import Extreme
 from aleator.design._functionals import AbstractIntegral
-from aleator.design._physics import Digest, physics_of
 from aleator.design._realisations import refuse_diagnosed
 from aleator.design._response import grid_at, history
 from aleator.design._scope import AbstractComposite, AbstractScope, Value
@@ -36,6 +35,7 @@ from aleator.dynamics import (
     AbstractIntegrator,
     AbstractSystem,
     AlgebraicSystem,
+    Equations,
     Grid,
     Instant,
     System,
@@ -45,11 +45,11 @@ from aleator.dynamics import (
 from aleator.expansion import Expansion
 from aleator.statistics import AbstractStatistic, Sobol, TotalSobol, refuse_correlated
 from aleator.trajectories import piecewise_in
-from aleator.uncertainty import Placements, named_numbers, refuse_nonpositive, uncertain_again
+from aleator.uncertainty import named_numbers, realise, refuse_nonpositive, uncertain_again
 
 
-def check(problem: AbstractProblem) -> str:
-    """Raise `ProblemError` for the first fault found, from the outside inwards. Returns `physics`."""
+def check(problem: AbstractProblem) -> "Declared":
+    """Raise `ProblemError` for the first fault found, from the outside inwards; else trace the equations."""
     _check_types(problem)
     _check_inputs(problem)
     _check_time(problem)
@@ -59,29 +59,7 @@ def check(problem: AbstractProblem) -> str:
     _check_germs(problem)
     refuse_clashes(problem)
     refuse_diagnosed(problem)
-    return equations_now(problem)
-
-
-def equations_now(problem: AbstractProblem) -> str:
-    """The present value of `physics`; for a deterministic problem, that of the uncertain one that it stands for.
-
-    It is a digest of the traced equations, expressions included: problems with different digests are compiled
-    separately, even where the difference lies in globals or closures rather than in fields. Raises `ProblemError` if
-    outputs and expressions do not match.
-    """
-    return physics_of(problem, lambda: _digest(problem))
-
-
-def _digest(problem: AbstractProblem) -> Digest:
-    whole = eqx.tree_at(lambda one: one.simulation, problem, uncertain_again(problem.simulation))
-    physics, outputs = _trace(whole, _outputs_of, whole.placements)
-    _check_outputs(whole, outputs)
-    texts = [physics, _check_shapes(whole, outputs)]
-    told = "\n".join(text or "" for text in texts)
-    # A user's own statistics are not in these equations: such problems are told apart by what their code reads.
-    return Digest(
-        hashlib.sha256(told.encode()).hexdigest(), None not in texts and not has_own_statistics(whole.expressions)
-    )
+    return declared(problem)
 
 
 def _check_types(problem: AbstractProblem) -> None:
@@ -185,22 +163,61 @@ def _unknown(kind: str, name: str, known: list[str]) -> str:
     return f"There is no {kind} '{name}'; expected one of {known}.{meant(name, known)}"
 
 
-def _trace(problem: AbstractProblem, function: Callable[..., Any], *arguments: Any) -> tuple[str | None, Any]:
-    """Trace `function(problem, *arguments)` without computing; returns its equations as text and the results' shapes.
+# Digests of equations that two traces have given: one trace of these is enough.
+_STEADY: set[Digest] = set()
 
-    The problem's numbers are variables of the equations, so that the text does not depend on them; constants are those
-    in the code itself. There is no text where the equations do not determine what is computed.
+
+class Declared(NamedTuple):
+    """A problem's equations, and the digest of all that is computed: of these and of its expressions."""
+
+    equations: Equations
+    digest: Digest
+
+
+def declared(problem: AbstractProblem) -> Declared:
+    """Trace the equations of a problem; for a deterministic one, of the uncertain one that it stands for.
+
+    Raises `ProblemError` if two traces differ, or if outputs and expressions do not match.
     """
-    dynamic, static = eqx.partition(numbers_to_arrays(problem), eqx.is_array)
-    closed, shapes = jax.make_jaxpr(
-        lambda numbers: function(eqx.combine(numbers, static), *arguments), return_shape=True
-    )(dynamic)
-    text = equations_text(closed)
-    return text and "\n".join([text, *map(array_digest, closed.consts)]), shapes
+    whole = eqx.tree_at(lambda one: one.simulation, problem, uncertain_again(problem.simulation))
+    equations, realisation = _traced(whole)
+    if equations.digest not in _STEADY:
+        if _traced(whole) != (equations, realisation):
+            raise ProblemError(
+                f"{type(problem.system).__name__} computes something else each time it is called, so that no result "
+                "holds. Expected code that depends on its arguments and fields alone: put a distribution, such as "
+                "al.Normal(0.0, 1.0), in the place of a random number; read files, clocks and counters beforehand."
+            )
+        _STEADY.add(equations.digest)
+    traced = dataclasses.replace(whole.simulation, equations=equations)
+    whole = eqx.tree_at(lambda one: one.simulation, whole, traced)
+    numbers, static = eqx.partition(numbers_to_arrays(whole), eqx.is_array)
+    outputs = jax.eval_shape(lambda numbers: _outputs_of(eqx.combine(numbers, static)), numbers)
+    _check_outputs(whole, outputs)
+    expressions = digest_of(_check_shapes(whole, outputs))
+    digest = joint_digest({"realisation": realisation, "equations": equations.digest, "expressions": expressions})
+    # A user's own statistics and integrators are in no equations.
+    own = has_own_statistics(whole.expressions) or not is_library(type(whole.integrator).__module__)
+    return Declared(equations, Digest(digest.text, digest.is_whole and not own))
 
 
-def _outputs_of(problem: AbstractProblem, places: Placements) -> dict[str, jax.Array]:
-    return history(problem, jnp.zeros(len(places.germ_names)), jnp.zeros(places.size))
+def _traced(problem: AbstractProblem) -> tuple[Equations, Digest]:
+    """The equations of a realised system, and the digest of how its numbers and signals follow from the problem's."""
+    places, found = problem.placements, list[Equations]()
+    numbers, static = eqx.partition(numbers_to_arrays(problem.simulation), eqx.is_array)
+
+    def realised(numbers: Any, germ: jax.Array, decisions: jax.Array) -> Any:
+        simulation = realise(eqx.combine(numbers, static), germ, decisions)
+        found.append(simulation.traced_equations())
+        return eqx.filter(numbers_to_arrays((simulation, simulation.start())), eqx.is_array)
+
+    germ, decisions = (jax.ShapeDtypeStruct((size,), float) for size in (len(places.germ_names), places.size))
+    closed = jax.make_jaxpr(realised)(numbers, germ, decisions)
+    return found[0], digest_of(closed)
+
+
+def _outputs_of(problem: AbstractProblem) -> dict[str, jax.Array]:
+    return history(problem, jnp.zeros(len(problem.placements.germ_names)), jnp.zeros(problem.placements.size))
 
 
 def _check_outputs(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeStruct]) -> None:
@@ -210,8 +227,8 @@ def _check_outputs(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeSt
                 raise ProblemError(_unknown(f"output of {type(problem.system).__name__}", name, list(outputs)))
 
 
-def _check_shapes(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeStruct]) -> str | None:
-    """Check that terms of expressions match, and that the objective is one number. Returns the equations as text."""
+def _check_shapes(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeStruct]) -> ClosedJaxpr:
+    """Check that terms of expressions match, and that the objective is one number. Returns the expressions, traced."""
     zeros = {name: jax_array(np.zeros(one.shape)) for name, one in outputs.items()}
 
     def values(traced: AbstractProblem) -> list[jax.Array]:
@@ -221,13 +238,14 @@ def _check_shapes(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeStr
             for one, written in zip(traced.expressions, problem.expressions, strict=True)
         ]
 
-    text, shaped = _trace(problem, values)
+    numbers, static = eqx.partition(numbers_to_arrays(problem), eqx.is_array)
+    traced, shaped = jax.make_jaxpr(lambda numbers: values(eqx.combine(numbers, static)), return_shape=True)(numbers)
     if shaped[0].shape != ():
         raise ProblemError(
             f"The objective must be one number, but '{problem.objective}' has shape {shaped[0].shape}: use integral, "
             "rms, peak or terminal instead of path, and an output or one number of a model in the place of an array."
         )
-    return text
+    return traced
 
 
 def _evaluated(expression: Expression, scope: AbstractScope, written: Expression) -> jax.Array:

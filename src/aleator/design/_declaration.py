@@ -2,6 +2,7 @@
 
 import equinox as eqx
 
+from aleator._core.equations import Digest
 from aleator._core.errors import ProblemError
 from aleator._core.module import Module
 from aleator._core.shown import Printed
@@ -15,15 +16,20 @@ from aleator.uncertainty import Placements, placements
 class AbstractProblem(Module, Printed):
     """The parts of a problem and what follows from them; implemented by `Problem` alone.
 
-    `physics` is a digest of the traced equations. It tells apart problems with equal fields whose code reads different
-    globals, class attributes or closures. It dates from the declaration: see `current`.
+    `physics` is the digest of its traced equations, with those of its expressions. All programs are built from the
+    equations as they were declared: to change code, declare again.
     """
 
     simulation: Simulation
     objective: Expression
     constraints: tuple[Constraint, ...]
     expansion: Expansion
-    physics: str = eqx.field(static=True)
+    physics: Digest = eqx.field(static=True)
+
+    @property
+    def is_declared(self) -> bool:
+        """Whether its digest tells all code in it: not that of its own statistics, or behind `jax.pure_callback`."""
+        return self.physics.is_whole
 
     @property
     def system(self) -> AbstractSystem:

@@ -1,6 +1,7 @@
 """`Problem`: a declared design problem. It is data only; solvers are elsewhere."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Self, final
 
@@ -8,14 +9,14 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from aleator._core.equations import Digest
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, one_of, positive, real, refusal
-from aleator.design._check import check, equations_now
+from aleator.design._check import check, declared
 from aleator.design._control import on_grid
 from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Constraint, Expression, as_expression
 from aleator.design._numbers import ordered
-from aleator.design._physics import changes
 from aleator.design._scope import Value
 from aleator.design._statistic import Statistic
 from aleator.design._text import problem_text
@@ -69,8 +70,9 @@ class Problem(AbstractProblem):
         self.objective = as_expression(minimize)
         self.constraints = _told_apart(tuple(_flatten(subject_to)))
         self.expansion = Expansion() if expansion is None else expansion
-        self.physics = ""
-        self.physics = check(self)
+        self.physics = Digest("", False)
+        equations, self.physics = check(self)
+        self.simulation = replace(self.simulation, equations=equations)
 
     def on_grid(self, grid: AbstractGrid, integrator: AbstractIntegrator | None = None) -> "Problem":
         """The same problem on another grid, with another integrator if one is given. It is not checked again."""
@@ -206,17 +208,6 @@ def _new_bounds(
     return float(bound), float(bound)
 
 
-def current(problem: Problem) -> Problem:
-    """A problem with its present code: the same object unless something that the code reads has changed.
-
-    Globals, class attributes and closures may have changed since the declaration. A changed problem is declared anew,
-    and so checked.
-    """
-    if equations_now(problem) == problem.physics:
-        return problem
-    return declared_anew(problem, problem.simulation)
-
-
 def declared_anew(
     problem: Problem,
     simulation: Simulation,
@@ -238,23 +229,12 @@ def declared_anew(
     )
 
 
-def refuse_changed(verb: str, problem: Problem, since: str) -> None:
-    """Raise `ProblemError`, naming the change, if the code of a problem no longer computes what it did."""
-    if equations_now(problem) == problem.physics:
-        return
-    found = changes(problem) or "it computes something else, although its code reads the same"
-    raise ProblemError(
-        f"{verb}: the code of {type(problem.system).__name__} is not what it was {since}: {found}. Solve it again, or "
-        "undo the change."
-    )
-
-
 def refuse_other_code(problem: Problem) -> None:
-    """Raise `ProblemError` if a problem that was sent to this process has other code here."""
-    if current(problem) is not problem:
+    """Raise `ProblemError` if the code of this process gives other equations than those that a problem came with."""
+    if declared(problem).equations != problem.simulation.equations:
         raise ProblemError(
-            f"executor: a worker has other code of {type(problem.system).__name__} than the process that sent the "
-            "problem. Start the workers anew, with the same files."
+            f"executor: a worker has other code of {problem.system.title} than the process that sent the problem. "
+            "Start the workers anew, with the same files."
         )
 
 

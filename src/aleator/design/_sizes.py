@@ -7,7 +7,6 @@ from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
 from aleator.design._declaration import AbstractProblem
 from aleator.design._functionals import Integral
-from aleator.design._physics import refuse_changed_code
 from aleator.design._response import grid_at, history
 from aleator.design._statistic import functionals_of
 
@@ -33,4 +32,4 @@ def _sizes(
     )
 
 
-_SIZES = Compiled(_sizes, use=Use.ONCE, unchanged=refuse_changed_code)
+_SIZES = Compiled(_sizes, use=Use.ONCE)

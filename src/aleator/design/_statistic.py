@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
-from aleator._core.libraries import is_library
+from aleator._core.identity import is_library
 from aleator.design._expression import Constraint, Expression, Range
 from aleator.design._extreme import Extreme
 from aleator.design._numbers import number_given, ordered

@@ -8,6 +8,7 @@ from aleator.dynamics._algebraic import Solved as Solved
 from aleator.dynamics._algebraic import explain_failure as explain_failure
 from aleator.dynamics._algebraic import solve_algebraic as solve_algebraic
 from aleator.dynamics._assembly import Assembly as Assembly
+from aleator.dynamics._equations import Equations as Equations
 from aleator.dynamics._evaluation import derivative as derivative
 from aleator.dynamics._evaluation import initial_state as initial_state
 from aleator.dynamics._evaluation import observation as observation

@@ -18,6 +18,11 @@ class AbstractSystem(Module, Printed):
     units: ClassVar[Mapping[str, str]] = {}
 
     @property
+    def title(self) -> str:
+        """The name of its class, for messages."""
+        return type(self).__name__
+
+    @property
     @abc.abstractmethod
     def is_integrated(self) -> bool:
         """Whether it has states, which are integrated over time."""

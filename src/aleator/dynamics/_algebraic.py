@@ -49,7 +49,16 @@ class AlgebraicSystem(AbstractSystem):
     def is_integrated(self) -> bool:
         return False
 
+    @property
+    def is_implicit(self) -> bool:
+        """Whether it has equations to solve, even without unknowns."""
+        return _declares(self, "residual")
+
     def __check_init__(self) -> None:
+        self.check_declaration()
+
+    def check_declaration(self) -> None:
+        """Refuse a class that is neither explicit (only `outputs`) nor implicit (`unknowns`, `guess`, `residual`)."""
         _check_declared(self)
 
     def guess(self) -> Mapping[str, Any]:
@@ -111,9 +120,9 @@ def algebraic_outputs(system: AlgebraicSystem) -> dict[str, Float[Array, "..."]]
     return {name: jnp.where(solved.converged, value, jnp.nan) for name, value in values.items()}
 
 
-def outputs_at(system: AlgebraicSystem, rho: Any) -> dict[str, Float[Array, "..."]]:
+def outputs_at(system: AlgebraicSystem, rho: Any = None) -> dict[str, Float[Array, "..."]]:
     """`system.outputs` at given unknowns as arrays by name, checked to be a dict."""
-    given = (rho,) if _is_implicit(system) else ()
+    given = (rho,) if system.is_implicit else ()
     return as_outputs(system, called(system, system.outputs, *given))
 
 
@@ -130,7 +139,7 @@ def explain_failure(system: AlgebraicSystem) -> str:
     if root.converged:
         return ""
     return (
-        f"{type(system).__name__}: Newton found no solution at {listed(numbers_in(system)) or 'any numbers'}. "
+        f"{system.title}: Newton found no solution at {listed(numbers_in(system)) or 'any numbers'}. "
         f"{failure_text(root, named, guess)} Check whether a solution exists there, and guess closer to it."
     )
 
@@ -142,14 +151,8 @@ def _declares(system: AlgebraicSystem, part: str) -> bool:
     return own is not default and (part != "unknowns" or own != ())
 
 
-def _is_implicit(system: AlgebraicSystem) -> bool:
-    """Whether a system has equations to solve, even without unknowns."""
-    return _declares(system, "residual")
-
-
 def _check_declared(system: AlgebraicSystem) -> None:
-    """Refuse a class that is neither explicit (only `outputs`) nor implicit (`unknowns`, `guess` and `residual`)."""
-    name = type(system).__name__
+    name = system.title
     parts = {part: _declares(system, part) for part in ("unknowns", "guess", "residual")}
     parts["unknowns"] |= bool(system.unknowns)
     has, lacks = ([part for part, declared in parts.items() if declared is one] for one in (True, False))
@@ -184,10 +187,10 @@ def first_guess(system: AlgebraicSystem) -> Any:
     given = system.guess()
     if not isinstance(given, Mapping) or set(given) != set(system.unknowns):
         raise ProblemError(
-            f"{type(system).__name__}.guess returns a dict with a number for each of the unknowns {system.unknowns}; "
+            f"{system.title}.guess returns a dict with a number for each of the unknowns {system.unknowns}; "
             f"received {given!r}."
         )
-    return state_type(system.unknowns)(*starting(f"{type(system).__name__}.guess", system.unknowns, given))
+    return state_type(system.unknowns)(*starting(f"{system.title}.guess", system.unknowns, given))
 
 
 def equations(system: AlgebraicSystem, rho: Any, expected: int) -> Float[Array, " n"]:

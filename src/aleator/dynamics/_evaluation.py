@@ -21,21 +21,20 @@ def initial_state(system: System, t: Any = None, inputs: Mapping[str, Any] | Non
     given = system.initial() if inputs is None else system.starting(t, inputs)
     if not isinstance(given, Mapping):
         raise ProblemError(
-            f"{type(system).__name__}.initial returns a dict of initial values by state; "
+            f"{system.title}.initial returns a dict of initial values by state; "
             f"received {type(given).__name__} {given!r}."
         )
     unknown = set(given) - set(system.states)
     if unknown & set(system.algebraic):
         raise ProblemError(
-            f"{type(system).__name__}.initial names {sorted(unknown & set(system.algebraic))}, which follow from the "
+            f"{system.title}.initial names {sorted(unknown & set(system.algebraic))}, which follow from the "
             "states: give values near them in algebraic_guess(t, z)."
         )
     if unknown:
         raise ProblemError(
-            f"{type(system).__name__}.initial names {sorted(unknown)}, which are not states; expected some of "
-            f"{system.states}."
+            f"{system.title}.initial names {sorted(unknown)}, which are not states; expected some of {system.states}."
         )
-    return state_type(system.states)(*starting(f"{type(system).__name__}.initial", system.states, given))
+    return state_type(system.states)(*starting(f"{system.title}.initial", system.states, given))
 
 
 def derivative(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> Any:
@@ -54,7 +53,7 @@ def derivative_and_observation(
 
 
 def _checked_rates(system: System, z: Any, rates: Any) -> Any:
-    name = type(system).__name__
+    name = system.title
     if not isinstance(rates, tuple | list):
         raise ProblemError(f"{name}.rhs returns one rate for each of {system.states} as a tuple; received {rates!r}.")
     if len(rates) != len(system.states):
@@ -88,7 +87,7 @@ def _signals_told(system: System) -> Iterator[None]:
             signal = getattr(system, name)
             if isinstance(signal, AbstractSignal) and type(signal).__name__ in f"{error}":
                 raise ProblemError(
-                    f"{str(error).rstrip('.')}. '{name}' of {type(system).__name__} is a signal over time, not a "
+                    f"{str(error).rstrip('.')}. '{name}' of {system.title} is a signal over time, not a "
                     f"number: give it to the problem or simulation, as inputs={{'{name}': ...}}, and let the method "
                     f"take it: rhs(self, t, z, {name})."
                 ) from error

@@ -20,7 +20,7 @@ from aleator.dynamics._system import System, evaluated, state_type
 
 def guessed_algebraic(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> Any:
     """The guess of the algebraic variables as a named tuple of arrays: their number and shapes, too."""
-    who = f"{type(system).__name__}.algebraic_guess"
+    who = f"{system.title}.algebraic_guess"
     given = evaluated(system, system.algebraic_guess, t, z, inputs)
     if not isinstance(given, Mapping) or not set(given) <= set(system.algebraic):
         raise ProblemError(

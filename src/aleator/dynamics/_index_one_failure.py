@@ -74,7 +74,7 @@ def explain_from(system: System, t: float, z: Any, step: float, now: Callable[[A
     root, place, guess = jax.tree.map(lambda one: one[first], found)
     numbers = listed({**place._asdict(), **numbers_in(system)})
     return (
-        f"{type(system).__name__}: its algebraic variables have no solution at about t = "
+        f"{system.title}: its algebraic variables have no solution at about t = "
         f"{t + shares[first] * step:.4g} s{f', with {numbers}' if numbers else ''}. "
         f"{failure_text(root, ravel_pytree(guess)[1], guess)} {_remedy(root)}"
     )

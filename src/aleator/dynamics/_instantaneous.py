@@ -43,10 +43,10 @@ class Known(NamedTuple):
         return row[0], found
 
 
-def known_at(system: System, grid: Grid, inputs: Inputs, fractions: Fractions | None = None) -> Known:
-    """The data of a realised system and its inputs at each instant of a grid, or at given fractions of it."""
+def known_at(inputs: Inputs, grid: Grid, fractions: Fractions | None = None) -> Known:
+    """The data at each instant of a grid, or at some fractions of it; `inputs` include the system's own signals."""
     fractions = grid.fractions if fractions is None else fractions
-    at = sampled({**system.signals(), **inputs}, grid, fractions)
+    at = sampled(inputs, grid, fractions)
     columns = [values.reshape(len(values), -1) for values in at.values()]
     times = instants(fractions, grid.t_start, grid.t_final)
     rows = jnp.concatenate([times[:, None], *columns], axis=1)
@@ -60,10 +60,13 @@ def observed_at(system: System, known: Known, row: Float[Array, " numbers"]) -> 
 
 
 def observed(system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
-    """The record of a system without states. Integrals are taken by Simpson's rule, which sees midpoints of steps."""
+    """The record of a system without states; `inputs` include its own signals.
 
-    def over(fractions: Fractions, take: Take, system: System = system, inputs: Inputs = inputs) -> Pytree:
-        known = known_at(system, grid, inputs, fractions)
+    Integrals are taken by Simpson's rule, which sees midpoints of steps.
+    """
+
+    def over(fractions: Fractions, take: Take, inputs: Inputs = inputs) -> Pytree:
+        known = known_at(inputs, grid, fractions)
 
         def one(realised: System, row: Array) -> Pytree:
             t, now = known.unpack(row)
@@ -75,9 +78,9 @@ def observed(system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record
     nodes = over(grid.node_fractions, asked.at_node) if asked.nodes else {}
     rates = over(grid.node_fractions, asked.rates) if asked.integrands else ()
     integrals = tuple(jnp.tensordot(grid.node_weights, one, axes=1) for one in rates)
-    if asked.integrands and has_jumps({**system.signals(), **inputs}):
+    if asked.integrands and has_jumps(inputs):
         # Each step ends on the side of a jump that is its own.
-        before = over(grid.fractions[1:], asked.rates, *before_jumps((system, inputs)))
+        before = over(grid.fractions[1:], asked.rates, before_jumps(inputs))
         ends = (after[2::2] for after in rates)
         missed = (jnp.sum(one - other, axis=0) for one, other in zip(before, ends, strict=True))
         integrals = tuple(one + grid.step / 6 * more for one, more in zip(integrals, missed, strict=True))

@@ -87,7 +87,7 @@ def chosen(system: Any, found: dict[str, Array], only: Collection[str] | None) -
         return found
     if not set(only) <= set(found):
         raise ProblemError(
-            f"{type(system).__name__}: expected in `only` a list of some of the outputs {list(found)}; "
+            f"{system.title}: expected in `only` a list of some of the outputs {list(found)}; "
             f"received {sorted(only)!r}."
         )
     return {name: value for name, value in found.items() if name in only}

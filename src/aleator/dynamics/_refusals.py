@@ -44,7 +44,7 @@ def check_signals(system: System, grid: Grid, inputs: Mapping[str, Any]) -> None
                 f"Input '{name}' must be a signal, such as al.Tabulated(times, values); "
                 f"received {type(signal).__name__}."
             )
-    own = {f"Signal '{name}' of {type(system).__name__}": signal for name, signal in system.signals().items()}
+    own = {f"Signal '{name}' of {system.title}": signal for name, signal in system.signals().items()}
     for who, signal in (own | {f"Input '{name}'": signal for name, signal in inputs.items()}).items():
         if not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((signal, grid))):
             _check_span(who, signal, grid)

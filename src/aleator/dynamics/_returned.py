@@ -27,9 +27,9 @@ def as_outputs(system: eqx.Module, values: Any) -> dict[str, Array]:
     """The return value of `system.outputs` as arrays by name."""
     if not isinstance(values, dict):
         raise ProblemError(
-            f"{type(system).__name__}.outputs returns a dict of arrays by name; received {type(values).__name__}."
+            f"{system.title}.outputs returns a dict of arrays by name; received {type(values).__name__}."
         )
-    who = f"{type(system).__name__}.outputs"
+    who = f"{system.title}.outputs"
     found = {}
     for name, value in values.items():
         if not isinstance(name, str):
@@ -47,7 +47,7 @@ def as_equations(
     system: eqx.Module, values: Any, unknowns: tuple[str, ...], expected: int
 ) -> Float[Array, " expected"]:
     """The return value of `system.residual` as one vector, of as many entries as there are numbers in `unknowns`."""
-    name = type(system).__name__
+    name = system.title
     if not isinstance(values, tuple | list):
         received = f"an array of shape {values.shape}" if isinstance(values, jax.Array) else type(values).__name__
         raise ProblemError(

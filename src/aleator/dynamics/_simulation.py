@@ -1,6 +1,5 @@
 """`Simulation`: a system with everything needed to simulate it. `simulate`: outputs of one realised system."""
 
-import functools
 import math
 import warnings
 from collections.abc import Collection, Mapping
@@ -9,10 +8,10 @@ from typing import Any, final
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from aleator._core.arrays import numbers_to_arrays
-from aleator._core.code import told_apart
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError, SimulationWarning
 from aleator._core.given import one_of, refusal
@@ -20,6 +19,7 @@ from aleator._core.leaves import is_traced, transparent
 from aleator._core.module import Module
 from aleator.dynamics._abstract_system import AbstractSystem
 from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, explain_failure
+from aleator.dynamics._equations import Equations, Start
 from aleator.dynamics._evaluation import derivative, initial_state, observation
 from aleator.dynamics._grid import AbstractGrid, Grid, Instant
 from aleator.dynamics._instantaneous import observed
@@ -44,23 +44,44 @@ class Simulation(Module):
     grid: AbstractGrid
     integrator: AbstractIntegrator
     numbers: dict[str, Any] = eqx.field(default_factory=dict)
+    equations: Equations | None = eqx.field(static=True, default=None)
+
+    @property
+    def traced(self) -> AbstractSystem:
+        """The realised system as programs evaluate it: by the equations that were declared, if they were."""
+        return self.system if self.equations is None else self.equations.applied(self.system, self.start)
+
+    def traced_equations(self) -> Equations:
+        """The equations of its realised system, traced now."""
+        return Equations.of(self.system, self.start())
+
+    def start(self) -> Start | None:
+        """The first instant, and the inputs there; None without time."""
+        if not (isinstance(self.system, System) and isinstance(self.grid, Grid)):
+            return None
+        signals = {**self.system.signals(), **self.inputs}
+        now = {name: values[0] for name, values in sampled(signals, self.grid, self.grid.fractions[:1]).items()}
+        return Start(jnp.asarray(self.grid.times[0]), now)
 
     def record(self, asked: Asked) -> Record:
         """Simulate with known numbers, recording what is asked for. Raises `ProblemError` if parts do not match."""
         refuse_unrealised(system=self.system, grid=self.grid, inputs=self.inputs)
-        if isinstance(self.system, AlgebraicSystem):
-            return Record(chosen(self.system, self._solved(self.system), asked.instants), {}, ())
-        assert isinstance(self.system, System)
-        grid = self._checked_grid(self.system)
+        system = self.traced
+        if isinstance(system, AlgebraicSystem):
+            return Record(chosen(system, self._solved(system), asked.instants), {}, ())
+        assert isinstance(system, System)
+        grid = self._checked_grid(system)
         parts = self._parts(grid)
         if parts > 1:
             return self.on(grid.finer(parts)).record(asked).thinned(parts)
-        system = self.system
         if asked.instants is not None:
             system = system.focused(asked.instants | asked.nodes | asked.integrated)
-        if not system.states:
-            return observed(system, grid, self.inputs, asked)
-        return self.integrator.record(system, grid, {**system.signals(), **self.inputs}, asked)
+        inputs = {**system.signals(), **self.inputs}
+        return (
+            self.integrator.record(system, grid, inputs, asked)
+            if system.states
+            else observed(system, grid, inputs, asked)
+        )
 
     @property
     def folds(self) -> bool:
@@ -93,22 +114,24 @@ class Simulation(Module):
 
     def explain(self) -> str:
         """Why it has no solution, as far as its equations or its integrator can tell; empty if there is one."""
-        if isinstance(self.system, AlgebraicSystem):
-            return explain_failure(self.system)
-        if not (isinstance(self.system, System) and isinstance(self.grid, Grid) and self.system.states):
+        system = self.traced
+        if isinstance(system, AlgebraicSystem):
+            return explain_failure(system)
+        if not (isinstance(system, System) and isinstance(self.grid, Grid) and system.states):
             return ""
-        return self.integrator.explain(self.system, self.grid, {**self.system.signals(), **self.inputs})
+        return self.integrator.explain(system, self.grid, {**system.signals(), **self.inputs})
 
     def on(self, grid: AbstractGrid, integrator: AbstractIntegrator | None = None) -> "Simulation":
         """The same simulation on another grid, by another integrator if one is given."""
-        return Simulation(self.system, self.inputs, grid, integrator or self.integrator, self.numbers)
+        integrator = integrator or self.integrator
+        return Simulation(self.system, self.inputs, grid, integrator, self.numbers, self.equations)
 
     def _refuse_at_start(self, system: System) -> None:
         """Raise `ProblemError` for what can be told of the start with known numbers, without computing any rate."""
         refuse_unrealised(system=system, grid=self.grid, inputs=self.inputs)
-        grid, signals = self._checked_grid(system), {**system.signals(), **self.inputs}
-        now = {name: values[0] for name, values in sampled(signals, grid, grid.fractions[:1]).items()}
-        t = grid.times[0]
+        grid, start = self._checked_grid(system), self.start()
+        assert start is not None
+        t, now = start
         try:
             z = initial_state(system, t, now)
         except ProblemError as error:
@@ -119,15 +142,16 @@ class Simulation(Module):
         """The grid, once it is certain that system and inputs go with it."""
         if not isinstance(self.grid, Grid):
             raise ProblemError(
-                f"{type(system).__name__} evolves in time: expected a grid, such as al.Grid(t_final, steps); received "
+                f"{system.title} evolves in time: expected a grid, such as al.Grid(t_final, steps); received "
                 f"{type(self.grid).__name__}."
             )
-        check_variables(system)
-        check_signals(system, self.grid, self.inputs)
+        if self.equations is None:
+            check_variables(system)
+            check_signals(system, self.grid, self.inputs)
         return self.grid
 
     def _solved(self, system: AlgebraicSystem) -> History:
-        name = type(system).__name__
+        name = system.title
         if not isinstance(self.grid, Instant):
             raise ProblemError(
                 f"{name} is algebraic, without time: expected al.Instant() as its grid; received "
@@ -142,7 +166,7 @@ def _history(simulation: Simulation, asked: Asked) -> History:
     return simulation.record(asked).history
 
 
-_HISTORY = Compiled(_history, use=Use.ONCE, code=functools.partial(told_apart, _history))
+_HISTORY = Compiled(_history, use=Use.ONCE)
 
 
 def simulate(
@@ -191,7 +215,7 @@ def _warn_of_what_is_not_finite(simulation: Simulation, found: History) -> None:
     when = " at any instant" if isinstance(grid, Grid) and np.all(broken[name]) else when
     why = simulation.explain() or (simulation.system.diagnose(grid) if isinstance(grid, Grid) else "")
     warnings.warn(
-        f"{type(simulation.system).__name__}: output '{name}' is not finite{when}. "
+        f"{simulation.system.title}: output '{name}' is not finite{when}. "
         f"{why or 'Check the equations and their numbers there, or take more steps.'}",
         SimulationWarning,
         stacklevel=3,

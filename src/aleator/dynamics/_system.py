@@ -200,7 +200,7 @@ def input_names(system: System) -> tuple[str, ...]:
 
 def check_variables(system: System) -> None:
     """Refuse names that are none, and algebraic variables without equations or the other way round."""
-    name = type(system).__name__
+    name = system.title
     for names in (system.states, system.algebraic):
         state_type(names)
     state_type((*system.states, *system.algebraic))
@@ -219,7 +219,7 @@ def check_variables(system: System) -> None:
 
 def check_inputs(system: System, given: Collection[str]) -> None:
     """Refuse inputs that a system does not take, and systems that lack an input."""
-    name, methods = type(system).__name__, [_inputs_of(one) for one in _methods(system)]
+    name, methods = system.title, [_inputs_of(one) for one in _methods(system)]
     needed = {name for method in methods for name in method.needed}.union(system.further_inputs or ())
     missing = sorted(needed - set(given) - set(system.signals()))
     if given and system.signal_fields and not needed - set(system.signals()):

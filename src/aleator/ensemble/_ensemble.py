@@ -6,7 +6,7 @@ the same program. They share levels, batches and messages with this module, and 
 """
 
 import abc
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from typing import Any, ClassVar, NamedTuple, TypeAlias, final
 
 import equinox as eqx
@@ -19,8 +19,9 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree, jax_array
 from aleator._core.errors import ProblemError
+from aleator._core.identity import code_digest
 from aleator._core.leaves import named_leaves
-from aleator._core.tracing import Traced, trace_kept
+from aleator._core.tracing import Traced, trace_once
 from aleator.ensemble._batches import Part, each, fill, parts
 from aleator.ensemble._box import AbstractBox, Realisation
 from aleator.ensemble._levels import at_levels
@@ -175,9 +176,9 @@ class TracedEnsemble(AbstractEnsemble):
 
         points = jax.ShapeDtypeStruct((size, len(self.places.germs)), float)
         try:
-            return trace_kept(
-                outputs, self._numbers, self._decisions, points, code=self._function, static=self._rest, name=self._name
-            )
+            # What the function names may change in a notebook, and a journal would keep what an old trace computes.
+            key = self._function, code_digest(self._function, ""), _exactly(self._rest)
+            return trace_once(key, outputs, self._numbers, self._decisions, points)
         except UNTRACEABLE as error:
             raise ProblemError(
                 f"{self._name} cannot be traced by JAX ({str(error).splitlines()[0]}) Write it with jax.numpy, or "
@@ -269,6 +270,12 @@ def same_shapes(one: Pytree, other: Pytree) -> bool:
     structures = [jax.tree.structure(outputs) for outputs in (one, other)]
     shapes = [[leaf.shape for leaf in jax.tree.leaves(outputs)] for outputs in (one, other)]
     return structures[0] == structures[1] and shapes[0] == shapes[1]
+
+
+def _exactly(static: Pytree) -> Hashable:
+    """Equal for equal structures: 1, 1.0 and True differ, and so do 0.0 and -0.0."""
+    leaves, structure = jax.tree.flatten(static)
+    return structure, tuple((type(leaf), leaf.hex() if isinstance(leaf, float) else leaf) for leaf in leaves)
 
 
 def _as_python(leaf: Any) -> Any:

@@ -15,8 +15,9 @@ from aleator._core.own_process import end_running
 from aleator._core.warned import warn_outside
 from aleator.ensemble import AbstractBox, Realisation, name_of
 from aleator.foreign._campaign import Campaign
+from aleator.foreign._command import Command
 from aleator.foreign._failures import drop_given, most_of, warn_of_dropped
-from aleator.foreign._identity import Watched, followed
+from aleator.foreign._identity import followed, identity
 from aleator.foreign._journal import Journal
 from aleator.foreign._runs import Runs
 
@@ -37,8 +38,10 @@ class BlackBox(AbstractBox):
       Least squares on a fixed index set and plain Monte Carlo can do without some, other methods need all;
     - `journal`: the path of a file that keeps finished samples, one line of JSON for each, for later calls and
       processes. Without one, the box itself remembers them. A sample is found there if all numbers of the model are the
-      same and the function (its code and what this reads, as far as Python shows it) or the command (and the files that
-      it names) is. This is read again at each call of the box.
+      same and the box is: the function's source with the globals and closures that it names, or the command with the
+      files that it names, and the `version`;
+    - `version`: stands for all that the function computes: say another one where that changes. Needed where it reads a
+      file, or holds what cannot be written out or changes with each call: without it, these are other boxes.
 
     A sample fails if the function raises an exception, or if it returns anything but finite real numbers of the same
     shapes as before. Results are those of the function called directly, bit by bit.
@@ -57,6 +60,7 @@ class BlackBox(AbstractBox):
         retries: int = 0,
         drop: float = 0.0,
         journal: str | Path | None = None,
+        version: str | int = "",
     ):
         if not callable(function):
             raise given.refusal("BlackBox", "a function or a Command", function)
@@ -64,15 +68,16 @@ class BlackBox(AbstractBox):
         self._function, self._executor = function, executor
         self._retries = given.whole("BlackBox: retries", retries, least=0)
         self._drop = drop_given("BlackBox: drop", drop)
-        self._watched = Watched(function)
-        self._journal = Journal(journal, self._watched.begun())
+        self._version = str(given.one_of("BlackBox: version", version, (str, int)))
+        self._journal = Journal(journal, identity(function, self._version))
         self.__name__ = name_of(function).strip("'")
 
     @property
     @override
     def follows_from(self) -> Any:
         # What warns of dropped samples would be silent where a result is recalled.
-        return None if self._drop else followed(self._function)
+        followed_from = None if self._drop else followed(self._function)
+        return followed_from and (followed_from, self._version)
 
     @override
     def __call__(self, realised: Pytree) -> Pytree:
@@ -80,13 +85,11 @@ class BlackBox(AbstractBox):
 
     @override
     def at_all(self, realisations: Sequence[Realisation], *, whole: bool) -> list[Pytree | None]:
-        self._journal.box = self._watched.begun()
+        if isinstance(self._function, Command):  # its files may have changed
+            self._journal.box = identity(self._function, self._version)
         campaign = Campaign(name_of(self), realisations, self._journal, self._retries)
         self._warn_of_others(campaign)
-        try:
-            self._run(campaign, whole=whole)
-        finally:
-            self._watched.ended()
+        self._run(campaign, whole=whole)
         if campaign.failures:
             warn_of_dropped(name_of(self), realisations, campaign.failures)
         return campaign.outputs
@@ -135,8 +138,6 @@ class BlackBox(AbstractBox):
         if count:
             warn_outside(
                 f"The journal {self._journal.path} has {count} of these samples by another box, or by this one before "
-                "its code or command changed: they are not used, and run again. A global or an attribute that the "
-                "function itself changes, such as a count of its calls, is part of its code: count in a file, or by "
-                "the lines of the journal.",
+                "its source, command or version changed: they are not used, and run again.",
                 SimulationWarning,
             )

@@ -37,7 +37,7 @@ class State(enum.Enum):
 class Entry:
     """One result of a journal.
 
-    - `key`: a digest of all that it follows from; `parts`: digests of these by name, such as `code` and `versions`;
+    - `key`: a digest of all that it follows from; `parts`: digests of these by name, such as `equations`;
     - `what`: `solve` or `validate` with the model's name, or `work` with its own; `state`;
     - `why`: the reason of a failure;
     - `name`: what the study calls it, such as `designs/robust` or `stress = 0.4`, if it has a name for it;

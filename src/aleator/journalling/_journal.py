@@ -13,8 +13,8 @@ from typing import Any, final
 from typing_extensions import override
 
 from aleator._core.errors import JournalWarning, ProblemError
+from aleator._core.identity import DoubtError
 from aleator._core.journalled import AbstractEntry, AbstractJournal, AbstractParts, called, journalling
-from aleator._core.lasting import DoubtError
 from aleator.design import Problem
 from aleator.journalling import _results
 from aleator.journalling._entry import FILE, Entry, State, note, read, unfinished
@@ -26,7 +26,7 @@ from aleator.reporting import check_writable, only_writer
 
 _RESULTS = "finished"
 _CODE = "the model's code"
-_UNNOTICED = {"equations": _CODE, "code": _CODE, "versions": "aleator or a library"}
+_UNNOTICED = {"equations": _CODE, "function": _CODE, "versions": "aleator or a library"}
 _NAMED = 24  # characters of a key in the name of its file
 
 

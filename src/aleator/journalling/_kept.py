@@ -6,7 +6,7 @@ from types import FunctionType
 from typing import Any, TypeVar
 
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name, refusal
+from aleator._core.given import a_name, one_of, refusal
 from aleator._core.heard import heeding
 from aleator._core.journalled import journalled
 from aleator._core.progress import Progress, check_progress
@@ -15,23 +15,31 @@ Result = TypeVar("Result")
 
 
 def kept(
-    name: str, function: Callable[..., Result], *arguments: Any, progress: Progress | None = None, **named: Any
+    name: str,
+    function: Callable[..., Result],
+    *arguments: Any,
+    version: str | int = "",
+    progress: Progress | None = None,
+    **named: Any,
 ) -> Result:
     """What a function returns for some arguments; in a run's folder, what an earlier run has found by the same work.
 
         count = ext.kept("rejects of the given tolerances", count_rejects, tolerances, samples=1_000_000)
 
     A journal keeps designs, evidence and fronts by itself (see `al.journal`); with this it keeps any other work too:
-    a count, an enumeration, an `al.expand`. The work is the same if the name, the arguments, and the function's code
-    with all that this reads are the same. What it asks of `al.solve` and the like is a part of this one result.
+    a count, an enumeration, an `al.expand`. The work is the same if the name, the arguments and the version are the
+    same, and the function's source with the globals and closures that it names. What it asks of `al.solve` and the like
+    is a part of this one result.
 
     - `name`: by which the journal lists the result, as `work` of this name;
     - `function`: gets all that it works with as arguments, and returns what Python can pickle;
+    - `version`: say another one where the work is another although its source is the same, because a file that it reads
+      or a function that it calls by another name has changed;
     - `progress`: given to the function as its own `progress`, if any; the result does not follow from it.
 
-    Work that another run could not recognise is done each time, with a `JournalWarning`: by a function that draws
-    random numbers, reads a clock or a file (let it take the numbers as arguments), say. So is work whose result no
-    other process could read. Ctrl-C ends the work, whatever the function makes of it.
+    Work that another run could not recognise is done each time, with a `JournalWarning`: by a function without a
+    source, or one that names what cannot be written out, such as a generator of random numbers. So is work whose
+    result no other process could read. Ctrl-C ends the work, whatever the function makes of it.
 
     Raises `ProblemError` for arguments that the function does not take, and if it returns None.
     """
@@ -46,6 +54,7 @@ def kept(
         bound = inspect.signature(function).bind(*arguments, **named, **reported).arguments
     except TypeError as error:
         raise ProblemError(f"kept: expected the arguments of {function.__name__}; received others: {error}.") from None
+    one_of("kept: version", version, (str, int))
     given = {f"argument {one}": value for one, value in bound.items() if one not in reported}
 
     def found() -> Result:
@@ -56,10 +65,5 @@ def kept(
             raise ProblemError(f"kept: '{name}': expected a function that returns what is kept; it returned None.")
         return result
 
-    return journalled(f"work {name}", {"function": _identified(function), **given}, found)
-
-
-def _identified(function: FunctionType) -> Any:
-    """A function that is read with its code; of this package by name, since all its code is among the versions."""
-    its_own = function.__module__.startswith("aleator.") and "<" not in function.__qualname__
-    return f"{function.__module__}.{function.__qualname__}" if its_own else function
+    identity = {"function": function, "called": function.__qualname__, "version": str(version)}
+    return journalled(f"work {name}", identity | given, found)

@@ -3,10 +3,11 @@
 import weakref
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any, NamedTuple, final
 
-from aleator._core.lasting import joined, lasting_parts
-from aleator.design import Problem, equations_digest
+from aleator._core.identity import joined, lasting_digest, lasting_parts
+from aleator.design import Problem
 
 
 class Identity(NamedTuple):
@@ -36,21 +37,16 @@ class Keys:
 
     def identity(self, what: str, given: Mapping[str, Any]) -> Identity:
         """What a result is that follows from what is given. Raises `DoubtError` if another process could not tell."""
-        parts = lasting_parts({name: self._identified(one) for name, one in given.items()} | _equations(given))
+        parts = lasting_parts({name: self.of(one) or one for name, one in given.items() if not _is_problem(one)})
+        for name, problem in given.items():
+            if _is_problem(problem):
+                parts |= {name: self.problem_digest(problem), "equations": _equations(problem)}
         key = joined([what, *(f"{name} {digest}" for name, digest in sorted(parts.items()))])
         return Identity(key, done_with(what, given), parts)
 
     def problem_digest(self, problem: Problem) -> str:
         """The part of a key that tells the problem, whatever else a result follows from. Raises `DoubtError`."""
-        return lasting_parts({"problem": self._identified(problem)})["problem"]
-
-    def _identified(self, it: Any) -> Any:
-        """A known result by its key, a problem without its equations."""
-        if key := self.of(it):
-            return key
-        if isinstance(it, Problem):
-            return it.simulation, it.objective, it.constraints, it.expansion
-        return it
+        return lasting_digest(_parts_of(problem), declared=True)
 
 
 def done_with(what: str, given: Mapping[str, Any]) -> str:
@@ -59,7 +55,15 @@ def done_with(what: str, given: Mapping[str, Any]) -> str:
     return f"{what} {type(problem.system).__name__}" if problem is not None else what
 
 
-def _equations(given: Mapping[str, Any]) -> dict[str, str]:
-    """The digest of a problem's equations; what the code reads is told apart in any case."""
-    problem = given.get("problem")
-    return {"equations": equations_digest(problem)} if isinstance(problem, Problem) else {}
+def _is_problem(it: Any) -> bool:
+    return isinstance(it, Problem)
+
+
+def _parts_of(problem: Problem) -> tuple[Any, ...]:
+    """A problem without the digests of its code."""
+    return replace(problem.simulation, equations=None), problem.objective, problem.constraints, problem.expansion
+
+
+def _equations(problem: Problem) -> str:
+    """The digest of a problem's code: of its equations, or of its source where they do not show all."""
+    return joined([problem.physics.text, "" if problem.is_declared else lasting_digest(_parts_of(problem))])

@@ -8,8 +8,8 @@ from typing import Any, final
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
+from aleator._core.identity import DoubtError
 from aleator._core.journalled import AbstractEntry, AbstractJournal, NotKeptError, Settled, journalling
-from aleator._core.lasting import DoubtError
 from aleator.journalling import _results
 from aleator.journalling._keys import Keys
 from aleator.journalling._load import entries_in, finished

@@ -15,7 +15,7 @@ from aleator._core.compilation import Use
 from aleator._core.errors import ProblemError
 from aleator._core.module import Module
 from aleator._core.tracing import evaluate, trace
-from aleator.ensemble import Function, name_of, part
+from aleator.ensemble import Function, part
 from aleator.references._inputs import Inputs, traceable
 from aleator.statistics._moments import root
 from aleator.uncertainty import AbstractDistribution, HermiteGerm
@@ -136,7 +136,7 @@ def linearise(function: Function, model: Pytree) -> Linearised:
         slopes, found = jax.jacfwd(twice, has_aux=True)(means)
         return found, jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), slopes)
 
-    mean, jacobian = trace(with_slopes, means, code=function, name=name_of(function), use=Use.ONCE)(means)
+    mean, jacobian = trace(with_slopes, means, use=Use.ONCE)(means)
     inputs.refuse_nonfinite((mean, jacobian))
     library, correlation, stds = in_library(_correlation(distributions), stds)
     covariance = jax_array(correlation * library.multiply.outer(stds, stds))

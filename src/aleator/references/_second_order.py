@@ -12,7 +12,7 @@ from aleator._core.compilation import Use
 from aleator._core.errors import ProblemError
 from aleator._core.module import Module
 from aleator._core.tracing import evaluate, trace
-from aleator.ensemble import Function, name_of, part
+from aleator.ensemble import Function, part
 from aleator.references._inputs import Inputs, traceable
 from aleator.statistics._moments import root
 from aleator.uncertainty import AbstractGerm, HermiteGerm, SampleGerm
@@ -81,7 +81,7 @@ def second_order(function: Function, model: Pytree) -> SecondOrder:
     def taylor(means: Float[Array, " variables"]) -> tuple[Pytree, Pytree, Pytree]:
         return checked(means), gradient(means), jax.jacfwd(gradient)(means)
 
-    expansion = trace(taylor, means, code=function, name=name_of(function), use=Use.ONCE)(means)
+    expansion = trace(taylor, means, use=Use.ONCE)(means)
     inputs.refuse_nonfinite(expansion)
     leaves = zip(*map(jax.tree.leaves, expansion), strict=True)
     moments = [evaluate(_moments, variables, *each, use=Use.ONCE) for each in leaves]

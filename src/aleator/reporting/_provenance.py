@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from aleator.design import equations_digest
 from aleator.reporting._blocks import Block, Section, Table
 from aleator.reporting._nested import leaves
 from aleator.reporting._numbers import count, number
@@ -29,7 +28,7 @@ def design_digest(solution: Solution) -> str:
     They change with any of these, and are the same on this page and in `designs.json`.
     """
     numbers = np.array([*solution.vector, solution.objective], dtype=float)
-    return _digest(equations_digest(solution.problem).encode() + numbers.tobytes())
+    return _digest(solution.problem.physics.text.encode() + numbers.tobytes())
 
 
 def provenance(results: Mapping[str, Any]) -> Section:

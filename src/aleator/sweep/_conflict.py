@@ -15,7 +15,7 @@ from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Printed
 from aleator.certification import bound_size, diagnose
-from aleator.design import Problem, current, is_at_points, is_worst_case
+from aleator.design import Problem, is_at_points, is_worst_case
 from aleator.ensemble import inputs_at
 from aleator.nlp import HELD, AbstractSolver, Elastic, Excess, Ipopt, NonlinearProgram, variable_range
 from aleator.solution import system_text
@@ -124,7 +124,7 @@ def conflict(problem: Problem, *, solver: AbstractSolver | None = None, progress
     one_of("conflict: problem", problem, Problem)
     check_progress("conflict", progress)
     solver = Ipopt() if solver is None else one_of("conflict: solver", solver, AbstractSolver)
-    transcribed = _with_corners(transcribe(current(problem), DEFAULT))
+    transcribed = _with_corners(transcribe(problem, DEFAULT))
     with heeding() as heed:
         return _Search(transcribed, solver.local, progress, heed).conflict()
 

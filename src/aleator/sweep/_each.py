@@ -10,7 +10,7 @@ from aleator._core.elsewhere import is_of_this_process, packed, sending
 from aleator._core.errors import AleatorError, SimulationError
 from aleator._core.journalled import AbstractEntry, NotKeptError, calling, entry_of
 from aleator._core.warned import warned_of
-from aleator.design import Problem, refuse_changed, refuse_other_code
+from aleator.design import Problem, refuse_other_code
 from aleator.solution import Solution
 from aleator.solving import Call, follows_from, solve
 from aleator.validation import validate, validated_from
@@ -27,8 +27,7 @@ def each(
     Warnings begin with the words in `where`. A refusal or a failure of a model is a result: the exception. What a
     journal has is not computed. Where the caller stops, what an executor has not begun is cancelled.
 
-    Raises `ProblemError` for a model whose code changes meanwhile or that cannot travel, and `SimulationError` if
-    workers keep dying.
+    Raises `ProblemError` for a model that cannot travel, and `SimulationError` if workers keep dying.
     """
     return _here(work, calls, where) if executor is None else _elsewhere(work, calls, where, executor)
 
@@ -36,8 +35,6 @@ def each(
 def _here(work: Work, calls: Sequence[Mapping[str, Any]], where: Sequence[str]) -> Iterator[tuple[int, Any]]:
     absent = None
     for i, (call, place) in enumerate(zip(calls, where, strict=True)):
-        if work == "solve":
-            refuse_changed(place, call["problem"], "when this was begun")
         try:
             with warned_of(place), calling(place):
                 found = solve(**call, throw=False) if work == "solve" else validate(**call)

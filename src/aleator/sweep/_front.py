@@ -15,7 +15,7 @@ from aleator._core.heard import heeding
 from aleator._core.journalled import expected
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn, Printed
-from aleator.design import Problem, current
+from aleator.design import Problem
 from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution, in_brief
 from aleator.sweep._each import each
@@ -165,7 +165,7 @@ def pareto(
     if not bounds:
         raise ProblemError("pareto: expected at least one value of the bound; received none.")
     check_executor("pareto", executor)
-    problem, own = current(problem), {"solver": solver, "transcription": transcription}
+    own = {"solver": solver, "transcription": transcription}
     sweep = _Sweep(bound, {value: problem.with_bound(bound, value) for value in bounds}, own, progress)
     interrupted = True
     try:

@@ -14,7 +14,7 @@ from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn
 from aleator._core.warned import warned_of
 from aleator.certification import bound_size
-from aleator.design import Constraint, Problem, current, soft
+from aleator.design import Constraint, Problem, soft
 from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution
 from aleator.solving import solve
@@ -103,7 +103,6 @@ def harden(
     weights = weight * factor ** np.arange(most)
     check_progress("harden", progress)
     one_of("harden: transcription", transcription, AbstractTranscription, "al.Sequential()")
-    problem = current(problem)
     hard = None
     solutions: list[Solution] = []
     excesses: list[Mapping[str, float]] = []

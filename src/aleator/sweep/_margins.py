@@ -8,7 +8,7 @@ import scipy
 
 from aleator._core.errors import AleatorError, SolveError
 from aleator._core.warned import warned_of
-from aleator.design import Problem, current, refuse_changed
+from aleator.design import Problem
 from aleator.solution import Solution
 from aleator.sweep._calibration import Trial
 from aleator.validation import Proportion, Share
@@ -40,7 +40,7 @@ class MarginSearch:
         precision: float,
         solved: Callable[..., Solution],
     ):
-        self._problem, self._next = current(problem), max(given.values())
+        self._problem, self._next = problem, max(given.values())
         self._shares = {name: sigmas / self._next for name, sigmas in given.items()}
         self._measure, self._aim, self._precision, self._solve = measure, aim, precision, solved
         self._lowered = self._tightened = 1.0
@@ -81,7 +81,6 @@ class MarginSearch:
 
         Raises what the first trial raises.
         """
-        refuse_changed("calibrate", self._problem, "at the first trial")
         sigmas = self._next
         try:
             with warned_of(f"calibrate, at sigmas = {sigmas:.4g}"):

@@ -14,7 +14,7 @@ from aleator._core.given import one_of, positive, whole
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn
-from aleator.design import Problem, current
+from aleator.design import Problem
 from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution
 from aleator.sweep._each import each
@@ -110,7 +110,6 @@ def multistart(
     given = list(starts)
     if not given:
         raise ProblemError("multistart: expected at least one start; received none.")
-    problem = current(problem)
     places = problem.placements
     for start in given:
         places.moved(places.vector("initial"), start)

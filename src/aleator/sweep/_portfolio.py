@@ -15,7 +15,7 @@ from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn, Printed
 from aleator._core.warned import warned_of
-from aleator.design import Problem, current
+from aleator.design import Problem
 from aleator.nlp import (
     AbstractSearch,
     AbstractSolver,
@@ -182,7 +182,7 @@ def portfolio(
     if search is not None:
         one_of("portfolio: search", search, AbstractSearch, "al.solvers.DifferentialEvolution(), or None")
         check_search("portfolio", problem, search, "search=None leaves the global search out.")
-    problem, local = current(problem), (solver or DEFAULT.solver)
+    local = solver or DEFAULT.solver
     one_of("portfolio: solver", local, AbstractSolver, "al.solvers.FilterSQP()")
     program = transcribe(problem, DEFAULT).program
     ended: dict[int, _End] = {}

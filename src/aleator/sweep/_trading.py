@@ -10,7 +10,7 @@ from aleator._core.given import a_name, one_of, refusal, whole
 from aleator._core.heard import heeding
 from aleator._core.journalled import calling
 from aleator._core.progress import Progress, check_progress, silent
-from aleator.design import Expression, Problem, current
+from aleator.design import Expression, Problem
 from aleator.nlp import AbstractSolver
 from aleator.sweep._crowd import Budget, check_crowd
 from aleator.sweep._fronting import FrontInTheMaking, Method
@@ -84,7 +84,7 @@ def trade_off(
     check_progress("trade_off", progress)
     one_of("trade_off: transcription", transcription, AbstractTranscription, "al.Sequential()")
     _check_problem(problem, wishes)
-    front = FrontInTheMaking(Wishes(current(problem), wishes), Seeker(transcription, solver, starts, executor), points)
+    front = FrontInTheMaking(Wishes(problem, wishes), Seeker(transcription, solver, starts, executor), points)
     interrupted = True
     try:
         with heeding() as heed:

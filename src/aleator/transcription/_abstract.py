@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from aleator._core.compilation import Compiled, Use
-from aleator.design import Problem, functionals_of, history, refuse_changed_code
+from aleator.design import Problem, functionals_of, history
 from aleator.expansion import Basis, Collocation
 from aleator.nlp import AbstractSolver, NonlinearProgram, default_solver
 from aleator.solution import Costates, MeshError, Solution, States, Switching
@@ -50,7 +50,7 @@ def _outputs_at_points(
     return jax.vmap(lambda germ: history(problem, germ, decisions))(points)
 
 
-OUTPUTS_AT_POINTS = Compiled(_outputs_at_points, use=Use.ONCE, unchanged=refuse_changed_code)
+OUTPUTS_AT_POINTS = Compiled(_outputs_at_points, use=Use.ONCE)
 
 
 @dataclass(frozen=True)

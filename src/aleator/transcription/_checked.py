@@ -6,7 +6,7 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
-from aleator._core.libraries import is_library
+from aleator._core.identity import is_library
 from aleator.design import Problem
 from aleator.nlp import Evaluation, NonlinearProgram
 from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning

@@ -16,8 +16,6 @@ from aleator._core.compilation import Compiled, Use
 from aleator.design import (
     Problem,
     functionals_of,
-    has_own_statistics,
-    refuse_changed_code,
     refuse_large_histories,
     responses,
     statistics_in,
@@ -62,9 +60,7 @@ def discretised(problem: Problem) -> Discretised:
     needed = (one.kind.preparation for one in statistics_in(problem.expressions))
     preparations = tuple(dict.fromkeys(one for one in needed if one is not None))
     outputs = _Outputs.of(problem) if chooses and germs else None
-    # A user's own preparation may read something that has changed; then the key of the problem's code has changed too.
-    code = problem.physics if has_own_statistics(problem.expressions) else ""
-    found = _discretised(germs, expansion, preparations, outputs, code)
+    found = _discretised(germs, expansion, preparations, outputs)
     # Outputs of one instant are differentiated at that instant, by the few numbers known there.
     decided = problem.placements.vector("initial").size if problem.is_integrated else 0
     refuse_large_histories(
@@ -78,9 +74,8 @@ Germs = tuple[tuple[str, AbstractGerm], ...]
 
 @lru_cache(maxsize=_KEPT)
 def _discretised(
-    germs: Germs, expansion: Expansion, preparations: tuple[Preparation, ...], outputs: "_Outputs | None", code: str
+    germs: Germs, expansion: Expansion, preparations: tuple[Preparation, ...], outputs: "_Outputs | None"
 ) -> Discretised:
-    del code  # part of the key: distinguishes constants whose preparations are equal
     basis, collocation = _collocated(germs, expansion, outputs)
     return Discretised(basis, collocation, Constants(preparations, tuple(one(basis) for one in preparations)))
 
@@ -122,4 +117,4 @@ def _respond(
     return responses(problem, functionals_of(problem.expressions), germ, decisions)
 
 
-RESPOND = Compiled(_respond, use=Use.ONCE, unchanged=refuse_changed_code)
+RESPOND = Compiled(_respond, use=Use.ONCE)

@@ -38,8 +38,9 @@ def frozen(problem: Problem) -> tuple[Problem, Int[np.ndarray, " direct"]]:
     system = problem.system
     for name in system.signal_fields:  # type: ignore[union-attr]
         system = eqx.tree_at(lambda tree, name=name: getattr(tree, name), system, still(getattr(system, name)))
+    whole = problem.simulation
     simulation = Simulation(
-        system, still(problem.inputs), still(problem.grid), problem.integrator, problem.simulation.numbers
+        system, still(whole.inputs), still(whole.grid), whole.integrator, whole.numbers, whole.equations
     )
     fixed = eqx.tree_at(lambda tree: tree.simulation, problem, simulation)
     places = problem.placements.decisions

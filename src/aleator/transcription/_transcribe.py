@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from aleator._core.errors import ProblemError
-from aleator.design import Problem, current
+from aleator.design import Problem
 from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meanwhile
 from aleator.transcription._checked import checked
 from aleator.transcription.sequential import Sequential
@@ -34,7 +34,6 @@ def transcribe(
     has changed since its declaration, the present code is transcribed. Raises `ProblemError` if the problem has no
     decisions.
     """
-    problem = current(problem)
     numbers = jax.tree.leaves(problem)
     with _LOCK:
         recent = list(_RECENT)

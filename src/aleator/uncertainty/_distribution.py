@@ -15,8 +15,8 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import Scalar, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name
+from aleator._core.identity import is_library
 from aleator._core.leaves import AbstractLeaf, is_traced
-from aleator._core.libraries import is_library
 from aleator.uncertainty._contradictions import refuse_contradictions
 from aleator.uncertainty._decision import Decision
 from aleator.uncertainty._dependence import Dependence

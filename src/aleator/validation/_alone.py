@@ -7,7 +7,7 @@ import numpy as np
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.errors import ProblemError
-from aleator.design import functionals_of, refuse_changed
+from aleator.design import functionals_of
 from aleator.nlp import HELD
 from aleator.solution import Solution
 from aleator.validation._counted import is_counted, tolerances, uncounted
@@ -27,9 +27,8 @@ _RELATIVE = 1e-3
 def alone(solution: Solution, started: float) -> Evidence:
     """Simulate the one system of a design without uncertainty, on a finer grid if it evolves in time.
 
-    Raises `ProblemError` if its code has changed since the design was solved, or if there is nothing to simulate.
+    Raises `ProblemError` if there is nothing to simulate.
     """
-    refuse_changed("validate", solution.problem, "when the design was solved")
     problem, factor = solution.problem, 1
     functionals = functionals_of(problem.expressions)
     if not functionals:

@@ -23,7 +23,6 @@ from aleator.design import (
     Value,
     functionals_of,
     numbers_of,
-    refuse_changed_code,
     step_at,
 )
 from aleator.dynamics import Asked
@@ -122,4 +121,4 @@ def _over_systems(value: Array) -> Array:
     return jax.lax.psum(value, _SYSTEMS)
 
 
-SIMULATE_FOLDED = Compiled(_simulate_folded, unchanged=refuse_changed_code)
+SIMULATE_FOLDED = Compiled(_simulate_folded)

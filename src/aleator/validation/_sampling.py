@@ -14,7 +14,6 @@ from aleator.design import (
     Problem,
     functionals_of,
     is_over_time,
-    refuse_changed_code,
     responses,
     step_at,
 )
@@ -121,5 +120,5 @@ def _excess_over_time(
     return few_at_once(judge, germ).T
 
 
-SIMULATE_BATCH = Compiled(_simulate_batch, unchanged=refuse_changed_code)
-EXCESS_OVER_TIME = Compiled(_excess_over_time, unchanged=refuse_changed_code)
+SIMULATE_BATCH = Compiled(_simulate_batch)
+EXCESS_OVER_TIME = Compiled(_excess_over_time)

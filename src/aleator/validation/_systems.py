@@ -14,7 +14,6 @@ from aleator.design import (
     grid_at,
     history,
     is_over_time,
-    refuse_changed,
     responses,
     uncertain,
     unsolved,
@@ -39,7 +38,6 @@ class Systems:
     """
 
     def __init__(self, solution: Solution, who: str):
-        refuse_changed(who, solution.problem, "when the design was solved")
         self.problem = uncertain(solution.problem)
         self.germs = tuple(self.problem.placements.germs.values())
         if not self.germs:

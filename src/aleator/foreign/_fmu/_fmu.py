@@ -8,9 +8,8 @@ from typing import Any, final
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import positive, refusal, shown
-from aleator.foreign._fmu._doors import AbstractDoor, Here
+from aleator.foreign._fmu._doors import Here
 from aleator.foreign._fmu._files import folder_of, path_of, read_description, unpack_all
-from aleator.foreign._fmu._hidden import Hidden
 from aleator.foreign._fmu._opened import Described
 from aleator.foreign._fmu._own_process import OwnProcess
 from aleator.foreign._fmu._variables import Variables
@@ -35,10 +34,6 @@ class Fmu:
     Raises `ProblemError` for a file that is no FMU, of FMI 1, or without a binary for this machine, and for unknown
     settings; `SimulationError` if its library ends its process while it is loaded; `MissingExtraError` without FMPy.
     """
-
-    door = Hidden[AbstractDoor]()
-    _described = Hidden[Described]()
-    _given = Hidden[tuple[Any, ...]]()
 
     def __init__(
         self,

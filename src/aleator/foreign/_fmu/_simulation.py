@@ -16,8 +16,6 @@ from aleator.dynamics import Grid
 from aleator.foreign._fmu._callbacks import Evaluations, called_back
 from aleator.foreign._fmu._doors import Served
 from aleator.foreign._fmu._fmu import Fmu, fmu_given
-from aleator.foreign._fmu._hidden import Hidden
-from aleator.foreign._fmu._inputs import Sampled
 from aleator.foreign._fmu._sampled import sampled_inputs
 from aleator.foreign._fmu._variables import with_numbers
 
@@ -46,9 +44,6 @@ class FmuSimulation:
     `SimulationError` for a run that fails, with what the FMU said. Inside of JAX such a run gives NaN, and warns with
     `SimulationWarning`.
     """
-
-    _inputs = Hidden[Sampled]()
-    _served = Hidden[dict[tuple[str, ...], Served]]()
 
     def __init__(
         self,

@@ -19,7 +19,6 @@ from aleator.dynamics import System
 from aleator.foreign._fmu._callbacks import Evaluations, Host, called_back
 from aleator.foreign._fmu._doors import Served
 from aleator.foreign._fmu._fmu import Fmu, fmu_given
-from aleator.foreign._fmu._hidden import Hidden
 from aleator.foreign._fmu._variables import units_of, with_numbers
 
 
@@ -140,8 +139,6 @@ class Equations:
 
     `numbers`: its parameters with their values, as far as these are known; `inputs`, `outputs`: names.
     """
-
-    _served = Hidden[Served]()
 
     def __init__(self, fmu: Fmu, numbers: dict[str, float | None], inputs: list[str], outputs: list[str]):
         self.fmu, self.inputs, self.outputs = fmu, inputs, outputs

@@ -15,8 +15,6 @@ from aleator.design import (
     Problem,
     history,
     path,
-    refuse_changed,
-    refuse_changed_code,
     responses,
 )
 from aleator.ensemble import draw
@@ -29,7 +27,7 @@ def _respond(
     return responses(problem, (functional,), germ, decisions)[0]
 
 
-_RESPOND = Compiled(_respond, unchanged=refuse_changed_code)
+_RESPOND = Compiled(_respond)
 
 
 def simulated(solution: Solution, output: str, samples: int, seed: int) -> Float[np.ndarray, "systems instants ..."]:
@@ -38,7 +36,6 @@ def simulated(solution: Solution, output: str, samples: int, seed: int) -> Float
     Raises `ProblemError` if the code of the system has changed, and `SimulationError` for what is not finite.
     """
     problem = solution.problem
-    refuse_changed("plot.histories", problem, "when the design was solved")
     germs = tuple(problem.placements.germs.values())
     points = draw(germs, samples, np.random.default_rng(seed)) if germs else np.zeros((1, 0))
     found = _RESPOND(numbers_to_arrays(problem), path(output), jnp.asarray(points), jnp.asarray(solution.vector))

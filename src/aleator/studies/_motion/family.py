@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 import aleator as al
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
-from aleator.design import grid_at, history, refuse_changed, refuse_changed_code, uncertain
+from aleator.design import grid_at, history, uncertain
 from aleator.dynamics import History
 from aleator.ensemble import at_levels, few_at_once, random_levels
 
@@ -49,8 +49,8 @@ def _extremes(
     return few_at_once(one, germ)
 
 
-HISTORIES = Compiled(_histories, unchanged=refuse_changed_code)
-EXTREMES = Compiled(_extremes, unchanged=refuse_changed_code)
+HISTORIES = Compiled(_histories)
+EXTREMES = Compiled(_extremes)
 
 
 def fly(problem: al.Problem, decisions: Any, count: int, *, seed: int = 0, finer: int = 1, between: int = 1) -> Family:
@@ -59,7 +59,6 @@ def fly(problem: al.Problem, decisions: Any, count: int, *, seed: int = 0, finer
     The grid has `finer` times as many steps; extremes are taken on one with `between` times as many again. A
     deterministic problem is flown on the family it stands for, and the same seed draws the same systems.
     """
-    refuse_changed("fly", problem, "when it was declared or solved")
     bare = _bare(problem, finer)
     germs = bare.placements.germs.values()
     levels = random_levels(np.random.default_rng(seed), count + 1, len(germs))

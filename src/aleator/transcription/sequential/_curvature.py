@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from scipy import sparse
 
 from aleator._core.compilation import Compiled, Use
-from aleator.design import Problem, functionals_of, refuse_changed_code
+from aleator.design import Problem, functionals_of
 from aleator.expansion import Collocation
 from aleator.nlp import Hessian, with_entries
 from aleator.statistics import Constants
@@ -40,7 +40,7 @@ def _use(problem: Problem, *_: Any) -> Use:
     return Use.LOOPS if problem.is_integrated else Use.ROWS
 
 
-CURVATURE = Compiled(_curvature, use=_use, unchanged=refuse_changed_code)
+CURVATURE = Compiled(_curvature, use=_use)
 
 
 def hessian_of(traced: Problem, collocation: Collocation, constants: Constants, size: int) -> Hessian:

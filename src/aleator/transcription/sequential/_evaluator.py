@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int
 
 from aleator._core.compilation import Compiled, Use
 from aleator._core.devices import over_devices
-from aleator.design import Problem, functionals_of, grid_at, refuse_changed_code
+from aleator.design import Problem, functionals_of, grid_at
 from aleator.expansion import Collocation
 from aleator.nlp import Evaluation
 from aleator.statistics import Constants
@@ -127,9 +127,9 @@ def _use(problem: Problem, *_: Any) -> Use:
     return Use.LOOPS if problem.is_integrated else Use.ROWS
 
 
-EVALUATE = Compiled(_evaluate, use=_use, unchanged=refuse_changed_code)
-CONTRIBUTE = Compiled(_contribute, unchanged=refuse_changed_code)
-COMBINE = Compiled(_combine, use=Use.ROWS, unchanged=refuse_changed_code)
+EVALUATE = Compiled(_evaluate, use=_use)
+CONTRIBUTE = Compiled(_contribute)
+COMBINE = Compiled(_combine, use=Use.ROWS)
 
 
 @final

@@ -26,7 +26,6 @@ from aleator.design import (
     extreme_functionals,
     functionals_of,
     numbers_of,
-    refuse_changed_code,
 )
 from aleator.dynamics import Grid, Known, System, known_at, observed_at
 from aleator.expansion import Collocation
@@ -149,7 +148,7 @@ def _features(
     return jax.vmap(found)(points), jnp.array(affine)
 
 
-FEATURES = Compiled(_features, use=Use.ONCE, unchanged=refuse_changed_code)
+FEATURES = Compiled(_features, use=Use.ONCE)
 
 
 @final
@@ -170,11 +169,11 @@ class _Instant:
     @classmethod
     def of(cls, problem: Problem, expressions: tuple[Expression, ...], decisions: Float[Array, " n"]) -> "_Instant":
         functionals = functionals_of(expressions)
-        return cls(problem, functionals, *frozen(problem), _known(problem, functionals, decisions))
+        return cls(problem, functionals, *frozen(problem), _known(problem, decisions))
 
     def numbers(self, decisions: Float[Array, " n"]) -> Float[Array, "instants numbers"]:
         """The rows of all instants."""
-        rows = _known(self.problem, self.functionals, decisions).rows
+        rows = _known(self.problem, decisions).rows
         chosen = jnp.broadcast_to(decisions[self.direct][None], (len(rows), len(self.direct)))
         return jnp.concatenate([rows, chosen], axis=1)
 
@@ -183,7 +182,7 @@ class _Instant:
     ) -> tuple[Array, ...]:
         """Some functionals of one system of the family."""
         now, chosen = jnp.split(numbers, [self.known.rows.shape[1]])
-        system = realise(self.frozen.simulation, point, chosen).system
+        system = realise(self.frozen.simulation, point, chosen).traced
         assert isinstance(system, System)
         system = system.focused(_needed(functionals))
         taken = Taken(observed_at(system, self.known, now), {})
@@ -225,12 +224,12 @@ class _Instant:
         return {one: samples[one] for one in self.functionals}, coefficients
 
 
-def _known(problem: Problem, functionals: Sequence[AbstractFunctional], decisions: Float[Array, " n"]) -> Known:
+def _known(problem: Problem, decisions: Float[Array, " n"]) -> Known:
     simulation = realise(problem.simulation, jnp.zeros(len(problem.placements.germ_names)), decisions)
-    system, grid = simulation.system, simulation.grid
+    system, grid = simulation.traced, simulation.grid
     assert isinstance(system, System)
     assert isinstance(grid, Grid)
-    return known_at(system.focused(_needed(functionals)), grid, simulation.inputs)
+    return known_at({**system.signals(), **simulation.inputs}, grid)
 
 
 def _needed(functionals: Sequence[AbstractFunctional]) -> set[str]:

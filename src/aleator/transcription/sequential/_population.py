@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.compilation import Compiled, Use
-from aleator.design import Problem, functionals_of, refuse_changed_code
+from aleator.design import Problem, functionals_of
 from aleator.ensemble import Part, each, fill, parts
 from aleator.expansion import Collocation
 from aleator.statistics import Constants
@@ -43,7 +43,7 @@ def _use(problem: Problem, *_: Any) -> Use:
     return Use.LOOPS if problem.is_integrated else Use.ROWS
 
 
-VALUES = Compiled(_values, use=_use, unchanged=refuse_changed_code)
+VALUES = Compiled(_values, use=_use)
 
 
 @final

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import SimulationError
-from aleator.design import Problem, refuse_changed_code, unsolved
+from aleator.design import Problem, unsolved
 from aleator.transcription.simultaneous._layout import Layout
 from aleator.transcription.simultaneous._pointwise import Pointwise
 from aleator.transcription.simultaneous._program import Assembled
@@ -26,7 +26,7 @@ def _algebraic(
     return asked.everywhere(asked.algebraic, points, places, shared, signals, states)
 
 
-ALGEBRAIC = Compiled(_algebraic, use=Use.ONCE, unchanged=refuse_changed_code)
+ALGEBRAIC = Compiled(_algebraic, use=Use.ONCE)
 
 
 def started(

@@ -13,7 +13,7 @@ from typing_extensions import override
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import meant, real_array, refusal, shown
 from aleator.design import Problem, deterministic, grid_at
-from aleator.dynamics import Grid, System, initial_state, known_at
+from aleator.dynamics import Grid, System, initial_state
 from aleator.solution import Solution, States
 from aleator.transcription._warm_start import started_from
 from aleator.transcription.simultaneous._start import (
@@ -174,11 +174,10 @@ def state_shapes(problem: Problem) -> dict[str, tuple[int, ...]]:
 
     def first() -> Any:
         found = realise(problem.simulation, germ, decisions)
-        assert isinstance(found.system, System)
-        assert isinstance(found.grid, Grid)
-        # Constraints may tie the start to the signals of the first instant.
-        known = known_at(found.system, found.grid, found.inputs, np.zeros(1))
-        return initial_state(found.system, *known.unpack(known.rows[0]))
+        system, start = found.traced, found.start()
+        assert isinstance(system, System)
+        assert start is not None
+        return initial_state(system, *start)
 
     # The names after tracing: a dict that is traced comes back in alphabetical order.
     return {name: one.shape for name, one in jax.eval_shape(first)._asdict().items()}

@@ -13,7 +13,7 @@ from numpy.polynomial import legendre
 
 from aleator._core.arrays import jax_array
 from aleator._core.compilation import Compiled, Use
-from aleator.design import Problem, refuse_changed_code
+from aleator.design import Problem
 from aleator.dynamics import AbstractCollocation
 from aleator.transcription.simultaneous._layout import Layout
 from aleator.transcription.simultaneous._mesh import Mesh
@@ -36,7 +36,7 @@ def _between(
     return asked.everywhere(asked.rates, points, places, shared, signals, states)[..., : states.shape[2]]
 
 
-BETWEEN = Compiled(_between, use=Use.ONCE, unchanged=refuse_changed_code)
+BETWEEN = Compiled(_between, use=Use.ONCE)
 
 
 class Drift(NamedTuple):

@@ -107,7 +107,7 @@ class Pointwise:
 
         def told(decisions: Array) -> Array:
             system, grid, inputs = self._known_parts(decisions)
-            found.update(known_at(system, grid, inputs, np.zeros(1)).inputs)
+            found.update(known_at({**system.signals(), **inputs}, grid, np.zeros(1)).inputs)
             return decisions
 
         if not self.is_random:
@@ -151,11 +151,11 @@ class Pointwise:
         if self.is_random:
             return jnp.zeros((len(fractions), 0))
         system, grid, inputs = self._known_parts(decisions)
-        found = known_at(system, grid, inputs, fractions).rows[:, 1:]
+        every = {**system.signals(), **inputs}
+        found = known_at(every, grid, fractions).rows[:, 1:]
         if is_before is None or not is_before.any():
             return found
-        before, now = before_jumps((system, inputs))
-        return jnp.where(is_before[:, None], known_at(before, grid, now, fractions).rows[:, 1:], found)
+        return jnp.where(is_before[:, None], known_at(before_jumps(every), grid, fractions).rows[:, 1:], found)
 
     def duration(self, decisions: Float[Array, " n"]) -> Float[Array, ""]:
         """From the first instant to the last, s."""
@@ -275,10 +275,11 @@ class Pointwise:
     def _realised(self, problem: Problem, germ: Array, decisions: Array) -> tuple[System, Grid, Inputs]:
         """The system of one realisation, for what is asked of it, its grid and its inputs."""
         simulation = realise(problem.simulation, germ, decisions)
-        assert isinstance(simulation.system, System)
+        system = simulation.traced
+        assert isinstance(system, System)
         assert isinstance(simulation.grid, Grid)
         names = {name for one in functionals_of(self.problem.expressions) for name in one.outputs}
-        return simulation.system.focused(names), simulation.grid, simulation.inputs
+        return system.focused(names), simulation.grid, simulation.inputs
 
     def _now(self, germ: Array, place: Array, shared: Array, signals: Array) -> tuple[System, Array, dict[str, Any]]:
         """A realised system with its time and inputs at one mesh point; what follows the signals is left alone."""

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.compilation import Compiled, Use
-from aleator.design import Problem, refuse_changed_code
+from aleator.design import Problem
 from aleator.dynamics import MultipleShooting, SegmentRate
 from aleator.transcription.simultaneous._layout import Layout
 from aleator.transcription.simultaneous._mesh_error import Drift
@@ -45,7 +45,7 @@ def _flown(
     return jax.vmap(inner, in_axes=(0, None, None, 0))(points, jnp.asarray(places), signals, states)
 
 
-FLOWN = Compiled(_flown, use=Use.ONCE, unchanged=refuse_changed_code)
+FLOWN = Compiled(_flown, use=Use.ONCE)
 
 
 def segment_states(

@@ -12,7 +12,7 @@ from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float
 
 from aleator._core.compilation import Compiled, Use
-from aleator.design import Problem, refuse_changed_code
+from aleator.design import Problem
 from aleator.nlp import SparseMatrix
 from aleator.transcription.simultaneous._layout import Layout
 from aleator.transcription.simultaneous._mesh import Mesh
@@ -50,7 +50,7 @@ def _along(problem: Problem, mesh: Mesh, directions: Float[Array, "some n"]) -> 
     return jax.vmap(change)(directions)
 
 
-ALONG = Compiled(_along, use=Use.ONCE, unchanged=refuse_changed_code)
+ALONG = Compiled(_along, use=Use.ONCE)
 
 
 def constant_slopes(traced: Problem, layout: Layout) -> SparseMatrix:

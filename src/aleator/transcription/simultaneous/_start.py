@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
-from aleator.design import Problem, refuse_changed_code
+from aleator.design import Problem
 from aleator.dynamics import STATES, Asked, Grid, ObservedStates, Simulation, System
 from aleator.uncertainty import realise
 
@@ -27,14 +27,15 @@ def _simulated(
 ) -> Float[Array, "realisations instants states"]:
     def one(germ: Array) -> Array:
         found = realise(problem.simulation, germ, decisions)
-        assert isinstance(found.system, System)
-        simulation = Simulation(ObservedStates(found.system), found.inputs, found.grid, found.integrator, found.numbers)
+        system = found.traced
+        assert isinstance(system, System)
+        simulation = Simulation(ObservedStates(system), found.inputs, found.grid, found.integrator, found.numbers)
         return simulation.record(Asked(frozenset({STATES}))).history[STATES]
 
     return jax.vmap(one)(points)
 
 
-SIMULATED = Compiled(_simulated, use=Use.ONCE, unchanged=refuse_changed_code)
+SIMULATED = Compiled(_simulated, use=Use.ONCE)
 
 
 def simulated_states(

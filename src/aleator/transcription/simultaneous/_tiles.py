@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from aleator._core.beside import in_order
 from aleator._core.compilation import Bound, Compiled, Use
-from aleator.design import Problem, refuse_changed_code
+from aleator.design import Problem
 from aleator.dynamics import AbstractMeanRate
 from aleator.statistics import Constants
 from aleator.transcription.simultaneous._assembly import Pattern
@@ -78,12 +78,8 @@ def _curve(
     return [one.curved(weighted, entries) for one, weighted, entries in given]
 
 
-def _unchanged(source: Source, *_: Any) -> None:
-    refuse_changed_code(source[0])
-
-
-EVALUATE = Compiled(_evaluate, use=Use.ROWS, unchanged=_unchanged)
-CURVE = Compiled(_curve, use=Use.ROWS, unchanged=_unchanged)
+EVALUATE = Compiled(_evaluate, use=Use.ROWS)
+CURVE = Compiled(_curve, use=Use.ROWS)
 
 
 @final

@@ -22,7 +22,6 @@ from aleator.design import (
     extreme_functionals,
     functionals_of,
     integrated_paths,
-    refuse_changed_code,
 )
 from aleator.dynamics import AbstractCollocation, Grid
 from aleator.ensemble import inputs_at
@@ -76,7 +75,7 @@ def _told(problem: Problem, constants: Constants, at: tuple[Any, ...]) -> tuple[
     return tuple(one for some in taken for one in some)
 
 
-TOLD = Compiled(_told, use=Use.ONCE, unchanged=refuse_changed_code)
+TOLD = Compiled(_told, use=Use.ONCE)
 
 
 @final

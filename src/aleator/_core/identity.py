@@ -1,0 +1,271 @@
+"""Digests, valid in every process, of what a compiled program or a result follows from.
+
+A declared problem is told by the digest of its equations, this package and the libraries by their versions, and a
+user's function by its source, with the values that it takes from outside. What cannot be written out is a doubt: then
+a program is traced, and a result computed, anew.
+"""
+
+import dataclasses
+import enum
+import functools
+import hashlib
+import inspect
+import os
+import platform
+import sys
+import sysconfig
+import time
+import types
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from decimal import Decimal
+from fractions import Fraction
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from aleator._core.beside import CORES
+from aleator._core.equations import array_digest
+from aleator._core.module import Module
+
+# Libraries that trace and compile. The folder of programs is separate for each version of JAX; a journal's is not.
+_TRACING = ("jax", "jaxlib", "equinox", "numpy", "scipy", "diffrax", "lineax", "optimistix")
+_LIBRARIES = {"aleator", "jaxtyping", *_TRACING}
+_PYTHON = sysconfig.get_path("stdlib")
+_PLAIN = (str, bytes, int, bool, float, complex, type(None), type(Ellipsis), range, Decimal, Fraction, np.dtype)
+# Settings of JAX that do not affect a program.
+_ASIDE = ("jax_compilation_cache_dir", "jax_persistent_cache", "jax_raise_persistent", "jax_log", "jax_explain")
+# Environment variables that affect compilation begin with these.
+_VARIABLES = ("XLA_", "TF_XLA_", "LIBTPU_", "EQX_")
+_BEGAN = time.time()
+
+
+class DoubtError(Exception):
+    """Something has no text that identifies it in other processes."""
+
+
+def lasting_name(function: Callable[..., Any], arguments: tuple[Any, ...], *how: Any) -> str | None:
+    """A name for one of our functions, traced for arguments of one structure and compiled in some way.
+
+    Programs of the same name compute the same, in any process; None if that is uncertain, as it is for arguments with a
+    user's code outside a declared problem. The numbers of arrays are not part of it.
+    """
+    try:
+        return joined([_surroundings(), *_texts(function), *_texts(how), *_Texts(of_source=False)(arguments)])
+    except Exception:  # besides doubts: a user's object may raise any if it is looked at, and may hold itself
+        return None
+
+
+def lasting_parts(given: Mapping[str, Any]) -> dict[str, str]:
+    """Digests of all that a result follows from, each by its name, besides `versions`; numbers included.
+
+    Results with the same digests are equal, in any process. Raises `DoubtError` if that is uncertain.
+    """
+    return {name: lasting_digest(one) for name, one in given.items()} | {"versions": _libraries()}
+
+
+def lasting_digest(it: Any, *, declared: bool = False) -> str:
+    """A digest of an object, numbers included; `declared`: without its code, which the digest of equations tells.
+
+    Raises `DoubtError` if it cannot be written out.
+    """
+    try:
+        return joined(_Texts()(jax.tree.map(_in_numpy, it), declared=declared))
+    except DoubtError:
+        raise
+    except Exception as error:  # a user's object may raise any if it is looked at, and may hold itself
+        raise DoubtError(f"looking at it raises {type(error).__name__}: {error}") from error
+
+
+def code_digest(function: Callable[..., Any], version: str) -> str:
+    """A digest of a user's function: of its source and what this names, or of a version that stands for all of that.
+
+    It is like no other if there is neither: then it is traced, or its results are computed, each time.
+    """
+    try:
+        if not version:
+            return joined(_texts(function))
+    except Exception:  # besides doubts: a user's object may raise any if it is looked at
+        pass
+    name = getattr(function, "__qualname__", type(function).__qualname__)
+    return joined([function.__module__, name, version or uuid.uuid4().hex])
+
+
+def _in_numpy(leaf: Any) -> Any:
+    return np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf
+
+
+def joined(texts: Iterable[str]) -> str:
+    """A digest of texts."""
+    return hashlib.sha256("\0".join(texts).encode(errors="surrogatepass")).hexdigest()
+
+
+@functools.lru_cache(maxsize=4096)
+def is_library(module: Any) -> bool:
+    """Whether a module, by its name, is part of Python, of this package or of the libraries that trace for it."""
+    if not isinstance(module, str):
+        return False
+    root = module.partition(".")[0]
+    if root in _LIBRARIES:
+        return True
+    # A user's module may have the name of one of Python's.
+    file = getattr(sys.modules.get(root), "__file__", None)
+    return root in sys.stdlib_module_names and (file is None or file.startswith(_PYTHON))
+
+
+def _surroundings() -> str:
+    """All else that a program depends on: settings of JAX, Equinox and XLA, devices, and libraries that trace it."""
+    if jax.device_count() > 1 or jax.config.jax_default_device is not None:  # type: ignore[attr-defined]
+        # On which device a program runs is no part of its name.
+        raise DoubtError("there is more than one device, or a default one was chosen")
+    # Attributes give the present values, even within a `with` statement; not every setting has one.
+    known = {name: getattr(jax.config, name, value) for name, value in jax.config.values.items()}
+    settings = [f"{name}={value}" for name, value in sorted(known.items()) if not name.startswith(_ASIDE)]
+    settings += [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith(_VARIABLES)]
+    device = jax.devices()[0]
+    # When XLA compiles, it divides loops among the cores that the process may use.
+    machine = [device.client.platform_version, device.device_kind, f"cores={CORES}"]
+    return "\n".join([_libraries(), jax.default_backend(), *machine, *settings])
+
+
+@functools.cache
+def _libraries() -> str:
+    """A digest of this package's sources and of the versions of libraries that trace.
+
+    A doubt if a source has changed since this process began: others may be loaded than those on the disk.
+    """
+    digest = hashlib.sha256(sys.version.encode() + platform.python_implementation().encode())
+    own = Path(__file__).parents[1]
+    sources = sorted(own.rglob("*.py"))
+    if not sources:
+        raise DoubtError("the sources of aleator cannot be read")
+    for path in sources:
+        status = path.stat()
+        if max(status.st_mtime, status.st_ctime) > _BEGAN:
+            raise DoubtError(f"{path.name} of aleator has changed since this run began")
+        digest.update(str(path.relative_to(own)).encode() + b"\0" + path.read_bytes() + b"\0")
+    for name in _TRACING:
+        try:
+            digest.update(f"{name} {metadata.version(name)}\n".encode())
+        except metadata.PackageNotFoundError:
+            digest.update(f"no {name}\n".encode())
+    return digest.hexdigest()
+
+
+def _texts(it: Any) -> Iterator[str]:
+    return _Texts()(it)
+
+
+class _Texts:
+    """The structure of a tree as texts: constants with their values, traced arrays without, classes by their names.
+
+    - `of_source`: whether a user's code outside a declared problem is written by its source; a doubt otherwise.
+    """
+
+    def __init__(self, *, of_source: bool = True):
+        self._of_source = of_source
+        self._known = set[Any]()  # functions and classes that have been written
+
+    def __call__(self, it: Any, *, declared: bool = False) -> Iterator[str]:
+        """The texts of an object; `declared`: within a problem, the digest of whose equations covers its code."""
+        if isinstance(it, jax.Array | jax.ShapeDtypeStruct):
+            yield f"array {it.shape} {it.dtype} {it.weak_type}"
+        elif isinstance(it, np.ndarray | np.generic):
+            yield f"constant {_constant(it)}"
+        elif isinstance(it, _PLAIN) and type(it) in _PLAIN:
+            yield f"{type(it).__name__} {it.hex() if isinstance(it, float) else repr(it)}"
+        elif isinstance(it, enum.Enum):
+            yield f"{_name_of(type(it))}.{it.name}"
+        elif isinstance(it, type | types.FunctionType | types.BuiltinFunctionType | np.ufunc):
+            yield from self._code(it, declared)
+        elif isinstance(it, types.MethodType | functools.partial):
+            parts = (it.__func__, it.__self__) if isinstance(it, types.MethodType) else (it.func, it.args, it.keywords)
+            yield from self(parts, declared=declared)
+        elif isinstance(it, frozenset | set):
+            yield f"{type(it).__name__} {sorted(' '.join(self(one, declared=declared)) for one in it)}"
+        elif isinstance(it, types.ModuleType):
+            yield f"module {it.__name__}"
+        elif callable(getattr(it, "__wrapped__", None)) and is_library(type(it).__module__):
+            yield from (_name_of(type(it)), *self(it.__wrapped__, declared=declared))  # `jax.jit`, `lru_cache`
+        else:
+            yield from self._compound(it, declared)
+
+    def _compound(self, it: Any, declared: bool) -> Iterator[str]:
+        declared = declared or (isinstance(it, Module) and it.is_declared)
+        yield from self._code(type(it), declared)
+        if isinstance(it, eqx.Module):
+            parts: Iterable[tuple[Any, Any]] = vars(it).items()
+        elif type(it).__reduce__ is not object.__reduce__ and not isinstance(it, dict | tuple | list):
+            parts = [("made by", it.__reduce__())]
+        elif dataclasses.is_dataclass(it):
+            parts = [(one.name, getattr(it, one.name)) for one in dataclasses.fields(it) if one.compare]
+        elif isinstance(it, dict):
+            parts = it.items()
+        elif isinstance(it, tuple | list):
+            parts = enumerate(it)
+        elif is_library(type(it).__module__) and getattr(it, "__dict__", None) == {}:
+            parts = ()  # a mark, such as Equinox's for a field that is missing
+        elif hasattr(it, "__dict__") and not is_library(type(it).__module__):
+            parts = vars(it).items()
+        else:
+            raise DoubtError(f"it holds an object of {_name_of(type(it))}")
+        for name, value in parts:
+            yield from self(name)
+            yield from self(value, declared=declared)
+        yield ")"
+
+    def _code(self, it: Any, declared: bool) -> Iterator[str]:
+        """A class or function: by its name if its code is known otherwise, else by its source."""
+        yield f"{_name_of(it)}("
+        if declared or isinstance(it, np.ufunc) or is_library(it.__module__) or it in self._known:
+            return
+        if not self._of_source:
+            raise DoubtError(f"{_name_of(it)} is known to one run alone")
+        self._known.add(it)
+        if isinstance(it, types.FunctionType):
+            yield from self._source(it)
+        elif isinstance(it, type):
+            yield from self(it.__bases__)
+            for name, value in vars(it).items():
+                function = getattr(value, "fget", None) or getattr(value, "__func__", value)
+                if isinstance(function, types.FunctionType) and not is_library(function.__module__):
+                    yield from (name, *self(function))
+        else:
+            raise DoubtError(f"{_name_of(it)} has no source")
+
+    def _source(self, it: types.FunctionType) -> Iterator[str]:
+        """A function's source, and what it takes from outside: defaults, closures and globals that it names."""
+        try:
+            yield inspect.getsource(it)
+        except (OSError, TypeError) as error:
+            raise DoubtError(f"the source of {_name_of(it)} cannot be read") from error
+        cells = zip(it.__code__.co_freevars, it.__closure__ or (), strict=True)
+        outside = {name: cell.cell_contents for name, cell in cells}
+        outside |= {name: it.__globals__[name] for name in _names(it.__code__) if name in it.__globals__}
+        yield from self((it.__defaults__, it.__kwdefaults__))
+        for name, value in sorted(outside.items()):
+            yield name
+            try:
+                yield from self(value)
+            except DoubtError as error:
+                raise DoubtError(f"'{name}', which {_name_of(it)} names, cannot be written out: {error}") from None
+
+
+def _names(code: types.CodeType) -> set[str]:
+    inner = (one for one in code.co_consts if isinstance(one, types.CodeType))
+    return {*code.co_names}.union(*map(_names, inner))
+
+
+def _name_of(it: Any) -> str:
+    return f"{it.__module__}.{it.__qualname__}" if hasattr(it, "__qualname__") else f"numpy.{it.__name__}"
+
+
+def _constant(array: Any) -> str:
+    """Shape, type and values of an array, which has nothing else."""
+    if array.dtype.hasobject or not (type(array) is np.ndarray or isinstance(array, np.generic)):
+        raise DoubtError(f"it holds an array of {_name_of(type(array))} with {array.dtype}")
+    return array_digest(array)

@@ -1,0 +1,297 @@
+"""The equations of a system, traced once where a problem is declared; every program of the problem is built from them.
+
+A user's methods are called for this alone. Code that changes later cannot matter, and the digest of the equations tells
+problems apart, in this process and in any other.
+"""
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.core import eval_jaxpr
+from jax.extend.core import ClosedJaxpr
+from jax.interpreters.partial_eval import dce_jaxpr
+from jaxtyping import Array
+from typing_extensions import override
+
+from aleator._core.arrays import Pytree, numbers_to_arrays
+from aleator._core.equations import Digest, digest_of, joint_digest
+from aleator._core.errors import ProblemError
+from aleator._core.leaves import transparent
+from aleator.dynamics._abstract_system import AbstractSystem
+from aleator.dynamics._algebraic import AlgebraicSystem, equations, first_guess, outputs_at
+from aleator.dynamics._evaluation import derivative_and_observation, initial_state, observation
+from aleator.dynamics._index_one import algebraic_residuals, guessed_algebraic, with_algebraic
+from aleator.dynamics._system import System
+from aleator.trajectories import AbstractSignal
+
+
+@final
+class TracedFunction(NamedTuple):
+    """A function of trees of arrays as its equations.
+
+    - `closed`: the equations; `structure`: that of the arguments' numbers; `results`: that of the result's numbers;
+    - `rest`: the parts of the result that are no numbers.
+    """
+
+    closed: ClosedJaxpr
+    structure: Any
+    results: Any
+    rest: Pytree
+
+    @classmethod
+    def of(cls, function: Callable[..., Pytree], *arguments: Pytree) -> "TracedFunction":
+        """A function traced for arguments like these; nothing is computed."""
+        numbers, fixed = eqx.partition(numbers_to_arrays(arguments), eqx.is_array)
+        rest: list[Pytree] = []
+
+        def arrays(numbers: Pytree) -> Pytree:
+            results, others = eqx.partition(function(*eqx.combine(numbers, fixed)), eqx.is_array)
+            rest.append(others)
+            return results
+
+        closed, shapes = jax.make_jaxpr(arrays, return_shape=True)(numbers)
+        return cls(closed, jax.tree.structure(numbers), jax.tree.structure(shapes), rest[0])
+
+    def __call__(self, *arguments: Pytree) -> Pytree:
+        """Its value. Raises `ProblemError` for a model of another structure than that of the equations."""
+        whole = self._evaluated(lambda results: results, arguments)
+        return eqx.combine(whole, self.rest)
+
+    def part(self, chosen: Callable[[Pytree], Pytree], *arguments: Pytree) -> Pytree:
+        """A part of its value, `chosen` among the numbers of the result, by the equations that this follows from."""
+        return self._evaluated(chosen, arguments)
+
+    def _evaluated(self, chosen: Callable[[Pytree], Pytree], arguments: tuple[Pytree, ...]) -> Pytree:
+        leaves, structure = jax.tree.flatten(eqx.filter(numbers_to_arrays(arguments), eqx.is_array))
+        if structure != self.structure or [jnp.shape(one) for one in leaves] != [
+            one.shape for one in self.closed.in_avals
+        ]:
+            raise ProblemError(
+                "The model has another structure than the one whose equations were traced: a whole number, a shape or "
+                "a class is not what it was. Declare an al.Problem of the changed model."
+            )
+        jaxpr = self.closed.jaxpr
+        part = chosen(jax.tree.unflatten(self.results, range(len(jaxpr.outvars))))
+        needed = set(jax.tree.leaves(part))
+        used = [i in needed for i in range(len(jaxpr.outvars))]
+        pruned, _ = dce_jaxpr(jaxpr, used, instantiate=True)
+        values = dict(zip(sorted(needed), eval_jaxpr(pruned, self.closed.consts, *leaves), strict=True))
+        return jax.tree.map(values.__getitem__, part)
+
+
+@final
+@dataclass(unsafe_hash=True)
+class Equations:
+    """The equations of a system: equal if their digests are.
+
+    A pickle has the digest alone: where it is read, the equations are traced again and compared when they are needed.
+    """
+
+    digest: Digest
+    _functions: Mapping[str, TracedFunction] | None = field(compare=False, repr=False)
+
+    @classmethod
+    def of(cls, system: AbstractSystem, start: "Start | None") -> "Equations":
+        """Those of a realised system, which evolves in time from a start, or has no time."""
+        if isinstance(system, AlgebraicSystem):
+            functions = _algebraic(system)
+        else:
+            assert isinstance(system, System)
+            assert start is not None
+            functions = _dynamical(system, start)
+        return cls(joint_digest({name: digest_of(one.closed) for name, one in functions.items()}), functions)
+
+    def applied(self, system: AbstractSystem, start: "Callable[[], Start | None]") -> AbstractSystem:
+        """A realised system as programs evaluate it: by these equations.
+
+        Raises `ProblemError` if they have to be traced again and the code is another one here.
+        """
+        if self._functions is None:
+            again = Equations.of(system, start())
+            if again != self:
+                raise ProblemError(
+                    f"{system.title}: the code of this process gives other equations than those that the problem was "
+                    "declared with in another one. Start workers anew, with the same files; solve stored designs again."
+                )
+            self._functions = again._functions
+        traced = TracedAlgebraic if isinstance(system, AlgebraicSystem) else TracedSystem
+        return traced(system, self)
+
+    def __getitem__(self, name: str) -> TracedFunction:
+        assert self._functions is not None
+        return self._functions[name]
+
+    def __contains__(self, name: str) -> bool:
+        assert self._functions is not None
+        return name in self._functions
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"_functions": None, "digest": self.digest}
+
+
+class Start(NamedTuple):
+    """Where a system begins: the time, and the inputs there with its own signals."""
+
+    t: Any
+    inputs: dict[str, Any]
+
+
+class _Instant(NamedTuple):
+    """What a system says at one instant."""
+
+    rates: Any
+    outputs: tuple[Array, ...]
+    names: tuple[str, ...]
+
+
+def _dynamical(system: System, start: Start) -> dict[str, TracedFunction]:
+    functions = {
+        "signals": TracedFunction.of(lambda system: dict(system.signals()), system),
+        "initial": TracedFunction.of(initial_state, system, *start),
+    }
+    z = functions["initial"](system, *start)
+    if system.algebraic:
+        functions["guess"] = TracedFunction.of(guessed_algebraic, system, start.t, z, start.inputs)
+        z = with_algebraic(system, z, functions["guess"](system, start.t, z, start.inputs))
+        functions["residual"] = TracedFunction.of(algebraic_residuals, system, start.t, z, start.inputs)
+    return functions | {"instant": TracedFunction.of(_instant, system, start.t, z, start.inputs)}
+
+
+def _instant(system: System, t: Any, z: Any, inputs: dict[str, Any]) -> _Instant:
+    if system.states:
+        rates, outputs = derivative_and_observation(system, t, z, inputs)
+    else:
+        rates, outputs = (), observation(system, t, z, inputs)
+    return _Instant(rates, tuple(outputs.values()), tuple(outputs))
+
+
+def _algebraic(system: AlgebraicSystem) -> dict[str, TracedFunction]:
+    if not system.is_implicit:
+        return {"outputs": TracedFunction.of(_outputs, system)}
+    guess = TracedFunction.of(first_guess, system)
+    rho = guess(system)
+    size = sum(map(jnp.size, rho))
+    return {
+        "guess": guess,
+        "residual": TracedFunction.of(lambda system, rho: equations(system, rho, size), system, rho),
+        "outputs": TracedFunction.of(_outputs, system, rho),
+    }
+
+
+def _outputs(system: AlgebraicSystem, *rho: Any) -> _Instant:
+    outputs = outputs_at(system, *rho)
+    return _Instant((), tuple(outputs.values()), tuple(outputs))
+
+
+def _named(function: TracedFunction, arguments: tuple[Any, ...], only: Collection[str] | None) -> dict[str, Array]:
+    """The outputs by name, or some of them."""
+    names = [name for name in function.rest.names if only is None or name in only]
+    where = [function.rest.names.index(name) for name in names]
+    return dict(zip(names, function.part(lambda results: [results.outputs[i] for i in where], *arguments), strict=True))
+
+
+@final
+@transparent("system")
+class TracedSystem(System):
+    """A realised system by its equations.
+
+    - `only`: the outputs that are needed; None for all.
+    """
+
+    system: System
+    equations: Equations = eqx.field(static=True)
+    only: frozenset[str] | None = eqx.field(static=True)
+    states: tuple[str, ...] = eqx.field(static=True)  # type: ignore[misc]
+    algebraic: tuple[str, ...] = eqx.field(static=True)  # type: ignore[misc]
+
+    def __init__(self, system: System, equations: Equations, only: frozenset[str] | None = None):
+        self.system, self.equations, self.only = system, equations, only
+        self.states, self.algebraic = system.states, system.algebraic  # type: ignore[misc]
+
+    @property
+    @override
+    def title(self) -> str:
+        return self.system.title
+
+    @override
+    def rhs(self, t: Any, z: Any, **inputs: Any) -> Any:
+        return self.equations["instant"].part(lambda results: results.rates, self.system, t, z, inputs)
+
+    @override
+    def outputs(self, t: Any, z: Any, **inputs: Any) -> dict[str, Any]:
+        return _named(self.equations["instant"], (self.system, t, z, inputs), self.only)
+
+    @override
+    def rates_and_outputs(self, t: Any, z: Any, *args: Any, **inputs: Any) -> tuple[Any, dict[str, Any]]:
+        del args
+        instant = self.equations["instant"]
+        names = [name for name in instant.rest.names if self.only is None or name in self.only]
+        where = [instant.rest.names.index(name) for name in names]
+        rates, values = instant.part(
+            lambda results: (results.rates, [results.outputs[i] for i in where]), self.system, t, z, inputs
+        )
+        return rates, dict(zip(names, values, strict=True))
+
+    @override
+    def residual(self, t: Any, z: Any, **inputs: Any) -> Any:
+        return (self.equations["residual"](self.system, t, z, inputs),)
+
+    @override
+    def algebraic_guess(self, t: Any, z: Any, **inputs: Any) -> Mapping[str, Any]:
+        return self.equations["guess"](self.system, t, z, inputs)._asdict()
+
+    @override
+    def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
+        return self.equations["initial"](self.system, t, dict(inputs))._asdict()
+
+    @override
+    def signals(self) -> Mapping[str, AbstractSignal]:
+        return self.equations["signals"](self.system)
+
+    @override
+    def focused(self, only: Collection[str]) -> System:
+        return TracedSystem(self.system, self.equations, frozenset(only))
+
+
+@final
+@transparent("system")
+class TracedAlgebraic(AlgebraicSystem):
+    """A realised algebraic system by its equations."""
+
+    system: AlgebraicSystem
+    equations: Equations = eqx.field(static=True)
+    unknowns: tuple[str, ...] = eqx.field(static=True)  # type: ignore[misc]
+
+    def __init__(self, system: AlgebraicSystem, equations: Equations):
+        self.system, self.equations, self.unknowns = system, equations, system.unknowns  # type: ignore[misc]
+
+    @property
+    @override
+    def title(self) -> str:
+        return self.system.title
+
+    @property
+    @override
+    def is_implicit(self) -> bool:
+        return "residual" in self.equations
+
+    @override
+    def check_declaration(self) -> None:
+        """It was checked where it was declared."""
+
+    @override
+    def guess(self) -> Mapping[str, Any]:
+        return self.equations["guess"](self.system)._asdict() if self.is_implicit else {}
+
+    @override
+    def residual(self, rho: Any) -> Any:
+        return (self.equations["residual"](self.system, rho),)
+
+    @override
+    def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
+        del kwargs
+        return _named(self.equations["outputs"], (self.system, *args), None)
