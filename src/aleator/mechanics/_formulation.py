@@ -1,7 +1,7 @@
 """The base class of forward, inverse and hybrid dynamics: systems made from a mechanical model, and their diagnosis.
 
-Diagnosis names singular matrices and rules that a model breaks, with posture and time. All that it asks of a model at
-the start is one program, all along the motion another; trees of bodies on simple joints need none at the start.
+Diagnosis names singular matrices and rules that a model breaks, with posture and time. All that it asks of a model is
+one program; prescribed motions of bodies on simple joints need none.
 """
 
 import abc
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array
 from typing_extensions import override
 
-from aleator._core.arrays import numbers_to_arrays
+from aleator._core.arrays import in_library, numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
 from aleator._core.given import one_of
 from aleator._core.leaves import is_traced, transparent
@@ -37,9 +37,9 @@ _ABSURD = 1e4
 
 
 class Posture(NamedTuple):
-    """What diagnosis asks of a model in one posture, or at each instant of a path; `None` for what needs no check.
+    """What diagnosis asks of a model at each instant, along the first axis; `None` for what needs no check.
 
-    - `q`: the coordinates, valid ones; `mass`: `M`; `rates`: `H`; `jacobian`: `G` of what follows the constraints;
+    - `mass`: `M`; `rates`: `H`; `jacobian`: `G` of what follows the constraints;
     - `effects`: how the torques to be found act on the motions that they must realise: of full row rank;
     - `stated`: what the model states in two ways, see `AbstractMechanical.stated_twice`.
     """
@@ -52,21 +52,20 @@ class Posture(NamedTuple):
     stated: Any
 
 
-class Start(NamedTuple):
-    """The first instant: coordinates `near` which those of `posture` are found, the velocities `v`, and what the
-    formulation itself checks there.
+class Examination(NamedTuple):
+    """What diagnosis asks of a formulation on a grid.
+
+    - `row`: the first instant, see `Instants.row`; `near`: the coordinates there as they are given; `own`: what the
+      formulation itself checks there;
+    - `motion`: coordinates and velocities at each instant, not finite where they could not be integrated; `postures`:
+      there, or at the last posture before; at the first instant alone if nothing can change later;
+    - `given`, `valid`: the prescribed coordinates, and the same made valid, if these may differ.
     """
 
+    row: Any
     near: Any
-    v: Any
-    posture: Posture
     own: Any
-
-
-class Path(NamedTuple):
-    """The postures along a motion of the coordinates `q`, and what is prescribed of these, as given and made valid."""
-
-    q: Any
+    motion: Any
     postures: Posture
     given: Any
     valid: Any
@@ -96,13 +95,18 @@ class AbstractFormulation(System):
         return {}
 
     @abc.abstractmethod
-    def beginning(self, model: AbstractMechanical, grid: Grid) -> Start:
-        """The start on a grid, with the model at its first instant. Traceable."""
+    def beginning(self, model: AbstractMechanical, grid: Grid) -> tuple[Any, Any]:
+        """Coordinates at the start as they are given, and what `diagnose_start` needs, of the model there."""
 
-    def loose(self, *, at_start: bool = False) -> Loose:
-        """What follows the constraints; at the start less of it, if values are named there. By default everything."""
-        del at_start
+    @property
+    def loose(self) -> Loose:
+        """What follows the constraints along the motion; by default everything."""
         return all_loose(self.model)
+
+    @property
+    def loose_at_start(self) -> Loose:
+        """What follows the constraints at the start, where values may be named; by default the same."""
+        return self.loose
 
     def effects(self, model: AbstractMechanical, q: Array) -> Any:
         """How the torques to be found act in a valid posture; `None` where none are, or each acts for itself."""
@@ -114,74 +118,62 @@ class AbstractFormulation(System):
         del grid
         return None
 
-    def diagnose_start(self, start: Start) -> str:
+    def diagnose_start(self, effects: Any, own: Any) -> str:
         """What else is wrong at the start, beside constraints and matrices; empty if nothing."""
-        del start
+        del effects, own
         return ""
 
-    def posture(self, model: AbstractMechanical, q: Array, *, at_start: bool = False) -> Posture:
-        """What diagnosis asks of the model at an instant. Traceable."""
+    def posture(self, model: AbstractMechanical, q: Array) -> Posture:
+        """What diagnosis asks of the model at one instant. Traceable."""
         q = model.normalised(q)
-        follows = bool(model.constraints) and not at_start
         return Posture(
             q,
-            # Where it does not depend on time, integration shows whether it becomes singular.
-            mass_of(model, q) if at_start or model._when is not None else None,
+            mass_of(model, q),
             None if model.moves_directly else rate_map(model, q),
-            jacobian_of(model, q)[:, np.array(self.loose().speeds)] if follows else None,
+            jacobian_of(model, q)[:, np.array(self.loose.speeds)] if model.constraints else None,
             self.effects(model, q),
-            model.stated_twice(q) if at_start else None,
+            model.stated_twice(q),
         )
 
     @override
     def diagnose(self, grid: Grid) -> str:
+        times = np.asarray(grid.times)
+        found = self._diagnosis(times, examined(self, grid))
         # A program of code that has changed since may let a fault pass, but must not refuse what is right.
-        system, grid = _known((self, grid))
-        return system._diagnosed(grid, _examined) and system._diagnosed(grid, _examined_anew)
+        return found and self._diagnosis(times, examined(self, grid, eqx.filter_jit(lambda *given: _examined(*given))))
 
-    def _diagnosed(self, grid: Grid, examined: Callable[..., Any]) -> str:
-        model, times = self.model, np.asarray(grid.times)
-        row, start = examined(_start, self, grid)
-        first = at(model, *row)
-        first.refuse_impossible()
-        if model.constraints and not (np.isfinite(start.posture.q).all() and np.isfinite(start.v).all()):
-            return start_diagnosis(first, start.near, self.loose(at_start=True))
-        found = _posture_diagnosis(model, start.posture, "at the start") or self.diagnose_start(start)
-        if found or not (self.states or self._changes_along(start.posture)):
-            return found
-        return self._path_diagnosis(times, grid, examined(_path, self, grid))
-
-    def _changes_along(self, posture: Posture) -> bool:
-        """Whether matrices that are checked depend on time or posture."""
-        return is_timed(self.model) or posture.rates is not None or posture.effects is not None
-
-    def _path_diagnosis(self, times: np.ndarray, grid: Grid, path: Path) -> str:
-        """What is wrong in the first bad posture, or in the last one that is finite; empty if nothing.
+    def _diagnosis(self, times: np.ndarray, seen: Examination) -> str:
+        """What is wrong at the start, in the first bad posture, or where the motion ends; empty if nothing.
 
         A motion that grows without bound does not show a fault of the model: steps too long for a stiff model have the
         same effect.
         """
-        model, q, postures = self.model, path.q, path.postures
-        if found := _quaternion_diagnosis(model, times, path):
-            return found
+        model, (q, v) = self.model, seen.motion
+        first = at(_known(model), *seen.row)
+        first.refuse_impossible()
+        if model.constraints and not (np.isfinite(q[0]).all() and np.isfinite(v[0]).all()):
+            return start_diagnosis(first, seen.near, self.loose_at_start)
         moderate = np.isfinite(q).all(axis=1) & (np.abs(q) <= _ABSURD * (1 + np.abs(q[0]).max())).all(axis=1)
-        if moderate.all() or not self.states:
-            found = constraint_diagnosis_along(model, self.loose(), times, q, postures.jacobian)
-            return found or _first_diagnosis(model, times, postures) or _effect_diagnosis(model, times, path)
-        following = int(np.argmin(moderate))
-        last = max(following - 1, 0)
-        if model.constraints and np.isnan(q[following]).all():
-            return _unobeyed(model, times[last], q[last], at_start=last == 0)
-        if postures.effects is not None and not np.isfinite(q[following]).all():
-            # It ends abruptly, not by growth: the prescribed motion there shows whether torques still act.
-            now = instants_of(model, grid)
-            onward = np.where(np.isfinite(q[following]), q[following], q[last])
-            known = np.where(np.arange(len(q))[:, None] < following, q, onward)
-            effects = jax.jit(lambda: now.each(self.effects, jnp.asarray(known)))()
-            if found := _effect_diagnosis(model, times, Path(known, postures._replace(effects=effects), None, None)):
-                return found
-        posture = self.posture(instants_of(model, grid).at(last), jnp.asarray(q[last]), at_start=True)
-        return _posture_diagnosis(model, posture, f"about t = {times[last]:.4g} s")
+        good = len(q) if moderate.all() or not self.states else max(int(np.argmin(moderate)), 1)
+        ends = good < len(q) and not np.isfinite(q[good]).all()
+        postures = _rows(seen.postures, slice(good))
+        # What is prescribed is known where the rest ends, and shows whether torques still act there.
+        effects = _rows(seen.postures.effects, slice(good + 1 if ends else good))
+        return (
+            _posture_diagnosis(model, _rows(postures, 0), "at the start")
+            or self.diagnose_start(_rows(effects, 0), seen.own)
+            or _quaternion_diagnosis(model, times, seen)
+            or constraint_diagnosis_along(model, self.loose, times, q, postures.jacobian)
+            or _first_diagnosis(model, times, postures)
+            or _effect_diagnosis(model, times, seen.postures.q, effects)
+            or (_unobeyed(model, times[good - 1], q[good - 1]) if model.constraints and ends else "")
+        )
+
+    @property
+    def changes(self) -> bool:
+        """Whether what is checked may change along the motion."""
+        model = self.model
+        return bool(self.states) or is_timed(model) or not (model.moves_directly and model.acts_directly)
 
 
 def model_given(who: str, model: Any) -> AbstractMechanical:
@@ -189,25 +181,35 @@ def model_given(who: str, model: Any) -> AbstractMechanical:
     return one_of(f"{who}: model", model, AbstractMechanical, "al.Lagrangian or al.Multibody")
 
 
-def examined_start(system: AbstractFormulation, grid: Grid) -> Start:
-    """The start on a grid, in arrays of NumPy."""
-    return _examined(_start, *_known((system, grid)))[1]
+def examined(system: AbstractFormulation, grid: Grid, program: Callable[..., Any] | None = None) -> Examination:
+    """What diagnosis asks of a realised system, as arrays of NumPy; by another program than the common one if given."""
+    system, grid = _known((system, grid))
+    if system.model.computes_by_numpy and not system.changes:
+        return _known(_examined(system, grid))
+    return _known((program or _EXAMINED)(*numbers_to_arrays((system, grid))))
 
 
-def _start(system: AbstractFormulation, grid: Grid) -> tuple[Any, Start]:
-    row = instants_of(system.model, grid).row(0)
-    return row, system.beginning(at(system.model, *row), grid)
-
-
-def _path(system: AbstractFormulation, grid: Grid) -> Path:
-    model, given = system.model, system.prescribed_path(grid)
-    q = given
-    if system.states:
-        names = model.coordinates
-        found = simulate(system, grid, {}, RungeKutta4(), only=names)
-        q = jnp.stack([found[name] for name in names], axis=1)
+def _examined(system: AbstractFormulation, grid: Grid) -> Examination:
+    model, now = system.model, instants_of(system.model, grid)
+    row = now.row(0)
+    near, own = system.beginning(at(model, *row), grid)
+    if not system.changes:
+        _, near, postures = in_library(near, system.posture(model, near))
+        return Examination(row, near, own, *jax.tree.map(lambda one: one[None], ((near, near), postures)), None, None)
+    given = system.prescribed_path(grid)
     valid = None if model.moves_directly or given is None else jax.vmap(model.normalised)(given)
-    return Path(q, instants_of(model, grid).each(system.posture, q), given, valid)
+    motion = _simulated(system, grid) if system.states else (given, given)
+    whole = jnp.isfinite(motion[0])
+    last = jax.lax.cummax(jnp.where(whole.all(axis=1), jnp.arange(len(whole)), 0))
+    postures = now.each(system.posture, jnp.where(whole, motion[0], motion[0][last]))
+    return Examination(row, near, own, motion, postures, given, valid)
+
+
+def _simulated(system: AbstractFormulation, grid: Grid) -> tuple[Array, Array]:
+    """Coordinates and velocities at each instant."""
+    parts = system.model.coordinates, system.model.speeds
+    found = simulate(system, grid, {}, RungeKutta4(), only=[name for names in parts for name in names])
+    return tuple(jnp.stack([found[name] for name in names], axis=1) for names in parts)  # type: ignore[return-value]
 
 
 def _started(system: AbstractFormulation, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -215,26 +217,17 @@ def _started(system: AbstractFormulation, t: Any, inputs: Mapping[str, Any]) -> 
 
 
 # Compiled once for all systems of a family, each of which is checked.
-_PROGRAMS = {function: Compiled(function, use=Use.ONCE) for function in (_start, _path)}
-_STARTED = Compiled(_started, use=Use.ONCE)
-
-
-def _examined(function: Callable[..., Any], system: AbstractFormulation, grid: Grid) -> Any:
-    """`function(system, grid)`, of known numbers and as such."""
-    if function is _start and system.model.computes_by_numpy:
-        found = function(system, grid)
-    else:
-        found = _PROGRAMS[function](*numbers_to_arrays((system, grid)))
-    return _known(found)
-
-
-def _examined_anew(function: Callable[..., Any], system: AbstractFormulation, grid: Grid) -> Any:
-    return _known(eqx.filter_jit(lambda *given: function(*given))(*numbers_to_arrays((system, grid))))
+_EXAMINED, _STARTED = Compiled(_examined, use=Use.ONCE), Compiled(_started, use=Use.ONCE)
 
 
 def _known(tree: Any) -> Any:
     """A tree with NumPy's arrays in the place of JAX's."""
     return jax.tree.map(lambda leaf: np.asarray(leaf) if eqx.is_array(leaf) else leaf, tree)
+
+
+def _rows(tree: Any, which: Any) -> Any:
+    """The rows of some instants, or the row of one."""
+    return jax.tree.map(lambda rows: rows[which], tree)
 
 
 def _posture_diagnosis(model: AbstractMechanical, posture: Posture, when: str) -> str:
@@ -245,21 +238,14 @@ def _posture_diagnosis(model: AbstractMechanical, posture: Posture, when: str) -
 
 
 def _contradiction(model: AbstractMechanical, posture: Posture) -> str:
-    if posture.stated is None:
-        return ""
-    first, second = map(np.asarray, posture.stated)
+    first, second = posture.stated or (np.zeros(0), np.zeros(0))
     slack = 1e-9 * np.abs(second).max(initial=0.0)
-    return (
-        ""
-        if np.allclose(first, second, rtol=1e-6, atol=slack, equal_nan=True)
-        else f"{type(model).__name__}.{model._rule}"
-    )
+    agree = np.allclose(first, second, rtol=1e-6, atol=slack, equal_nan=True)
+    return "" if agree else f"{type(model).__name__}.{model._rule}"
 
 
 def _mass_diagnosis(model: AbstractMechanical, at: Posture, when: str) -> str:
-    if at.mass is None:
-        return ""
-    M, posture = np.asarray(at.mass), _listed(model, at.q)
+    M, posture = at.mass, _listed(model, at.q)
     if not np.isfinite(M).all():
         return f"The mass matrix of {type(model).__name__} is not finite {when} ({posture})."
     if not np.allclose(M, M.T, rtol=1e-8, atol=1e-12 * np.abs(M).max(initial=1.0)):
@@ -281,7 +267,7 @@ def _mass_diagnosis(model: AbstractMechanical, at: Posture, when: str) -> str:
 def _map_diagnosis(model: AbstractMechanical, at: Posture, when: str) -> str:
     if at.rates is None:
         return ""
-    H = np.asarray(at.rates)
+    H = at.rates
     if _are_regular(H):
         return _name_diagnosis(model, H, when)
     worst = model.coordinates[int(np.argmax(np.where(np.isfinite(H), np.abs(H), np.inf).max(axis=1)))]
@@ -322,64 +308,52 @@ def _name_diagnosis(model: AbstractMechanical, H: np.ndarray, when: str) -> str:
     return ""
 
 
-def _quaternion_diagnosis(model: AbstractMechanical, times: np.ndarray, path: Path) -> str:
+def _quaternion_diagnosis(model: AbstractMechanical, times: np.ndarray, seen: Examination) -> str:
     """Where prescribed coordinates pass near a zero quaternion, which has no direction."""
-    if path.valid is None:
+    if seen.valid is None:
         return ""
-    vanished = np.abs(path.valid) > np.abs(path.given) / _VANISHING
+    vanished = np.abs(seen.valid) > np.abs(seen.given) / _VANISHING
     if not vanished.any():
         return ""
     instant, coordinate = np.argwhere(vanished)[0]
     return (
         f"{type(model).__name__}: the quaternion of '{model.coordinates[coordinate]}' is zero at t = "
-        f"{times[instant]:.4g} s ({_listed(model, path.given[instant])}), and so has no direction. Prescribe "
+        f"{times[instant]:.4g} s ({_listed(model, seen.given[instant])}), and so has no direction. Prescribe "
         "quaternions that stay away from zero."
     )
 
 
 def _first_diagnosis(model: AbstractMechanical, times: np.ndarray, postures: Posture) -> str:
-    """What is wrong in the first posture whose velocity map, or mass matrix that depends on time, is singular."""
-    bad = np.zeros(len(times), dtype=bool)
+    """What is wrong in the first posture whose mass matrix or velocity map is singular."""
+    finite: Any = np.isfinite(postures.mass).all(axis=(1, 2))
+    masses = np.where(finite[:, None, None], postures.mass, 0.0)
+    bad = ~finite | (np.linalg.eigvalsh(masses).min(axis=1, initial=np.inf) <= 0)
     if postures.rates is not None:
         bad |= ~_are_regular(postures.rates)
-    if postures.mass is not None:
-        finite: Any = np.isfinite(postures.mass).all(axis=(1, 2))
-        masses = np.where(finite[:, None, None], postures.mass, 0.0)
-        bad |= ~finite | (np.linalg.eigvalsh(masses).min(axis=1, initial=np.inf) <= 0)
-    if not bad.any():
-        return ""
     first = int(np.argmax(bad))
-    posture = Posture(*(None if one is None else one[first] for one in postures))
-    return _posture_diagnosis(model, posture, f"at t = {times[first]:.4g} s")
+    return _posture_diagnosis(model, _rows(postures, first), f"at t = {times[first]:.4g} s") if bad.any() else ""
 
 
-def _effect_diagnosis(model: AbstractMechanical, times: np.ndarray, path: Path) -> str:
+def _effect_diagnosis(model: AbstractMechanical, times: np.ndarray, q: np.ndarray, effects: np.ndarray | None) -> str:
     """Where torques lose their effect: at an instant, or between two where the determinant changes sign."""
-    effects = path.postures.effects
-    found = None if effects is None else lost_rank(times, np.asarray(effects))
+    found = None if effects is None else lost_rank(times, effects)
     if found is None:
         return ""
     when, first = found
     return (
-        f"The torques of {type(model).__name__} lose their effect {when} ({_listed(model, path.q[first])}): the matrix "
-        "by which they act on the motion they must realise is singular there. Start from a motion that avoids this "
+        f"The torques of {type(model).__name__} lose their effect {when} ({_listed(model, q[first])}): the matrix by "
+        "which they act on the motion they must realise is singular there. Start from a motion that avoids this "
         "posture, or add a torque."
     )
 
 
-def _unobeyed(model: AbstractMechanical, time: float, q: np.ndarray, *, at_start: bool) -> str:
+def _unobeyed(model: AbstractMechanical, time: float, q: np.ndarray) -> str:
     """Constraints that the motion cannot obey any further."""
-    if at_start:
-        return (
-            f"The constraints of {type(model).__name__} cannot be obeyed right after the start "
-            f"({_listed(model, q)}): accelerations that are not finite there, a dead centre, or lengths "
-            "that do not reach. Check forces and energies in this posture, or begin in another one: by start=, or "
-            "by guess= for coordinates that follow from the constraints; or take shorter steps."
-        )
     return (
         f"The constraints of {type(model).__name__} cannot be obeyed beyond about t = {time:.4g} s "
-        f"({_listed(model, q)}): a dead centre, or lengths that do not reach. Change lengths or motion "
-        "so that it keeps away from there, or take shorter steps if it moves far in one."
+        f"({_listed(model, q)}): a dead centre, lengths that do not reach, or accelerations that are not finite. "
+        "Change lengths, start or motion so that it keeps away from there, check forces and energies, or take shorter "
+        "steps."
     )
 
 

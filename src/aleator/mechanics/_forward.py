@@ -18,7 +18,7 @@ from aleator.mechanics._constraints import (
     all_loose,
     put_back,
 )
-from aleator.mechanics._formulation import AbstractFormulation, Start, model_given
+from aleator.mechanics._formulation import AbstractFormulation, model_given
 from aleator.mechanics._given import (
     Given,
     checked_start,
@@ -102,7 +102,7 @@ class ForwardDynamics(AbstractFormulation):
         q, v = self._near()
         if self.model.constraints:
             model = at(self.model, t, inputs.get("parameters"))
-            q, v = consistent_start(model, q, v, self.loose(at_start=True))
+            q, v = consistent_start(model, q, v, self.loose_at_start)
         return {"q": q, "v": v}
 
     def _near(self) -> tuple[Array, Array]:
@@ -130,17 +130,14 @@ class ForwardDynamics(AbstractFormulation):
         return _rates_of(model, found), _outputs_of(model, t, z, torque, torque_rate, found)
 
     @override
-    def beginning(self, model: AbstractMechanical, grid: Grid) -> Start:
-        del grid
-        near, v = model.as_computed(self._near())
-        q = near
-        if model.constraints:
-            q, v = consistent_start(model, near, v, self.loose(at_start=True))
-        return Start(near, v, self.posture(model, q, at_start=True), None)
+    def beginning(self, model: AbstractMechanical, grid: Grid) -> tuple[Any, Any]:
+        del model, grid
+        return self._near()[0], None
 
+    @property
     @override
-    def loose(self, *, at_start: bool = False) -> Loose:
-        return kept_of(self.model, self.start).loose(self.model) if at_start else all_loose(self.model)
+    def loose_at_start(self) -> Loose:
+        return kept_of(self.model, self.start).loose(self.model)
 
     def _given(self, torque: Any) -> Array:
         n = len(self.model.actuators)

@@ -15,7 +15,7 @@ from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
 from aleator.mechanics._consistent import checked_guess, consistent_start, kept_of, start_unknown
 from aleator.mechanics._constraints import Loose
-from aleator.mechanics._formulation import AbstractFormulation, Start, model_given
+from aleator.mechanics._formulation import AbstractFormulation, model_given
 from aleator.mechanics._given import (
     Given,
     asks_torque_rates,
@@ -136,7 +136,7 @@ class HybridDynamics(AbstractFormulation):
             return self._stated(self._others_near(), vector(self._loose_speeds(), self.start))
         model = at(self.model, t, inputs.get("parameters"))
         given = Prescribed(inputs["position"], inputs["velocity"], inputs["acceleration"], self._known(None))
-        q, v = consistent_start(model, *self._near(model, given), self.loose(at_start=True))
+        q, v = consistent_start(model, *self._near(model, given), self.loose_at_start)
         return self._stated(taken(q, self._parts.others), taken(v, self._parts.undriven))
 
     @override
@@ -205,19 +205,19 @@ class HybridDynamics(AbstractFormulation):
         return self._rates_of(model, found), outputs
 
     @override
-    def beginning(self, model: AbstractMechanical, grid: Grid) -> Start:
-        """`own` is the velocity map in a generic posture, in which no angle happens to be zero."""
-        near, v = self._near(model, self._prescribed_at(grid))
-        q = near
-        if model.constraints:
-            q, v = consistent_start(model, near, v, self.loose(at_start=True))
-        generic = None if model.moves_directly else rate_map(model, q + np.linspace(0.2, 0.3, len(q)))
-        return Start(near, v, self.posture(model, q, at_start=True), generic)
+    def beginning(self, model: AbstractMechanical, grid: Grid) -> tuple[Any, Any]:
+        """Besides, the velocity map in a generic posture, in which no angle happens to be zero."""
+        q = self._near(model, self._prescribed_at(grid))[0]
+        return q, None if model.moves_directly else rate_map(model, q + np.linspace(0.2, 0.3, len(q)))
 
+    @property
     @override
-    def loose(self, *, at_start: bool = False) -> Loose:
-        if not at_start:
-            return self._parts.loose
+    def loose(self) -> Loose:
+        return self._parts.loose
+
+    @property
+    @override
+    def loose_at_start(self) -> Loose:
         return kept_of(self.model, self.start, self.prescribed, self.driven).loose(self.model)
 
     @override
@@ -231,12 +231,11 @@ class HybridDynamics(AbstractFormulation):
         return effect_of_torques(model, self._parts, q)
 
     @override
-    def diagnose_start(self, start: Start) -> str:
+    def diagnose_start(self, effects: Any, own: Any) -> str:
         """Torques that cannot act on the prescribed motion, and velocities of others that enter its rates."""
-        effects = start.posture.effects
         if not effects.size or np.linalg.matrix_rank(effects) < len(self.driven):
             return self._unrealisable()
-        if start.own is None or not np.any(start.own[np.ix_(self.prescribed, self._parts.undriven)]):
+        if own is None or not np.any(own[np.ix_(self.prescribed, self._parts.undriven)]):
             return ""
         names = ", ".join(self.model.coordinates[i] for i in self.prescribed)
         return (

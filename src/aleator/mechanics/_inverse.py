@@ -12,7 +12,7 @@ from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
 from aleator.mechanics._actuation import Actuation, scheme, torques
 from aleator.mechanics._consistent import checked_guess
-from aleator.mechanics._formulation import AbstractFormulation, Start, examined_start, model_given
+from aleator.mechanics._formulation import AbstractFormulation, examined, model_given
 from aleator.mechanics._given import Given, asks_torque_rates, combined_motion, followed, motions_for
 from aleator.mechanics._hybrid import HybridDynamics
 from aleator.mechanics._instant import along_time, at, course
@@ -139,11 +139,11 @@ class InverseDynamics(AbstractFormulation):
         return self._driven().diagnose(grid) if self.model.constraints else super().diagnose(grid)
 
     @override
-    def beginning(self, model: AbstractMechanical, grid: Grid) -> Start:
-        """`own` are the torques, velocities and accelerations."""
+    def beginning(self, model: AbstractMechanical, grid: Grid) -> tuple[Any, Any]:
+        """Torques, velocities and accelerations besides."""
         curve = [self._motion().derivative(k).sampled(np.zeros(1), grid.t_start, grid.t_final) for k in range(3)]
         torque, path = _torques(model, *(row[0] for row in model.as_computed(curve)))
-        return Start(path.q, path.v, self.posture(model, path.q, at_start=True), (torque, path.v, path.v_dot))
+        return path.q, (torque, path.v, path.v_dot)
 
     @override
     def prescribed_path(self, grid: Grid) -> Array:
@@ -154,8 +154,8 @@ class InverseDynamics(AbstractFormulation):
         return None if model.acts_directly else actuation_map(model, q)
 
     @override
-    def diagnose_start(self, start: Start) -> str:
-        effects = start.posture.effects
+    def diagnose_start(self, effects: Any, own: Any) -> str:
+        del own
         kind = Actuation.FULL if effects is None else scheme(effects)
         return "" if kind in (Actuation.FULL, Actuation.OVER) else self._unrealisable(kind.value)
 
@@ -164,7 +164,7 @@ class InverseDynamics(AbstractFormulation):
         """The holding torques, where the motion starts at rest and without acceleration; none with constraints."""
         if self.model.constraints:
             return {}
-        torque, *changes = examined_start(self, grid).own
+        torque, *changes = examined(self, grid).own
         if any(np.any(np.abs(change) > 1e-9) for change in changes):
             return {}
         return dict(zip(self.model.actuators, torque, strict=True))
