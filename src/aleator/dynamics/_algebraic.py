@@ -4,12 +4,12 @@ import inspect
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
-from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
 from aleator.dynamics._abstract_system import AbstractSystem
 from aleator.dynamics._named_roots import Named, failure_text, listed, named_root, numbers_in
@@ -135,7 +135,7 @@ def explain_failure(system: AlgebraicSystem) -> str:
     if not system.unknowns:
         return ""
     _, named = ravel_pytree(guess)
-    root = evaluate(lambda: _root(system, guess)[0], use=Use.ONCE)
+    root = jax.jit(lambda: _root(system, guess)[0])()
     if root.converged:
         return ""
     return (
