@@ -58,8 +58,8 @@ class Grid(AbstractGrid):
     def __init__(self, t_final: Any, steps: int, t_start: float = 0.0):
         self.steps = whole("Grid: steps", steps)
         t_final, t_start = _scalar(t_final), _scalar(t_start)
-        free = isinstance(t_final, AbstractLeaf) and not t_final.UNCERTAIN
-        earliest = lowest(t_final) if free else t_final
+        free = _is_decided(t_final)
+        earliest: Any = lowest(t_final) if free else t_final
         if free and realised_shape(t_final) != ():
             raise ProblemError(f"Grid: expected one final time; received an array of decisions {t_final!r}.")
         if not (_is_finite(t_start) and _is_finite(earliest) and earliest > t_start):
@@ -147,6 +147,10 @@ class Instant(AbstractGrid):
     @override
     def times(self) -> Float[Array, " instants"]:
         return jnp.zeros(1)
+
+
+def _is_decided(t_final: Any) -> bool:
+    return isinstance(t_final, AbstractLeaf) and not t_final.UNCERTAIN
 
 
 def _scalar(number: Any) -> Any:
