@@ -8,7 +8,6 @@ import pytest
 
 import aleator as al
 from aleator._core import units
-from aleator.design import _units
 
 UNITS = {
     **{"place": "m", "other_place": "m", "long": "mm", "acceleration": "m/s²", "torque": "N m", "moment": "N·m"},
@@ -94,7 +93,7 @@ def test_units_that_agree_or_are_not_known_are_not_refused(expression):
 
 
 def test_equal_texts_need_no_library_of_units(monkeypatch):
-    for module in (units, _units):
+    for module in (units, _text):
         monkeypatch.setattr(module, "measure", None)
     assert declared(PLACE.mean + out("other_place").std + out("none").mean, PLACE.mean + PLACE.std <= 1.0)
 
