@@ -9,9 +9,9 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from aleator._core.border import a_name, one_of, positive, real, refusal
 from aleator._core.equations import Digest
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name, one_of, positive, real, refusal
 from aleator.design._check import check, declared
 from aleator.design._control import on_grid
 from aleator.design._declaration import AbstractProblem

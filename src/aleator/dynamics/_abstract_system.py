@@ -4,8 +4,7 @@ import abc
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from aleator._core.module import Module
-from aleator._core.shown import Printed
+from aleator._core.leaves import Module, Printed
 
 
 class AbstractSystem(Module, Printed):

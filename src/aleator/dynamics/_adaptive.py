@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core import given
+from aleator._core import border
 from aleator.dynamics._evaluation import derivative, initial_state
 from aleator.dynamics._grid import Grid
 from aleator.dynamics._index_one import completed
@@ -47,8 +47,8 @@ class AbstractAdaptive(AbstractIntegrator):
 
     def __init__(self, rtol: float = _RELATIVE, atol: float = _ABSOLUTE, max_steps: int = _STEPS):
         who = type(self).__name__
-        self.rtol, self.atol = given.positive(f"{who}: rtol", rtol), given.positive(f"{who}: atol", atol)
-        self.max_steps = given.whole(f"{who}: max_steps", max_steps)
+        self.rtol, self.atol = border.positive(f"{who}: rtol", rtol), border.positive(f"{who}: atol", atol)
+        self.max_steps = border.whole(f"{who}: max_steps", max_steps)
 
     @abc.abstractmethod
     def solver(self) -> Any:

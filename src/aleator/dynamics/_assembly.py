@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.border import members
 from aleator._core.errors import ProblemError
-from aleator._core.given import members
 from aleator._core.leaves import AbstractLeaf, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem
 from aleator.dynamics._formula import Formula, check_name, evaluate, names_in, read_equation, read_formula

@@ -8,8 +8,8 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from aleator._core.border import traceable
 from aleator._core.errors import ProblemError
-from aleator._core.given import traceable
 from aleator.dynamics._index_one import completed
 from aleator.dynamics._returned import as_outputs, starting
 from aleator.dynamics._system import System, evaluated, state_type

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator._core.border import meant
 from aleator._core.errors import ProblemError
-from aleator._core.given import meant
 from aleator.dynamics._system import state_type
 
 Formula: TypeAlias = str | float | Callable[[Any], Any]

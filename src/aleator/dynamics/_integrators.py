@@ -15,7 +15,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree
 from aleator._core.compilation import Use, evaluate
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 from aleator.dynamics._evaluation import derivative, initial_state
 from aleator.dynamics._grid import Grid
 from aleator.dynamics._index_one import completed

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from typing_extensions import override
 
-from aleator._core.given import refusal, whole
+from aleator._core.border import refusal, whole
 from aleator.dynamics._mean_rates import AbstractMeanRate, SegmentRate
 from aleator.dynamics._schemes import AbstractScheme
 

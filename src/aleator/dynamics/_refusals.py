@@ -6,8 +6,8 @@ from typing import Any
 import jax
 from jax.core import Tracer
 
+from aleator._core.border import refuse_missing
 from aleator._core.errors import ProblemError
-from aleator._core.given import refuse_missing
 from aleator._core.leaves import is_leaf, named_leaves
 from aleator.dynamics._grid import Grid
 from aleator.dynamics._system import System, check_inputs

@@ -10,8 +10,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from aleator._core.border import traceable
 from aleator._core.errors import ProblemError
-from aleator._core.given import traceable
 
 
 def starting(what: str, names: tuple[str, ...], given: Mapping[str, Any]) -> list[Array]:

@@ -15,8 +15,8 @@ from jaxtyping import Float, Int
 from numpy.polynomial import legendre
 from typing_extensions import override
 
+from aleator._core.border import whole
 from aleator._core.errors import ProblemError
-from aleator._core.given import whole
 from aleator.dynamics._mean_rates import AbstractMeanRate, PointRate
 
 # With more stages the points lose accuracy in 64-bit arithmetic, without any gain.

@@ -12,11 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from aleator._core.arrays import numbers_to_arrays
+from aleator._core.border import one_of, refusal
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError, SimulationWarning
-from aleator._core.given import one_of, refusal
-from aleator._core.leaves import is_traced, transparent
-from aleator._core.module import Module
+from aleator._core.leaves import Module, is_traced, transparent
 from aleator.dynamics._abstract_system import AbstractSystem
 from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, explain_failure
 from aleator.dynamics._equations import Equations, Start

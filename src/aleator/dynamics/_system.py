@@ -12,8 +12,8 @@ import jax
 from jaxtyping import Array
 from typing_extensions import override
 
+from aleator._core.border import refusal
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.given import refusal
 from aleator.dynamics._abstract_system import AbstractSystem
 from aleator.trajectories import AbstractSignal
 

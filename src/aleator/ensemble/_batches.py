@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.compilation import Compiled
-from aleator._core.devices import over_devices
+from aleator._core.parallel import over_devices
 from aleator.uncertainty import AbstractGerm
 
 # Systems whose histories are held in memory at a time: larger batches gain little time.

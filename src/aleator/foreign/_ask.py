@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from typing_extensions import override
 
-from aleator._core import given
+from aleator._core import border
 from aleator._core.arrays import Pytree, jax_array
 from aleator._core.errors import ProblemError, SimulationError
 from aleator.analysis import Expanded, expand
@@ -35,10 +35,10 @@ def ask(model: Pytree, expansion: Expansion | None = None) -> "Asked":
     points depend on outputs, as they do for adaptive index sets and for `al.MultiElement()`.
     """
     if not isinstance(expansion, Expansion | None):
-        raise given.refusal("ask: the expansion", "an Expansion, such as al.Expansion(order=4)", expansion)
+        raise border.refusal("ask: the expansion", "an Expansion, such as al.Expansion(order=4)", expansion)
     places = placements(model)
     if not places.distributions:
-        raise given.refusal("ask: the model", "distributions in it, such as al.Uniform.bounds(0.9, 1.1)", model)
+        raise border.refusal("ask: the model", "distributions in it, such as al.Uniform.bounds(0.9, 1.1)", model)
     if NUMBER in places.distributions:
         raise ProblemError(f"ask: {NUMBER!r} is the name of the samples' numbers; expected another name of the input.")
     expansion = expansion or Expansion()
@@ -87,7 +87,7 @@ class Asked:
                 table.writerow([NUMBER, *self.points])
                 table.writerows([number, *row] for number, row in enumerate(rows, 1))
         except TypeError as error:
-            raise given.refusal("write_csv", "the path of a file", path) from error
+            raise border.refusal("write_csv", "the path of a file", path) from error
         except OSError as error:
             raise ProblemError(f"write_csv: {path} cannot be written ({error.strerror}).") from error
 

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 
 
 @final

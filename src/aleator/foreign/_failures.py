@@ -8,9 +8,8 @@ import jax
 import numpy as np
 
 from aleator._core.arrays import Pytree
-from aleator._core.errors import ProblemError, SimulationError, SimulationWarning
-from aleator._core.given import real, refusal
-from aleator._core.warned import warn_outside
+from aleator._core.border import real, refusal
+from aleator._core.errors import ProblemError, SimulationError, SimulationWarning, warn_outside
 from aleator.ensemble import Realisation, as_outputs, same_shapes
 
 # Inputs of the dropped samples are named where these lie within this part of the range of all samples.

@@ -7,10 +7,10 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any, final
 
-from aleator._core import given
+from aleator._core import border
 from aleator._core.arrays import Pytree
 from aleator._core.errors import SimulationError
-from aleator._core.own_process import ended_with, endings, exit_told, report
+from aleator._core.executors import ended_with, endings, exit_told, report
 from aleator.foreign._runs import is_of_pickle, refuse_traced, unsendable
 
 
@@ -36,9 +36,9 @@ class Isolated:
 
     def __post_init__(self) -> None:
         if not callable(self.function):
-            raise given.refusal("Isolated", "a function", self.function)
+            raise border.refusal("Isolated", "a function", self.function)
         if self.time_limit is not None:
-            object.__setattr__(self, "time_limit", given.positive("Isolated: time_limit", self.time_limit))
+            object.__setattr__(self, "time_limit", border.positive("Isolated: time_limit", self.time_limit))
 
     @property
     def __name__(self) -> str:

@@ -9,9 +9,9 @@ import jax
 import numpy as np
 
 from aleator._core.arrays import Pytree
+from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import refusal
-from aleator._core.json_lines import read_lines
+from aleator._core.journalled import read_lines
 from aleator.ensemble import Realisation
 
 _HEADER = {"journal": "aleator.foreign", "version": 1}

@@ -9,11 +9,11 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from aleator._core import given
+from aleator._core import border
 from aleator._core.arrays import Pytree
+from aleator._core.border import real_array
 from aleator._core.errors import ProblemError
-from aleator._core.given import real_array
-from aleator._core.tables import entry, read_table
+from aleator.trajectories import entry, read_table
 
 NUMBER = "sample"
 """The column with the numbers of samples, from 1 on."""
@@ -39,7 +39,7 @@ def columns_of(responses: Any, inputs: list[str]) -> Pytree:
         return _required("tell: the dataset", _from_dataset(responses), inputs)
     if isinstance(responses, Mapping):
         if odd := [name for name in responses if not isinstance(name, str)]:
-            raise given.refusal("tell: the responses", "names of outputs that are texts", odd[0])
+            raise border.refusal("tell: the responses", "names of outputs that are texts", odd[0])
         return {name: _rows_of(f"tell: {name!r}", values) for name, values in responses.items()}
     return _rows_of("tell", responses)
 
@@ -76,7 +76,7 @@ def _numbers(values: np.ndarray, count: int) -> Int[np.ndarray, " rows"]:
     whole = np.isfinite(values) & (values == np.round(values)) & (values >= 1) & (values <= count)
     if values.ndim != 1 or not whole.all():
         bad = values if values.ndim != 1 else float(values[~whole][0])
-        raise given.refusal(f"tell: {NUMBER!r}", f"the numbers of samples from 1 to {count}", bad)
+        raise border.refusal(f"tell: {NUMBER!r}", f"the numbers of samples from 1 to {count}", bad)
     found, times = np.unique(values, return_counts=True)
     if (times > 1).any():
         raise ProblemError(f"tell: sample {found[times > 1][0]:g} has {times.max()} rows; expected one.")
@@ -90,7 +90,7 @@ def _refuse_changed(points: Mapping[str, np.ndarray], named: Mapping[str, np.nda
     for name, asked in told.items():
         received, expected = named[name], asked[numbers]
         if received.shape != expected.shape:
-            raise given.refusal(f"tell: the input {name!r}", "one number in each row", received)
+            raise border.refusal(f"tell: the input {name!r}", "one number in each row", received)
         rounded |= received != expected
         wrong = ~(np.abs(received - expected) <= _to_six_digits(asked)[numbers])
         if wrong.any():
@@ -128,7 +128,7 @@ def _required(what: str, columns: dict[str, np.ndarray], inputs: list[str]) -> d
 def _rows_of(what: str, values: Any) -> np.ndarray:
     array = real_array(what, values, "real numbers with a row for each sample")
     if array.ndim == 0:
-        raise given.refusal(what, "an array with a row for each sample", values)
+        raise border.refusal(what, "an array with a row for each sample", values)
     return array
 
 

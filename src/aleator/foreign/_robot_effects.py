@@ -4,8 +4,8 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+from aleator._core.border import members
 from aleator._core.errors import ProblemError
-from aleator._core.given import members
 from aleator.foreign._xml import broken
 
 EFFECTS: Mapping[str, str] = {

@@ -4,8 +4,8 @@ import math
 from types import MappingProxyType
 from typing import Any
 
+from aleator._core.border import shown
 from aleator._core.errors import ProblemError
-from aleator._core.given import shown
 from aleator._core.leaves import highest, lowest
 
 _WHOLE = ("integer", "even", "odd", "prime", "composite")

@@ -3,8 +3,8 @@
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from aleator._core.border import meant, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import meant, refusal
 from aleator.foreign._sympy_assumptions import refuse_stepping
 from aleator.foreign._sympy_mechanical import Mechanics, SymPyMechanical, acceleration_of, rate_of
 from aleator.foreign._sympy_program import load_sympy, written

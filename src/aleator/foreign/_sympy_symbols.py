@@ -4,8 +4,8 @@ import contextlib
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any, NamedTuple
 
+from aleator._core.border import meant, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import meant, refusal
 from aleator._core.leaves import realised_shape, stored_numbers
 from aleator.foreign._sympy_assumptions import refuse_contradiction, refuse_stepping
 from aleator.foreign._sympy_program import load_sympy

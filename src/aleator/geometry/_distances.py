@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator._core.border import refusal, refuse_missing, traceable, whole
 from aleator._core.errors import ProblemError
-from aleator._core.given import refusal, refuse_missing, traceable, whole
 from aleator._core.leaves import stored_numbers
 from aleator.geometry._shapes import (
     AbstractBounded,

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.given import one_of, real_array, refusal
+from aleator._core.border import one_of, real_array, refusal
 from aleator.mechanics._constraints import jacobian_of
 from aleator.mechanics._matrices import solve_any
 from aleator.mechanics._mechanical import AbstractMechanical, actuation_map

@@ -5,9 +5,9 @@ from typing import Any, final
 import equinox as eqx
 import numpy as np
 
+from aleator._core.border import a_name
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 from aleator.mechanics._joints import AbstractJoint, Fixed
 from aleator.mechanics._spatial import Block, Inertia, Pose, all_known, as_array, from_angles, is_known, library, skew
 

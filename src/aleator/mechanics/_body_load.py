@@ -10,9 +10,9 @@ import numpy as np
 from jax.extend.core import Literal
 from jaxtyping import Array, Float
 
+from aleator._core.border import a_name
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 from aleator.mechanics._body import Body, placement
 from aleator.mechanics._joints import AbstractAxial
 from aleator.mechanics._recursions import world_poses

@@ -8,10 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator._core.border import a_name, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name, refusal
-from aleator._core.leaves import is_leaf
-from aleator._core.module import Module
+from aleator._core.leaves import Module, is_leaf
 from aleator.mechanics._body import frame
 from aleator.mechanics._joints import AbstractAxial, Ball, Fixed, Prismatic, Revolute
 from aleator.mechanics._recursions import motion_apart

@@ -17,8 +17,8 @@ from jaxtyping import Array
 from typing_extensions import override
 
 from aleator._core.arrays import in_library, numbers_to_arrays
+from aleator._core.border import one_of
 from aleator._core.compilation import Compiled, Use
-from aleator._core.given import one_of
 from aleator._core.leaves import is_traced, transparent
 from aleator.dynamics import Grid, RungeKutta4, System, simulate
 from aleator.mechanics._constraint_diagnosis import constraint_diagnosis_along, lost_rank, start_diagnosis

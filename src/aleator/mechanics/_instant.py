@@ -18,7 +18,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import in_library
 from aleator._core.errors import ProblemError
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 from aleator.dynamics import Grid
 from aleator.mechanics._signatures import timed_methods
 from aleator.trajectories import AbstractSignal, AbstractTrajectory

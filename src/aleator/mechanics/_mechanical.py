@@ -11,10 +11,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import in_library
+from aleator._core.border import traceable
 from aleator._core.errors import ProblemError
-from aleator._core.given import traceable
-from aleator._core.module import Module
-from aleator._core.shown import Printed
+from aleator._core.leaves import Module, Printed
 from aleator.dynamics import called
 from aleator.mechanics._instant import at, course, is_timed
 from aleator.mechanics._matrices import solve_positive

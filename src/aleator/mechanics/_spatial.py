@@ -16,8 +16,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from aleator._core.border import real_array, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import real_array, refusal
 from aleator._core.leaves import is_leaf
 
 Numbers: TypeAlias = Array | np.ndarray

@@ -8,13 +8,11 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.elsewhere import check_executor, each_done
-from aleator._core.errors import ProblemError
-from aleator._core.given import one_of, whole
+from aleator._core.border import Progress, check_progress, one_of, silent, whole
+from aleator._core.errors import ProblemError, warned_of
+from aleator._core.executors import check_executor, each_done
 from aleator._core.journalled import entry_of, journalled
-from aleator._core.progress import Progress, check_progress, silent
-from aleator._core.shown import Drawn, Printed
-from aleator._core.warned import warned_of
+from aleator._core.leaves import Drawn, Printed
 from aleator.design import Problem, refuse_other_code
 from aleator.nlp import (
     AbstractSearch,

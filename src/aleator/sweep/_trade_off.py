@@ -8,8 +8,8 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from aleator._core.given import real_array, refusal
-from aleator._core.shown import Drawn
+from aleator._core.border import real_array, refusal
+from aleator._core.leaves import Drawn
 from aleator.design import Expression
 from aleator.solution import Solution
 

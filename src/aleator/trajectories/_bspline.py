@@ -14,7 +14,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core import given as check
+from aleator._core import border as check
 from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf, is_leaf, lowest, realised_shape, stored_numbers

@@ -15,11 +15,10 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import in_library, jax_array
+from aleator._core.border import real_array
 from aleator._core.errors import ProblemError
-from aleator._core.given import real_array
-from aleator._core.leaves import realised_shape, stored_numbers
-from aleator._core.module import Module
-from aleator._core.tables import entry, read_table
+from aleator._core.leaves import Module, realised_shape, stored_numbers
+from aleator.trajectories._tables import entry, read_table
 
 
 class AbstractSignal(Module):

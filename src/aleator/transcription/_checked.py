@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import refusal
 from aleator._core.identity import is_library
 from aleator.design import Problem
 from aleator.nlp import Evaluation, NonlinearProgram

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from aleator._core.errors import ProblemError
-from aleator._core.shown import Drawn, Printed
+from aleator._core.leaves import Drawn, Printed
 from aleator.design import Problem, Statistic, expanded_functionals, functionals_of, is_worst_case, sizes
 from aleator.references._estimate import group_count, pair
 from aleator.solution import Solution, ends

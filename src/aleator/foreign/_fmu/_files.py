@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+from aleator._core.border import shown
 from aleator._core.errors import MissingExtraError, ProblemError
-from aleator._core.given import shown
 
 # As much of another library's message as ours repeats.
 _LONGEST = 160

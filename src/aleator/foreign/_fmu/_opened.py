@@ -5,8 +5,8 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, final
 
+from aleator._core.border import shown
 from aleator._core.errors import ProblemError
-from aleator._core.given import shown
 from aleator.foreign._fmu._files import MODEL_EXCHANGE, described, kind_of, offers_slopes
 from aleator.foreign._fmu._instance import Instance, started
 from aleator.foreign._fmu._library import Library

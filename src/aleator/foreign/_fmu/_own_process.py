@@ -17,7 +17,7 @@ from typing import IO, Any, NamedTuple, final
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError, SimulationError, SimulationWarning
-from aleator._core.own_process import end_group, ended_with, endings, exit_told, in_group
+from aleator._core.executors import end_group, ended_with, endings, exit_told, in_group
 from aleator.foreign._fmu._doors import AbstractDoor
 from aleator.foreign._fmu._served import Request
 

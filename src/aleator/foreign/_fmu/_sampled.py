@@ -6,8 +6,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from aleator._core.border import shown
 from aleator._core.errors import ProblemError
-from aleator._core.given import shown
 from aleator.dynamics import Grid
 from aleator.foreign._fmu._fmu import Fmu
 from aleator.foreign._fmu._inputs import Sampled

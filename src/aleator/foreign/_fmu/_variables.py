@@ -5,8 +5,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from aleator._core.border import meant, shown
 from aleator._core.errors import ProblemError
-from aleator._core.given import meant, shown
 
 # Names in FMI 2 and 3.
 REAL = ("Real", "Float64")

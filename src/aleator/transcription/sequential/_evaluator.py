@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from aleator._core.compilation import Compiled, Use
-from aleator._core.devices import over_devices
+from aleator._core.parallel import over_devices
 from aleator.design import Problem, functionals_of, grid_at
 from aleator.expansion import Collocation
 from aleator.nlp import Evaluation

@@ -9,8 +9,8 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.elsewhere import AbstractPack, each_of, packed
 from aleator._core.errors import ProblemError
+from aleator._core.executors import AbstractPack, each_of, packed
 from aleator.design import refuse_other_code
 from aleator.ensemble import parts
 from aleator.nlp import NonlinearProgram

@@ -12,8 +12,8 @@ from jaxtyping import Float, Int
 from typing_extensions import override
 
 from aleator._core.arrays import numbers_to_arrays
+from aleator._core.border import refusal
 from aleator._core.compilation import Compiled
-from aleator._core.given import refusal
 from aleator.design import Problem
 from aleator.nlp import Hessian, NonlinearProgram
 from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning, Meanwhile
