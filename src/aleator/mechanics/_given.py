@@ -10,10 +10,10 @@ from typing_extensions import override
 
 from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
+from aleator._core.leaves import realised_shape, stored_numbers
 from aleator.mechanics._instant import course
 from aleator.mechanics._mechanical import AbstractMechanical
 from aleator.trajectories import AbstractSignal, AbstractTrajectory, PowerSeries, Stack
-from aleator.trajectories._trajectory import copied, shape_of
 
 
 @final
@@ -117,7 +117,7 @@ def _single(given: Any, where: str) -> AbstractSignal:
         raise ProblemError(f"{where}: expected a trajectory of one number; received shape {given.shape}.")
     if isinstance(given, AbstractSignal):
         return given
-    if shape_of(given) != ():
+    if realised_shape(given) != ():
         raise ProblemError(f"{where}: expected a trajectory or one number; received {given!r}.")
     # A number, even an uncertain or decided one, is a constant signal.
     return PowerSeries(start=(given,))
@@ -132,11 +132,11 @@ def checked_start(model: AbstractMechanical, names: tuple[str, ...], start: Any,
     if unknown := sorted(set(given) - set(names)):
         raise ProblemError(f"{what}: there is no {unknown} to start; expected some of {list(names)}.")
     for name, number in given.items():
-        if shape_of(number) != ():
+        if realised_shape(number) != ():
             raise ProblemError(
-                f"{what}: expected one number as the start of '{name}'; received shape {shape_of(number)}."
+                f"{what}: expected one number as the start of '{name}'; received shape {realised_shape(number)}."
             )
-    return {name: copied(what, f"start of '{name}'", number) for name, number in given.items()}
+    return {name: stored_numbers(f"{what}: start of '{name}'", number) for name, number in given.items()}
 
 
 def coordinates_at(model: AbstractMechanical, start: Mapping[str, Any]) -> Float[Array, " coordinates"]:
