@@ -9,7 +9,7 @@ import pytest
 
 import aleator as al
 from aleator import studies
-from aleator.reporting import Table, Verdict, _lock
+from aleator.reporting import Table, Verdict, _files
 from aleator.studies import Stage
 from command_line import aleator, said
 from rehearsed_runs import Rehearsal
@@ -90,9 +90,9 @@ sys.stdin.read()
 
 
 def test_a_folder_that_another_run_writes_to_is_refused_before_any_work(run, monkeypatch, tmp_path: Path):
-    monkeypatch.setattr(_lock, "_PATIENCE", 0.1)
+    monkeypatch.setattr(_files, "_PATIENCE", 0.1)
     study = Rehearsal()
-    with _lock.only_writer(tmp_path):
+    with _files.only_writer(tmp_path):
         (lock,) = tmp_path.iterdir()
     with subprocess.Popen(
         [sys.executable, "-I", "-S", "-c", HOLDER, str(lock)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True

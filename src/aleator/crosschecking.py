@@ -144,11 +144,8 @@ def _objective_size(solution: Solution) -> float:
 
 def _decisions(problem: Problem, one: Solution, other: Solution) -> dict[str, float]:
     """By name; infinite for a control that has followed a finer mesh in one of them."""
-    return {name: _decided(place, one.decisions[name], other.decisions[name]) for name, place in _places(problem)}
-
-
-def _places(problem: Problem) -> list[tuple[str, Decision]]:
-    return [(name, place.decision) for name, place in problem.placements.decisions.items()]
+    places = {name: place.decision for name, place in problem.placements.decisions.items()}
+    return {name: _decided(place, one.decisions[name], other.decisions[name]) for name, place in places.items()}
 
 
 def _decided(decision: Decision, first: object, second: object) -> float:

@@ -111,7 +111,7 @@ def examine(subject: Problem | Solution) -> Examination:
     if not isinstance(subject, Problem | Solution):
         raise refusal("examine", "a problem, or a solution such as that of al.solve(problem, throw=False)", subject)
     solution = subject if isinstance(subject, Solution) else None
-    problem = current(subject.problem if isinstance(subject, Solution) else subject)
+    problem = subject.problem if isinstance(subject, Solution) else subject
     transcribed = transcribe(problem, DEFAULT)
     point = transcribed.program.start if solution is None else np.asarray(solution.vector)
     _refuse_unknown(transcribed, point)

@@ -5,7 +5,7 @@ import pytest
 
 import aleator as al
 from aleator.design import statistics_in
-from aleator.reporting._units import of_statistic
+from aleator.reporting._numbers import unit_of_statistic
 from zoo import HALF_WIDTH, LOSS, ONE_STEP, RESPONSE, Gain, gain_problem
 
 Y, PATH = al.rms("y"), al.path("y")
@@ -163,4 +163,4 @@ def test_the_unit_of_a_statistic_follows_from_what_it_is():
     ]
     for expression, unit in units:
         (atom,) = statistics_in((expression,))
-        assert of_statistic(atom, problem) == unit
+        assert unit_of_statistic(atom, problem) == unit

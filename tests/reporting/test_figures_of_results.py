@@ -11,7 +11,7 @@ import scipy
 import shown_results as shown
 
 import aleator as al
-from aleator.reporting._limited_paths import limits_of
+from aleator.reporting._paths import limits_of
 
 
 def named(figure, name):

@@ -11,8 +11,7 @@ import xarray
 
 import aleator as al
 from aleator.reporting import design_digest, page_html, provenance, report, save
-from aleator.reporting._page import Page
-from aleator.reporting._verdict import verdict
+from aleator.reporting._page import Page, verdict
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,10 @@ import aleator as al
 from aleator import ProblemError
 from aleator.reporting import report
 from aleator.reporting._numbers import number
+from aleator.reporting._page import verdict
 from aleator.reporting._tables import certificate_table, designs_table, evidence_table
-from aleator.reporting._verdict import verdict
 from aleator.validation import Proportion
-from aleator.validation._disagreement import Disagreement
+from aleator.validation._limits import Disagreement
 from zoo import MASS, STRESS, bar_problem
 
 

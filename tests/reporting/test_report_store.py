@@ -15,9 +15,8 @@ import report_problems as given
 import xarray
 
 from aleator import ProblemError
-from aleator.reporting import _files, _lock, check_writable, json_text, report, save
-from aleator.reporting._files import write_text, write_together, write_whole
-from aleator.reporting._lock import has_writer, only_writer
+from aleator.reporting import _files, check_writable, json_text, report, save
+from aleator.reporting._files import has_writer, only_writer, write_text, write_together, write_whole
 from aleator.results import Front, Refused
 
 
@@ -247,7 +246,7 @@ import pathlib, resource, sys
 import numpy, xarray
 from aleator import AleatorError
 from aleator.reporting import _store
-from aleator.reporting._lock import only_writer
+from aleator.reporting._files import only_writer
 _store.tree = lambda results: xarray.DataTree(xarray.Dataset({"x": ("t", numpy.arange(5000.0))}))
 folder = pathlib.Path(sys.argv[1])
 _store.save(folder)
@@ -269,7 +268,7 @@ with only_writer(folder):
 def test_a_full_disk_leaves_earlier_results_whole_and_a_folder_is_free_again_when_its_writer_is_killed(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(_lock, "_PATIENCE", 0.1)
+    monkeypatch.setattr(_files, "_PATIENCE", 0.1)
     with subprocess.Popen(
         [sys.executable, "-c", FULL, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as holder:

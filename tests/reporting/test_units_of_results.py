@@ -8,7 +8,7 @@ import pytest
 
 import aleator as al
 from aleator._core.units import integrated, product, rate, squared
-from aleator.reporting._units import of_decision, of_expression, of_moments
+from aleator.reporting._numbers import unit_of_decision, unit_of_expression, units_of_moments
 
 ENDS = {"start": ((0.0, 0.0), 0), "end": ((1.0, 1.0), 0)}
 
@@ -75,12 +75,12 @@ UNITS = [
 
 
 def test_units_follow_from_those_of_outputs(crane):
-    assert {str(one): of_expression(one, crane) for one, _ in UNITS} == {str(one): unit for one, unit in UNITS}
+    assert {str(one): unit_of_expression(one, crane) for one, _ in UNITS} == {str(one): unit for one, unit in UNITS}
 
 
 def test_functionals_and_decisions_have_their_units(crane):
-    assert of_moments(crane) == {"∫x_torque² dt": "N² s", "∫|q_torque q_rate| dt": "J"}
-    found = {name: of_decision(name, crane) for name in crane.placements.decisions}
+    assert units_of_moments(crane) == {"∫x_torque² dt": "N² s", "∫|q_torque q_rate| dt": "J"}
+    found = {name: unit_of_decision(name, crane) for name in crane.placements.decisions}
     assert found == {"mass.shape": "", "mass.scale": "kg", "motion.free": "", "t_final": "s"}
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.sweep._neighbours import Place, doubtful
+from aleator.sweep._front import Place, doubtful
 
 CURVES = {
     "1/b": (lambda b: 1 / b, lambda b: -1 / b**2),

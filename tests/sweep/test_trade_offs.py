@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 
 import aleator as al
 from aleator.extending import save
-from aleator.sweep._hypervolume import efficient, hypervolume
+from aleator.sweep._trade_off import efficient, hypervolume
 from zoo import cases
 
 HERE, THERE, ELSEWHERE = (1.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 1.0)

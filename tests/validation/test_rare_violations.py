@@ -10,7 +10,7 @@ from scipy import stats
 import aleator as al
 from aleator._core import part_by_part
 from aleator.validation import WeightedProportion, _rare
-from aleator.validation._proposal import adapted, weighted
+from aleator.validation._rare import adapted, weighted
 from zoo import gain_problem
 
 RARE = 1e-4

@@ -28,8 +28,8 @@ from jaxtyping import Array, Float, Int
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree, Scalar, in_library, jax_array
+from aleator._core.compilation import evaluate
 from aleator._core.memory import NUMBER, refuse_beyond_memory
-from aleator._core.tracing import evaluate
 from aleator.analysis._abstract_expanded import (
     AbstractExpanded,
     as_lines,

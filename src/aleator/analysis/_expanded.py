@@ -14,9 +14,8 @@ from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree, in_library, jax_array, numbers_to_arrays
-from aleator._core.compilation import Use
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
-from aleator._core.tracing import evaluate
 from aleator.analysis._abstract_expanded import (
     AbstractExpanded,
     as_lines,

@@ -17,7 +17,6 @@ from aleator._core.compilation import Use
 from aleator._core.errors import ExpansionWarning, ProblemError, SimulationError
 from aleator._core.given import one_of, refusal
 from aleator._core.leaves import transparent
-from aleator._core.tracing import evaluate
 from aleator.analysis._expanded import Expanded
 from aleator.dynamics import (
     AbstractIntegrator,

@@ -6,7 +6,8 @@ the same program. They share levels, batches and messages with this package, and
 """
 
 import abc
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+import functools
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, ClassVar, NamedTuple, TypeAlias, final
 
 import equinox as eqx
@@ -18,10 +19,10 @@ from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree, jax_array
+from aleator._core.compilation import evaluate_traced
+from aleator._core.equations import TracedFunction, digest_of, refuse_unsteady
 from aleator._core.errors import ProblemError
-from aleator._core.identity import code_digest
 from aleator._core.leaves import named_leaves
-from aleator._core.tracing import Traced, trace_once
 from aleator.ensemble._batches import Part, at_levels, each, fill, parts
 from aleator.ensemble._outputs import (
     UNTRACEABLE,
@@ -180,7 +181,7 @@ class TracedEnsemble(AbstractEnsemble):
     def __init__(self, function: Function, model: Pytree, places: Placements):
         super().__init__(function, model, places)
         self._numbers, self._rest = eqx.partition(model, eqx.is_array)
-        self._traced: dict[int, Traced] = {}
+        self._traced: dict[int, TracedFunction] = {}
 
     @override
     def _of_size(self, size: int) -> Callable[[Points, int], Pytree]:
@@ -191,29 +192,31 @@ class TracedEnsemble(AbstractEnsemble):
         def outputs(points: Points, before: int) -> Pytree:
             del before
             if len(points) == size:
-                return traced(self._numbers, self._decisions, jax_array(points))
-            values = traced(self._numbers, self._decisions, jax_array(fill(np.asarray(points), size)))
+                return evaluate_traced(traced, self._numbers, self._decisions, jax_array(points))
+            filled = jax_array(fill(np.asarray(points), size))
+            values = evaluate_traced(traced, self._numbers, self._decisions, filled)
             return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(points)], values)
 
         return outputs
 
-    def _trace(self, size: int) -> Traced:
+    def _trace(self, size: int) -> TracedFunction:
         def outputs(
             numbers: Pytree, decisions: Float[Array, " n_x"], points: Float[Array, "points variables"]
         ) -> Pytree:
             model = eqx.combine(numbers, self._rest)
             return jax.vmap(lambda point: self._at(model, decisions, point, jnp))(points)
 
-        points = jax.ShapeDtypeStruct((size, len(self.places.germs)), float)
+        points = np.zeros((size, len(self.places.germs)))
+        trace = functools.partial(TracedFunction, outputs, self._numbers, self._decisions, points)
         try:
-            # What the function names may change in a notebook, and a journal would keep what an old trace computes.
-            key = self._function, code_digest(self._function, ""), _exactly(self._rest)
-            return trace_once(key, outputs, self._numbers, self._decisions, points)
+            traced = trace()
         except UNTRACEABLE as error:
             raise ProblemError(
                 f"{self._name} cannot be traced by JAX ({str(error).splitlines()[0]}) Write it with jax.numpy, or "
                 "pass traced=False: it is then called with plain numbers, point by point, without derivatives."
             ) from error
+        refuse_unsteady(self._name, digest_of(traced.closed), lambda: digest_of(trace().closed))
+        return traced
 
 
 @final
@@ -301,12 +304,6 @@ def same_shapes(first: Pytree, second: Pytree) -> bool:
     structures = [jax.tree.structure(outputs) for outputs in (first, second)]
     shapes = [[leaf.shape for leaf in jax.tree.leaves(outputs)] for outputs in (first, second)]
     return structures[0] == structures[1] and shapes[0] == shapes[1]
-
-
-def _exactly(static: Pytree) -> Hashable:
-    """Equal for equal structures: 1, 1.0 and True differ, and so do 0.0 and -0.0."""
-    leaves, structure = jax.tree.flatten(static)
-    return structure, tuple((type(leaf), leaf.hex() if isinstance(leaf, float) else leaf) for leaf in leaves)
 
 
 def _as_python(leaf: Any) -> Any:

@@ -1,5 +1,6 @@
-"""`Answer`: what a solver claims; `Verdict`: what is reported of it."""
+"""What a solver claims of its answer, what is reported of it, and why it is no solution."""
 
+import itertools
 from numbers import Integral
 from typing import Any, NamedTuple
 
@@ -7,11 +8,11 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import real_array
-from aleator.nlp._certificate import Certificate
-from aleator.nlp._outcome import Status
+from aleator.nlp._certificate import Certificate, lagrangian_gradient
+from aleator.nlp._evaluations import NotFiniteError
 from aleator.nlp._program import Evaluation
-from aleator.nlp._scales import Multipliers
-from aleator.nlp._scaling import ScaledProgram
+from aleator.nlp._scaling import Multipliers, ScaledProgram
+from aleator.nlp._solver import Status
 
 
 class Answer(NamedTuple):
@@ -71,3 +72,135 @@ class Verdict(NamedTuple):
     message: str
     sizes: np.ndarray
     strayed: bool = False
+
+
+# Lengths of the probing steps, in typical magnitudes of the variables.
+_STEPS = (1e-3, 1e-5, 1e-7)
+# A change below this many rounding errors cannot be distinguished from none.
+_ROUNDINGS = 1e3
+# The error of a first-order prediction falls with the square of the step. Below the first of these powers the function
+# is not differentiable; below the second it jumps.
+_SMOOTH, _JUMP = 1.5, 0.5
+_EXCLUDE = "Exclude those points by the bounds of the decisions"
+
+
+def stall(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers) -> tuple[str, str]:
+    """Why a solver may have got stuck at a point, in words that follow a colon, and the remedy; empty if unknown.
+
+    The Lagrangian is evaluated along its own steepest descent, over steps of different lengths. If it is smooth, the
+    error of the first-order prediction falls with the square of the step; at a kink it falls with the step, at a jump
+    not at all. The result does not depend on the solver.
+    """
+    start = scaled.evaluate(z)
+    remainder = lagrangian_gradient(start, multipliers)
+    largest = float(np.abs(remainder).max(initial=0.0))
+    if largest == 0:
+        return "", ""
+    typical = max(1.0, float(np.abs(z).max()))
+    rounding = _ROUNDINGS * np.finfo(float).eps * scaled.terms(start, multipliers)
+    missed: list[tuple[float, float]] = []
+    seen = False
+    for step in _STEPS:
+        moved = np.clip(z - step * typical * remainder / largest, scaled.lower, scaled.upper)
+        try:
+            there = scaled.evaluate(moved)
+        except NotFiniteError:
+            return "the model is not finite close by, where it would be less", _EXCLUDE
+        predicted = float(remainder @ (moved - z))
+        seen = seen or abs(predicted) > rounding
+        rows = float(multipliers.rows @ (there.constraints - start.constraints))
+        actual = there.objective - start.objective + rows + float(multipliers.bounds @ (moved - z))
+        error = abs(actual - predicted)
+        if error > max(rounding, abs(predicted) / 2):
+            missed.append((step, error))
+    if not seen:
+        why = "the possible gain is below the rounding of the objective, so that no further progress is possible here"
+        return why, "Accept it by a larger tolerance of the solver"
+    if len(missed) < 2:
+        return "", ""
+    power = min(
+        np.log(error / finer) / np.log(step / smaller) for (step, error), (smaller, finer) in itertools.pairwise(missed)
+    )
+    if power > _SMOOTH:
+        return "", ""
+    what = "jumps" if power < _JUMP else "has a kink"
+    why = (
+        f"the objective or an active constraint {what} close by, so that it does not change as its derivative "
+        "predicts, and no derivative-based solver gets further"
+    )
+    remedy = "Make it smooth there (al.examine names it), or replace a largest or absolute value by limits on its parts"
+    return why, remedy
+
+
+HELD = 1e-6
+"""A constraint holds if it exceeds its bound by at most this part of its size: the magnitude of the bound and of the
+values around the answer."""
+
+# A variable without a bound that is so many typical magnitudes away from zero may have no optimum.
+_FAR = 100.0
+# One that is so many away has none: beside such magnitudes every slope and every violation is nothing.
+LOST = 1e12
+# What to do where nothing more is known.
+_REMEDIES = {
+    Status.EVALUATION_FAILED: (
+        "Stuck next to points where the model is not finite: exclude these by the bounds of the decisions"
+    ),
+    Status.INFEASIBLE: (
+        "Relax a limit (al.conflict names those that cannot hold together), widen the bounds of the decisions, or try "
+        "other starts with al.multistart"
+    ),
+    Status.ITERATION_LIMIT: (
+        "Allow the solver more iterations, by its max_iterations, start closer to the solution, or see what "
+        "al.examine tells of scales and derivatives"
+    ),
+    Status.FAILED: (
+        "See what al.examine tells of scales and derivatives, try another solver (al.solvers.FilterSQP, Ipopt or "
+        "Slsqp), or other starts with al.multistart"
+    ),
+}
+
+STRAYED = (
+    "The constraints hold at this design, which the search saw on its way, but it ended where they do not and no small "
+    "step returns: they seem to jump. See what al.examine tells of jumps and make these smooth, search by values alone "
+    "with al.solvers.DifferentialEvolution, or try other starts with al.multistart"
+)
+"""What to tell of a search that ended where the constraints do not hold, although it had seen a point where they do."""
+
+
+def held(tolerance: float) -> float:
+    """The largest violation of a constraint that holds, over its size."""
+    return min(HELD, tolerance)
+
+
+def advice(scaled: ScaledProgram, verdict: Verdict, unfinished: str, tolerance: float) -> str:
+    """Why a point is no solution and what to do, in words; empty for a solution."""
+    if verdict.status not in _REMEDIES:
+        return ""
+    if verdict.status not in (Status.ITERATION_LIMIT, Status.FAILED):
+        return _REMEDIES[verdict.status]
+    if unfinished:
+        return f"{unfinished}. Lower the largest weights of the objective, or start elsewhere"
+    reason, remedy = _reason(scaled, verdict, tolerance)
+    if not remedy and has_run_away(scaled, verdict.point):
+        reason += ", and decisions are far out on a side without a bound, where there may be no optimum"
+        remedy = "Give all decisions bounds, or allow the solver more iterations, by its max_iterations"
+    return f"{reason}. {remedy or _REMEDIES[verdict.status]}"
+
+
+def has_run_away(scaled: ScaledProgram, z: np.ndarray, far: float = _FAR) -> bool:
+    """Whether a variable is more typical magnitudes away from zero than `far`, on a side on which it has no bound."""
+    open_ended = np.where(z > 0, np.isposinf(scaled.upper), np.isneginf(scaled.lower))
+    return bool(np.any(open_ended & (np.abs(z) > far)))
+
+
+def _reason(scaled: ScaledProgram, verdict: Verdict, tolerance: float) -> tuple[str, str]:
+    """Why a point is no solution: the condition that is not met with, if known, the reason; and the remedy for that."""
+    certificate = verdict.certificate
+    if certificate.violation > held(tolerance):
+        return (
+            f"a constraint is missed by {certificate.violation:.1e} of its size, where {held(tolerance):.0e} is "
+            "asked, although small steps would still reduce it"
+        ), ""
+    residual = max(certificate.stationarity, certificate.complementarity)
+    known, remedy = stall(scaled, verdict.point, verdict.multipliers)
+    return f"stationarity is {residual:.1e}, where {tolerance:.0e} is asked{known and ': '}{known}", remedy

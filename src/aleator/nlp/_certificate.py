@@ -19,8 +19,7 @@ from aleator.nlp._matrices import (
     with_last_row,
 )
 from aleator.nlp._program import Evaluation
-from aleator.nlp._scales import Multipliers
-from aleator.nlp._scaling import ScaledProgram
+from aleator.nlp._scaling import Multipliers, ScaledProgram
 
 # Rows this close to a bound count as active when multipliers are fitted or infeasibility is examined; in the latter
 # case also no further off than this part of the largest violation, whatever the scale.

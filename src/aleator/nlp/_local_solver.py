@@ -10,14 +10,11 @@ from typing_extensions import override
 
 from aleator._core import given
 from aleator._core.errors import ProblemError
-from aleator.nlp._advice import has_run_away
-from aleator.nlp._answer import Answer, Verdict, checked_answer
+from aleator.nlp._answer import Answer, Verdict, checked_answer, has_run_away
 from aleator.nlp._evaluations import HaltedError, NotFiniteError, NowhereFiniteError
-from aleator.nlp._outcome import Outcome, Status
 from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
-from aleator.nlp._searched import Searched
-from aleator.nlp._solver import AbstractSolver, checked
+from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status, checked
 from aleator.nlp._verdict import better_scales, judge, settle
 
 # Rounds from a steep start, each of which lowers the slope of the objective by many orders of magnitude.

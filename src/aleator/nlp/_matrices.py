@@ -1,4 +1,4 @@
-"""Operations on Jacobians and Hessians, dense or of a declared sparsity, for solvers and certificates.
+"""Jacobians, dense or sparse: their entries and patterns, and directions that keep their rows.
 
 A sparse matrix is a `scipy.sparse.csr_array` in canonical form. SciPy loads a module when it is first used: programs of
 few variables never need the sparse one.
@@ -9,6 +9,7 @@ from typing import Any, TypeAlias, final
 
 import numpy as np
 import scipy
+from jaxtyping import Float, Int
 
 from aleator._core.errors import ProblemError
 
@@ -166,3 +167,114 @@ def checked_sparse(name: str, matrix: Any, sparsity: SparseMatrix) -> SparseMatr
             f"received {matrix.nnz} in shape {matrix.shape}, or others. Keep zeros in place."
         )
     return with_entries(sparsity, np.array(matrix.data, dtype=float))
+
+
+# Beyond this share of nonzero entries, sparsity saves nothing.
+_DENSE = 0.7
+# After this many extensions the Jacobian counts as dense.
+_MOST_WIDENINGS = 2
+
+
+@final
+class Pattern:
+    """The entries of a Jacobian that a solver works with.
+
+    If a nonzero entry turns up outside the pattern, it is `outgrown`, and the solver continues with `widened()`.
+
+    - `rows`, `columns`: of the entries, column by column, shape (entries,).
+    """
+
+    def __init__(self, nonzero: np.ndarray, widenings: int = 0):
+        self._widenings = widenings
+        dense = nonzero.size == 0 or widenings == _MOST_WIDENINGS or bool(nonzero.mean() > _DENSE)
+        self._nonzero = np.ones_like(nonzero) if dense else nonzero
+        self.columns, self.rows = np.nonzero(self._nonzero.T)
+        self._places = self.rows * nonzero.shape[1] + self.columns
+        self.outgrown = False
+
+    def entries(self, jacobian: np.ndarray) -> np.ndarray:
+        """The entries of a Jacobian of shape (m, n), shape (entries,)."""
+        found = jacobian.ravel()[self._places]
+        if np.count_nonzero(jacobian) > np.count_nonzero(found):
+            self._nonzero = self._nonzero | (jacobian != 0)
+            self.outgrown = True
+        return found
+
+    def widened(self) -> "Pattern":
+        """The pattern extended by the new entries; with all entries after too many extensions."""
+        return Pattern(self._nonzero, self._widenings + 1)
+
+
+@final
+class DeclaredPattern:
+    """The declared sparsity of a program's Jacobians, which is never outgrown; see `Pattern`."""
+
+    outgrown = False
+
+    def __init__(self, sparsity: SparseMatrix):
+        self.rows, self.columns = rows_of_entries(sparsity), sparsity.indices
+
+    def entries(self, jacobian: SparseMatrix) -> np.ndarray:
+        """The entries of a Jacobian, shape (entries,)."""
+        return jacobian.data
+
+    def widened(self) -> "DeclaredPattern":
+        """The same pattern, because it is complete."""
+        return self
+
+
+AnyPattern: TypeAlias = Pattern | DeclaredPattern
+
+
+def pattern_of(sparsity: Matrix) -> AnyPattern:
+    """The pattern for a program's sparsity: a guess if dense, declared if sparse."""
+    return Pattern(sparsity) if isinstance(sparsity, np.ndarray) else DeclaredPattern(sparsity)
+
+
+# Rows that depend on one another are told apart by so much of their size.
+_DEPENDENT = 1e-10
+# Of more rows than this, elimination takes too long: unit steps serve.
+_MOST_ROWS = 100_000
+# A direction of which less than this part is left is held by the rows.
+_HELD = 1e-6
+
+
+def tangents(
+    jacobian: Matrix, held: np.ndarray, scale: np.ndarray, moved: Int[np.ndarray, " k"]
+) -> Float[np.ndarray, "k n"]:
+    """Steps that move some variables and keep some rows to first order: unit steps, projected on their null space.
+
+    - `jacobian`: of the rows to be kept, shape (rows, n); `held`: variables that may not move, shape (n,);
+    - `scale`: typical magnitudes of the variables, shape (n,), in which the projection is orthogonal.
+
+    The largest entry of each step is one typical magnitude; a step that rows do not admit is zero.
+    Where there are very many rows, steps are not projected.
+    """
+    units = (moved[:, None] == np.arange(scale.size)).astype(float)
+    if jacobian.shape[0] == 0 or jacobian.shape[0] > _MOST_ROWS:
+        return units * scale * ~held
+    weights = np.where(held, 0.0, scale)
+    project = _by_least_squares if isinstance(jacobian, np.ndarray) else _by_elimination
+    projected = project(jacobian * weights, units)
+    projected = projected * ~held
+    largest = np.abs(projected).max(axis=1, keepdims=True)
+    return np.where(largest > _HELD, projected / np.maximum(largest, _HELD), 0.0) * scale
+
+
+def _by_least_squares(jacobian: np.ndarray, units: np.ndarray) -> np.ndarray:
+    return units - np.linalg.lstsq(jacobian, jacobian @ units.T, rcond=None)[0].T
+
+
+def _by_elimination(jacobian: SparseMatrix, units: np.ndarray) -> np.ndarray:
+    """The same for a sparse matrix, by the equations `[I, A'; A, -d I] [step; pushes] = [unit; 0]`."""
+    jacobian = jacobian.tocsr()
+    sizes = np.zeros(jacobian.shape[0])
+    np.maximum.at(sizes, rows_of_entries(jacobian), np.abs(jacobian.data))
+    rows = scipy.sparse.diags_array(1 / np.where(sizes > 0, sizes, 1.0)) @ jacobian
+    count, size = rows.shape
+    small = scipy.sparse.diags_array(np.full(count, -_DEPENDENT))
+    every = scipy.sparse.block_array([[scipy.sparse.eye_array(size), rows.T], [rows, small]], format="csc")
+    right = np.concatenate([units, np.zeros((len(units), count))], axis=1)
+    # Quasi-definite: any order of the diagonal serves as pivots.
+    order = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+    return scipy.sparse.linalg.splu(every, **order).solve(np.ascontiguousarray(right.T))[:size].T

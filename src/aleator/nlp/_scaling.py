@@ -1,14 +1,50 @@
 """The program as solvers see it: dimensionless, without fixed variables and without unbounded rows."""
 
-from typing import final
+from dataclasses import dataclass
+from typing import NamedTuple, final
 
 import numpy as np
 
-from aleator.nlp._differences import MOST_DIFFERENCED, Straightness, differenced, lower_triangle
-from aleator.nlp._evaluations import Evaluations, NotFiniteError
+from aleator.nlp._evaluations import (
+    MOST_DIFFERENCED,
+    Evaluations,
+    NotFiniteError,
+    Straightness,
+    differenced,
+    lower_triangle,
+)
 from aleator.nlp._matrices import Block, Matrix, checked_sparse
 from aleator.nlp._program import Evaluation, Magnitudes, NonlinearProgram
-from aleator.nlp._scales import Multipliers, Scales
+
+
+@final
+@dataclass(frozen=True)
+class Multipliers:
+    """Scaled multipliers: of the rows, shape (m_useful,), and of the free variables' bounds, shape (n_free,)."""
+
+    rows: np.ndarray
+    bounds: np.ndarray
+
+
+class Scales(NamedTuple):
+    """The divisors of the objective and of the useful constraints, shape (m_useful,)."""
+
+    objective: float
+    constraints: np.ndarray
+
+    def converted(self, multipliers: Multipliers | None, into: "Scales") -> Multipliers | None:
+        """Multipliers converted into other scales."""
+        if multipliers is None:
+            return None
+        ratio = self.objective / into.objective
+        rows = multipliers.rows * ratio * (into.constraints / self.constraints)
+        return Multipliers(rows, multipliers.bounds * ratio)
+
+    def is_near(self, other: "Scales", factor: float) -> bool:
+        """Whether no scale differs from the other's by more than a factor."""
+        objective, rows = self.objective / other.objective, self.constraints / other.constraints
+        return bool(1 / factor <= objective <= factor and np.all((rows <= factor) & (rows >= 1 / factor)))
+
 
 # The steepest scaled slope at the start. Solvers begin without curvature, so it is also the length of their first
 # step, in typical magnitudes of the variables.

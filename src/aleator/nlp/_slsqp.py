@@ -15,9 +15,9 @@ from aleator.nlp._answer import Answer
 from aleator.nlp._evaluations import NotFiniteError
 from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._matrices import dense_rows
-from aleator.nlp._outcome import Status
 from aleator.nlp._program import Evaluation
 from aleator.nlp._scaling import ScaledProgram
+from aleator.nlp._solver import Status
 
 # SLSQP's exit modes (Kraft 1988).
 _CONVERGED, _INCOMPATIBLE, _ITERATION_LIMIT = 0, 4, 9
@@ -87,7 +87,8 @@ class Slsqp(AbstractLocalSolver):
                 used_up = message if mode == _ITERATION_LIMIT else "iteration limit reached over all rounds"
                 return Answer(Status.ITERATION_LIMIT, point, None, iterations, used_up)
             converged = bool(np.abs(point - before).max() < 0.99 * _REACH) and self._met(scaled, point, rows)
-            feasible = _largest_violation(scaled, point) <= 10 * self.aim
+            violation = scaled.violation(scaled.evaluate(point).constraints)
+            feasible = float(violation.max(initial=0.0)) <= 10 * self.aim
             if search is _least_violation:
                 if converged and not feasible:
                     return Answer(Status.INFEASIBLE, point, None, iterations, message)
@@ -104,10 +105,6 @@ class Slsqp(AbstractLocalSolver):
         outside = scaled.violation(scaled.evaluate(point).constraints)
         inside = float(outside[rows].max(initial=0.0))
         return float(outside.max(initial=0.0)) <= max(inside, self.aim)
-
-
-def _largest_violation(scaled: ScaledProgram, point: np.ndarray) -> float:
-    return float(scaled.violation(scaled.evaluate(point).constraints).max(initial=0.0))
 
 
 def _worst_rows(scaled: ScaledProgram, point: np.ndarray) -> np.ndarray:

@@ -1,14 +1,162 @@
-"""Solvers of nonlinear programs: what is asked of each of them."""
+"""Solvers of nonlinear programs: what is asked of each of them, its outcome, and the history of its search."""
 
 import abc
-from dataclasses import dataclass
+import enum
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import final
 
 import numpy as np
+from jaxtyping import Float
 
 from aleator._core import given
 from aleator._core.errors import ProblemError
-from aleator.nlp._outcome import Outcome
-from aleator.nlp._program import NonlinearProgram
+from aleator._core.shown import Drawn
+from aleator.nlp._program import Evaluation, NonlinearProgram
+
+
+@final
+@dataclass(frozen=True)
+class Searched(Drawn):
+    """What a search, or a local solver, evaluated in order. Of a search: before its best point was polished.
+
+    - `method`: its name and version;
+    - `objectives`: shape (evaluations,), in the unit of the objective; NaN where the model could not be evaluated;
+    - `violations`: the largest of each point, relative to the constraints' magnitudes, shape (evaluations,);
+    - `end`: why it ended, in words; `seconds`: wall-clock time.
+    """
+
+    method: str
+    objectives: Float[np.ndarray, " evaluations"]
+    violations: Float[np.ndarray, " evaluations"]
+    end: str
+    seconds: float
+
+    @property
+    def evaluations(self) -> int:
+        """How many points were evaluated."""
+        return len(self.objectives)
+
+    def best(self, violation: float = 1e-2) -> Float[np.ndarray, " evaluations"]:
+        """The least objective so far among points that violate nothing by more than `violation`; NaN before any."""
+        held = np.where(self.violations <= violation, self.objectives, np.nan)
+        least = np.fmin.accumulate(held) if len(held) else held
+        return np.asarray(least)
+
+    def __str__(self) -> str:
+        failed = int(np.isnan(self.objectives).sum())
+        said = f", {failed} of them not finite" if failed else ""
+        return f"{self.method}: {self.evaluations} evaluations{said} in {self.seconds:.2f} s; {self.end}"
+
+
+def joined(histories: Sequence[Searched]) -> Searched | None:
+    """Histories one after the other as one, under the name and the end of the last; None if there is none."""
+    if not histories:
+        return None
+    last = histories[-1]
+    objectives, violations = (
+        np.concatenate([getattr(one, name) for one in histories]) for name in ("objectives", "violations")
+    )
+    return Searched(last.method, objectives, violations, last.end, sum(one.seconds for one in histories))
+
+
+@final
+class Status(enum.Enum):
+    """How a solve ended; the value is a phrase for users."""
+
+    SOLVED = "solved: feasible and stationary within tolerance"
+    NOT_HELD = "solved at the instants of the grid, but limits break between them"
+    COARSE = "solved on this grid, which is too coarse: a finer one gives another result"
+    CONTRADICTED = "solved for the expansion, but fresh simulations contradict it"
+    UNRESOLVED = "solved for the expansion, which is too coarse for the statistics of the problem"
+    WORST_CASE_BROKEN = "solved for the realisations found so far, but others break a limit on the worst case"
+    INFEASIBLE = "infeasible: the constraints cannot all be met near here"
+    ITERATION_LIMIT = "stopped at the iteration limit"
+    EVALUATION_FAILED = "the model returned numbers that are not finite"
+    INTERRUPTED = "interrupted by the user"
+    FAILED = "not solved: the solver stopped at a point that does not meet the tolerance"
+
+
+@final
+@dataclass(frozen=True)
+class Outcome:
+    """The end of a solve, in the user's units.
+
+    Signs follow the Lagrangian `f + multipliers @ c + bound_multipliers @ x`: a multiplier is >= 0 where the
+    upper bound is active and <= 0 where the lower one is, so the optimal objective changes by `-multiplier`
+    per unit of the active bound.
+
+    - `status`: how it ended, judged by the certificate and not only by the solver's claim;
+    - `point`: `x`, shape (n,). The least violated point seen if the status is INFEASIBLE; the best if it is
+      INTERRUPTED or EVALUATION_FAILED;
+    - `evaluation`: the model's values and derivatives at `point`;
+    - `multipliers`: of the constraints, shape (m,), units of objective per constraint;
+    - `bound_multipliers`: of the variables' bounds, shape (n,), units of objective per variable;
+    - `violation`: largest violation of a constraint over its size (`sizes`), dimensionless;
+    - `stationarity`: largest component of the scaled Lagrangian's gradient, relative to the terms that cancel in it or
+      to its change over a typical magnitude, whichever is larger. If the objective is even closer to its lower bound
+      (`NonlinearProgram.least`): its distance from that, relative to its change over a typical magnitude;
+    - `complementarity`: largest product of a scaled multiplier and its slack, over the largest multiplier if above 1;
+    - `iterations`: the solver's count, over all restarts;
+    - `evaluations`: number of points at which `evaluate` was called;
+    - `seconds`: wall-clock time;
+    - `solver`: its name and version;
+    - `message`: that of the solver, with the reason if the status differs from its claim;
+    - `active`: whether a constraint is at its bound, shape (m,): its scaled slack is at most 1e-6, or smaller than a
+      scaled multiplier above 1e-6; equalities always are;
+    - `active_bounds`: the same for the variables, shape (n,); fixed ones always are;
+    - `sizes`: the magnitudes of the constraints at `point` to which a violation is relative, in their units,
+      shape (m,);
+    - `failed_at`: the last point at which the model was not finite, shape (n,), if the status is EVALUATION_FAILED;
+      else None;
+    - `idle`: variables left at their start that change nothing at the points checked; `blind`: those by which a value
+      changes although all of its derivatives by them are zero;
+    - `strayed`: whether the search ended where the constraints do not hold and no small step helps, although it had
+      seen points where they do: `point` is the best of these, and the status FAILED, since INFEASIBLE would be false;
+    - `searched`: the points of a search without derivatives; None if there was none;
+    - `visited`: the points of the local solver, over all restarts; None if there was none.
+    """
+
+    status: Status
+    point: np.ndarray
+    evaluation: Evaluation
+    multipliers: np.ndarray
+    bound_multipliers: np.ndarray
+    violation: float
+    stationarity: float
+    complementarity: float
+    iterations: int
+    evaluations: int
+    seconds: float
+    solver: str
+    message: str
+    active: np.ndarray
+    active_bounds: np.ndarray
+    sizes: np.ndarray
+    failed_at: np.ndarray | None = None
+    idle: tuple[int, ...] = ()
+    blind: tuple[int, ...] = ()
+    strayed: bool = False
+    searched: Searched | None = None
+    visited: Searched | None = None
+
+    @property
+    def ok(self) -> bool:
+        """Whether the program was solved."""
+        return self.status is Status.SOLVED
+
+    def with_effort_of(self, *others: "Outcome") -> "Outcome":
+        """The same outcome with the effort of other solves on the way to it added."""
+        every = (*others, self)
+        searched = [one.searched for one in every if one.searched is not None]
+        return replace(
+            self,
+            searched=searched[0] if searched else None,
+            visited=joined([one.visited for one in every if one.visited is not None]),
+            iterations=sum(one.iterations for one in every),
+            evaluations=sum(one.evaluations for one in every),
+            seconds=sum(one.seconds for one in every),
+        )
 
 
 @dataclass(frozen=True)

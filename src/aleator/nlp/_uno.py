@@ -1,23 +1,23 @@
-"""Conversion of programs to Uno and of its answers, shared by its presets.
-
-Vanaret and Leyffer 2026, Uno, https://github.com/cvanaret/Uno.
-"""
+"""Uno (Vanaret and Leyffer 2026, https://github.com/cvanaret/Uno): its presets, programs and answers."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, final
 
 import numpy as np
+from typing_extensions import override
 
+from aleator._core import given
 from aleator._core.errors import MissingExtraError
 from aleator._core.heard import take_back
 from aleator.nlp._answer import Answer
-from aleator.nlp._matrices import rows_of_entries
-from aleator.nlp._outcome import Status
-from aleator.nlp._pattern import AnyPattern
+from aleator.nlp._ipopt import Ipopt
+from aleator.nlp._local_solver import AbstractLocalSolver
+from aleator.nlp._matrices import AnyPattern, pattern_of, rows_of_entries
 from aleator.nlp._program import Evaluation
-from aleator.nlp._scales import Multipliers
-from aleator.nlp._scaling import ScaledProgram
+from aleator.nlp._scaling import Multipliers, ScaledProgram
+from aleator.nlp._solver import Status
 
 _CLAIMS = {
     "FEASIBLE_KKT_POINT": Status.SOLVED,
@@ -140,3 +140,116 @@ def _answer(result: Any) -> Answer:
         iterations=int(result.number_iterations),
         message=f"{ended}, {solution}".lower().replace("_", " "),
     )
+
+
+# With more pairs, the limited-memory Hessian costs more than it gains.
+_LARGEST_MEMORY = 20
+
+
+@final
+@dataclass(frozen=True)
+class FilterSQP(AbstractLocalSolver):
+    """Sequential quadratic programming with a filter and a trust region, and BQPD subproblems.
+
+    The Hessian is the program's own if it has one, else an L-BFGS approximation.
+    Fletcher and Leyffer 2002, "Nonlinear programming without a penalty function", in the implementation of
+    Vanaret and Leyffer 2026 (Uno, https://github.com/cvanaret/Uno). Points that cannot be evaluated shrink
+    the trust region.
+
+    - `tolerance`, `max_iterations`: see `AbstractLocalSolver`;
+    - `radius`: initial trust region, in typical magnitudes of the variables.
+    """
+
+    radius: float = 10.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        given.positive("FilterSQP: radius", self.radius)
+
+    @override
+    def require(self) -> None:
+        load_unopy("FilterSQP")
+
+    @property
+    @override
+    def name(self) -> str:
+        return f"filterSQP (Uno {uno_version('FilterSQP')})"
+
+    @override
+    def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+        pattern = pattern_of(scaled.sparsity)
+        answer = self._solved(scaled, pattern, scaled.start, multipliers, self.max_iterations)
+        while pattern.outgrown and scaled.evaluations.halt is None and answer.iterations < self.max_iterations:
+            pattern = pattern.widened()
+            rows = None if answer.multipliers is None else answer.multipliers.rows
+            left = self.max_iterations - answer.iterations
+            again = self._solved(scaled, pattern, answer.point, rows, left)
+            answer = again._replace(iterations=answer.iterations + again.iterations)
+        return answer
+
+    def _solved(
+        self,
+        scaled: ScaledProgram,
+        pattern: AnyPattern,
+        start: np.ndarray,
+        multipliers: np.ndarray | None,
+        iterations: int,
+    ) -> Answer:
+        options = {
+            "QP_solver": "BQPD",
+            "quasi_newton_memory_size": int(np.clip(2 * scaled.size, 6, _LARGEST_MEMORY)),
+            "TR_radius": float(self.radius),
+        }
+        return run_uno(
+            "filtersqp",
+            scaled,
+            pattern,
+            start,
+            multipliers,
+            aim=self.aim,
+            max_iterations=iterations,
+            options=options,
+        )
+
+
+def default_solver() -> AbstractLocalSolver:
+    """`FilterSQP()` if unopy is installed, else `Ipopt()`."""
+    try:
+        load_unopy("FilterSQP")
+    except MissingExtraError:
+        return Ipopt()
+    return FilterSQP()
+
+
+@final
+@dataclass(frozen=True)
+class InteriorPoint(AbstractLocalSolver):
+    """The primal-dual interior-point method with a filter line search of IPOPT, in Uno's implementation.
+
+    For programs with sparse derivatives and a Hessian of their own (`NonlinearProgram.hessian`); without one the
+    Hessian is a limited-memory approximation. Vanaret and Leyffer 2026 (Uno, https://github.com/cvanaret/Uno), preset
+    `ipopt`, with MUMPS.
+
+    - `tolerance`, `max_iterations`: see `AbstractLocalSolver`.
+    """
+
+    @override
+    def require(self) -> None:
+        load_unopy("InteriorPoint")
+
+    @property
+    @override
+    def name(self) -> str:
+        return f"interior points (Uno {uno_version('InteriorPoint')})"
+
+    @override
+    def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+        return run_uno(
+            "ipopt",
+            scaled,
+            pattern_of(scaled.sparsity),
+            scaled.start,
+            multipliers,
+            aim=self.aim,
+            max_iterations=self.max_iterations,
+        )

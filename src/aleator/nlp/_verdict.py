@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from aleator.nlp._advice import LOST, STRAYED, advice, has_run_away, held
-from aleator.nlp._answer import Answer, Verdict
+from aleator.nlp._answer import LOST, STRAYED, Answer, Verdict, advice, has_run_away, held
 from aleator.nlp._certificate import (
     Certificate,
     certify,
@@ -12,13 +11,11 @@ from aleator.nlp._certificate import (
     is_least_violated,
     lagrangian_gradient,
 )
+from aleator.nlp._curvature import Descent, descent_in_valley, hidden_descent
 from aleator.nlp._evaluations import NotFiniteError
-from aleator.nlp._hidden import hidden_descent
-from aleator.nlp._outcome import Status
 from aleator.nlp._program import Evaluation
-from aleator.nlp._scales import Multipliers, Scales
-from aleator.nlp._scaling import ScaledProgram
-from aleator.nlp._valley import Descent, descent_in_valley
+from aleator.nlp._scaling import Multipliers, ScaledProgram, Scales
+from aleator.nlp._solver import Status
 
 # Rows of a sparse program whose multipliers are fitted where a solver's own do not certify it.
 _MOST_FITTED = 2000

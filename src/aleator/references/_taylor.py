@@ -12,10 +12,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree, Scalar, in_library, jax_array, numbers_to_arrays
-from aleator._core.compilation import Use
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.module import Module
-from aleator._core.tracing import evaluate, trace
 from aleator.ensemble import UNTRACEABLE, AbstractBox, Function, is_finite, outputs_of, part, uncertain_places
 from aleator.statistics._statistic import root
 from aleator.uncertainty import (
@@ -208,7 +207,7 @@ def linearise(function: Function, model: Pytree) -> Linearised:
         slopes, values = jax.jacfwd(twice, has_aux=True)(means)
         return values, jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), slopes)
 
-    mean, jacobian = trace(with_slopes, means, use=Use.ONCE)(means)
+    mean, jacobian = evaluate(with_slopes, means, use=Use.ONCE)
     inputs.refuse_nonfinite((mean, jacobian))
     library, correlation, stds = in_library(_correlation(distributions), stds)
     covariance = jax_array(correlation * library.multiply.outer(stds, stds))
@@ -313,7 +312,7 @@ def second_order(function: Function, model: Pytree) -> SecondOrder:
         return outputs(means), gradient(means), jax.jacfwd(gradient)(means)
 
     means = variables.means
-    expansion = trace(taylor, means, use=Use.ONCE)(means)
+    expansion = evaluate(taylor, means, use=Use.ONCE)
     inputs.refuse_nonfinite(expansion)
     leaves = zip(*map(jax.tree.leaves, expansion), strict=True)
     moments = [evaluate(_moments, variables, *each, use=Use.ONCE) for each in leaves]

@@ -1,18 +1,34 @@
-"""What a page shows of one design that a reader chooses: its facts as tables, and its paths."""
+"""What a page shows of designs that a reader chooses: facts as tables, paths, and the data of both for its script."""
 
-from collections.abc import Iterable, Iterator, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aleator.reporting import _units
-from aleator.reporting._blocks import Band, Choice, Table
-from aleator.reporting._limited_paths import components, limits_of, paths_of
-from aleator.reporting._numbers import count, number, residual, share_text, words
+from aleator.reporting._blocks import Band, Choice, Linked, Table
+from aleator.reporting._numbers import (
+    count,
+    number,
+    residual,
+    share_text,
+    unit_of_decision,
+    unit_of_functional,
+    unit_of_limit,
+    unit_of_objective,
+    units_of_statistics,
+    words,
+)
+from aleator.reporting._paths import components, ends, limits_of, path_figure, paths_of
+from aleator.reporting._style import padded, plain
 from aleator.reporting._tables import STATUS_WORDS, decision_text, objective_text, worst_text
-from aleator.solution import Solution
+from aleator.solution import Moments, Solution
 from aleator.sweep import Refused
 from aleator.validation import Evidence
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
 
 # Instants of a path on a page: more than its figure has pixels for would only make the page larger.
 _INSTANTS = 200
@@ -71,14 +87,14 @@ def _prices(solution: Solution) -> Iterator[tuple[str, str]]:
     """The shadow price of each limit, and those of the bounds of decisions where these lie at one. Of designs alone."""
     if not solution.ok:
         return
-    objective = _units.of_expression(solution.problem.objective, solution.problem)
+    objective = unit_of_objective(solution.problem)
     for name in _limits(solution):
-        unit = _units.of_expression(solution.problem.named(name)[0].expression, solution.problem)
+        unit = unit_of_limit(name, solution.problem)
         yield name, number(solution.multiplier(name), 4, _per(objective, unit))
     for name, value in solution.bound_multipliers.items():
         if np.any(value) and solution.is_at_bound(name):
             price = float(np.sum(np.abs(value)))
-            yield f"bound of {name}", number(price, 4, _per(objective, _units.of_decision(name, solution.problem)))
+            yield f"bound of {name}", number(price, 4, _per(objective, unit_of_decision(name, solution.problem)))
 
 
 def _per(unit: str, by: str) -> str:
@@ -87,7 +103,7 @@ def _per(unit: str, by: str) -> str:
 
 def _statistics(solution: Solution) -> Iterator[tuple[str, str]]:
     """The statistics in the problem that are numbers; those of paths are drawn."""
-    units = _units.of_statistics(solution.problem)
+    units = units_of_statistics(solution.problem)
     for text, value in solution.statistics.items():
         if np.ndim(value) == 0:
             yield text, number(float(value), 5, units.get(text, ""))
@@ -128,7 +144,7 @@ def bands(solution: Solution) -> list[Band]:
     """The paths in the problem of a design, with their limits, at no more than 200 instants."""
     every = []
     for name, functional in paths_of(solution.problem).items():
-        unit = _units.of_functional(functional, solution.problem)
+        unit = unit_of_functional(functional, solution.problem)
         limits = limits_of(solution.problem, functional, unit)
         found, times = solution.moments[functional.text()], solution.instants
         kept = np.unique(np.linspace(0, len(times) - 1, min(_INSTANTS, len(times))).round().astype(int))
@@ -137,3 +153,83 @@ def bands(solution: Solution) -> list[Band]:
                 Band(one, unit, times[kept], moments.mean[kept], moments.std[kept], limits.sigmas, limits.texts)
             )
     return every
+
+
+# A band is written to this part of the range of its figure, finer than a pixel.
+_FINE = 2000
+
+
+def stages(block: Linked) -> "dict[str, Figure]":
+    """A figure for each path of the choices, by its name, as the first choice that has it; all on the same axes."""
+    return {name: _stage(bands) for name, bands in _by_name(block).items()}
+
+
+def choices_data(block: Linked) -> dict[str, Any]:
+    """Names, facts and paths of the choices, as JSON."""
+    grouped = _by_name(block)
+    digits = {name: _digits(_reached(bands)) for name, bands in grouped.items()}
+    seconds = {name: _digits([edge for one in bands for edge in ends(one.times)]) for name, bands in grouped.items()}
+    return {
+        "paths": list(grouped),
+        "choices": [
+            {
+                "name": one.name,
+                "facts": [
+                    {"caption": table.caption, "rows": [list(row) for row in table.rows], "note": table.note}
+                    for table in one.facts
+                ],
+                "bands": {band.name: _numbers(band, digits[band.name], seconds[band.name]) for band in one.bands},
+            }
+            for one in block.choices
+        ],
+    }
+
+
+def _by_name(block: Linked) -> dict[str, list[Band]]:
+    """The bands of all choices by the names of their paths."""
+    every = [band for one in block.choices for band in one.bands]
+    return {name: [one for one in every if one.name == name] for name in dict.fromkeys(one.name for one in every)}
+
+
+def _stage(bands: Sequence[Band]) -> "Figure":
+    first = bands[0]
+    figure = path_figure(
+        first.times,
+        {f"mean of {first.name}": Moments(first.mean, first.std)},
+        sigmas=first.sigmas,
+        y=first.name,
+        unit=first.unit,
+        limits=first.limits,
+    )
+    figure.update_layout(height=300)
+    figure.update_xaxes(range=[min(one.times.min() for one in bands), max(one.times.max() for one in bands)])
+    return figure.update_yaxes(range=padded(_reached(bands), 0.1))
+
+
+def _reached(bands: Sequence[Band]) -> list[float]:
+    """The ends of all bands, and their limits."""
+    edges = [edge for one in bands for sign in (-1, 1) for edge in ends(one.mean + sign * one.sigmas * one.std)]
+    return [*edges, *(value for one in bands for value in one.limits)]
+
+
+def _digits(values: Sequence[float]) -> int:
+    """The decimals by which a figure that reaches over these values is drawn exactly."""
+    wide = max(values, default=1.0) - min(values, default=0.0)
+    return math.ceil(-math.log10(wide / _FINE)) if wide > 0 else 6
+
+
+def _numbers(band: Band, digits: int, seconds: int) -> dict[str, Any]:
+    return {
+        "times": _rounded(band.times, seconds),
+        "mean": _rounded(band.mean, digits),
+        # One digit more: it is multiplied.
+        "std": _rounded(band.std, digits + 1),
+        "sigmas": band.sigmas,
+        "limits": [[value, plain(text)] for value, text in band.limits.items()],
+    }
+
+
+def _rounded(values: np.ndarray, digits: int) -> list[float | None]:
+    """Numbers as JSON, without a fraction where they have none; null where one is not finite."""
+    rounded = (round(float(one), digits) if math.isfinite(one) else None for one in values)
+    return [int(one) if one is not None and one.is_integer() else one for one in rounded]

@@ -1,13 +1,21 @@
-"""Results as labelled arrays with units: one dataset for a solution, evidence, a front, a calibration."""
+"""Results as labelled arrays with units, and which can be saved: by name, nested as needed."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from aleator._core.errors import ProblemError
+from aleator._core.given import one_of, refusal
 from aleator.design import statistics_in
-from aleator.reporting import _units
-from aleator.reporting._nested import leaves
+from aleator.reporting._numbers import (
+    unit_of_decision,
+    unit_of_expression,
+    unit_of_limit,
+    unit_of_objective,
+    unit_of_statistic,
+    units_of_moments,
+)
 from aleator.solution import Solution
 from aleator.statistics import Mean, Std
 from aleator.sweep import Calibration, Front, TradeOff
@@ -15,6 +23,21 @@ from aleator.validation import PERCENTILES, Evidence, Share
 
 if TYPE_CHECKING:
     import xarray
+
+
+def leaves(results: Mapping[str, Any], *outer: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Each result with the names under which it stands, the outermost first."""
+    for name, one in results.items():
+        if isinstance(one, Mapping):
+            yield from leaves(one, *outer, str(name))
+        else:
+            yield (*outer, str(name)), one
+
+
+def by_place(results: Mapping[str, Any]) -> dict[str, Any]:
+    """Each result by its place, such as `designs/robust`."""
+    return {"/".join(names): one for names, one in leaves(results)}
+
 
 Variable = tuple[Any, Any, dict[str, str], dict[str, Any]]
 # This halves time histories; stronger compression takes longer and saves little more.
@@ -27,21 +50,21 @@ def solution_dataset(solution: Solution) -> "xarray.Dataset":
 
     problem = solution.problem
     data: dict[str, Variable] = {
-        "objective": variable((), solution.objective, str(problem.objective), _objective_unit(solution))
+        "objective": variable((), solution.objective, str(problem.objective), unit_of_objective(solution.problem))
     }
     for name, value in solution.decisions.items():
-        data[f"decision {_key(name)}"] = variable(_entries(name, value), value, name, _units.of_decision(name, problem))
+        data[f"decision {_key(name)}"] = variable(_entries(name, value), value, name, unit_of_decision(name, problem))
         multiplier = solution.bound_multipliers.get(name, np.nan)
         data[f"multiplier {_key(name)}"] = variable(
             _entries(name, value), multiplier, f"multiplier of the bounds of {name}", ""
         )
     for i, (one, declared) in enumerate(zip(solution.constraints, problem.constraints, strict=True)):
-        unit, label = _units.of_expression(declared.expression, problem), f"constraint {i} {_key(one.name)}"
+        unit, label = unit_of_expression(declared.expression, problem), f"constraint {i} {_key(one.name)}"
         axes = _axes(one.values, one.times is not None)
         data[label] = variable(axes, one.values, one.text, unit, lower=f"{one.lower:g}", upper=f"{one.upper:g}")
         data[f"{label} multiplier"] = variable(axes, one.multipliers, "minus the objective per bound", "")
         data[f"{label} active"] = variable(axes, np.asarray(one.active, dtype=np.int8), "1 where active", "")
-    units = _units.of_moments(problem)
+    units = units_of_moments(problem)
     for text, one in solution.moments.items():
         axes = _axes(one.mean, np.ndim(one.mean) > 0)
         data[f"mean {_key(text)}"] = variable(axes, one.mean, f"mean of {text} by the expansion", units.get(text, ""))
@@ -51,14 +74,14 @@ def solution_dataset(solution: Solution) -> "xarray.Dataset":
     for one in statistics_in(problem.expressions):
         if not isinstance(one.kind, Mean | Std):
             values = solution.statistics[one.text()]
-            axes, unit = _axes(values, one.is_path), _units.of_statistic(one, problem)
+            axes, unit = _axes(values, one.is_path), unit_of_statistic(one, problem)
             data[f"statistic {_key(one.text())}"] = variable(axes, values, f"{one.text()} by the expansion", unit)
     for i, one in enumerate(solution.meshes, 1):
         axes, told = (f"realisation of mesh {i}", f"interval of mesh {i}"), f"drift of the states on mesh {i}"
         data[f"mesh {i}"] = variable(f"node of mesh {i}", one.nodes, f"nodes of mesh {i}, {one.scheme}", "s")
         data[f"mesh {i} drift"] = variable(axes, one.drifts, told, "1", asked=f"{one.asked:g}")
     if (searched := solution.effort.searched) is not None:
-        unit = _units.of_expression(problem.objective, problem)
+        unit = unit_of_objective(problem)
         data["searched objective"] = variable("evaluation", searched.objectives, f"by {searched.method}", unit)
         data["searched violation"] = variable("evaluation", searched.violations, "largest violation", "1")
     data |= _histories(solution)
@@ -96,7 +119,7 @@ def evidence_dataset(evidence: Evidence) -> "xarray.Dataset":
     import xarray
 
     problem = evidence.solution.problem
-    units = _units.of_moments(problem)
+    units = units_of_moments(problem)
     shares = {**evidence.violations, "any": evidence.joint}
     data = _share_variables("limit", list(shares.values()))
     for text, one in evidence.functionals.items():
@@ -109,11 +132,11 @@ def evidence_dataset(evidence: Evidence) -> "xarray.Dataset":
                 "percent", one.percentiles, f"percentiles of {text}", units.get(text, "")
             )
     for text, one in evidence.statistics.items():
-        unit = _units.of_statistic(one.statistic, problem)
+        unit = unit_of_statistic(one.statistic, problem)
         data[f"sampled {_key(text)}"] = variable((), one.estimate, f"{text} of the samples", unit)
         data[f"standard error {_key(text)}"] = variable((), one.standard_error, f"standard error of {text}", unit)
     for i, one in enumerate(evidence.trajectories):
-        unit = _units.of_expression(problem.named(one.name)[0].expression, problem)
+        unit = unit_of_limit(one.name, problem)
         bounds = {"lower": f"{one.lower:g}", "upper": f"{one.upper:g}"}
         axes = ("system", *_axes(one.values[0], True))
         data[f"trajectory {i} {_key(one.name)}"] = variable(
@@ -133,8 +156,8 @@ def front_dataset(front: Front) -> "xarray.Dataset":
     import xarray
 
     first = front.solutions[0]
-    bound_unit = _units.of_expression(first.problem.named(front.bound)[0].expression, first.problem)
-    unit = _objective_unit(first)
+    bound_unit = unit_of_limit(front.bound, first.problem)
+    unit = unit_of_objective(first.problem)
     active = [", ".join(one.active) if isinstance(one, Solution) else "" for one in front.points]
     why = ["" if one.ok else one.why() for one in front.points]
     data: dict[str, Variable] = {
@@ -150,7 +173,7 @@ def front_dataset(front: Front) -> "xarray.Dataset":
     for name, value in first.decisions.items():
         values = _side_by_side([one.decisions[name] if isinstance(one, Solution) else np.nan for one in front.points])
         axes = ("bound", *_entries(name, value))
-        data[f"decision {_key(name)}"] = variable(axes, values, name, _units.of_decision(name, first.problem))
+        data[f"decision {_key(name)}"] = variable(axes, values, name, unit_of_decision(name, first.problem))
     bound = variable("bound", front.values, f"limit of {front.bound}", bound_unit)
     return xarray.Dataset(data, coords={"bound": bound}, attrs={"interrupted": int(front.interrupted)})
 
@@ -172,7 +195,9 @@ def calibration_dataset(calibration: Calibration) -> "xarray.Dataset":
     trials = sorted(calibration.trials, key=lambda one: one.sigmas)
     data = _share_variables("sigmas", [one.violation for one in trials])
     objectives = [one.solution.objective for one in trials]
-    data["objective"] = variable("sigmas", objectives, "optimum at this margin", _objective_unit(trials[0].solution))
+    data["objective"] = variable(
+        "sigmas", objectives, "optimum at this margin", unit_of_objective(trials[0].solution.problem)
+    )
     sigmas = variable("sigmas", [one.sigmas for one in trials], "multiple of the standard deviation", "1")
     attributes = {
         "constraint": calibration.name,
@@ -195,12 +220,12 @@ def trade_off_dataset(front: TradeOff) -> "xarray.Dataset":
 
     data: dict[str, Variable] = {}
     for i, name in enumerate(front.names):
-        unit = _units.of_expression(front.wishes[i], front.solutions[0].problem)
+        unit = unit_of_expression(front.wishes[i], front.solutions[0].problem)
         data[f"wish {_key(name)}"] = variable("design", front.values[:, i], str(front.wishes[i]), unit)
         data[f"weight {_key(name)}"] = variable("design", front.weights[:, i], f"how much {name} counts", "")
     for name, value in front.solutions[0].decisions.items():
         values = _side_by_side([one.decisions[name] for one in front.solutions])
-        unit = _units.of_decision(name, front.solutions[0].problem)
+        unit = unit_of_decision(name, front.solutions[0].problem)
         data[f"decision {_key(name)}"] = variable(("design", *_entries(name, value)), values, name, unit)
     attributes = {"dominated": front.dominated, "failed": " ".join(front.failed), "interrupted": int(front.interrupted)}
     return xarray.Dataset(data, attrs=attributes)
@@ -232,10 +257,6 @@ def is_own_data(result: object) -> bool:
 def variable(axes: Any, values: Any, long_name: str, unit: str, **more: str) -> Variable:
     array = np.asarray(values)
     return axes, array, {"long_name": long_name, "units": unit or "1", **more}, _PACKED if array.size > 1000 else {}
-
-
-def _objective_unit(solution: Solution) -> str:
-    return _units.of_expression(solution.problem.objective, solution.problem)
 
 
 def _key(text: str) -> str:
@@ -277,11 +298,50 @@ def tree(results: Mapping[str, Any]) -> "xarray.DataTree":
     nodes = {
         "/".join(["", *map(_key, names)]): dataset(one)
         for names, one in leaves(results)
-        if one is not None and not _is_empty(one)
+        # A front may have been interrupted before its first point.
+        if one is not None and not (isinstance(one, Front) and not one.solutions)
     }
     return xarray.DataTree.from_dict(nodes)
 
 
-def _is_empty(one: Any) -> bool:
-    """Whether a sweep was interrupted before its first point."""
-    return isinstance(one, Front) and not one.solutions
+KINDS = (Solution, Evidence, Front, TradeOff, Calibration)
+"""The kinds of results that have labelled arrays."""
+
+
+def savable(what: str, results: Any) -> tuple[dict[str, Any], list[ProblemError]]:
+    """The results that can be saved, and a refusal for each of the others, beginning with `what` and its place."""
+    if not isinstance(results, Mapping):
+        raise refusal(what, "results by name: a mapping", results)
+    kept: dict[str, Any] = {}
+    refused: list[ProblemError] = []
+    for name, one in results.items():
+        place = f"{what}: '{name}'"
+        try:
+            if isinstance(one, Mapping):
+                kept[_name(what, name)], inside = savable(place, one)
+                refused += inside
+            else:
+                kept[_name(what, name)] = _leaf(place, one)
+        except ProblemError as error:
+            refused.append(error)
+    return kept, refused
+
+
+def _name(what: str, name: Any) -> str:
+    """A valid name of a group; `.` and `..` stand for other groups."""
+    if not isinstance(name, str | int | float) or str(name) in ("", ".", ".."):
+        raise refusal(what, "results by name", name)
+    return str(name)
+
+
+def _leaf(what: str, one: Any) -> Any:
+    """A result, or a user's own data in a form that netCDF can hold."""
+    if one is None or not is_own_data(one):
+        return one if one is None else one_of(what, one, KINDS, "what `solve` gives, or a dataset of xarray")
+    import xarray
+
+    try:
+        xarray.DataTree.from_dict({"/one": one}).to_netcdf(engine="h5netcdf")
+    except (TypeError, ValueError, NotImplementedError) as error:
+        raise ProblemError(f"{what}: expected data that netCDF can hold; received other data: {error}") from error
+    return one

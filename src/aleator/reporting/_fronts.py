@@ -1,12 +1,13 @@
 """Figures of fronts: the optimum, its shadow price, its decisions and its spreads along a bound."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Int
 
 from aleator.reporting._numbers import given, number
-from aleator.reporting._ordered import in_order, ordered
 from aleator.reporting._style import (
     LIMIT,
     MUTED,
@@ -25,6 +26,34 @@ from aleator.sweep import Front, Refused
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
+
+
+def ordered(front: Front) -> Front:
+    """The front by its bounds, unless these rise or fall throughout."""
+    return _arranged(front, _order(front))
+
+
+def in_order(fronts: Mapping[str, Front]) -> dict[str, tuple[Front, list[int]]]:
+    """Each front by its bounds, and the places of its points among those of all as they were given, by which a page
+    links them with their designs.
+    """
+    found, before = {}, 0
+    for name, front in fronts.items():
+        order = _order(front)
+        found[name] = _arranged(front, order), (before + order).tolist()
+        before += len(order)
+    return found
+
+
+def _arranged(front: Front, order: Int[np.ndarray, " points"]) -> Front:
+    return replace(front, values=front.values[order], points=tuple(front.points[i] for i in order))
+
+
+def _order(front: Front) -> Int[np.ndarray, " points"]:
+    changes = np.diff(front.values)
+    is_in_order = bool(np.all(changes >= 0) or np.all(changes <= 0))
+    return np.arange(len(front.values)) if is_in_order else np.argsort(front.values, kind="stable")
+
 
 Measure = Callable[[Solution], float]
 
@@ -105,11 +134,8 @@ def _add_solved(
 
 def _symbols(front: Front, look: Look) -> list[str]:
     """The markers of a front's points: filled where the swept bound is active."""
-    return [f"{look.symbol}{'' if _holds(one, front.bound) else '-open'}" for one in front.points]
-
-
-def _holds(point: Solution | Refused, bound: str) -> bool:
-    return isinstance(point, Solution) and point.multiplier(bound) > 0
+    active = [isinstance(one, Solution) and one.multiplier(front.bound) > 0 for one in front.points]
+    return [look.symbol if is_active else f"{look.symbol}-open" for is_active in active]
 
 
 def _hover(front: Front, i: int) -> str:
@@ -131,7 +157,7 @@ def _add_infeasible(
     missing = [i for i, one in enumerate(front.points) if not one.ok]
     if not missing:
         return
-    last = max(missing, key=lambda i: front.values[i])
+    last, middle = max(missing, key=lambda i: front.values[i]), (front.values.min() + front.values.max()) / 2
     figure.add_scatter(
         x=front.values[missing],
         y=[height] * len(missing),
@@ -140,7 +166,7 @@ def _add_infeasible(
         showlegend=False,
         marker={"symbol": "x", "size": 10, "color": look.colour},
         text=[f" {plain(name)} infeasible" if i == last else "" for i in missing],
-        textposition="middle right" if 2 * front.values[last] < sum(_ends(front)) else "middle left",
+        textposition="middle right" if front.values[last] < middle else "middle left",
         textfont={"size": SIZE - 1, "color": look.colour},
         customdata=[_why(front.points[i]) for i in missing],
         meta=[places[i] for i in missing],
@@ -149,10 +175,6 @@ def _add_infeasible(
         ),
         cliponaxis=False,
     )
-
-
-def _ends(front: Front) -> tuple[float, float]:
-    return float(front.values.min()), float(front.values.max())
 
 
 def _why(solution: Solution | Refused) -> str:
@@ -235,7 +257,8 @@ def decision_path_figure(
             name=plain(name),
             line={"color": look.colour, "width": 1.5},
             marker={"symbol": f"{look.symbol}-open", "size": 10, "color": look.colour, "line": {"width": 2}},
-            text=_last_label(places, bounds),
+            # Labels at both ends of several fronts would overlap.
+            text=[text if place == max(places) else "" for place, text in zip(places, bounds, strict=True)],
             textposition="middle left",
             textfont={"size": SIZE - 2, "color": look.colour},
             customdata=bounds,
@@ -251,11 +274,6 @@ def decision_path_figure(
         figure.update_yaxes(range=padded([lower, *reached], 0.12))
     figure.update_yaxes(tickformat=",d")
     return figure
-
-
-def _last_label(places: list[float], texts: list[str]) -> list[str]:
-    """The label of the rightmost point only: labels at both ends of several fronts would overlap."""
-    return [text if place == max(places) else "" for place, text in zip(places, texts, strict=True)]
 
 
 def relative_figure(

@@ -5,6 +5,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from aleator._core.units import PURE
+from aleator.design import (
+    AbstractFunctional,
+    Expression,
+    Problem,
+    Statistic,
+    Units,
+    functionals_of,
+    number_unit,
+    output_units,
+    units_of,
+)
+
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
@@ -98,3 +111,53 @@ def words(names: list[str] | tuple[str, ...], nothing: str = "none") -> str:
     if len(names) < 2:
         return names[0] if names else nothing
     return f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def units_of_outputs(problem: Problem) -> dict[str, str]:
+    """The units of the outputs of the system, by their names, as far as it declares them."""
+    return {name: _written(unit) for name, unit in output_units(problem).items()}
+
+
+def unit_of_functional(functional: AbstractFunctional, problem: Problem) -> str:
+    """The unit of a functional."""
+    return _written(functional.unit(output_units(problem)))
+
+
+def unit_of_statistic(statistic: Statistic, problem: Problem) -> str:
+    """The unit of a statistic; none for a ratio or a probability."""
+    return _written(statistic.unit(Units(output_units(problem), {})))
+
+
+def unit_of_expression(expression: Expression, problem: Problem) -> str:
+    """The unit that all terms of an expression share."""
+    return _written(expression.unit(units_of(expression, problem)))
+
+
+def unit_of_decision(name: str, problem: Problem) -> str:
+    """The unit of a decision: that of its field, even if it is inside a distribution there."""
+    return _written(number_unit(name, problem))
+
+
+def unit_of_objective(problem: Problem) -> str:
+    """The unit of the objective."""
+    return unit_of_expression(problem.objective, problem)
+
+
+def unit_of_limit(name: str, problem: Problem) -> str:
+    """The unit of the constraints of a name."""
+    return unit_of_expression(problem.named(name)[0].expression, problem)
+
+
+def units_of_moments(problem: Problem) -> dict[str, str]:
+    """The unit of each functional in a problem, by its text."""
+    return {one.text(): unit_of_functional(one, problem) for one in functionals_of(problem.expressions)}
+
+
+def units_of_statistics(problem: Problem) -> dict[str, str]:
+    """The unit of each statistic in a problem, by its text."""
+    every = (one for expression in problem.expressions for one in expression.leaves if isinstance(one, Statistic))
+    return {one.text(): unit_of_statistic(one, problem) for one in every}
+
+
+def _written(unit: str) -> str:
+    return "" if unit == PURE else unit

@@ -11,8 +11,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from aleator._core.errors import MissingExtraError, ProblemError
-from aleator.reporting._paper_marks import Axes, draw_bars, draw_curve, draw_note, draw_shape, listed, numbers
-from aleator.reporting._paper_style import FONT, colour, drawn_text
+from aleator.reporting._paper_marks import (
+    FONT,
+    Axes,
+    colour,
+    draw_bars,
+    draw_curve,
+    draw_note,
+    draw_shape,
+    drawn_text,
+    listed,
+    numbers,
+)
 
 if TYPE_CHECKING:
     import matplotlib.figure
@@ -152,11 +162,7 @@ def _fit(axes: Axes, layout: Any) -> None:
             getattr(axes, f"set_{name}lim")(*bounds)
         elif axis.rangemode == "tozero":
             low, high = getattr(axes, f"get_{name}lim")()
-            getattr(axes, f"set_{name}lim")(min(low, 0.0) if low < 0 and _reaches_below(axes) else 0.0, high)
-
-
-def _reaches_below(axes: Axes) -> bool:
-    return bool(axes.dataLim.y0 < 0)
+            getattr(axes, f"set_{name}lim")(min(low, 0.0) if low < 0 and axes.dataLim.y0 < 0 else 0.0, high)
 
 
 def _add_legend(paper: "matplotlib.figure.Figure", axes: Axes, layout: Any) -> None:

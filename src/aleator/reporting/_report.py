@@ -9,24 +9,16 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name
-from aleator.reporting import _units
 from aleator.reporting._blocks import Block, Code, Drawing, Section, Text
 from aleator.reporting._choices import evidence_on
+from aleator.reporting._designs import mesh_drawing, search_drawings
 from aleator.reporting._files import as_path, check_writable
-from aleator.reporting._linked import disagreements, front_blocks, trade_off_blocks
-from aleator.reporting._meshes import mesh_drawing
-from aleator.reporting._numbers import words
-from aleator.reporting._page import Page, write_page
-from aleator.reporting._provenance import provenance
+from aleator.reporting._numbers import unit_of_limit, units_of_moments, words
+from aleator.reporting._page import Page, verdict, write_page
 from aleator.reporting._samples import percentile_figure, trajectory_figure
-from aleator.reporting._searches import search_drawings
-from aleator.reporting._tables import (
-    certificate_table,
-    designs_table,
-    evidence_table,
-    statistics_table,
-)
-from aleator.reporting._verdict import verdict
+from aleator.reporting._store import provenance
+from aleator.reporting._sweeps import disagreements, front_blocks, trade_off_blocks
+from aleator.reporting._tables import certificate_table, designs_table, evidence_table, statistics_table
 from aleator.solution import Solution
 from aleator.sweep import EvidenceOfAll, Front, TradeOff
 from aleator.validation import Evidence
@@ -143,23 +135,18 @@ def sections(
     if not designs:
         return []
     known = [*along, *evidence.values()]
+    failed = [Text([one.why()], lead=f"{name} is not solved.") for name, one in designs.items() if not one.ok]
+    optima = [Text(said, lead="Several local optima.")] if (said := disagreements(designs, fronts)) else []
+    meshes = [mesh_drawing(one.meshes, name) for name, one in designs.items() if any(mesh.worst for mesh in one.meshes)]
     every = [
-        Section("Designs", _design_blocks(designs, evidence)),
+        Section("Designs", [*failed, designs_table(designs, evidence)]),
         Section("Trajectories", _trajectory_blocks(evidence)),
-        Section(
-            "Trade-offs",
-            [*_disagreements(designs, fronts), *front_blocks(fronts, known), *trade_off_blocks(trade_offs, known)],
-        ),
+        Section("Trade-offs", [*optima, *front_blocks(fronts, known), *trade_off_blocks(trade_offs, known)]),
         Section("Evidence", _evidence_blocks(evidence)),
-        Section("Certificate", [certificate_table(designs), *_mesh_blocks(designs), *search_drawings(designs)]),
+        Section("Certificate", [certificate_table(designs), *meshes, *search_drawings(designs)]),
         Section("The problem as mathematics", [Code(name, one.problem_text, True) for name, one in designs.items()]),
     ]
     return [one for one in every if one.blocks]
-
-
-def _disagreements(designs: Mapping[str, Solution], fronts: Mapping[str, Front]) -> list[Text]:
-    said = disagreements(designs, fronts)
-    return [Text(said, lead="Several local optima.")] if said else []
 
 
 def _page(
@@ -198,18 +185,13 @@ def footer() -> str:
     )
 
 
-def _design_blocks(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -> list[Block]:
-    failed = [Text([one.why()], lead=f"{name} is not solved.") for name, one in designs.items() if not one.ok]
-    return [*failed, designs_table(designs, evidence)]
-
-
 def _trajectory_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
     """One drawing for each design and path constraint."""
     blocks: list[Block] = []
     for name, one in evidence.items():
         problem = one.solution.problem
         for limit in dict.fromkeys(kept.name for kept in one.trajectories):
-            unit = _units.of_expression(problem.named(limit)[0].expression, problem)
+            unit = unit_of_limit(limit, problem)
             figure = trajectory_figure(one, limit, unit=unit)
             blocks.append(
                 Drawing(
@@ -219,10 +201,6 @@ def _trajectory_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
                 )
             )
     return blocks
-
-
-def _mesh_blocks(designs: Mapping[str, Solution]) -> list[Block]:
-    return [mesh_drawing(one.meshes, name) for name, one in designs.items() if any(mesh.worst for mesh in one.meshes)]
 
 
 def _evidence_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
@@ -243,7 +221,7 @@ def _evidence_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
         group = {name: one.functionals[text] for name, one in evidence.items() if text in one.functionals}
         if any(np.ndim(one.mean) or one.percentiles is None for one in group.values()):
             continue
-        unit = _units.of_moments(next(iter(evidence.values())).solution.problem).get(text, "")
+        unit = units_of_moments(next(iter(evidence.values())).solution.problem).get(text, "")
         figure = percentile_figure(group, x=text, unit=unit)
         blocks.append(
             Drawing(

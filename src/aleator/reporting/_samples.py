@@ -1,14 +1,14 @@
-"""Figures of evidence: sampled trajectories, percentiles, the calibration of a margin; and of input signals."""
+"""Figures of evidence: trajectories, percentiles, shares of systems, the calibration of a margin; and of signals."""
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from aleator.reporting._numbers import given, number, share_text
 from aleator.reporting._style import ALARM, INK, blank, label, limit_line, looks, padded, plain, short
 from aleator.sweep import Calibration
-from aleator.validation import Evidence, Sampled, Trajectories
+from aleator.validation import Evidence, Sampled, Share, Trajectories
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -47,7 +47,8 @@ def trajectory_figure(
     Those that violate any of them are highlighted. The title gives the proportion over all samples.
     """
     share = evidence.violations.get(name)
-    figure = blank(label("Time", "s"), label(y or name, unit), title=_violation_title(share, who), height=380)
+    title = "" if share is None else f"{share_text(share)} of {plain(who)} violate"
+    figure = blank(label("Time", "s"), label(y or name, unit), title=title, height=380)
     kept = [one for one in evidence.trajectories if one.name == name]
     times = evidence.solution.instants[::every]
     distinct = _distinct(kept)
@@ -74,12 +75,6 @@ def curves(values: np.ndarray, violating: np.ndarray) -> tuple[np.ndarray, np.nd
         return values, broken
     flat = values.reshape(*values.shape[:2], -1)
     return np.moveaxis(flat, 2, 1).reshape(-1, values.shape[1]), np.repeat(broken, flat.shape[2])
-
-
-def _violation_title(share: object, who: str) -> str:
-    from aleator.validation import Proportion
-
-    return f"{share_text(share)} of {plain(who)} violate" if isinstance(share, Proportion) else ""
 
 
 def _distinct(kept: list[Trajectories]) -> list[Trajectories]:
@@ -184,15 +179,7 @@ def calibration_figure(calibration: Calibration, *, who: str = "systems") -> "Fi
         figure.add_scatter(
             x=sigmas,
             y=[100 * one.estimate for one in shares],
-            error_y={
-                "type": "data",
-                "symmetric": False,
-                "array": [100 * (one.upper - one.estimate) for one in shares],
-                "arrayminus": [100 * (one.estimate - one.lower) for one in shares],
-                "color": colour,
-                "thickness": 1.5,
-                "width": 4,
-            },
+            error_y=_intervals(shares, colour),
             mode="markers+lines" if len(sigmas) > 1 else "markers",
             line={"color": colour, "width": 1, "dash": "dot"},
             marker={"color": colour, "symbol": symbol, "size": 8 if symbol == "circle" else 14},
@@ -203,3 +190,64 @@ def calibration_figure(calibration: Calibration, *, who: str = "systems") -> "Fi
     limit_line(figure, 100 * calibration.target, f"target {given(100 * calibration.target)} %")
     figure.update_yaxes(rangemode="tozero")
     return figure
+
+
+def shares_figure(
+    places: Sequence[str], shares: Mapping[str, Sequence[Share | None]], *, x: str = "", y: str
+) -> "Figure":
+    """How many systems, in percent, break each limit at each place, with their intervals; nothing where it is None."""
+    figure = blank(plain(x), label(y, "%"), height=380)
+    for name, look in looks(shares).items():
+        known = [(place, one) for place, one in zip(places, shares[name], strict=True) if one is not None]
+        figure.add_scatter(
+            x=[plain(place) for place, _ in known],
+            y=[100 * one.estimate for _, one in known],
+            error_y=_intervals([one for _, one in known], look.colour),
+            mode="markers",
+            marker={"symbol": look.symbol, "size": 9, "color": look.colour},
+            cliponaxis=False,
+            name=plain(name),
+            text=[plain(share_text(one)) for _, one in known],
+            hovertemplate=f"{plain(name)}, %{{x}}: %{{text}}<extra></extra>",
+        )
+    figure.update_layout(showlegend=len(shares) > 1)
+    figure.update_xaxes(type="category", categoryorder="array", categoryarray=[plain(place) for place in places])
+    figure.update_yaxes(rangemode="tozero")
+    return figure
+
+
+def magnitudes_figure(
+    groups: Mapping[str, Mapping[str, float]], *, x: str, accepted: float, least: float = 1e-16
+) -> "Figure":
+    """Numbers of very different magnitudes, a row for each, against the one accepted; those below `least` lie there."""
+    names = [plain(name) for group in groups.values() for name in group]
+    figure = blank(label(x), "", height=130 + 34 * len(names))
+    for kind, look in looks(groups).items():
+        values = groups[kind]
+        figure.add_scatter(
+            x=[max(one, least) if np.isfinite(one) else None for one in values.values()],
+            y=[plain(name) for name in values],
+            mode="markers",
+            marker={"symbol": look.symbol, "size": 9, "color": look.colour},
+            name=plain(kind),
+            text=[f"{one:.1e}" for one in values.values()],
+            hovertemplate="%{y}: %{text}<extra></extra>",
+        )
+    limit_line(figure, accepted, f"accepted: {given(accepted)}", axis="x", logarithmic=True)
+    figure.update_layout(showlegend=True)
+    figure.update_xaxes(type="log", exponentformat="power", dtick=2)
+    figure.update_yaxes(type="category", range=[len(names) - 0.5, -0.5])
+    return figure
+
+
+def _intervals(shares: Sequence[Share], colour: str) -> dict[str, Any]:
+    """The confidence intervals of some shares, in percent, as error bars."""
+    return {
+        "type": "data",
+        "symmetric": False,
+        "array": [100 * (one.upper - one.estimate) for one in shares],
+        "arrayminus": [100 * (one.estimate - one.lower) for one in shares],
+        "color": colour,
+        "thickness": 1.5,
+        "width": 4,
+    }

@@ -1,26 +1,117 @@
-"""Results on disk: labelled arrays as netCDF for programs, designs as JSON for people."""
+"""Results on disk: labelled arrays as netCDF for programs, designs as JSON for people; and where they come from, by
+versions, machine, seeds, times and digests, by which a number can be traced to its run.
+"""
 
+import hashlib
 import json
 import math
+import os
+import platform
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from aleator.reporting import _units
-from aleator.reporting._datasets import tree
+from aleator.reporting._blocks import Block, Section, Table
+from aleator.reporting._datasets import by_place, leaves, savable, tree
 from aleator.reporting._files import write_together
-from aleator.reporting._nested import by_place
-from aleator.reporting._provenance import design_digest, environment
-from aleator.reporting._savable import savable
+from aleator.reporting._numbers import count, number, unit_of_decision, unit_of_expression, unit_of_objective
 from aleator.solution import ConstraintResult, Solution
 from aleator.sweep import Calibration, Front, TradeOff
 from aleator.validation import Evidence, Proportion
 
 if TYPE_CHECKING:
     import xarray
+
+_LIBRARIES = ("jax", "jaxlib", "equinox", "diffrax", "numpy", "scipy", "casadi", "unopy")
+# So many digits tell apart the designs of any study, and can be read aloud.
+_DIGITS = 12
+_SIGNED_BY = ("Prepared", "Checked", "Released")
+
+
+def design_digest(solution: Solution) -> str:
+    """Twelve digits that stand for a design: its equations, its decisions and its objective.
+
+    They change with any of these, and are the same on this page and in `designs.json`.
+    """
+    numbers = np.array([*solution.vector, solution.objective], dtype=float)
+    return _digest(solution.problem.physics.text.encode() + numbers.tobytes())
+
+
+def provenance(results: Mapping[str, Any]) -> Section:
+    """The section of a page on where its numbers come from, with lines to sign; empty without results."""
+    rows = list(_rows(results))
+    note = (
+        "A design's digest changes with its equations, its decisions or its objective, and stands in designs.json as "
+        "well. The same seed draws the same systems."
+    )
+    header = ["Result", "Digest of its design", "Computed by", "Seed", "Seconds"]
+    blocks: list[Block] = [
+        Table("Results", header, rows, note),
+        Table("Program and machine", ["", ""], [[name, said] for name, said in environment().items()]),
+        Table("Sign-off", ["", "Name", "Date", "Signature"], [[one, "", "", ""] for one in _SIGNED_BY]),
+    ]
+    return Section("Where this comes from", blocks if rows else [])
+
+
+def environment() -> dict[str, str]:
+    """The versions and the machine of this process, in words."""
+    import aleator
+
+    return {
+        "aleator": aleator.__version__,
+        "Python": f"{platform.python_version()} ({platform.python_implementation()})",
+        "Libraries": ", ".join(f"{name} {metadata.version(name)}" for name in _LIBRARIES if _is_installed(name)),
+        "Machine": f"{platform.node()}: {platform.system()} {platform.release()}, {platform.machine()}",
+        "Processor cores": count(os.cpu_count() or 1),
+    }
+
+
+def _is_installed(name: str) -> bool:
+    try:
+        metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+def _rows(results: Mapping[str, Any]) -> Iterator[list[str]]:
+    for names, one in leaves(results):
+        here = ": ".join(names)
+        if isinstance(one, Solution):
+            yield [here, design_digest(one), one.effort.solver, "–", _seconds(_time_of(one))]
+        elif isinstance(one, Evidence):
+            sample = [f"{count(one.samples)} fresh systems", str(one.seed), _seconds(one.seconds)]
+            yield [here, design_digest(one.solution), *sample]
+        elif isinstance(one, Calibration):
+            fresh = ["–", "–"] if one.evidence is None else [str(one.evidence.seed), _seconds(one.evidence.seconds)]
+            yield [here, design_digest(one.solution), f"{count(len(one.trials))} trials", *fresh]
+        elif isinstance(one, Front | TradeOff) and one.solutions:
+            yield [here, *_of_front(one.solutions)]
+
+
+def _of_front(solutions: Any) -> list[str]:
+    """A front's row: one digest for all of its designs."""
+    together = _digest("".join(map(design_digest, solutions)).encode())
+    solvers = ", ".join(dict.fromkeys(one.effort.solver for one in solutions))
+    return [together, f"{count(len(solutions))} designs: {solvers}", "–", _seconds(sum(map(_time_of, solutions)))]
+
+
+def _time_of(solution: Solution) -> float:
+    times = solution.effort.times
+    return times.compile_ + times.solve
+
+
+def _seconds(value: float) -> str:
+    return number(value, 3)
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:_DIGITS]
+
 
 Result: TypeAlias = "Solution | Evidence | Front | TradeOff | Calibration | xarray.Dataset"
 
@@ -102,7 +193,7 @@ def solution_document(solution: Solution, evidence: Evidence | None = None) -> d
         "decisions": {
             name: {
                 "value": value,
-                "unit": _units.of_decision(name, problem),
+                "unit": unit_of_decision(name, problem),
                 "multiplier": solution.bound_multipliers.get(name),
                 "at_bound": solution.is_at_bound(name),
             }
@@ -110,12 +201,12 @@ def solution_document(solution: Solution, evidence: Evidence | None = None) -> d
         },
         "objective": {
             "value": solution.objective,
-            "unit": _units.of_expression(problem.objective, problem),
+            "unit": unit_of_objective(problem),
             "expression": str(problem.objective),
         },
         "active": solution.active,
         "constraints": [
-            _constraint(one, _units.of_expression(declared.expression, problem))
+            _constraint(one, unit_of_expression(declared.expression, problem))
             for one, declared in zip(solution.constraints, problem.constraints, strict=True)
         ],
         "certificate": {

@@ -18,6 +18,9 @@ SIZE = 14
 # Characters along a vertical axis.
 _LINE = 38
 
+DASHES = ("solid", "dash", "dot", "dashdot")
+"""Lines of boxes and limits that belong together."""
+
 # Okabe and Ito (2008), without the yellow and the orange, which are too light for lines on white.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#a3508a", "#3f8fc4", "#5b5b5b")
 _SYMBOLS = ("square", "circle", "diamond", "triangle-up", "pentagon", "hexagon")

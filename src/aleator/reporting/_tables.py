@@ -5,10 +5,23 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from aleator.nlp import Status
-from aleator.reporting import _units
 from aleator.reporting._blocks import Table
-from aleator.reporting._numbers import count, given, number, residual, seconds, share_text, values_text, words
-from aleator.solution import Certificate, ConstraintResult, Effort, Solution
+from aleator.reporting._numbers import (
+    count,
+    given,
+    number,
+    residual,
+    seconds,
+    share_text,
+    unit_of_decision,
+    unit_of_expression,
+    unit_of_objective,
+    unit_of_statistic,
+    units_of_moments,
+    values_text,
+    words,
+)
+from aleator.solution import Certificate, ConstraintResult, Solution
 from aleator.statistics import Mean, Std
 from aleator.validation import Checked, Evidence
 
@@ -72,13 +85,13 @@ def _violation_rows(names: Sequence[str], evidence: Mapping[str, Evidence]) -> l
 def _decision(solution: Solution, name: str) -> str:
     if name not in solution.decisions:
         return "–"
-    text = values_text(solution.decisions[name], 5, _units.of_decision(name, solution.problem))
+    text = values_text(solution.decisions[name], 5, unit_of_decision(name, solution.problem))
     return f"{text} (at its bound)" if solution.is_at_bound(name) else text
 
 
 def decision_text(solution: Solution, name: str) -> str:
     """A decision with its unit, of an array from where to where it goes."""
-    value, unit = np.asarray(solution.decisions[name], float), _units.of_decision(name, solution.problem)
+    value, unit = np.asarray(solution.decisions[name], float), unit_of_decision(name, solution.problem)
     at = " (at its bound)" if solution.is_at_bound(name) else ""
     if value.ndim == 0:
         return number(float(value), 5, unit) + at
@@ -86,16 +99,14 @@ def decision_text(solution: Solution, name: str) -> str:
 
 
 def objective_text(solution: Solution) -> str:
-    return number(solution.objective, 5, _units.of_expression(solution.problem.objective, solution.problem))
+    return number(solution.objective, 5, unit_of_objective(solution.problem))
 
 
 def _parts(solution: Solution, name: str) -> list[tuple[ConstraintResult, str]]:
     """The constraints of one name with their units."""
     pairs = zip(solution.constraints, solution.problem.constraints, strict=True)
     return [
-        (one, _units.of_expression(declared.expression, solution.problem))
-        for one, declared in pairs
-        if one.name == name
+        (one, unit_of_expression(declared.expression, solution.problem)) for one, declared in pairs if one.name == name
     ]
 
 
@@ -130,6 +141,7 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
     """The certificate of each design: residuals of the optimality conditions, effort, quality of the expansion."""
     every = list(solutions.values())
     certificates, efforts = [one.certificate for one in every], [one.effort for one in every]
+    times = [one.times for one in efforts]
     expanded = [one.expansion for one in certificates if _expanded(one)]
     rows = [
         ["Status", *(STATUS_WORDS[one.status] for one in every)],
@@ -146,9 +158,12 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
         *_said(certificates),
         *([["Search", *(str(one.searched or "–") for one in efforts)]] if any(one.searched for one in efforts) else []),
         ["Iterations / evaluations", *(f"{one.iterations} / {one.evaluations}" for one in efforts)],
-        ["Time to compile / to solve", *map(_times, efforts)],
+        ["Time to compile / to solve", *(f"{seconds(t.compile_)} / {seconds(t.solve)}" for t in times)],
         ["Expansion: order, terms, points", *map(_expansion, certificates)],
-        ["Condition number", *map(_condition_number, certificates)],
+        [
+            "Condition number",
+            *(number(one.expansion.condition_number, 3) if _expanded(one) else "–" for one in certificates),
+        ],
     ]
     for text in _union([list(one.leave_one_out) for one in expanded]):
         rows.append([f"Leave-one-out error, {text}", *(_leave_one_out(one, text) for one in certificates)])
@@ -182,10 +197,6 @@ def _said(certificates: list[Certificate]) -> list[list[str]]:
     return [row for row in rows if any(text != "–" for text in row[1:])]
 
 
-def _times(effort: Effort) -> str:
-    return f"{seconds(effort.times.compile_)} / {seconds(effort.times.solve)}"
-
-
 def _between(certificate: Certificate) -> str:
     one = certificate.between
     if one is None:
@@ -202,10 +213,6 @@ def _expansion(certificate: Certificate) -> str:
     return f"{one.order}, {one.terms}, {one.points}" if _expanded(certificate) else "nothing is uncertain"
 
 
-def _condition_number(certificate: Certificate) -> str:
-    return number(certificate.expansion.condition_number, 3) if _expanded(certificate) else "–"
-
-
 def _leave_one_out(certificate: Certificate, text: str) -> str:
     error = certificate.expansion.leave_one_out.get(text)
     return "–" if error is None or not _expanded(certificate) else residual(error)
@@ -220,7 +227,7 @@ def evidence_table(evidence: Mapping[str, Evidence]) -> Table:
     """Sampled statistics compared with the expansion's, and percentiles."""
     rows = []
     for name, one in evidence.items():
-        units = _units.of_moments(one.solution.problem)
+        units = units_of_moments(one.solution.problem)
         for text, sampled in one.functionals.items():
             if np.ndim(sampled.mean) or sampled.percentiles is None:
                 continue
@@ -253,7 +260,7 @@ def statistics_table(evidence: Mapping[str, Evidence]) -> Table | None:
         for text, checked in one.statistics.items():
             if isinstance(checked.statistic.kind, Mean | Std):
                 continue
-            unit = _units.of_statistic(checked.statistic, one.solution.problem)
+            unit = unit_of_statistic(checked.statistic, one.solution.problem)
             rows.append(
                 [
                     f"{name}, {text}" + (f" ({unit})" if unit else ""),

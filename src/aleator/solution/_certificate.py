@@ -1,14 +1,291 @@
-"""`Certificate`: how far an answer can be trusted."""
+"""How far an answer can be trusted: expansions, limits between instants, worst cases, fresh simulations; all in one."""
 
-from dataclasses import dataclass
-from typing import final
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float
 
 from aleator._core.shown import Printed
-from aleator.solution._between import Between
-from aleator.solution._expansion import ExpansionQuality
-from aleator.solution._grid_error import GridError
-from aleator.solution._opinion import SecondOpinion
-from aleator.solution._worst_case import WorstCase
+from aleator.expansion import ILL_CONDITIONED, UNRESOLVED, Unseen
+from aleator.nlp import HELD
+from aleator.solution._grid import GridError, system_text
+
+
+@final
+@dataclass(frozen=True)
+class Moments(Printed):
+    """Mean and standard deviation of one functional by the expansion: one number each, or one per instant."""
+
+    mean: Float[np.ndarray, "*shape"]
+    std: Float[np.ndarray, "*shape"]
+
+    def __str__(self) -> str:
+        return f"mean {ends(self.mean)}, standard deviation {ends(self.std)}"
+
+
+def ends(values: Float[np.ndarray, "*shape"]) -> str:
+    """A number, or from where to where many reach."""
+    least, most = float(np.min(values)), float(np.max(values))
+    return f"{least:.6g}" if np.ndim(values) == 0 else f"from {least:.6g} to {most:.6g}"
+
+
+class Tangent(NamedTuple):
+    """The derivative of a functional by a parameter of a distribution, and the leave-one-out error of its expansion."""
+
+    functional: str
+    parameter: str
+    error: float
+
+    def __str__(self) -> str:
+        return f"leave-one-out error {self.error:.2e} ({self.functional} by {self.parameter})"
+
+
+@final
+@dataclass(frozen=True)
+class ExpansionQuality(Printed):
+    """How far the expansion can be trusted at the solution.
+
+    - `order`, `terms`, `points`: of the expansion; for an adaptive one, as reached in the end;
+    - `condition_number`: of the collocation matrix;
+    - `leave_one_out`: for each functional, the rms error of predicting a collocation point from all others, relative
+      to the standard deviation; zero if it varies by no more than rounding;
+    - `unresolved_from`: for each path that is resolved only at first, the instant (s) from which on that error is too
+      large: a fixed order does not resolve an arbitrarily long simulation;
+    - `tolerance`: the relative error up to which a functional counts as resolved, as set in the `Expansion`;
+    - `tangents`: for each functional, the leave-one-out error of its derivative by each decision that is a parameter of
+      a distribution. It bounds the trust in derivatives of its statistics, and in the shadow prices computed from them;
+    - `unseen`: the largest corner of the germ space without a collocation point, about which nothing is known; None if
+      nothing is uncertain.
+    """
+
+    order: int
+    terms: int
+    points: int
+    condition_number: float
+    leave_one_out: Mapping[str, float] = field(default_factory=dict)
+    unresolved_from: Mapping[str, float] = field(default_factory=dict)
+    tolerance: float = UNRESOLVED
+    tangents: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    unseen: Unseen | None = None
+
+    @property
+    def worst(self) -> float:
+        """The largest leave-one-out error."""
+        return max(self.leave_one_out.values(), default=0.0)
+
+    @property
+    def worst_tangent(self) -> "Tangent | None":
+        """The worst resolved derivative by a distribution's parameter; None if there is none."""
+        every = [Tangent(text, name, error) for text, one in self.tangents.items() for name, error in one.items()]
+        return max(every, key=lambda one: np.inf if np.isnan(one.error) else one.error, default=None)
+
+    @property
+    def unresolved(self) -> tuple[str, ...]:
+        """The functionals whose error is too large for their statistics to be trusted, at least at the end."""
+        errors = self.leave_one_out.items()
+        return tuple(text for text, error in errors if not error <= self.tolerance or text in self.unresolved_from)
+
+    @property
+    def can_be_checked(self) -> bool:
+        """Whether there are more points than terms to check it by: not for interpolation or sparse quadrature."""
+        return not any(np.isposinf(error) for error in self.leave_one_out.values())
+
+    @property
+    def is_conditioned(self) -> bool:
+        """Whether the collocation matrix is conditioned well enough for accurate coefficients."""
+        return self.condition_number <= ILL_CONDITIONED
+
+    def since(self, text: str) -> str:
+        """From when on a path is not resolved, in words; empty for other functionals."""
+        return f" from t = {self.unresolved_from[text]:.4g} s on" if text in self.unresolved_from else ""
+
+    def tangent_sentence(self) -> str:
+        """How well the derivatives by distribution parameters are resolved, with the remedy if they are not."""
+        worst = self.worst_tangent
+        if worst is None:
+            return ""
+        said = f"by distribution parameters: worst {worst}"
+        if worst.error <= self.tolerance:
+            return said
+        return (
+            f"{said}: not resolved, so shadow prices and stationarity are those of the expansion; raise the order "
+            "for the model's"
+        )
+
+    def __str__(self) -> str:
+        if self.points == 1:
+            return "nothing is uncertain"
+        return (
+            f"order {self.order}, {self.terms} terms, {self.points} points, condition number "
+            f"{self.condition_number:.3g}, worst leave-one-out error {self.worst:.2e}"
+        )
+
+
+TOLERATED = 1e-3
+"""Largest relative excess of a limit between instants with which a design still counts as a solution."""
+
+_COSTLY = 0.05
+
+
+@final
+@dataclass(frozen=True)
+class Between(Printed):
+    """The worst excess of a limit over time between the instants, found on a finer grid.
+
+    - `factor`: how many times as many steps that grid has;
+    - `worst`: the excess relative to the bound, or to the constraint's scale if the bound is zero; zero if all hold;
+    - `name`: the constraint that is exceeded most; `time`: when (s), NaN for a peak;
+    - `is_strict`: whether the design depends on what happens between instants: because bounds were tightened for it, or
+      because the system follows trajectories. Evidence then counts violations on the finer grid too;
+    - `cost`: how much worse the objective is than the optimum that holds at the instants alone, relative to it: what
+      tightening costs at most. The best design that holds between instants too lies between these two.
+    """
+
+    factor: int
+    worst: float
+    name: str
+    time: float
+    is_strict: bool = False
+    cost: float = 0.0
+
+    @property
+    def holds(self) -> bool:
+        """Whether all limits hold there, to tolerance."""
+        return self.worst <= HELD
+
+    @property
+    def is_costly(self) -> bool:
+        """Whether bounds were tightened at instants so much that a finer grid may have a considerably better design."""
+        return self.cost_ratio > 1
+
+    @property
+    def cost_ratio(self) -> float:
+        """The cost over the largest that is accepted without a warning."""
+        return self.cost / _COSTLY
+
+    def sentence(self) -> str:
+        """Whether all limits hold, or which does not and by how much."""
+        if self.holds:
+            cost = f"{self.cost:.2g} of the objective: use more steps, or refine=True" if self.is_costly else ""
+            tightened = f", by bounds tightened at the instants, which may cost up to {cost}" if cost else ""
+            return f"limits over time hold on {self.factor} times as many steps too{tightened}"
+        when = "" if np.isnan(self.time) else f" after t = {self.time:.4g} s"
+        if np.isinf(self.worst):
+            return f"between the instants of the grid '{self.name}' is not a number{when}: use more steps"
+        return (
+            f"between the instants of the grid '{self.name}' exceeds its bound by {self.worst:.2g} of it{when}: "
+            "use more steps"
+        )
+
+    def __str__(self) -> str:
+        return self.sentence()
+
+
+@final
+@dataclass(frozen=True)
+class WorstRealisation(Printed):
+    """The system that comes closest to a limit on the worst case, or breaks it most.
+
+    - `name`, `text`: of the constraint; `value`: of its functional; `beyond`: the excess over the bound, negative
+      inside; `time`: when (s), None if it is no limit over time;
+    - `numbers`: the uncertain numbers of that system, by name.
+    """
+
+    name: str
+    text: str
+    value: float
+    beyond: float
+    time: float | None
+    numbers: Mapping[str, float]
+
+    @property
+    def system(self) -> str:
+        """The system by its uncertain numbers, the first few if there are many."""
+        return system_text(self.numbers)
+
+    def sentence(self) -> str:
+        """The value, when it is reached, and by which system."""
+        when = "" if self.time is None else f" at t = {self.time:.4g} s"
+        return f"{self.name} reaches {self.value:.6g}{when} with {self.system}"
+
+    def __str__(self) -> str:
+        return self.sentence()
+
+
+@final
+@dataclass(frozen=True)
+class WorstCase(Printed):
+    """The worst cases of a solution, found by a search over realisations of the model; the search is no proof.
+
+    - `realisations`: the worst of each limit on the worst case, in the order of the constraints;
+    - `scenarios`: the germ points at which the program imposed the limits, shape (scenarios, variables);
+    - `rounds`: how often the program was solved, with more scenarios each time;
+    - `searched`: the number of realisations that were simulated.
+    """
+
+    realisations: tuple[WorstRealisation, ...]
+    scenarios: Float[np.ndarray, "scenarios variables"]
+    rounds: int
+    searched: int
+
+    def of(self, text: str) -> WorstRealisation | None:
+        """The worst realisation of the constraint with this text; None if it is no limit on the worst case."""
+        return next((one for one in self.realisations if one.text == text), None)
+
+    def broken(self) -> str:
+        """The realisation that breaks its limit most, with the remedy if the search did not converge."""
+        worst = max(self.realisations, key=lambda one: one.beyond)
+        return (
+            f"After {self.rounds} rounds {worst.sentence()}, {worst.beyond:.3g} beyond its bound: each new design "
+            "breaks it at another realisation. Narrow the distributions, or give the optimiser fewer decisions."
+        )
+
+    def rows(self) -> list[str]:
+        """A line for each limit, then how they were found."""
+        found = [one.sentence() for one in self.realisations]
+        return [*found, f"the worst of {self.searched} realisations of the model, in {self.rounds} rounds"]
+
+    def __str__(self) -> str:
+        return "\n".join(self.rows())
+
+
+@final
+@dataclass(frozen=True)
+class SecondOpinion(Printed):
+    """A few fresh simulations at the answer, compared with its expansions.
+
+    - `samples`: how many systems were simulated;
+    - `misses`: for each functional, the rms error of predicting a fresh system, relative to the standard deviation;
+    - `contradictions`: one sentence for each disagreement: a functional whose prediction errs by more than twice the
+      tolerance of the expansion, or an expression of the problem that the correction changes by more than four standard
+      errors and by more than a hundredth of the effect of one standard deviation;
+    - `broken`: why the design is no solution once the expansion is corrected: a limit that fails by more than a
+      twentieth of a spread, or an objective that changes by more than was gained. Empty otherwise.
+
+    So few systems miss rare events, such as a spike in a corner of the germ space: use `validate` for these.
+    """
+
+    samples: int
+    misses: Mapping[str, float]
+    contradictions: tuple[str, ...]
+    broken: str
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the fresh simulations agree with the expansions."""
+        return not self.contradictions
+
+    def sentence(self) -> str:
+        """The result in one sentence."""
+        if self.agrees:
+            worst = max(self.misses.values(), default=0.0)
+            return f"{self.samples} fresh simulations agree, missed by {worst:.2e} of their standard deviation at worst"
+        return f"{self.samples} fresh simulations disagree: {'; '.join(self.contradictions[:3])}"
+
+    def __str__(self) -> str:
+        return self.sentence()
 
 
 @final

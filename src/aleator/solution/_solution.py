@@ -1,4 +1,4 @@
-"""`Solution`: the answer to a problem, with what certifies it."""
+"""The answer to a problem: its design, what was limited, what it took, and what certifies it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,16 +8,149 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import jax_array
-from aleator._core.shown import Drawn
+from aleator._core.shown import Drawn, Printed
 from aleator.design import Problem, grid_at, problem_text
-from aleator.nlp import Status
-from aleator.solution._certificate import Certificate, lines
-from aleator.solution._constraint import ConstraintResult
-from aleator.solution._costates import Costates, Switching
-from aleator.solution._effort import Effort
-from aleator.solution._expansion import Moments
-from aleator.solution._mesh import MeshError
-from aleator.solution._states import States
+from aleator.nlp import HELD, Searched, Status
+from aleator.solution._certificate import Certificate, Moments, lines
+from aleator.solution._grid import Costates, MeshError, States, Switching
+
+
+@final
+@dataclass(frozen=True)
+class Times(Printed):
+    """Wall times in seconds. `compile_` is zero if a problem of the same structure was compiled before."""
+
+    import_: float
+    compile_: float
+    solve: float
+
+    def __str__(self) -> str:
+        return f"import {self.import_:.2f} s, compile {self.compile_:.2f} s, solve {self.solve:.3f} s"
+
+
+@final
+@dataclass(frozen=True)
+class AtMeans(Printed):
+    """The deterministic problem where that was solved first.
+
+    - `status`: how it ended; `starts`: whether the problem itself was started from there;
+    - `iterations`, `evaluations`: see `Effort`.
+    """
+
+    status: Status
+    starts: bool
+    iterations: int
+    evaluations: int
+
+    def __str__(self) -> str:
+        end = "" if self.starts else f", which ended as '{self.status.value}' and started nothing"
+        return f"{self.iterations} iterations, {self.evaluations} evaluations for the deterministic problem{end}"
+
+
+@final
+@dataclass(frozen=True)
+class Effort(Printed):
+    """Iterations, evaluations and times of a solve.
+
+    - `solver`: its name and version; `iterations`: as the solver counts them, over all restarts;
+    - `evaluations`: points at which the problem was simulated; `times`: wall times;
+    - `at_means`: the deterministic problem, if that was solved first; its work is not counted in the others, except for
+      compilations;
+    - `searched`: the history of a search without derivatives, if there was one; its evaluations are counted;
+    - `visited`: the history of the local solver (`al.reporting.search_figure` draws it), if there was one.
+    """
+
+    solver: str
+    iterations: int
+    evaluations: int
+    times: Times
+    at_means: AtMeans | None = None
+    searched: Searched | None = None
+    visited: Searched | None = None
+
+    def __str__(self) -> str:
+        before = "" if self.at_means is None else f"after {self.at_means}: "
+        before += "" if self.searched is None else f"{self.searched}; in all "
+        return f"{before}{self.iterations} iterations, {self.evaluations} evaluations; {self.times}"
+
+
+@final
+@dataclass(frozen=True)
+class ConstraintResult(Printed):
+    """One constraint at a solution, in user units.
+
+    - `values`: values of its expression, one number or one per instant; `times`: the instants (s), None for one number;
+    - `multipliers`: the shadow prices, `-d objective / d bound`, in the shape of `values`: positive where the
+      upper bound is active, negative where the lower one is;
+    - `active`: where it is active, in the shape of `values`;
+    - `scale`: its magnitude in its own unit, from its bound and its values near the answer (see `constraint_size` of
+      the transcription). It holds if it exceeds its bound by at most a millionth of this.
+    """
+
+    name: str
+    text: str
+    lower: float
+    upper: float
+    values: Float[np.ndarray, "*shape"]
+    times: Float[np.ndarray, " instants"] | None
+    multipliers: Float[np.ndarray, "*shape"]
+    active: np.ndarray
+    scale: float
+
+    @property
+    def excess(self) -> Float[np.ndarray, "*shape"]:
+        """Excess over the nearer bound; negative where the constraint holds with slack."""
+        return np.maximum(self.values - self.upper, self.lower - self.values)
+
+    @property
+    def violation(self) -> float:
+        """Largest excess over a bound; zero if the constraint holds everywhere."""
+        return max(0.0, float(np.max(self.excess)))
+
+    @property
+    def holds(self) -> bool:
+        """Whether it holds everywhere, to a millionth of its magnitude."""
+        return self.violation <= HELD * self.scale
+
+    @property
+    def worst_time(self) -> float | None:
+        """The instant (s) at which the constraint is closest to, or furthest beyond, its bound."""
+        if self.times is None:
+            return None
+        return float(self.times[np.argmax(self.excess.reshape(len(self.times), -1).max(axis=1))])
+
+    @property
+    def shadow_price(self) -> float:
+        """How much the objective falls for each unit by which the bound is relaxed, summed over its active instants.
+
+        For an equality: how much the objective falls for each unit by which its right-hand side is raised, which may be
+        negative.
+        """
+        if self.lower == self.upper:
+            return float(np.sum(self.multipliers))
+        return float(np.sum(np.abs(self.multipliers)))
+
+    @property
+    def worst(self) -> float:
+        """The value that is closest to, or furthest beyond, its bound."""
+        return float(self.values.flat[int(np.argmax(self.excess))])
+
+    def sentence(self) -> str:
+        """Which constraint is violated, by how much and when, with its text."""
+        when = "" if self.worst_time is None else f" at t = {self.worst_time:.4g} s"
+        worst = self.worst
+        bound, relation = (self.upper, "≤") if worst > self.upper else (self.lower, "≥")
+        relation = "=" if self.lower == self.upper else relation
+        asked = f"{worst:.6g} where {relation} {bound:.6g} is asked ({self.text})"
+        return f"'{self.name}' is violated by {self.violation:.4g}{when}: {asked}"
+
+    def __str__(self) -> str:
+        if not self.holds:
+            return self.sentence()
+        when = "" if self.worst_time is None else f" at t = {self.worst_time:.4g} s"
+        if np.any(self.active):
+            return f"{self.name}: {self.text}: active{when}, shadow price {self.shadow_price:.4g}"
+        return f"{self.name}: {self.text}: slack {-float(np.max(self.excess)):.4g}{when}"
 
 
 @final
@@ -164,3 +297,12 @@ class Solution(Drawn):
 
 def _shown(value: Any) -> str:
     return np.array2string(np.asarray(value), precision=7, separator=", ")
+
+
+def in_brief(solution: Solution) -> str:
+    """The objective, and whether limits hold and the answer is certified: `objective 3.04, feasible`."""
+    if solution.ok:
+        return f"objective {solution.objective:.6g}, feasible"
+    if solution.status is Status.INFEASIBLE:
+        return f"infeasible, violation {solution.certificate.violation:.2g}"
+    return solution.status.name.lower().replace("_", " ")

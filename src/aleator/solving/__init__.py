@@ -1,6 +1,6 @@
 """Solutions of design problems."""
 
-from aleator.solving._arguments import check_search as check_search
 from aleator.solving._solve import Call as Call
+from aleator.solving._solve import check_search as check_search
 from aleator.solving._solve import follows_from as follows_from
 from aleator.solving._solve import solve as solve

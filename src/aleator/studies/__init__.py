@@ -7,88 +7,10 @@
     _page       the chapters of the page, with _drawing for a scheme of the system
     _study      the declaration that joins these, as any study is declared (`docs/extending.md`)
 
-The command line finds them here, by name.
+The command line finds them by name. What runs, saves and shows them is listed in `__init__.pyi` and loaded at its first
+use: whoever wants the physics alone does not wait for it.
 """
 
-from importlib import import_module
-from pathlib import Path
-from typing import Any, NamedTuple
+import lazy_loader
 
-from aleator._core.errors import ProblemError
-from aleator.studies._check import Check as Check
-from aleator.studies._declared import PartlySavedError as PartlySavedError
-from aleator.studies._declared import Stage as Stage
-from aleator.studies._declared import tables_of as tables_of
-from aleator.studies._files import begin_file as begin_file
-from aleator.studies._files import load_file as load_file
-from aleator.studies._files import load_module as load_module
-from aleator.studies._own import Study as Study
-from aleator.studies._study import AbstractStudy as AbstractStudy
-from aleator.studies._study import stop_if_interrupted as stop_if_interrupted
-from aleator.studies._swept import SweptStudy as SweptStudy
-from aleator.studies._swept import executor_of as executor_of
-from aleator.studies._swept import problems_of as problems_of
-from aleator.studies._toml import load_toml as load_toml
-from aleator.studies._toml import schema as schema
-
-
-class Entry(NamedTuple):
-    """A study as listed: what it is about, and its class as `module:name`, imported only when it is run."""
-
-    about: str
-    place: str
-
-
-STUDIES = {
-    "suspension": Entry(
-        "Quarter car: deterministic, robust and apportioned suspension (sections 6.4 and 7.4)",
-        "aleator.studies.suspension._study:SuspensionStudy",
-    ),
-    "clutch": Entry(
-        "One-way clutch: tolerance analysis by every method, and the cheapest tolerances (section 7.2)",
-        "aleator.studies.clutch._study:ClutchStudy",
-    ),
-    "pick-and-place-effort": Entry(
-        "Two-link arm with an uncertain payload: least effort, least spread at the end (section 5.5.1)",
-        "aleator.studies.pick_and_place_effort._study:PickAndPlaceEffort",
-    ),
-    "pick-and-place-time": Entry(
-        "Two-link arm with an uncertain payload: least time, and the margin that it takes (section 5.5.2)",
-        "aleator.studies.pick_and_place_time._study:PickAndPlaceTime",
-    ),
-    "swing-up": Entry(
-        "Double pendulum of uncertain mass, driven at one joint: swing-up of least energy (section 5.5.3)",
-        "aleator.studies.swing_up._study:SwingUp",
-    ),
-    "four-bar": Entry(
-        "Straight-line linkage, a closed loop driven by its crank: robust lengths, and the cheapest tolerances",
-        "aleator.studies.four_bar._study:FourBarStudy",
-    ),
-}
-
-
-def load(name: str, *, quick: bool = False) -> AbstractStudy:
-    """A study ready to run, by its name, its Python file or its module; `quick` makes it small enough for a first look.
-
-    Raises `ProblemError` for an unknown name, and for a file that declares no study, or no quick one if that is asked.
-    """
-    if name.endswith(".toml"):
-        own = load_toml(Path(name), load_module)
-        return own.quickened() if quick else own
-    if name.endswith(".py") or "." in name or ":" in name:
-        own = load_file(Path(name)) if name.endswith(".py") else load_module(name)
-        return _quick(own, name) if quick else own
-    if name not in STUDIES:
-        raise ProblemError(
-            f"There is no study '{name}'; expected one of {sorted(STUDIES)} (see `aleator list`), or a file of "
-            f"your own, such as {name}.py (`aleator new {name}.py` begins one)."
-        )
-    module, _, kind = STUDIES[name].place.partition(":")
-    study: Any = getattr(import_module(module), kind)
-    return study(study.quick if quick else study.full)
-
-
-def _quick(study: AbstractStudy, name: str) -> AbstractStudy:
-    if not isinstance(study, Study):
-        raise ProblemError(f"{name}: its study is a {type(study).__name__}, which has no quick form: run it in full.")
-    return study.quickened()
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

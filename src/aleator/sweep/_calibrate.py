@@ -13,15 +13,14 @@ import scipy
 
 from aleator._core.elsewhere import check_executor
 from aleator._core.errors import CalibrationWarning, ProblemError
-from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.warned import warned_of
 from aleator.design import Problem, uncertain
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.solving import solve
-from aleator.sweep._calibration import Calibration, Trial
-from aleator.sweep._margins import MarginSearch
+from aleator.sweep._each import until_interrupted
+from aleator.sweep._margins import Calibration, MarginSearch, Trial
 from aleator.transcription import DEFAULT, AbstractTranscription
 from aleator.validation import Evidence, Proportion, Share, rare_violation, validate, why_uncounted
 
@@ -83,20 +82,13 @@ def calibrate(
     solved = partial(solve, solver=solver, transcription=transcription)
     search = MarginSearch(problem, given, sampler.trial, sampler.aim, precision, solved)
     run = _Run(search, sampler, max_trials, progress)
-    interrupted = False
-    try:
-        with heeding() as run.heed:
-            run.finish()
-    except KeyboardInterrupt:
-        if not search.trials:
-            raise
-        interrupted = True
-        run.missing = "it was interrupted"
+    with until_interrupted(lambda: search.trials) as steps:
+        run.heed = steps.heed
+        run.finish()
+    missing, trials = "it was interrupted" if steps.interrupted else run.missing, tuple(search.trials)
     chosen = run.chosen or search.best
-    found = Calibration(
-        names, float(target), tuple(search.trials), chosen, run.fresh, run.evidence, run.missing, interrupted
-    )
-    if not (found.confirmed or interrupted):
+    found = Calibration(names, float(target), trials, chosen, run.fresh, run.evidence, missing, steps.interrupted)
+    if not (found.confirmed or steps.interrupted):
         said = f"calibrate: sigmas = {found.sigmas:.4g} is {found.sentence()}."
         warnings.warn(said, CalibrationWarning, stacklevel=2)
     return found

@@ -1,16 +1,35 @@
-"""Several solves, or evidence of several designs: here one after the other, or at once by an executor."""
+"""Several solves, or evidence of several designs, until Ctrl-C: one after the other, or at once by an executor; and
+`workers`, processes on this machine, one a core, that outlive the death of any of them.
+"""
 
+import contextlib
+import os
 import pickle
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Executor
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, Literal, TypeAlias, cast
+from multiprocessing import get_context
+from multiprocessing.queues import Queue
+from pathlib import Path
+from types import FrameType
+from typing import Any, Literal, TypeAlias, TypeVar, cast, final
 
+from typing_extensions import override
+
+from aleator._core.beside import CORES, threads
 from aleator._core.elsewhere import is_of_this_process, packed, sending
 from aleator._core.errors import AleatorError, SimulationError
+from aleator._core.given import whole
+from aleator._core.heard import heeding
 from aleator._core.journalled import AbstractEntry, NotKeptError, calling, entry_of
+from aleator._core.own_process import end_with_parent
 from aleator._core.warned import warned_of
 from aleator.design import Problem, refuse_other_code
+from aleator.nlp import Status
 from aleator.solution import Solution
 from aleator.solving import Call, follows_from, solve
 from aleator.validation import validate, validated_from
@@ -30,6 +49,33 @@ def each(
     Raises `ProblemError` for a model that cannot travel, and `SimulationError` if workers keep dying.
     """
     return _here(work, calls, where) if executor is None else _elsewhere(work, calls, where, executor)
+
+
+@final
+class Steps:
+    """The steps of a sweep. `interrupted`: whether Ctrl-C ended them early."""
+
+    def __init__(self, heed: Callable[[], None]):
+        self._heed, self.interrupted = heed, False
+
+    def heed(self, ended: Status | None = None) -> None:
+        """Raise `KeyboardInterrupt` if Ctrl-C `ended` the solve of the last step, or was lost in it."""
+        if ended is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        self._heed()
+
+
+@contextmanager
+def until_interrupted(has_results: Callable[[], object]) -> Iterator[Steps]:
+    """Work in steps that Ctrl-C ends early, if there is any result yet; else it raises `KeyboardInterrupt`."""
+    with heeding() as heed:
+        steps = Steps(heed)
+        try:
+            yield steps
+        except KeyboardInterrupt:
+            if not has_results():
+                raise
+            steps.interrupted = True
 
 
 def _here(work: Work, calls: Sequence[Mapping[str, Any]], where: Sequence[str]) -> Iterator[tuple[int, Any]]:
@@ -101,3 +147,164 @@ def _of_here(result: Any, call: Mapping[str, Any]) -> Any:
         same = pickle.dumps(result.problem) == pickle.dumps(sent)
         return replace(result, problem=sent) if same else result
     return replace(result, solution=call["solution"])
+
+
+_Result = TypeVar("_Result")
+
+# How often work is begun again after its worker, or another one, has died.
+_AGAIN = 3
+# Environment variables of the libraries that NumPy and SciPy may use.
+_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def workers(count: int | None = None) -> Executor:
+    """An executor of `count` processes on this machine, by default one for each core, for `executor=` of sweeps.
+
+        with al.workers(2) as executor:
+            front = al.pareto(problem, "mass", values, executor=executor)
+
+    Each has a core and one thread of its own, takes compiled programs from the same folder (`al.compilation_cache`),
+    and lives until the end of the block. If one dies (the machine's memory may be short), the others are replaced too,
+    and what they did is begun again, up to three times. A script that uses them begins its work under
+    `if __name__ == "__main__":`, since each process reads it once; models stand in modules of their own.
+    """
+    return Workers(CORES if count is None else whole("workers: count", count))
+
+
+@final
+class Workers(Executor):
+    """A pool of processes that is replaced when it breaks."""
+
+    def __init__(self, count: int):
+        self._count, self._pool, self._closed = count, None, False
+        self._lock = threading.RLock()
+
+    @override
+    def submit(self, fn: Callable[..., _Result], /, *args: Any, **kwargs: Any) -> "Future[_Result]":
+        if self._closed:
+            raise RuntimeError("the workers have been shut down: expected a call within their `with` block.")
+        future: Future[_Result] = Future()
+        self._send(future, lambda pool: pool.submit(_worked, fn, *args, **kwargs), 0)
+        return future
+
+    def _send(self, future: "Future[Any]", submit: Callable[[ProcessPoolExecutor], "Future[Any]"], tries: int) -> None:
+        with self._lock:
+            pool = self._pool = self._pool or self._begun()
+            with _interrupts_wait(), _single_threads():  # which `submit` begins processes in
+                try:
+                    inner = submit(pool)
+                except BrokenProcessPool:
+                    self._pool = None
+                    pool = self._pool = self._begun()
+                    inner = submit(pool)
+        # What has not begun can be cancelled from outside.
+        future.add_done_callback(lambda one: inner.cancel() if one.cancelled() else None)
+        inner.add_done_callback(lambda one: self._finish(one, future, pool, submit, tries))
+
+    def _finish(
+        self,
+        inner: "Future[Any]",
+        future: "Future[Any]",
+        pool: ProcessPoolExecutor,
+        submit: Callable[[ProcessPoolExecutor], "Future[Any]"],
+        tries: int,
+    ) -> None:
+        if inner.cancelled() or future.cancelled():
+            future.cancel()
+            return
+        error = inner.exception()
+        if isinstance(error, BrokenProcessPool) and tries < _AGAIN and not self._closed:
+            with self._lock:
+                if self._pool is pool:
+                    self._pool = None
+            self._send(future, submit, tries + 1)
+        elif error is not None:
+            future.set_exception(error)
+        else:
+            future.set_result(inner.result())
+
+    def _begun(self) -> ProcessPoolExecutor:
+        # Never forked: JAX has threads, whose locks a copy of the process would keep for ever.
+        context = get_context("spawn")
+        cores = context.Queue()
+        for core in range(self._count):
+            cores.put(core)
+        return ProcessPoolExecutor(self._count, context, _settle, (cores,))
+
+    @override
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        with self._lock:
+            self._closed, pool = True, self._pool
+        if pool is not None:
+            pool.shutdown(wait, cancel_futures=cancel_futures)
+
+
+@contextmanager
+def _interrupts_wait() -> Iterator[None]:
+    """Let Ctrl-C wait, here and in the processes that begin within a block: there until they have settled."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _single_threads() -> Iterator[None]:
+    """Let the linear algebra of processes that begin within a block have one thread, unless the user says otherwise.
+
+    A second one on the same core would wait by turning in circles.
+    """
+    fresh = [name for name in _THREADS if name not in os.environ]
+    os.environ.update(dict.fromkeys(fresh, "1"))
+    try:
+        yield
+    finally:
+        for name in fresh:
+            os.environ.pop(name, None)
+
+
+# Whether this process, a worker, is doing something.
+_busy = threading.Event()
+
+
+def _settle(cores: "Queue[int]") -> None:
+    """Begin a worker: one core, which the threads of libraries keep to as well, and one thread of ours."""
+    end_with_parent()  # first, while the thread that watches inherits that Ctrl-C waits
+    signal.signal(signal.SIGINT, _interrupt)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    core = cores.get()
+    if hasattr(os, "sched_setaffinity"):
+        mine = sorted(os.sched_getaffinity(0))
+        for thread in _begun_here():
+            with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+                os.sched_setaffinity(thread, {mine[core % len(mine)]})
+    threads(1)
+
+
+def _begun_here() -> list[int]:
+    """The threads of this process; those begun later keep to the cores of the one that begins them."""
+    try:
+        return [int(one.name) for one in Path("/proc/self/task").iterdir()]
+    except OSError:  # no Linux
+        return [0]
+
+
+def _worked(fn: Callable[..., _Result], /, *args: Any, **kwargs: Any) -> _Result:
+    """What a worker does."""
+    _busy.set()
+    try:
+        return fn(*args, **kwargs)
+    finally:
+        _busy.clear()
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """End work at Ctrl-C as Python does, and a worker without any without a word: a terminal tells it to all."""
+    if _busy.is_set():
+        signal.default_int_handler(number, frame)
+    os._exit(128 + number)

@@ -1,6 +1,6 @@
-"""`pareto`: one problem for many values of a bound (the constraint form of multi-objective design, section 3.5.1)."""
+"""`pareto`: designs for several bounds of one constraint, each solved from neighbours that are solved."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any, NamedTuple, final
@@ -11,16 +11,58 @@ from jaxtyping import Float
 from aleator._core.elsewhere import check_executor
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import a_name, one_of, real_array
-from aleator._core.heard import heeding
 from aleator._core.journalled import expected
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn, Printed
 from aleator.design import Problem
 from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution, in_brief
-from aleator.sweep._each import each
-from aleator.sweep._neighbours import SAME, Place, doubtful
+from aleator.sweep._each import Steps, each, until_interrupted
 from aleator.transcription import DEFAULT, AbstractTranscription
+
+# Objectives with a smaller difference, as a part of the largest on the front, are the same: solvers leave that much.
+SAME = 1e-6
+# By so much of the steeper of two prices, times the step between them, an optimum may be above what both say: a front
+# is a smooth curve, along which the mean of two slopes is off by a twelfth of its third derivative.
+_OFF = 0.05
+
+
+class Place(NamedTuple):
+    """A point of a front: its bound, its optimum, and the slope of that by the bound; NaN where there is none."""
+
+    bound: float
+    objective: float
+    slope: float
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether there is an optimum."""
+        return not np.isnan(self.objective)
+
+
+def doubtful(places: Sequence[Place], relaxing: int, size: float) -> Iterator[tuple[float, float]]:
+    """The bounds of points that the design of a solved neighbour may better, each with the bound of this neighbour.
+
+    These are points without an optimum, those worse than a tighter neighbour, whose design is theirs too, and those
+    worse than the neighbour's optimum, moved by the mean of both slopes. `relaxing`: 1 if a larger bound is a weaker
+    one, -1 if a smaller one is, 0 if neither; `size`: the largest objective on the front.
+    """
+    ordered = sorted(places)
+    for i, place in enumerate(ordered):
+        for side in (ordered[:i][::-1], ordered[i + 1 :]):
+            neighbour = next((one for one in side if one.is_solved), None)
+            if neighbour is not None and _is_doubtful(place, neighbour, relaxing, size):
+                yield place.bound, neighbour.bound
+
+
+def _is_doubtful(place: Place, neighbour: Place, relaxing: int, size: float) -> bool:
+    if not place.is_solved:
+        return True
+    step, risen = place.bound - neighbour.bound, place.objective - neighbour.objective
+    if step * relaxing > 0 and risen > SAME * size:
+        return True
+    steeper = max(abs(place.slope), abs(neighbour.slope))
+    return risen - step * (place.slope + neighbour.slope) / 2 > _OFF * abs(step) * steeper + SAME * size
 
 
 @final
@@ -167,15 +209,9 @@ def pareto(
     check_executor("pareto", executor)
     own = {"solver": solver, "transcription": transcription}
     sweep = _Sweep(bound, {value: problem.with_bound(bound, value) for value in bounds}, own, progress)
-    interrupted = True
-    try:
-        with expected("solve", sweep.named), heeding() as heed:
-            sweep.solve(executor, heed)
-        interrupted = False
-    except KeyboardInterrupt:
-        if sweep.is_empty:
-            raise
-    return sweep.front(interrupted)
+    with until_interrupted(lambda: sweep.solutions) as steps, expected("solve", sweep.named):
+        sweep.solve(executor, steps)
+    return sweep.front(steps.interrupted)
 
 
 @final
@@ -192,45 +228,41 @@ class _Sweep:
         """The problems by the values of their bounds, in words."""
         return {self._place(value): one for value, one in self._problems.items()}
 
-    def solve(self, executor: Executor | None, heed: Callable[[], None]) -> None:
+    def solve(self, executor: Executor | None, steps: Steps) -> None:
         """Solve each point from the problem's own start, then those from a neighbour that this may better.
 
         A point is tried from each design of a neighbour once, until none is bettered any more.
         """
-        self._each([_Try(value) for value in self._problems], executor, heed)
+        self._each([_Try(value) for value in self._problems], executor, steps)
         tried, bettered = set[tuple[float, ...]](), True
         while bettered and (again := [one for one in self._doubtful() if one.key not in tried]):
             tried.update(one.key for one in again)
-            bettered = self._each(again, executor, heed)
+            bettered = self._each(again, executor, steps)
 
     def front(self, interrupted: bool) -> Front:
         """What was found, in the order of the bounds. Raises the first refusal if every point was refused."""
-        if self._first is not None and not self._solutions:
+        if self._first is not None and not self.solutions:
             raise self._first
         finished = [value for value in self._problems if value in self._kept]
         points, neighbours = zip(*(self._kept[value] for value in finished), strict=True)
         return Front(self._bound, np.array(finished), points, interrupted, neighbours)
 
     @property
-    def is_empty(self) -> bool:
-        """Whether nothing has been solved."""
-        return not self._solutions
-
-    @property
-    def _solutions(self) -> dict[float, Solution]:
+    def solutions(self) -> dict[float, Solution]:
+        """What has been solved, by the values of the bound."""
         return {value: one.point for value, one in self._kept.items() if isinstance(one.point, Solution)}
 
     def _doubtful(self) -> list["_Try"]:
         relaxing = _relaxing(self._problems, self._bound)
-        places = [Place(value, *_optimum(one, self._bound, relaxing)) for value, one in self._solutions.items()]
+        places = [Place(value, *_optimum(one, self._bound, relaxing)) for value, one in self.solutions.items()]
         pairs = doubtful(places, relaxing, self._size)
-        return [_Try(value, neighbour, self._solutions[neighbour]) for value, neighbour in pairs]
+        return [_Try(value, neighbour, self.solutions[neighbour]) for value, neighbour in pairs]
 
     @property
     def _size(self) -> float:
-        return max((abs(one.objective) for one in self._solutions.values() if one.ok), default=0.0)
+        return max((abs(one.objective) for one in self.solutions.values() if one.ok), default=0.0)
 
-    def _each(self, tries: Sequence["_Try"], executor: Executor | None, heed: Callable[[], None]) -> bool:
+    def _each(self, tries: Sequence["_Try"], executor: Executor | None, steps: Steps) -> bool:
         """Solve some points; whether one has been bettered."""
         calls = [{"problem": self._problems[one.value], "warm_start": one.design, **self._own} for one in tries]
         where = [f"pareto, at {self._place(one.value, one.neighbour)}" for one in tries]
@@ -238,23 +270,19 @@ class _Sweep:
         self._progress(what, 0, len(tries))
         for done, (i, found) in enumerate(each("solve", calls, where, executor), 1):
             bettered |= self._keep(tries[i], found)
-            self._progress(f"{what}: {self._in_brief(tries[i].value)}", done, len(tries))
-            if isinstance(found, Solution) and found.status is Status.INTERRUPTED:
-                raise KeyboardInterrupt
-            heed()
+            point = self._kept[tries[i].value].point
+            brief = in_brief(point) if isinstance(point, Solution) else "no design"
+            self._progress(f"{what}: {self._place(tries[i].value)}, {brief}", done, len(tries))
+            steps.heed(found.status if isinstance(found, Solution) else None)
         return bettered
 
     def _place(self, value: float, neighbour: float | None = None) -> str:
         """A point in words."""
         return point_name(self._bound, value) + (f", from {neighbour:.6g}" if neighbour is not None else "")
 
-    def _in_brief(self, value: float) -> str:
-        point = self._kept[value].point
-        return f"{self._place(value)}, {in_brief(point) if isinstance(point, Solution) else 'no design'}"
-
     def _keep(self, begun: "_Try", found: Solution | AleatorError) -> bool:
         """Keep what is better than what was known; whether it is."""
-        known = self._solutions.get(begun.value)
+        known = self.solutions.get(begun.value)
         if isinstance(found, Solution):
             if known is not None and not _is_better(found, known, SAME * self._size):
                 return False

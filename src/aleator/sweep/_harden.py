@@ -5,19 +5,18 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, one_of, positive, refusal, whole
-from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn
 from aleator._core.warned import warned_of
 from aleator.certification import bound_size
-from aleator.design import Constraint, Problem, soft
-from aleator.nlp import AbstractSolver, Status
+from aleator.design import Problem, soft
+from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.solving import solve
+from aleator.sweep._each import until_interrupted
 from aleator.transcription import DEFAULT, AbstractTranscribed, AbstractTranscription, transcribe
 
 # Beyond this weight, a penalty leaves no digit of the objective, and its square overflows.
@@ -103,36 +102,25 @@ def harden(
     weights = weight * factor ** np.arange(most)
     check_progress("harden", progress)
     one_of("harden: transcription", transcription, AbstractTranscription, "al.Sequential()")
+    chosen = tuple(dict.fromkeys(a_name("harden: a constraint", name) for name in names)) or problem.names
     hard = None
     solutions: list[Solution] = []
     excesses: list[Mapping[str, float]] = []
-    interrupted = True
-    try:
-        with heeding() as heed:
-            for done, each in enumerate(weights):
-                progress("weights", done, most)
-                softened = soft(problem, *names, weight=float(each), exact=exact)
-                start = solutions[-1].decisions if solutions else None
-                with warned_of(f"harden, weight {each:.4g}"):
-                    found = solve(softened, solver, transcription=transcription, start=start, throw=False)
-                hard = hard or transcribe(problem, DEFAULT)
-                excesses.append(_excesses(hard, _chosen(problem, names), found))
-                solutions.append(found)
-                if found.ok and max(excesses[-1].values()) <= tolerance:
-                    break
-                if found.status is Status.INTERRUPTED:
-                    raise KeyboardInterrupt
-                heed()
-        interrupted = False
-    except KeyboardInterrupt:
-        if not solutions:
-            raise
+    with until_interrupted(lambda: solutions) as steps:
+        for done, each in enumerate(weights):
+            progress("weights", done, most)
+            softened = soft(problem, *names, weight=float(each), exact=exact)
+            start = solutions[-1].decisions if solutions else None
+            with warned_of(f"harden, weight {each:.4g}"):
+                solution = solve(softened, solver, transcription=transcription, start=start, throw=False)
+            hard = hard or transcribe(problem, DEFAULT)
+            excesses.append(_excesses(hard, chosen, solution))
+            solutions.append(solution)
+            if solution.ok and max(excesses[-1].values()) <= tolerance:
+                break
+            steps.heed(solution.status)
     used = tuple(float(one) for one in weights[: len(solutions)])
-    return Hardened(tuple(solutions), used, tuple(excesses[: len(solutions)]), tolerance, interrupted)
-
-
-def _chosen(problem: Problem, names: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(a_name("harden: a constraint", name) for name in names)) or problem.names
+    return Hardened(tuple(solutions), used, tuple(excesses[: len(solutions)]), tolerance, steps.interrupted)
 
 
 def _excesses(hard: AbstractTranscribed, names: tuple[str, ...], found: Solution) -> dict[str, float]:
@@ -144,10 +132,6 @@ def _excesses(hard: AbstractTranscribed, names: tuple[str, ...], found: Solution
     excesses = dict.fromkeys(names, 0.0)
     for one, size, rows in zip(hard.problem.constraints, hard.scales, values, strict=True):
         if one.name in excesses:
-            excesses[one.name] = max(excesses[one.name], _beyond(rows, one) / (bound_size(one) or size))
+            beyond = float(np.max(np.maximum(float(one.lower) - rows, rows - float(one.upper))))
+            excesses[one.name] = max(excesses[one.name], beyond / (bound_size(one) or size))
     return excesses
-
-
-def _beyond(rows: Float[np.ndarray, " rows"], constraint: Constraint) -> float:
-    lower, upper = float(constraint.lower), float(constraint.upper)
-    return float(np.max(np.maximum(np.maximum(lower - rows, rows - upper), 0.0)))

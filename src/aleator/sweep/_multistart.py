@@ -11,13 +11,12 @@ from jaxtyping import Float
 from aleator._core.elsewhere import check_executor
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import one_of, positive, whole
-from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn
 from aleator.design import Problem
-from aleator.nlp import AbstractSolver, Status
+from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
-from aleator.sweep._each import each
+from aleator.sweep._each import each, until_interrupted
 from aleator.transcription import DEFAULT, AbstractTranscription
 
 # Objectives, or decisions, with a smaller relative difference belong to one local optimum.
@@ -54,16 +53,15 @@ class Starts(Drawn):
         solved = sorted((one for one in self.solutions if one.ok), key=lambda one: one.objective)
         starts = [one.problem.placements.vector("initial") for one in solved]
         size = np.max(np.abs([*starts, *(one.vector for one in solved)]), axis=0, initial=1e-12)
-        found: list[tuple[Solution, int]] = []
+        optima: list[tuple[Solution, int]] = []
         for one in solved:
-            best = found[-1][0] if found else None
-            if best and (
-                _close(one.objective, best.objective) or np.all(np.abs(one.vector - best.vector) < _SAME * size)
-            ):
-                found[-1] = (best, found[-1][1] + 1)
+            best, count = optima[-1] if optima else (one, 0)
+            close = abs(one.objective - best.objective) <= _SAME * max(abs(one.objective), 1e-12)
+            if count and (close or np.all(np.abs(one.vector - best.vector) < _SAME * size)):
+                optima[-1] = (best, count + 1)
             else:
-                found.append((one, 1))
-        return tuple(found)
+                optima.append((one, 1))
+        return tuple(optima)
 
     def __str__(self) -> str:
         rows = [f"{one.objective:14.8g}  from {count} of {len(self.solutions)} starts" for one, count in self.optima]
@@ -71,10 +69,6 @@ class Starts(Drawn):
         return "\n".join(
             ["local optima (equal objectives count as one)", *rows, *([f"{failed} starts failed"] if failed else [])]
         )
-
-
-def _close(one: float, other: float) -> bool:
-    return abs(one - other) <= _SAME * max(abs(one), 1e-12)
 
 
 def multistart(
@@ -116,28 +110,17 @@ def multistart(
     check_executor("multistart", executor)
     own = {"problem": problem, "solver": solver, "transcription": transcription}
     calls = [{**own, "start": start} for start in given]
+    where = [f"multistart, from start {i + 1}" for i in range(len(calls))]
     solutions: dict[int, Solution] = {}
-    interrupted = True
     progress("starts", 0, len(given))
-    try:
-        with heeding() as heed:
-            for i, found in each("solve", calls, [_place(i) for i in range(len(calls))], executor):
-                if isinstance(found, AleatorError):
-                    raise found
-                solutions[i] = found
-                progress("starts", len(solutions), len(given))
-                if found.status is Status.INTERRUPTED:
-                    raise KeyboardInterrupt
-                heed()
-        interrupted = False
-    except KeyboardInterrupt:
-        if not solutions:
-            raise
-    return Starts(tuple(solutions[i] for i in sorted(solutions)), interrupted)
-
-
-def _place(i: int) -> str:
-    return f"multistart, from start {i + 1}"
+    with until_interrupted(lambda: solutions) as steps:
+        for i, result in each("solve", calls, where, executor):
+            if isinstance(result, AleatorError):
+                raise result
+            solutions[i] = result
+            progress("starts", len(solutions), len(given))
+            steps.heed(result.status)
+    return Starts(tuple(solutions[i] for i in sorted(solutions)), steps.interrupted)
 
 
 def _random(problem: Problem, count: int, spread: float, seed: int) -> list[dict[str, Any]]:

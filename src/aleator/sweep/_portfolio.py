@@ -1,4 +1,4 @@
-"""`portfolio`: a global search and many local ones, and how sure one may be of their best."""
+"""`portfolio`: a search everywhere and local searches from what it found, each kept by a journal as soon as it ends."""
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
@@ -8,14 +8,14 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.elsewhere import check_executor
+from aleator._core.elsewhere import check_executor, each_done
 from aleator._core.errors import ProblemError
 from aleator._core.given import one_of, whole
-from aleator._core.heard import heeding
+from aleator._core.journalled import entry_of, journalled
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn, Printed
 from aleator._core.warned import warned_of
-from aleator.design import Problem
+from aleator.design import Problem, refuse_other_code
 from aleator.nlp import (
     AbstractSearch,
     AbstractSolver,
@@ -28,8 +28,76 @@ from aleator.nlp import (
 )
 from aleator.solution import Solution
 from aleator.solving import check_search, solve
-from aleator.sweep._searches import each_outcome, searched_globally
-from aleator.transcription import DEFAULT, transcribe
+from aleator.sweep._each import until_interrupted
+from aleator.transcription import DEFAULT, transcribe, valued_by
+
+
+@final
+@dataclass(frozen=True)
+class FoundGlobally:
+    """What a global search found: points that lie apart, best first, and its history.
+
+    - `status`: `Status.INTERRUPTED` if the user ended it.
+    """
+
+    candidates: list[Float[np.ndarray, " n"]]
+    searched: Searched
+    status: Status
+
+
+def searched_globally(
+    problem: Problem, program: NonlinearProgram, search: AbstractSearch, count: int, executor: Executor | None
+) -> FoundGlobally:
+    """At most `count` points of a global search; from a journal, if one has them.
+
+    An executor finds the values of whole generations, not those of one point after the other.
+    """
+
+    def found() -> FoundGlobally:
+        sought, searched = search.seek(valued_by(executor if search.at_once else None, program, "portfolio"))
+        status = Status.SOLVED if sought.halt is None else Status.INTERRUPTED
+        return FoundGlobally(sought.candidates(count), searched, status)
+
+    given = {"problem": problem, "search": replace(search, progress=silent), "count": count}
+    return journalled("global search", given, found)
+
+
+def each_outcome(
+    problem: Problem,
+    program: NonlinearProgram,
+    solver: AbstractSolver,
+    points: Sequence[Float[np.ndarray, " n"]],
+    executor: Executor | None,
+) -> Iterator[tuple[int, Outcome]]:
+    """The outcome of a local search from each point, with its index; by an executor as soon as it is there."""
+    if executor is not None:
+        yield from _by(executor, problem, solver, points)
+        return
+    for i, point in enumerate(points):
+        yield i, journalled("local search", _given(problem, solver, point), lambda: solver.solve(program, start=point))  # noqa: B023 -- called at once
+
+
+def _by(
+    executor: Executor, problem: Problem, solver: AbstractSolver, points: Sequence[Float[np.ndarray, " n"]]
+) -> Iterator[tuple[int, Outcome]]:
+    entries = [entry_of("local search", _given(problem, solver, point)) for point in points]
+    yield from ((i, entry.recalled) for i, entry in enumerate(entries) if entry.recalled is not None)
+    missing = [i for i, entry in enumerate(entries) if entry.recalled is None]
+    calls = [{"problem": problem, "solver": solver, "point": points[i]} for i in missing]
+    places = [f"portfolio, local search {i + 1}" for i in missing]
+    for number, outcome in each_done(executor, _searched_there, calls, places):
+        entries[missing[number]].keep(outcome)
+        yield missing[number], outcome
+
+
+def _searched_there(problem: Problem, solver: AbstractSolver, point: Float[np.ndarray, " n"]) -> Outcome:
+    refuse_other_code(problem)
+    return solver.solve(transcribe(problem, DEFAULT).program, start=point)
+
+
+def _given(problem: Problem, solver: AbstractSolver, point: Float[np.ndarray, " n"]) -> dict[str, Any]:
+    return {"problem": problem, "solver": solver, "start": point}
+
 
 # Objectives, or decisions, with a smaller relative difference belong to one optimum, and so do objectives whose
 # difference is below this part of those at the starts, since they may be zero.
@@ -188,27 +256,20 @@ def portfolio(
     ended: dict[int, _End] = {}
     found: Sequence[Float[np.ndarray, " n"]] = []
     searched: Searched | None = None
-    interrupted = True
-    try:
-        with heeding() as heed:
-            if search is not None:
-                found_by = searched_globally(problem, program, search, max(starts // 2, 1), executor)
-                found, searched = found_by.candidates, found_by.searched
-                if found_by.status is Status.INTERRUPTED:
-                    raise KeyboardInterrupt
-            begun = list(_starts(program, found, starts, seed))
-            progress("local searches", 0, starts)
-            points = [one.point for one in begun]
-            for i, outcome in each_outcome(problem, program, local.local, points, executor):
-                if outcome.status is Status.INTERRUPTED:
-                    raise KeyboardInterrupt
-                ended[i] = _End(outcome, begun[i].is_random)
-                progress("local searches", len(ended), starts)
-                heed()
-        interrupted = False
-    except KeyboardInterrupt:
-        if not ended and not found:
-            raise
+    with until_interrupted(lambda: ended or found) as steps:
+        if search is not None:
+            found_by = searched_globally(problem, program, search, max(starts // 2, 1), executor)
+            found, searched = found_by.candidates, found_by.searched
+            steps.heed(found_by.status)
+        begun = list(_starts(program, found, starts, seed))
+        progress("local searches", 0, starts)
+        points = [one.point for one in begun]
+        for i, outcome in each_outcome(problem, program, local.local, points, executor):
+            if outcome.status is Status.INTERRUPTED:
+                raise KeyboardInterrupt
+            ended[i] = _End(outcome, begun[i].is_random)
+            progress("local searches", len(ended), starts)
+            steps.heed()
     ends = [ended[i] for i in sorted(ended)]
     optima = _optima(problem, ends)
     points = _worth_certifying(optima, ends, found)
@@ -216,7 +277,7 @@ def portfolio(
         best = _certified(problem, local.local, search, points)
     except KeyboardInterrupt:
         # Here Ctrl-C ends the comparison, not the certificate, without which there would be no result.
-        interrupted = True
+        steps.interrupted = True
         best = _certified(problem, local.local, search, points[:1])
     return Portfolio(
         best=best,
@@ -226,7 +287,7 @@ def portfolio(
         solved=sum(one.is_random and one.outcome.ok for one in ends),
         searched=searched,
         proven=best.ok and _is_least(program, best.objective, local.tolerance),
-        interrupted=interrupted,
+        interrupted=steps.interrupted,
     )
 
 
@@ -253,13 +314,12 @@ def _optima(problem: Problem, ends: Sequence[_End]) -> list[tuple[Optimum, Float
             groups[-1].append(one)
         else:
             groups.append([one])
-    return [(_optimum(problem, group), group[0].outcome.point) for group in groups]
-
-
-def _optimum(problem: Problem, group: Sequence[_End]) -> Optimum:
-    first = group[0].outcome
-    named = problem.placements.named(first.point)
-    return Optimum(first.evaluation.objective, named, len(group), sum(one.is_random for one in group))
+    optima = []
+    for group in groups:
+        best = group[0].outcome
+        named, random = problem.placements.named(best.point), sum(one.is_random for one in group)
+        optima.append((Optimum(best.evaluation.objective, named, len(group), random), best.point))
+    return optima
 
 
 def _at_starts(ends: Sequence[_End]) -> float:

@@ -1,20 +1,35 @@
-"""Solving the problems that lead to points of a front."""
+"""Solving the problems that lead to points of a front, first to its anchors: the best design of each wish, at which the
+others are as good as they can be without making it worse; and a population from which lines lead to the front.
+"""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Any, TypeAlias, final
+from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
+from jaxtyping import Bool, Float
 
+from aleator._core.errors import ProblemError
+from aleator._core.heard import answering
 from aleator._core.warned import warned_of
 from aleator.design import Problem
-from aleator.nlp import AbstractSearch, AbstractSolver, DifferentialEvolution, Slsqp
+from aleator.nlp import (
+    AbstractSearch,
+    AbstractSolver,
+    DifferentialEvolution,
+    NonlinearProgram,
+    Slsqp,
+    load_pymoo,
+    population_front,
+    variable_range,
+)
 from aleator.solution import Solution
 from aleator.solving import solve
 from aleator.sweep._portfolio import Portfolio, portfolio
-from aleator.sweep._wishes import Compromise, Design, Found
-from aleator.transcription import AbstractTranscription
+from aleator.sweep._trade_off import efficient, far_apart
+from aleator.sweep._wishes import LEVEL, Compromise, Design, Found, Wishes, pressed, without_level
+from aleator.transcription import DEFAULT, AbstractTranscription, transcribe, valued_by
 
 Start: TypeAlias = Solution | Mapping[str, Any] | None
 
@@ -96,3 +111,239 @@ def between(solutions: Sequence[Solution]) -> Mapping[str, Any] | None:
     if any(np.shape(one[name]) != np.shape(value) for one in every for name, value in every[0].items()):
         return None
     return {name: np.mean([one[name] for one in every], axis=0)[()] for name in every[0]}
+
+
+# A wish of a smaller range, as a part of its magnitude, is constant; an improvement by less of the range is none.
+_CONSTANT, SAME = 1e-9, 1e-5
+# What a wish may give up, as a part of its range, while the others are improved. An improvement that is not many times
+# what the price of the wish makes of that has been bought by it.
+_GIVEN_UP, _BOUGHT, _STEEPER = 1e-7, 20.0, 1.1
+# Slopes of this part of a wish's magnitude, over the range of a decision, are rounding; random points to look at.
+_STILL, _POINTS = 1e-12, 4
+
+
+@final
+class Anchors:
+    """The best designs of the wishes, in the order of the wishes: none where it has not been found yet.
+
+    - `designs`: in two rounds: each wish alone, then the others as well while it is held (lexicographic order);
+    - `sizes`: the magnitudes of the wishes around the start; `least`: the least value of each wish alone, infinite
+      where it is not known yet.
+    """
+
+    def __init__(self, wishes: Wishes, seeker: Seeker):
+        self._wishes, self._seeker = wishes, seeker
+        self.designs: list[Design] = []
+        self.sizes = np.ones(len(wishes.names))
+        self.least = np.full(len(wishes.names), np.inf)
+
+    @property
+    def complete(self) -> bool:
+        """Whether there is one for every wish."""
+        return len(self.designs) == len(self._wishes.names)
+
+    @property
+    def values(self) -> Float[np.ndarray, "anchors wishes"]:
+        """The wishes there, in their own units."""
+        return np.array([one.values for one in self.designs])
+
+    @property
+    def range(self) -> Float[np.ndarray, " wishes"]:
+        """The range of each wish."""
+        return np.ptp(self.values, axis=0)
+
+    @property
+    def scales(self) -> Float[np.ndarray, " wishes"]:
+        """By which wishes are multiplied: over their ranges, or their magnitudes where they are constant."""
+        return 1.0 / np.where(self.constant, np.maximum(np.abs(self.values).max(axis=0), self.sizes), self.range)
+
+    @property
+    def constant(self) -> Bool[np.ndarray, " wishes"]:
+        """Which wishes differ by rounding alone, beside their values and their sizes at the start."""
+        return self.range <= _CONSTANT * np.maximum(np.abs(self.values).max(axis=0), self.sizes)
+
+    def find(self, progress: Callable[[int], None], heed: Callable[[], None]) -> None:
+        """Find them all. What is found when this is interrupted is kept."""
+        self._measure()
+        for which in range(len(self._wishes.names)):
+            progress(which)
+            self.designs.append(self._alone(which, self._seeker.everywhere(self._wishes.only(which))))
+            self.least[which] = self.designs[which].values[which]
+            heed()
+        self._settle_rivals()
+        scales = self.scales
+        if self.constant.all():
+            return
+        for which in range(len(self._wishes.names)):
+            progress(which)
+            self.designs[which] = self._improved(which, scales)
+            heed()
+
+    def _measure(self) -> None:
+        """The magnitudes of the wishes around the problem's start. Refuses wishes that nothing changes."""
+        transcribed = transcribe(self._wishes.unscaled().problem, self._seeker.transcription)
+        names = [one.name for one in transcribed.problem.constraints]
+        found = np.array([transcribed.scales[names.index(pressed(name))] for name in self._wishes.names])
+        self.sizes = np.where(np.isfinite(found) & (found > 0), found, 1.0)
+        rows = [transcribed.rows[names.index(pressed(name))].start for name in self._wishes.names]
+        # States that are variables change whatever depends on them.
+        if transcribed.program.start.size == transcribed.problem.placements.size:
+            _refuse_still(self._wishes.names, transcribed.program, rows, self.sizes)
+
+    def _settle_rivals(self) -> None:
+        """Where another's design is better in a wish than its own, which ended at a worse optimum or on a plateau, seek
+        it again from there.
+        """
+        for which, own in enumerate(self.designs):
+            rival = self.designs[int(np.argmin(self.values[:, which]))]
+            if rival.values[which] < own.values[which] - SAME * self.range[which]:
+                level = float(rival.values[which] / self.sizes[which])
+                self.designs[which] = self._alone(which, {**rival.solution.decisions, LEVEL: level})
+                self.least[which] = self.designs[which].values[which]
+
+    def _alone(self, which: int, start: Start) -> Design:
+        compromise = self._wishes.least(which, 1.0 / self.sizes)
+        design, reason = self._seeker.sought(compromise, start)
+        if design is None:
+            name = self._wishes.names[which]
+            raise ProblemError(f"trade_off: the best design for '{name}' alone was not found: {reason}")
+        factors = (np.arange(len(self.sizes)) == which).astype(float)
+        return design._replace(weights=np.full(len(factors), np.nan), factors=factors)
+
+    def _improved(self, which: int, scales: Float[np.ndarray, " wishes"]) -> Design:
+        """The best design of a wish after the others were improved while it is held, with the prices there."""
+        alone = self.designs[which]
+        others = np.arange(len(scales)) != which
+        most = alone.values[which] + _GIVEN_UP / scales[which]
+        start = {**alone.solution.decisions, LEVEL: float((scales * alone.values)[others].sum())}
+        design, _ = self._seeker.sought(self._wishes.held(which, most, scales), start)
+        if design is None:
+            return alone
+        better = float((scales * (alone.values - design.values))[others].sum())
+        price = design.weights[which] / scales[which]
+        bought = price * _GIVEN_UP
+        if better > max(SAME, _BOUGHT * bought):
+            return design
+        # Where much more was bought than by a constant price, the front is ever steeper towards its end.
+        return alone if better > max(SAME, _STEEPER * bought) else alone._replace(weights=design.weights)
+
+
+def _refuse_still(
+    names: Sequence[str], program: NonlinearProgram, rows: Sequence[int], sizes: Float[np.ndarray, " wishes"]
+) -> None:
+    """Refuse wishes whose slopes are zero at the start and at random points."""
+    lower, upper = variable_range(program.start, program.lower, program.upper, program.variable_scale)
+    drawn = np.random.default_rng(0).uniform(lower, upper, (_POINTS, program.start.size))
+    slopes = [program.evaluate(one).jacobian[rows] * program.variable_scale for one in (program.start, *drawn)]
+    still = (np.abs(slopes) <= _STILL * sizes[:, None]).all(axis=(0, 2))
+    if still.any():
+        name = names[int(np.argmax(still))]
+        raise ProblemError(f"trade_off: wish '{name}': no decision changes it; leave it out.")
+
+
+# Violations of at most this part of a constraint's magnitude count as none.
+_HELD = 1e-6
+
+
+class Budget(NamedTuple):
+    """Simulations of a population, the seed of its random numbers, and the executor that simulates, if any."""
+
+    evaluations: int
+    seed: int
+    executor: Executor | None
+
+
+class Member(NamedTuple):
+    """A design of a population: its wishes, in their own units, and its decisions by name."""
+
+    values: Float[np.ndarray, " wishes"]
+    decisions: Mapping[str, Any]
+
+
+def check_crowd(problem: Problem) -> None:
+    """Raise `ProblemError` for decisions without finite bounds, `MissingExtraError` without the library."""
+    load_pymoo('trade_off: method="population"')
+    places = problem.placements
+    open_ended = ~np.isfinite(places.vector("upper") - places.vector("lower"))
+    if open_ended.any():
+        names = [name for name, is_open in zip(places.entry_names(), open_ended, strict=True) if is_open]
+        raise ProblemError(
+            f'trade_off: method="population" draws designs between the bounds of decisions, of which {names[:5]} have '
+            'none: give them lower= and upper=, or use method="boundary".'
+        )
+
+
+def crowd(
+    wishes: Wishes, anchors: Sequence[Design], points: int, budget: Budget, heed: Callable[[int], None]
+) -> tuple[list[Member], bool]:
+    """Designs of a population spread over the front, at most `points`, as far from one another as can be; and whether
+    Ctrl-C ended it, after which they are the best until then.
+
+    - `anchors`: the best designs of the wishes, of its first generation; `heed`: called with the evaluations done.
+    """
+    transcribed = transcribe(wishes.unscaled().problem, DEFAULT)
+    program, places = valued_by(budget.executor, transcribed.program, "trade_off"), transcribed.places
+    is_level = np.array([name == LEVEL for name in places.entry_names()])
+    known = np.array([one.values for one in anchors])
+    constraints = [one.name for one in transcribed.problem.constraints]
+    rows = np.array([transcribed.rows[constraints.index(pressed(name))].start for name in wishes.names])
+
+    def whole(free: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "k all"]:
+        every = np.repeat(program.start[None], len(free), axis=0)
+        every[:, ~is_level] = free
+        return every
+
+    def values(free: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
+        assert program.values is not None
+        _, constraints = program.values(whole(free))
+        return constraints[:, rows], _violations(program, constraints)
+
+    every = np.array([places.moved(program.start, without_level(one.solution.decisions)) for one in anchors])
+    bounds = program.lower[~is_level], program.upper[~is_level]
+    found, reached, interrupted = _population(values, bounds, every[:, ~is_level], points, budget, heed)
+    # The anchors are on the front already.
+    reached = np.concatenate([known, reached])
+    chosen = [i - len(known) for i in far_apart(reached, points, taken=len(known))]
+    return [Member(reached[len(known) + i], places.named(whole(found[i : i + 1])[0])) for i in chosen], interrupted
+
+
+def _population(
+    values: Callable[[Float[np.ndarray, "k n"]], tuple[np.ndarray, np.ndarray]],
+    bounds: tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]],
+    first: Float[np.ndarray, "some n"],
+    points: int,
+    budget: Budget,
+    heed: Callable[[int], None],
+) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k wishes"], bool]:
+    """The front of a population and its wishes; after Ctrl-C, the best of all designs until then, and True."""
+    seen: list[tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k wishes"]]] = []
+
+    def noted(free: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
+        reached, violations = values(free)
+        held = violations <= _HELD
+        seen.append((free[held], reached[held]))
+        return reached, violations
+
+    try:
+        with answering() as answer:
+
+            def heeded(done: int) -> None:
+                heed(done)
+                answer()
+
+            own = {"points": points, "evaluations": budget.evaluations, "seed": budget.seed, "heed": heeded}
+            found = population_front(noted, *bounds, first, **own)
+            return found, values(found)[0], False
+    except KeyboardInterrupt:
+        if not seen:
+            raise
+        found, reached = (np.concatenate(part) for part in zip(*seen, strict=True))
+        kept = efficient(reached, np.zeros(reached.shape[1]))
+        return found[kept], reached[kept], True
+
+
+def _violations(program: NonlinearProgram, constraints: Float[np.ndarray, "k m"]) -> Float[np.ndarray, " k"]:
+    """The largest violation of each design, over the magnitudes of the constraints."""
+    beyond = np.fmax(constraints - program.constraint_upper, program.constraint_lower - constraints)
+    worst = np.max(beyond / program.constraint_scale, axis=1, initial=0.0)
+    return np.where(np.isfinite(constraints).all(axis=1), worst, np.inf)

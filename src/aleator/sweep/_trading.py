@@ -1,23 +1,201 @@
-"""`trade_off`: designs of which none is better in all wishes, and how their front is found."""
+"""`trade_off`: a front in the making, with the problems that lead to further points and what is told of those found."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
-from typing import get_args
+from typing import Any, Literal, TypeAlias, assert_never, final, get_args
+
+import numpy as np
+from jaxtyping import Float
 
 from aleator._core.elsewhere import check_executor
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, one_of, refusal, whole
-from aleator._core.heard import heeding
 from aleator._core.journalled import calling
 from aleator._core.progress import Progress, check_progress, silent
 from aleator.design import Expression, Problem
 from aleator.nlp import AbstractSolver
-from aleator.sweep._crowd import Budget, check_crowd
-from aleator.sweep._fronting import FrontInTheMaking, Method
-from aleator.sweep._seeking import Seeker
-from aleator.sweep._trade_off import TradeOff
-from aleator.sweep._wishes import Wishes, refuse_own_names
+from aleator.sweep._each import until_interrupted
+from aleator.sweep._seeking import SAME, Anchors, Budget, Member, Seeker, between, check_crowd, crowd
+from aleator.sweep._trade_off import Gap, TradeOff, box, efficient, simplex
+from aleator.sweep._wishes import Compromise, Design, Found, Wishes, refuse_own_names
 from aleator.transcription import DEFAULT, AbstractTranscription
+
+Method: TypeAlias = Literal["boundary", "limits", "weights", "population"]
+
+# A gap of the front is a hole if lines between its ends, down to this part of the whole, end upon them.
+_NARROWEST = 1e-3
+# Anchors whose differences span less than this part of their range in some direction lie on no simplex.
+_FLAT = 1e-3
+# So many lines at most, for each point asked for, where lines may pass by the front.
+_LINES = 3
+
+
+@final
+class FrontInTheMaking:
+    """A front in the making; `done` counts the points sought so far."""
+
+    def __init__(self, wishes: Wishes, seeker: Seeker, points: int):
+        self._wishes, self._seeker, self._points = wishes, seeker, points
+        self.anchors = Anchors(wishes, seeker)
+        self._further, self._crowd = Found(), list[Member]()
+        self._holes: list[tuple[float, float]] = []
+        self.done = 0
+
+    @property
+    def _designs(self) -> list[Design]:
+        return [*self.anchors.designs, *self._further.designs]
+
+    @property
+    def _best(self) -> Float[np.ndarray, " wishes"]:
+        return np.minimum(self.anchors.values.min(axis=0), self.anchors.least)
+
+    def spread(self, budget: Budget, progress: Callable[[int], Any]) -> bool:
+        """Let a population spread over the front. Whether Ctrl-C ended it."""
+        anchors = self.anchors.designs
+        self._crowd, interrupted = crowd(self._wishes, anchors, self._points - len(anchors), budget, progress)
+        return interrupted
+
+    def problems(self, method: Method) -> Iterator[Compromise]:
+        """The problems of further points, each chosen by what has been found before."""
+        if self.anchors.constant.all():
+            return
+        scales, count = self.anchors.scales, self._points - len(self.anchors.designs)
+        if method == "weights":
+            yield from (self._wishes.weighted(one, scales) for one in simplex(len(scales), count))
+        elif method == "limits":
+            yield from self._limited(scales, count)
+        elif method == "boundary":
+            yield from self._along(scales, count)
+        elif method == "population":
+            yield from (self._wishes.along(one.values, scales) for one in self._crowd)
+        else:
+            assert_never(method)
+
+    def add(self, compromise: Compromise) -> None:
+        """Solve one of these problems, from the nearest design; again from others if it ends at a known one."""
+        known, designs = len(self._further.designs), self._designs
+        values = [*(one.values for one in designs), *(one.values for one in self._crowd)]
+        starts = [*(one.solution for one in designs), *(one.decisions for one in self._crowd)]
+        start = starts[np.argmin([compromise.distance(one) for one in values])]
+        found = self._seeker.add(compromise, self._further, start)
+        self.done += 1
+        if found is None or self._seeker.starts > 1 or not self._is_known(found, designs):
+            return
+        # Where a slope vanishes, a known design may be stationary on the way to others.
+        for other in self._around(compromise, designs):
+            again, _ = self._seeker.sought(compromise, other)
+            if again is not None and again.solution.objective < found.solution.objective - SAME:
+                self._further.designs[known] = again
+                return
+
+    def _is_known(self, design: Design, others: list[Design]) -> bool:
+        near = SAME / self.anchors.scales
+        return any((np.abs(design.values - one.values) <= near).all() for one in others)
+
+    def _around(self, compromise: Compromise, designs: list[Design]) -> Iterator[Mapping[str, Any] | None]:
+        """Starts elsewhere: between the nearest designs to all sides of a place, and the problem's own."""
+        nearest: dict[tuple[int, bool], Design] = {}
+        for one in sorted(designs, key=lambda one: compromise.distance(one.values)):
+            away = compromise.away(one.values)
+            which = int(np.argmax(np.abs(away)))
+            nearest.setdefault((which, bool(away[which] > 0)), one)
+        middle = between([one.solution for one in nearest.values()]) if len(nearest) > 1 else None
+        if middle is not None:
+            yield middle
+        yield None
+
+    def _limited(self, scales: Float[np.ndarray, " wishes"], count: int) -> Iterator[Compromise]:
+        """Limits on all wishes but the first, on a grid over their ranges."""
+        others = len(scales) - 1
+        each = max(round(count ** (1 / others)), 1)
+        parts = np.arange(1, each + 1) / (each + 1)
+        for at in np.stack(np.meshgrid(*[parts] * others), axis=-1).reshape(-1, others):
+            yield self._wishes.within(0, self._best + np.append(0.0, at) * self.anchors.range, scales)
+
+    def _along(self, scales: Float[np.ndarray, " wishes"], count: int) -> Iterator[Compromise]:
+        """Lines from between the anchors; for two wishes, in the middle of the largest gap."""
+        corners = self.anchors.values
+        if len(corners) == 2:
+            yield from self._bisected(scales, count)
+        elif np.linalg.svd((corners[1:] - corners[0]) * scales)[1][-1] > _FLAT:
+            yield from (self._wishes.along(one @ corners, scales) for one in simplex(len(corners), count))
+        else:
+            yield from self._across(scales, count)
+
+    def _across(self, scales: Float[np.ndarray, " wishes"], count: int) -> Iterator[Compromise]:
+        """Lines through all of the box between best and worst, ever more, until enough of them end at designs."""
+        lines, parts, seen = 0, 1, set[tuple[float, ...]]()
+        while lines < _LINES * count and len(self._distinct()) < self._points:
+            parts += 1
+            for one in box(len(scales), parts):
+                place = tuple(np.round(one, 9))
+                if place in seen or lines >= _LINES * count or len(self._distinct()) >= self._points:
+                    continue
+                seen.add(place)
+                lines += 1
+                yield self._wishes.along(self._best + one * self.anchors.range, scales)
+
+    def _bisected(self, scales: Float[np.ndarray, " wishes"], count: int) -> Iterator[Compromise]:
+        corners, found = self.anchors.values, self._further.designs
+        gaps = [Gap(0.0, 1.0, *corners)]
+        for _ in range(count):
+            self._holes += [one.ends for one in gaps if one.width <= _NARROWEST and one.size(scales) > 10 * _NARROWEST]
+            gaps = [one for one in gaps if one.width > _NARROWEST]
+            if not gaps:
+                return
+            widest = max(gaps, key=lambda one: one.size(scales))
+            gaps.remove(widest)
+            middle, known = (widest.first + widest.last) / 2, len(found)
+            yield self._wishes.along(corners[0] + middle * (corners[1] - corners[0]), scales)
+            if len(found) > known:
+                point = found[-1].values
+                halves = (
+                    Gap(widest.first, middle, widest.before, point),
+                    Gap(middle, widest.last, point, widest.after),
+                )
+                gaps += [one for one in halves if one.size(scales) > SAME]
+
+    def _distinct(self) -> list[int]:
+        """The efficient designs that differ from one another, in the order of the first wish."""
+        values, near = np.array([one.values for one in self._designs]), SAME / self.anchors.scales
+        kept = efficient(values, near)
+        distinct: list[int] = []
+        for i in np.argsort(values[:, 0], kind="stable"):
+            if kept[i] and all((np.abs(values[i] - values[j]) > 10 * near).any() for j in distinct):
+                distinct.append(int(i))
+        return distinct
+
+    def told(self, interrupted: bool) -> TradeOff:
+        """The efficient designs in order."""
+        designs, distinct = self._designs, self._distinct()
+        values, count = np.array([one.values for one in designs]), len(self._wishes.names)
+        dominated = int((~efficient(values, SAME / self.anchors.scales)).sum())
+        is_sought = np.arange(count) < len(self.anchors.designs)
+        chosen = [designs[i] for i in distinct]
+        return TradeOff(
+            names=self._wishes.names,
+            wishes=self._wishes.expressions,
+            values=values[distinct],
+            solutions=tuple(self._wishes.told(one) for one in chosen),
+            best=np.where(is_sought, np.minimum(values.min(axis=0), self.anchors.least), np.nan),
+            worst=self.anchors.values.max(axis=0),
+            weights=np.array([one.weights for one in chosen]),
+            asked=self._points,
+            dominated=dominated,
+            repeated=len(designs) - len(distinct) - dominated,
+            holes=self._told_holes(values[distinct][:, 0]),
+            failed=tuple(self._further.failed),
+            interrupted=interrupted,
+        )
+
+    def _told_holes(self, first: Float[np.ndarray, " points"]) -> tuple[tuple[float, float], ...]:
+        """The holes, from one design that is told to the next: a line through one may end at a dominated design."""
+        told = set[tuple[float, float]]()
+        for low, high in self._holes:
+            before = int(np.searchsorted(first, (low + high) / 2)) - 1
+            if 0 <= before < len(first) - 1:
+                told.add((float(first[before]), float(first[before + 1])))
+        return tuple(sorted(told))
 
 
 def trade_off(
@@ -85,24 +263,17 @@ def trade_off(
     one_of("trade_off: transcription", transcription, AbstractTranscription, "al.Sequential()")
     _check_problem(problem, wishes)
     front = FrontInTheMaking(Wishes(problem, wishes), Seeker(transcription, solver, starts, executor), points)
-    interrupted = True
-    try:
-        with heeding() as heed:
-            with calling("best of each wish"):
-                front.anchors.find(lambda done: progress("best of each wish", done, len(names)), heed)
-            stopped = method == "population" and front.spread(
-                budget, lambda done: progress("population", done, evaluations)
-            )
-            for one in front.problems(method):
-                progress("trade-off", front.done, points)
-                with calling(f"trade-off, point {front.done + 1}"):
-                    front.add(one)
-                heed()
-        interrupted = stopped
-    except KeyboardInterrupt:
-        if not front.anchors.designs:
-            raise
-    return front.told(interrupted)
+    with until_interrupted(lambda: front.anchors.designs) as steps:
+        with calling("best of each wish"):
+            front.anchors.find(lambda done: progress("best of each wish", done, len(names)), steps.heed)
+        if method == "population":
+            steps.interrupted = front.spread(budget, lambda done: progress("population", done, evaluations))
+        for one in front.problems(method):
+            progress("trade-off", front.done, points)
+            with calling(f"trade-off, point {front.done + 1}"):
+                front.add(one)
+            steps.heed()
+    return front.told(steps.interrupted)
 
 
 def _names(wishes: Mapping[str, Expression]) -> tuple[str, ...]:

@@ -8,11 +8,10 @@ from typing import Any, TypeAlias, final
 from aleator._core.elsewhere import check_executor
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import refusal, whole
-from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn
 from aleator.solution import Solution
-from aleator.sweep._each import each
+from aleator.sweep._each import each, until_interrupted
 from aleator.sweep._front import Front, point_name
 from aleator.sweep._multistart import Starts
 from aleator.sweep._trade_off import TradeOff
@@ -88,19 +87,14 @@ def validate_all(
     places, chosen = zip(*solved, strict=True)
     check_executor("validate_all", executor)
     calls = [{"solution": one, "samples": samples, "seed": seed} for one in chosen]
+    where = [f"validate_all, design {i}" for i in range(len(calls))]
     found: dict[int, Evidence | AleatorError] = {}
-    interrupted = True
     progress("evidence", 0, len(chosen))
-    try:
-        with heeding() as heed:
-            for i, evidence in each("validate", calls, [_place(i) for i in range(len(calls))], executor):
-                found[i] = evidence
-                progress("evidence", len(found), len(chosen))
-                heed()
-        interrupted = False
-    except KeyboardInterrupt:
-        if not found:
-            raise
+    with until_interrupted(lambda: found) as steps:
+        for i, evidence in each("validate", calls, where, executor):
+            found[i] = evidence
+            progress("evidence", len(found), len(chosen))
+            steps.heed()
     kept = sorted(found)
     results = [found[i] for i in kept]
     return EvidenceOfAll(
@@ -108,12 +102,8 @@ def validate_all(
         tuple(places[i] for i in kept),
         tuple(one if isinstance(one, Evidence) else None for one in results),
         {i: str(one) for i, one in enumerate(results) if isinstance(one, AleatorError)},
-        interrupted,
+        steps.interrupted,
     )
-
-
-def _place(i: int) -> str:
-    return f"validate_all, design {i}"
 
 
 def _placed(designs: Any) -> list[tuple[str, Solution]]:

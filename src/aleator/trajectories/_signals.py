@@ -141,7 +141,8 @@ class Stack(AbstractTrajectory):
 
     @override
     def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n parts"]:
-        return jnp.stack([part.values(fractions, duration, order) for part in self.parts], axis=-1)
+        xp, parts = in_library([part.values(fractions, duration, order) for part in self.parts])
+        return jax_array(xp.stack(parts, axis=-1))
 
     @property
     @override

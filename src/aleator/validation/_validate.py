@@ -7,6 +7,10 @@ from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any, TypeAlias
 
+import jax.numpy as jnp
+import numpy as np
+
+from aleator._core.arrays import numbers_to_arrays
 from aleator._core.beside import working
 from aleator._core.elsewhere import check_executor, each_of
 from aleator._core.errors import ExpansionWarning, ProblemError
@@ -16,13 +20,12 @@ from aleator._core.memory import NUMBER, refuse_beyond_memory
 from aleator._core.part_by_part import part_by_part
 from aleator._core.progress import Progress, check_progress, silent
 from aleator.design import functionals_of, refuse_large_histories, refuse_other_code, uncertain
+from aleator.nlp import HELD
 from aleator.solution import Solution
-from aleator.validation._alone import alone
-from aleator.validation._counted import tolerances
-from aleator.validation._evidence import Evidence
-from aleator.validation._stretches import Plan, Simulated, Stretch, simulated
-from aleator.validation._systems import Systems
-from aleator.validation._tally import Tally
+from aleator.validation._evidence import Evidence, Sampled
+from aleator.validation._limits import Disagreement, Proportion, is_counted, tolerances, uncounted
+from aleator.validation._systems import SIMULATE_BATCH, Systems, refuse_broken
+from aleator.validation._tally import Plan, Simulated, Stretch, Tally, simulated
 
 _Simulate: TypeAlias = Callable[[Sequence[Stretch]], Iterator[tuple[Stretch, Simulated]]]
 """What each of some stretches finds, in order."""
@@ -120,3 +123,65 @@ def _refuse_large(systems: Systems, samples: int, batch: int) -> None:
     what = f"validate: {columns} numbers of each of {samples} systems"
     refuse_beyond_memory(what, NUMBER * columns * samples, "Ask for fewer samples.")
     refuse_large_histories(systems.sampled, working() * batch, 0, "Take a smaller batch.")
+
+
+# Refinement factor of the grid.
+_FINER = 10
+
+# Relative differences up to this are ignored.
+_RELATIVE = 1e-3
+
+
+def alone(solution: Solution, started: float) -> Evidence:
+    """Simulate the one system of a design without uncertainty, on a finer grid if it evolves in time.
+
+    Raises `ProblemError` if there is nothing to simulate.
+    """
+    problem, factor = solution.problem, 1
+    functionals = functionals_of(problem.expressions)
+    if not functionals:
+        raise ProblemError(
+            "validate: this problem contains no functional of an output, so there is nothing to simulate."
+        )
+    if problem.system.has_time:
+        factor = _FINER
+        problem = problem.on_grid(problem.grid.finer(factor))
+    batch = SIMULATE_BATCH(
+        numbers_to_arrays(problem), jnp.zeros((1, 0)), jnp.asarray(solution.vector), jnp.asarray(1), 1
+    )
+    refuse_broken(problem, np.asarray(batch.finite), np.zeros((1, 0)), solution.vector)
+    sampled, told = {}, []
+    for i, one in enumerate(functionals):
+        text = one.text()
+        fine = np.asarray(batch.scalars[i][0]) if i in batch.scalars else np.asarray(batch.paths[i][0])[::factor]
+        expected = np.asarray(solution.moments[text].mean)
+        zero = np.zeros(np.shape(expected))
+        sampled[text] = Sampled(text, fine, zero, zero, None, expected, zero, zero)
+        away = np.abs(fine - expected)
+        where = int(np.argmax(away))
+        if not away.flat[where] <= _RELATIVE * max(float(np.max(np.abs(expected))), HELD):
+            when = None if not one.is_path else float(solution.instants[where // (away.size // len(solution.instants))])
+            numbers = float(expected.flat[where]), float(fine.flat[where])
+            told.append(Disagreement(text, *numbers, 0.0, when, "the design's own grid"))
+    beyond = np.asarray(batch.excess)[:, 0] > tolerances(solution)
+    names = dict.fromkeys(one.name for one in problem.constraints if is_counted(one))
+    broken = {
+        name: np.array([any(beyond[i] for i, one in enumerate(problem.constraints) if one.name == name)])
+        for name in names
+    }
+    return Evidence(
+        solution=solution,
+        samples=1,
+        seed=0,
+        violations={name: Proportion(int(mask.sum()), 1) for name, mask in broken.items()},
+        joint=Proportion(int(any(mask.any() for mask in broken.values())), 1),
+        uncounted=uncounted(solution.problem),
+        instants=None,
+        functionals=sampled,
+        statistics={},
+        trajectories=(),
+        seconds=time.perf_counter() - started,
+        broken=broken,
+        disagreements=tuple(told),
+        alone=factor,
+    )

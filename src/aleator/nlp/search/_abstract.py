@@ -15,15 +15,12 @@ from aleator._core import given
 from aleator._core.errors import ProblemError
 from aleator._core.heard import answering
 from aleator._core.progress import Progress, check_progress, silent
-from aleator.nlp._advice import HELD
-from aleator.nlp._answer import Answer
-from aleator.nlp._filtersqp import default_solver
+from aleator.nlp._answer import HELD, Answer
 from aleator.nlp._local_solver import AbstractLocalSolver
-from aleator.nlp._outcome import Outcome, Status
 from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
-from aleator.nlp._searched import Searched
-from aleator.nlp._solver import AbstractSolver, checked
+from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status, checked
+from aleator.nlp._uno import default_solver
 from aleator.nlp.search._sought import Budget, EndedError, Sought
 
 # Weights of the largest violation, in spreads of the objective, from one round to the next.

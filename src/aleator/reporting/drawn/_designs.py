@@ -1,25 +1,123 @@
-"""Figures and facts of solutions."""
+"""Figures and facts of solutions: paths, histories of simulated systems, decisions, states, costates, switching."""
 
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
-from aleator._core.errors import ProblemError
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.compilation import Compiled
+from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.given import positive, whole
-from aleator.reporting import _units
+from aleator.design import AbstractFunctional, Problem, history, path, responses
+from aleator.ensemble import draw
 from aleator.reporting._blocks import Table
-from aleator.reporting._decisions import decisions_figure
-from aleator.reporting._limited_paths import components, limits_of, paths_of
-from aleator.reporting._meshes import mesh_figure
-from aleator.reporting._numbers import number, words
-from aleator.reporting._paths import histories_figure, limits_text, path_figure
-from aleator.reporting._searches import search_figure
-from aleator.reporting._tables import STATUS_WORDS, decision_text, limit_rows
-from aleator.reporting.drawn._facts import Facts, facts_of
-from aleator.reporting.drawn._histories import CostatesPlots, SwitchingPlots, state_figure
-from aleator.reporting.drawn._paths_of import outputs_of, simulated
-from aleator.reporting.drawn._plots import AbstractPlots, Backend, chosen, drawn_by, plots_of, unknown
-from aleator.solution import MeshError, Solution
+from aleator.reporting._designs import decisions_figure, mesh_figure, search_figure
+from aleator.reporting._numbers import (
+    unit_of_expression,
+    unit_of_functional,
+    unit_of_objective,
+    units_of_outputs,
+    words,
+)
+from aleator.reporting._paths import components, histories_figure, limits_of, limits_text, path_figure, paths_of
+from aleator.reporting._tables import STATUS_WORDS, decision_text, limit_rows, objective_text
+from aleator.reporting.drawn._facts import AbstractPlots, Backend, Facts, chosen, drawn_by, facts_of, plots_of, unknown
+from aleator.solution import Costates, MeshError, Solution, States, Switching
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+
+def _respond(
+    problem: Problem, functional: AbstractFunctional, germ: Float[jax.Array, "systems variables"], decisions: jax.Array
+) -> Float[jax.Array, "systems instants ..."]:
+    return responses(problem, (functional,), germ, decisions)[0]
+
+
+_RESPOND = Compiled(_respond)
+
+
+def simulated(solution: Solution, output: str, samples: int, seed: int) -> Float[np.ndarray, "systems instants ..."]:
+    """An output of random systems at the decisions of a solution; of the one system where nothing is uncertain.
+
+    Raises `ProblemError` if the code of the system has changed, and `SimulationError` for what is not finite.
+    """
+    problem = solution.problem
+    germs = tuple(problem.placements.germs.values())
+    points = draw(germs, samples, np.random.default_rng(seed)) if germs else np.zeros((1, 0))
+    found = _RESPOND(numbers_to_arrays(problem), path(output), jnp.asarray(points), jnp.asarray(solution.vector))
+    values = np.asarray(found)
+    if not np.isfinite(values).all():
+        raise SimulationError(
+            f"plot.histories: expected finite numbers; '{output}' is not finite on some systems: see al.validate."
+        )
+    return values
+
+
+def outputs_of(problem: Problem, solution: Solution) -> Mapping[str, str]:
+    """The outputs of a system, by name. Raises `ProblemError` for a system without time."""
+    if not problem.system.has_time:
+        raise ProblemError("plot.histories: expected a system that evolves in time; received an algebraic one.")
+    germ = jnp.zeros(len(problem.placements.germs))
+    return dict.fromkeys(jax.eval_shape(lambda: history(problem, germ, jnp.asarray(solution.vector))), "")
+
+
+_NO_INPUT = "expected inputs that are certain; received none."
+_NONE = "expected states that are variables of the program; received a system without states."
+
+
+def state_figure(states: States, name: str | None, units: Mapping[str, str]) -> "Figure":
+    """A state of all realisations over time, with its unit as far as it is known."""
+    name, values = chosen("plot.state", name, states.values, _NONE)
+    return histories_figure(states.times, values, y=name, unit=units.get(name, ""), who="realisations")
+
+
+class StatesPlots(AbstractPlots[States]):
+    """Figures of the states of all realisations."""
+
+    def state(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+        """A state over time, of every realisation at the collocation points; by default the first."""
+        return drawn_by(backend, state_figure(self._result, name, {}))
+
+
+plots_of.register(States, StatesPlots)
+
+
+class CostatesPlots(AbstractPlots[Costates]):
+    """Figures of costates."""
+
+    def costate(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+        """The costate of a state over time, of every realisation at the collocation points; by default the first."""
+        name, values = chosen("plot.costate", name, self._result.values, _NONE)
+        figure = histories_figure(self._result.times, values, y=f"Costate of {name}", who="realisations")
+        return drawn_by(backend, figure)
+
+
+plots_of.register(Costates, CostatesPlots)
+
+
+class SwitchingPlots(AbstractPlots[Switching]):
+    """Figures of switching functions."""
+
+    def input(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+        """The switching function of an input over time, with its zero; by default of the first."""
+        name, values = chosen("plot.input", name, self._result.values, _NO_INPUT)
+        figure = histories_figure(
+            self._result.times,
+            np.asarray(values)[None],
+            y=f"Switching function of {name}",
+            who="switching functions",
+            limits={0.0: "an input inside its bounds makes it zero"},
+        )
+        return drawn_by(backend, figure)
+
+
+plots_of.register(Switching, SwitchingPlots)
+
 
 _NO_PATH = (
     "expected a path in the objective or in a limit, such as al.path('x'); received a problem without one. "
@@ -45,7 +143,7 @@ class SolutionPlots(AbstractPlots[Solution]):
         if known and output is not None and not (isinstance(output, str) and output in known):
             raise ProblemError(f"{unknown('plot.band', output, known)} plot.histories simulates any other output.")
         name, functional = chosen("plot.band", output, known, _NO_PATH)
-        unit = _units.of_functional(functional, problem)
+        unit = unit_of_functional(functional, problem)
         limits, found = limits_of(problem, functional, unit), self._result.moments[functional.text()]
         figure = path_figure(
             self._result.instants,
@@ -76,7 +174,7 @@ class SolutionPlots(AbstractPlots[Solution]):
             outputs,
             _NO_OUTPUT,
         )
-        unit = _units.of_outputs(problem).get(name, "")
+        unit = units_of_outputs(problem).get(name, "")
         values = simulated(self._result, name, samples, seed)
         limits = [one for text, one in paths.items() if one.output == name and text == name]
         texts = limits_of(problem, limits[0], unit).texts if limits else {}
@@ -91,7 +189,7 @@ class SolutionPlots(AbstractPlots[Solution]):
         over_time = {one.name: (one, one.times, declared) for one, declared in pairs if one.times is not None}
         nothing = "expected a limit over time; received a problem without one."
         name, (one, times, declared) = chosen("plot.limit", name, over_time, nothing)
-        unit = _units.of_expression(declared.expression, self._result.problem)
+        unit = unit_of_expression(declared.expression, self._result.problem)
         figure = path_figure(
             times,
             components(str(declared.expression), one.values, np.zeros_like(one.values)),
@@ -117,7 +215,7 @@ class SolutionPlots(AbstractPlots[Solution]):
 
     def state(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
         """A state over time, of all realisations of a simultaneous program."""
-        units = _units.of_outputs(self._result.problem)
+        units = units_of_outputs(self._result.problem)
         return drawn_by(backend, state_figure(_found(self._result.states, "plot.state"), name, units))
 
     def costate(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
@@ -140,7 +238,7 @@ class SolutionPlots(AbstractPlots[Solution]):
         searched = self._result.effort.searched or self._result.effort.visited
         if searched is None or not searched.evaluations:
             raise ProblemError("plot.search: expected a solve that evaluated designs; received one without a history.")
-        return drawn_by(backend, search_figure(searched, _objective_unit(self._result)))
+        return drawn_by(backend, search_figure(searched, unit_of_objective(self._result.problem)))
 
     def _told(self) -> str:
         """What a reader must know of a design that is not solved."""
@@ -153,10 +251,6 @@ plots_of.register(Solution, SolutionPlots)
 class MeshPlots(AbstractPlots[MeshError]):
     """The figure of one mesh."""
 
-    def __call__(self, *, backend: Backend = "plotly") -> Any:
-        """The nodes of the mesh, and the error of each interval."""
-        return self.mesh(backend=backend)
-
     def mesh(self, *, backend: Backend = "plotly") -> Any:
         """The nodes of the mesh, and the error of each interval."""
         return drawn_by(backend, mesh_figure([self._result]))
@@ -168,16 +262,12 @@ plots_of.register(MeshError, MeshPlots)
 @facts_of.register(Solution)
 def _(solution: Solution) -> Facts:
     heading = f"Solution: {STATUS_WORDS[solution.status]}"
-    rows = [("objective", f"{number(solution.objective, 5, _objective_unit(solution))} = {solution.problem.objective}")]
+    rows = [("objective", f"{objective_text(solution)} = {solution.problem.objective}")]
     rows += [(name, decision_text(solution, name)) for name in solution.decisions]
     limits = [(f"limit {name}", text) for name, text in limit_rows(solution)]
     active = [("active", words(list(solution.active), "nothing"))]
     table = Table("", ["", ""], [*rows, *limits, *active, ("solver", solution.effort.solver)])
     return Facts(heading, "" if solution.ok else solution.why(), [table])
-
-
-def _objective_unit(solution: Solution) -> str:
-    return _units.of_expression(solution.problem.objective, solution.problem)
 
 
 def _found(part: Any, what: str) -> Any:

@@ -7,16 +7,12 @@ import numpy as np
 from aleator._core.errors import ProblemError
 from aleator._core.given import positive
 from aleator.design import functionals_of
-from aleator.reporting import _units
 from aleator.reporting._blocks import Table
-from aleator.reporting._limited_paths import components, limits_of, paths_of
 from aleator.reporting._methods import density_figure
-from aleator.reporting._numbers import count, number, share_text
-from aleator.reporting._paths import path_figure
-from aleator.reporting._samples import percentile_figure, trajectory_figure
-from aleator.reporting._shares import shares_figure
-from aleator.reporting.drawn._facts import Facts, facts_of
-from aleator.reporting.drawn._plots import AbstractPlots, Backend, chosen, drawn_by, plots_of
+from aleator.reporting._numbers import count, number, share_text, unit_of_functional, unit_of_limit, units_of_moments
+from aleator.reporting._paths import components, limits_of, path_figure, paths_of
+from aleator.reporting._samples import percentile_figure, shares_figure, trajectory_figure
+from aleator.reporting.drawn._facts import AbstractPlots, Backend, Facts, chosen, drawn_by, facts_of, plots_of
 from aleator.sweep import EvidenceOfAll
 from aleator.validation import Evidence, Sampled
 
@@ -40,7 +36,7 @@ class EvidencePlots(AbstractPlots[Evidence]):
         kept = {one.name: one for one in self._result.trajectories}
         name, _ = chosen("plot.trajectories", limit, kept, nothing)
         problem = self._result.solution.problem
-        unit = _units.of_expression(problem.named(name)[0].expression, problem)
+        unit = unit_of_limit(name, problem)
         return drawn_by(backend, trajectory_figure(self._result, name, unit=unit, every=1))
 
     def band(self, output: str | None = None, *, sigmas: float | None = None, backend: Backend = "plotly") -> Any:
@@ -51,7 +47,7 @@ class EvidencePlots(AbstractPlots[Evidence]):
         problem = self._result.solution.problem
         nothing = "expected a path in the problem, such as al.path('x'); received one without."
         name, functional = chosen("plot.band", output, paths_of(problem), nothing)
-        unit = _units.of_functional(functional, problem)
+        unit = unit_of_functional(functional, problem)
         found, limits = self._result.functionals[functional.text()], limits_of(problem, functional, unit)
         kept = [one.values for one in self._result.trajectories if one.name in limits.names]
         figure = path_figure(
@@ -73,7 +69,7 @@ class EvidencePlots(AbstractPlots[Evidence]):
         """
         name, one = self._number("plot.density", functional)
         problem = self._result.solution.problem
-        unit = _units.of_moments(problem).get(name, "")
+        unit = units_of_moments(problem).get(name, "")
         (taken,) = [each for each in functionals_of(problem.expressions) if each.text() == name]
         edges, heights = _steps(one.values)
         title = f"mean {number(float(one.mean))}, σ {number(float(one.std))}, {count(self._result.samples)} systems"
@@ -84,7 +80,7 @@ class EvidencePlots(AbstractPlots[Evidence]):
     def percentiles(self, functional: str | None = None, *, backend: Backend = "plotly") -> Any:
         """The sampled spread of a functional: 1 to 99 %, 5 to 95 % and 25 to 75 % of the systems, median and mean."""
         name, one = self._number("plot.percentiles", functional)
-        unit = _units.of_moments(self._result.solution.problem).get(name, "")
+        unit = units_of_moments(self._result.solution.problem).get(name, "")
         return drawn_by(backend, percentile_figure({"design": one}, x=name, unit=unit))
 
     def violations(self, *, backend: Backend = "plotly") -> Any:
@@ -109,10 +105,6 @@ plots_of.register(Evidence, EvidencePlots)
 
 class EvidenceOfAllPlots(AbstractPlots[EvidenceOfAll]):
     """The figure of evidence on several designs."""
-
-    def __call__(self, *, backend: Backend = "plotly") -> Any:
-        """How many systems of each design break each limit."""
-        return self.violations(backend=backend)
 
     def violations(self, *, backend: Backend = "plotly") -> Any:
         """How many systems of each design break each limit, with 95 % confidence intervals."""
@@ -148,7 +140,7 @@ def _steps(values: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
 def _(evidence: Evidence) -> Facts:
     shares = [[f"violates {name}", share_text(one)] for name, one in evidence.violations.items()]
     shares += [["violates any limit", share_text(evidence.joint)]] if len(shares) > 1 else []
-    units = _units.of_moments(evidence.solution.problem)
+    units = units_of_moments(evidence.solution.problem)
     rows = [
         [
             text,

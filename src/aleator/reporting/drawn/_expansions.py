@@ -11,8 +11,7 @@ from aleator.analysis import AbstractExpanded, ElementExpanded, Expanded, Tolera
 from aleator.reporting._blocks import Table
 from aleator.reporting._methods import bars_figure, density_figure
 from aleator.reporting._numbers import given, number, percent
-from aleator.reporting.drawn._facts import Facts, facts_of
-from aleator.reporting.drawn._plots import AbstractPlots, Backend, chosen, drawn_by, plots_of
+from aleator.reporting.drawn._facts import AbstractPlots, Backend, Facts, chosen, drawn_by, facts_of, plots_of
 
 # Points of a density, and the sample whose range it spans.
 _POINTS, _SAMPLE = 201, 4096
@@ -22,10 +21,6 @@ _MOST = 12
 
 class ExpandedPlots(AbstractPlots[AbstractExpanded]):
     """Figures of an expanded function."""
-
-    def __call__(self, *, backend: Backend = "plotly") -> Any:
-        """The density of the first output."""
-        return self.density(backend=backend)
 
     def density(
         self, output: str | None = None, *, entry: int | tuple[int, ...] | None = None, backend: Backend = "plotly"
@@ -110,10 +105,6 @@ def _scalar(
 
 class TolerancePlots(AbstractPlots[ToleranceAnalysis]):
     """Figures of a tolerance analysis."""
-
-    def __call__(self, *, backend: Backend = "plotly") -> Any:
-        """The density of the output against its limits."""
-        return self.density(backend=backend)
 
     def density(self, *, backend: Backend = "plotly") -> Any:
         """The density of the output, with its limits and the rejects beyond them."""

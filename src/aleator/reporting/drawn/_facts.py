@@ -1,12 +1,89 @@
-"""`Facts`: what a notebook shows of a result, as data; and the markup that shows it."""
+"""The registry of figures and facts: `AbstractPlots`, one method for each figure; `Facts`, what a notebook shows."""
 
 import functools
 import html
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, get_args
 
+import numpy as np
+
+from aleator._core.errors import ProblemError
+from aleator._core.given import meant, refusal, shown
+from aleator.design import Problem, problem_rows
+from aleator.dynamics import AbstractSystem
+from aleator.mechanics import AbstractMechanical
 from aleator.reporting._blocks import Table
+from aleator.reporting._numbers import given
+from aleator.reporting._paper import paper_figure
+from aleator.uncertainty import AbstractDistribution, Decision, fields_of
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+Result = TypeVar("Result")
+Value = TypeVar("Value")
+Backend = Literal["plotly", "matplotlib"]
+
+
+class AbstractPlots(Generic[Result]):
+    """The figures of a result, one method for each. Called, it draws the usual one: by its first method.
+
+    Each takes `backend`: `"plotly"`, a figure to hover over, or `"matplotlib"`, the same one for papers.
+    """
+
+    def __init__(self, result: Result):
+        self._result = result
+
+    def __call__(self, *, backend: Backend = "plotly") -> Any:
+        """The usual figure."""
+        return getattr(self, self._names()[0])(backend=backend)
+
+    def __repr__(self) -> str:
+        named = ", ".join(f".{name}()" for name in self._names())
+        return f"figures of {type(self._result).__name__}: plot() and {named}"
+
+    def _names(self) -> list[str]:
+        return [name for name in vars(type(self)) if not name.startswith("_")]
+
+
+@functools.singledispatch
+def plots_of(result: Any) -> AbstractPlots[Any]:
+    """The figures of a result, by its type."""
+    raise refusal("plot", "a result whose figures are known to aleator.reporting.drawn", result)
+
+
+def drawn_by(backend: Backend, figure: "Figure") -> Any:
+    """A figure by one library or the other.
+
+    Raises `ProblemError` for an unknown one, and `MissingExtraError` if Matplotlib is not installed.
+    """
+    if backend not in get_args(Backend):
+        raise refusal("plot: backend", " or ".join(map(repr, get_args(Backend))), backend)
+    return figure if backend == "plotly" else paper_figure(figure)
+
+
+def chosen(what: str, name: str | None, known: Mapping[str, Value], nothing: str) -> tuple[str, Value]:
+    """What is known by a name, with the name; the first where none is asked for.
+
+    Raises `ProblemError` for an unknown name, with the nearest one, and with the sentence `nothing` if there is none.
+    """
+    if not known:
+        raise ProblemError(f"{what}: {nothing}")
+    if name is None:
+        return next(iter(known.items()))
+    if not isinstance(name, str) or name not in known:
+        raise unknown(what, name, known)
+    return name, known[name]
+
+
+def unknown(what: str, name: Any, known: Collection[str]) -> ProblemError:
+    """The refusal of a name that is not known, with those that are."""
+    listed = list(known)
+    told = f"one of {listed}" if len(listed) <= 8 else f"one of {listed[:8]} and {len(listed) - 8} others"
+    near = meant(name, known) if isinstance(name, str) else ""
+    return ProblemError(f"{what}: expected {told}; received {shown(name)}.{near}")
+
 
 # Rows of a table that are shown at most; all are in the printed text.
 _MOST = 12
@@ -67,3 +144,31 @@ def _row(cells: Sequence[str], kind: str) -> str:
 
 def _escaped(text: str) -> str:
     return html.escape(text)
+
+
+@facts_of.register(AbstractMechanical)
+@facts_of.register(AbstractSystem)
+def _(system: AbstractMechanical | AbstractSystem) -> Facts:
+    rows = [[name, _value(value), str(field.metadata.get("unit", ""))] for name, field, value in fields_of(system)]
+    name, said = type(system).__name__, (type(system).__doc__ or "").strip().split("\n")[0]
+    # A class without a docstring is given its signature as one.
+    said = "" if said.startswith(f"{name}(") else said
+    return Facts(name, said, [Table("", ["number", "value", "unit"], rows)] if rows else [])
+
+
+@facts_of.register(Problem)
+def _(problem: Problem) -> Facts:
+    rows = [list(row) for row in problem_rows(problem)]
+    return Facts(f"Problem: {type(problem.system).__name__}", "", [Table("", ["", ""], rows)])
+
+
+def _value(value: Any) -> str:
+    """A number, distribution or decision in words; arrays and others shortened."""
+    if isinstance(value, AbstractDistribution):
+        return str(value)
+    if isinstance(value, Decision):
+        many = f"{np.size(value.initial)} numbers" if np.ndim(value.initial) else f"from {float(value.initial):g}"
+        return f"Decision in [{np.min(value.lower):g}, {np.max(value.upper):g}], {many}"
+    if isinstance(value, int | float | np.number) and not isinstance(value, bool):
+        return given(float(value))
+    return shown(value)

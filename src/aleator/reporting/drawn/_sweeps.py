@@ -1,0 +1,304 @@
+"""Figures and facts of sweeps: fronts, trade-offs, calibrations, penalties, many starts, portfolios, cross-checks."""
+
+from typing import Any
+
+import numpy as np
+
+from aleator._core.errors import ProblemError
+from aleator.crosschecking import CrossChecked
+from aleator.nlp import Searched
+from aleator.reporting._blocks import Table
+from aleator.reporting._designs import search_figure
+from aleator.reporting._methods import bars_figure
+from aleator.reporting._numbers import (
+    count,
+    given,
+    number,
+    percent,
+    share_text,
+    unit_of_expression,
+    unit_of_objective,
+    words,
+)
+from aleator.reporting._samples import calibration_figure, magnitudes_figure
+from aleator.reporting._style import ALARM, blank, label, looks, padded
+from aleator.reporting._sweeps import (
+    bound_unit,
+    decision_figure,
+    excesses_figure,
+    optimum_figure,
+    pair_figure,
+    parallel_figure,
+    price_figure,
+    space_figure,
+)
+from aleator.reporting.drawn._facts import AbstractPlots, Backend, Facts, chosen, drawn_by, facts_of, plots_of, unknown
+from aleator.solution import Solution
+from aleator.sweep import Calibration, Front, Hardened, Portfolio, Refused, Starts, TradeOff
+
+_EMPTY = "expected a solved design; received none"
+
+
+class FrontPlots(AbstractPlots[Front]):
+    """Figures of a front along a bound."""
+
+    def curve(self, *, backend: Backend = "plotly") -> Any:
+        """The optimum against the bound: filled where it is active; crosses where there is no design."""
+        return drawn_by(backend, optimum_figure({"design": self._solved("plot.curve")}))
+
+    def shadow_prices(self, *, backend: Backend = "plotly") -> Any:
+        """By what the optimum falls for each unit by which the bound is relaxed."""
+        return drawn_by(backend, price_figure({"design": self._solved("plot.shadow_prices")}))
+
+    def decision(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+        """A decision against the bound, of an array each entry; by default the first."""
+        front = self._solved("plot.decision")
+        problem = front.solutions[0].problem
+        name, _ = chosen("plot.decision", name, problem.placements.decisions, "expected a decision; received none.")
+        return drawn_by(backend, decision_figure(front, name))
+
+    def _solved(self, what: str) -> Front:
+        """The front. Raises `ProblemError` if it has no design."""
+        front = self._result
+        if not front.solved.any():
+            why = f": {front.points[0].why()}" if front.points else "."
+            raise ProblemError(f"{what}: {_EMPTY}{why}")
+        return front
+
+
+plots_of.register(Front, FrontPlots)
+
+
+class TradeOffPlots(AbstractPlots[TradeOff]):
+    """Figures of a trade-off between wishes."""
+
+    def __call__(self, *, backend: Backend = "plotly") -> Any:
+        """Two wishes as a curve, three in space, more of them as parallel coordinates."""
+        wishes = len(self._result.names)
+        drawn = self.curve if wishes == 2 else self.space if wishes == 3 else self.parallel
+        return drawn(backend=backend)
+
+    def curve(self, x: str | None = None, y: str | None = None, *, backend: Backend = "plotly") -> Any:
+        """Two wishes against one another, by their names; by default the first two."""
+        front, places = self._solved("plot.curve"), []
+        for name, usual in ((x, 0), (y, 1)):
+            if name is not None and name not in front.names:
+                raise unknown("plot.curve", name, front.names)
+            places.append(usual if name is None else front.names.index(name))
+        return drawn_by(backend, pair_figure(front, *places))
+
+    def space(self, *, backend: Backend = "plotly") -> Any:
+        """Three wishes as points in space."""
+        front = self._solved("plot.space")
+        if len(front.names) != 3:
+            raise ProblemError(
+                f"plot.space: expected three wishes; received {len(front.names)}. Draw plot.curve or plot.parallel."
+            )
+        return drawn_by(backend, space_figure(front))
+
+    def parallel(self, *, backend: Backend = "plotly") -> Any:
+        """One axis for each wish, and one line for each design."""
+        return drawn_by(backend, parallel_figure(self._solved("plot.parallel")))
+
+    def _solved(self, what: str) -> TradeOff:
+        if not len(self._result.values):
+            why = f": {'; '.join(self._result.failed)}" if self._result.failed else "."
+            raise ProblemError(f"{what}: {_EMPTY}{why}")
+        return self._result
+
+
+plots_of.register(TradeOff, TradeOffPlots)
+
+
+class CalibrationPlots(AbstractPlots[Calibration]):
+    """Figures of a calibration."""
+
+    def trials(self, *, backend: Backend = "plotly") -> Any:
+        """The violation rate of each margin tried, the target, and the choice on fresh systems."""
+        return drawn_by(backend, calibration_figure(self._result))
+
+
+plots_of.register(Calibration, CalibrationPlots)
+
+
+class HardenedPlots(AbstractPlots[Hardened]):
+    """Figures of growing penalties."""
+
+    def excesses(self, *, backend: Backend = "plotly") -> Any:
+        """The excess of each constraint against the weight of its penalty, and the one accepted."""
+        return drawn_by(backend, excesses_figure(self._result))
+
+
+plots_of.register(Hardened, HardenedPlots)
+
+
+@facts_of.register(Front)
+def _(front: Front) -> Facts:
+    solved, every = int(front.solved.sum()), len(front.points)
+    unit = bound_unit(front) if front.solutions else ""
+    rows = [[given(value, unit), *_point(front, one)] for value, one in zip(front.values, front.points, strict=True)]
+    heading = f"Front over {front.bound}: {solved} of {every} points solved{', interrupted' * front.interrupted}"
+    return Facts(heading, "", [Table("", [front.bound, "objective", "shadow price", "active"], rows)])
+
+
+def _point(front: Front, one: Solution | Refused) -> list[str]:
+    """Objective, shadow price and active limits; why there is no design, where there is none."""
+    if isinstance(one, Refused) or not one.ok:
+        return ["–", "–", one.why()]
+    return [number(one.objective, 5), number(one.multiplier(front.bound), 4), words(list(one.active), "nothing")]
+
+
+@facts_of.register(TradeOff)
+def _(front: TradeOff) -> Facts:
+    problem = front.solutions[0].problem if front.solutions else None
+    units = [unit_of_expression(one, problem) if problem else "" for one in front.wishes]
+    rows = [[number(value, 5, unit) for value, unit in zip(row, units, strict=True)] for row in front.values]
+    failed = f"No design: {'; '.join(front.failed)}" if front.failed else ""
+    heading = f"Trade-off of {words(list(front.names))}: {len(rows)} designs{', interrupted' * front.interrupted}"
+    return Facts(heading, failed, [Table("", front.names, rows)])
+
+
+@facts_of.register(Calibration)
+def _(found: Calibration) -> Facts:
+    rows = [[f"{one.sigmas:.4f}", number(one.solution.objective, 5), share_text(one.violation)] for one in found.trials]
+    heading = (
+        f"Calibration of {found.name} for {percent(found.target)}: "
+        f"{found.sigmas:.4f} σ, {'' if found.confirmed else 'not '}confirmed{', interrupted' * found.interrupted}"
+    )
+    return Facts(heading, found.sentence(), [Table("", ["sigmas", "objective", f"violates {found.name}"], rows)])
+
+
+@facts_of.register(Hardened)
+def _(one: Hardened) -> Facts:
+    told = ["; ".join(f"{excess:.1e} of {name}" for name, excess in each.items()) for each in one.excesses]
+    found = zip(one.weights, one.solutions, told, strict=True)
+    rows = [[f"{weight:g}", number(each.objective, 5), excesses] for weight, each, excesses in found]
+    heading = f"Penalties: {'all' if one.holds else 'not all'} limits hold{', interrupted' * one.interrupted}"
+    return Facts(heading, "", [Table("", ["weight", "objective", "excess"], rows)])
+
+
+# Objectives with a smaller relative difference belong to one optimum.
+_ALIKE = 1e-4
+
+
+class StartsPlots(AbstractPlots[Starts]):
+    """Figures of a problem solved from many starts."""
+
+    def objectives(self, *, backend: Backend = "plotly") -> Any:
+        """The objectives that the starts led to, best first; starts that failed come last, as crosses."""
+        every = self._result.solutions
+        figure = blank(label("Starts, best first"), label("Objective", unit_of_objective(every[0].problem)))
+        look = looks(["solved"])["solved"]
+        solved = sorted(one.objective for one in every if one.ok)
+        failed = sorted(one.objective for one in every if not one.ok)
+        marked = (("solved", solved, 1, look.symbol, look.colour), ("failed", failed, 1 + len(solved), "x", ALARM))
+        for name, values, first, symbol, colour in marked:
+            if values:
+                figure.add_scatter(
+                    x=first + np.arange(len(values)),
+                    y=values,
+                    mode="markers",
+                    name=name,
+                    marker={"symbol": symbol, "size": 9, "color": colour},
+                    hovertemplate=f"{name}: %{{y:.6g}}<extra></extra>",
+                )
+        figure.update_yaxes(range=_range([*solved, *failed]))
+        return drawn_by(backend, figure.update_layout(showlegend=bool(failed)))
+
+
+plots_of.register(Starts, StartsPlots)
+
+
+def _range(values: list[float]) -> list[float]:
+    """A range around all objectives; where they belong to one optimum, so wide that they look alike."""
+    known = [one for one in values if np.isfinite(one)]
+    size = max(map(abs, known), default=0.0)
+    if known and max(known) - min(known) > _ALIKE * size:
+        return padded(known)
+    return padded([*known, *([known[0] - 0.1 * size, known[0] + 0.1 * size] if known else [])])
+
+
+class PortfolioPlots(AbstractPlots[Portfolio]):
+    """Figures of a portfolio of searches."""
+
+    def optima(self, *, backend: Backend = "plotly") -> Any:
+        """How many starts led to each optimum, best first: in all, and of the random ones."""
+        unit = unit_of_objective(self._result.best.problem)
+        places = [f"{i + 1}: {number(one.objective, 5, unit)}" for i, one in enumerate(self._result.optima)]
+        if not places:
+            raise ProblemError(f"plot.optima: expected an optimum; received none: {self._result.best.why()}")
+        groups = {
+            "starts": dict(zip(places, (float(one.starts) for one in self._result.optima), strict=True)),
+            "of these random": dict(zip(places, (float(one.random) for one in self._result.optima), strict=True)),
+        }
+        figure = bars_figure(groups, y="Starts that led there")
+        return drawn_by(backend, figure.update_xaxes(title_text="Objective of each optimum, best first"))
+
+    def search(self, *, backend: Backend = "plotly") -> Any:
+        """What the global search evaluated."""
+        if self._result.searched is None:
+            raise ProblemError("plot.search: expected a portfolio with a global search; received one without.")
+        return drawn_by(backend, search_figure(self._result.searched, unit_of_objective(self._result.best.problem)))
+
+
+plots_of.register(Portfolio, PortfolioPlots)
+
+
+class SearchedPlots(AbstractPlots[Searched]):
+    """The figure of a search."""
+
+    def search(self, *, backend: Backend = "plotly") -> Any:
+        """The objective of every point evaluated, in order, and the best so far."""
+        if not self._result.evaluations:
+            raise ProblemError("plot.search: expected a search that evaluated designs; received one without any.")
+        return drawn_by(backend, search_figure(self._result))
+
+
+plots_of.register(Searched, SearchedPlots)
+
+
+class CrossCheckedPlots(AbstractPlots[CrossChecked]):
+    """The figure of a cross-check."""
+
+    def differences(self, *, backend: Backend = "plotly") -> Any:
+        """The relative differences of two solutions: of the objective, of decisions, statistics and multipliers."""
+        one = self._result
+        groups = {
+            "objective": {"objective": one.objective},
+            "decisions": one.decisions,
+            "statistics": one.statistics,
+            "multipliers": {f"multiplier of {text}": value for text, value in one.multipliers.items()},
+        }
+        shown = {kind: each for kind, each in groups.items() if each}
+        return drawn_by(backend, magnitudes_figure(shown, x="Relative difference", accepted=one.tolerance))
+
+
+plots_of.register(CrossChecked, CrossCheckedPlots)
+
+
+@facts_of.register(Starts)
+def _(starts: Starts) -> Facts:
+    unit, every = unit_of_objective(starts.best.problem), len(starts.solutions)
+    rows = [[number(one.objective, 6, unit), f"{led} of {every}"] for one, led in starts.optima]
+    said = "" if starts.best.ok else starts.best.why()
+    heading = f"{every} starts: {len(rows)} local optima{', interrupted' * starts.interrupted}"
+    return Facts(heading, said, [Table("", ["objective", "starts"], rows)])
+
+
+@facts_of.register(Portfolio)
+def _(found: Portfolio) -> Facts:
+    unit = unit_of_objective(found.best.problem)
+    rows = [[number(one.objective, 6, unit), f"{one.starts}", f"{one.random}"] for one in found.optima]
+    heading = f"Portfolio of {found.starts} starts: {len(rows)} optima{', interrupted' * found.interrupted}"
+    said = found.sure() if found.best.ok else found.best.why()
+    return Facts(heading, said, [Table("", ["objective", "starts", "of these random"], rows)])
+
+
+@facts_of.register(Searched)
+def _(searched: Searched) -> Facts:
+    return Facts(f"{searched.method}: {count(searched.evaluations)} evaluations")
+
+
+@facts_of.register(CrossChecked)
+def _(found: CrossChecked) -> Facts:
+    return Facts(f"Cross-check: {'the solutions agree' if found.agree else 'the solutions do not agree'}")

@@ -1,0 +1,294 @@
+"""An answer over time: the error of its grid, its mesh with errors, its states and costates."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core.given import refusal
+from aleator._core.shown import Drawn, Printed
+from aleator.dynamics import AbstractScheme
+
+# Messages list at most this many numbers.
+_MOST_NUMBERS = 5
+
+
+def system_text(numbers: Mapping[str, float]) -> str:
+    """A system by its uncertain numbers, the first few if there are many."""
+    shown = [f"{name} = {number:.6g}" for name, number in numbers.items()]
+    left = len(shown) - _MOST_NUMBERS
+    return ", ".join(shown[:_MOST_NUMBERS]) + (f" and {left} more" if left > 0 else "")
+
+
+# Limits on the factor of steps from one grid to the next, since the error of a very coarse grid predicts no number of
+# steps; and the safety factor on the number that the order of convergence predicts.
+_LEAST, _MOST, _AHEAD = 2, 8, 1.2
+
+
+@final
+@dataclass(frozen=True)
+class Deviation(Printed):
+    """How far a quantity differs from its value on a finer grid, in its own unit.
+
+    - `error`: for a functional the largest change of its mean or its standard deviation, plus a quarter for the error
+      of the finer grid itself; `tolerated`: the error that is accepted;
+    - `time`: when a path differs most (s); NaN for other functionals;
+    - `order`: the order of convergence: by which power of the step the error falls.
+    """
+
+    error: float
+    tolerated: float
+    time: float = float("nan")
+    order: int = 4
+
+    @property
+    def ratio(self) -> float:
+        """The error over the tolerated error; infinite if the error is NaN."""
+        return np.inf if np.isnan(self.error) else self.error / self.tolerated
+
+    @property
+    def finer(self) -> float:
+        """The factor of steps that meets the tolerance, by the order of convergence."""
+        return self.ratio ** (1 / self.order)
+
+    def __str__(self) -> str:
+        when = "" if np.isnan(self.time) else f" at t = {self.time:.4g} s"
+        return f"off by {self.error:.2g}{when}, where {self.tolerated:.2g} is tolerated"
+
+
+@final
+@dataclass(frozen=True)
+class GridError(Printed):
+    """The error of the time grid at a solution, estimated by a finer grid and an integrator of another order.
+
+    - `steps`: of the solution's grid; `factor`: how many times as many the finer one has; `integrator`: the other one;
+    - `accuracy`: the tolerated error, relative to a limit or a spread, whichever is smaller;
+    - `objective`: its deviation; the tolerated error is `accuracy` times its magnitude;
+    - `functionals`: deviations by the texts of the functionals;
+    - `broken`: a sentence on the constraint that does not hold on the finer grid; empty if all hold;
+    - `unresolved`: a sentence on the constraint that differs so much on the finer grid, or at other instants, that this
+      grid does not tell whether it holds, though it does there; empty if there is none;
+    - `at_start`: a sentence on large errors of the grid at the initial design, which may have misled the search; empty
+      if there are none, or if that was not checked;
+    - `pieces`: the number of polynomial pieces of the splines that the system follows, whose ends should be instants;
+    - `by_tolerances`: whether the integrator has tolerances of its own, besides the steps of the grid.
+    """
+
+    steps: int
+    factor: int
+    integrator: str
+    accuracy: float
+    objective: Deviation
+    functionals: Mapping[str, Deviation]
+    broken: str = ""
+    unresolved: str = ""
+    at_start: str = ""
+    pieces: int = 1
+    by_tolerances: bool = False
+
+    @property
+    def worst(self) -> str:
+        """The text of the functional with the largest deviation over its tolerance; empty if there is none."""
+        return max(self.functionals, key=lambda text: self.functionals[text].ratio, default="")
+
+    @property
+    def ratio(self) -> float:
+        """The largest deviation of a functional or of the objective over its tolerance."""
+        return max([self.objective.ratio, *(one.ratio for one in self.functionals.values())])
+
+    @property
+    def is_met(self) -> bool:
+        """Whether all deviations are tolerated."""
+        return self.ratio <= 1 and not self.broken and not self.unresolved and not self.at_start
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether the solution holds on the finer grid: all limits, the objective to tolerance, and no NaN; and whether
+        this grid resolves the limits.
+        """
+        finite = all(np.isfinite(one.error) for one in self.functionals.values())
+        return self.objective.ratio <= 1 and not self.broken and not self.unresolved and finite
+
+    @property
+    def steps_needed(self) -> int:
+        """The number of steps of the next grid, which `solve(refine=True)` takes.
+
+        It meets the tolerance by the orders of convergence, but is at most eight times the present number.
+        """
+        if self.is_met:
+            return self.steps
+        return self.with_whole_pieces(min(max(_LEAST, self._finer), _MOST) * self.steps)
+
+    def with_whole_pieces(self, steps: float) -> int:
+        """The least number of steps from `steps` on that ends one at each end of a spline's pieces: no order is lost
+        there.
+        """
+        return self.pieces * int(np.ceil(steps / self.pieces))
+
+    @property
+    def _finer(self) -> float:
+        return _AHEAD * max([self.objective.finer, *(one.finer for one in self.functionals.values())])
+
+    def sentence(self) -> str:
+        """What deviates most, by how much, and how much would be tolerated."""
+        if self.broken or self.unresolved:
+            return self.broken or self.unresolved
+        if self.at_start and self.ratio <= 1:
+            return self.at_start
+        if self.objective.ratio > 1 or not self.functionals:
+            what, one = "the objective", self.objective
+        else:
+            what, one = f"'{self.worst}'", self.functionals[self.worst]
+        return f"{what} is {one}"
+
+    def __str__(self) -> str:
+        where = f"seen on {self.factor} times as many steps"
+        if self.is_met:
+            return f"objective off by {self.objective.error:.1e}, {self._worst_text()}; {where}"
+        told = "about" if self.ratio > 1 and self._finer <= _MOST else "at least"
+        also = " and smaller tolerances of the integrator" if self.by_tolerances else ""
+        return f"{self.sentence()}; {where}: use {told} {self.steps_needed} steps{also}, or refine=True"
+
+    def _worst_text(self) -> str:
+        if not self.worst:
+            return "nothing else"
+        return f"'{self.worst}' by {self.functionals[self.worst].error:.1e}"
+
+
+@final
+@dataclass(frozen=True)
+class MeshError(Drawn):
+    """The error of one mesh, interval by interval.
+
+    - `nodes`: the ends of the intervals, s, shape (intervals + 1,); `scheme`: what holds states to their equations;
+    - `drifts`: how far the states of each realisation drift from their equations within each interval, relative to the
+      largest magnitude of each state: of the state that drifts most, shape (realisations, intervals). Realisations are
+      those of `solution.states`;
+    - `asked`: the error that was asked for; infinite if none was;
+    - `numbers`: the uncertain numbers of the realisation that drifts most, by name.
+    """
+
+    nodes: Float[np.ndarray, " nodes"]
+    scheme: AbstractScheme
+    drifts: Float[np.ndarray, "realisations intervals"]
+    asked: float
+    numbers: Mapping[str, float]
+
+    @property
+    def intervals(self) -> int:
+        """How many intervals the mesh has."""
+        return self.drifts.shape[1]
+
+    @property
+    def errors(self) -> Float[np.ndarray, " intervals"]:
+        """The drift of the worst realisation of each interval."""
+        return self.drifts.max(axis=0)
+
+    @property
+    def worst(self) -> float:
+        """The largest error; zero where there are no states."""
+        return float(self.drifts.max())
+
+    @property
+    def is_met(self) -> bool:
+        """Whether every interval is as accurate as asked."""
+        return self.worst <= self.asked
+
+    def __str__(self) -> str:
+        k = int(np.argmax(self.errors))
+        place = f" from t = {self.nodes[k]:.4g} to {self.nodes[k + 1]:.4g} s"
+        system = f" with {system_text(self.numbers)}" if self.numbers else ""
+        asked = "" if np.isinf(self.asked) else f", where {self.asked:.2g} is asked"
+        drift = f"states drift by {self.worst:.2g} of their magnitude at worst"
+        return f"{self.intervals} intervals of {self.scheme}: {drift}{place}{system}{asked}"
+
+
+@final
+@dataclass(frozen=True)
+class States(Drawn):
+    """The states of some realisations over time.
+
+    - `times`: the points of the mesh, s, shape (points,);
+    - `germs`: the germ points of the realisations, shape (realisations, variables);
+    - `values`: by the name of the state, shape (realisations, points, ...).
+    """
+
+    times: Float[np.ndarray, " points"]
+    germs: Float[np.ndarray, "realisations variables"]
+    values: Mapping[str, Float[np.ndarray, "realisations points ..."]]
+
+    def __getitem__(self, name: str) -> Float[np.ndarray, "realisations points ..."]:
+        return known(self.values, name)
+
+    @property
+    def fractions(self) -> Float[np.ndarray, " points"]:
+        """The points of the mesh as fractions of the duration."""
+        return (self.times - self.times[0]) / (self.times[-1] - self.times[0])
+
+    def __str__(self) -> str:
+        count, span = len(self.germs), f"from t = {self.times[0]:.4g} to {self.times[-1]:.4g} s"
+        return f"{count} realisation{'s'[: count > 1]} at {len(self.times)} points {span}: {ranges(self.values)}"
+
+
+def known(values: Mapping[str, np.ndarray], name: str) -> np.ndarray:
+    """One of some arrays. Raises `ProblemError` if there is none of this name."""
+    if name not in values:
+        raise refusal("name", f"one of {list(values)}", name)
+    return values[name]
+
+
+def ranges(values: Mapping[str, np.ndarray]) -> str:
+    """From where to where each of some arrays goes."""
+    return ", ".join(f"{name} from {np.min(one):.4g} to {np.max(one):.4g}" for name, one in values.items())
+
+
+@final
+@dataclass(frozen=True)
+class Costates(Drawn):
+    """The derivative of the optimal objective by each state at each node: by an extra push of it at that instant.
+
+    Their sign is that of the objective: a negative costate says that more of the state would lower it. A realisation is
+    pushed by itself, so that the sum over realisations belongs to a push of all of them.
+
+    - `times`: the nodes of the mesh, s, shape (nodes,);
+    - `germs`: the germ points of the realisations, shape (realisations, variables);
+    - `values`: by the name of the state, shape (realisations, nodes, ...).
+    """
+
+    times: Float[np.ndarray, " nodes"]
+    germs: Float[np.ndarray, "realisations variables"]
+    values: Mapping[str, Float[np.ndarray, "realisations nodes ..."]]
+
+    def __getitem__(self, name: str) -> Float[np.ndarray, "realisations nodes ..."]:
+        return known(self.values, name)
+
+    def __str__(self) -> str:
+        return f"costates of {ranges(self.values)}, {len(self.germs)} realisations at {len(self.times)} nodes"
+
+
+@final
+@dataclass(frozen=True)
+class Switching(Drawn):
+    """The derivative of the Hamiltonian by each input: by how much the objective changes for each unit of the input and
+    each second that it is raised there. Where it is positive, an input at its lower bound is optimal; where it is
+    negative, one at its upper bound; a control that is between its bounds makes it zero.
+
+    The Hamiltonian holds the costates times the rates, and the integrands in the objective and in limits, summed over
+    realisations. Limits on outputs at instants are not in it, and it is empty where inputs are uncertain or a statistic
+    is integrated over time.
+
+    - `times`: where the scheme asks for rates, s, shape (points,); where inputs jump, nodes may be there twice, as seen
+      from before and from after;
+    - `values`: by the name of the input, shape (points, ...).
+    """
+
+    times: Float[np.ndarray, " points"]
+    values: Mapping[str, Float[np.ndarray, "points ..."]]
+
+    def __getitem__(self, name: str) -> Float[np.ndarray, "points ..."]:
+        return known(self.values, name)
+
+    def __str__(self) -> str:
+        return f"switching function of {ranges(self.values)}, at {len(self.times)} points"
