@@ -97,8 +97,8 @@ def in_batches(
     if len(points) > _TOGETHER:
         # Traced here, because only the calling thread may run a user's code.
         program.prepare(model, jnp.asarray(points[:_TOGETHER]), decisions)
-    found = [values for _, values in each(outputs, parts(points, _TOGETHER))]
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *found)
+    results = [values for _, values in each(outputs, parts(points, _TOGETHER))]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
 
 
 def few_at_once(
