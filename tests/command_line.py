@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from aleator import cli, solving
-from aleator.cli._record import Record
+from aleator.cli._folder import Record
 from zoo import SPREAD
 
 STUDY = """import aleator as al

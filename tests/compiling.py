@@ -1,5 +1,8 @@
 """Functions of the tests, compiled by the options of the package: ready sooner than by those of JAX."""
 
+import contextlib
+import logging
+from collections.abc import Iterator
 from functools import partial
 
 import equinox as eqx
@@ -17,3 +20,21 @@ def answers(one, questions):
     """What an object answers to every question, by one program; its arrays are arguments, which XLA does not fold."""
     arrays, rest = eqx.partition(one, eqx.is_array)
     return compiled(lambda arrays: [ask(eqx.combine(arrays, rest)) for ask in questions])(arrays)
+
+
+@contextlib.contextmanager
+def programs_listed() -> Iterator[list[str]]:
+    """What JAX compiles meanwhile, single operations included, whether or not its cache has it."""
+    found: list[str] = []
+    logger, handler = logging.getLogger("jax._src.interpreters.pxla"), logging.Handler()
+    handler.emit = lambda record: found.extend([message for message in [record.getMessage()] if "Compiling" in message])
+    level, passed_on = logger.level, logger.propagate
+    logger.addHandler(handler)
+    logger.setLevel(logging.DEBUG)
+    logger.propagate = False
+    try:
+        yield found
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+        logger.propagate = passed_on

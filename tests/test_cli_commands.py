@@ -2,14 +2,13 @@
 
 import json
 import re
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import aleator as al
-from aleator.cli._record import Record
+from aleator.cli._folder import Record
 from aleator.journalling import FILE
 from aleator.studies import load
 from command_line import EDITED, NEEDED, NEEDED_NOW, STUDY, aleator, document, said
@@ -130,8 +129,7 @@ def test_fresh_evidence_is_counted_on_the_designs_of_a_folder(finished: Path, no
     share = designs["nominal"]["violations"]["stress"]
     assert share["lower"] < 0.5 < share["upper"]
     assert designs["robust"]["violations"]["stress"]["count"] == 0
-    told = tuple(designs["robust"][name] for name in ("solved", "origin", "differs"))
-    assert told == (False, "taken from the folder.", None)
+    assert not designs["robust"]["solved"]
     assert document(aleator(*arguments))["designs"] == designs
 
 
@@ -140,30 +138,28 @@ def test_designs_that_are_not_there_are_solved_before_they_are_sampled(here: Pat
     arguments = ("--samples", "200", "--design", "robust", "--json")
     told = document(aleator("validate", "bar.py", *arguments))["designs"]
     assert list(told) == ["robust"]
-    assert told["robust"]["origin"] == "solved, because the folder does not have it."
+    assert told["robust"]["solved"]
     assert states("results/bar")["robust"] == "done"
     (lost,) = (entry.file for entry in al.load("results").entries if entry.name == "designs/robust")
     (finished / lost).unlink()
-    design = document(aleator("validate", "results", *arguments))["designs"]["robust"]
-    assert design["origin"] == "solved again, because its file in the folder has gone or is damaged."
-    assert (design["solved"], design["differs"]) == (True, None)
+    assert document(aleator("validate", "results", *arguments))["designs"]["robust"]["solved"]
 
 
-def test_evidence_on_designs_of_an_edited_study_says_that_they_are_not_those_of_the_run(here: Path, finished: Path):
-    shutil.copytree(finished, here / "before")
+def test_a_run_whose_study_was_edited_is_stale_until_it_runs_again(here: Path, finished: Path, interrupted_at):
+    arguments = ("validate", "results", "--samples", "200", "--json")
+    assert not document(aleator("list", "results", "--json"))["stale"]
     (here / "bar.py").write_text(EDITED)
-    arguments = ("validate", "results", "--samples", "200", "--design", "robust")
-    first, again = aleator(*arguments, "--json"), said(aleator(*arguments))
-    told = "(numbers of the problem): it is not the design that the run found."
-    design = document(first)["designs"]["robust"]
-    assert design["origin"].startswith("solved anew, because what it follows from has changed since the folder's run")
-    assert design["origin"].endswith(told)
-    assert (design["solved"], design["differs"]) == (True, ["numbers of the problem"])
-    assert design["decisions"]["width"]["value"] == pytest.approx(NEEDED_NOW / 0.5, rel=1e-6)
-    assert "look at: design robust: taken from the folder, where it was solved after" in again
-    assert al.load("results")["designs/robust"].objective == pytest.approx(NEEDED / 0.5, rel=1e-6)
-    assert al.load("results")["robust"].objective == pytest.approx(NEEDED_NOW / 0.5, rel=1e-6)
-    later = document(aleator("compare", "before", "results", "--json"))["later"]
-    assert list(later.values()) == [{}, {"designs/robust": ["numbers of the problem"]}]
-    assert aleator("run", "bar.py", "--out", "results").exit_code == 0
-    assert "design robust: taken from the folder. " in said(aleator(*arguments)), "it is now that of the run"
+    assert document(aleator("list", "results", "--json"))["stale"]
+    refused = aleator(*arguments)
+    assert refused.exit_code == 2
+    assert "'results' is stale" in document(refused)["errors"][0]
+    interrupted_at(1)
+    assert aleator("resume", "results").exit_code == 130
+    interrupted_at(0)
+    robust = document(aleator(*arguments))["designs"]["robust"]
+    assert robust["solved"], "no design of the earlier form goes by the name of this one"
+    assert robust["decisions"]["width"]["value"] == pytest.approx(NEEDED_NOW / 0.5, rel=1e-6)
+    assert aleator("resume", "results").exit_code == 0
+    again = document(aleator(*arguments))["designs"]
+    assert list(again) == ["robust"]
+    assert not again["robust"]["solved"]

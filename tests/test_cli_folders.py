@@ -1,11 +1,12 @@
 """The commands that compute nothing: list, report and compare; whose folder it is, and what is refused."""
 
+import shutil
 from pathlib import Path
 
 import pytest
 
 import aleator as al
-from aleator.cli._record import Record
+from aleator.cli._folder import Record
 from aleator.journalling import FILE, Entry
 from aleator.reporting import only_writer
 from command_line import EDITED, NEEDED, NEEDED_NOW, STUDY, aleator, document, said
@@ -74,7 +75,7 @@ def test_a_page_is_written_without_computing_or_noting_anything_and_after_an_edi
     assert "Systems that violate stress" in page
     complete = (finished / "report.html").read_bytes()
     for text, told in (
-        (EDITED, "an earlier form of the study"),
+        (EDITED, "'results' is stale"),
         (STUDY.replace("=4000", "=6000"), "evidence on robust"),
     ):
         (here / "bar.py").write_text(text)
@@ -99,16 +100,30 @@ def test_where_the_study_has_gone_the_page_shows_what_the_folder_keeps(here: Pat
     assert aleator("validate", "results", "--samples", "200").exit_code == 0
 
 
-def test_runs_are_compared_design_by_design_and_by_what_they_follow_from(here: Path, finished: Path):
+def test_runs_are_compared_by_their_numbers(here: Path, finished: Path):
+    shutil.copytree(finished, here / "copy")
+    for module in ("bar", "zoo_again"):  # a study of the same text in another file has the same numbers
+        (here / f"{module}.py").write_text(STUDY)
+    assert aleator("run", "zoo_again.py", "--out", "again").exit_code == 0
     (here / "bar.py").write_text(EDITED)
     assert aleator("run", "bar.py", "--out", "other").exit_code == 0
-    result = document(aleator("compare", "results", "other", "--json"))
+    result = document(aleator("compare", "results", "copy", "again", "other", "--json"))
     robust = result["designs"]["designs/robust"]
     assert robust["other"]["objective"]["value"] == pytest.approx(NEEDED_NOW / 0.5, rel=1e-6)
     assert robust["results"]["objective"]["value"] == pytest.approx(NEEDED / 0.5, rel=1e-6)
-    assert result["differences"]["designs/robust"] == {"other": ["numbers of the problem"]}
-    told = said(aleator("compare", "results", "other"))
+    differences = result["differences"]["designs/robust"]
+    assert (differences["copy"], differences["again"]) == ([], [])
+    assert {"width", "Objective", "the problem"} <= set(differences["other"])
+    assert result["differences"]["designs/nominal"] == {"copy": [], "again": [], "other": None}
+    told = said(aleator("compare", "results", "copy"))
+    assert "designs/robust: results and copy are equal." in told
     assert "Systems that violate stress" in told
+
+
+def test_a_point_of_a_sweep_stands_beside_the_design_of_the_same_problem(here: Path, finished: Path):
+    assert aleator(*SWEEP, "0.5,0.6", "--out", "sweep").exit_code == 0
+    result = document(aleator("compare", "results", "sweep", "--json"))
+    assert result["designs"]["designs/robust"]["sweep"]["objective"]["value"] == pytest.approx(NEEDED / 0.5, rel=1e-6)
 
 
 def test_neither_a_sweep_nor_a_run_nor_another_study_replaces_what_a_folder_has(

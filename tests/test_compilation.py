@@ -97,7 +97,7 @@ def test_this_xla_knows_the_options_which_let_barriers_last_and_numbers_be_the_s
 def test_only_so_many_programs_are_kept():
     kept = Programs(most=2)
     for key in "abac":
-        kept.found(key)
+        assert not kept[key].is_ready
     assert [key in kept for key in "abc"] == [True, False, True]
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import aleator as al
 from aleator import crosschecking
-from aleator.studies._second_way import found_both_ways
+from aleator.studies._shared import found_both_ways
 from zoo import Decay
 
 

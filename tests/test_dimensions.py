@@ -3,7 +3,7 @@
 import pytest
 from scipy import constants
 
-from aleator._core.dimensions import is_same, measure
+from aleator._core.units import common, is_same, measure
 
 
 def known(unit):
@@ -19,13 +19,14 @@ WRITTEN = [
     ("N/(m s)", "N/m/s"), ("W/(m² K)", "W m^(-2) K^-1"), ("N m s/rad", "N m s"), ("(N m)² s", "N² m² s"),
     ("W", "J/s"), ("V", "W/A"), ("\u2126", "V/A"), ("\u03a9", "ohm"), ("T", "Wb/m2"), ("H", "Wb/A"),
     ("MPa", "N/mm²"), ("\u00b5m", "\u03bcm"), ("um", "\u03bcm"), ("L", "dm³"), ("Hz", "1/s"), ("°", "deg"),
-    ("-", "rad"), ("-", "1"), ("kWh", "kW h"), ("km/h", "1/(h/km)"), ("°C", "K"),
+    ("-", "1"), ("kg.m2/s2", "N.m"), ("kWh", "kW h"), ("km/h", "1/(h/km)"), ("°C", "K"),
 ]
 # fmt: on
 
 
 def test_one_unit_may_be_written_in_several_ways():
-    assert [pair for pair in WRITTEN if not is_same(*map(known, pair))] == []
+    assert [pair for pair in WRITTEN if not is_same(*pair)] == []
+    assert common(["N m", "N·m", "J"]) == "N m"
 
 
 # fmt: off
@@ -46,10 +47,19 @@ SIZES = [
 def test_sizes_are_those_of_scipys_constants():
     for unit, si, size in SIZES:
         assert known(unit).powers == known(si).powers, unit
-        assert known(unit).scale / known(si).scale == pytest.approx(size, rel=1e-12), unit
+        assert known(unit).per(known(si)) == pytest.approx(size, rel=1e-12), unit
+
+
+def test_a_turn_per_second_is_no_radian_per_second_and_may_be_no_plain_rate():
+    assert [known(unit).per(known("rad/s")) for unit in ("Hz", "rpm", "1/s")] == [
+        pytest.approx(2 * constants.pi),
+        pytest.approx(constants.pi / 30),
+        None,
+    ]
+    assert not is_same("rad", "-")
 
 
 def test_what_can_be_read_in_two_ways_or_in_none_is_not_known():
-    units = ["", "W/m² K", "g", "C", "F", "rpm", "furlong", "$", "m^0.5", "N m)", "(N", "kg-m", "10 N", "CO2", "N2"]
-    units += ["/s", "m/", "m//s", "m + s", "dB", "pH", "metres", "m^", "²", "m²³⁻"]
+    units = ["", "W/m² K", "W/m² * K", "W/(m² s) K", "bananas", "$", "N m)", "(N", "kg-m", "10 N", "CO2", "N2"]
+    units += ["m/", "m//s", "m + s", "m^", "²", "m²³⁻"]
     assert [unit for unit in units if measure(unit) is not None] == []

@@ -7,8 +7,7 @@ import pytest
 from scipy import stats
 
 import aleator as al
-from aleator.analysis._box import Box
-from aleator.analysis._restricted_germ import RestrictedGerm
+from aleator.analysis._elements import Cell, RestrictedGerm
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 
 WIDE = {"w": al.Uniform.bounds(0.7, 1.3)}
@@ -105,7 +104,7 @@ def test_moments_and_levels_in_an_element_are_those_of_the_distribution_given_th
 
 
 def test_halves_share_the_probability_and_every_point_has_one_box():
-    lower, upper = Box((0.0, 0.5), (1.0, 1.0)).halves(1)
+    lower, upper = Cell((0.0, 0.5), (1.0, 1.0)).halves(1)
     assert (lower.probability, upper.probability) == (0.25, 0.25)
     points = np.array([[0.2, 0.74], [0.2, 0.75], [1.0, 1.0], [0.0, 0.5]])
     assert lower.holds(points).tolist() == [True, False, False, True]

@@ -22,7 +22,7 @@ def indices(expanded, names):
 def test_a_kink_in_a_product():
     """`x |y|`: its mean given x is x/2, given y zero; variances 1/12, 0 and 1/9 in all."""
     pieces = al.expand(lambda m: m["x"] * jnp.abs(m["y"]), BOTH, al.MultiElement())
-    assert len(pieces.partition.boxes) > 1
+    assert len(pieces.partition.cells) > 1
     assert indices(pieces, "xy") == pytest.approx({("x",): 3 / 4, ("y",): 0.0, ("x", "y"): 1 / 4}, abs=1e-12)
     assert float(pieces.total_sobol("x")) == pytest.approx(1.0, abs=1e-12)
     assert float(pieces.total_sobol("y")) == pytest.approx(1 / 4, abs=1e-12)
@@ -44,7 +44,7 @@ def test_a_kink_under_distributions_that_are_not_uniform():
     pieces = al.expand(lambda m: jnp.abs(m["z"]) * m["b"], model, al.MultiElement(2))
     by_z, by_b = first**2 * (1 - 2 / np.pi) / total, 2 / np.pi * beta.var() / total
     expected = {("z",): by_z, ("b",): by_b, ("z", "b"): 1 - by_z - by_b}
-    assert len(pieces.partition.boxes) > 1
+    assert len(pieces.partition.cells) > 1
     assert indices(pieces, "zb") == pytest.approx(expected, abs=1e-7)
     assert float(pieces.total_sobol("z")) == pytest.approx(1 - by_b, abs=1e-7)
 
@@ -56,7 +56,7 @@ def test_ishigamis_function_has_its_published_indices_which_add_up_to_one():
         model,
         al.MultiElement(5, error=0.02),
     )
-    assert len(pieces.partition.boxes) > 4
+    assert len(pieces.partition.cells) > 4
     found = indices(pieces, ("x1", "x2", "x3"))
     expected = {("x1",): 0.3139051912, ("x2",): 0.4424111448, ("x1", "x3"): 0.2436836641}
     assert found == pytest.approx({one: expected.get(one, 0.0) for one in found}, abs=1e-3)

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 import aleator as al
+from aleator._core import units
+from aleator.design import _units
 
 UNITS = {
     **{"place": "m", "other_place": "m", "long": "mm", "acceleration": "m/s²", "torque": "N m", "moment": "N·m"},
     **{"energy": "J", "turned": "deg", "angle": "rad", "speed": "m/s", "rate": "m s^-1", "share": "-", "percent": "%"},
-    **{"odd": "furlong", "two_ways": "W/m² K", "none": "", "wrong": 3.0, "warm": "°C", "heat": "K"},
+    **{"odd": "bananas", "two_ways": "W/m² K", "none": "", "wrong": 3.0, "warm": "°C", "heat": "K"},
 }
 
 
@@ -89,6 +91,12 @@ def test_comparisons_and_margins_of_another_unit_are_refused():
 )
 def test_units_that_agree_or_are_not_known_are_not_refused(expression):
     assert declared(expression, expression <= 1e6)
+
+
+def test_equal_texts_need_no_library_of_units(monkeypatch):
+    for module in (units, _units):
+        monkeypatch.setattr(module, "measure", None)
+    assert declared(PLACE.mean + out("other_place").std + out("none").mean, PLACE.mean + PLACE.std <= 1.0)
 
 
 class Moving(al.System):

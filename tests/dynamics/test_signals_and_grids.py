@@ -39,7 +39,7 @@ def test_a_table_is_read_from_named_columns_of_a_file_with_comments(table):
     [
         ("t,height\n0,1\n1,2\n", r"road\.csv: expected one column 'z'; received \['t', 'height'\]"),
         ("t,z\n0,1\n2,1\n1,1\n", r"road\.csv.*times must increase, but sample 2 is not after"),
-        ("t,z\n0,1\n1,inf\n", r"road\.csv.*every time and value must be finite"),
+        ("t,z\n0,1\n1,inf\n", r"road\.csv.*values: expected finite numbers"),
         ("t,z\n0,1\n1,high\n", r"road\.csv.*'high'"),
     ],
 )
@@ -53,8 +53,16 @@ def test_a_file_that_is_no_table_is_refused_by_name(table, text, message):
     [
         ([0.0, 1.0], [1.0, 2.0, 3.0], r"times \(2,\) and values \(3,\)"),
         ([1.0, 0.5], [1.0, 2.0], "sample 1 is not after"),
-        ([0.0, 1.0], [al.Decision(np.zeros(2), -1, 1), 1.0], r"one number in each sample; received shape \(2,\)"),
-        ([0.0, 1.0], [al.Decision(0.0, -1, 1), "high"], "values: expected plain numbers; received 'high'"),
+        (
+            [0.0, 1.0],
+            [al.Decision(np.zeros(2), -1, 1), 1.0],
+            r"values: expected numbers that form an array; received parts of the shapes \[\(\), \(2,\)\]",
+        ),
+        (
+            [0.0, 1.0],
+            [al.Decision(0.0, -1, 1), "high"],
+            "values: expected numbers, distributions or decisions; received 'high'",
+        ),
     ],
     ids=lambda value: str(value)[:40],
 )

@@ -8,7 +8,7 @@ import sklearn  # noqa: F401 - it sets variables of the environment as it is imp
 
 import aleator as al
 from aleator.expansion import collocate, leave_one_out
-from aleator.expansion._sparse import corrected_errors
+from aleator.expansion._selection import corrected_errors
 from aleator.uncertainty import HermiteGerm, LegendreGerm
 
 SOBOL_G = np.array([0, 1, 4.5, 9, 99, 99, 99, 99])

@@ -9,7 +9,7 @@ import pytest
 from openmdao.utils.assert_utils import assert_check_partials
 
 import aleator as al
-from aleator.foreign._openmdao_units import as_in_openmdao
+from aleator.foreign._openmdao import as_in_openmdao
 
 # Instants and constraints that some decisions do not move are as they should be.
 pytestmark = pytest.mark.filterwarnings("ignore::openmdao.utils.om_warnings.DerivativesWarning")

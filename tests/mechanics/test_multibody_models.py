@@ -7,7 +7,7 @@ from mujoco_trees import Tree
 import aleator as al
 from aleator.joints import Ball, Free, Prismatic, Revolute
 from aleator.uncertainty import placements, realise
-from compiling import compiled
+from compiling import compiled, programs_listed
 
 
 def test_an_uncertain_body_may_be_a_field_itself():
@@ -57,3 +57,34 @@ def body(name="one", **changes):
 def test_bodies_that_make_no_tree_are_refused_in_words(bodies, message):
     with pytest.raises(al.ProblemError, match=message):
         Tree(bodies()).bias(jnp.zeros(1), jnp.zeros(1))
+
+
+class Raised(al.Lagrangian):
+    """A mass on a spring."""
+
+    mass: al.Number = 1.0
+    names = ("height",)
+
+    def kinetic_energy(self, q, v):
+        return 0.5 * self.mass * v @ v
+
+    def potential_energy(self, q):
+        return self.mass * 9.81 * q[0] + 5.0 * q @ q
+
+
+def test_trees_on_simple_joints_are_diagnosed_without_a_program_and_other_models_by_one():
+    grid, level = al.Grid(1.0, 8), al.PowerSeries(start=(0.0, 0.0, 0.0), end=(1.0, 0.0, 0.0))
+    arm = al.Body("arm", joint=Revolute("y"), mass=2.0, center=(0.5, 0.0, 0.0), inertia=(0.1, 0.2, 0.2))
+    slide = al.Body("slide", parent="arm", joint=Prismatic("x", damping=1.0), mass=1.0, position=(1.0, 0.0, 0.0))
+    tree = al.InverseDynamics(Tree((arm, slide)), motion={"arm": level, "slide": level})
+    with programs_listed() as programs:
+        assert tree.diagnose(grid) == ""
+        held = tree.holding(grid)
+    assert programs == []
+    np.testing.assert_allclose([held["arm_torque"], held["slide_torque"]], [-2.0 * 9.81, 0.0], rtol=1e-14, atol=1e-14)
+    with programs_listed() as programs:
+        for mass in (1.0, 2.0):
+            raised = al.InverseDynamics(Raised(mass), motion={"height": level})
+            assert raised.diagnose(grid) == ""
+            np.testing.assert_allclose(raised.holding(grid)["height_torque"], 9.81 * mass, rtol=1e-14)
+    assert len(programs) == 1

@@ -10,8 +10,8 @@ from small_expansions import basis_of, coefficients_of_polynomial, random_coeffi
 from aleator._core.errors import ProblemError
 from aleator.expansion import Basis
 from aleator.statistics import CornishFisher, Correlation, Covariance, Kurtosis, Skewness, prepare
-from aleator.statistics import _square as square_module
-from aleator.statistics._square import square
+from aleator.statistics import _shape as shape_module
+from aleator.statistics._shape import square
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 from compiling import compiled
 
@@ -85,7 +85,7 @@ def test_statistics_of_a_sample_are_those_of_scipy():
 
 
 def test_a_square_too_large_for_the_memory_is_refused_with_a_remedy(monkeypatch):
-    monkeypatch.setattr(square_module, "_MOST_PRODUCTS", 100)
+    monkeypatch.setattr(shape_module, "_MOST_PRODUCTS", 100)
     with pytest.raises(ProblemError, match="lower order or a sparser index set"):
         square(basis_of([HermiteGerm()] * 3, 3))
 

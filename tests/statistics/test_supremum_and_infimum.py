@@ -6,7 +6,7 @@ from scipy import optimize
 from small_expansions import basis_of, coefficients_of_polynomial, random_coefficients
 
 from aleator._core.errors import ProblemError
-from aleator.statistics import Infimum, Supremum, _branch_and_bound, prepare
+from aleator.statistics import Infimum, Supremum, _extremes, prepare
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 from compiling import compiled
 
@@ -53,14 +53,14 @@ def test_bounds_of_two_variables_enclose_what_is_sampled_and_are_exact_at_a_corn
 
 @pytest.mark.slow
 def test_the_gap_falls_with_the_square_of_the_width_of_the_boxes(monkeypatch):
-    monkeypatch.setattr(_branch_and_bound, "_CLOSE", -1.0)
+    monkeypatch.setattr(_extremes, "_CLOSE", -1.0)
     basis = basis_of([LegendreGerm()], 3)
     coefficients = coefficients_of_polynomial(basis, lambda a: -((a - 0.2137) ** 2) + 0.1 * a**3)
     constants = prepare([Supremum()], basis).of(Supremum())
     gaps = []
     for most in (1, 8, 64):
-        monkeypatch.setattr(_branch_and_bound, "_FEWEST_BOXES", 1)
-        monkeypatch.setattr(_branch_and_bound, "_MOST_BOXES", most)
+        monkeypatch.setattr(_extremes, "_FEWEST_BOXES", 1)
+        monkeypatch.setattr(_extremes, "_MOST_BOXES", most)
         gaps.append(compiled(lambda c: Supremum().of(c, constants) - Supremum().attained(c, constants))(coefficients))
     assert gaps[1] < gaps[0] / 20
     assert gaps[2] < gaps[1] / 20

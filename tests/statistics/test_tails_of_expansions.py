@@ -24,8 +24,8 @@ from aleator.statistics import (
     prepare,
     together,
 )
-from aleator.statistics._crossings import extrema, horner, roots_between
-from aleator.statistics._line_distribution import finite_ends, line_distribution
+from aleator.statistics._lines import finite_ends, line_distribution
+from aleator.statistics._output_distribution import extrema, horner, roots_between
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 from compiling import compiled
 

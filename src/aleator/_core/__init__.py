@@ -4,6 +4,6 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
-from aleator._core.kept_programs import keep_by_default as _keep_by_default  # noqa: E402
+from aleator._core.store import keep_by_default as _keep_by_default  # noqa: E402
 
 _keep_by_default()

@@ -4,22 +4,25 @@ import enum
 import functools
 import threading
 import time
-from collections.abc import Callable, Hashable
-from typing import Any, final
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
+from itertools import accumulate, pairwise
+from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer, eval_jaxpr
 from jaxtyping import Array
 
-from aleator._core import stored
+from aleator._core import store
+from aleator._core.arrays import Pytree, in_library
 from aleator._core.beside import beside, undisturbed
 from aleator._core.devices import Device, devices, elsewhere, home, placed
-from aleator._core.differentiable import explained
-from aleator._core.executables import OnEach, Tried, ready
+from aleator._core.equations import TracedFunction
+from aleator._core.errors import ProblemError
 from aleator._core.identity import lasting_name
-from aleator._core.layouts import Leaves, Packed, Way, is_real
 from aleator._core.programs import PROGRAMS, Executable, Program
 
 # The compiler with the options below; those of other devices know other options.
@@ -29,6 +32,18 @@ _CPU = "cpu"
 # wherever it is used, such as the sine of an angle for each derivative that depends on it. Without the pass of this
 # name, barriers last.
 _BARRIERS: dict[str, str | bool] = {"xla_disable_hlo_passes": "cse_barrier_expander"}
+
+# Equations that JAX cannot differentiate or vectorise, by words of its own errors, and what to write instead.
+_REMEDIES = {
+    "custom_vjp": "'jax.custom_vjp', whose derivatives are taken backward alone; the program's are taken forward too: "
+    "write the rule by 'jax.custom_jvp'",
+    "pure_callback primitive": "'jax.pure_callback' for one realisation at a time; many are computed at once: give "
+    "it a 'vmap_method', such as 'sequential'",
+    "Pure callbacks do not support JVP": "'jax.pure_callback', which has no derivatives: give them by 'jax.custom_jvp'",
+}
+
+# This name marks the run-time checks of Equinox, and of libraries built on it, among the errors of XLA.
+_CHECKED = "_EquinoxRuntimeError"
 
 
 class Use(enum.Enum):
@@ -45,6 +60,53 @@ class Use(enum.Enum):
     LOOPS = _BARRIERS
     ROWS = _BARRIERS | {"xla_cpu_use_fusion_emitters": False}
     ONCE = ROWS | {"xla_backend_optimization_level": "1"}
+
+
+class Layout(NamedTuple):
+    """The layout of a tree of arrays as they are passed to an executable or from it: one by one, or packed in a vector.
+
+    Every array that is passed costs time at each call, so that real numbers are packed; copying large arrays takes
+    longer.
+
+    - `ends`: of each leaf in the vector, None for those that are passed separately; `shapes`: of the leaves.
+    """
+
+    structure: Any
+    shapes: tuple[tuple[int, ...], ...]
+    ends: tuple[tuple[int, int] | None, ...]
+
+    @classmethod
+    def of(cls, tree: Pytree, *, packed: bool) -> "Layout":
+        leaves, structure = jax.tree.flatten(tree)
+        sizes = [leaf.size if packed and is_real(leaf) else 0 for leaf in leaves]
+        ends = pairwise(accumulate(sizes, initial=0))
+        places = tuple(end if packed and is_real(leaf) else None for leaf, end in zip(leaves, ends, strict=True))
+        return cls(structure, tuple(leaf.shape for leaf in leaves), places)
+
+    @property
+    def is_packed(self) -> bool:
+        return any(end is not None for end in self.ends)
+
+    def arrays(self, tree: Pytree) -> list[Any]:
+        """The arrays that are passed, the vector first if there is one."""
+        leaves = jax.tree.leaves(tree)
+        packed = [leaf for leaf, end in zip(leaves, self.ends, strict=True) if end is not None]
+        library, packed = in_library(packed)
+        vector = [library.concatenate([library.ravel(leaf) for leaf in packed])] if packed else []
+        return vector + [leaf for leaf, end in zip(leaves, self.ends, strict=True) if end is None]
+
+    def read(self, arrays: list[Any]) -> Pytree:
+        """The tree of arrays that were passed."""
+        others = iter(arrays[1:] if self.is_packed else arrays)
+        leaves = [
+            next(others) if end is None else arrays[0][slice(*end)].reshape(shape)
+            for shape, end in zip(self.shapes, self.ends, strict=True)
+        ]
+        return jax.tree.unflatten(self.structure, leaves)
+
+
+def is_real(leaf: Any) -> bool:
+    return eqx.is_array(leaf) and leaf.dtype == float
 
 
 @final
@@ -65,151 +127,118 @@ class Compiled:
         self.seconds = 0.0
 
     def __call__(self, *arguments: Any) -> Any:
-        program, leaves = self._found(arguments)
+        program, leaves = self._program(arguments)
         return program()(*leaves)
 
     def prepare(self, *arguments: Any) -> None:
-        """Begin to compile, on another core, the program for arguments of this structure.
-
-        The function is traced immediately in this thread: a user's code need not be thread-safe. The numbers of the
-        arguments do not matter.
-        """
-        program, _ = self._found(arguments)
+        """Begin to compile, on another core, the program for arguments of this structure; it is traced here and now."""
+        program, _ = self._program(arguments)
         if not program.is_ready:
             beside(program)
 
     def begin(self, *arguments: Any) -> Callable[[], Any]:
         """Begin a call on another core; the function returned waits for the result. Traced immediately."""
-        program, leaves = self._found(arguments)
+        program, leaves = self._program(arguments)
         return beside(lambda: program()(*leaves))
-
-    def _found(self, arguments: tuple[Any, ...]) -> tuple[Program, list[Any]]:
-        """The program for some arguments, and their arrays, which are its inputs."""
-        dynamic, static = eqx.partition(arguments, eqx.is_array)
-        leaves, structure = jax.tree.flatten(dynamic)
-
-        def flat(*leaves: jax.Array) -> Any:
-            return self._function(*eqx.combine(jax.tree.unflatten(structure, leaves), static))
-
-        build = functools.partial(self._compile, Leaves, flat, *leaves)
-        return self._known(self._key("leaves", leaves, structure, static), arguments, build), leaves
 
     def bound(self, *fixed: Any, packed: bool = True) -> "Bound":
         """The function with all arguments but the last fixed, for many calls that differ in that one: a tree of arrays.
 
-        Every array passed to or from an executable costs time at each call. So all real numbers of the fixed arguments
-        are packed into one vector, and so are those of the result: NumPy arrays, not to be written to.
-
-        - `packed`: whether to pack the result. Copying a large one takes longer than returning it as arrays of JAX.
+        - `packed`: whether real numbers of the result are passed in one vector too, as NumPy arrays, which are not to
+          be written to.
         """
-        reals, rest = eqx.partition(fixed, is_real)
-        numbers, shapes = jax.tree.flatten(reals)
-        ends = np.cumsum([leaf.size for leaf in numbers])[:-1].tolist()
-        vector = jax.device_put(Packed.arrays(reals)[0], placed(numbers))
-        arrays, static = eqx.partition(rest, eqx.is_array)
-        # Leaves instead of trees, which would be flattened at every call.
-        others, structure = jax.tree.flatten(arrays)
+        return Bound(self, fixed, packed=packed)
 
-        def result(vector: jax.Array, others: list[jax.Array], last: Any) -> Any:
-            parts = [part.reshape(leaf.shape) for part, leaf in zip(jnp.split(vector, ends), numbers, strict=False)]
-            trees = jax.tree.unflatten(shapes, parts), jax.tree.unflatten(structure, others)
-            return self._function(*eqx.combine(*trees, static), last)
+    def _program(self, arguments: tuple[Any, ...]) -> tuple[Program, list[Any]]:
+        """The program for some arguments, and their arrays, which are its inputs."""
+        dynamic, static = eqx.partition(arguments, eqx.is_array)
+        layout = Layout.of(dynamic, packed=False)
+        inputs = layout.arrays(dynamic)
+        key = self.key((layout, False), static, inputs)
+        return self.program(key, arguments, lambda inputs: eqx.combine(layout.read(inputs), static), inputs), inputs
 
-        way, read_by = ("packed", Packed) if packed else ("bound", Leaves)
+    def key(self, layouts: Hashable, static: Pytree, inputs: list[Any]) -> Hashable:
+        """The key of a program, from the layouts of inputs and results, what is no array, and the inputs' types."""
+        leaves, structure = jax.tree.flatten(static)
+        kinds = tuple(type(leaf) for leaf in leaves)  # 1 and True are equal, but not the same structure
+        types = tuple((leaf.shape, leaf.dtype) for leaf in inputs)
+        return self, layouts, structure, tuple(leaves), kinds, types, placed(inputs) or home()
 
-        def key(last: Any) -> Hashable:
-            leaves, last_structure = jax.tree.flatten(last)
-            trees = shapes, structure, last_structure
-            return self._key(way, [*numbers, *others, *leaves], trees, static)
+    def program(
+        self,
+        key: Hashable,
+        arguments: tuple[Any, ...],
+        read: Callable[[list[Any]], tuple[Any, ...]],
+        inputs: list[Any],
+        *,
+        packed: bool = False,
+    ) -> Program:
+        """The program of a key, traced if there is none yet; `read` gives the arguments from its inputs."""
 
-        def program(key: Hashable, last: Any) -> Program:
-            build = functools.partial(self._compile, read_by, result, vector, others, last)
-            return self._known(key, (*fixed, last), build)
-
-        return Bound(key, program, (vector, others))
-
-    def _key(self, way: str, leaves: list[Any], structure: Any, static: Any) -> Hashable:
-        """The key of arguments of one structure."""
-        static_leaves, static_structure = jax.tree.flatten(static)
-        shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
-        kinds = tuple(type(leaf) for leaf in static_leaves)  # 1 and True are equal, but not the same structure
-        device = placed(leaves) or home()
-        return self, way, structure, static_structure, tuple(static_leaves), kinds, shapes, device
-
-    def _known(self, key: Any, arguments: tuple[Any, ...], build: Callable[..., Callable[[], Executable]]) -> Program:
-        """The program of a key, traced by `build` if there is none yet."""
-        program, is_new = PROGRAMS.found(key)
-        if is_new:
+        def build() -> Callable[[], Executable]:
             use = self._use if isinstance(self._use, Use) else self._use(*arguments)
-            name = lasting_name(self._function, _alike(arguments), key[1], use)
-            program.trace(functools.partial(build, use=use, name=name))
-        elif program.was_interrupted():  # in the thread that was tracing
-            return self._known(key, arguments, build)
+            name = lasting_name(self._function, _shapes_alone(arguments), len(inputs), packed, use)
+
+            def function(*inputs: Any) -> Any:
+                return self._function(*read(list(inputs)))
+
+            return functools.partial(self._timed, self._traced(function, inputs, use, name, packed=packed))
+
+        program = PROGRAMS[key]
+        program.trace(build)
         return program
 
-    def _compile(
-        self, way: Way, function: Callable[..., Any], *arguments: Any, use: Use, name: str | None
-    ) -> Callable[[], Executable]:
-        """Trace a function, unless an earlier run has kept its executable; the function returned compiles it."""
+    def _timed(self, make: Callable[[], Executable]) -> Executable:
+        """An executable that is made now, on record."""
         started = time.perf_counter()
-        trace = functools.partial(self._traced, way, function, *arguments, use=use, name=name)
-        # In this thread, as tracing is: if it cannot be loaded, the function is traced here.
-        earlier = stored.found(name, arguments)
-
-        def anew() -> Executable:
-            if name is not None:
-                stored.forget(name)
-            return trace()()
-
-        made = trace() if earlier is None else functools.partial(Tried, ready(earlier), anew)
-        spent = time.perf_counter() - started
-
-        return lambda: self._counted(made, spent)
-
-    def _counted(self, made: Callable[[], Executable], spent: float = 0.0) -> Executable:
-        """An executable that is made now, on record with the time `spent` before."""
-        started = time.perf_counter()
-        executable = made()
+        executable = make()
         with self._lock:
-            self.seconds += spent + time.perf_counter() - started
+            self.seconds += time.perf_counter() - started
             self.compilations += 1
         return executable
 
     def _traced(
-        self, way: Way, function: Callable[..., Any], *arguments: Any, use: Use, name: str | None
+        self, function: Callable[..., Any], inputs: list[Any], use: Use, name: str | None, *, packed: bool
     ) -> Callable[[], Executable]:
-        """Trace a function; the function returned compiles it and keeps it for later runs."""
-        results: list[Any] = []
+        """Load what an earlier run has kept, or trace a function: what is returned compiles it."""
+        started = time.perf_counter()
+        earlier = store.load(name, inputs)
+        if earlier is not None:
+            return lambda: _ready(*earlier)
+        layouts: list[Layout] = []
 
-        def flat(*arguments: Any) -> list[Array]:
-            result = function(*arguments)
-            results[:] = [way.of(result)]
-            return way.arrays(result)
+        def flat(*inputs: Any) -> list[Array]:
+            result = function(*inputs)
+            layouts[:] = [Layout.of(result, packed=packed)]
+            return layouts[0].arrays(result)
 
-        if stored.is_kept(name):
+        if store.keeps(name):
             # JAX finds programs by their text, this one among others: else it would find one of another name, which
             # could not be kept under this one.
             flat.__name__ = f"flat_{name}"
-        with explained():
-            traced = jax.jit(flat).trace(*arguments)
+        with _explained():
+            traced = jax.jit(flat).trace(*inputs)
             lowered = traced.lower()
         # Asked here, because what JAX is told of devices holds for one thread.
-        bound_to = placed(arguments)
+        bound_to = placed(inputs)
         platform, moves = (bound_to or home()).platform, bound_to is None and len(devices()) > 1
+        with self._lock:
+            self.seconds += time.perf_counter() - started
 
-        def finish() -> Executable:
-            before = stored.found_by_jax()
-            found = stored.Stored(compiled_for(use, lowered, platform), results[0])
-            if name is not None and stored.found_by_jax() == before:
-                stored.keep(name, lowered, found)
-            return OnEach(ready(found), lambda: self._counted(here)) if moves else ready(found)
+        def compiled() -> Executable:
+            before = store.found_by_jax()
+            executable = compiled_for(use, lowered, platform)
+            if name is not None and store.found_by_jax() == before:
+                store.keep(name, lowered, executable, layouts[0])
+            ready = _ready(executable, layouts[0])
+            return _OnEach(ready, lambda: self._timed(here)) if moves else ready
 
         def here() -> Executable:
             PROGRAMS.make_room()
             again = traced.lower()
-            return ready(stored.Stored(undisturbed(lambda: compiled_for(use, again, platform)), results[0]))
+            return _ready(undisturbed(lambda: compiled_for(use, again, platform)), layouts[0])
 
-        return finish
+        return compiled
 
 
 def compiled_for(use: Use, lowered: jax.stages.Lowered, platform: str) -> jax.stages.Compiled:
@@ -222,55 +251,144 @@ def compiled_for(use: Use, lowered: jax.stages.Lowered, platform: str) -> jax.st
         return lowered.compile()
 
 
+@contextmanager
+def _explained() -> Iterator[None]:
+    """Raise `ProblemError` in the place of an error of JAX about equations that have no derivatives, or no batches."""
+    try:
+        yield
+    except (TypeError, ValueError, NotImplementedError) as error:
+        for words, remedy in _REMEDIES.items():
+            if words in str(error):
+                raise ProblemError(f"The equations use {remedy}.") from error
+        raise
+
+
+def _shapes_alone(tree: Pytree) -> Pytree:
+    """A tree whose NumPy arrays, which are traced, are replaced by their shapes and types."""
+    return jax.tree.map(
+        lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) if isinstance(leaf, np.ndarray) else leaf, tree
+    )
+
+
+def _ready(executable: Executable, layout: Layout) -> Executable:
+    """An executable that returns results in their own layout."""
+
+    def ready(*inputs: Any) -> Any:
+        results = _run(executable, *inputs)
+        return layout.read([np.asarray(one) for one in results] if layout.is_packed else results)
+
+    return ready
+
+
+def _run(executable: Executable, *inputs: Any) -> list[Any]:
+    """The results of an executable; NaN if run-time checks of a library inside stop it.
+
+    The linear solvers of stiff integrators do so for derivatives that are not finite. Called with NaN throughout, the
+    same executable returns NaN in the right shapes.
+    """
+    try:
+        return jax.block_until_ready(executable(*inputs))
+    except jax.errors.JaxRuntimeError as error:
+        if _CHECKED not in str(error):
+            raise
+    nothing = jax.tree.map(lambda leaf: jnp.full_like(leaf, jnp.nan) if is_real(leaf) else leaf, inputs)
+    return executable(*nothing)
+
+
+@final
+class _OnEach:
+    """An executable of one device, and its copies for others, each compiled when it is first called there."""
+
+    def __init__(self, at_home: Executable, compiled_here: Callable[[], Executable]):
+        self._at_home, self._compiled_here = at_home, compiled_here
+        self._copies: dict[Device, Executable] = {}
+        self._lock = threading.Lock()
+
+    def __call__(self, *inputs: Any) -> Any:
+        device = elsewhere()
+        if device is None:
+            return self._at_home(*inputs)
+        # One after the other: XLA compiles on all cores, and may find the second one in JAX's cache.
+        with self._lock:
+            if device not in self._copies:
+                self._copies[device] = self._compiled_here()
+        return self._copies[device](*inputs)
+
+
 @final
 class Bound:
     """A function of one tree of arrays, the rest of its arguments being fixed; see `Compiled.bound`."""
 
-    def __init__(
-        self,
-        key: Callable[[Any], Hashable],
-        program: Callable[[Hashable, Any], Program],
-        given: tuple[jax.Array, list[jax.Array]],
-    ):
-        self._find_key, self._program, self._given = key, program, given
-        self._moves = placed(given) is None
-        self._copies: dict[Device, tuple[jax.Array, list[jax.Array]]] = {}
-        self._key: Hashable | None = None
+    def __init__(self, compiled: Compiled, fixed: tuple[Any, ...], *, packed: bool):
+        self._compiled, self._fixed, self._packed = compiled, fixed, packed
+        arrays, self._static = eqx.partition(fixed, eqx.is_array)
+        self._layout = Layout.of(arrays, packed=True)
+        device = placed(arrays)
+        self._moves, self._inputs = device is None, jax.device_put(self._layout.arrays(arrays), device)
+        self._copies: dict[Device, list[Any]] = {}
         self._executable: Executable | None = None
 
     def is_known(self, last: Any) -> bool:
         """Whether there is a program for this structure already."""
-        self._key = self._find_key(last)
-        return self._key in PROGRAMS
+        return self._key(last) in PROGRAMS
 
     def prepare(self, last: Any) -> Executable:
         """The executable for arguments of this structure, compiled now if it has not been."""
         if self._executable is None:
-            self._executable = self._program(self._key or self._find_key(last), last)()
+            self._executable = self._program(last)()
         return self._executable
 
     def begin(self, last: Any) -> None:
         """Begin to compile on another core what calls with arguments of this structure run; traced here and now."""
-        program = self._program(self._find_key(last), last)
+        program = self._program(last)
         if not program.is_ready:
             beside(program)
 
     def __call__(self, last: Any) -> Any:
         """The function's value."""
-        return self.prepare(last)(*self._given_here(), last)
+        return self.prepare(last)(*self._inputs_here(), *jax.tree.leaves(last))
 
-    def _given_here(self) -> tuple[jax.Array, list[jax.Array]]:
+    def _key(self, last: Any) -> Hashable:
+        leaves, structure = jax.tree.flatten(last)
+        return self._compiled.key((self._layout, structure, self._packed), self._static, [*self._inputs, *leaves])
+
+    def _program(self, last: Any) -> Program:
+        (leaves, structure), count = jax.tree.flatten(last), len(self._inputs)
+
+        def read(inputs: list[Any]) -> tuple[Any, ...]:
+            fixed = eqx.combine(self._layout.read(inputs[:count]), self._static)
+            return *fixed, jax.tree.unflatten(structure, inputs[count:])
+
+        arguments, inputs = (*self._fixed, last), [*self._inputs, *leaves]
+        return self._compiled.program(self._key(last), arguments, read, inputs, packed=self._packed)
+
+    def _inputs_here(self) -> list[Any]:
         """The fixed arguments on the device of the present part, to which they are copied once."""
         device = elsewhere()
         if device is None or not self._moves:
-            return self._given
+            return self._inputs
         if device not in self._copies:
-            self._copies[device] = jax.device_put(self._given, device)
+            self._copies[device] = jax.device_put(self._inputs, device)
         return self._copies[device]
 
 
-def _alike(tree: Any) -> Any:
-    """A tree whose NumPy arrays, which are traced, are replaced by their shapes and types."""
-    return jax.tree.map(
-        lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) if isinstance(leaf, np.ndarray) else leaf, tree
-    )
+def _evaluated(function: TracedFunction, constants: list[Any], leaves: list[Any]) -> list[Any]:
+    return eval_jaxpr(function.closed.jaxpr, constants, *leaves)
+
+
+_EVALUATED = {use: Compiled(_evaluated, use=use) for use in Use}
+
+
+def evaluate(function: Callable[..., Pytree], *arguments: Pytree, use: Use = Use.LOOPS) -> Pytree:
+    """The value of a function of arrays in compiled form: traced here and now, compiled once for equal equations."""
+    return evaluate_traced(TracedFunction(function, *arguments), *arguments, use=use)
+
+
+def evaluate_traced(function: TracedFunction, *arguments: Pytree, use: Use = Use.LOOPS) -> Pytree:
+    """The value of a traced function, whose constants may be other ones than those that it was compiled with."""
+    constants, leaves = function.closed.consts, function.leaves(arguments)
+    if any(isinstance(one, Tracer) for one in (*constants, *leaves)):
+        results = eval_jaxpr(function.closed.jaxpr, constants, *leaves)
+    else:
+        results = _EVALUATED[use](function, constants, leaves)
+    return eqx.combine(jax.tree.unflatten(function.results, results), function.rest)

@@ -1,17 +1,23 @@
-"""Digests of traced functions: two with the same digest have the same values and derivatives."""
+"""Functions as their traced equations, and digests that tell these apart in any process."""
 
 import hashlib
 import inspect
 import itertools
-from collections.abc import Iterator, Mapping
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property, partial
 from types import FunctionType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, final
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
+from jax.core import Tracer, eval_jaxpr
 from jax.extend.core import ClosedJaxpr
+from jax.interpreters.partial_eval import dce_jaxpr
+
+from aleator._core.arrays import Pytree, numbers_to_arrays
+from aleator._core.errors import ProblemError
 
 # Parameters of equations that hold Python code: of `jax.pure_callback` and the like, and rules of `jax.custom_vjp`.
 _OPAQUE = {"callback", "bwd", "fwd_jaxpr_thunk"}
@@ -49,17 +55,32 @@ def joint_digest(parts: Mapping[str, Digest]) -> Digest:
     return Digest(hashlib.sha256(text.encode()).hexdigest(), all(one.is_whole for one in parts.values()))
 
 
-def derived(rule: FunctionType) -> FunctionType:
-    """Mark a rule of a `jax.custom_jvp` function that holds nothing beyond the function's own equations."""
-    code = inspect.unwrap(rule).__code__
-    _DERIVED.add(f"{rule.__name__} at {code.co_filename}:{code.co_firstlineno}")
-    return rule
+# Digests of equations that two traces have given: one trace of these is enough.
+_STEADY: set[Digest] = set()
+
+
+def refuse_unsteady(name: str, digest: Digest, again: Callable[[], Digest]) -> None:
+    """Raise `ProblemError` if a second trace of a user's code called `name` has another digest than the first."""
+    if digest not in _STEADY and again() != digest:
+        raise ProblemError(
+            f"{name} computes something else each time it is called, so that no result holds. Expected code that "
+            "depends on its arguments and fields alone: put a distribution, such as al.Normal(0.0, 1.0), in the place "
+            "of a random number; read files, clocks and counters beforehand."
+        )
+    _STEADY.add(digest)
 
 
 def array_digest(array: Any) -> str:
     """Shape, type and values of an array as a short text."""
     values = np.asarray(array)
     return f"{values.shape}{values.dtype}{hashlib.sha256(values.tobytes()).hexdigest()}"
+
+
+def derived(rule: FunctionType) -> FunctionType:
+    """Mark a rule of a `jax.custom_jvp` function that holds nothing beyond the function's own equations."""
+    code = inspect.unwrap(rule).__code__
+    _DERIVED.add(f"{rule.__name__} at {code.co_filename}:{code.co_firstlineno}")
+    return rule
 
 
 def _hidden(jaxpr: Any, *, rules: bool = True) -> Iterator[Any]:
@@ -103,3 +124,67 @@ def _forward_rule(equation: Any) -> Iterator[Any]:
     yield str(rule)
     yield from held
     yield from _hidden(rule, rules=False)
+
+
+@final
+class TracedFunction:
+    """A function of trees of arrays as its equations; equal to another one if these are, whatever their constants.
+
+    - `closed`: the equations; `structure`: that of the arguments' numbers; `results`: that of the result's numbers;
+    - `rest`: the parts of the result that are no numbers.
+    """
+
+    def __init__(self, function: Callable[..., Pytree], *arguments: Pytree):
+        """Trace a function for arguments like these; nothing is computed."""
+        numbers, fixed = eqx.partition(numbers_to_arrays(arguments), eqx.is_array)
+        rest: list[Pytree] = []
+
+        def arrays(numbers: Pytree) -> Pytree:
+            results, others = eqx.partition(function(*eqx.combine(numbers, fixed)), eqx.is_array)
+            rest.append(others)
+            return results
+
+        self.closed, shapes = jax.make_jaxpr(arrays, return_shape=True)(numbers)
+        self.structure, self.results = jax.tree.structure(numbers), jax.tree.structure(shapes)
+        (self.rest,) = rest
+
+    @cached_property
+    def digest(self) -> Digest:
+        """That of the equations without their constants."""
+        return digest_of(self.closed, constants=False)
+
+    def __call__(self, *arguments: Pytree) -> Pytree:
+        """Its value, as a part of an outer function that is traced.
+
+        Raises `ProblemError` for arguments of another structure than that of the equations.
+        """
+        return eqx.combine(self.part(lambda results: results, *arguments), self.rest)
+
+    def part(self, chosen: Callable[[Pytree], Pytree], *arguments: Pytree) -> Pytree:
+        """A part of its value, `chosen` among the numbers of the result, by the equations that this follows from."""
+        leaves = self.leaves(arguments)
+        jaxpr = self.closed.jaxpr
+        part = chosen(jax.tree.unflatten(self.results, range(len(jaxpr.outvars))))
+        needed = set(jax.tree.leaves(part))
+        pruned, _ = dce_jaxpr(jaxpr, [i in needed for i in range(len(jaxpr.outvars))], instantiate=True)
+        values = dict(zip(sorted(needed), eval_jaxpr(pruned, self.closed.consts, *leaves), strict=True))
+        return jax.tree.map(values.__getitem__, part)
+
+    def leaves(self, arguments: tuple[Pytree, ...]) -> list[Any]:
+        """The numbers of arguments, in order. Raises `ProblemError` if they do not go with the equations."""
+        leaves, structure = jax.tree.flatten(eqx.filter(numbers_to_arrays(arguments), eqx.is_array))
+        shapes = [one.shape for one in self.closed.in_avals]
+        if structure != self.structure or [jnp.shape(leaf) for leaf in leaves] != shapes:
+            raise ProblemError(
+                "The model has another structure than the one whose equations were traced: a whole number, a shape or "
+                "a class is not what it was. Declare an al.Problem of the changed model."
+            )
+        return leaves
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, TracedFunction) or not self.digest.is_whole:
+            return self is other
+        return self.digest == other.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)

@@ -29,7 +29,7 @@ import jax
 import numpy as np
 
 from aleator._core.beside import CORES
-from aleator._core.equations import array_digest
+from aleator._core.equations import TracedFunction, array_digest
 from aleator._core.module import Module
 
 # Libraries that trace and compile. The folder of programs is separate for each version of JAX; a journal's is not.
@@ -81,10 +81,10 @@ def lasting_digest(it: Any, *, declared: bool = False) -> str:
         raise DoubtError(f"looking at it raises {type(error).__name__}: {error}") from error
 
 
-def code_digest(function: Callable[..., Any], version: str) -> str:
-    """A digest of a user's function: of its source and what this names, or of a version that stands for all of that.
+def code_digest(function: Callable[..., Any], version: str = "") -> str:
+    """A digest of a user's function or class: of its source and what this names, or of a version instead.
 
-    It is like no other if there is neither: then it is traced, or its results are computed, each time.
+    It is like no other if there is neither.
     """
     try:
         if not version:
@@ -201,6 +201,10 @@ class _Texts:
             parts: Iterable[tuple[Any, Any]] = vars(it).items()
         elif type(it).__reduce__ is not object.__reduce__ and not isinstance(it, dict | tuple | list):
             parts = [("made by", it.__reduce__())]
+        elif isinstance(it, TracedFunction):
+            if not it.digest.is_whole:
+                raise DoubtError("its equations call Python code")
+            parts = [("digest", it.digest.text)]
         elif dataclasses.is_dataclass(it):
             parts = [(one.name, getattr(it, one.name)) for one in dataclasses.fields(it) if one.compare]
         elif isinstance(it, dict):

@@ -12,6 +12,8 @@ from jax.core import Tracer
 from jax.tree_util import DictKey, GetAttrKey, SequenceKey, keystr, tree_flatten_with_path
 
 from aleator._core.arrays import Pytree
+from aleator._core.errors import ProblemError
+from aleator._core.given import real_array, refusal
 from aleator._core.module import Module
 
 _Class = TypeVar("_Class", bound=type)
@@ -55,9 +57,38 @@ def is_traced(tree: Pytree) -> bool:
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
-def realised_shape(leaf: Any) -> tuple[int, ...]:
-    """The shape that a number or a leaf has in a realisation."""
-    return leaf.shape if isinstance(leaf, AbstractLeaf) else np.shape(leaf)
+def realised_shape(number: Any) -> tuple[int, ...]:
+    """The shape that numbers, a leaf, or a sequence of both have in a realisation."""
+    if isinstance(number, list | tuple):
+        return (len(number), *(realised_shape(number[0]) if number else ()))
+    return number.shape if isinstance(number, AbstractLeaf) else np.shape(number)
+
+
+def stored_numbers(what: str, value: Any) -> Any:
+    """Numbers of a model as they are stored: known ones as a new array, for an integer would be static.
+
+    Leaves and traced numbers stay as they are, and a sequence that holds any becomes a tuple. Raises `ProblemError` for
+    anything else, for numbers that are not finite, and for parts that form no array.
+    """
+    if isinstance(value, AbstractLeaf | Tracer):
+        return value
+    if isinstance(value, list | tuple) and _is_open(value):
+        parts = tuple(stored_numbers(what, part) for part in value)
+        shapes = sorted({realised_shape(part) for part in parts})
+        if len(shapes) > 1:
+            raise ProblemError(f"{what}: expected numbers that form an array; received parts of the shapes {shapes}.")
+        return parts
+    numbers = real_array(what, value, "numbers, distributions or decisions")
+    if not np.isfinite(numbers).all():
+        raise refusal(what, "finite numbers", value)
+    return numbers
+
+
+def _is_open(value: Any) -> bool:
+    """Whether a value holds a leaf or a traced number, perhaps inside sequences."""
+    if isinstance(value, list | tuple):
+        return any(map(_is_open, value))
+    return isinstance(value, AbstractLeaf | Tracer)
 
 
 def lowest(number: Any) -> float | None:

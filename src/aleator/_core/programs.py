@@ -4,13 +4,12 @@ import gc
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from concurrent.futures import Future
+from pathlib import Path
 from typing import Any, final
 
 import jax
 
 from aleator._core.beside import undisturbed
-from aleator._core.mappings import mappings, most_mappings
 
 Executable = Callable[..., Any]
 
@@ -20,22 +19,23 @@ _KEPT = 256
 # Memory mappings that one program takes at most, with what JAX compiles beside it.
 _MOST_OF_ONE = 1000
 
+# Linux limits the mappings of each process, and compiled code takes hundreds: beyond, LLVM gets no memory and ends the
+# process without a message.
+_OWN, _MOST = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
+
 
 @final
 class Program:
-    """A program that one thread traces, and the first thread that needs it compiles while others wait.
+    """A program that is traced in the thread that asks for it, and compiled by the first one that needs it.
 
-    Nothing waits for a core: if another thread was to compile a program and has not begun, its caller compiles it. A
-    program that fails is forgotten; if tracing fails, it does so for all threads that wait.
+    Other threads wait meanwhile. Nothing waits for a core: if another thread was to compile a program and has not
+    begun, its caller compiles it. What fails is tried again by the next one who asks.
     """
 
-    def __init__(self, key: Hashable):
-        self.key = key
-        self._traced: Future[None] = Future()
-        # The traced function is released once it is compiled.
-        self._finish: Callable[[], Executable] | None = None
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._compile: Callable[[], Executable] | None = None
         self._executable: Executable | None = None
-        self._lock = threading.Lock()
 
     @property
     def is_ready(self) -> bool:
@@ -43,36 +43,23 @@ class Program:
         return self._executable is not None
 
     def trace(self, build: Callable[[], Callable[[], Executable]]) -> None:
-        """Trace it, in the one thread responsible: `build` returns the function that compiles it."""
-        try:
-            self._finish = build()
-        except BaseException as error:
-            PROGRAMS.forget(self)
-            self._traced.set_exception(error)
-            raise
-        self._traced.set_result(None)
-
-    def was_interrupted(self) -> bool:
-        """Whether Ctrl-C ended the tracing. Waits for its end."""
-        return isinstance(self._traced.exception(), KeyboardInterrupt)
+        """Trace it unless this has been done: `build` returns the function that compiles it."""
+        with self._lock:
+            if self._compile is None and self._executable is None:
+                self._compile = build()
 
     def __call__(self) -> Executable:
-        """The executable, compiled now if it has not been."""
+        """The executable of a traced program, compiled now if it has not been."""
         # After Ctrl-C, XLA would go on compiling, and a process that ends meanwhile is aborted.
         return self._executable or undisturbed(self._compiled)
 
     def _compiled(self) -> Executable:
-        self._traced.result()
         with self._lock:
             if self._executable is None:
-                assert self._finish is not None
+                assert self._compile is not None
                 PROGRAMS.make_room()
-                try:
-                    self._executable = self._finish()
-                except BaseException:
-                    PROGRAMS.forget(self)
-                    raise
-                self._finish = None
+                self._executable = self._compile()
+                self._compile = None  # with what it holds
             return self._executable
 
 
@@ -86,30 +73,22 @@ class Programs:
 
     def __init__(self, most: int = _KEPT):
         self._most = most
-        self._kept: OrderedDict[Hashable, Program] = OrderedDict()
+        self._programs: OrderedDict[Hashable, Program] = OrderedDict()
         self._lock = threading.Lock()
         # Mappings that cannot be released here, those that there was room for at the last count, and programs since.
         self._foreign, self._room, self._since = 0, 0.0, 0
 
     def __contains__(self, key: Hashable) -> bool:
         with self._lock:
-            return key in self._kept
+            return key in self._programs
 
-    def found(self, key: Hashable) -> tuple[Program, bool]:
-        """The program of a key, and whether it is a new one, which the caller must trace."""
+    def __getitem__(self, key: Hashable) -> Program:
         with self._lock:
-            known = self._kept.get(key)
-            program = self._kept.setdefault(key, known or Program(key))
-            self._kept.move_to_end(key)
-            while len(self._kept) > self._most:
-                self._kept.popitem(last=False)
-        return program, known is None
-
-    def forget(self, program: Program) -> None:
-        """Drop a program, so that it is traced again when needed."""
-        with self._lock:
-            if self._kept.get(program.key) is program:
-                del self._kept[program.key]
+            program = self._programs.setdefault(key, Program())
+            self._programs.move_to_end(key)
+            while len(self._programs) > self._most:
+                self._programs.popitem(last=False)
+        return program
 
     def make_room(self) -> None:
         """Ensure that another program can be mapped into memory.
@@ -135,10 +114,27 @@ class Programs:
     def _forget_older_half(self) -> bool:
         """Drop the older half of the programs; return whether there were any."""
         with self._lock:
-            ready = [key for key, program in self._kept.items() if program.is_ready]
+            ready = [key for key, program in self._programs.items() if program.is_ready]
             for key in ready[: -(-len(ready) // 2)]:
-                del self._kept[key]
+                del self._programs[key]
         return bool(ready)
+
+
+def mappings() -> int:
+    """How many memory mappings this process has; 0 if unknown."""
+    try:
+        with _OWN.open("rb") as lines:
+            return sum(1 for _ in lines)
+    except OSError:
+        return 0
+
+
+def most_mappings() -> float:
+    """How many it may have; infinite if the system sets no limit."""
+    try:
+        return int(_MOST.read_text())
+    except (OSError, ValueError):
+        return float("inf")
 
 
 PROGRAMS = Programs()

@@ -2,11 +2,11 @@
 
 from aleator.analysis._abstract_expanded import AbstractExpanded as AbstractExpanded
 from aleator.analysis._element_expanded import ElementExpanded as ElementExpanded
+from aleator.analysis._elements import MultiElement as MultiElement
 from aleator.analysis._expand import expand as expand
 from aleator.analysis._expanded import Expanded as Expanded
 from aleator.analysis._galerkin import galerkin as galerkin
-from aleator.analysis._multi_element import MultiElement as MultiElement
 from aleator.analysis._tolerance import Contribution as Contribution
 from aleator.analysis._tolerance import ToleranceAnalysis as ToleranceAnalysis
+from aleator.analysis._tolerance import Zone as Zone
 from aleator.analysis._tolerance import tolerance_analysis as tolerance_analysis
-from aleator.analysis._zones import Zone as Zone

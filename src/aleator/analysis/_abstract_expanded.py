@@ -1,8 +1,11 @@
-"""`AbstractExpanded`: the statistics of an expanded function of uncertain inputs."""
+"""`AbstractExpanded`: the statistics of an expanded function of uncertain inputs, and its text.
+
+The text shows the uncertain inputs, the moments of each output, its main contributors and its error.
+"""
 
 import abc
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -10,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Float
 from typing_extensions import override
 
@@ -17,14 +21,21 @@ from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator._core.module import Module
 from aleator._core.shown import Drawn
-from aleator.analysis._inputs import germ_of
-from aleator.ensemble import at_levels, part, random_levels
+from aleator.ensemble import at_levels, concrete, part, random_levels
 from aleator.expansion import Basis
 from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
 
 _PREPARED: "WeakKeyDictionary[Basis, dict[Any, Pytree]]" = WeakKeyDictionary()
 _LOCK = threading.Lock()
+
+# Germ values of unbounded distributions are sought between these probability levels.
+_FURTHEST_LEVELS = (1e-300, 1 - 1e-16)
+
+_CONTRIBUTORS = 4
+_LEAST_SHARE = 0.001
+# A spread below this part of the mean is rounding.
+_ROUNDING = 1e-14
 
 
 def prepared(preparation: Callable[[Basis], Pytree] | None, basis: Basis) -> Pytree:
@@ -104,11 +115,11 @@ class AbstractExpanded(Module, Drawn, AbstractMeasured[Pytree]):
 
 def paired(outputs: Pytree, first: str, second: str) -> Array:
     """Two outputs of a dict, stacked along a new last axis."""
-    one, other = part(outputs, first), part(outputs, second)
-    shapes = [jax.tree.map(lambda values: values.shape[1:], output) for output in (one, other)]
+    both = part(outputs, first), part(outputs, second)
+    shapes = [jax.tree.map(lambda values: values.shape[1:], output) for output in both]
     if shapes[0] != shapes[1]:
         raise ProblemError(f"'{first}' and '{second}' have different shapes: {shapes[0]} and {shapes[1]}.")
-    return jnp.stack([one, other], axis=-1)
+    return jnp.stack(both, axis=-1)
 
 
 def checked_points(points: Any, germs: Mapping[str, AbstractGerm]) -> Float[np.ndarray, "n variables"]:
@@ -119,3 +130,126 @@ def checked_points(points: Any, germs: Mapping[str, AbstractGerm]) -> Float[np.n
             f"at_germ: expected germ points of shape (n, {len(germs)}), for {list(germs)}; received {array.shape}."
         )
     return array
+
+
+def germ_of(distributions: Mapping[str, AbstractDistribution], inputs: Mapping[str, Any]) -> dict[str, float]:
+    """The germ values at which the uncertain inputs have given values.
+
+    Raises `ProblemError` if an input is missing or unknown, if a value lies outside its distribution, or if that
+    depends on several germ variables.
+    """
+    if set(inputs) != set(distributions):
+        raise ProblemError(f"Expected a value for each of {list(distributions)}; received {list(inputs)}.")
+    point = {}
+    for name, distribution in distributions.items():
+        germs = distribution.germs(name)
+        if len(germs) != 1:
+            raise ProblemError(f"'{name}' depends on the germ variables {list(germs)}: use at_germ(points).")
+        ((variable, germ),) = germs.items()
+        point[variable] = _inverted(name, distribution, germ, float(inputs[name]))
+    return point
+
+
+def _inverted(name: str, distribution: AbstractDistribution, germ: AbstractGerm, value: float) -> float:
+    """The germ value at which a distribution has a given value, found by bracketing: it increases with its germ."""
+
+    def excess(point: float) -> float:
+        return float(jax.lax.stop_gradient(distribution.realised((jnp.asarray(point),)))) - value
+
+    low, high = (
+        end if np.isfinite(end) else float(germ.quantile(np.array(level)))
+        for end, level in zip(germ.support(), _FURTHEST_LEVELS, strict=True)
+    )
+    rounding = 1e-12 * (1 + abs(value))
+    if excess(low) > rounding or excess(high) < -rounding:
+        raise ProblemError(f"'{name}' = {value:g} lies outside its distribution {distribution}.")
+    if excess(low) >= 0 or excess(high) <= 0:
+        return low if excess(low) >= 0 else high
+    return float(scipy.optimize.brentq(excess, low, high, xtol=1e-14))  # type: ignore[arg-type]
+
+
+def as_lines(rows: list[tuple[str, str]]) -> str:
+    """Labelled lines."""
+    width = max([11, *(len(label) for label, _ in rows)])
+    return "\n".join(f"{label:<{width}} {text}" for label, text in rows)
+
+
+def distribution_rows(distributions: Mapping[str, AbstractDistribution]) -> list[tuple[str, str]]:
+    """The distribution of each uncertain input."""
+    return [(name, f"~ {distribution}") for name, distribution in distributions.items()]
+
+
+def output_rows(means: Pytree, stds: Pytree, remarks: Pytree) -> list[tuple[str, str]]:
+    """Mean and standard deviation of each output, of an array at its largest spread; then its remarks."""
+    rows = []
+    for name, mean, std, remark in _aligned(means, stds, remarks):
+        known_mean, known_std = concrete(mean), concrete(std)
+        if known_mean is None or known_std is None:
+            rows.append((name, "is being compiled: its numbers are not known yet"))
+            continue
+        entry = np.unravel_index(int(np.argmax(known_std)), known_std.shape)
+        moments = f"mean {known_mean[entry]:.6g}, std {known_std[entry]:.4g}"
+        rows.append((name, f"{_where(known_std.shape, entry)}{moments}{remark(entry)}"))
+    return rows
+
+
+def nothing(entry: tuple) -> str:
+    """No remark on an entry."""
+    del entry
+    return ""
+
+
+def _aligned(*trees: Pytree) -> Iterator[tuple[Any, ...]]:
+    paths = [path for path, _ in jax.tree_util.tree_leaves_with_path(trees[0])]
+    names = [jax.tree_util.keystr(path, simple=True, separator=".") or "output" for path in paths]
+    yield from zip(names, *map(jax.tree.leaves, trees), strict=True)
+
+
+def _where(shape: tuple[int, ...], entry: tuple) -> str:
+    if not shape:
+        return ""
+    place = ", ".join(str(int(index)) for index in entry)
+    return f"{'×'.join(map(str, shape))} numbers, of the largest spread [{place}]: "
+
+
+def contributors(
+    distributions: Mapping[str, AbstractDistribution], basis: Basis, terms: Float[np.ndarray, " terms"]
+) -> str:
+    """The largest shares of the variance by the inputs that they come from, alone or together (Sobol indices).
+
+    A correlated group counts as one input: Shapley effects give the contributions of its members.
+    """
+    group = {
+        germ: f"({distribution.dependence.group})"
+        for distribution in distributions.values()
+        if distribution.dependence
+        for germ in distribution.germ_names("")
+    }
+    variance = np.sum(terms[1:] ** 2)
+    if not variance > (_ROUNDING * float(np.abs(terms[0]))) ** 2:
+        return "it does not vary"
+    shares: dict[str, float] = {}
+    for degrees, coefficient in zip(basis.indices[1:], terms[1:], strict=True):
+        name = "·".join(
+            dict.fromkeys(group.get(name, name) for name, degree in zip(basis.names, degrees, strict=True) if degree)
+        )
+        shares[name] = shares.get(name, 0.0) + float(coefficient**2 / variance)
+    largest = sorted(shares.items(), key=lambda item: -item[1])[:_CONTRIBUTORS]
+    return ", ".join(f"{name} {100 * share:.3g} %" for name, share in largest if share > _LEAST_SHARE)
+
+
+def extrapolates(leave_one_out: Any, jackknife: Any, tolerance: float) -> bool:
+    """Whether an expansion that predicts its own points extrapolates elsewhere, as into tails."""
+    return bool(np.isfinite(leave_one_out) and leave_one_out <= tolerance < jackknife)
+
+
+def trust(leave_one_out: Any, jackknife: Any, error: Any, tolerance: float) -> str:
+    """How well the expansion is resolved: by its leave-one-out error or, without samples, by its last terms."""
+    if extrapolates(leave_one_out, jackknife, tolerance):
+        return f"jackknife error {float(jackknife):.1e} (EXTRAPOLATED, take al.points.InducedPoints())"
+    if not np.isfinite(leave_one_out):
+        by, shown = "error by the decay of its degrees", error
+    else:
+        by, shown = "leave-one-out error", leave_one_out
+    verdict = "resolved" if float(error) <= tolerance else "NOT RESOLVED, raise the order"
+    return f"{by} {float(shown):.1e} ({verdict})"

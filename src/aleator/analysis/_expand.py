@@ -10,16 +10,13 @@ import numpy as np
 from jaxtyping import Array
 
 from aleator._core.arrays import Pytree, in_library, jax_array
-from aleator._core.compilation import Use
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator._core.given import real_array
-from aleator._core.tracing import evaluate
+from aleator.analysis._abstract_expanded import extrapolates
 from aleator.analysis._element_expanded import ElementExpanded
+from aleator.analysis._elements import MultiElement, Partition, Refinement
 from aleator.analysis._expanded import Expanded
-from aleator.analysis._expanded_text import extrapolates
-from aleator.analysis._multi_element import MultiElement
-from aleator.analysis._partition import Partition
-from aleator.analysis._refinement import Refinement
 from aleator.analysis._sampling import Sampler
 from aleator.ensemble import Function, concrete
 from aleator.expansion import (
@@ -83,26 +80,27 @@ def expand(
         raise ProblemError(f"expand: expected an Expansion or a MultiElement; received {expansion!r}.")
     expansion = expansion or Expansion()
     basis, collocation = _discretised(sampler, expansion)
-    samples, kept = sampler.kept(collocation.points)
-    if not kept.all():
-        collocation = at_fewer_points(basis, collocation, expansion.fit, kept)
+    samples, present = sampler.present(collocation.points)
+    if not present.all():
+        collocation = at_fewer_points(basis, collocation, expansion.fit, present)
     coefficients = jax.tree.map(collocation.coefficients, samples)
     expanded = Expanded(sampler.distributions, basis, coefficients, collocation, samples, expansion.tolerance)
     _warn_of_doubts(expanded, collocation, times)
     return expanded
 
 
-def _in_elements(sampler: Sampler, wish: MultiElement) -> ElementExpanded:
-    refinement = Refinement(sampler, wish)
+def _in_elements(sampler: Sampler, settings: MultiElement) -> ElementExpanded:
+    refinement = Refinement(sampler, settings)
     refinement.run()
     elements, calls, error = refinement.elements, refinement.calls, refinement.error
-    boxes, bases = tuple(one.box for one in elements), tuple(one.basis for one in elements)
-    coefficients = jax.tree.map(_stacked, *(one.coefficients for one in elements))
-    partition = Partition(refinement.germs, boxes, bases)
-    if not error <= wish.error:
+    cells, bases = tuple(element.cell for element in elements), tuple(element.basis for element in elements)
+    coefficients = jax.tree.map(_stacked, *(element.coefficients for element in elements))
+    partition = Partition(refinement.germs, cells, bases)
+    if not error <= settings.error:
         warnings.warn(
-            f"MultiElement: {len(boxes)} elements leave an estimated error of {error:.1e} of the standard deviation, "
-            f"where {wish.error:.1e} is asked, after {calls} of {wish.budget} calls. Raise the budget or the error.",
+            f"MultiElement: {len(cells)} elements leave an estimated error of {error:.1e} of the standard deviation, "
+            f"where {settings.error:.1e} is asked, after {calls} of {settings.budget} calls. Raise the budget or the "
+            "error.",
             ExpansionWarning,
             stacklevel=3,
         )
@@ -148,30 +146,29 @@ def _warn_of_doubts(expanded: Expanded, collocation: Collocation, times: Any) ->
             continue
         since = "" if last is None else f", resolved until t = {last:.4g} only"
         bad.append(f"{name} (error {float(known):.2g}{since})")
-    said = []
+    sentences = []
     condition = concrete(collocation.condition_number)
     if condition is not None and not condition <= ILL_CONDITIONED:
-        said.append(
+        sentences.append(
             f"The collocation matrix has condition number {float(condition):.1e} (limit "
             f"{ILL_CONDITIONED:.0e}), so coefficients lose digits. Use more points or a lower order, or "
             "al.points.ChristoffelPoints()."
         )
     if bad:
-        said.append(
+        sentences.append(
             f"The expansion of order {expanded.basis.order} does not resolve {', '.join(bad)}: errors above "
             f"{expanded.tolerance:g} make means and spreads unreliable. Raise the order, shorten the time, or expand "
             "by al.MultiElement()."
         )
     if open_ended:
-        said.append(
+        sentences.append(
             f"The expansion of order {expanded.basis.order} extrapolates {', '.join(open_ended)} into the tails of the "
             "distributions, beyond the outermost points, which predict each other only: means and spreads are "
-            "unreliable. Take "
-            "points that cover the tails, al.points.InducedPoints() or al.points.GaussPoints(); a higher order makes "
-            "it worse."
+            "unreliable. Take points that cover the tails, al.points.InducedPoints() or al.points.GaussPoints(); a "
+            "higher order makes it worse."
         )
-    if said:
-        warnings.warn(" ".join(said), ExpansionWarning, stacklevel=3)
+    if sentences:
+        warnings.warn(" ".join(sentences), ExpansionWarning, stacklevel=3)
 
 
 def _resolved_instants(tolerance: float) -> Callable[..., Array]:

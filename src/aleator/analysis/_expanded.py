@@ -1,8 +1,10 @@
-"""`Expanded`: one expansion of a function of uncertain inputs, with its statistics and errors."""
+"""`Expanded`: one expansion of a function of uncertain inputs, with its statistics, errors and Shapley effects."""
 
 import math
-from collections.abc import Callable, Mapping
-from typing import Any, final
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
+from itertools import combinations
+from typing import Any, TypeAlias, final
 
 import equinox as eqx
 import jax
@@ -12,21 +14,29 @@ from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree, in_library, jax_array, numbers_to_arrays
-from aleator._core.compilation import Use
-from aleator._core.tracing import evaluate
-from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, prepared
-from aleator.analysis._expanded_text import as_lines, contributors, distribution_rows, nothing, output_rows, trust
-from aleator.analysis._shapley import shapley_matrix
+from aleator._core.compilation import Use, evaluate
+from aleator._core.errors import ProblemError
+from aleator.analysis._abstract_expanded import (
+    AbstractExpanded,
+    as_lines,
+    checked_points,
+    contributors,
+    distribution_rows,
+    nothing,
+    output_rows,
+    paired,
+    prepared,
+    trust,
+)
 from aleator.ensemble import concrete, part
-from aleator.expansion import UNRESOLVED, Basis, Collocation, jackknife, leave_one_out, unseen
+from aleator.expansion import ROUNDING, UNRESOLVED, Basis, Collocation, jackknife, leave_one_out, unseen
 from aleator.statistics import AbstractStatistic, a_statistic, cdf, lines_through, pdf, refuse_correlated, varies
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
 
-# Outputs that vary by less than this part of their size are constant up to rounding.
-_ROUNDING = 1e-12
-
 # Statistics of so few numbers take less time than a program that is any faster.
 _FEW = 16
+
+_MOST_INPUTS = 12
 
 
 @final
@@ -164,8 +174,8 @@ class Expanded(AbstractExpanded):
         if self.collocation is None:
             return f"{how}, Galerkin"
         condition = concrete(self.collocation.condition_number)
-        told = "" if condition is None else f", condition number {float(condition):.3g}"
-        return f"{how}, {len(self.collocation.points)} points{told}"
+        measure = "" if condition is None else f", condition number {float(condition):.3g}"
+        return f"{how}, {len(self.collocation.points)} points{measure}"
 
     def _remark(self, terms: Array, checked: Array, jackknife: Array, error: Array) -> Callable[[tuple], str]:
         """The text on one entry of an output after its moments: where its spread comes from, and its error."""
@@ -185,7 +195,7 @@ def _edge(basis: Basis) -> Bool[np.ndarray, " terms"]:
 
     def ends(term: tuple[int, ...]) -> bool:
         raised = ((*term[:i], degree + step, *term[i + 1 :]) for i, degree in enumerate(term) if degree)
-        return any(one not in known for one in raised)
+        return any(higher not in known for higher in raised)
 
     return np.array([ends(tuple(term)) for term in basis.indices.tolist()])
 
@@ -214,8 +224,8 @@ def _product(matrix: Float[np.ndarray, "n terms"], terms: Float[Array, "terms *s
     return jax_array(library.tensordot(matrix, known, axes=1))
 
 
-def _larger(one: Float[Array, "*shape"], other: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    library, *both = in_library(one, other)
+def _larger(first: Float[Array, "*shape"], second: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    library, *both = in_library(first, second)
     return jax_array(library.maximum(*both))
 
 
@@ -228,6 +238,112 @@ def _share(terms: Float[Array, "terms *shape"], highest: np.ndarray) -> Float[Ar
     library, terms = in_library(terms)
     total = library.sum(terms[1:] ** 2)
     # Compared so that NaN and infinite values do not pass for constant.
-    constant = (total == 0) | (total < _ROUNDING**2 * library.sum(terms**2))
+    constant = (total == 0) | (total < ROUNDING**2 * library.sum(terms**2))
     of_highest = library.sum(terms[highest] ** 2)
     return jax_array(library.where(constant, 0.0, of_highest / library.where(constant, 1.0, total)))
+
+
+Matrix: TypeAlias = Float[np.ndarray, "terms terms"]
+
+
+def shapley_matrix(distributions: Mapping[str, AbstractDistribution], basis: Basis, name: str) -> Matrix:
+    """The matrix `W` of an input: its part of the variance is `cᵀ W c` for coefficients `c`.
+
+    The share of an input is the explained variance `Var E[y | inputs]` that it adds, averaged over all orders in which
+    the inputs may become known. Sources: Owen, SIAM/ASA Journal on Uncertainty Quantification 2 (2014); Song, Nelson
+    and Staum (2016); for correlated normal inputs Owen and Prieur (2017).
+
+    Raises `ProblemError` for an unknown input, and for too many inputs to form all subsets.
+    """
+    if name not in distributions:
+        raise ProblemError(f"shapley: there is no uncertain input '{name}'; expected one of {list(distributions)}.")
+    if len(distributions) > _MOST_INPUTS:
+        raise ProblemError(
+            f"shapley: expected at most {_MOST_INPUTS} uncertain inputs, of which all subsets are formed; received "
+            f"{len(distributions)}. Hold those of little influence at their means."
+        )
+    explained = _explained(distributions, basis)
+    others = [other for other in distributions if other != name]
+    count, total = len(distributions), np.zeros((basis.terms, basis.terms))
+    for size in range(count):
+        weight = math.factorial(size) * math.factorial(count - size - 1) / math.factorial(count)
+        for known in combinations(others, size):
+            total += weight * (explained(frozenset({*known, name})) - explained(frozenset(known)))
+    return total
+
+
+def _explained(distributions: Mapping[str, AbstractDistribution], basis: Basis) -> Callable[[frozenset[str]], Matrix]:
+    """The matrix of `Var E[y | known]` for any set of known inputs: a product over independent inputs and groups."""
+    factors = list(_factors(distributions, basis))
+    mean = np.zeros((basis.terms, basis.terms))
+    mean[0, 0] = 1.0
+
+    def of(known: frozenset[str]) -> Matrix:
+        parts = (factor(known & names) for names, factor in factors)
+        return math.prod(parts, start=np.ones((basis.terms, basis.terms))) - mean
+
+    return of
+
+
+def _factors(
+    distributions: Mapping[str, AbstractDistribution], basis: Basis
+) -> Iterator[tuple[frozenset[str], Callable[[frozenset[str]], Matrix]]]:
+    """For each independent input, and for each correlated group: the inputs, and the matrix of their germ variables."""
+    groups: dict[str, dict[str, np.ndarray]] = {}
+    for name, distribution in distributions.items():
+        key = name if distribution.dependence is None else distribution.dependence.group
+        place = [basis.names.index(germ) for germ in distribution.germ_names(name)]
+        row = np.zeros(basis.variables)
+        row[place] = (
+            1.0
+            if distribution.dependence is None
+            else distribution.dependence.factor[distribution.dependence.index][: len(place)]
+        )
+        groups.setdefault(key, {})[name] = row
+    for members in groups.values():
+        used = np.flatnonzero(np.any(list(members.values()), axis=0))
+        rows = {name: row[used] for name, row in members.items()}
+        yield frozenset(members), cache(_group(rows, basis.indices[:, used]))
+
+
+def _group(rows: Mapping[str, np.ndarray], degrees: np.ndarray) -> Callable[[frozenset[str]], Matrix]:
+    """`E[p_i q_j]` of terms in standard normal variables, for `q` in the conditional means given the known inputs.
+
+    Known inputs are `rows @ germs`; the germs' conditional means are an orthogonal projection `M` of the germs.
+    """
+    unique, where = np.unique(degrees, axis=0, return_inverse=True)
+
+    def of(known: frozenset[str]) -> Matrix:
+        chosen = np.array([row for name, row in rows.items() if name in known]).reshape(-1, degrees.shape[1])
+        projection = chosen.T @ np.linalg.solve(chosen @ chosen.T, chosen) if known else 0.0 * np.eye(degrees.shape[1])
+        small = np.zeros((len(unique), len(unique)))
+        for j, second in enumerate(unique):
+            powers = _powers_of(projection, tuple(map(int, second)))
+            for i, first in enumerate(unique):
+                small[i, j] = _root(first) / _root(second) * powers.get(tuple(map(int, first)), 0.0)
+        return small[np.ix_(where.ravel(), where.ravel())]
+
+    return of
+
+
+def _root(degrees: np.ndarray) -> float:
+    return math.sqrt(math.prod(math.factorial(int(degree)) for degree in degrees))
+
+
+def _powers_of(matrix: np.ndarray, degrees: tuple[int, ...]) -> dict[tuple[int, ...], float]:
+    """The polynomial `(M x)^degrees` by its monomials.
+
+    For orthonormal Hermite polynomials in jointly normal variables `u`, `v` with covariance `M`, `E[p_a(u) q_b(v)]` is
+    its coefficient of `x^a` times `sqrt(a! / b!)` (Mehler's formula in several variables).
+    """
+    count = len(degrees)
+    polynomial: dict[tuple[int, ...], float] = {(0,) * count: 1.0}
+    for row, degree in zip(matrix, degrees, strict=True):
+        for _ in range(degree):
+            step: dict[tuple[int, ...], float] = {}
+            for monomial, factor in polynomial.items():
+                for k in range(count):
+                    raised = (*monomial[:k], monomial[k] + 1, *monomial[k + 1 :])
+                    step[raised] = step.get(raised, 0.0) + factor * row[k]
+            polynomial = step
+    return polynomial

@@ -1,25 +1,23 @@
 """Intrusive Galerkin projection (equations 20 to 22): all coefficients are integrated or solved for together."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Pytree, numbers_to_arrays
+from aleator._core.arrays import Pytree, jax_array, numbers_to_arrays
 from aleator._core.compilation import Use
 from aleator._core.errors import ExpansionWarning, ProblemError, SimulationError
 from aleator._core.given import one_of, refusal
 from aleator._core.leaves import transparent
-from aleator._core.tracing import evaluate
 from aleator.analysis._expanded import Expanded
-from aleator.analysis._galerkin_equations import projected_outputs, unsolved_node
-from aleator.analysis._projection import Quadrature, quadrature_over
 from aleator.dynamics import (
     AbstractIntegrator,
     AlgebraicSystem,
@@ -27,14 +25,108 @@ from aleator.dynamics import (
     System,
     check_inputs,
     derivative,
+    explain_failure,
     initial_state,
     observation,
     simulate,
+    solve_algebraic,
 )
-from aleator.ensemble import concrete
-from aleator.expansion import Adaptive, Basis, Expansion
+from aleator.dynamics._algebraic import equations, first_guess, outputs_at
+from aleator.dynamics._named_roots import constant_terms
+from aleator.dynamics._newton import newton
+from aleator.ensemble import concrete, is_finite
+from aleator.expansion import Adaptive, Basis, Expansion, GaussPoints, SmolyakPoints
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import placements, realise
+
+# Beyond this many quadrature nodes per evaluation of the equations, collocation is far better.
+_MOST_NODES = 20_000
+
+
+class Quadrature(NamedTuple):
+    """Nodes of a quadrature over the germ, the polynomials there, and the projection onto them."""
+
+    points: Float[Array, "nodes variables"]
+    matrix: Float[Array, "nodes terms"]
+    projection: Float[Array, "terms nodes"]
+
+    def at_nodes(self, coefficients: Float[Array, "terms *shape"]) -> Float[Array, "nodes *shape"]:
+        """An expansion at the nodes."""
+        return jnp.tensordot(self.matrix, coefficients, axes=1)
+
+    def project(self, values: Float[Array, "nodes *shape"]) -> Float[Array, "terms *shape"]:
+        """The coefficients `<Psi_n, values>`."""
+        return jnp.tensordot(self.projection, values, axes=1)
+
+
+def quadrature_over(basis: Basis, expansion: Expansion) -> Quadrature:
+    """The quadrature of the expansion's points, if they have one; else one exact for products of three polynomials."""
+    named = isinstance(expansion.points, GaussPoints | SmolyakPoints)
+    points = expansion.points if named else GaussPoints(3 * max(basis.degrees) // 2 + 2)
+    nodes = points.nodes(basis, 0)
+    if len(nodes.points) > _MOST_NODES:
+        raise ProblemError(
+            f"galerkin: the quadrature over {basis.variables} variables has {len(nodes.points)} nodes, at each of "
+            f"which every evaluation needs the equations (limit {_MOST_NODES}). Lower the order, name "
+            "points=al.points.SmolyakPoints(), or use al.expand."
+        )
+    matrix = basis.matrix(nodes.points)
+    return Quadrature(*map(jax_array, (nodes.points, matrix, matrix.T * nodes.weights[None])))
+
+
+def projected_outputs(realised: AlgebraicSystem, quadrature: Quadrature) -> dict[str, Float[Array, "terms *shape"]]:
+    """The coefficients of the outputs; NaN if Newton's method finds no coefficients of the unknowns.
+
+    The unknowns' coefficients solve `<Psi_n, A(sum_j rho_j Psi_j, theta)> = 0` for every term `n` and every equation
+    `A`: equation (20), projected as (22) is, with `j, n = 0..n_b-1`. `realised` is the system at each quadrature node,
+    with a leading axis for the nodes. Numbers affine in the germ, equations (13) and (14), are there as (20) expands
+    them; others are not truncated. Newton's method starts from the coefficients of the guess.
+    """
+    guesses = eqx.filter_vmap(first_guess)(realised)
+    guess = jax.tree.map(quadrature.project, guesses)
+    start, named = ravel_pytree(guess)
+    if not start.size:
+        return _projected_at(realised, quadrature, guess)
+    at_node = sum(values[0].size for values in guesses)
+
+    def left(vector: Float[Array, " n"]) -> Float[Array, " n"]:
+        values = _at_nodes(lambda system, rho: equations(system, rho, at_node), realised, quadrature, named(vector))
+        return jnp.ravel(quadrature.project(values))
+
+    def terms_of(system: AlgebraicSystem, rho: Any) -> Float[Array, " equations"]:
+        return constant_terms(lambda numbers: equations(numbers, rho, at_node), system)
+
+    sizes = eqx.filter_vmap(terms_of)(realised, guesses)
+    root = newton(left, start, jnp.ravel(jnp.abs(quadrature.projection) @ sizes), _numbers_expanded(guess))
+    outputs = _projected_at(realised, quadrature, named(root.point))
+    return {name: jnp.where(root.converged, terms, jnp.nan) for name, terms in outputs.items()}
+
+
+def unsolved_node(realised_at: Callable[[Array], AlgebraicSystem], points: Float[Array, "nodes variables"]) -> str:
+    """Why the equations have no solution at some quadrature node; empty if they have one at every node."""
+    converged = eqx.filter_vmap(lambda point: solve_algebraic(realised_at(point)).converged)(points)
+    return "" if np.all(converged) else explain_failure(realised_at(points[int(np.argmin(converged))]))
+
+
+def _at_nodes(function: Callable[..., Any], realised: AlgebraicSystem, quadrature: Quadrature, rho: Any) -> Any:
+    """`function(system, unknowns)` at each node, where the unknowns have the coefficients `rho`."""
+    return eqx.filter_vmap(function)(realised, jax.tree.map(quadrature.at_nodes, rho))
+
+
+def _projected_at(realised: AlgebraicSystem, quadrature: Quadrature, rho: Any) -> dict[str, Array]:
+    return jax.tree.map(quadrature.project, _at_nodes(outputs_at, realised, quadrature, rho))
+
+
+def _numbers_expanded(rho: Any) -> np.ndarray:
+    """The number, counted over all unknowns, to which each coefficient belongs, and whose unit it shares."""
+    counts = [values[0].size for values in rho]
+    first = np.cumsum([0, *counts])
+    return np.concatenate(
+        [
+            np.tile(first[i] + np.arange(count), len(values))
+            for i, (count, values) in enumerate(zip(counts, rho, strict=True))
+        ]
+    )
 
 
 @transparent("system")
@@ -155,9 +247,9 @@ def _check(
             "functions."
         )
     if isinstance(system, AlgebraicSystem):
-        given = {"grid": grid, "inputs": model.inputs or None, "integrator": integrator}
-        if any(one is not None for one in given.values()):
-            names = [name for name, one in given.items() if one is not None]
+        arguments = {"grid": grid, "inputs": model.inputs or None, "integrator": integrator}
+        names = [name for name, argument in arguments.items() if argument is not None]
+        if names:
             raise ProblemError(
                 f"galerkin: {type(system).__name__} is algebraic and has no time: expected neither grid, inputs nor "
                 f"integrator, as in al.galerkin(system, expansion=al.Expansion(4)); received {' and '.join(names)}."
@@ -189,8 +281,7 @@ def _refuse_diverged(expanded: Expanded, times: np.ndarray) -> None:
 
 def _refuse_unsolved(expanded: Expanded, realised_at: Any, quadrature: Quadrature) -> None:
     """Refuse coefficients that are not finite because Newton's method found no solution."""
-    known = {name: concrete(terms) for name, terms in expanded.coefficients.items()}
-    bad = [name for name, terms in known.items() if terms is not None and not np.isfinite(terms).all()]
+    bad = [name for name, terms in expanded.coefficients.items() if not is_finite(terms)]
     if bad:
         why = unsolved_node(realised_at, quadrature.points)
         raise SimulationError(

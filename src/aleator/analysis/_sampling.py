@@ -8,8 +8,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from aleator._core.arrays import Pytree, jax_array, numbers_to_arrays
-from aleator.analysis._inputs import plain
-from aleator.ensemble import BoxEnsemble, CalledEnsemble, Function, TracedEnsemble, ensemble_for, uncertain_places
+from aleator._core.errors import ProblemError
+from aleator.ensemble import (
+    BoxEnsemble,
+    CalledEnsemble,
+    Function,
+    TracedEnsemble,
+    concrete,
+    ensemble_for,
+    uncertain_places,
+)
 from aleator.uncertainty import AbstractDistribution
 
 
@@ -42,12 +50,12 @@ class Sampler:
         """
         return self._outputs(points)
 
-    def kept(self, points: Float[Array, "points variables"]) -> tuple[Pytree, Bool[np.ndarray, " points"]]:
+    def present(self, points: Float[Array, "points variables"]) -> tuple[Pytree, Bool[np.ndarray, " points"]]:
         """The function at the germ points that are not left out, which only a box does, and which points these are."""
         if self._box is None:
             return self.samples(points), np.ones(len(points), dtype=bool)
-        outputs, kept = self._box.kept(points)
-        return jax.tree.map(jax_array, outputs), kept
+        outputs, present = self._box.kept(points)
+        return jax.tree.map(jax_array, outputs), present
 
     def known(self, points: Float[Any, "points variables"]) -> Pytree:
         """The same as plain numbers, even under differentiation. Raises `ProblemError` inside `jax.jit`."""
@@ -70,3 +78,14 @@ class _Once:
             outputs = self._ensemble(np.stack(list(new.values())), before=len(self._known))
             self._known |= {key: jax.tree.map(lambda leaf, i=i: leaf[i], outputs) for i, key in enumerate(new)}
         return jax.tree.map(lambda *values: jax_array(np.stack(values)), *(self._known[key] for key in keys))
+
+
+def plain(outputs: Pytree) -> Pytree:
+    """Outputs as plain numbers, for decisions that depend on them. Raises `ProblemError` while they are compiled."""
+    values = [concrete(leaf) for leaf in jax.tree.leaves(outputs)]
+    if any(value is None for value in values):
+        raise ProblemError(
+            "How a function is expanded by elements or adaptively depends on its values, which are not known inside "
+            "jax.jit: expand outside of it (jax.grad alone is no obstacle), or by a fixed expansion."
+        )
+    return jax.tree.unflatten(jax.tree.structure(outputs), values)

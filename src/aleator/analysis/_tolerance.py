@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -16,17 +16,81 @@ from aleator._core.shown import Drawn, Printed
 from aleator.analysis._expand import expand
 from aleator.analysis._expanded import Expanded
 from aleator.analysis._sampling import Sampler
-from aleator.analysis._zones import Zone, in_zones, zones_of
 from aleator.dynamics import AlgebraicSystem, explain_failure, simulate
 from aleator.expansion import Expansion
 from aleator.references import Linearised, linearise
 from aleator.statistics import Kurtosis, Mean, Skewness, Std, Supremum, TotalSobol
-from aleator.uncertainty import at_means, placements, realise
+from aleator.uncertainty import (
+    AbstractDistribution,
+    Placements,
+    Toleranced,
+    Uniform,
+    at_means,
+    placements,
+    realise,
+    with_distributions,
+)
+
+SIGMAS = 3.0
 
 PARTS_PER_MILLION = 1e6
 
 # Up to this many dimensions all corners of the zones are evaluated: 4096.
 _MOST_CORNERS = 12
+
+
+class Zone(NamedTuple):
+    """An interval of a dimension, in its unit."""
+
+    lower: float
+    upper: float
+
+    @property
+    def half_width(self) -> float:
+        """Half of its width."""
+        return (self.upper - self.lower) / 2
+
+    def __str__(self) -> str:
+        return f"{(self.lower + self.upper) / 2:.6g} ± {self.half_width:.4g}"
+
+
+def zones_of(places: Placements, tolerances: Mapping[str, Any]) -> dict[str, Zone]:
+    """The zone of each dimension: as given, or from its distribution. See `tolerance_analysis`."""
+    unknown = sorted(set(tolerances) - set(places.distributions))
+    if unknown:
+        raise ProblemError(
+            f"tolerance_analysis: there is no uncertain dimension {unknown}; expected some of "
+            f"{list(places.distributions)}."
+        )
+    return {
+        name: _given(distribution, tolerances[name]) if name in tolerances else zone_of(distribution)
+        for name, distribution in places.distributions.items()
+    }
+
+
+def zone_of(distribution: AbstractDistribution) -> Zone:
+    """The zone that a distribution implies, at the initial values of its decisions."""
+    distribution = distribution.initial()
+    if isinstance(distribution, Toleranced):
+        return Zone(*map(float, distribution.limits()))
+    lower, upper = map(float, distribution.support())
+    if np.isfinite([lower, upper]).all():
+        return Zone(lower, upper)
+    middle, reach = float(distribution.mean()), SIGMAS * float(distribution.std())
+    return Zone(middle - reach, middle + reach)
+
+
+def _given(distribution: AbstractDistribution, tolerance: Any) -> Zone:
+    minus, plus = tolerance if isinstance(tolerance, tuple) else (tolerance, tolerance)
+    if not (np.isfinite([minus, plus]).all() and minus >= 0 and plus >= 0 and minus + plus > 0):
+        raise ProblemError(f"tolerance_analysis: a tolerance is positive and finite; received {tolerance!r}.")
+    middle = float(distribution.initial().mean())
+    return Zone(middle - minus, middle + plus)
+
+
+def in_zones(model: Pytree, zones: Mapping[str, Zone]) -> Pytree:
+    """The model with each dimension free in its zone: uniform distributions, for the worst case."""
+    return with_distributions(model, lambda name, _: Uniform.bounds(*zones[name]))
 
 
 @final
@@ -122,8 +186,8 @@ def tolerance_analysis(
 
     Raises `ProblemError` for limits in the wrong order, an unknown output, a tolerance of an unknown dimension.
     """
-    limits = [real_array(f"tolerance_analysis: {name}", one) for name, one in (("lower", lower), ("upper", upper))]
-    if any(one.ndim for one in limits) or not limits[0] < limits[1] or (np.isinf(lower) and np.isinf(upper)):
+    limits = [real_array(f"tolerance_analysis: {name}", limit) for name, limit in (("lower", lower), ("upper", upper))]
+    if any(limit.ndim for limit in limits) or not limits[0] < limits[1] or (np.isinf(lower) and np.isinf(upper)):
         raise ProblemError(
             f"tolerance_analysis: expected limits lower < upper, one of them finite; received {lower} and {upper}."
         )
@@ -232,17 +296,17 @@ def _contributions(expanded: Expanded, linear: Linearised, zones: Mapping[str, Z
     }
 
 
-def _text(one: ToleranceAnalysis) -> str:
+def _text(analysis: ToleranceAnalysis) -> str:
     """The analysis as lines: output, limits, rejects, worst case, then the contributions, largest first."""
-    low, high = one.worst_case
+    low, high = analysis.worst_case
     rows = [
-        (one.output, f"nominal {one.nominal:.6g}, mean {one.mean:.6g}, 3σ {3 * one.std:.5g}"),
-        ("shape", f"skewness {one.skewness:.3g}, kurtosis {one.kurtosis:.4g} (0 and 3 if normal)"),
-        ("limits", f"{one.lower:g} to {one.upper:g}: Cp {one.cp:.3g}, Cpk {one.cpk:.3g}"),
-        ("rejects", f"{one.rejects_low:.3g} ppm low, {one.rejects_high:.3g} ppm high"),
-        ("worst case", f"{low:.6g} to {high:.6g}; root sum square ± {one.rss:.5g}"),
+        (analysis.output, f"nominal {analysis.nominal:.6g}, mean {analysis.mean:.6g}, 3σ {3 * analysis.std:.5g}"),
+        ("shape", f"skewness {analysis.skewness:.3g}, kurtosis {analysis.kurtosis:.4g} (0 and 3 if normal)"),
+        ("limits", f"{analysis.lower:g} to {analysis.upper:g}: Cp {analysis.cp:.3g}, Cpk {analysis.cpk:.3g}"),
+        ("rejects", f"{analysis.rejects_low:.3g} ppm low, {analysis.rejects_high:.3g} ppm high"),
+        ("worst case", f"{low:.6g} to {high:.6g}; root sum square ± {analysis.rss:.5g}"),
     ]
-    largest = sorted(one.contributions.items(), key=lambda item: -item[1].linear)
+    largest = sorted(analysis.contributions.items(), key=lambda item: -item[1].linear)
     rows += [
         (name, f"{part.linear:.3g} % of the variance, zone {part.zone}, sensitivity {part.sensitivity:.4g}")
         for name, part in largest

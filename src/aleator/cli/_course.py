@@ -4,18 +4,28 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, final
 
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import one_of
 from aleator._core.interruption import Interruptions
-from aleator.cli._facts import facts_of
-from aleator.cli._progress import shown
-from aleator.cli._record import RECORD, Record
+from aleator.cli._folder import RECORD, Record, is_stale
+from aleator.cli._shown import shown
 from aleator.cli._terminal import FAILED, USAGE, Terminal
 from aleator.journalling import Journal, journal
-from aleator.reporting import PAGE, Table, by_place, check_writable, only_writer, save_study, words
+from aleator.reporting import (
+    PAGE,
+    Table,
+    by_place,
+    check_writable,
+    designs_document,
+    only_writer,
+    savable,
+    save_study,
+    words,
+)
 from aleator.solution import Solution
 from aleator.studies import AbstractStudy, PartlySavedError, tables_of
 from aleator.sweep import Front, point_name
@@ -54,7 +64,9 @@ def executed(
             held.enter_context(only_writer(folder))
             if record is not None:
                 record.check_owns(folder)
-            kept = held.enter_context(journal(folder, afresh=bool(afresh)))
+            results = held.enter_context(journal(folder, afresh=bool(afresh)))
+            if is_stale(folder):  # so that no design of an earlier form goes by the name of this run's
+                results.append(*(replace(entry, name="") for entry in results.entries if entry.name))
             if record is None:
                 (folder / RECORD).unlink(missing_ok=True)
             else:
@@ -63,18 +75,18 @@ def executed(
             terminal.complain("error", error)
             return USAGE
         try:
-            code = course.execute(job, folder, kept)
-            if taken := len(kept.taken):
-                told = "1 result was" if taken == 1 else f"{taken} results were"
+            code = course.execute(job, folder, results)
+            if taken := len(results.taken):
+                subject = "1 result was" if taken == 1 else f"{taken} results were"
                 hint = "" if afresh is None else "; --afresh computes anew"
-                terminal.tell(f"{told} taken from an earlier run{hint}.")
+                terminal.tell(f"{subject} taken from an earlier run{hint}.")
             return code
         except BrokenPipeError:
             raise
         except OSError as error:
             terminal.complain("error", error)
             return FAILED
-        except Exception:  # a mistake in a study's own code, told already, whose traceback follows
+        except Exception:  # a mistake in a study's own code, reported already, whose traceback follows
             terminal.print_document(FAILED)
             raise
 
@@ -89,19 +101,19 @@ class _Course:
         self._stage, self._folder = "", Path()
         self._finished, self._paths, self._reduced = list[str](), list[Path](), list[Path]()
         self._tables: Sequence[Table] = ()
-        self._told = list[str]()
+        self._complaints = list[str]()
         self._mistake: Exception | None = None
         # How many results the journal has, and had before the present stage.
         self._count: Callable[[], int] = lambda: 0
         self._before = 0
 
-    def execute(self, job: AbstractStudy, folder: Path, kept: Journal) -> int:
+    def execute(self, job: AbstractStudy, folder: Path, results: Journal) -> int:
         """Run all stages, saving after each, write the page, and print the tables; returns the exit code."""
-        self._folder, self._kept = folder, kept
-        self._count = lambda: sum(one.is_finished for one in kept.entries)
+        self._folder, self._journal = folder, results
+        self._count = lambda: sum(entry.is_finished for entry in results.entries)
         with self._terminal.warning():
             code = self._run_through(job)
-        self._terminal.note(**self._facts(job), recalled=len(kept.taken))
+        self._terminal.note(**self._facts(job), recalled=len(results.taken))
         return code
 
     def _run_through(self, job: AbstractStudy) -> int:
@@ -155,8 +167,8 @@ class _Course:
         if not isinstance(error, AleatorError | MemoryError | OSError):
             self._mistake = self._mistake or error
             said = f"{type(error).__name__}: {error}"
-        if said not in self._told:
-            self._told.append(said)
+        if said not in self._complaints:
+            self._complaints.append(said)
             self._terminal.complain(f"error{self._during()}", said)
 
     def _during(self) -> str:
@@ -165,16 +177,16 @@ class _Course:
     def _last_words(self) -> str:
         """What an interrupted run has saved."""
         more = self._count() - self._before if self._stage else 0
-        found = [f"'{name}'" for name in self._finished]
+        saved = [f"'{name}'" for name in self._finished]
         if more > 0:
-            found.append(f"{more} result{'s' if more > 1 else ''} of '{self._stage}'")
+            saved.append(f"{more} result{'s' if more > 1 else ''} of '{self._stage}'")
         none = "" if self._paths else "no stage was finished; "
-        if none and not found:
+        if none and not saved:
             return f"Interrupted{self._during()}: {none}nothing was written."
-        verb = "are" if len(found) > 1 or more > 1 else "is"
+        verb = "are" if len(saved) > 1 or more > 1 else "is"
         report = ", without a report" if self._paths and PAGE not in [path.name for path in self._paths] else ""
-        kept = words(found, "what was found")
-        return f"Interrupted{self._during()}: {none}{kept} {verb} kept in {self._folder}{report}."
+        subject = words(saved, "what was found")
+        return f"Interrupted{self._during()}: {none}{subject} {verb} kept in {self._folder}{report}."
 
     def _end_at_once(self) -> str:
         return self._terminal.ended_at_once(self._last_words(), self.interruptions.exit_code)
@@ -184,13 +196,13 @@ class _Course:
         with shown(self._terminal.console, total) as progress:
             for name, stage in job.stages.items():
                 self._stage, started, self._before = name, time.perf_counter(), self._count()
-                recalled, begun = self._kept.recalled, self._kept.begun
+                recalled, begun = self._journal.recalled, self._journal.begun
                 progress.begin(name)
                 with self.interruptions.work():
                     job.run(name, progress.show)
                 self._save(job, [*self._finished, name])
-                told = _told(time.perf_counter() - started, self._kept.recalled - recalled, self._kept.begun - begun)
-                progress.end(name, stage.share, told)
+                counts = self._journal.recalled - recalled, self._journal.begun - begun
+                progress.end(name, stage.share, _duration(time.perf_counter() - started, *counts))
         self._stage = ""
 
     def _save(self, job: AbstractStudy, finished: list[str]) -> None:
@@ -199,10 +211,10 @@ class _Course:
         except PartlySavedError as error:
             self._paths, self._finished = error.paths, finished
             raise
-        found = by_place(job.results())
-        designs = {place: one for place, one in found.items() if isinstance(one, Solution | Evidence)}
+        results = by_place(job.results())
+        designs = {place: result for place, result in results.items() if isinstance(result, Solution | Evidence)}
         # The last name is that of the result: what a study calls a design comes before its place along a front.
-        self._kept.call({**_points(found), **dict(reversed(designs.items()))})
+        self._journal.call({**_points(results), **dict(reversed(designs.items()))})
 
     def _ask_tables(self, job: AbstractStudy) -> None:
         self._tables = tables_of(job)
@@ -238,18 +250,18 @@ class _Course:
         """The run for its JSON document, whatever of it is there."""
         if not self._terminal.is_json:
             return {}
-        facts = {"folder": str(self._folder), "finished": self._finished, "files": [str(one) for one in self._paths]}
-        return {**facts, **facts_of(job)}
+        facts = {"folder": str(self._folder), "finished": self._finished, "files": [str(path) for path in self._paths]}
+        return {**facts, **_facts(job)}
 
 
-def _points(found: Mapping[str, Any]) -> dict[str, Solution]:
+def _points(results: Mapping[str, Any]) -> dict[str, Solution]:
     """The points of fronts by the names that they had while they were waiting: none of an earlier run has these now.
 
     Without what several fronts call so.
     """
     named = [
         (point_name(front.bound, value), point)
-        for front in found.values()
+        for front in results.values()
         if isinstance(front, Front)
         for value, point in zip(front.values.tolist(), front.points, strict=True)
         if isinstance(point, Solution)
@@ -258,8 +270,40 @@ def _points(found: Mapping[str, Any]) -> dict[str, Solution]:
     return {name: point for name, point in named if often[name] == 1}
 
 
-def _told(seconds: float, recalled: int, begun: int) -> str:
+def _duration(seconds: float, recalled: int, begun: int) -> str:
     """How a stage came to its end: by computing, or with results of an earlier run."""
     if not recalled:
         return f"{seconds:.1f} s"
     return f"{seconds:.1f} s, {recalled} of {recalled + begun} recalled" if begun else "recalled from an earlier run"
+
+
+def _facts(job: AbstractStudy) -> dict[str, Any]:
+    """A study's verdict, designs and fronts, whatever of them is available."""
+    try:
+        results, verdict = savable("results", job.results())[0], job.headline()
+    except ProblemError:  # reported already, where it was saved and printed
+        results, verdict = {}, None
+    named = {"title": job.title, "verdict": verdict}
+    fronts = {place: _front_facts(front) for place, front in by_place(results).items() if isinstance(front, Front)}
+    return {**named, "designs": designs_document(results), "fronts": fronts}
+
+
+def _front_facts(front: Front) -> dict[str, Any]:
+    """A front, point by point."""
+    columns = zip(front.values, front.points, front.objectives, front.shadow_prices, front.violations, strict=True)
+    return {
+        "bound": front.bound,
+        "interrupted": front.interrupted,
+        "points": [
+            {
+                "value": value,
+                "status": point.status.value,
+                "objective": objective,
+                "shadow_price": price,
+                "violation": violation,
+                "decisions": dict(point.decisions) if isinstance(point, Solution) and point.ok else {},
+                "why": None if point.ok else point.why(),
+            }
+            for value, point, objective, price, violation in columns
+        ],
+    }

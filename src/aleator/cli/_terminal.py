@@ -1,18 +1,23 @@
-"""What a command says: results on stdout, errors on stderr; or one JSON document on stdout, and all else on stderr."""
+"""What a command says, and the arguments that commands share.
+
+Results go to stdout, errors to stderr; or one JSON document to stdout, and all else to stderr.
+"""
 
 import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, NoReturn, final
+from pathlib import Path
+from typing import Annotated, Any, NoReturn, TypeAlias, final
 
 import typer
 from rich.console import Console
 from rich.text import Text
 
 from aleator._core.errors import AleatorError, AleatorWarning
-from aleator.cli._tables import fitted
+from aleator.cli._shown import fitted
 from aleator.reporting import Table, json_text
+from aleator.studies import STUDIES
 
 FAILED, USAGE = 1, 2
 
@@ -40,8 +45,8 @@ class Terminal:
 
     def table(self, table: Table) -> None:
         """Print a table."""
-        for one in fitted(table, self.console.width):
-            self.console.print(one)
+        for block in fitted(table, self.console.width):
+            self.console.print(block)
 
     def look_at(self, said: str) -> None:
         """Print what deserves a look."""
@@ -85,7 +90,7 @@ class Terminal:
             typer.echo(self._finished_document(code), nl=False)
 
     def print_refusal(self, said: str, code: int) -> None:
-        """Print the JSON document, if there is one, of an error that has been told to people elsewhere."""
+        """Print the JSON document, if there is one, of an error that people have read elsewhere."""
         self._said.append(said)
         self.print_document(code)
 
@@ -125,3 +130,43 @@ class Terminal:
 def _console(*, stderr: bool = False) -> Console:
     """A console that prints text literally, without markup."""
     return Console(stderr=stderr, markup=False, emoji=False, highlight=False)
+
+
+def _names_of_studies(incomplete: str) -> list[str]:
+    """Names of studies, and study files, that begin with what was typed."""
+    paths = [*Path().glob(f"{_literal(incomplete)}*")] if not Path(incomplete).is_absolute() else []
+    folders = [f"{path}/" for path in paths if path.is_dir()]
+    files = [f"{path}" for path in paths if path.is_file() and path.suffix in (".py", ".toml")]
+    return sorted([*(name for name in STUDIES if name.startswith(incomplete)), *folders, *files])
+
+
+def _literal(text: str) -> str:
+    return "".join(f"[{character}]" if character in "*?[" else character for character in text)
+
+
+StudyName: TypeAlias = Annotated[
+    str,
+    typer.Argument(
+        help="Name of a case study (see `aleator list`), or a file or module of your own.",
+        autocompletion=_names_of_studies,
+        show_default=False,
+    ),
+]
+StudyOrFolder: TypeAlias = Annotated[
+    str,
+    typer.Argument(
+        help="A study, or a run's folder.", metavar="STUDY|FOLDER", autocompletion=_names_of_studies, show_default=False
+    ),
+]
+Folder: TypeAlias = Annotated[Path, typer.Argument(help="A run's folder.", show_default=False)]
+AsJson: TypeAlias = Annotated[
+    bool, typer.Option("--json", help="Print one JSON document on stdout, and all else on stderr.")
+]
+Afresh: TypeAlias = Annotated[bool, typer.Option("--afresh", help="Compute everything anew.")]
+Workers: TypeAlias = Annotated[
+    int | None,
+    typer.Option("--workers", min=1, help="Processes that share the work.", show_default="as many as the study says"),
+]
+Design: TypeAlias = Annotated[
+    str | None, typer.Option("--design", help="Name of one of its designs.", show_default=False)
+]

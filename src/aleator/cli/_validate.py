@@ -4,7 +4,6 @@ import time
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, final
 
@@ -15,19 +14,15 @@ from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import meant
 from aleator._core.interruption import Interruptions
 from aleator._core.progress import Progress
-from aleator.cli._kept import sorted_by_kind
-from aleator.cli._options import AsJson, Design, StudyOrFolder, folder_of
-from aleator.cli._origin import Origin, with_origin
-from aleator.cli._progress import shown
-from aleator.cli._record import Record, study_of
-from aleator.cli._terminal import FAILED, Terminal
-from aleator.cli._written import value_text
+from aleator.cli._folder import Record, designs_and_evidence, folder_of, is_stale, stale, study_of, value_text
+from aleator.cli._shown import shown
+from aleator.cli._terminal import FAILED, AsJson, Design, StudyOrFolder, Terminal
 from aleator.design import Problem
 from aleator.journalling import Journal, journal
 from aleator.reporting import Table, evidence_document, evidence_table, share_text, solution_document
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
-from aleator.studies import AbstractStudy, Study, SweptStudy, executor_of, problems_of
+from aleator.studies import AbstractStudy, executor_of, problems_of
 from aleator.validation import Evidence
 from aleator.validation import validate as validated
 
@@ -47,9 +42,8 @@ def validate(
 ) -> None:
     """Count on fresh random systems how often designs break their limits, with 95 % intervals.
 
-    Designs are taken from the folder (of a study: results/STUDY), and solved first where they are not there, or where
-    an `al.Study` has changed since: which of these is told of each. The evidence is kept there too; the study's page
-    stays as it is.
+    Designs are taken from the folder (of a study: results/STUDY), and solved first where they are not there. A folder
+    whose study has been edited since is refused. The evidence is kept there too; the study's page stays as it is.
     """
     terminal = Terminal("validate", as_json)
     with ExitStack() as held:
@@ -57,105 +51,90 @@ def validate(
         held.enter_context(sampling.interruptions)
         held.enter_context(terminal.warning())
         with terminal.refusing():
-            study, folder, why = _meant(place)
-            kept = held.enter_context(journal(folder))
-            designs = _wanted(study, why, kept, folder, design)
-            declared, solving = _declared(study), {} if study is None else study.solving
-        code = sampling.of(designs, kept, declared, solving)
+            study, folder, why = _study_and_folder(place)
+            run = held.enter_context(journal(folder))
+            designs = _selected(study, why, run, folder, design)
+        code = sampling.of(designs, run, {} if study is None else study.solving)
     terminal.note(folder=str(folder), samples=samples, seed=seed, designs=sampling.document())
-    if sampling.found:
-        terminal.table(_decisions(sampling.found))
-        terminal.table(_shares(sampling.found))
-        terminal.table(evidence_table(sampling.found))
+    if sampling.evidence:
+        terminal.table(_decisions(sampling.evidence))
+        terminal.table(_shares(sampling.evidence))
+        terminal.table(evidence_table(sampling.evidence))
     terminal.conclude(code)
 
 
-def _meant(place: str) -> tuple[AbstractStudy | None, Path, str]:
-    """The study and the folder of a name: a folder's study, or why it cannot be had; a study's folder."""
+def _study_and_folder(place: str) -> tuple[AbstractStudy | None, Path, str]:
+    """The study and the folder of a name, and why a folder's study cannot be loaded, if so."""
     folder = Path(place)
-    if not folder.is_dir():
-        study, folder = studies.load(place), folder_of(place)
+    if folder.is_dir():
+        study, why = study_of(folder)
+    else:
+        study, folder, why = studies.load(place), folder_of(place), ""
         Record(place).check_owns(folder)
-        return study, folder, ""
-    study, why = study_of(folder)
+    if is_stale(folder):
+        raise ProblemError(f"validate: {stale(folder)}")
     return study, folder, why
 
 
-def _wanted(
-    study: AbstractStudy | None, why: str, kept: Journal, folder: Path, design: str | None
+def _selected(
+    study: AbstractStudy | None, why: str, run: Journal, folder: Path, design: str | None
 ) -> Mapping[str, Solution | Problem]:
     """Designs of a folder, and problems that are to be solved first, by name."""
-    found: dict[str, Solution | Problem] = {}
-    if not isinstance(study, Study):  # whose designs the journal knows by all that they follow from
-        designs = sorted_by_kind(kept.finished())[0]
-        # What a study does not call by a name is of an earlier form of it.
-        of_now = {name: one for name, one in designs.items() if study is not None and not name.startswith("solve ")}
-        found.update({name: one for name, one in (of_now or designs).items() if one.ok})
-    if study is not None and (not found or (design is not None and design not in found)):
-        found = {**problems_of(study), **found}
-    if design is not None and design not in found:
-        known = f"expected one of {list(found)}.{meant(design, found)}"
+    # A solution without a name in the folder of a study is no design of its run.
+    designs: dict[str, Solution | Problem] = {
+        name: solution
+        for name, solution in designs_and_evidence(run.finished())[0].items()
+        if solution.ok and (study is None or not name.startswith("solve "))
+    }
+    if study is not None and (not designs or (design is not None and design not in designs)):
+        designs = {**problems_of(study), **designs}
+    if design is not None and design not in designs:
+        known = f"expected one of {list(designs)}.{meant(design, designs)}"
         raise ProblemError(f"validate: there is no design '{design}' in '{folder}'; {known}")
-    if not found:
+    if not designs:
         raise ProblemError(f"validate: there is no finished design in '{folder}' that can be read. {why or _NAME_IT}")
-    return found if design is None else {design: found[design]}
+    return designs if design is None else {design: designs[design]}
 
 
-def _declared(study: AbstractStudy | None) -> Mapping[str, Problem]:
-    """What a sweep says now of its points, by name. What a study of one's own solves need not be what it declares."""
-    return study.points if isinstance(study, SweptStudy) else {}
-
-
-def _decisions(found: Mapping[str, Evidence]) -> Table:
+def _decisions(evidence: Mapping[str, Evidence]) -> Table:
     """What was sampled, a column for each design."""
-    told = [solution_document(one.solution) for one in found.values()]
-    names = list(dict.fromkeys(name for one in told for name in one["decisions"]))
-    rows = [[name, *(value_text(one["decisions"].get(name)) for one in told)] for name in names]
-    rows.append(["Objective", *(value_text(one["objective"]) for one in told)])
-    return Table("Designs", ["", *found], rows, "")
+    designs = [solution_document(sampled.solution) for sampled in evidence.values()]
+    names = list(dict.fromkeys(name for design in designs for name in design["decisions"]))
+    rows = [[name, *(value_text(design["decisions"].get(name)) for design in designs)] for name in names]
+    rows.append(["Objective", *(value_text(design["objective"]) for design in designs)])
+    return Table("Designs", ["", *evidence], rows, "")
 
 
-def _shares(found: Mapping[str, Evidence]) -> Table:
+def _shares(evidence: Mapping[str, Evidence]) -> Table:
     """How many systems break each limit, a column for each design."""
-    limits = list(dict.fromkeys(name for one in found.values() for name in one.violations))
-    rows = [[name, *(share_text(one.violations.get(name)) for one in found.values())] for name in limits]
-    rows.append(["any limit", *(share_text(one.joint if one.violations else None) for one in found.values())])
-    return Table("Systems that violate limits", ["", *found], rows, "In brackets: 95 % confidence.")
+    columns = list(evidence.values())
+    limits = list(dict.fromkeys(limit for sampled in columns for limit in sampled.violations))
+    rows = [[limit, *(share_text(sampled.violations.get(limit)) for sampled in columns)] for limit in limits]
+    rows.append(["any limit", *(share_text(sampled.joint if sampled.violations else None) for sampled in columns)])
+    return Table("Systems that violate limits", ["", *evidence], rows, "In brackets: 95 % confidence.")
 
 
 @final
 class _Sampling:
-    """Designs that are solved where needed, and sampled one after another; `found` is the evidence so far."""
+    """Designs that are solved where needed, and sampled in order; `evidence` is what there is so far."""
 
     def __init__(self, terminal: Terminal, samples: int, seed: int, executor: Executor | None):
         self._terminal, self._samples, self._seed, self._executor = terminal, samples, seed, executor
         self.interruptions = Interruptions(lambda: terminal.ended_at_once(_KEPT, self.interruptions.exit_code))
-        self.found: dict[str, Evidence] = {}
+        self.evidence: dict[str, Evidence] = {}
         self._refused: dict[str, str] = {}
-        self._origins: dict[str, Origin] = {}
+        self._solved: dict[str, bool] = {}
 
-    def of(
-        self,
-        designs: Mapping[str, Solution | Problem],
-        kept: Journal,
-        declared: Mapping[str, Problem],
-        solving: Mapping[str, Any],
-    ) -> int:
-        """Sample designs, those not kept solved first; returns the exit code.
-
-        `declared`: what the study says of them now, by name, if it does; `solving`: how it solves them.
-        """
+    def of(self, designs: Mapping[str, Solution | Problem], run: Journal, solving: Mapping[str, Any]) -> int:
+        """Sample designs, problems solved first (as `solving` says); returns the exit code."""
         try:
             with shown(self._terminal.console, len(designs)) as progress, self.interruptions.work():
-                for name, one in designs.items():
-                    begun = time.perf_counter()
+                for name, design in designs.items():
+                    started = time.perf_counter()
                     progress.begin(f"evidence on {name}")
-                    with self._telling(name):
-                        design, origin = with_origin(
-                            kept, name, one, declared.get(name), partial(solve, **solving, throw=False)
-                        )
-                        self._sample(name, design, origin, progress.show)
-                    progress.end(f"evidence on {name}", 1.0, f"{time.perf_counter() - begun:.1f} s")
+                    with self._refusing(name):
+                        self._sample(name, self._solved_design(name, design, run, solving), progress.show)
+                    progress.end(f"evidence on {name}", 1.0, f"{time.perf_counter() - started:.1f} s")
         except KeyboardInterrupt:
             self.interruptions.conclude()
             self._terminal.last_words(_KEPT)
@@ -164,26 +143,42 @@ class _Sampling:
         return FAILED if self._refused else 0
 
     def document(self) -> Mapping[str, Any]:
-        """What was found, by the names of the designs."""
-        told = {name: {**self._told(name, one.solution), **evidence_document(one)} for name, one in self.found.items()}
-        return {**told, **{name: {"why": why} for name, why in self._refused.items()}}
+        """The designs with their evidence by name, or why there is none."""
+        designs = {name: solution_document(sampled.solution) for name, sampled in self.evidence.items()}
+        documents = {
+            name: {
+                "solved": self._solved[name],
+                "decisions": design["decisions"],
+                "objective": design["objective"],
+                **evidence_document(self.evidence[name]),
+            }
+            for name, design in designs.items()
+        }
+        return {**documents, **{name: {"why": why} for name, why in self._refused.items()}}
 
-    def _told(self, name: str, design: Solution) -> dict[str, Any]:
-        origin, document = self._origins[name], solution_document(design)
-        told = {"solved": origin.solved, "origin": origin.told, "differs": origin.differs}
-        return {**told, "decisions": document["decisions"], "objective": document["objective"]}
+    def _solved_design(
+        self, name: str, design: Solution | Problem, run: Journal, solving: Mapping[str, Any]
+    ) -> Solution:
+        """A design of the folder, or of a solve of now, which has this name in the folder from now on."""
+        begun = run.begun
+        solution = design if isinstance(design, Solution) else solve(design, **solving, throw=False)
+        self._solved[name] = run.begun > begun
+        if self._solved[name]:
+            run.call({name: solution})
+        origin = "solved, because the folder does not have it" if self._solved[name] else "taken from the folder"
+        self._terminal.tell(f"design {name}: {origin}.")
+        return solution
 
-    def _sample(self, name: str, design: Solution, origin: Origin, progress: Progress) -> None:
-        self._origins[name] = origin
-        say = self._terminal.tell if origin.as_declared else self._terminal.look_at
-        say(f"design {name}: {origin.told}")
+    def _sample(self, name: str, design: Solution, progress: Progress) -> None:
         progress(f"{name}: {in_brief(design)}", 0, self._samples)
         if not design.ok:
             raise ProblemError(design.why())
-        self.found[name] = validated(design, self._samples, seed=self._seed, executor=self._executor, progress=progress)
+        self.evidence[name] = validated(
+            design, self._samples, seed=self._seed, executor=self._executor, progress=progress
+        )
 
     @contextmanager
-    def _telling(self, name: str) -> Iterator[None]:
+    def _refusing(self, name: str) -> Iterator[None]:
         """Note why there is no evidence on a design, and go on."""
         try:
             yield

@@ -75,7 +75,6 @@ from aleator.design._statistic import Taken as Taken
 from aleator.design._statistic import correlation as correlation
 from aleator.design._statistic import covariance as covariance
 from aleator.design._statistic import functionals_of as functionals_of
-from aleator.design._statistic import has_own_statistics as has_own_statistics
 from aleator.design._statistic import integrated_paths as integrated_paths
 from aleator.design._statistic import joined as joined
 from aleator.design._statistic import numbers_of as numbers_of

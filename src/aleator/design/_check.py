@@ -1,6 +1,7 @@
 """Checks of a problem before anything is compiled; each refusal says what was expected and what was received."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -10,23 +11,22 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr
 
 from aleator._core.arrays import jax_array, numbers_to_arrays
-from aleator._core.equations import Digest, digest_of, joint_digest
+from aleator._core.equations import Digest, digest_of, joint_digest, refuse_unsteady
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import meant, traceable
-from aleator._core.identity import is_library
+from aleator._core.identity import code_digest, is_library
 from aleator.design._cost import CostCurve
 from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Expression
 from aleator.design._extreme import Extreme
 from aleator.design._functionals import AbstractIntegral
 from aleator.design._realisations import refuse_diagnosed
-from aleator.design._response import grid_at, history
+from aleator.design._response import grid_at
 from aleator.design._scope import AbstractComposite, AbstractScope, Value
 from aleator.design._statistic import (
     AbstractFunctional,
     Taken,
     functionals_of,
-    has_own_statistics,
     joined,
     statistics_in,
 )
@@ -163,10 +163,6 @@ def _unknown(kind: str, name: str, known: list[str]) -> str:
     return f"There is no {kind} '{name}'; expected one of {known}.{meant(name, known)}"
 
 
-# Digests of equations that two traces have given: one trace of these is enough.
-_STEADY: set[Digest] = set()
-
-
 class Declared(NamedTuple):
     """A problem's equations, and the digest of all that is computed: of these and of its expressions."""
 
@@ -181,24 +177,16 @@ def declared(problem: AbstractProblem) -> Declared:
     """
     whole = eqx.tree_at(lambda one: one.simulation, problem, uncertain_again(problem.simulation))
     equations, realisation = _traced(whole)
-    if equations.digest not in _STEADY:
-        if _traced(whole) != (equations, realisation):
-            raise ProblemError(
-                f"{type(problem.system).__name__} computes something else each time it is called, so that no result "
-                "holds. Expected code that depends on its arguments and fields alone: put a distribution, such as "
-                "al.Normal(0.0, 1.0), in the place of a random number; read files, clocks and counters beforehand."
-            )
-        _STEADY.add(equations.digest)
-    traced = dataclasses.replace(whole.simulation, equations=equations)
-    whole = eqx.tree_at(lambda one: one.simulation, whole, traced)
-    numbers, static = eqx.partition(numbers_to_arrays(whole), eqx.is_array)
-    outputs = jax.eval_shape(lambda numbers: _outputs_of(eqx.combine(numbers, static)), numbers)
+    refuse_unsteady(type(problem.system).__name__, equations.digest, lambda: _traced(whole)[0].digest)
+    instants = len(whole.grid.fractions) if isinstance(whole.grid, Grid) else 1
+    outputs = {name: np.zeros((instants, *shape)) for name, shape in equations.output_shapes().items()}
     _check_outputs(whole, outputs)
     expressions = digest_of(_check_shapes(whole, outputs))
-    digest = joint_digest({"realisation": realisation, "equations": equations.digest, "expressions": expressions})
+    parts = {"realisation": realisation, "equations": equations.digest, "expressions": expressions}
     # A user's own statistics and integrators are in no equations.
-    own = has_own_statistics(whole.expressions) or not is_library(type(whole.integrator).__module__)
-    return Declared(equations, Digest(digest.text, digest.is_whole and not own))
+    kinds = (type(whole.integrator), *(type(one.kind) for one in statistics_in(whole.expressions)))
+    own = {one.__qualname__: Digest(code_digest(one), False) for one in kinds if not is_library(one.__module__)}
+    return Declared(equations, joint_digest(parts | own))
 
 
 def _traced(problem: AbstractProblem) -> tuple[Equations, Digest]:
@@ -216,20 +204,16 @@ def _traced(problem: AbstractProblem) -> tuple[Equations, Digest]:
     return found[0], digest_of(closed)
 
 
-def _outputs_of(problem: AbstractProblem) -> dict[str, jax.Array]:
-    return history(problem, jnp.zeros(len(problem.placements.germ_names)), jnp.zeros(problem.placements.size))
-
-
-def _check_outputs(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeStruct]) -> None:
+def _check_outputs(problem: AbstractProblem, outputs: Mapping[str, np.ndarray]) -> None:
     for functional in functionals_of(problem.expressions):
         for name in functional.outputs:
             if name not in outputs:
                 raise ProblemError(_unknown(f"output of {type(problem.system).__name__}", name, list(outputs)))
 
 
-def _check_shapes(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeStruct]) -> ClosedJaxpr:
+def _check_shapes(problem: AbstractProblem, outputs: Mapping[str, np.ndarray]) -> ClosedJaxpr:
     """Check that terms of expressions match, and that the objective is one number. Returns the expressions, traced."""
-    zeros = {name: jax_array(np.zeros(one.shape)) for name, one in outputs.items()}
+    zeros = {name: jax_array(values) for name, values in outputs.items()}
 
     def values(traced: AbstractProblem) -> list[jax.Array]:
         scope = _ShapeScope(traced, zeros)

@@ -12,7 +12,6 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
-from aleator._core.identity import is_library
 from aleator.design._expression import Constraint, Expression, Range
 from aleator.design._extreme import Extreme
 from aleator.design._numbers import number_given, ordered
@@ -278,11 +277,6 @@ def integrated_paths(expressions: tuple[Expression, ...]) -> tuple[AbstractFunct
 def statistics_in(expressions: tuple[Expression, ...]) -> tuple[Statistic, ...]:
     """All statistics in the expressions, in order of appearance."""
     return tuple(atom for one in expressions for atom in one.leaves if isinstance(atom, Statistic))
-
-
-def has_own_statistics(expressions: tuple[Expression, ...]) -> bool:
-    """Whether the expressions contain statistics of a user's own code."""
-    return not all(is_library(type(one.kind).__module__) for one in statistics_in(expressions))
 
 
 def numbers_of(

@@ -7,11 +7,10 @@ from typing import Any
 import equinox as eqx
 import jax
 
-from aleator._core.dimensions import Measure, is_same, measure
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
 from aleator._core.leaves import is_leaf
-from aleator._core.units import rate
+from aleator._core.units import PURE, is_same, measure, rate
 from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Expression
 from aleator.design._objectives import SquareIntegral, Work
@@ -19,13 +18,15 @@ from aleator.design._scope import AbstractAtom, Units
 from aleator.design._statistic import Statistic
 from aleator.mechanics import AbstractFormulation
 from aleator.uncertainty import AbstractDistribution, fields_of
-from aleator.uncertainty._at_mean import free
+from aleator.uncertainty._placements import free
 
 # The parameters of distributions that have the unit of the uncertain number itself.
 _LIKE_THE_NUMBER = (
     *("mean", "std", "half_width", "lower", "upper", "mode", "median", "location", "scale"),
     *("nominal", "tolerance", "plus", "minus"),
 )
+# Gram or gravity, coulomb or Celsius, farad or Fahrenheit, picohenry or acidity; decibels have no size.
+_TWO_READINGS = {"g", "C", "F", "pH", "dB"}
 _TIMES = {"t_start": "s", "t_final": "s"}
 
 
@@ -141,17 +142,16 @@ def _shared(model: Any) -> Iterator[tuple[str, str, str]]:
 
 def _clash(first: str, second: str) -> str:
     """How two units differ, as the end of a sentence; empty where they agree or one is unknown."""
+    if first == second or not (first and second) or {first, second} & _TWO_READINGS:
+        return ""
     one, other = measure(first), measure(second)
-    if one is None or other is None or is_same(one, other):
+    if one is None or other is None or is_same(first, second):
         return ""
     if one.powers != other.powers:
         return "which measure different things"
-    return f"which differ in size: 1 {_counted(second)} is {_ratio(other, one):.6g} {_counted(first)}"
+    ratio = other.per(one)
+    return "" if ratio is None else f"which differ in size: 1 {_counted(second)} is {ratio:.6g} {_counted(first)}"
 
 
 def _counted(unit: str) -> str:
-    return f"({unit})" if unit == "-" else unit
-
-
-def _ratio(one: Measure, other: Measure) -> float:
-    return one.scale / other.scale
+    return f"({unit})" if unit == PURE else unit

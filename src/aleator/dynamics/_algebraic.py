@@ -4,14 +4,13 @@ import inspect
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
-from aleator._core.compilation import Use
 from aleator._core.errors import ProblemError
-from aleator._core.tracing import trace
 from aleator.dynamics._abstract_system import AbstractSystem
 from aleator.dynamics._named_roots import Named, failure_text, listed, named_root, numbers_in
 from aleator.dynamics._newton import Root
@@ -136,7 +135,7 @@ def explain_failure(system: AlgebraicSystem) -> str:
     if not system.unknowns:
         return ""
     _, named = ravel_pytree(guess)
-    root = trace(lambda: _root(system, guess)[0], use=Use.ONCE)()
+    root = jax.jit(lambda: _root(system, guess)[0])()
     if root.converged:
         return ""
     return (

@@ -11,14 +11,10 @@ from typing import Any, NamedTuple, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.core import eval_jaxpr
-from jax.extend.core import ClosedJaxpr
-from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array
 from typing_extensions import override
 
-from aleator._core.arrays import Pytree, numbers_to_arrays
-from aleator._core.equations import Digest, digest_of, joint_digest
+from aleator._core.equations import Digest, TracedFunction, digest_of, joint_digest
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
 from aleator.dynamics._abstract_system import AbstractSystem
@@ -27,60 +23,6 @@ from aleator.dynamics._evaluation import derivative_and_observation, initial_sta
 from aleator.dynamics._index_one import algebraic_residuals, guessed_algebraic, with_algebraic
 from aleator.dynamics._system import System
 from aleator.trajectories import AbstractSignal
-
-
-@final
-class TracedFunction(NamedTuple):
-    """A function of trees of arrays as its equations.
-
-    - `closed`: the equations; `structure`: that of the arguments' numbers; `results`: that of the result's numbers;
-    - `rest`: the parts of the result that are no numbers.
-    """
-
-    closed: ClosedJaxpr
-    structure: Any
-    results: Any
-    rest: Pytree
-
-    @classmethod
-    def of(cls, function: Callable[..., Pytree], *arguments: Pytree) -> "TracedFunction":
-        """A function traced for arguments like these; nothing is computed."""
-        numbers, fixed = eqx.partition(numbers_to_arrays(arguments), eqx.is_array)
-        rest: list[Pytree] = []
-
-        def arrays(numbers: Pytree) -> Pytree:
-            results, others = eqx.partition(function(*eqx.combine(numbers, fixed)), eqx.is_array)
-            rest.append(others)
-            return results
-
-        closed, shapes = jax.make_jaxpr(arrays, return_shape=True)(numbers)
-        return cls(closed, jax.tree.structure(numbers), jax.tree.structure(shapes), rest[0])
-
-    def __call__(self, *arguments: Pytree) -> Pytree:
-        """Its value. Raises `ProblemError` for a model of another structure than that of the equations."""
-        whole = self._evaluated(lambda results: results, arguments)
-        return eqx.combine(whole, self.rest)
-
-    def part(self, chosen: Callable[[Pytree], Pytree], *arguments: Pytree) -> Pytree:
-        """A part of its value, `chosen` among the numbers of the result, by the equations that this follows from."""
-        return self._evaluated(chosen, arguments)
-
-    def _evaluated(self, chosen: Callable[[Pytree], Pytree], arguments: tuple[Pytree, ...]) -> Pytree:
-        leaves, structure = jax.tree.flatten(eqx.filter(numbers_to_arrays(arguments), eqx.is_array))
-        if structure != self.structure or [jnp.shape(one) for one in leaves] != [
-            one.shape for one in self.closed.in_avals
-        ]:
-            raise ProblemError(
-                "The model has another structure than the one whose equations were traced: a whole number, a shape or "
-                "a class is not what it was. Declare an al.Problem of the changed model."
-            )
-        jaxpr = self.closed.jaxpr
-        part = chosen(jax.tree.unflatten(self.results, range(len(jaxpr.outvars))))
-        needed = set(jax.tree.leaves(part))
-        used = [i in needed for i in range(len(jaxpr.outvars))]
-        pruned, _ = dce_jaxpr(jaxpr, used, instantiate=True)
-        values = dict(zip(sorted(needed), eval_jaxpr(pruned, self.closed.consts, *leaves), strict=True))
-        return jax.tree.map(values.__getitem__, part)
 
 
 @final
@@ -121,6 +63,12 @@ class Equations:
         traced = TracedAlgebraic if isinstance(system, AlgebraicSystem) else TracedSystem
         return traced(system, self)
 
+    def output_shapes(self) -> dict[str, tuple[int, ...]]:
+        """The shape of each output at one instant, by name."""
+        function = self["instant" if "instant" in self else "outputs"]
+        outputs = jax.tree.unflatten(function.results, function.closed.out_avals).outputs
+        return {name: one.shape for name, one in zip(function.rest.names, outputs, strict=True)}
+
     def __getitem__(self, name: str) -> TracedFunction:
         assert self._functions is not None
         return self._functions[name]
@@ -150,15 +98,15 @@ class _Instant(NamedTuple):
 
 def _dynamical(system: System, start: Start) -> dict[str, TracedFunction]:
     functions = {
-        "signals": TracedFunction.of(lambda system: dict(system.signals()), system),
-        "initial": TracedFunction.of(initial_state, system, *start),
+        "signals": TracedFunction(lambda system: dict(system.signals()), system),
+        "initial": TracedFunction(initial_state, system, *start),
     }
     z = functions["initial"](system, *start)
     if system.algebraic:
-        functions["guess"] = TracedFunction.of(guessed_algebraic, system, start.t, z, start.inputs)
+        functions["guess"] = TracedFunction(guessed_algebraic, system, start.t, z, start.inputs)
         z = with_algebraic(system, z, functions["guess"](system, start.t, z, start.inputs))
-        functions["residual"] = TracedFunction.of(algebraic_residuals, system, start.t, z, start.inputs)
-    return functions | {"instant": TracedFunction.of(_instant, system, start.t, z, start.inputs)}
+        functions["residual"] = TracedFunction(algebraic_residuals, system, start.t, z, start.inputs)
+    return functions | {"instant": TracedFunction(_instant, system, start.t, z, start.inputs)}
 
 
 def _instant(system: System, t: Any, z: Any, inputs: dict[str, Any]) -> _Instant:
@@ -171,14 +119,14 @@ def _instant(system: System, t: Any, z: Any, inputs: dict[str, Any]) -> _Instant
 
 def _algebraic(system: AlgebraicSystem) -> dict[str, TracedFunction]:
     if not system.is_implicit:
-        return {"outputs": TracedFunction.of(_outputs, system)}
-    guess = TracedFunction.of(first_guess, system)
+        return {"outputs": TracedFunction(_outputs, system)}
+    guess = TracedFunction(first_guess, system)
     rho = guess(system)
     size = sum(map(jnp.size, rho))
     return {
         "guess": guess,
-        "residual": TracedFunction.of(lambda system, rho: equations(system, rho, size), system, rho),
-        "outputs": TracedFunction.of(_outputs, system, rho),
+        "residual": TracedFunction(lambda system, rho: equations(system, rho, size), system, rho),
+        "outputs": TracedFunction(_outputs, system, rho),
     }
 
 

@@ -9,8 +9,6 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from aleator._core.compilation import Use
-from aleator._core.tracing import trace
 from aleator.dynamics._evaluation import derivative, initial_state
 from aleator.dynamics._grid import Grid
 from aleator.dynamics._index_one import guessed_algebraic, solved_algebraic
@@ -34,10 +32,12 @@ def explain_algebraic(
     times = np.asarray(grid.times)
     _, named = ravel_pytree(initial_state(system, times[0], now(times[0])))
 
+    @jax.jit
+    @jax.vmap
     def found(t: Array, row: Array) -> Array:
         return jnp.isfinite(row).all() & solved_algebraic(system, t, named(row), now(t))[0].converged
 
-    good = np.asarray(trace(lambda: jax.vmap(found)(jnp.asarray(times), jnp.asarray(course)), use=Use.ONCE)())
+    good = np.asarray(found(jnp.asarray(times), jnp.asarray(course)))
     if good.all():
         return ""
     last = max(int(np.argmin(good)) - 1, 0)
@@ -57,19 +57,21 @@ def explain_from(system: System, t: float, z: Any, step: float, now: Callable[[A
     """
     shares = np.arange(_LOOKED_AT + 1) / _LOOKED_AT
 
-    def onward(share: Array) -> tuple[Root, Any, Any]:
+    @jax.jit
+    @jax.vmap
+    def onward(share: Array) -> tuple[Root, Any, Any, Array]:
         """The solution on the tangent to the course."""
         later, slope = t + share * step, derivative(system, t, z, now(t))
         place = jax.tree.map(lambda one, change: one + jnp.where(share > 0, share * step * change, 0.0), z, slope)
         at = system, later, place, now(later)
-        return solved_algebraic(*at)[0], place, guessed_algebraic(*at)
+        root = solved_algebraic(*at)[0]
+        return root, place, guessed_algebraic(*at), root.converged
 
-    roots, places, guesses = trace(lambda: jax.vmap(onward)(jnp.asarray(shares)), use=Use.ONCE)()
-    failed = ~np.asarray(jax.vmap(lambda one: one.converged)(roots))
-    if not failed.any():
+    *found, converged = onward(jnp.asarray(shares))
+    if np.all(converged):
         return ""
-    first = int(np.argmax(failed))
-    root, place, guess = jax.tree.map(lambda one: one[first], (roots, places, guesses))
+    first = int(np.argmin(converged))
+    root, place, guess = jax.tree.map(lambda one: one[first], found)
     numbers = listed({**place._asdict(), **numbers_in(system)})
     return (
         f"{system.title}: its algebraic variables have no solution at about t = "

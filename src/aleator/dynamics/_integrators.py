@@ -14,9 +14,8 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree
-from aleator._core.compilation import Use
+from aleator._core.compilation import Use, evaluate
 from aleator._core.module import Module
-from aleator._core.tracing import trace
 from aleator.dynamics._evaluation import derivative, initial_state
 from aleator.dynamics._grid import Grid
 from aleator.dynamics._index_one import completed
@@ -48,8 +47,8 @@ class AbstractIntegrator(Module):
     def course(self, system: System, grid: Grid, inputs: Inputs) -> Float[np.ndarray, "instants states"]:
         """The states of one realised system side by side at every instant."""
         asked = Asked(frozenset({STATES}))
-        rows = trace(lambda: self.record(ObservedStates(system), grid, inputs, asked).history[STATES], use=Use.ONCE)
-        return np.asarray(rows())
+        rows = evaluate(lambda: self.record(ObservedStates(system), grid, inputs, asked).history[STATES], use=Use.ONCE)
+        return np.asarray(rows)
 
     def refined(self) -> "AbstractIntegrator":
         """The same integrator with smaller tolerances, if it has any: most follow the steps of the grid."""

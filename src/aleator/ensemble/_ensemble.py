@@ -1,12 +1,13 @@
-"""A function at many realisations of a model: traced and compiled by JAX, or called with plain numbers.
+"""A function at many realisations of a model: traced and compiled by JAX, called with plain numbers, or a black box.
 
 Simulating the systems of a problem (evidence, scenarios of the worst case, outputs that choose an expansion's terms) is
 not done here: those programs take the problem's numbers as arguments, at any decisions, and reduce the results within
-the same program. They share levels, batches and messages with this module, and stand where they are used.
+the same program. They share levels, batches and messages with this package, and stand where they are used.
 """
 
 import abc
-from collections.abc import Callable, Hashable, Iterable, Iterator
+import functools
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, ClassVar, NamedTuple, TypeAlias, final
 
 import equinox as eqx
@@ -18,13 +19,11 @@ from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree, jax_array
+from aleator._core.compilation import evaluate_traced
+from aleator._core.equations import TracedFunction, digest_of, refuse_unsteady
 from aleator._core.errors import ProblemError
-from aleator._core.identity import code_digest
 from aleator._core.leaves import named_leaves
-from aleator._core.tracing import Traced, trace_once
-from aleator.ensemble._batches import Part, each, fill, parts
-from aleator.ensemble._box import AbstractBox, Realisation
-from aleator.ensemble._levels import at_levels
+from aleator.ensemble._batches import Part, at_levels, each, fill, parts
 from aleator.ensemble._outputs import (
     UNTRACEABLE,
     Function,
@@ -35,6 +34,38 @@ from aleator.ensemble._outputs import (
     refuse_nonfinite,
 )
 from aleator.uncertainty import Placements, placements, realise
+
+
+class Realisation(NamedTuple):
+    """A model with plain numbers: the number of its sample, from 1 on, and the values of its uncertain inputs."""
+
+    number: int
+    model: Pytree
+    inputs: dict[str, float]
+
+    def __str__(self) -> str:
+        return f"sample {self.number} ({listed(self.inputs)})"
+
+
+class AbstractBox(abc.ABC):
+    """A function of a realised model that is never traced, and is asked for many realisations at once."""
+
+    @abc.abstractmethod
+    def __call__(self, realised: Pytree) -> Pytree:
+        """The outputs at one realisation."""
+
+    @abc.abstractmethod
+    def at_all(self, realisations: Sequence[Realisation], *, whole: bool) -> list[Pytree | None]:
+        """The outputs at each realisation as finite NumPy arrays of the same shapes; None where a sample is left out.
+
+        `whole`: no sample may be left out, because the method needs all of them.
+        """
+
+    @property
+    def follows_from(self) -> Any:
+        """All that its outputs follow from besides the model, for a journal; None if its results are not kept there."""
+        return None
+
 
 Points: TypeAlias = Float[np.ndarray, "points variables"] | Float[Array, "points variables"]
 
@@ -150,7 +181,7 @@ class TracedEnsemble(AbstractEnsemble):
     def __init__(self, function: Function, model: Pytree, places: Placements):
         super().__init__(function, model, places)
         self._numbers, self._rest = eqx.partition(model, eqx.is_array)
-        self._traced: dict[int, Traced] = {}
+        self._traced: dict[int, TracedFunction] = {}
 
     @override
     def _of_size(self, size: int) -> Callable[[Points, int], Pytree]:
@@ -161,29 +192,31 @@ class TracedEnsemble(AbstractEnsemble):
         def outputs(points: Points, before: int) -> Pytree:
             del before
             if len(points) == size:
-                return traced(self._numbers, self._decisions, jax_array(points))
-            values = traced(self._numbers, self._decisions, jax_array(fill(np.asarray(points), size)))
+                return evaluate_traced(traced, self._numbers, self._decisions, jax_array(points))
+            filled = jax_array(fill(np.asarray(points), size))
+            values = evaluate_traced(traced, self._numbers, self._decisions, filled)
             return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(points)], values)
 
         return outputs
 
-    def _trace(self, size: int) -> Traced:
+    def _trace(self, size: int) -> TracedFunction:
         def outputs(
             numbers: Pytree, decisions: Float[Array, " n_x"], points: Float[Array, "points variables"]
         ) -> Pytree:
             model = eqx.combine(numbers, self._rest)
             return jax.vmap(lambda point: self._at(model, decisions, point, jnp))(points)
 
-        points = jax.ShapeDtypeStruct((size, len(self.places.germs)), float)
+        points = np.zeros((size, len(self.places.germs)))
+        trace = functools.partial(TracedFunction, outputs, self._numbers, self._decisions, points)
         try:
-            # What the function names may change in a notebook, and a journal would keep what an old trace computes.
-            key = self._function, code_digest(self._function, ""), _exactly(self._rest)
-            return trace_once(key, outputs, self._numbers, self._decisions, points)
+            traced = trace()
         except UNTRACEABLE as error:
             raise ProblemError(
                 f"{self._name} cannot be traced by JAX ({str(error).splitlines()[0]}) Write it with jax.numpy, or "
                 "pass traced=False: it is then called with plain numbers, point by point, without derivatives."
             ) from error
+        refuse_unsteady(self._name, digest_of(traced.closed), lambda: digest_of(trace().closed))
+        return traced
 
 
 @final
@@ -270,12 +303,6 @@ def same_shapes(one: Pytree, other: Pytree) -> bool:
     structures = [jax.tree.structure(outputs) for outputs in (one, other)]
     shapes = [[leaf.shape for leaf in jax.tree.leaves(outputs)] for outputs in (one, other)]
     return structures[0] == structures[1] and shapes[0] == shapes[1]
-
-
-def _exactly(static: Pytree) -> Hashable:
-    """Equal for equal structures: 1, 1.0 and True differ, and so do 0.0 and -0.0."""
-    leaves, structure = jax.tree.flatten(static)
-    return structure, tuple((type(leaf), leaf.hex() if isinstance(leaf, float) else leaf) for leaf in leaves)
 
 
 def _as_python(leaf: Any) -> Any:

@@ -136,6 +136,12 @@ def concrete(array: Any) -> np.ndarray | None:
     return None if isinstance(below, Tracer) else np.asarray(below)
 
 
+def is_finite(numbers: Pytree) -> bool:
+    """Whether all numbers are finite, as far as they are known."""
+    known = map(concrete, jax.tree.leaves(numbers))
+    return all(array is None or bool(np.isfinite(array).all()) for array in known)
+
+
 def inputs_at(places: Placements, point: Float[Any, " variables"], decisions: Float[Array, " n"]) -> dict[str, float]:
     """The uncertain inputs at one germ point, by name."""
     numbers = uncertain_numbers(places, jnp.asarray(point), decisions)

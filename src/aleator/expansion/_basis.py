@@ -1,19 +1,165 @@
-"""`Basis`: the multivariate orthonormal polynomials of an expansion."""
+"""`Basis`: the multivariate orthonormal polynomials of an expansion, and the index sets that choose them."""
 
-from collections.abc import Mapping
+import abc
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from math import comb
 from typing import final
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
+from typing_extensions import override
 
+from aleator._core import given
+from aleator._core.errors import ProblemError
 from aleator._core.memory import NUMBER, refuse_beyond_memory
+from aleator._core.module import Module
 from aleator.ensemble import at_levels
-from aleator.expansion._index_set import SMALLER
 from aleator.uncertainty import AbstractGerm
+
+# Tolerance for rounding in sums of powers, so that indices on the edge of a set belong to it.
+_ROUNDING = 1e-9
+
+# Beyond this, the collocation matrix takes hundreds of gigabytes: three points a term, eight bytes a number.
+_MOST_TERMS = 200_000
+
+# Larger numbers are not printed.
+_COUNTABLE = 1e30
+
+SMALLER = (
+    "Lower the order, or take a smaller index set: al.index_sets.HyperbolicCross(q) or "
+    "al.index_sets.Anisotropic(weights)."
+)
+"""The remedy for a basis that is too large."""
 
 # The matrix, and the column of each of its entries in one variable.
 _MATRICES = 2
+
+
+class AbstractIndexSet(Module):
+    """Which multi-indices an expansion of a given order keeps.
+
+    Sets are downward closed: they contain all divisors of each of their products. Terms are sorted by total degree,
+    then by the degrees of the variables in turn, higher degrees first; the first term is the constant.
+    """
+
+    @abc.abstractmethod
+    def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
+        """The degree of each variable in each term, for germ variables of these names."""
+
+
+@final
+class TotalDegree(AbstractIndexSet):
+    """All multi-indices whose sum is at most the order: `(n_p + order)! / (n_p! order!)` terms."""
+
+    @override
+    def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
+        _refuse_too_many(comb(len(names) + order, order), len(names))
+        return _within(np.tile(np.arange(order + 1.0), (len(names), 1)), order)
+
+
+@final
+class TensorProduct(AbstractIndexSet):
+    """All multi-indices with every degree at most the order: `(order + 1)^n_p` terms, for few variables."""
+
+    @override
+    def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
+        _refuse_too_many((order + 1) ** len(names), len(names))
+        return _within(np.zeros((len(names), order + 1)), 0.0)
+
+
+@final
+class HyperbolicCross(AbstractIndexSet):
+    """All multi-indices whose q-norm `(sum of i^q)^(1/q)` is at most the order, with 0 < q <= 1.
+
+    It keeps all powers of one variable and few products of many: the smaller q, the fewer; q = 1 is the total degree.
+    Source: Blatman and Sudret (2011), Adaptive sparse polynomial chaos expansion based on least angle regression.
+    """
+
+    q: float = eqx.field(static=True)
+
+    def __init__(self, q: float = 0.5):
+        self.q = given.positive("HyperbolicCross: q, where 1 keeps the total degree,", q, most=1.0)
+
+    @override
+    def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
+        _refuse_too_many(1 + len(names) * order, len(names))  # the powers of single variables alone
+        return _within(np.tile(np.arange(order + 1.0) ** self.q, (len(names), 1)), order**self.q)
+
+
+@final
+class Anisotropic(AbstractIndexSet):
+    """All multi-indices whose weighted sum `sum of w_i i_i` is at most the order.
+
+    `weights`: positive numbers, one for each germ variable in a sequence, or by name with 1 for those not named. A
+    variable of weight 2 has degrees up to half the order, one of weight 1 up to the order.
+    """
+
+    weights: tuple[float, ...] = eqx.field(static=True)
+    names: tuple[str, ...] | None = eqx.field(static=True)
+
+    def __init__(self, weights: Sequence[float] | Mapping[str, float]):
+        named = isinstance(weights, Mapping)
+        if isinstance(weights, str) or not isinstance(weights, Iterable) or not tuple(weights):
+            raise given.refusal("Anisotropic: weights", "positive numbers, one for each variable or by name", weights)
+        each = weights.values() if named else weights
+        numbers = tuple(given.positive("Anisotropic: weights", weight) for weight in each)
+        self.weights, self.names = numbers, tuple(weights) if named else None
+
+    @override
+    def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
+        """Raises `ProblemError` if the weights are not those of the variables."""
+        weights = self._of(names)
+        _refuse_too_many(1 - len(names) + sum(order / weight for weight in weights.tolist()), len(names))
+        return _within(weights[:, None] * np.arange(int(order / min(weights) + _ROUNDING) + 1), order)
+
+    def _of(self, names: tuple[str, ...]) -> Float[np.ndarray, " variables"]:
+        known = ", ".join(map(repr, names))
+        if self.names is None:
+            if len(self.weights) != len(names):
+                raise ProblemError(
+                    f"Anisotropic: expected one weight for each of the {len(names)} germ variables ({known}); received "
+                    f"{len(self.weights)}."
+                )
+            return np.array(self.weights, dtype=float)
+        unknown = ", ".join(repr(name) for name in self.names if name not in names)
+        if unknown:
+            raise ProblemError(f"Anisotropic: no germ variable is called {unknown}; there are {known}.")
+        named = dict(zip(self.names, self.weights, strict=True))
+        return np.array([named.get(name, 1.0) for name in names], dtype=float)
+
+
+def sorted_terms(indices: Int[np.ndarray, "terms variables"]) -> Int[np.ndarray, "terms variables"]:
+    """Terms in the order that `AbstractIndexSet` specifies."""
+    return indices[np.lexsort((*(-indices.T)[::-1], indices.sum(axis=1)))]
+
+
+def _within(costs: Float[np.ndarray, "variables degrees"], budget: float) -> Int[np.ndarray, "terms variables"]:
+    """All multi-indices whose costs, `costs[i, degree]` for variable i, add up to at most the budget.
+
+    Built variable by variable, so that every partial row is itself in the set and none is discarded. Costs rise with
+    the degree and are zero for degree zero.
+    """
+    allowed = budget + _ROUNDING * max(budget, 1.0)
+    rows, left = np.zeros((1, 0), dtype=int), np.array([allowed])
+    for cost in costs:
+        choices = np.searchsorted(cost, left, side="right")
+        _refuse_too_many(int(choices.sum()), len(costs))
+        parent = np.repeat(np.arange(len(rows)), choices)
+        degree = np.arange(len(parent)) - np.repeat(np.cumsum(choices) - choices, choices)
+        rows, left = np.column_stack([rows[parent], degree]), left[parent] - cost[degree]
+    return sorted_terms(rows)
+
+
+def _refuse_too_many(terms: float, variables: int) -> None:
+    """Refuse a basis of this many terms, or more, before they are enumerated."""
+    if not terms <= _MOST_TERMS:
+        count = f"{terms:.3g}" if terms < _COUNTABLE else f"more than {_COUNTABLE:.0e}"
+        raise ProblemError(
+            f"Expansion: more than {_MOST_TERMS} terms in {variables} variables, at least {count}: their collocation "
+            f"matrix alone would need hundreds of GiB of memory. {SMALLER}"
+        )
 
 
 @final

@@ -6,17 +6,21 @@ Traced samples are worked on by JAX, and known ones by NumPy, which compiles not
 
 from typing import final
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.arrays import in_library, jax_array, quietly
 from aleator._core.module import Module
 
-# One minus the leverage counts as zero up to this: rounding of an exact zero.
-_LEAST_REMAINDER = 1e-8
+LEAST_REMAINDER = 1e-8
+"""One minus the leverage counts as zero up to this: rounding of an exact zero."""
 
-# Outputs that vary by less than this part of their size are constant up to rounding.
-_ROUNDING = 1e-12
+ROUNDING = 1e-12
+"""Outputs that vary by less than this part of their size are constant up to rounding."""
+
+UNRESOLVED = 0.05
+"""Above this relative leave-one-out error an output is not resolved, unless its `Expansion` says otherwise."""
 
 
 @final
@@ -118,7 +122,7 @@ def _missed(
     """The leave-one-out residual of each sample, and whether every sample can be predicted by the others."""
     library, collocation, flat, terms = in_library(collocation, flat, terms)
     remainder = 1 - collocation.leverage
-    predictable = remainder > _LEAST_REMAINDER
+    predictable = remainder > LEAST_REMAINDER
     residual = flat - collocation.matrix @ terms
     return residual / library.where(predictable, remainder, 1.0)[:, None], predictable.all()
 
@@ -130,5 +134,38 @@ def relative_error(
     """The root of error over variance; zero where the variance is rounding."""
     # Compared with `<=` so that NaN propagates and non-finite samples do not pass for constant.
     library, error, variance, square = in_library(error, variance, square)
-    constant = variance <= _ROUNDING**2 * square
+    constant = variance <= ROUNDING**2 * square
     return library.where(constant, 0.0, library.sqrt(error / library.where(constant, 1.0, variance)))
+
+
+def leave_one_out_history(
+    collocation: Collocation,
+    samples: Float[Array, "points instants *shape"],
+    coefficients: Float[Array, "terms instants *shape"],
+) -> Float[Array, " instants"]:
+    """The leave-one-out error at each instant, relative to the largest variance up to that instant.
+
+    As the phases of realisations drift apart, the response becomes more and more nonlinear in the germ (Wan and
+    Karniadakis, 2006, Long-term behavior of polynomial chaos in stochastic flow simulations), so that an order that is
+    ample at first fails later.
+
+    Relative to the variance at the same instant it would rise wherever all trajectories meet, as those of an oscillator
+    do near its turning points. Rounding is judged in the same way, by the largest square up to that instant.
+    """
+    parts = mean_squares(collocation, samples, coefficients)
+    error, variance, square = (part.reshape(samples.shape[1], -1).sum(axis=1) for part in parts)
+    return relative_error(error, jax.lax.cummax(variance), jax.lax.cummax(square))
+
+
+def resolved_instants(
+    collocation: Collocation,
+    samples: Float[Array, "points instants *shape"],
+    coefficients: Float[Array, "terms instants *shape"],
+    tolerance: float = UNRESOLVED,
+) -> Int[Array, ""]:
+    """How many instants of a history, from the first on, an expansion resolves: the index of the first unresolved one.
+
+    An instant is unresolved if its `leave_one_out_history` exceeds `tolerance` or is NaN.
+    """
+    unresolved = ~(leave_one_out_history(collocation, samples, coefficients) <= tolerance)
+    return jnp.where(unresolved.any(), jnp.argmax(unresolved), len(unresolved))

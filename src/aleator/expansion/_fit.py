@@ -1,19 +1,22 @@
 """Fits: the map from samples at the collocation points to coefficients."""
 
 import abc
-from typing import ClassVar, final
+from collections.abc import Callable
+from typing import ClassVar, TypeAlias, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from typing_extensions import override
 
-from aleator._core.arrays import jax_array
+from aleator._core.arrays import Pytree, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.module import Module
 from aleator.expansion._basis import Basis
 from aleator.expansion._collocation import Collocation
 from aleator.expansion._points import Nodes
-from aleator.expansion._respond import Respond
+
+Respond: TypeAlias = Callable[[Float[np.ndarray, "points variables"]], Pytree]
+"""A model's outputs at germ points: an array with a leading axis for the points, or a pytree of such arrays."""
 
 # Beyond this condition number, least squares loses more than half of the digits of double precision.
 WORST_CONDITION = 1e8
@@ -26,6 +29,9 @@ _DIGITS = 10
 
 # Largest error of orthonormality with which a rule counts as exact for products of polynomials.
 _ORTHONORMAL = 1e-8
+
+# By how much missing points may multiply the condition number: one digit.
+_WORSE = 10.0
 
 
 class AbstractFit(Module):
@@ -119,8 +125,7 @@ class Projection(AbstractFit):
             raise ProblemError(
                 f"Projection: the weights of the {len(matrix)} points do not integrate the products of the polynomials "
                 f"(error {error:.1e}, limit {_ORTHONORMAL:.0e}). Take al.points.GaussPoints({max(basis.degrees) + 1}) "
-                "or "
-                f"al.points.SmolyakPoints({basis.order}), which do for this basis, or al.fits.LeastSquares()."
+                f"or al.points.SmolyakPoints({basis.order}), which do for this basis, or al.fits.LeastSquares()."
             )
         positive = np.all(nodes.weights > 0)
         leverage = np.sum(weighted * matrix, axis=1) if positive else np.ones(len(matrix))
@@ -165,3 +170,31 @@ def _checked_condition(triangular: Float[np.ndarray, "terms terms"], count: int)
             "order, or al.points.OptimalPoints()."
         )
     return condition
+
+
+def at_fewer_points(
+    basis: Basis, collocation: Collocation, fit: AbstractFit, kept: Bool[np.ndarray, " points"]
+) -> Collocation:
+    """The collocation at the points that are kept, with their weights relative to one another.
+
+    Raises `ProblemError` for a fit other than least squares, if fewer points than terms are kept, or if the condition
+    number grows more than tenfold: then nothing but extrapolation tells what the outputs do where points are missing.
+    """
+    missing = f"{np.count_nonzero(~kept)} of {len(kept)} samples are missing"
+    if not isinstance(fit, LeastSquares):
+        raise ProblemError(
+            f"{missing}, but {type(fit).__name__} needs all of them: take al.fits.LeastSquares(), or complete them."
+        )
+    terms, remaining = basis.terms, int(np.count_nonzero(kept))
+    if remaining < terms:
+        raise ProblemError(f"{missing}, and {remaining} do not determine {terms} terms. Complete them.")
+    weights = np.asarray(collocation.weights)[kept]
+    fewer = fit.collocation(basis, Nodes(np.asarray(collocation.points)[kept], weights / weights.sum()))
+    before, after = float(collocation.condition_number), float(fewer.condition_number)
+    if not after <= _WORSE * before:
+        raise ProblemError(
+            f"{missing}, which raises the condition number of least squares from {before:.3g} to {after:.3g} (limit "
+            f"{_WORSE:g} times as large): the expansion would only extrapolate there. Complete them, lower the order, "
+            "or narrow the distributions."
+        )
+    return fewer

@@ -11,8 +11,7 @@ from typing_extensions import override
 from aleator._core import given
 from aleator._core.errors import ProblemError
 from aleator._core.memory import NUMBER, refuse_beyond_memory
-from aleator.expansion._basis import Basis
-from aleator.expansion._index_set import TotalDegree
+from aleator.expansion._basis import Basis, TotalDegree
 from aleator.expansion._points import AbstractPoints, Nodes, count_given
 from aleator.uncertainty import AbstractGerm
 
@@ -80,16 +79,16 @@ class SmolyakPoints(AbstractPoints):
         for row, lack in zip(levels[used], missing[used].tolist(), strict=True):
             grid = _grid((row + 1).tolist())
             chosen = list(zip(rules, row.tolist(), grid.T, strict=True))
-            places = np.column_stack([rule.places[one][k] for rule, one, k in chosen])
-            factors = [rule.weights[one][k] for rule, one, k in chosen]
+            places = np.column_stack([rule.places[size][k] for rule, size, k in chosen])
+            factors = [rule.weights[size][k] for rule, size, k in chosen]
             parts.append((places, (-1) ** lack * comb(basis.variables - 1, lack) * np.prod(factors, axis=0)))
-            if sum(len(one) for one, _ in parts) > 10 * _MOST_POINTS:
+            if sum(len(places) for places, _ in parts) > 10 * _MOST_POINTS:
                 raise ProblemError(
                     f"SmolyakPoints: level {level} in {basis.variables} variables has too many points to combine. "
                     "Lower the order, or take least squares."
                 )
-        places, which = np.unique(np.concatenate([one for one, _ in parts]), axis=0, return_inverse=True)
-        weights = np.bincount(which.ravel(), np.concatenate([one for _, one in parts]))
+        places, which = np.unique(np.concatenate([places for places, _ in parts]), axis=0, return_inverse=True)
+        weights = np.bincount(which.ravel(), np.concatenate([factors for _, factors in parts]))
         points = np.column_stack([rule.roots[column] for rule, column in zip(rules, places.T, strict=True)])
         return Nodes(points, weights / weights.sum())
 

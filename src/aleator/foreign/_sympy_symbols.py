@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import meant, refusal
+from aleator._core.leaves import realised_shape, stored_numbers
 from aleator.foreign._sympy_assumptions import refuse_contradiction, refuse_stepping
 from aleator.foreign._sympy_program import load_sympy
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
-from aleator.trajectories._trajectory import copied, shape_of
 
 
 class Found(NamedTuple):
@@ -136,9 +136,9 @@ def _number(who: str, symbol: Any, given: Any) -> Any:
     name = name_of(symbol)
     if isinstance(given, AbstractSignal):
         return _signal(who, symbol, given)
-    if shape_of(given) != ():
-        raise ProblemError(f"{who}: expected one number for '{name}'; received shape {shape_of(given)}.")
-    number = copied(who, f"number '{name}'", given)
+    if realised_shape(given) != ():
+        raise ProblemError(f"{who}: expected one number for '{name}'; received shape {realised_shape(given)}.")
+    number = stored_numbers(f"{who}: number '{name}'", given)
     refuse_contradiction(who, name, symbol, number)
     return number
 

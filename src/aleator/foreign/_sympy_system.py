@@ -10,7 +10,7 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
-from aleator._core.leaves import AbstractLeaf, transparent
+from aleator._core.leaves import AbstractLeaf, realised_shape, stored_numbers, transparent
 from aleator.dynamics import System
 from aleator.dynamics._system import state_type
 from aleator.foreign._sympy_assumptions import refuse_contradiction, refuse_stepping
@@ -28,7 +28,6 @@ from aleator.foreign._sympy_symbols import (
     time_symbol,
     units_for,
 )
-from aleator.trajectories._trajectory import copied, shape_of
 
 _WHO = "from_sympy"
 
@@ -220,9 +219,9 @@ def _started(given: Any, states: Sequence[Any]) -> tuple[dict[Any, Any], dict[An
     for state, value in start.items():
         if state in follow:
             continue
-        if not isinstance(value, AbstractLeaf) and shape_of(value) != ():
+        if not isinstance(value, AbstractLeaf) and realised_shape(value) != ():
             raise refusal(what, f"one number for '{name_of(state)}'", value)
-        values[state] = copied(_WHO, f"start of '{name_of(state)}'", value)
+        values[state] = stored_numbers(f"{_WHO}: start of '{name_of(state)}'", value)
         refuse_contradiction(what, name_of(state), state, values[state])
     return values, follow
 

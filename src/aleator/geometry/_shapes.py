@@ -1,7 +1,11 @@
-"""The shapes: sphere, capsule, box and half-space, in the plane or in space."""
+"""The shapes: sphere, capsule, box and half-space, in the plane or in space.
+
+Those of finite size are all one `Body`. Numbers are checked and stored as given, and returned as arrays once realised.
+"""
 
 import abc
-from typing import Any, final
+import itertools
+from typing import Any, NamedTuple, final
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,20 +14,71 @@ from typing_extensions import override
 
 from aleator._core.arrays import Number
 from aleator._core.errors import ProblemError
+from aleator._core.leaves import AbstractLeaf, lowest, realised_shape, stored_numbers
 from aleator._core.module import Module
-from aleator.geometry._body import TINY, Body, unit
-from aleator.geometry._numbers import (
-    check_lengths,
-    check_number,
-    check_point,
-    check_radius,
-    check_same_size,
-    plain,
-    realised,
-    realised_point,
-    shape_of,
-    stored,
-)
+
+TINY = 1e-200
+"""A squared length below which a vector has no direction."""
+
+
+class Body(NamedTuple):
+    """All points within `radius` of the core `center + sum_i s_i directions_i`, `|s_i| <= extents_i`.
+
+    The `k` directions are orthonormal: none for a sphere, one for a capsule, all for a box.
+    """
+
+    center: Float[Array, " d"]
+    directions: Float[Array, "k d"]
+    extents: Float[Array, " k"]
+    radius: Float[Array, ""]
+
+    @property
+    def dimension(self) -> int:
+        """2 in the plane, 3 in space."""
+        return self.center.shape[-1]
+
+    @property
+    def rank(self) -> int:
+        """The number of directions in which the core extends."""
+        return self.extents.shape[-1]
+
+    @property
+    def generators(self) -> Float[Array, "k d"]:
+        """The half edges of the core, as vectors."""
+        return self.extents[:, None] * self.directions
+
+    def points(self, signs: Float[np.ndarray, "n k"]) -> Float[Array, "n d"]:
+        """The points of the core at the given multiples of its half edges."""
+        return self.center[None, :] + jnp.asarray(signs) @ self.generators
+
+    def vertices(self) -> Float[Array, "n d"]:
+        """The `2^k` vertices of the core."""
+        return self.points(sign_table(self.rank))
+
+
+def sign_table(rank: int) -> Float[np.ndarray, "n k"]:
+    """Every choice of `rank` signs, one per row."""
+    return np.array(list(itertools.product((-1.0, 1.0), repeat=rank))).reshape(2**rank, rank)
+
+
+def unit(
+    vectors: Float[Array, "*n d"], smallest_square: float
+) -> tuple[Float[Array, "*n d"], Float[Array, "*n"], Array]:
+    """Unit vectors, their original lengths, and which of them were long enough to be normalised.
+
+    A vector that is too short is returned unchanged with length 0; its derivatives are finite.
+    """
+    squares = jnp.sum(vectors**2, axis=-1)
+    is_long = squares > smallest_square
+    # The argument of the root is guarded: its derivative at zero is infinite, even in a branch that is not used.
+    lengths = jnp.sqrt(jnp.where(is_long, squares, 1.0))
+    return vectors / lengths[..., None], jnp.where(is_long, lengths, 0.0), is_long
+
+
+def cross(first: Float[Array, "*n 3"], second: Float[Array, "*m 3"]) -> Float[Array, "*nm 3"]:
+    """The cross product, in fewer operations than `jnp.cross`, since it is compiled many times."""
+    after, before = np.array([1, 2, 0]), np.array([2, 0, 1])
+    return first[..., after] * second[..., before] - first[..., before] * second[..., after]
 
 
 class AbstractShape(Module):
@@ -55,8 +110,8 @@ class Sphere(AbstractBounded):
     radius: Number
 
     def __init__(self, center: Any, radius: Any = 0.0):
-        self.center = stored("Sphere", "center", center)
-        self.radius = stored("Sphere", "radius", radius)
+        self.center = stored_numbers("Sphere: 'center'", center)
+        self.radius = stored_numbers("Sphere: 'radius'", radius)
         check_point("Sphere", "center", self.center)
         check_radius("Sphere", self.radius)
 
@@ -83,9 +138,9 @@ class Capsule(AbstractBounded):
     radius: Number
 
     def __init__(self, start: Any, end: Any, radius: Any = 0.0):
-        self.start = stored("Capsule", "start", start)
-        self.end = stored("Capsule", "end", end)
-        self.radius = stored("Capsule", "radius", radius)
+        self.start = stored_numbers("Capsule: 'start'", start)
+        self.end = stored_numbers("Capsule: 'end'", end)
+        self.radius = stored_numbers("Capsule: 'radius'", radius)
         check_point("Capsule", "start", self.start)
         check_same_size("Capsule", start=self.start, end=self.end)
         check_radius("Capsule", self.radius)
@@ -117,14 +172,14 @@ class Box(AbstractBounded):
     orientation: Any
 
     def __init__(self, center: Any, half_sizes: Any, orientation: Any = None):
-        self.center = stored("Box", "center", center)
-        self.half_sizes = stored("Box", "half_sizes", half_sizes)
-        self.orientation = None if orientation is None else stored("Box", "orientation", orientation)
+        self.center = stored_numbers("Box: 'center'", center)
+        self.half_sizes = stored_numbers("Box: 'half_sizes'", half_sizes)
+        self.orientation = None if orientation is None else stored_numbers("Box: 'orientation'", orientation)
         check_point("Box", "center", self.center)
         check_same_size("Box", center=self.center, half_sizes=self.half_sizes)
         check_lengths("Box", "half_sizes", self.half_sizes)
         if self.orientation is not None:
-            _check_orientation(self.orientation, shape_of(self.center)[0])
+            _check_orientation(self.orientation, realised_shape(self.center)[0])
 
     @override
     def body(self) -> Body:
@@ -158,8 +213,8 @@ class HalfSpace(AbstractShape):
     offset: Number
 
     def __init__(self, normal: Any, offset: Any):
-        self.normal = stored("HalfSpace", "normal", normal)
-        self.offset = stored("HalfSpace", "offset", offset)
+        self.normal = stored_numbers("HalfSpace: 'normal'", normal)
+        self.offset = stored_numbers("HalfSpace: 'offset'", offset)
         check_point("HalfSpace", "normal", self.normal)
         check_number("HalfSpace", "offset", self.offset)
         normal = plain(self.normal)
@@ -178,10 +233,83 @@ class HalfSpace(AbstractShape):
 
 def _check_orientation(orientation: Any, dimension: int) -> None:
     wanted, words = ((), "one angle in rad") if dimension == 2 else ((3, 3), "a rotation matrix of shape (3, 3)")
-    if shape_of(orientation) != wanted:
+    if realised_shape(orientation) != wanted:
         raise ProblemError(
-            f"Box: in {dimension} dimensions 'orientation' takes {words}; received shape {shape_of(orientation)}."
+            f"Box: in {dimension} dimensions 'orientation' takes {words}; received shape {realised_shape(orientation)}."
         )
     matrix = plain(orientation)
     if dimension == 3 and matrix is not None and not np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=1e-6):
         raise ProblemError(f"Box: 'orientation' is not a rotation matrix: its columns are not orthonormal; {matrix}.")
+
+
+def plain(value: Any) -> np.ndarray | None:
+    """The values of a stored field if they are known; `None` where they are uncertain, decided or traced."""
+    return value if isinstance(value, np.ndarray) else None
+
+
+def check_point(owner: str, name: str, value: Any) -> None:
+    """Raise `ProblemError` unless `value` is a vector of the plane or of space."""
+    if realised_shape(value) not in ((2,), (3,)):
+        raise ProblemError(
+            f"{owner}: '{name}' takes 2 numbers in the plane or 3 in space; received shape {realised_shape(value)}. "
+            "For a batch of shapes, use `jax.vmap`."
+        )
+
+
+def check_same_size(owner: str, **fields: Any) -> None:
+    """Raise `ProblemError` unless two vectors have one size."""
+    sizes = {name: realised_shape(value) for name, value in fields.items()}
+    if len(set(sizes.values())) > 1:
+        received = " and ".join(f"'{name}' of shape {size}" for name, size in sizes.items())
+        raise ProblemError(f"{owner}: expected vectors of the same size; received {received}.")
+
+
+def check_number(owner: str, name: str, value: Any) -> None:
+    """Raise `ProblemError` unless `value` is one number."""
+    if realised_shape(value) != ():
+        raise ProblemError(f"{owner}: '{name}' takes one number; received shape {realised_shape(value)}.")
+
+
+def check_radius(owner: str, value: Any) -> None:
+    """Raise `ProblemError` unless `value` is one number that cannot become negative, as far as that is known."""
+    check_number(owner, "radius", value)
+    least = lowest(value)
+    if least is not None and least < 0:
+        raise ProblemError(f"{owner}: 'radius' must be zero or more; {_received(value, least)}")
+
+
+def check_lengths(owner: str, name: str, value: Any) -> None:
+    """Raise `ProblemError` if one of several numbers can become zero or negative, as far as they are known."""
+    least = lowest(value)
+    if least is not None and least <= 0:
+        raise ProblemError(f"{owner}: '{name}' must be positive; {_received(value, least)}")
+
+
+def _received(value: Any, least: float) -> str:
+    known = plain(value)
+    if known is not None:
+        return f"received {known}."
+    reach = "numbers that are unbounded below" if least == -np.inf else f"numbers that can reach {least:g}"
+    return (
+        f"received {reach}. Give larger numbers, distributions that are bounded or spread less, or decisions with "
+        "higher lower bounds."
+    )
+
+
+def realised(owner: str, name: str, value: Any) -> Float[Array, "..."]:
+    """A field as an array. Raises `ProblemError` if it still holds a distribution or a decision."""
+    if isinstance(value, list | tuple):
+        return jnp.stack([realised(owner, name, part) for part in value])
+    if isinstance(value, AbstractLeaf):
+        raise ProblemError(
+            f"{owner}: '{name}' holds {value}, which has no value yet. Take distances where the model is realised: in "
+            "a system's outputs."
+        )
+    return jnp.asarray(value, dtype=float)
+
+
+def realised_point(owner: str, name: str, value: Any) -> Float[Array, " d"]:
+    """A vector of the plane or of space as an array, checked again: batches show only when distances are taken."""
+    point = realised(owner, name, value)
+    check_point(owner, name, point)
+    return point

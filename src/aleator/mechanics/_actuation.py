@@ -10,6 +10,7 @@ from aleator._core.given import one_of, real_array, refusal
 from aleator.mechanics._constraints import jacobian_of
 from aleator.mechanics._matrices import solve_any
 from aleator.mechanics._mechanical import AbstractMechanical, actuation_map
+from aleator.mechanics._spatial import Numbers
 
 
 class Actuation(Enum):
@@ -51,7 +52,7 @@ def scheme(B: Float[np.ndarray, "speeds actuators"]) -> Actuation:
 
 
 def torques(
-    model: AbstractMechanical, q: Float[Array, " coordinates"], force: Float[Array, " speeds"]
+    model: AbstractMechanical, q: Float[Numbers, " coordinates"], force: Float[Array, " speeds"]
 ) -> Float[Array, " actuators"]:
     """The torques that produce a generalised force; those of least norm where there are many."""
     if model.acts_directly:

@@ -8,10 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import numbers_to_arrays
-from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import is_traced
 from aleator.dynamics import newton
 from aleator.mechanics._constraints import Loose, constraint_rate, jacobian_of
 from aleator.mechanics._given import checked_start
@@ -88,26 +85,9 @@ def start_unknown(kind: str, model: AbstractMechanical) -> str:
 def consistent_start(
     model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], loose: Loose
 ) -> tuple[Float[Array, " coordinates"], Float[Array, " speeds"]]:
-    """Coordinates and velocities beside those given, moved where they are loose, that the constraints allow.
-
-    With known numbers, by a program that serves others too: operation by operation it takes several times as long.
-    """
-    if is_traced((model, q, v)):
-        return _found(model, q, v, loose)
-    try:
-        return _FOUND(*numbers_to_arrays((model, jnp.asarray(q), jnp.asarray(v))), loose)
-    except Exception:  # such as from code that branches on a number
-        return _found(model, q, v, loose)
-
-
-def _found(
-    model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], loose: Loose
-) -> tuple[Float[Array, " coordinates"], Float[Array, " speeds"]]:
+    """Coordinates and velocities beside those given, moved where they are loose, that the constraints allow."""
     q = consistent_coordinates(model, q, loose.coordinates)
     return q, consistent_velocities(model, q, v, loose.speeds)
-
-
-_FOUND = Compiled(_found, use=Use.ONCE)
 
 
 def consistent_coordinates(

@@ -1,16 +1,14 @@
 """What can be wrong with constraints, in words: a start that contradicts them, redundancy, singular postures."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import numbers_to_arrays
-from aleator._core.compilation import Compiled, Use
 from aleator.mechanics._constraints import Loose, jacobian_of
-from aleator.mechanics._instant import Instants
 from aleator.mechanics._mechanical import AbstractMechanical, constraint_of
 
 # Singular values smaller than this beside the largest, in sizes of their own, are rounding of zero.
@@ -21,22 +19,25 @@ _LEFT = 1e-8
 
 _MOST_STEPS = 50
 
+Linearised: TypeAlias = Callable[[np.ndarray], tuple[np.ndarray, ...]]
+"""What is left of the constraints at given coordinates, its slope by these, and the Jacobian `G`."""
+
 _ELSEWHERE = "Coordinates near a posture that it can take, from which its start is found, are given by guess=."
 
 
-def start_diagnosis(model: AbstractMechanical, near: Any, found: Any, loose: Loose) -> str:
-    """Why no posture at the start obeys the constraints, or why they do not determine one; empty if all is well.
+def start_diagnosis(model: AbstractMechanical, near: Float[np.ndarray, " coordinates"], loose: Loose) -> str:
+    """Why the constraints allow no posture at the start, or do not determine one.
 
-    `near` is the start as it is given, with coordinates that stay and those that are `loose`; `found` are the
-    coordinates and velocities that were found from it, not a number where they were not.
+    `near` is the start as it is given, with coordinates that stay and those that are `loose`.
     """
-    what, near = type(model).__name__, np.asarray(near, dtype=float)
-    if not all(np.isfinite(one).all() for one in _LINEARISED(numbers_to_arrays(model), jnp.asarray(near))):
+    what, linearised = type(model).__name__, _linearised(model)
+    if not all(np.isfinite(one).all() for one in linearised(near)):
         return (
             f"{what}: its constraints, or their derivatives, are not finite at {_listed(model.coordinates, near)}, "
             f"from where a start is sought. {_ELSEWHERE}"
         )
-    q, left, slope, jacobian = _brought_near(model, near, np.array(loose.coordinates))
+    q, left, slope, jacobian = _brought_near(linearised, near, np.array(loose.coordinates))
+    q = np.asarray(model.normalised(jnp.asarray(q)))
     size = np.abs(slope).max(axis=1, initial=0.0) * (1 + np.abs(q).max(initial=0.0))
     if not (np.abs(left) <= _LEFT * size).all():
         return (
@@ -45,27 +46,28 @@ def start_diagnosis(model: AbstractMechanical, near: Any, found: Any, loose: Loo
             f"lengths, or keep less in start=. {_ELSEWHERE}"
         )
     if _rank(jacobian) < len(jacobian):
-        return _dependence(what, model, q, jacobian)
-    if not np.isfinite(np.concatenate(found)).all():
-        return (
-            f"{what}: at {_listed(model.coordinates, q)} its constraints do not determine how "
-            f"{_named([model.coordinates[i] for i in loose.coordinates])} follow the rest (a dead centre). Keep or "
-            f"prescribe another coordinate, or begin beside this posture. {_ELSEWHERE}"
-        )
-    return ""
+        return _dependence(model, linearised, q, jacobian)
+    return (
+        f"{what}: at {_listed(model.coordinates, q)} its constraints do not determine how "
+        f"{_named([model.coordinates[i] for i in loose.coordinates])} follow the rest (a dead centre). Keep or "
+        f"prescribe another coordinate, or begin beside this posture. {_ELSEWHERE}"
+    )
 
 
-def constraint_diagnosis_along(now: Instants, path: Array, loose: Loose) -> str:
-    """Where along a path the constraints lose their rank, at an instant or between two; empty if nowhere."""
-    model, times = now.model, np.asarray(now.times)
-    jacobians = np.asarray(_JACOBIANS(numbers_to_arrays(now), path))[:, :, np.array(loose.speeds)]
-    when = lost_rank(times, jacobians)
+def constraint_diagnosis_along(
+    model: AbstractMechanical, loose: Loose, times: np.ndarray, path: np.ndarray, jacobians: np.ndarray | None
+) -> str:
+    """Where along a path the constraints lose their rank, at an instant or between two; empty if nowhere.
+
+    `jacobians` are those by the speeds that are `loose`, at each instant; `None` without constraints.
+    """
+    when = None if jacobians is None else lost_rank(times, jacobians)
     if when is None:
         return ""
     text, i = when
     return (
         f"The constraints of {type(model).__name__} lose their rank {text} "
-        f"({_listed(model.coordinates, np.asarray(path[i]))}): how {_named([model.speeds[j] for j in loose.speeds])} "
+        f"({_listed(model.coordinates, path[i])}): how {_named([model.speeds[j] for j in loose.speeds])} "
         "follow is not determined there (a dead centre). Stay away from this posture, or prescribe another coordinate."
     )
 
@@ -90,12 +92,12 @@ def lost_rank(times: np.ndarray, matrices: Float[np.ndarray, "instants m n"]) ->
     return f"between t = {times[first]:.4g} s and t = {times[first + 1]:.4g} s", first
 
 
-def _dependence(what: str, model: AbstractMechanical, q: np.ndarray, jacobian: np.ndarray) -> str:
+def _dependence(model: AbstractMechanical, linearised: Linearised, q: np.ndarray, jacobian: np.ndarray) -> str:
     """Constraints that depend on one another: wherever the system is, or in one posture alone."""
-    rank, names = _rank(jacobian), _dependent(model, jacobian)
+    what, rank, names = type(model).__name__, _rank(jacobian), _dependent(model, jacobian)
     everything = np.arange(len(model.coordinates))
     # A posture apart, in which no angle happens to be zero.
-    apart, left, slope, elsewhere = _brought_near(model, q + np.linspace(0.02, 0.05, len(q)), everything)
+    apart, left, slope, elsewhere = _brought_near(linearised, q + np.linspace(0.02, 0.05, len(q)), everything)
     reached = (np.abs(left) <= _LEFT * np.abs(slope).max(axis=1) * (1 + np.abs(apart).max())).all()
     if reached and _rank(elsewhere) == len(jacobian):
         return (
@@ -136,24 +138,23 @@ def _scaled(matrix: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def _brought_near(model: AbstractMechanical, q: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, ...]:
+def _brought_near(linearised: Linearised, q: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, ...]:
     """A posture that obeys the constraints as nearly as Gauss and Newton bring it, what is left, slope and Jacobian.
 
     On the host, and by least squares, so that dependent constraints are told from contradictory ones.
     """
-    model = numbers_to_arrays(model)
 
-    def linearised(at: np.ndarray) -> tuple[np.ndarray, ...]:
-        return tuple(np.nan_to_num(np.asarray(one)) for one in _LINEARISED(model, jnp.asarray(at)))
+    def finite(at: np.ndarray) -> tuple[np.ndarray, ...]:
+        return tuple(map(np.nan_to_num, linearised(at)))
 
-    left, slope, jacobian = linearised(q)
+    left, slope, jacobian = finite(q)
     for _ in range(_MOST_STEPS):
         step = np.linalg.lstsq(slope[:, moving], left, rcond=_SINGULAR)[0]
         damping, moved, following = 1.0, q, (left, slope, jacobian)
         while damping > 1e-3:
             moved = q.copy()
             moved[moving] -= damping * step
-            following = linearised(moved)
+            following = finite(moved)
             if np.linalg.norm(following[0]) < np.linalg.norm(left):
                 break
             damping /= 2
@@ -162,22 +163,18 @@ def _brought_near(model: AbstractMechanical, q: np.ndarray, moving: np.ndarray) 
         q, (left, slope, jacobian) = moved, following
         if np.abs(step).max(initial=0.0) <= 1e-14 * (1 + np.abs(q).max(initial=0.0)):
             break
-    return np.asarray(model.normalised(jnp.asarray(q))), left, slope, jacobian
+    return q, left, slope, jacobian
 
 
-def _linearised(model: AbstractMechanical, q: Array) -> tuple[Array, Array, Array]:
+def _linearised(model: AbstractMechanical) -> Linearised:
     def bound(at: Array) -> Array:
         return constraint_of(model, model.normalised(at))
 
-    return bound(q), jax.jacfwd(bound)(q), jacobian_of(model, model.normalised(q))
+    @jax.jit
+    def linearised(q: Array) -> tuple[Array, Array, Array]:
+        return bound(q), jax.jacfwd(bound)(q), jacobian_of(model, model.normalised(q))
 
-
-def _jacobians(now: Instants, path: Array) -> Array:
-    return now.each(jacobian_of, path)
-
-
-_LINEARISED = Compiled(_linearised, use=Use.ONCE)
-_JACOBIANS = Compiled(_jacobians, use=Use.ONCE)
+    return lambda q: tuple(map(np.asarray, linearised(jnp.asarray(q))))
 
 
 def _listed(names: tuple[str, ...], values: Any) -> str:

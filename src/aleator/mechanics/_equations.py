@@ -55,6 +55,11 @@ class Lagrangian(AbstractNamed):
     masses that change with time conserve momentum, as if added mass had been at rest, and a term `Ṁ v` is included.
     """
 
+    _rule = (
+        "kinetic_energy(q, v): expected a quadratic function of the velocities, whose second derivatives are the mass "
+        "matrix at any velocity. Use al.Accelerations for others."
+    )
+
     @abc.abstractmethod
     def kinetic_energy(self, q: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, ""]:
         """The kinetic energy, J: a quadratic function of `v`."""
@@ -94,16 +99,9 @@ class Lagrangian(AbstractNamed):
         return change - jax.grad(self._kinetic)(q, v) + self._forces(q, v)
 
     @override
-    def diagnose(self, q: Float[Array, " n"]) -> str:
-        """Report a kinetic energy that is not quadratic in the velocities."""
-        at_rest, moving = (self._inertia(q, v) for v in (jnp.zeros_like(q), jnp.linspace(0.4, 0.7, len(q))))
-        slack = 1e-9 * float(jnp.abs(at_rest).max(initial=0.0))
-        if jnp.allclose(moving, at_rest, rtol=1e-6, atol=slack, equal_nan=True):
-            return ""
-        return (
-            f"{type(self).__name__}.kinetic_energy(q, v): expected a quadratic function of the velocities, whose "
-            "second derivatives are the mass matrix at any velocity. Use al.Accelerations for others."
-        )
+    def stated_twice(self, q: Float[Array, " n"]) -> tuple[Array, Array]:
+        """The mass matrix in motion and at rest: the kinetic energy is quadratic in the velocities."""
+        return self._inertia(q, jnp.linspace(0.4, 0.7, len(q))), self._inertia(q, jnp.zeros_like(q))
 
     def _forces(self, q: Array, v: Array) -> Array:
         potential = jax.grad(lambda at: shaped(self, "potential_energy", (at,), ()))(q)
@@ -123,6 +121,11 @@ class Accelerations(AbstractNamed):
     identity, and its forces are accelerations. The effect of the torques may depend on the coordinates, not on the
     velocities.
     """
+
+    _rule = (
+        "accelerations(q, v, torque): expected accelerations affine in the torques, with an effect independent of the "
+        "velocities. Plan the non-affine term itself as the torque."
+    )
 
     def __check_init__(self):
         if self.constraint_names:
@@ -151,16 +154,10 @@ class Accelerations(AbstractNamed):
         return jax.jacfwd(lambda torque: self._rates(q, at_rest, torque))(jnp.zeros(len(self.actuators)))
 
     @override
-    def diagnose(self, q: Float[Array, " coordinates"]) -> str:
-        """Report accelerations that are not affine in the torques."""
+    def stated_twice(self, q: Float[Array, " coordinates"]) -> tuple[Array, Array]:
+        """Accelerations, and what they are if they are affine in the torques."""
         v, torque = jnp.linspace(0.4, 0.7, len(self.speeds)), jnp.linspace(0.6, 1.3, len(self.actuators))
-        expected = actuation_map(self, q) @ torque - bias_of(self, q, v)
-        if jnp.allclose(self._rates(q, v, torque), expected, rtol=1e-6, atol=1e-9, equal_nan=True):
-            return ""
-        return (
-            f"{type(self).__name__}.accelerations(q, v, torque): expected accelerations affine in the torques, with an "
-            "effect independent of the velocities. Plan the non-affine term itself as the torque."
-        )
+        return self._rates(q, v, torque), actuation_map(self, q) @ torque - bias_of(self, q, v)
 
     def _rates(self, q: Array, v: Array, torque: Array) -> Array:
         return shaped(self, "accelerations", (q, v, torque), (len(self.speeds),))

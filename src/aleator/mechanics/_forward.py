@@ -4,20 +4,20 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple, final
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
 from aleator.mechanics._consistent import checked_guess, consistent_start, kept_of, start_unknown
-from aleator.mechanics._constraint_diagnosis import start_diagnosis
 from aleator.mechanics._constraints import (
     Bound,
+    Loose,
     Saddle,
     all_loose,
     put_back,
 )
-from aleator.mechanics._diagnosis import diagnosis_along, diagnosis_at
 from aleator.mechanics._formulation import AbstractFormulation, model_given
 from aleator.mechanics._given import (
     Given,
@@ -28,7 +28,7 @@ from aleator.mechanics._given import (
     signals_for,
     vector,
 )
-from aleator.mechanics._instant import at, instants_of, is_timed
+from aleator.mechanics._instant import at, is_timed
 from aleator.mechanics._kinematics import accelerations, rates
 from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, bias_of, driven, load_on, mass_of
 from aleator.mechanics._motion import Motion
@@ -95,23 +95,19 @@ class ForwardDynamics(AbstractFormulation):
     def initial(self) -> Mapping[str, Any]:
         if self.model.constraints and is_timed(self.model):
             raise ProblemError(start_unknown("ForwardDynamics", self.model))
-        return self._beginning(self.model)
+        return self.starting(np.zeros(()), {})
 
     @override
-    def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
-        return self._beginning(at(self.model, t, inputs.get("parameters")))
-
-    def _beginning(self, model: AbstractMechanical) -> Mapping[str, Any]:
-        """The start of a model at an instant, as its constraints allow."""
+    def started(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
         q, v = self._near()
-        if model.constraints:
-            q, v = consistent_start(model, q, v, kept_of(model, self.start).loose(model))
+        if self.model.constraints:
+            model = at(self.model, t, inputs.get("parameters"))
+            q, v = consistent_start(model, q, v, self.loose_at_start)
         return {"q": q, "v": v}
 
     def _near(self) -> tuple[Array, Array]:
         """Coordinates and velocities as they are given."""
-        q = self.model.normalised(coordinates_at(self.model, {**self.guess, **self.start}))
-        return q, vector(self.model.speeds, self.start)
+        return coordinates_at(self.model, {**self.guess, **self.start}), vector(self.model.speeds, self.start)
 
     @override
     def rhs(self, t: Any, z: Any, torque: Any = None, parameters: Any = None) -> tuple[Array, Array]:
@@ -134,14 +130,14 @@ class ForwardDynamics(AbstractFormulation):
         return _rates_of(model, found), _outputs_of(model, t, z, torque, torque_rate, found)
 
     @override
-    def diagnose(self, grid: Grid) -> str:
-        near, first = self._near(), instants_of(self.model, grid).at(0)
-        if not self.model.constraints:
-            return diagnosis_at(first, near[0], "at the start") or diagnosis_along(self, grid)
-        loose = kept_of(self.model, self.start).loose(self.model)
-        q, v = consistent_start(first, *near, loose)
-        found = start_diagnosis(first, near[0], (q, v), loose) or diagnosis_at(first, q, "at the start")
-        return found or diagnosis_along(self, grid, loose=all_loose(self.model))
+    def beginning(self, model: AbstractMechanical, grid: Grid) -> tuple[Any, Any]:
+        del model, grid
+        return self._near()[0], None
+
+    @property
+    @override
+    def loose_at_start(self) -> Loose:
+        return kept_of(self.model, self.start).loose(self.model)
 
     def _given(self, torque: Any) -> Array:
         n = len(self.model.actuators)

@@ -8,11 +8,13 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
+from aleator._core.leaves import realised_shape, stored_numbers
 from aleator.mechanics._instant import course
 from aleator.mechanics._mechanical import AbstractMechanical
+from aleator.mechanics._spatial import Numbers
 from aleator.trajectories import AbstractSignal, AbstractTrajectory, PowerSeries, Stack
-from aleator.trajectories._trajectory import copied, shape_of
 
 
 @final
@@ -31,7 +33,8 @@ class Columns(AbstractSignal):
 
     @override
     def sampled(self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, "n parts"]:
-        return jnp.stack([part.sampled(fractions, t_start, t_final) for part in self.parts], axis=-1)
+        xp, parts = in_library([part.sampled(fractions, t_start, t_final) for part in self.parts])
+        return jax_array(xp.stack(parts, axis=-1))
 
     @override
     def span(self) -> tuple[float, float]:
@@ -115,7 +118,7 @@ def _single(given: Any, where: str) -> AbstractSignal:
         raise ProblemError(f"{where}: expected a trajectory of one number; received shape {given.shape}.")
     if isinstance(given, AbstractSignal):
         return given
-    if shape_of(given) != ():
+    if realised_shape(given) != ():
         raise ProblemError(f"{where}: expected a trajectory or one number; received {given!r}.")
     # A number, even an uncertain or decided one, is a constant signal.
     return PowerSeries(start=(given,))
@@ -130,21 +133,25 @@ def checked_start(model: AbstractMechanical, names: tuple[str, ...], start: Any,
     if unknown := sorted(set(given) - set(names)):
         raise ProblemError(f"{what}: there is no {unknown} to start; expected some of {list(names)}.")
     for name, number in given.items():
-        if shape_of(number) != ():
+        if realised_shape(number) != ():
             raise ProblemError(
-                f"{what}: expected one number as the start of '{name}'; received shape {shape_of(number)}."
+                f"{what}: expected one number as the start of '{name}'; received shape {realised_shape(number)}."
             )
-    return {name: copied(what, f"start of '{name}'", number) for name, number in given.items()}
+    return {name: stored_numbers(f"{what}: start of '{name}'", number) for name, number in given.items()}
 
 
 def coordinates_at(model: AbstractMechanical, start: Mapping[str, Any]) -> Float[Array, " coordinates"]:
-    """Initial coordinates; those not given are zero, or those of the identity quaternion."""
+    """Initial coordinates, valid ones; those not given are zero, or those of the identity quaternion."""
     names = model.coordinates
-    unturned = model.normalised(jnp.zeros(len(names)))
-    return vector(names, {**dict(zip(names, unturned, strict=True)), **start})
+    unturned = model.normalised(np.zeros(len(names)))
+    return jax_array(model.normalised(_stacked([start.get(*given) for given in zip(names, unturned, strict=True)])))
 
 
 def vector(names: tuple[str, ...], start: Mapping[str, Any]) -> Float[Array, " names"]:
     """Initial values in order; those not given are zero."""
-    values = [jnp.asarray(start.get(name, 0.0), dtype=float) for name in names]
-    return jnp.stack(values) if values else jnp.zeros(0)
+    return jax_array(_stacked([start.get(name, 0.0) for name in names]))
+
+
+def _stacked(values: list[Any]) -> Float[Numbers, " values"]:
+    xp, values = in_library(values)
+    return xp.stack([xp.asarray(value, dtype=float) for value in values]) if values else np.zeros(0)

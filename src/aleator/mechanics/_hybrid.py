@@ -10,13 +10,11 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import numbers_to_arrays
-from aleator._core.compilation import Compiled, Use
+from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
-from aleator.mechanics._consistent import Kept, checked_guess, consistent_start, kept_of, start_unknown
-from aleator.mechanics._constraint_diagnosis import start_diagnosis
-from aleator.mechanics._diagnosis import diagnosis_along, diagnosis_at, quaternion_diagnosis
+from aleator.mechanics._consistent import checked_guess, consistent_start, kept_of, start_unknown
+from aleator.mechanics._constraints import Loose
 from aleator.mechanics._formulation import AbstractFormulation, model_given
 from aleator.mechanics._given import (
     Given,
@@ -31,7 +29,7 @@ from aleator.mechanics._given import (
     signals_for,
     vector,
 )
-from aleator.mechanics._instant import Instants, along_time, at, instants_of
+from aleator.mechanics._instant import along_time, at
 from aleator.mechanics._kinematics import accelerations, rates
 from aleator.mechanics._mechanical import AbstractMechanical, rate_map
 from aleator.mechanics._motion import Motion
@@ -130,15 +128,15 @@ class HybridDynamics(AbstractFormulation):
     def initial(self) -> Mapping[str, Any]:
         if self.model.constraints:
             raise ProblemError(start_unknown("HybridDynamics", self.model))
-        return self._stated(self._others_near(), vector(self._loose_speeds(), self.start))
+        return self.starting(np.zeros(()), {})
 
     @override
-    def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
+    def started(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
         if not self.model.constraints:
-            return self.initial()
+            return self._stated(self._others_near(), vector(self._loose_speeds(), self.start))
         model = at(self.model, t, inputs.get("parameters"))
         given = Prescribed(inputs["position"], inputs["velocity"], inputs["acceleration"], self._known(None))
-        q, v = consistent_start(model, *self._near(model, given), self._begins().loose(model))
+        q, v = consistent_start(model, *self._near(model, given), self.loose_at_start)
         return self._stated(taken(q, self._parts.others), taken(v, self._parts.undriven))
 
     @override
@@ -207,33 +205,37 @@ class HybridDynamics(AbstractFormulation):
         return self._rates_of(model, found), outputs
 
     @override
-    def diagnose(self, grid: Grid) -> str:
+    def beginning(self, model: AbstractMechanical, grid: Grid) -> tuple[Any, Any]:
+        """Besides, the velocity map in a generic posture, in which no angle happens to be zero."""
+        q = self._near(model, self._prescribed_at(grid))[0]
+        return q, None if model.moves_directly else rate_map(model, q + np.linspace(0.2, 0.3, len(q)))
+
+    @property
+    @override
+    def loose(self) -> Loose:
+        return self._parts.loose
+
+    @property
+    @override
+    def loose_at_start(self) -> Loose:
+        return kept_of(self.model, self.start, self.prescribed, self.driven).loose(self.model)
+
+    @override
+    def prescribed_path(self, grid: Grid) -> Array:
         motion = combined_motion(self._followed(), self.motion).sampled(grid.fractions, grid.t_start, grid.t_final)
         others = self._others_near()
-        given = jax.vmap(lambda position: self._parts.merged(position, others))(motion)
-        q = self.model.normalised(given[0])
-        first = instants_of(self.model, grid).at(0)
-        if self.model.constraints:
-            loose = self._begins().loose(self.model)
-            near, v = self._near(first, self._prescribed_at(grid))
-            q, v = consistent_start(first, near, v, loose)
-            if found := start_diagnosis(first, near, (q, v), loose):
-                return found
-        if found := diagnosis_at(first, q, "at the start"):
-            return found
-        effect = np.asarray(_EFFECT(numbers_to_arrays(first), self._parts, q))
-        if not effect.size or np.linalg.matrix_rank(effect) < len(self.driven):
-            return self._unrealisable()
-        found = self._entangled(first, q) or quaternion_diagnosis(self.model, np.asarray(grid.times), given)
-        return found or diagnosis_along(self, grid, _EFFECTS, self._parts.loose if self.model.constraints else None)
+        return jax.vmap(lambda position: self._parts.merged(position, others))(motion)
 
-    def _entangled(self, model: AbstractMechanical, q: Array) -> str:
-        """Why the prescribed rates do not determine velocities of their own; empty if they do."""
-        if model.moves_directly:
-            return ""
-        # A generic posture, in which no angle happens to be zero.
-        H = np.asarray(rate_map(model, q + jnp.linspace(0.2, 0.3, len(q))))
-        if not np.any(H[np.ix_(self.prescribed, self._parts.undriven)]):
+    @override
+    def effects(self, model: AbstractMechanical, q: Array) -> Array:
+        return effect_of_torques(model, self._parts, q)
+
+    @override
+    def diagnose_start(self, effects: Any, own: Any) -> str:
+        """Torques that cannot act on the prescribed motion, and velocities of others that enter its rates."""
+        if not effects.size or np.linalg.matrix_rank(effects) < len(self.driven):
+            return self._unrealisable()
+        if own is None or not np.any(own[np.ix_(self.prescribed, self._parts.undriven)]):
             return ""
         names = ", ".join(self.model.coordinates[i] for i in self.prescribed)
         return (
@@ -265,8 +267,8 @@ class HybridDynamics(AbstractFormulation):
 
     def _others_near(self) -> Array:
         """The coordinates that are not prescribed at the start, as they are given."""
-        q = self.model.normalised(coordinates_at(self.model, {**self.guess, **self.start}))
-        return taken(q, self._parts.others)
+        _, q = in_library(coordinates_at(self.model, {**self.guess, **self.start}))
+        return jax_array(taken(q, self._parts.others))
 
     def _near(self, model: AbstractMechanical, given: Prescribed) -> tuple[Array, Array]:
         """Coordinates and velocities at the start, those that are not prescribed as they are given."""
@@ -279,10 +281,6 @@ class HybridDynamics(AbstractFormulation):
         motion = combined_motion(self._followed(), self.motion)
         curve = [motion.derivative(k).sampled(np.zeros(1), grid.t_start, grid.t_final)[0] for k in range(3)]
         return Prescribed(curve[0], curve[1], curve[2], self._known(None))
-
-    def _begins(self) -> Kept:
-        """What stays at the start."""
-        return kept_of(self.model, self.start, self.prescribed, self.driven)
 
     def _followed(self) -> tuple[str, ...]:
         return tuple(self.model.coordinates[i] for i in self.prescribed)
@@ -298,14 +296,6 @@ class HybridDynamics(AbstractFormulation):
 
     def _known(self, given: Any) -> Float[Array, " known"]:
         return jnp.zeros(len(self.known)) if given is None else given
-
-
-def _effects(system: HybridDynamics, now: Instants, path: Array) -> Array:
-    return now.each(lambda model, q: effect_of_torques(model, system._parts, q), path)
-
-
-_EFFECT = Compiled(effect_of_torques, use=Use.ONCE)
-_EFFECTS = Compiled(_effects, use=Use.ONCE)
 
 
 def _check_names(model: AbstractMechanical, motion: Any, torque: Any) -> None:

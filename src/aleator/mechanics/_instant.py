@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.arrays import in_library
 from aleator._core.errors import ProblemError
 from aleator._core.module import Module
 from aleator.dynamics import Grid
@@ -102,7 +103,7 @@ def is_timed(model: eqx.Module) -> bool:
     return bool(timed_methods(type(model))) or any(isinstance(leaf, AbstractSignal) for leaf in _leaves(model))
 
 
-def at(model: Model, t: Any, parameters: Float[Array, "orders numbers"] | None) -> Model:
+def at(model: Model, t: Any, parameters: Any) -> Model:
     """A model at an instant, with the values of its `course` there; unchanged if it does not depend on time."""
     leaves, structure = jax.tree.flatten(model, is_leaf=_is_signal)
     places = tuple(i for i, leaf in enumerate(leaves) if isinstance(leaf, AbstractSignal))
@@ -111,11 +112,12 @@ def at(model: Model, t: Any, parameters: Float[Array, "orders numbers"] | None) 
             f"{type(model).__name__}: expected {'values of' if places else 'no'} parameters that change with time; "
             f"received {'none' if places else 'an input of that name'}."
         )
+    if not is_timed(model):
+        return model
     rows = [()] if parameters is None else [_split(row, [leaves[i] for i in places]) for row in parameters]
     for place, value in zip(places, rows[0], strict=True):
         leaves[place] = value
-    found = jax.tree.unflatten(structure, leaves)
-    return _remembering(found, When(t, tuple(rows[1:]), places)) if is_timed(model) else found
+    return _remembering(jax.tree.unflatten(structure, leaves), When(t, tuple(rows[1:]), places))
 
 
 def later(model: Model, s: Any) -> Model:
@@ -152,7 +154,12 @@ class Instants(NamedTuple):
 
     def at(self, i: int) -> Any:
         """The model at one instant."""
-        return at(self.model, self.times[i], None if self.parameters is None else self.parameters[i])
+        return at(self.model, *self.row(i))
+
+    def row(self, i: int) -> tuple[Any, Any]:
+        """The time of one instant, and the numbers there of the signals in the model's fields."""
+        _, times, parameters = in_library(self.times, self.parameters)
+        return times[i], None if parameters is None else parameters[i]
 
     def each(self, function: Callable[..., Any], *given: Array) -> Any:
         """`function(model, *given)` at every instant, with the rows of `given` there."""
@@ -180,11 +187,12 @@ def _derivative(signal: AbstractSignal, before: AbstractSignal, order: int) -> A
     return signal.derivative(order) if isinstance(signal, AbstractTrajectory) else Rate(before)
 
 
-def _split(row: Float[Array, " numbers"], signals: Sequence[AbstractSignal]) -> tuple[Array, ...]:
+def _split(row: Any, signals: Sequence[AbstractSignal]) -> tuple[Any, ...]:
     """The numbers of several signals in the shapes of their values."""
-    shapes = [jax.eval_shape(signal, jnp.zeros(())).shape for signal in signals]
+    shapes = [jax.eval_shape(signal, jax.ShapeDtypeStruct((), float)).shape for signal in signals]
+    xp, row = in_library(row)
     ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
-    return tuple(part.reshape(shape) for part, shape in zip(jnp.split(row, ends[:-1]), shapes, strict=True))
+    return tuple(part.reshape(shape) for part, shape in zip(xp.split(row, ends[:-1]), shapes, strict=True))
 
 
 def _taylor(orders: Sequence[Array], s: Any) -> Array:

@@ -4,20 +4,18 @@ from collections.abc import Collection, Mapping
 from typing import Any, ClassVar, final
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
-from aleator.mechanics._actuation import Actuation, actuation_of, torques
+from aleator.mechanics._actuation import Actuation, scheme, torques
 from aleator.mechanics._consistent import checked_guess
-from aleator.mechanics._diagnosis import diagnosis_at, diagnosis_of_path
-from aleator.mechanics._formulation import AbstractFormulation, model_given
+from aleator.mechanics._formulation import AbstractFormulation, examined, model_given
 from aleator.mechanics._given import Given, asks_torque_rates, combined_motion, followed, motions_for
 from aleator.mechanics._hybrid import HybridDynamics
-from aleator.mechanics._instant import along_time, at, course, instants_of
+from aleator.mechanics._instant import along_time, at, course
 from aleator.mechanics._kinematics import Followed, follow
 from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, required_force
 from aleator.mechanics._motion import Motion
@@ -98,7 +96,7 @@ class InverseDynamics(AbstractFormulation):
 
     @override
     def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
-        return self._driven().starting(t, inputs) if self.model.constraints else {}
+        return self._driven().starting(t, inputs) if self.model.constraints else super().starting(t, inputs)
 
     @override
     def rhs(
@@ -138,27 +136,36 @@ class InverseDynamics(AbstractFormulation):
 
     @override
     def diagnose(self, grid: Grid) -> str:
-        if self.model.constraints:
-            return self._driven().diagnose(grid)
-        now, path = instants_of(self.model, grid), self._motion().sampled(grid.fractions, grid.t_start, grid.t_final)
-        model = now.at(0)
-        q = model.normalised(path[0])
-        if found := diagnosis_at(model, q, "at the start"):
-            return found
-        scheme = actuation_of(model, q)
-        if scheme not in (Actuation.FULL, Actuation.OVER):
-            return self._unrealisable(scheme.value)
-        effects = None if model.acts_directly else now.each(lambda one, q: actuation_map(one, one.normalised(q)), path)
-        return diagnosis_of_path(now, path, effects)
+        return self._driven().diagnose(grid) if self.model.constraints else super().diagnose(grid)
+
+    @override
+    def beginning(self, model: AbstractMechanical, grid: Grid) -> tuple[Any, Any]:
+        """Torques, velocities and accelerations besides."""
+        curve = [self._motion().derivative(k).sampled(np.zeros(1), grid.t_start, grid.t_final) for k in range(3)]
+        torque, path = _torques(model, *(row[0] for row in model.as_computed(curve)))
+        return path.q, (torque, path.v, path.v_dot)
+
+    @override
+    def prescribed_path(self, grid: Grid) -> Array:
+        return self._motion().sampled(grid.fractions, grid.t_start, grid.t_final)
+
+    @override
+    def effects(self, model: AbstractMechanical, q: Array) -> Any:
+        return None if model.acts_directly else actuation_map(model, q)
+
+    @override
+    def diagnose_start(self, effects: Any, own: Any) -> str:
+        del own
+        kind = Actuation.FULL if effects is None else scheme(effects)
+        return "" if kind in (Actuation.FULL, Actuation.OVER) else self._unrealisable(kind.value)
 
     @override
     def holding(self, grid: Grid) -> Mapping[str, Any]:
         """The holding torques, where the motion starts at rest and without acceleration; none with constraints."""
         if self.model.constraints:
             return {}
-        curve = [self._motion().derivative(k).sampled(np.zeros(1), grid.t_start, grid.t_final)[0] for k in range(3)]
-        torque, start = _torques(instants_of(self.model, grid).at(0), *curve)
-        if jnp.any(jnp.abs(jnp.stack([start.v, start.v_dot])) > 1e-9):
+        torque, *changes = examined(self, grid).own
+        if any(np.any(np.abs(change) > 1e-9) for change in changes):
             return {}
         return dict(zip(self.model.actuators, torque, strict=True))
 

@@ -12,6 +12,7 @@ from aleator._core.errors import ProblemError
 from aleator._core.module import Module
 from aleator.mechanics._spatial import (
     Block,
+    Numbers,
     Pose,
     Twist,
     about,
@@ -19,6 +20,7 @@ from aleator.mechanics._spatial import (
     as_array,
     from_quaternion,
     is_known,
+    library,
     quaternion_rates,
     unit,
     unit_quaternion,
@@ -40,41 +42,41 @@ class AbstractJoint(Module):
     speed_units: ClassVar[tuple[str, ...]]
 
     @abc.abstractmethod
-    def pose(self, placement: Pose, q: Float[Array, " coordinates"]) -> Pose:
+    def pose(self, placement: Pose, q: Float[Numbers, " coordinates"]) -> Pose:
         """The body in its parent's frame; `placement` is the joint's own frame there."""
 
     @abc.abstractmethod
-    def subspace(self, q: Float[Array, " coordinates"]) -> Twist:
+    def subspace(self, q: Float[Numbers, " coordinates"]) -> Twist:
         """`S(q)`: the body's twist relative to its parent, in the body's axes, one column per speed."""
 
-    def twist(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Twist:
+    def twist(self, q: Float[Numbers, " coordinates"], v: Float[Numbers, " speeds"]) -> Twist:
         """`S(q) v`."""
         return Twist(*(None if block is None else block @ v for block in self.subspace(q)))
 
-    def drift(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Twist:
+    def drift(self, q: Float[Numbers, " coordinates"], v: Float[Numbers, " speeds"]) -> Twist:
         """`Ṡ(q) v`, in the body's axes."""
         del q, v
         return Twist(None, None)
 
-    def passive(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
+    def passive(self, q: Float[Numbers, " coordinates"], v: Float[Numbers, " speeds"]) -> Float[Numbers, " speeds"]:
         """The force of springs and dampers along each speed, N or N·m."""
         del q
-        return jnp.zeros_like(v)
+        return library(v).zeros_like(v)
 
     def rotors(self) -> Block:
         """The inertia along each speed of what turns with the joint alone, (speeds, speeds); `None` for none."""
         return None
 
-    def energy(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
+    def energy(self, q: Float[Numbers, " coordinates"]) -> Float[Array, ""]:
         """The energy in springs, J."""
         del q
         return jnp.zeros(())
 
     @abc.abstractmethod
-    def velocity_map(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates speeds"]:
+    def velocity_map(self, q: Float[Numbers, " coordinates"]) -> Float[Array, "coordinates speeds"]:
         """`H(q)`, from speeds to the rates of the coordinates."""
 
-    def normalised(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
+    def normalised(self, q: Float[Numbers, " coordinates"]) -> Float[Numbers, " coordinates"]:
         """The coordinates, with quaternions normalised; a zero quaternion becomes the identity."""
         return q
 
@@ -118,7 +120,7 @@ class AbstractAxial(AbstractJoint):
         return unit(axis)
 
     @override
-    def passive(self, q: Float[Array, " 1"], v: Float[Array, " 1"]) -> Float[Array, " 1"]:
+    def passive(self, q: Float[Numbers, " 1"], v: Float[Numbers, " 1"]) -> Float[Numbers, " 1"]:
         """Raises `ProblemError` for a negative damping."""
         self._refuse_negative("a damping", self.damping, " A negative one would drive the joint.")
         return -self.damping * v - self.stiffness * (q - self.rest)
@@ -130,10 +132,10 @@ class AbstractAxial(AbstractJoint):
         return None if is_known(self.armature) and not np.any(self.armature) else self.armature * np.eye(1)
 
     @override
-    def energy(self, q: Float[Array, " 1"]) -> Float[Array, ""]:
+    def energy(self, q: Float[Numbers, " 1"]) -> Float[Array, ""]:
         return 0.5 * self.stiffness * (q[0] - self.rest) ** 2
 
-    def velocity_map(self, q: Float[Array, " 1"]) -> Float[Array, "1 1"]:
+    def velocity_map(self, q: Float[Numbers, " 1"]) -> Float[Array, "1 1"]:
         """One."""
         del q
         return jnp.ones((1, 1))
@@ -151,16 +153,16 @@ class Revolute(AbstractAxial):
     speed_units: ClassVar[tuple[str, ...]] = ("rad/s",)
 
     @override
-    def pose(self, placement: Pose, q: Float[Array, " 1"]) -> Pose:
+    def pose(self, placement: Pose, q: Float[Numbers, " 1"]) -> Pose:
         return Pose(about(self.direction(), q[0], placement.rotation), placement.position)
 
     @override
-    def subspace(self, q: Float[Array, " 1"]) -> Twist:
+    def subspace(self, q: Float[Numbers, " 1"]) -> Twist:
         del q
         return Twist(self.direction()[:, None], None)
 
     @override
-    def twist(self, q: Float[Array, " 1"], v: Float[Array, " 1"]) -> Twist:
+    def twist(self, q: Float[Numbers, " 1"], v: Float[Numbers, " 1"]) -> Twist:
         del q
         return Twist(self.direction() * v[0], None)
 
@@ -173,17 +175,17 @@ class Prismatic(AbstractAxial):
     speed_units: ClassVar[tuple[str, ...]] = ("m/s",)
 
     @override
-    def pose(self, placement: Pose, q: Float[Array, " 1"]) -> Pose:
+    def pose(self, placement: Pose, q: Float[Numbers, " 1"]) -> Pose:
         along = placement.rotation @ self.direction()
         return Pose(placement.rotation, placement.position + along * q[0])
 
     @override
-    def subspace(self, q: Float[Array, " 1"]) -> Twist:
+    def subspace(self, q: Float[Numbers, " 1"]) -> Twist:
         del q
         return Twist(None, self.direction()[:, None])
 
     @override
-    def twist(self, q: Float[Array, " 1"], v: Float[Array, " 1"]) -> Twist:
+    def twist(self, q: Float[Numbers, " 1"], v: Float[Numbers, " 1"]) -> Twist:
         del q
         return Twist(None, self.direction() * v[0])
 
@@ -201,25 +203,25 @@ class Ball(AbstractJoint):
     speed_units: ClassVar[tuple[str, ...]] = ("rad/s",) * 3
 
     @override
-    def pose(self, placement: Pose, q: Float[Array, " 4"]) -> Pose:
+    def pose(self, placement: Pose, q: Float[Numbers, " 4"]) -> Pose:
         return Pose(placement.rotation @ from_quaternion(q), placement.position)
 
     @override
-    def subspace(self, q: Float[Array, " 4"]) -> Twist:
+    def subspace(self, q: Float[Numbers, " 4"]) -> Twist:
         del q
         return Twist(np.eye(3), None)
 
     @override
-    def twist(self, q: Float[Array, " 4"], v: Float[Array, " 3"]) -> Twist:
+    def twist(self, q: Float[Numbers, " 4"], v: Float[Numbers, " 3"]) -> Twist:
         del q
         return Twist(v, None)
 
     @override
-    def velocity_map(self, q: Float[Array, " 4"]) -> Float[Array, "4 3"]:
+    def velocity_map(self, q: Float[Numbers, " 4"]) -> Float[Array, "4 3"]:
         return quaternion_rates(q)
 
     @override
-    def normalised(self, q: Float[Array, " 4"]) -> Float[Array, " 4"]:
+    def normalised(self, q: Float[Numbers, " 4"]) -> Float[Numbers, " 4"]:
         return unit_quaternion(q)
 
 
@@ -236,30 +238,30 @@ class Free(AbstractJoint):
     speed_units: ClassVar[tuple[str, ...]] = ("m/s",) * 3 + ("rad/s",) * 3
 
     @override
-    def pose(self, placement: Pose, q: Float[Array, " 7"]) -> Pose:
+    def pose(self, placement: Pose, q: Float[Numbers, " 7"]) -> Pose:
         rotation = placement.rotation @ from_quaternion(q[3:])
         return Pose(rotation, placement.position + placement.rotation @ q[:3])
 
     @override
-    def subspace(self, q: Float[Array, " 7"]) -> Twist:
+    def subspace(self, q: Float[Numbers, " 7"]) -> Twist:
         zero = np.zeros((3, 3))
         return Twist(np.hstack([zero, np.eye(3)]), jnp.hstack([from_quaternion(q[3:]).T, zero]))
 
     @override
-    def twist(self, q: Float[Array, " 7"], v: Float[Array, " 6"]) -> Twist:
+    def twist(self, q: Float[Numbers, " 7"], v: Float[Numbers, " 6"]) -> Twist:
         return Twist(v[3:], from_quaternion(q[3:]).T @ v[:3])
 
     @override
-    def drift(self, q: Float[Array, " 7"], v: Float[Array, " 6"]) -> Twist:
+    def drift(self, q: Float[Numbers, " 7"], v: Float[Numbers, " 6"]) -> Twist:
         return Twist(None, -jnp.cross(v[3:], from_quaternion(q[3:]).T @ v[:3]))
 
     @override
-    def velocity_map(self, q: Float[Array, " 7"]) -> Float[Array, "7 6"]:
+    def velocity_map(self, q: Float[Numbers, " 7"]) -> Float[Array, "7 6"]:
         return jnp.zeros((7, 6)).at[:3, :3].set(jnp.eye(3)).at[3:, 3:].set(quaternion_rates(q[3:]))
 
     @override
-    def normalised(self, q: Float[Array, " 7"]) -> Float[Array, " 7"]:
-        return jnp.concatenate([q[:3], unit_quaternion(q[3:])])
+    def normalised(self, q: Float[Numbers, " 7"]) -> Float[Numbers, " 7"]:
+        return library(q).concatenate([q[:3], unit_quaternion(q[3:])])
 
 
 @final

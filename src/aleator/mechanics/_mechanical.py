@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator._core.arrays import in_library
 from aleator._core.errors import ProblemError
 from aleator._core.given import traceable
 from aleator._core.module import Module
@@ -19,6 +20,7 @@ from aleator.mechanics._instant import at, course, is_timed
 from aleator.mechanics._matrices import solve_positive
 from aleator.mechanics._motion import Motion
 from aleator.mechanics._signatures import call_of, timed_methods
+from aleator.mechanics._spatial import Numbers
 
 
 class AbstractMechanical(Module, Printed):
@@ -46,6 +48,7 @@ class AbstractMechanical(Module, Printed):
     """
 
     units: ClassVar[Mapping[str, str]] = {}
+    _rule: ClassVar[str] = ""
     _when: Any = eqx.field(default=None, init=False, repr=False)
 
     def __check_init__(self):
@@ -146,7 +149,7 @@ class AbstractMechanical(Module, Printed):
         """The sum of all external loads, as a generalised force."""
         return shaped(self, "load", (q, v), (len(self.speeds),))
 
-    def normalised(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
+    def normalised(self, q: Float[Numbers, " coordinates"]) -> Float[Numbers, " coordinates"]:
         """The coordinates projected to valid ones, such as unit quaternions; unchanged by default."""
         return q
 
@@ -176,10 +179,22 @@ class AbstractMechanical(Module, Printed):
         """The acceleration `v̇` under a generalised force; NaN where `M` is singular."""
         return solve_positive(mass_of(self, q), force - bias_of(self, q, v))
 
-    def diagnose(self, q: Float[Array, " coordinates"]) -> str:
-        """What is wrong with the realised model itself, as a sentence; empty if nothing."""
+    @property
+    def computes_by_numpy(self) -> bool:
+        """Whether NumPy alone computes the equations of motion at known numbers, without a program."""
+        return False
+
+    def as_computed(self, arrays: Any) -> Any:
+        """Arrays for these equations: known ones as NumPy's, if it computes them."""
+        return in_library(arrays)[1] if self.computes_by_numpy else arrays
+
+    def refuse_impossible(self) -> None:
+        """Raise `ProblemError` for known numbers that no such system has, such as negative masses."""
+
+    def stated_twice(self, q: Float[Numbers, " coordinates"]) -> tuple[Array, Array] | None:
+        """A quantity by two ways, which differ where the model breaks a rule of its class; none by default."""
         del q
-        return ""
+        return None
 
     def _named_map(self) -> Float[np.ndarray, "speeds actuators"]:
         """Which torque acts along which velocity, by their names."""
@@ -197,7 +212,7 @@ class AbstractMechanical(Module, Printed):
         return {}
 
 
-def mass_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "speeds speeds"]:
+def mass_of(model: AbstractMechanical, q: Float[Numbers, " coordinates"]) -> Float[Array, "speeds speeds"]:
     """`M(q)` as an array. Raises `ProblemError` for another shape."""
     n = len(model.speeds)
     return shaped(model, "mass_matrix", (q,), (n, n))
@@ -227,7 +242,8 @@ def load_on(model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float
 
 def required_force(model: AbstractMechanical, q: Array, v: Array, v_dot: Array) -> Float[Array, " speeds"]:
     """The generalised force that the actuators must provide for a motion, under the external load (equation 69)."""
-    return shaped(model, "inverse_dynamics", (q, v, v_dot), (len(model.speeds),)) - load_on(model, q, v)
+    force = shaped(model, "inverse_dynamics", (q, v, v_dot), (len(model.speeds),))
+    return force - load_on(model, q, v) if model.is_loaded else force
 
 
 def driven(model: AbstractMechanical, q: Array, v: Array, force: Array) -> Float[Array, " speeds"]:

@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
@@ -14,7 +15,7 @@ from aleator._core.once import once_for_each
 from aleator.mechanics._body import Body
 from aleator.mechanics._body_load import BodyLoad, refuse_moving_places, wrenches_of
 from aleator.mechanics._closure import Closure, checked_closures, residuals
-from aleator.mechanics._instant import later
+from aleator.mechanics._instant import is_timed, later
 from aleator.mechanics._joints import AbstractJoint
 from aleator.mechanics._mechanical import AbstractMechanical, evaluated
 from aleator.mechanics._recursions import (
@@ -25,7 +26,7 @@ from aleator.mechanics._recursions import (
     moving,
     world_poses,
 )
-from aleator.mechanics._spatial import Block, Pose, as_array, composed, cross, momentum, plus, power
+from aleator.mechanics._spatial import Block, Numbers, Pose, as_array, composed, cross, library, momentum, plus, power
 from aleator.mechanics._structure import with_numbers, without_numbers
 from aleator.mechanics._tree import GROUND, Tree, build_tree, sorted_bodies
 
@@ -130,7 +131,7 @@ class Multibody(AbstractMechanical):
         rows = [closure.jacobian(tree, q, poses) for closure in self._closures()]
         return jnp.concatenate([jnp.zeros((0, tree.speeds)), *rows])
 
-    def mass_matrix(self, q: Float[Array, " coordinates"]) -> Float[Array, "speeds speeds"]:
+    def mass_matrix(self, q: Float[Numbers, " coordinates"]) -> Float[Array, "speeds speeds"]:
         """`M(q)`, by the composite-rigid-body algorithm."""
         return mass_matrix(self._tree(), q)
 
@@ -139,7 +140,7 @@ class Multibody(AbstractMechanical):
         return inverse_dynamics(self._tree(), self._gravity(), q, v, jnp.zeros_like(v))
 
     def inverse_dynamics(
-        self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], v_dot: Float[Array, " speeds"]
+        self, q: Float[Numbers, " coordinates"], v: Float[Numbers, " speeds"], v_dot: Float[Numbers, " speeds"]
     ) -> Float[Array, " speeds"]:
         """The generalised force that a motion requires, by the recursive Newton-Euler algorithm."""
         if not self._is_bodies_alone():
@@ -180,20 +181,26 @@ class Multibody(AbstractMechanical):
         blocks = [link.joint.velocity_map(q[link.q]) for link in tree.links]
         return jax.scipy.linalg.block_diag(*blocks) if blocks else jnp.zeros((0, 0))
 
-    def normalised(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
+    def normalised(self, q: Float[Numbers, " coordinates"]) -> Float[Numbers, " coordinates"]:
         """The coordinates, with quaternions normalised; a zero quaternion becomes the identity."""
         if all(type(joint).normalised is AbstractJoint.normalised for _, joint in self._joints()):
             return q
-        return jnp.concatenate([link.joint.normalised(q[link.q]) for link in self._tree().links])
+        return library(q).concatenate([link.joint.normalised(q[link.q]) for link in self._tree().links])
+
+    @property
+    @override
+    def computes_by_numpy(self) -> bool:
+        """True for the bodies alone, without loops or loads, on joints of one degree of freedom."""
+        own = type(self).actuation is AbstractMechanical.actuation and self._is_bodies_alone()
+        return own and self.moves_directly and not (self.is_loaded or self.constraints or is_timed(self))
 
     @override
-    def diagnose(self, q: Float[Array, " coordinates"]) -> str:
-        """Nothing more than what joints refuse themselves, such as negative damping or armature."""
-        tree = self._tree()
-        for link in tree.links:
-            link.joint.passive(q[link.q], jnp.zeros(link.v.stop - link.v.start))
+    def refuse_impossible(self) -> None:
+        """What bodies and joints refuse themselves, such as impossible inertias, negative damping or armature."""
+        for link in self._tree().links:
+            coordinates, speeds = (np.zeros(part.stop - part.start) for part in (link.q, link.v))
+            link.joint.passive(coordinates, speeds)
             link.joint.rotors()
-        return ""
 
     @override
     def speeds_along(self, coordinates: Collection[str]) -> tuple[int, ...]:

@@ -6,13 +6,15 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from aleator.mechanics._spatial import Numbers, library
 
-def taken(array: Float[Array, "n ..."], places: Sequence[int]) -> Float[Array, "places ..."]:
+
+def taken(array: Float[Numbers, "n ..."], places: Sequence[int]) -> Float[Numbers, "places ..."]:
     """The entries at some places along the first axis, in the order of the places."""
     if tuple(places) == tuple(range(len(array))):
         return array
     parts = [array[first:last] for first, last in _runs(places)]
-    return parts[0] if len(parts) == 1 else jnp.concatenate([array[:0], *parts])
+    return parts[0] if len(parts) == 1 else library(array).concatenate([array[:0], *parts])
 
 
 def block(M: Float[Array, "m n"], rows: Sequence[int], columns: Sequence[int]) -> Float[Array, "rows columns"]:

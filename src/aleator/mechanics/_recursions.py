@@ -11,10 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator._core.arrays import jax_array
 from aleator.mechanics._matrices import solve_positive
 from aleator.mechanics._spatial import (
     Articulated,
     Block,
+    Numbers,
     Pose,
     Twist,
     Wrench,
@@ -26,6 +28,7 @@ from aleator.mechanics._spatial import (
     cross_force,
     cross_motion,
     inertia_outside,
+    library,
     load,
     momentum,
     plus,
@@ -49,12 +52,12 @@ class Moving(NamedTuple):
     drifts: list[Twist]
 
 
-def local_poses(tree: Tree, q: Float[Array, " coordinates"]) -> list[Pose]:
+def local_poses(tree: Tree, q: Float[Numbers, " coordinates"]) -> list[Pose]:
     """The pose of each link in its parent's frame."""
     return [link.joint.pose(link.placement, q[link.q]) for link in tree.links]
 
 
-def world_poses(tree: Tree, q: Float[Array, " coordinates"]) -> list[Pose]:
+def world_poses(tree: Tree, q: Float[Numbers, " coordinates"]) -> list[Pose]:
     """The pose of each link in the world."""
     poses: list[Pose] = []
     for link, pose in zip(tree.links, local_poses(tree, q), strict=True):
@@ -62,7 +65,7 @@ def world_poses(tree: Tree, q: Float[Array, " coordinates"]) -> list[Pose]:
     return poses
 
 
-def moving(tree: Tree, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Moving:
+def moving(tree: Tree, q: Float[Numbers, " coordinates"], v: Float[Numbers, " speeds"]) -> Moving:
     """Poses, velocities and drifts, from the ground outwards."""
     found = Moving(local_poses(tree, q), [], [])
     for link, pose in zip(tree.links, found.poses, strict=True):
@@ -76,9 +79,9 @@ def moving(tree: Tree, q: Float[Array, " coordinates"], v: Float[Array, " speeds
 def inverse_dynamics(
     tree: Tree,
     gravity: Block,
-    q: Float[Array, " coordinates"],
-    v: Float[Array, " speeds"],
-    v_dot: Float[Array, " speeds"],
+    q: Float[Numbers, " coordinates"],
+    v: Float[Numbers, " speeds"],
+    v_dot: Float[Numbers, " speeds"],
 ) -> Float[Array, " speeds"]:
     """The generalised force of a motion, by the recursive Newton-Euler algorithm (table 5.1 there).
 
@@ -100,11 +103,11 @@ def inverse_dynamics(
         forces.insert(0, plus(power(link.joint.subspace(q[link.q]), wrenches[i]), accelerated) - passive)
         if link.parent != GROUND:
             wrenches[link.parent] = added(wrenches[link.parent], wrench_outside(poses[i], wrenches[i]))
-    return jnp.concatenate([jnp.zeros(0), *forces])
+    return jax_array(library(*forces).concatenate([np.zeros(0), *forces]))
 
 
 def motion_apart(
-    tree: Tree, q: Float[Array, " coordinates"], poses: Mapping[str, Pose], first: int, second: int
+    tree: Tree, q: Float[Numbers, " coordinates"], poses: Mapping[str, Pose], first: int, second: int
 ) -> Twist:
     """How one link moves against another for each speed, as columns: at the world's origin and in its axes.
 
@@ -134,7 +137,7 @@ def _chain(tree: Tree, index: int) -> Iterator[int]:
         index = tree.links[index].parent
 
 
-def generalised(tree: Tree, q: Float[Array, " coordinates"], loads: Sequence[Wrench]) -> Float[Array, " speeds"]:
+def generalised(tree: Tree, q: Float[Numbers, " coordinates"], loads: Sequence[Wrench]) -> Float[Array, " speeds"]:
     """The generalised force of a wrench on each link, in its own frame, by a pass from the leaves to the root."""
     poses, wrenches = local_poses(tree, q), list(loads)
     forces: list[Any] = []
@@ -145,7 +148,7 @@ def generalised(tree: Tree, q: Float[Array, " coordinates"], loads: Sequence[Wre
     return jnp.concatenate([jnp.zeros(0), *forces])
 
 
-def mass_matrix(tree: Tree, q: Float[Array, " coordinates"]) -> Float[Array, "speeds speeds"]:
+def mass_matrix(tree: Tree, q: Float[Numbers, " coordinates"]) -> Float[Array, "speeds speeds"]:
     """The mass matrix, by the composite-rigid-body algorithm (table 6.2 there)."""
     poses = local_poses(tree, q)
     subspaces = [link.joint.subspace(q[link.q]) for link in tree.links]
@@ -166,15 +169,16 @@ def mass_matrix(tree: Tree, q: Float[Array, " coordinates"]) -> Float[Array, "sp
                 blocks[j][i], blocks[i][j] = coupling, coupling.T
     if not blocks:
         return jnp.zeros((0, 0))
-    return jnp.concatenate([jnp.concatenate(row, axis=1) for row in blocks])
+    xp = library(*(block for row in blocks for block in row))
+    return jax_array(xp.concatenate([xp.concatenate(row, axis=1) for row in blocks]))
 
 
 def forward_dynamics(
     tree: Tree,
     gravity: Block,
-    q: Float[Array, " coordinates"],
-    v: Float[Array, " speeds"],
-    force: Float[Array, " speeds"],
+    q: Float[Numbers, " coordinates"],
+    v: Float[Numbers, " speeds"],
+    force: Float[Numbers, " speeds"],
 ) -> Float[Array, " speeds"]:
     """The acceleration under a generalised force, by the articulated-body algorithm (table 7.1 there).
 

@@ -20,6 +20,9 @@ from aleator._core.errors import ProblemError
 from aleator._core.given import real_array, refusal
 from aleator._core.leaves import is_leaf
 
+Numbers: TypeAlias = Array | np.ndarray
+"""An array of NumPy where its numbers are known, else of JAX."""
+
 Block: TypeAlias = Any
 """A vector (3,), a matrix of columns (3, n), or `None` for zero; a NumPy array where known, else a JAX array."""
 
@@ -179,7 +182,7 @@ def _skew(a: Block) -> Block:
     return xp.stack([xp.stack([zero, -z, y]), xp.stack([z, zero, -x]), xp.stack([-y, x, zero])])
 
 
-def about(axis: Block, angle: Any, before: Block) -> Float[Array, "3 3"]:
+def about(axis: Block, angle: Any, before: Block) -> Float[Numbers, "3 3"]:
     """`before` times the rotation by an angle about a unit axis (Rodrigues).
 
     The products with the axis are computed beforehand, so that a rotation needs no matrix product.
@@ -188,7 +191,7 @@ def about(axis: Block, angle: Any, before: Block) -> Float[Array, "3 3"]:
     return _either(_turned, angle, before, across, across @ skew(axis))
 
 
-def _turned(angle: Any, before: Block, across: Block, twice: Block) -> Float[Array, "3 3"]:
+def _turned(angle: Any, before: Block, across: Block, twice: Block) -> Float[Numbers, "3 3"]:
     xp = library(angle)
     return before + xp.sin(angle) * across + (1 - xp.cos(angle)) * twice
 
@@ -230,9 +233,9 @@ def unit(vector: Block) -> Block:
     return vector / library(vector).sqrt(vector @ vector)
 
 
-def unit_quaternion(given: Float[Array, " 4"]) -> Float[Array, " 4"]:
+def unit_quaternion(given: Float[Numbers, " 4"]) -> Float[Numbers, " 4"]:
     """A quaternion divided by its length; the identity for a zero quaternion, as where none was given."""
-    return unit(jnp.where(given @ given == 0, jnp.array([1.0, 0.0, 0.0, 0.0]), given))
+    return unit(library(given).where(given @ given == 0, np.array([1.0, 0.0, 0.0, 0.0]), given))
 
 
 def composed(outer: Pose, inner: Pose) -> Pose:

@@ -3,7 +3,6 @@
 from typing import Any, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from aleator._core.arrays import is_number
@@ -19,7 +18,7 @@ Part = TypeVar("Part")
 def with_numbers(model: Model) -> Model:
     """The model with numbers in the place of distributions, decisions and signals."""
     plain = jax.tree.map(_as_number, model, is_leaf=_is_no_number)
-    return plain if model._when is not None else at(plain, jnp.zeros(()), None)
+    return plain if model._when is not None else at(plain, np.zeros(()), None)
 
 
 def without_numbers(part: Part) -> Part:
@@ -35,5 +34,5 @@ def _as_number(leaf: Any) -> Any:
     """A placeholder number of the right shape for a distribution, a decision or a signal."""
     if isinstance(leaf, AbstractSignal):
         plain = jax.tree.map(_as_number, leaf, is_leaf=is_leaf)
-        return jnp.ones(jax.eval_shape(plain, jnp.zeros(())).shape)
-    return jnp.ones(leaf.shape) if is_leaf(leaf) else leaf
+        return np.ones(jax.eval_shape(plain, jax.ShapeDtypeStruct((), float)).shape)
+    return np.ones(leaf.shape) if is_leaf(leaf) else leaf

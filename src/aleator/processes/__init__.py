@@ -4,8 +4,8 @@ from aleator.processes._covariance import AbstractCovariance as AbstractCovarian
 from aleator.processes._covariance import BandLimitedCovariance as BandLimitedCovariance
 from aleator.processes._covariance import ExponentialCovariance as ExponentialCovariance
 from aleator.processes._covariance import SquaredExponentialCovariance as SquaredExponentialCovariance
-from aleator.processes._parametrised import Parametrised as Parametrised
-from aleator.processes._parametrised import signal as signal
-from aleator.processes._random_process import RandomProcess as RandomProcess
-from aleator.processes._total import Total as Total
-from aleator.processes._total import total as total
+from aleator.processes._signals import Parametrised as Parametrised
+from aleator.processes._signals import RandomProcess as RandomProcess
+from aleator.processes._signals import Total as Total
+from aleator.processes._signals import signal as signal
+from aleator.processes._signals import total as total

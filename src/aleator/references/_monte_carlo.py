@@ -1,34 +1,122 @@
-"""Monte Carlo and randomised quasi-Monte Carlo: a function of uncertain inputs, without any expansion."""
+"""Monte Carlo and randomised quasi-Monte Carlo: a function of uncertain inputs, without any expansion.
 
+Its outputs at the whole sample are kept in memory; statistics of them are estimates with standard errors.
+"""
+
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
-from typing import Any
+from typing import Any, TypeAlias, final
 
 import jax
 import numpy as np
 import scipy
 from jaxtyping import Float
+from typing_extensions import override
 
 from aleator._core.arrays import Pytree
-from aleator._core.elsewhere import check_executor
+from aleator._core.elsewhere import check_executor, each_of
 from aleator._core.errors import ProblemError
-from aleator._core.journalled import journalled, parts_so_far
+from aleator._core.given import whole as whole_given
+from aleator._core.journalled import NOTHING, AbstractParts, journalled, parts_so_far
+from aleator._core.memory import NUMBER, refuse_beyond_memory
+from aleator._core.part_by_part import part_by_part
 from aleator._core.progress import Progress, check_progress, silent
-from aleator.ensemble import AbstractBox, Function, name_of, random_levels
-from aleator.references._estimate import group_count
-from aleator.references._evaluation import (
-    by_executor,
-    check_whole,
-    ensemble_of,
-    evaluate,
-    evaluate_kept,
-    refuse_large_sample,
+from aleator.ensemble import (
+    AbstractBox,
+    AbstractEnsemble,
+    Alone,
+    BoxEnsemble,
+    CalledEnsemble,
+    Function,
+    Part,
+    at_levels,
+    ensemble_for,
+    name_of,
+    part,
+    parts,
+    random_levels,
+    uncertain_places,
 )
-from aleator.references._random_sample import RandomSample
+from aleator.references._estimate import Estimate, estimate, group_count
+from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance, a_statistic
+
+Estimates: TypeAlias = Any
+"""An `Estimate`, or a dict of them if the outputs are a dict."""
 
 # Binary digits of a Sobol point. Its coordinates are multiples of 2^-30, including 0.
 _DIGITS = 30
+
+_MOST_BYTES = 2 * 2**30
+# Parts of a sample at most whose points are evaluated one by one.
+_MOST = 128
+
+
+@final
+class RandomSample(AbstractMeasured[Estimates]):
+    """Outputs of a function at random inputs: `sample.mean` prints as `0.65923 ± 0.00030`.
+
+    - `values`: of each output, shape (samples, *shape), in the structure that the function returns;
+    - `groups`: the number of independent groups of equal size, one after the other, from which standard errors are
+      computed (see `Estimate`): arbitrary for a plain Monte Carlo sample, the replicates of a quasi-random one;
+    - `seed`: of the random inputs; `seconds`: how long the evaluation took, compilation included, in the process that
+      finished it.
+
+    Every statistic has the structure of the outputs, an `Estimate` or a dict of them; `sample["y"]` selects one output
+    of a dict.
+    """
+
+    def __init__(self, values: Pytree, groups: int, seed: int, seconds: float):
+        self.values, self.groups, self.seed, self.seconds = values, groups, seed, seconds
+
+    def __getitem__(self, name: str) -> "RandomSample":
+        """One output by name, if the outputs are a dict."""
+        return RandomSample(part(self.values, name), self.groups, self.seed, self.seconds)
+
+    @property
+    def samples(self) -> int:
+        """How many inputs were drawn."""
+        return len(jax.tree.leaves(self.values)[0])
+
+    def estimate(self, statistic: AbstractStatistic | Function) -> Estimates:
+        """Any statistic of each output, or any function of a sample of shape (samples, *shape)."""
+        of_sample = statistic.of_sample if isinstance(statistic, AbstractStatistic) else statistic
+        return jax.tree.map(lambda values: estimate(of_sample, values, self.groups), self.values)
+
+    @override
+    def statistic(self, kind: AbstractStatistic) -> Estimates:
+        """An estimate of each output.
+
+        The standard error of a probability is 0, and meaningless, if all values of the sample meet the condition or
+        none does.
+        """
+        return self.estimate(a_statistic(kind))
+
+    def covariance(self, first: str, second: str) -> Estimate:
+        """The covariance of two outputs of equal shape, by their names."""
+        return self._of_both(Covariance(), first, second)
+
+    def correlation(self, first: str, second: str) -> Estimate:
+        """The correlation coefficient of two outputs of equal shape, by their names."""
+        return self._of_both(Correlation(), first, second)
+
+    def _of_both(self, statistic: AbstractStatistic, first: str, second: str) -> Estimate:
+        both = part(self.values, first), part(self.values, second)
+        if both[0].shape != both[1].shape:
+            raise ProblemError(
+                f"'{first}' and '{second}' must have one shape; received {both[0].shape[1:]} and {both[1].shape[1:]}."
+            )
+        return estimate(statistic.of_sample, np.stack(both, axis=-1), self.groups)
+
+    def __str__(self) -> str:
+        means, stds = self.mean, self.std
+        rows = jax.tree_util.tree_leaves_with_path(means)
+        names = [jax.tree_util.keystr(path, simple=True, separator=".") or "output" for path, _ in rows]
+        lines = [f"{self.samples} samples, standard errors from {self.groups} independent groups"]
+        for name, (_, mean), std in zip(names, rows, jax.tree.leaves(stds), strict=True):
+            lines.append(f"{name}: mean {mean}, std {std}")
+        return "\n".join(lines)
 
 
 def monte_carlo(
@@ -152,3 +240,111 @@ def scrambled_nets(
 
 def _is_power_of_two(number: int) -> bool:
     return number & (number - 1) == 0
+
+
+Evaluate: TypeAlias = Callable[[Sequence[Part], int], Iterator[tuple[Part, Pytree]]]
+"""The outputs at the points of some parts, in order; none has more points than the number."""
+
+
+def ensemble_of(verb: str, function: Function, model: Pytree, *, traced: bool) -> AbstractEnsemble:
+    """The function at the realisations of a model. Raises `ProblemError` if nothing in the model is uncertain."""
+    return ensemble_for(function, model, uncertain_places(verb, function, model), traced=traced)
+
+
+def check_whole(verb: str, **numbers: Any) -> None:
+    """Refuse anything but whole numbers, which must be positive except for the seed."""
+    for name, number in numbers.items():
+        whole_given(f"{verb}: {name}", number, least=0 if name == "seed" else 1)
+
+
+def refuse_large_sample(verb: str, samples: int, variables: int) -> None:
+    """Refuse a sample whose inputs, as levels and as germ values, would not fit into memory."""
+    what = f"{verb}: {samples} samples of {variables} variables"
+    refuse_beyond_memory(what, 2 * NUMBER * samples * variables, "Ask for fewer samples.")
+
+
+def evaluate(
+    ensemble: AbstractEnsemble,
+    levels: Float[np.ndarray, "n variables"],
+    *,
+    batch: int,
+    progress: Progress,
+    by: Evaluate | None = None,
+    so_far: AbstractParts = NOTHING,
+) -> Pytree:
+    """The outputs at points given by their probability levels: NumPy arrays of shape (n, *shape).
+
+    - `by`: another way to evaluate parts of them (see `by_executor`); `so_far`: what an earlier run has found.
+
+    Raises the errors of an ensemble, and `ProblemError` if the outputs would not fit into memory.
+    """
+    size = _together(ensemble, len(levels), batch)
+    work = by or ensemble.in_parts
+    results = part_by_part(list(parts(levels, size)), lambda batches: work(batches, size), so_far)
+    return _gathered(len(levels), results, progress)
+
+
+def by_executor(verb: str, executor: Executor | None, ensemble: AbstractEnsemble) -> Evaluate | None:
+    """How an executor evaluates parts; None without one. Raises `ProblemError` for a black box: it has its own."""
+    if executor is None:
+        return None
+    if isinstance(ensemble, BoxEnsemble):
+        raise ProblemError(
+            f"{verb}: executor: expected a function; received a black box, which runs its samples in its own way: give "
+            "the executor to the black box."
+        )
+    alone = ensemble.alone()
+    return lambda some, size: each_of(executor, _evaluated_there, some, {"ensemble": alone, "size": size}, verb)
+
+
+def _evaluated_there(ensemble: Alone, items: Sequence[Part], size: int) -> list[Pytree]:
+    return [jax.tree.map(np.asarray, values) for _, values in ensemble.again().in_parts(items, size)]
+
+
+def _together(ensemble: AbstractEnsemble, samples: int, batch: int) -> int:
+    """How many points are one part: a called function may take long at each, and is called point by point anyway."""
+    return min(batch, -(-samples // _MOST) if isinstance(ensemble, CalledEnsemble) else samples)
+
+
+def _gathered(total: int, results: Iterable[tuple[Part, Pytree]], progress: Progress) -> Pytree:
+    """Outputs at all points, from those of each part."""
+    outputs, done = None, 0
+    progress("Monte Carlo", 0, total)
+    for (first, _), values in results:
+        outputs = _room(total, values) if outputs is None else outputs
+        for whole, batch in zip(jax.tree.leaves(outputs), jax.tree.leaves(values), strict=True):
+            whole[first : first + len(batch)] = batch
+        done += len(jax.tree.leaves(values)[0])
+        progress("Monte Carlo", done, total)
+    return outputs
+
+
+def evaluate_kept(
+    ensemble: AbstractEnsemble,
+    levels: Float[np.ndarray, "n variables"],
+    *,
+    batch: int,
+    progress: Progress,
+    by: Evaluate | None,
+    so_far: AbstractParts,
+) -> Pytree:
+    """The same without the samples that a box leaves out, for methods that can do without some."""
+    if not isinstance(ensemble, BoxEnsemble):
+        return evaluate(ensemble, levels, batch=batch, progress=progress, by=by, so_far=so_far)
+    progress("Monte Carlo", 0, len(levels))
+    values, _ = ensemble.kept(at_levels(ensemble.places.germs.values(), levels))
+    progress("Monte Carlo", len(levels), len(levels))
+    return values
+
+
+def _room(total: int, values: Pytree) -> Pytree:
+    """Empty arrays for all points, of the shapes that the first batch has."""
+    shapes = [(total, *leaf.shape[1:]) for leaf in jax.tree.leaves(values)]
+    size = sum(8 * math.prod(shape) for shape in shapes)
+    if size > _MOST_BYTES:
+        raise ProblemError(
+            f"Samples are kept whole: expected at most {_MOST_BYTES / 2**30:g} GiB; received outputs of shape "
+            f"{', '.join(map(str, shapes))}, {size / 2**30:.3g} GiB. Ask for fewer samples, or return fewer numbers "
+            "(every tenth instant, a maximum)."
+        )
+    return jax.tree.map(lambda leaf: np.empty((total, *leaf.shape[1:])), values)

@@ -11,8 +11,7 @@ from aleator._core.errors import ProblemError
 from aleator._core.progress import Progress, check_progress, silent
 from aleator.ensemble import Function
 from aleator.references._estimate import Estimate, estimate
-from aleator.references._evaluation import check_whole, ensemble_of, evaluate, refuse_large_sample
-from aleator.references._monte_carlo import scrambled_nets
+from aleator.references._monte_carlo import check_whole, ensemble_of, evaluate, refuse_large_sample, scrambled_nets
 
 
 @final
@@ -66,28 +65,28 @@ def sobol_indices(
     first = jax.tree.map(lambda leaf: estimate(_first, leaf, replicates), designs)
     total = jax.tree.map(lambda leaf: estimate(_total, leaf, replicates), designs)
     return SobolIndices(
-        {name: jax.tree.map(lambda one, i=i: _entry(one, i), first) for i, name in enumerate(names)},
-        {name: jax.tree.map(lambda one, i=i: _entry(one, i), total) for i, name in enumerate(names)},
+        {name: jax.tree.map(lambda estimate, i=i: _entry(estimate, i), first) for i, name in enumerate(names)},
+        {name: jax.tree.map(lambda estimate, i=i: _entry(estimate, i), total) for i, name in enumerate(names)},
     )
 
 
 def _exchanged(
-    one: Float[np.ndarray, "samples variables"], other: Float[np.ndarray, "samples variables"]
+    first: Float[np.ndarray, "samples variables"], second: Float[np.ndarray, "samples variables"]
 ) -> Float[np.ndarray, "samples designs variables"]:
     """Both inputs, then the first one with each of its variables in turn taken from the second."""
-    variables = one.shape[1]
-    levels = np.repeat(one[:, None], variables + 2, axis=1)
-    levels[:, 1] = other
+    variables = first.shape[1]
+    levels = np.repeat(first[:, None], variables + 2, axis=1)
+    levels[:, 1] = second
     for i in range(variables):
-        levels[:, i + 2, i] = other[:, i]
+        levels[:, i + 2, i] = second[:, i]
     return levels
 
 
 def _first(values: Float[np.ndarray, "samples designs *shape"]) -> Float[np.ndarray, "variables *shape"]:
     # The mean is subtracted, because it would only add noise.
     values = values - values[:, :2].mean(axis=(0, 1))
-    one, other, mixed = values[:, :1], values[:, 1:2], values[:, 2:]
-    return (other * (mixed - one)).mean(axis=0) / _variance(values)[None]
+    first, second, mixed = values[:, :1], values[:, 1:2], values[:, 2:]
+    return (second * (mixed - first)).mean(axis=0) / _variance(values)[None]
 
 
 def _total(values: Float[np.ndarray, "samples designs *shape"]) -> Float[np.ndarray, "variables *shape"]:
@@ -99,5 +98,5 @@ def _variance(values: Float[np.ndarray, "samples designs *shape"]) -> Float[np.n
     return np.where(variance > 0, variance, np.inf)
 
 
-def _entry(one: Estimate, i: int) -> Estimate:
-    return Estimate(one.value[i], one.standard_error[i], one.groups)
+def _entry(estimate: Estimate, i: int) -> Estimate:
+    return Estimate(estimate.value[i], estimate.standard_error[i], estimate.groups)

@@ -5,10 +5,9 @@ from typing import Generic, TypeVar
 
 from aleator._core.arrays import Scalar
 from aleator.statistics._extremes import Infimum, Supremum
-from aleator.statistics._moments import Mean, Std, Variance
 from aleator.statistics._shape import CornishFisher, Kurtosis, Skewness
 from aleator.statistics._sobol import Sobol, TotalSobol
-from aleator.statistics._statistic import AbstractStatistic
+from aleator.statistics._statistic import AbstractStatistic, Mean, Std, Variance
 from aleator.statistics._tails import ConditionalValueAtRisk, Probability, Quantile
 
 _Result = TypeVar("_Result", covariant=True)

@@ -9,15 +9,13 @@ from typing import NamedTuple, TypeVar, final
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.arrays import Scalar
 from aleator._core.module import Module
-from aleator.statistics._crossings import extrema, horner, roots_between, secants, slope
-from aleator.statistics._line_distribution import LineDistribution
-from aleator.statistics._lines import Lines
-from aleator.statistics._moments import root
-from aleator.statistics._statistic import in_blocks
+from aleator.statistics._lines import LineDistribution, Lines
+from aleator.statistics._statistic import in_blocks, root
 
 T = TypeVar("T")
 
@@ -31,6 +29,13 @@ _CLOSE = 1e-8
 _AT_ONCE = 2**12
 _IN_ALL = 2**19
 _FEWEST = 64
+
+# Newton's method within a bracket, bisection where a step leaves it. It ends when the last root moves by no more than
+# this, after which the error of a simple root, which a step squares, is rounding.
+_MOST_ITERATIONS, _AT_REST = 30, 1e-9
+# At a root, rounding may put a value and a step on different sides. A step that leaves the bracket by less than this
+# part of it, or by rounding, ends at its edge: bisection would lose the digits found so far.
+_AT_THE_EDGE, _ROUNDING = 1e-6, 1e-14
 
 
 @final
@@ -107,17 +112,17 @@ class OutputDistribution(Module):
 
     def quantile(self, level: Scalar) -> Float[Array, " entries"]:
         """How far the quantile lies from the mean, by the implicit function theorem."""
-        found = self._found(level)
-        probability = self._probability(found.at, found.part)
-        density = jax.lax.stop_gradient(self)._average(jnp.sum(found.part.densities, axis=0))
+        end = self._search(level)
+        probability = self._probability(end.at, end.part)
+        density = jax.lax.stop_gradient(self)._average(jnp.sum(end.part.densities, axis=0))
         regular = density > 0
-        return found.at - jnp.where(regular, (probability - level) / jnp.where(regular, density, 1.0), 0.0)
+        return end.at - jnp.where(regular, (probability - level) / jnp.where(regular, density, 1.0), 0.0)
 
     def nearly_quantile(self, level: Scalar) -> Float[Array, " entries"]:
         """The quantile to 1e-8 standard deviations, without derivatives."""
-        return self._found(level).at
+        return self._search(level).at
 
-    def _found(self, level: Scalar) -> "_Search":
+    def _search(self, level: Scalar) -> "_Search":
         return jax.lax.stop_gradient(jax.lax.stop_gradient(self)._searched(jax.lax.stop_gradient(level)))
 
     def _searched(self, level: Scalar) -> "_Search":
@@ -243,12 +248,12 @@ def by_lines(
     together = max(1, _AT_ONCE // (count * directions))
     terms = len(coefficients)
 
-    def found(rows: Float[Array, "entries columns"]) -> Array:
-        given = jax.tree.unflatten(structure, list(rows[:, terms:].T))
-        return of_distribution(given, output_distribution(rows[:, :terms], lines, count))
+    def of_rows(rows: Float[Array, "entries columns"]) -> Array:
+        own = jax.tree.unflatten(structure, list(rows[:, terms:].T))
+        return of_distribution(own, output_distribution(rows[:, :terms], lines, count))
 
     # The numbers of an entry follow its coefficients.
-    return in_blocks(found, jnp.concatenate([coefficients, *(leaf[None] for leaf in leaves)]), together)
+    return in_blocks(of_rows, jnp.concatenate([coefficients, *(leaf[None] for leaf in leaves)]), together)
 
 
 def output_distribution(coefficients: Float[Array, "entries terms"], lines: Lines, count: int) -> OutputDistribution:
@@ -269,3 +274,117 @@ def output_distribution(coefficients: Float[Array, "entries terms"], lines: Line
         weights=jax.vmap(lines.weights)(varying),
         distribution=lines.distribution,
     )
+
+
+def extrema(powers: Float[Array, "orders *lines"]) -> Float[Array, "edges *lines"]:
+    """The edges between which each polynomial is monotone: -1, its extrema, 1.
+
+    The extrema are the roots of the derivative, found in the same way from those of the second derivative, and so on,
+    down to a quadratic one. Between neighbouring edges a polynomial has at most one root, which bisection cannot miss:
+    unlike a search on a grid, this misses none.
+
+    Polynomials are given by their coefficients of `x^0, x^1, ...`. If one has fewer extrema, edges coincide.
+    """
+    degree = len(powers) - 1
+    end = jnp.ones((1, *powers.shape[1:]))
+    inner = _lowest(_derivative(powers, max(degree - 2, 1))) if degree > 1 else end[:0]
+    edges = jnp.concatenate([-end, inner, end])
+    for order in range(degree - 3, 0, -1):
+        slopes = _derivative(powers, order)
+        edges = jnp.concatenate([-end, roots_between(slopes, edges, horner(slopes, edges)), end])
+    return edges
+
+
+def _lowest(powers: Float[Array, "orders *lines"]) -> Float[Array, "roots *lines"]:
+    """The roots of polynomials of degree one or two in rising order: 1 for those that are not real, none beyond ±1."""
+    constant, linear = powers[:2]
+    if len(powers) == 2:
+        return jnp.clip(_ratio(-constant, linear), -1.0, 1.0)[None]
+    # One of the two by its sum with the other would lose digits.
+    radicand = linear**2 - 4 * powers[2] * constant
+    half = -(linear + jnp.where(linear < 0, -1.0, 1.0) * jnp.sqrt(jnp.maximum(radicand, 0.0))) / 2
+    first, second = (
+        jnp.where(radicand < 0, 1.0, jnp.clip(root, -1.0, 1.0))
+        for root in (_ratio(half, powers[2]), _ratio(constant, half))
+    )
+    return jnp.stack([jnp.minimum(first, second), jnp.maximum(first, second)])
+
+
+def _ratio(above: Array, below: Array) -> Array:
+    return jnp.where(below == 0, 1.0, above / jnp.where(below == 0, 1.0, below))
+
+
+def roots_between(
+    powers: Float[Array, "orders *lines"],
+    edges: Float[Array, "edges *lines"],
+    values: Float[Array, "edges *lines"],
+    start: Float[Array, "intervals *lines"] | None = None,
+) -> Float[Array, "intervals *lines"]:
+    """The root between each pair of neighbouring edges, at which the polynomials have known values.
+
+    Where there is no root, it is the edge at which the value is nearest to zero. The search begins at `start`, or where
+    straight lines between the edges have their roots.
+    """
+    low, high = edges[:-1], edges[1:]
+    rising = values[1:] >= values[:-1]
+    is_below = jnp.maximum(values[:-1], values[1:]) <= 0
+    is_above = (jnp.minimum(values[:-1], values[1:]) >= 0) & ~is_below
+    # A bracket without a root is empty.
+    at_low, at_high = jnp.where(rising, is_above, is_below), jnp.where(rising, is_below, is_above)
+    low, high = jnp.where(at_high, high, low), jnp.where(at_low, low, high)
+
+    def is_moving(state: tuple[Array, ...]) -> Bool[Array, ""]:
+        *_, moving, count = state
+        return moving & (count < _MOST_ITERATIONS)
+
+    def narrow(state: tuple[Array, ...]) -> tuple[Array, ...]:
+        low, high, x, _, count = state
+        value, slope = _with_slope(powers, x)
+        below = (value < 0) == rising
+        low, high = jnp.where(below, x, low), jnp.where(below, high, x)
+        newton = x - value / jnp.where(slope == 0, 1.0, slope)
+        edge = _AT_THE_EDGE * (high - low) + _ROUNDING
+        usable = (newton >= low - edge) & (newton <= high + edge) & (slope != 0)
+        closer = jnp.where(usable, jnp.clip(newton, low, high), (low + high) / 2)
+        return low, high, closer, jnp.any(jnp.abs(closer - x) > _AT_REST), count + 1
+
+    x = jnp.clip(secants(edges, values) if start is None else start, low, high)
+    return jax.lax.while_loop(is_moving, narrow, (low, high, x, jnp.array(True), jnp.zeros((), int)))[2]
+
+
+def secants(
+    edges: Float[Array, "edges *lines"], values: Float[Array, "edges *lines"]
+) -> Float[Array, "intervals *lines"]:
+    """The roots of the straight lines between neighbouring edges, at which polynomials have some values."""
+    rise = values[1:] - values[:-1]
+    return edges[:-1] - values[:-1] * (edges[1:] - edges[:-1]) / jnp.where(rise == 0, 1.0, rise)
+
+
+def horner(powers: Float[Array, "orders *lines"], x: Float[Array, "points *lines"]) -> Float[Array, "points *lines"]:
+    """The values of polynomials, each at its own points."""
+    value = jnp.zeros(x.shape)
+    for coefficient in powers[::-1]:
+        value = value * x + coefficient[None]
+    return value
+
+
+def slope(powers: Float[Array, "orders *lines"], x: Float[Array, "points *lines"]) -> Float[Array, "points *lines"]:
+    """The first derivatives of polynomials, each at its own points."""
+    return _with_slope(powers, x)[1]
+
+
+def _with_slope(powers: Array, x: Array) -> tuple[Array, Array]:
+    value, slope = jnp.zeros(x.shape), jnp.zeros(x.shape)
+    for coefficient in powers[::-1]:
+        slope = slope * x + value
+        value = value * x + coefficient[None]
+    return value, slope
+
+
+def _derivative(powers: Float[Array, "orders *lines"], order: int) -> Float[Array, "fewer *lines"]:
+    """The coefficients of a derivative, up to a common factor."""
+    exponents = np.arange(order, len(powers))
+    factors = np.ones(len(exponents))
+    for step in range(order):
+        factors *= (exponents - step) / (order - step)
+    return powers[order:] * jnp.asarray(factors).reshape(-1, *[1] * (powers.ndim - 1))

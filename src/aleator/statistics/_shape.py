@@ -1,21 +1,116 @@
-"""The shape of an output's distribution, from the third and fourth power of its expansion: exact, without sampling."""
+"""The shape of an output's distribution, from the third and fourth power of its expansion: exact, without sampling.
+
+Products of two basis polynomials are sums of basis polynomials. Univariate products `p_i p_j = sum_k t[i, j, k] p_k`
+end at the degree `k = i + j`, with coefficients by Gauss quadrature. The coefficients of multivariate products are
+products of these, and few are not zero.
+"""
 
 from collections.abc import Callable
 from typing import ClassVar, final
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.special import ndtri
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from typing_extensions import override
 
-from aleator._core.arrays import Pytree, Scalar, in_library, jax_array, quietly
-from aleator._core.units import PURE
-from aleator.statistics._given import level_given
-from aleator.statistics._moments import Mean, Std, varies
-from aleator.statistics._square import Square, square
-from aleator.statistics._statistic import AbstractStatistic, entry_by_entry
+from aleator._core.arrays import Scalar, in_library, jax_array, quietly
+from aleator._core.errors import ProblemError
+from aleator._core.module import Module
+from aleator.expansion import Basis
+from aleator.statistics._statistic import AbstractStatistic, Mean, Std, in_blocks, level_given, varies
+from aleator.uncertainty import AbstractGerm
 
 _TOGETHER = 64
+
+# With more products, the constants take gigabytes and an evaluation more than a second.
+_MOST_PRODUCTS = 20_000_000
+
+# Triple products below this part of the largest are zero up to rounding.
+_ROUNDING = 1e-13
+
+
+@final
+class Square(Module):
+    """The contribution of each pair of terms to a term of the square: `square[k] += value * c[i] * c[j]`.
+
+    - `first`, `second`, `target`: `i <= j` and `k`, sorted by `k`. The terms of the square begin with those of the
+      expansion itself, in their order; `values` of pairs `i < j` count both orders;
+    - `terms`: the number of terms of the square.
+    """
+
+    first: Int[Array, " products"]
+    second: Int[Array, " products"]
+    target: Int[Array, " products"]
+    values: Float[Array, " products"]
+    terms: int = eqx.field(static=True)
+
+    def of(self, coefficients: Float[Array, " terms"]) -> Float[Array, " square_terms"]:
+        """The coefficients of the square of an expansion."""
+        products = self.values * coefficients[self.first] * coefficients[self.second]
+        return jax.ops.segment_sum(products, self.target, self.terms, indices_are_sorted=True)
+
+
+def square(basis: Basis) -> Square:
+    """Preparation: the square of an expansion in this basis.
+
+    Raises `ProblemError` if it has too many products for memory.
+    """
+    first, second = np.triu_indices(basis.terms)
+    values = np.where(first == second, 1.0, 2.0)
+    # The term of the square that a product belongs to, as far as it is determined by the variables so far.
+    target = np.zeros(first.size, dtype=np.int64)
+    for degrees, degree, germ in zip(basis.indices.T, basis.degrees, basis.germs.values(), strict=True):
+        factors = _triple_products(germ, degree)
+        pair, power = _nonzero(factors, degrees[first], degrees[second])
+        if pair.size > _MOST_PRODUCTS:
+            raise ProblemError(
+                f"Skewness and kurtosis: the square of an expansion of {basis.terms} terms in {basis.variables} "
+                f"variables has more than {_MOST_PRODUCTS} products. Use a lower order or a sparser index set, or take "
+                "quantiles, which need no square."
+            )
+        first, second = first[pair], second[pair]
+        values = values[pair] * factors[degrees[first], degrees[second], power]
+        _, target = np.unique(target[pair] * (2 * degree + 1) + power, return_inverse=True)
+    return _sorted(first, second, target, values)
+
+
+def _triple_products(germ: AbstractGerm, degree: int) -> Float[np.ndarray, "degrees degrees doubled"]:
+    """The expected values of `p_i p_j p_k`, for `i` and `j` up to the degree and `k` up to twice the degree."""
+    nodes, weights = germ.gauss(2 * degree + 1)
+    polynomials = germ.polynomials(2 * degree, nodes)
+    lower = polynomials[:, : degree + 1]
+    triples = np.einsum("n,ni,nj,nk->ijk", weights, lower, lower, polynomials)
+    i, j, k = np.indices(triples.shape)
+    possible = (k <= i + j) & (k >= abs(i - j))
+    return np.where(possible & (np.abs(triples) > _ROUNDING * np.abs(triples).max()), triples, 0.0)
+
+
+def _nonzero(
+    factors: Float[np.ndarray, "degrees degrees doubled"], i: Int[np.ndarray, " n"], j: Int[np.ndarray, " n"]
+) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+    """For pairs of degrees `i[n]`, `j[n]` all `k` with a nonzero factor: `n` and `k` of each."""
+    powers = np.nonzero(factors)[2]
+    counts = np.count_nonzero(factors, axis=2)
+    starts = np.cumsum(counts.ravel()).reshape(counts.shape) - counts
+    count = counts[i, j]
+    pair = np.repeat(np.arange(i.size), count)
+    within = np.arange(pair.size) - np.repeat(np.cumsum(count) - count, count)
+    return pair, powers[starts[i, j][pair] + within]
+
+
+def _sorted(first: np.ndarray, second: np.ndarray, target: np.ndarray, values: np.ndarray) -> Square:
+    """Number the terms of the square: first those of the expansion, which are the products with the constant."""
+    count = int(target.max()) + 1
+    own = target[first == 0][np.argsort(second[first == 0])]
+    number = np.empty(count, dtype=np.int64)
+    number[np.concatenate([own, np.setdiff1d(np.arange(count), own)])] = np.arange(count)
+    target = number[target]
+    order = np.argsort(target, kind="stable")
+    columns = (jax_array(column[order]) for column in (first, second, target, values))
+    return Square(*columns, terms=count)
 
 
 @final
@@ -23,6 +118,7 @@ class Skewness(AbstractStatistic):
     """The skewness `E[(y - mean)^3] / std^3`: zero for a normal distribution, and where the output does not vary."""
 
     symbol: ClassVar[str] = "Skew"
+    dimensionless: ClassVar[bool] = True
 
     @property
     @override
@@ -37,17 +133,13 @@ class Skewness(AbstractStatistic):
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
         return _power_mean(values, 3)
 
-    @override
-    def unit(self, *of: str) -> str:
-        del of
-        return PURE
-
 
 @final
 class Kurtosis(AbstractStatistic):
     """The kurtosis `E[(y - mean)^4] / std^4`, not the excess: 3 for a normal distribution, zero if nothing varies."""
 
     symbol: ClassVar[str] = "Kurt"
+    dimensionless: ClassVar[bool] = True
 
     @property
     @override
@@ -62,11 +154,6 @@ class Kurtosis(AbstractStatistic):
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
         return _power_mean(values, 4)
 
-    @override
-    def unit(self, *of: str) -> str:
-        del of
-        return PURE
-
 
 @final
 class CornishFisher(AbstractStatistic):
@@ -76,6 +163,8 @@ class CornishFisher(AbstractStatistic):
     """
 
     level: Scalar
+
+    speaks_of_one_system: ClassVar[bool] = True
 
     def __init__(self, level: Scalar):
         self.level = level_given("CornishFisher", level)
@@ -100,11 +189,6 @@ class CornishFisher(AbstractStatistic):
         normal = z + (z**2 - 1) * skewness / 6 + (z**3 - 3 * z) * (kurtosis - 3) / 24
         return mean + std * (normal - (2 * z**3 - 5 * z) * skewness**2 / 36)
 
-    @property
-    @override
-    def speaks_of_one_system(self) -> bool:
-        return True
-
     @override
     def text(self, inside: str) -> str:
         return f"CF{float(self.level):g}[{inside}]"
@@ -122,7 +206,7 @@ def shape_of(
         squared = constants.of(standard)
         return jnp.stack([squared[: len(standard)] @ standard, jnp.sum(squared**2)])
 
-    moments: Pytree = entry_by_entry(both, coefficients, _TOGETHER)
+    moments = in_blocks(jax.vmap(both), coefficients, _TOGETHER)
     return moments[..., 0], moments[..., 1]
 
 

@@ -4,8 +4,7 @@ polynomial chaos expansions).
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
-from typing import NoReturn, final
+from typing import ClassVar, NoReturn, final
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,10 +14,9 @@ from typing_extensions import override
 
 from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
-from aleator._core.units import PURE
+from aleator._core.given import meant
 from aleator.expansion import Basis
-from aleator.statistics._moments import varies
-from aleator.statistics._statistic import AbstractStatistic
+from aleator.statistics._statistic import AbstractStatistic, varies
 from aleator.uncertainty import AbstractDistribution
 
 
@@ -31,6 +29,8 @@ class Sobol(AbstractStatistic):
     """
 
     variables: tuple[str, ...] = eqx.field(static=True)
+
+    dimensionless: ClassVar[bool] = True
 
     def __init__(self, variables: str | tuple[str, ...]):
         names = (variables,) if isinstance(variables, str) else tuple(variables)
@@ -55,11 +55,6 @@ class Sobol(AbstractStatistic):
         _refuse_sample()
 
     @override
-    def unit(self, *of: str) -> str:
-        del of
-        return PURE
-
-    @override
     def text(self, inside: str) -> str:
         return f"S({', '.join(self.variables)})[{inside}]"
 
@@ -69,6 +64,8 @@ class TotalSobol(AbstractStatistic):
     """The share of the variance to which a germ variable contributes, alone or together with others, from 0 to 1."""
 
     variable: str = eqx.field(static=True)
+
+    dimensionless: ClassVar[bool] = True
 
     def __init__(self, variable: str):
         if not isinstance(variable, str):
@@ -90,11 +87,6 @@ class TotalSobol(AbstractStatistic):
         """Not to be had from one sample."""
         del values
         _refuse_sample()
-
-    @override
-    def unit(self, *of: str) -> str:
-        del of
-        return PURE
 
     @override
     def text(self, inside: str) -> str:
@@ -162,12 +154,11 @@ def refuse_correlated(distributions: Mapping[str, AbstractDistribution], kind: A
 
 
 def place_of(basis: Basis, name: str) -> int:
-    """The index of the germ variable with this name. Raises `ProblemError`, with similar names, if there is none."""
+    """The index of the germ variable with this name. Raises `ProblemError`, with a similar name, if there is none."""
     if name in basis.names:
         return basis.names.index(name)
-    close = get_close_matches(name, basis.names)
-    hint = f"Did you mean {' or '.join(map(repr, close))}?" if close else f"Expected one of {list(basis.names)}."
-    raise ProblemError(f"Sobol index: there is no germ variable '{name}'. {hint}")
+    hint = meant(name, basis.names) or f" Expected one of {list(basis.names)}."
+    raise ProblemError(f"Sobol index: there is no germ variable '{name}'.{hint}")
 
 
 def _refuse_sample() -> NoReturn:

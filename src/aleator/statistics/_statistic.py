@@ -1,4 +1,7 @@
-"""`AbstractStatistic`: a number that summarises the distribution of an uncertain output."""
+"""`AbstractStatistic`: a number that summarises the distribution of an uncertain output; moments of one output or two.
+
+Moments of an expansion in an orthonormal basis follow from its coefficients alone (equations 30-33, 98, 99).
+"""
 
 import abc
 from collections.abc import Callable, Iterable
@@ -7,12 +10,17 @@ from typing import Any, ClassVar, TypeAlias, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from typing_extensions import override
 
-from aleator._core.arrays import Pytree
+from aleator._core.arrays import Pytree, Scalar, in_library, jax_array, quietly
 from aleator._core.errors import ProblemError
+from aleator._core.given import real
+from aleator._core.leaves import is_traced
 from aleator._core.module import Module
-from aleator.expansion import Basis
+from aleator._core.units import PURE, product, squared
+from aleator.expansion import ROUNDING, Basis
 
 Preparation: TypeAlias = Callable[[Basis], Pytree]
 """A hashable function from a basis to the constant arrays that a statistic needs. Equal preparations are shared."""
@@ -21,11 +29,16 @@ Preparation: TypeAlias = Callable[[Basis], Pytree]
 class AbstractStatistic(Module):
     """A statistic of an output: from an expansion's coefficients, or estimated from a sample.
 
-    `symbol` is how it prints. A statistic that needs more of the basis than orthonormality (a sample of the
-    polynomials, their products) returns a `preparation`, which runs once, before compilation.
+    `symbol` is how it prints; a `dimensionless` statistic has no unit. One that needs more of the basis than
+    orthonormality (a sample of the polynomials, their products) returns a `preparation`, which runs once, before
+    compilation.
     """
 
     symbol: ClassVar[str]
+    dimensionless: ClassVar[bool] = False
+    speaks_of_one_system: ClassVar[bool] = False
+    """Whether a bound on it also applies to a single system, whose value then takes its place: true for a mean or a
+    quantile, false for a spread, which is zero for a single system."""
 
     @property
     def preparation(self) -> Preparation | None:
@@ -40,40 +53,27 @@ class AbstractStatistic(Module):
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
         """The same statistic estimated from independent samples, without an expansion."""
 
-    @property
-    def speaks_of_one_system(self) -> bool:
-        """Whether a bound on it also applies to a single system, whose value then takes its place.
-
-        True for a mean or a quantile; false for a spread, which is zero for a single system.
-        """
-        return False
-
     def unit(self, *of: str) -> str:
-        """Its unit, from those of its arguments (see `_core.units`): by default that of the first."""
-        return of[0]
+        """Its unit, from those of its arguments (see `_core.units`): by default that of the first, or none."""
+        return PURE if self.dimensionless else of[0]
 
     def text(self, inside: str) -> str:
         """As mathematics: `μ[x]`."""
         return f"{self.symbol}[{inside}]"
 
 
-def a_statistic(given: Any) -> AbstractStatistic:
+def a_statistic(kind: Any) -> AbstractStatistic:
     """Return a statistic unchanged. Raises `ProblemError` for anything else."""
-    if isinstance(given, AbstractStatistic):
-        return given
-    made = " Make one of the class first." if isinstance(given, type) else ""
-    raise ProblemError(f"statistic: expected a statistic, such as one of docs/extending.md; received {given!r}.{made}")
-
-
-def entry_by_entry(
-    one: Callable[[Float[Array, " terms"]], Array], coefficients: Float[Array, "terms *shape"], together: int
-) -> Float[Array, "..."]:
-    """Apply a function of one output's coefficients to each entry of outputs of any shape, in blocks of `together`."""
-    return in_blocks(jax.vmap(one), coefficients, together)
+    if isinstance(kind, AbstractStatistic):
+        return kind
+    remedy = " Make one of the class first." if isinstance(kind, type) else ""
+    raise ProblemError(f"statistic: expected a statistic, such as one of docs/extending.md; received {kind!r}.{remedy}")
 
 
 def in_blocks(
-    some: Callable[[Float[Array, "entries terms"]], Array], coefficients: Float[Array, "terms *shape"], together: int
+    function: Callable[[Float[Array, "entries terms"]], Array],
+    coefficients: Float[Array, "terms *shape"],
+    together: int,
 ) -> Float[Array, "..."]:
     """Apply a function of several outputs' coefficients, shape (entries, terms), to outputs of any shape.
 
@@ -83,12 +83,12 @@ def in_blocks(
     entries = jnp.moveaxis(coefficients.reshape(len(coefficients), -1), 1, 0)
     count = len(entries)
     if count <= together:
-        values = some(entries)
+        values = function(entries)
     else:
         blocks = -(-count // together)
         # The last block is filled up with copies of the last entry.
         filled = jnp.pad(entries, ((0, blocks * together - count), (0, 0)), mode="edge")
-        values = jax.lax.map(some, filled.reshape(blocks, together, -1))
+        values = jax.lax.map(function, filled.reshape(blocks, together, -1))
         values = values.reshape(-1, *values.shape[2:])[:count]
     return values.reshape(*shape, *values.shape[1:])
 
@@ -114,5 +114,193 @@ class Constants(Module):
 def prepare(statistics: Iterable[AbstractStatistic], basis: Basis) -> Constants:
     """The constants of all statistics; each preparation runs once."""
     needed = (statistic.preparation for statistic in statistics)
-    preparations = tuple(dict.fromkeys(one for one in needed if one is not None))
-    return Constants(preparations, tuple(one(basis) for one in preparations))
+    preparations = tuple(dict.fromkeys(preparation for preparation in needed if preparation is not None))
+    return Constants(preparations, tuple(preparation(basis) for preparation in preparations))
+
+
+@final
+class Mean(AbstractStatistic):
+    """The expected value, equation (32): the first coefficient."""
+
+    symbol: ClassVar[str] = "μ"
+    speaks_of_one_system: ClassVar[bool] = True
+
+    @override
+    def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
+        del constants
+        _, coefficients = in_library(coefficients)
+        return jax_array(coefficients[0])
+
+    @override
+    @quietly
+    def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
+        library, values = in_library(values)
+        return jax_array(library.mean(values, axis=0))
+
+
+@final
+class Variance(AbstractStatistic):
+    """The variance, equation (33): the sum of squares from the second coefficient on."""
+
+    symbol: ClassVar[str] = "Var"
+
+    @override
+    @quietly
+    def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
+        del constants
+        library, coefficients = in_library(coefficients)
+        return jax_array(library.sum(coefficients[1:] ** 2, axis=0))
+
+    @override
+    @quietly
+    def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
+        library, values = in_library(values)
+        return jax_array(library.var(values, axis=0, ddof=1))
+
+    @override
+    def unit(self, *of: str) -> str:
+        return squared(*of)
+
+
+@final
+class Std(AbstractStatistic):
+    """The standard deviation, equation (33).
+
+    Where the variance is exactly zero, as for a certain initial condition, so is the derivative: the root has no finite
+    one there, and zero is the subgradient of smallest norm.
+    """
+
+    symbol: ClassVar[str] = "σ"
+
+    @override
+    def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
+        return root(Variance().of(coefficients, constants))
+
+    @override
+    def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
+        return root(Variance().of_sample(values))
+
+
+@quietly
+def varies(coefficients: Float[Array, "terms *shape"]) -> Bool[Array, "*shape"]:
+    """Whether an output varies beyond rounding. NaN and infinite values count as varying."""
+    library, coefficients = in_library(coefficients)
+    variance = library.sum(coefficients[1:] ** 2, axis=0)
+    constant = (variance == 0) | (variance < ROUNDING**2 * library.sum(coefficients**2, axis=0))
+    return jax_array(~constant)
+
+
+@quietly
+def root(square: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """The square root, with derivative zero at zero; zero for negative numbers, which only rounding causes."""
+    # Compared with `<=` so that NaN propagates.
+    library, square = in_library(square)
+    zero = square <= 0
+    return jax_array(library.where(zero, 0.0, library.sqrt(library.where(zero, 1.0, square))))
+
+
+@final
+class Covariance(AbstractStatistic):
+    """The covariance of two outputs, stacked along the last axis: the inner product of their coefficients.
+
+    The first coefficients, the means, are left out, as in equation (33).
+    """
+
+    symbol: ClassVar[str] = "Cov"
+
+    @override
+    def of(self, coefficients: Float[Array, "terms *shape 2"], constants: Pytree) -> Float[Array, "*shape"]:
+        del constants
+        first, second = _both(coefficients[1:])
+        return jnp.sum(first * second, axis=0)
+
+    @override
+    def of_sample(self, values: Float[Array, "samples *shape 2"]) -> Float[Array, "*shape"]:
+        first, second = _both(values - jnp.mean(values, axis=0)[None])
+        return jnp.sum(first * second, axis=0) / (len(values) - 1)
+
+    @override
+    def unit(self, *of: str) -> str:
+        return product(*of)
+
+
+@final
+class CoefficientProduct(AbstractStatistic):
+    """`Σ_j |a^j b^j|` of two outputs, stacked along the last axis: the printed form of the expected power (83).
+
+    It depends on the basis, not on the two outputs alone, so that no sample estimates it. With a `smoothing` `s`, `|x|`
+    is `sqrt(x² + s²) - s`.
+    """
+
+    symbol: ClassVar[str] = "Σ|·|"
+    smoothing: float = eqx.field(static=True, default=0.0)
+
+    @override
+    def of(self, coefficients: Float[Array, "terms *shape 2"], constants: Pytree) -> Float[Array, "*shape"]:
+        del constants
+        first, second = _both(coefficients)
+        products, s = first * second, self.smoothing
+        return jnp.sum(jnp.sqrt(products**2 + s**2) - s if s else jnp.abs(products), axis=0)
+
+    def of_sample(self, values: Float[Array, "samples *shape 2"]) -> Float[Array, "*shape"]:
+        """NaN, because no sample estimates it."""
+        return jnp.full(values.shape[1:-1], jnp.nan)
+
+    @override
+    def unit(self, *of: str) -> str:
+        return product(*of)
+
+
+@final
+class Correlation(AbstractStatistic):
+    """The correlation coefficient of two outputs, stacked along the last axis: between -1 and 1.
+
+    It is zero, with derivative zero, if one of them does not vary.
+    """
+
+    symbol: ClassVar[str] = "Corr"
+    dimensionless: ClassVar[bool] = True
+
+    @override
+    def of(self, coefficients: Float[Array, "terms *shape 2"], constants: Pytree) -> Float[Array, "*shape"]:
+        del constants
+        return _cosine(coefficients[1:])
+
+    @override
+    def of_sample(self, values: Float[Array, "samples *shape 2"]) -> Float[Array, "*shape"]:
+        return _cosine(values - jnp.mean(values, axis=0)[None])
+
+
+def _cosine(vectors: Float[Array, "n *shape 2"]) -> Float[Array, "*shape"]:
+    first, second = _both(vectors)
+    # One root each, because the product of both squares overflows earlier.
+    size = root(jnp.sum(first**2, axis=0)) * root(jnp.sum(second**2, axis=0))
+    constant = size == 0
+    return jnp.where(constant, 0.0, jnp.sum(first * second, axis=0) / jnp.where(constant, 1.0, size))
+
+
+def _both(stacked: Float[Array, "n *shape outputs"]) -> tuple[Float[Array, "n *shape"], Float[Array, "n *shape"]]:
+    if stacked.ndim < 2 or stacked.shape[-1] != 2:
+        raise ProblemError(
+            "Covariance and Correlation are of two outputs, stacked along the last axis: expected the shape "
+            f"(terms, ..., 2); received {stacked.shape}."
+        )
+    return stacked[..., 0], stacked[..., 1]
+
+
+def level_given(kind: str, level: Any) -> Scalar:
+    """A probability level, strictly between 0 and 1. Raises `ProblemError` for any other value."""
+    number = number_given(kind, "level", level)
+    if not is_traced(number) and not 0 < float(number) < 1:
+        raise ProblemError(
+            f"{kind}: expected a level between 0 and 1, such as 0.99; received {level!r}. The ends of the distribution "
+            "are Supremum and Infimum."
+        )
+    return number
+
+
+def number_given(kind: str, name: str, value: Any) -> Scalar:
+    """A finite number; an array of JAX, traced or not, stays one. Raises `ProblemError` for anything else."""
+    if isinstance(value, jax.Array) and value.ndim == 0 and (is_traced(value) or np.isfinite(value)):
+        return value
+    return real(f"{kind}: {name}", value, "one finite number")

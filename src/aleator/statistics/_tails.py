@@ -9,7 +9,7 @@ some hundredths of a standard deviation; `CornishFisher` is cheaper there if the
 
 import abc
 from collections.abc import Callable, Sequence
-from typing import final
+from typing import ClassVar, final
 
 import equinox as eqx
 import jax
@@ -20,11 +20,10 @@ from typing_extensions import override
 
 from aleator._core.arrays import Scalar, in_library, jax_array, quietly
 from aleator._core.errors import ProblemError
-from aleator._core.units import PURE
-from aleator.statistics._given import is_traced, level_given, number_given
+from aleator._core.leaves import is_traced
 from aleator.statistics._lines import Lines, lines_through
 from aleator.statistics._output_distribution import OutputDistribution, by_lines
-from aleator.statistics._statistic import AbstractStatistic
+from aleator.statistics._statistic import AbstractStatistic, Constants, level_given, number_given
 
 
 class AbstractTail(AbstractStatistic):
@@ -56,8 +55,7 @@ def tails_together(
     shape = coefficients[0].shape[1:]
     numbers = jax.tree.map(lambda *each: jnp.stack([jnp.full(shape, number, dtype=float) for number in each]), *kinds)
     every = jnp.stack(coefficients, axis=1)
-    found = by_lines(lambda kind, outputs: kind.of_distribution(outputs), numbers, every, constants, len(kinds))
-    return list(found)
+    return list(by_lines(lambda kind, outputs: kind.of_distribution(outputs), numbers, every, constants, len(kinds)))
 
 
 @final
@@ -65,6 +63,8 @@ class Quantile(AbstractTail):
     """The value that the output stays below with probability `level`."""
 
     level: Scalar
+
+    speaks_of_one_system: ClassVar[bool] = True
 
     def __init__(self, level: Scalar):
         self.level = level_given("Quantile", level)
@@ -79,11 +79,6 @@ class Quantile(AbstractTail):
         """Linear interpolation between the sorted values."""
         library, values, level = in_library(values, self.level)
         return jax_array(library.quantile(values, level, axis=0))
-
-    @property
-    @override
-    def speaks_of_one_system(self) -> bool:
-        return True
 
     @override
     def text(self, inside: str) -> str:
@@ -100,6 +95,8 @@ class ConditionalValueAtRisk(AbstractTail):
 
     level: Scalar
     lower: bool = eqx.field(static=True)
+
+    speaks_of_one_system: ClassVar[bool] = True
 
     def __init__(self, level: Scalar, *, lower: bool = False):
         self.level, self.lower = level_given("ConditionalValueAtRisk", level), bool(lower)
@@ -122,11 +119,6 @@ class ConditionalValueAtRisk(AbstractTail):
             return jax_array(quantile - library.mean(library.maximum(-beyond, 0.0), axis=0) / level)
         return jax_array(quantile + library.mean(library.maximum(beyond, 0.0), axis=0) / (1 - level))
 
-    @property
-    @override
-    def speaks_of_one_system(self) -> bool:
-        return True
-
     @override
     def text(self, inside: str) -> str:
         return f"{'lower ' * self.lower}CVaR{float(self.level):g}[{inside}]"
@@ -142,12 +134,14 @@ class Probability(AbstractTail):
     above: Scalar | None
     below: Scalar | None
 
+    dimensionless: ClassVar[bool] = True
+
     def __init__(self, *, above: Scalar | None = None, below: Scalar | None = None):
         if above is None and below is None:
             raise ProblemError("Probability: expected a threshold, above=... or below=... or both; received neither.")
         self.above = None if above is None else number_given("Probability", "above", above)
         self.below = None if below is None else number_given("Probability", "below", below)
-        known = [one for one in (self.above, self.below) if one is not None and not is_traced(one)]
+        known = [limit for limit in (self.above, self.below) if limit is not None and not is_traced(limit)]
         if len(known) == 2 and not float(known[0]) < float(known[1]):
             raise ProblemError(
                 f"Probability: above < x < below needs above < below; received above={above}, below={below}. The "
@@ -172,11 +166,6 @@ class Probability(AbstractTail):
         if below is not None:
             inside = inside & (values < below)
         return jax_array(library.mean(library.where(library.isnan(values), np.nan, inside), axis=0))
-
-    @override
-    def unit(self, *of: str) -> str:
-        del of
-        return PURE
 
     @override
     def text(self, inside: str) -> str:
@@ -218,7 +207,24 @@ def _at_each(
     values = jnp.asarray(values, dtype=float)
     if values.ndim != 1:
         raise ProblemError(f"cdf and pdf: expected values of shape (n,); received {values.shape}.")
-    found = by_lines(
+    results = by_lines(
         lambda _, outputs: jax.lax.map(lambda value: function(outputs, value), values).T, (), coefficients, lines
     )
-    return jnp.moveaxis(found, -1, 0)
+    return jnp.moveaxis(results, -1, 0)
+
+
+def together(
+    statistics: Sequence[tuple[AbstractStatistic, Float[Array, "terms ..."]]], constants: Constants
+) -> list[Float[Array, "..."] | None]:
+    """The values of statistics that share one loop, which is compiled as fast as for one of them; None for the rest."""
+    alike: dict[tuple, list[int]] = {}
+    for i, (kind, coefficients) in enumerate(statistics):
+        if isinstance(kind, AbstractTail):
+            alike.setdefault((jax.tree.structure(kind), coefficients.shape), []).append(i)
+    values: list[Array | None] = [None] * len(statistics)
+    for places in alike.values():
+        if len(places) > 1:
+            kinds, terms = zip(*(statistics[i] for i in places), strict=True)
+            for i, value in zip(places, tails_together(kinds, terms, constants.of(kinds[0])), strict=True):
+                values[i] = value
+    return values

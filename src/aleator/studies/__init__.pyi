@@ -1,9 +1,6 @@
 """What running studies needs; see `__init__.py`. Modules are loaded at their first use."""
 
 from ._check import Check as Check
-from ._declared import PartlySavedError as PartlySavedError
-from ._declared import Stage as Stage
-from ._declared import tables_of as tables_of
 from ._files import begin_file as begin_file
 from ._files import load_file as load_file
 from ._files import load_module as load_module
@@ -12,7 +9,10 @@ from ._listed import Entry as Entry
 from ._listed import load as load
 from ._own import Study as Study
 from ._study import AbstractStudy as AbstractStudy
+from ._study import PartlySavedError as PartlySavedError
+from ._study import Stage as Stage
 from ._study import stop_if_interrupted as stop_if_interrupted
+from ._study import tables_of as tables_of
 from ._swept import SweptStudy as SweptStudy
 from ._swept import executor_of as executor_of
 from ._swept import problems_of as problems_of

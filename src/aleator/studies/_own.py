@@ -15,8 +15,7 @@ from aleator.reporting import Section, Table, Verdict, certificate_table, design
 from aleator.reporting import verdict as verdict_on
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
-from aleator.studies._declared import Stage
-from aleator.studies._study import AbstractStudy, stop_if_interrupted
+from aleator.studies._study import AbstractStudy, Stage, stop_if_interrupted
 from aleator.studies._swept import check_sweepable, distinct, executor_of, front_of
 from aleator.sweep import EvidenceOfAll, Front, TradeOff, trade_off, validate_all
 from aleator.transcription import DEFAULT, AbstractTranscription

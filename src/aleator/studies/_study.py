@@ -1,13 +1,17 @@
-"""`AbstractStudy`: the declaration of a case study; running, saving and the frame of its page follow."""
+"""`AbstractStudy`: the declaration of a case study; running, saving and the frame of its page follow.
+
+Members are checked where they are used; refusals name the study's class and the member, such as `Filling.stages`.
+"""
 
 import abc
+import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
 
-from aleator._core.errors import ProblemError
-from aleator._core.given import one_of, refusal
+from aleator._core.errors import AleatorError, ProblemError
+from aleator._core.given import members, one_of, positive, refusal
 from aleator._core.progress import Progress, check_progress, silent
 from aleator.design import Problem
 from aleator.reporting import (
@@ -26,12 +30,42 @@ from aleator.reporting import (
     words,
     write_page,
 )
-from aleator.studies import _declared
-from aleator.studies._declared import Failure, PartlySavedError, Stage
 
 Part = TypeVar("Part")
 
 _TERMS = ("Term", "Meaning")
+
+
+class Stage(NamedTuple):
+    """A part of a study: its work, and its approximate duration relative to the other stages."""
+
+    work: Callable[[Progress], None]
+    share: float
+
+
+class PartlySavedError(ProblemError):
+    """Some results could not be saved; all others are in `paths`."""
+
+    def __init__(self, message: str, paths: list[Path]):
+        super().__init__(message)
+        self.paths = paths
+
+
+class Failure(NamedTuple):
+    """The part of a study that failed, and why."""
+
+    where: str
+    why: str
+
+    @classmethod
+    def of(cls, where: str, error: Exception) -> "Failure":
+        """A failure from its exception; the messages of our own exceptions suffice."""
+        kind = "" if isinstance(error, AleatorError) else f"{type(error).__name__}: "
+        return cls(where, f"{kind}{error}")
+
+    def sentence(self) -> str:
+        """The failure as a sentence for the page."""
+        return f"In {self.where}: {self.why}"
 
 
 class AbstractStudy(abc.ABC):
@@ -122,7 +156,7 @@ class AbstractStudy(abc.ABC):
         Raises `ProblemError`, naming the study's class and the member.
         """
         name = type(self).__name__
-        _declared.stages(f"{name}.stages", self.stages)
+        _check_stages(f"{name}.stages", self.stages)
         one_of(f"{name}.title", self.title, str)
         one_of(f"{name}.subtitle", self.subtitle, str)
         one_of(f"{name}.left_out", self.left_out, str)
@@ -153,7 +187,7 @@ class AbstractStudy(abc.ABC):
 
         Raises `ProblemError` for results that cannot be saved, after saving all others.
         """
-        kept, refused = savable(*_declared.asked(self, "results"))
+        kept, refused = savable(*_asked(self, "results"))
         paths = list(save_study(folder, kept))
         if refused:
             raise PartlySavedError(f"{refused[0]} All other results are saved.", paths)
@@ -164,8 +198,8 @@ class AbstractStudy(abc.ABC):
         glossary = [Table("Glossary", _TERMS, self.glossary)] if self.glossary else []
         sections = [
             Section("This run", self._unfinished()),
-            *_declared.sections_of(self),
-            provenance(savable(*_declared.asked(self, "results"))[0]),
+            *_sections_of(self),
+            provenance(savable(*_asked(self, "results"))[0]),
             Section("How to read this", [Text(HOW_TO_READ), *glossary]),
         ]
         return self._framed(self._whole_verdict(), [one for one in sections if one.blocks])
@@ -177,7 +211,7 @@ class AbstractStudy(abc.ABC):
     def write_what_is_left(self, folder: Path) -> Path:
         """Write a page without the parts that fail, which are recorded as failures; returns its path."""
         verdict = _or_else(self._whole_verdict, self._no_verdict())
-        sections = _or_else(lambda: [one for one in _declared.sections_of(self) if one.blocks], [])
+        sections = _or_else(lambda: [one for one in _sections_of(self) if one.blocks], [])
         unfinished = _or_else(self._unfinished, [])
         sections = [*([Section("This run", unfinished)] if unfinished else []), *sections]
         try:
@@ -195,7 +229,7 @@ class AbstractStudy(abc.ABC):
 
     def _whole_verdict(self) -> Verdict:
         """The verdict, with the parts that a quick run skips. After a failure only its key numbers are kept."""
-        said = _declared.verdict_of(self)
+        said = _verdict_of(self)
         if self.failed_parts:
             return self._no_verdict(said.cards)
         if not self.left_out:
@@ -211,7 +245,74 @@ class AbstractStudy(abc.ABC):
         if not missing:
             return []
         said = f"Not reached or not completed: {words(missing)}."
-        return [Text([said, *_declared.cut_short(self)], lead="The study was stopped early.")]
+        return [Text([said, *_cut_short(self)], lead="The study was stopped early.")]
+
+
+def _check_stages(what: str, value: Any) -> None:
+    """Refuse what is not stages by name, in order."""
+    expected = "a mapping of names to Stages, as a property"
+    if not isinstance(value, Mapping) or not value:
+        raise refusal(what, expected, value)
+    for name, stage in value.items():
+        one_of(f"{what}: the name of a stage", name, str)
+        place = f"{what}: '{name}'"
+        one_of(place, stage, Stage, "Stage(self.find, 1.0)")
+        positive(f"{place}: share", stage.share)
+        _takes_progress(f"{place}: work", stage.work)
+
+
+def _takes_progress(what: str, work: Any) -> None:
+    """Refuse work that cannot be called with its progress."""
+    expected = "a function of one argument, the progress"
+    if not callable(work):
+        raise refusal(what, expected, work)
+    try:
+        inspect.signature(work).bind(silent)
+    except TypeError as error:
+        raise refusal(what, f"{expected} ({error})", work) from None
+    except ValueError:  # what is not written in Python need not have a signature
+        return
+
+
+def _asked(study: object, member: str) -> tuple[str, Any]:
+    """The result of a study's method, and its place in words.
+
+    Exceptions in a study's own code pass through; our refusals are extended by the place.
+    """
+    what, method = f"{type(study).__name__}.{member}", getattr(study, member)
+    if not callable(method):
+        raise refusal(what, "a method", method)
+    try:
+        return what, method()
+    except ProblemError as error:
+        raise ProblemError(f"{what}: {error}") from error
+
+
+def _verdict_of(study: object) -> Verdict:
+    """A study's verdict."""
+    what, value = _asked(study, "verdict")
+    return one_of(what, value, Verdict)
+
+
+def _sections_of(study: object) -> Sequence[Section]:
+    """A study's sections."""
+    what, value = _asked(study, "sections")
+    return members(what, value, Section)
+
+
+def tables_of(study: object) -> Sequence[Table]:
+    """A study's tables."""
+    what, value = _asked(study, "tables")
+    return members(what, value, Table)
+
+
+def _cut_short(study: object) -> list[str]:
+    """A study's sentences on interrupted parts."""
+    what, value = _asked(study, "cut_short")
+    try:
+        return list(members(what, list(value), str))
+    except TypeError:
+        raise refusal(what, "texts", value) from None
 
 
 def _or_else(part: Callable[[], Part], otherwise: Part) -> Part:

@@ -14,8 +14,7 @@ from aleator._core.progress import Progress
 from aleator.design import Problem
 from aleator.reporting import Section, Table, Verdict, count, number, sections, words
 from aleator.solution import Solution, in_brief
-from aleator.studies._declared import Stage
-from aleator.studies._study import AbstractStudy, stop_if_interrupted
+from aleator.studies._study import AbstractStudy, Stage, stop_if_interrupted
 from aleator.sweep import Front, Refused, pareto, point_name, workers
 
 
@@ -77,12 +76,6 @@ class SweptStudy(AbstractStudy):
     @override
     def problems(self) -> Mapping[str, Problem]:
         return {self._name: self._problem}
-
-    @property
-    def points(self) -> Mapping[str, Problem]:
-        """The problem at each value of the bound, by its name in a journal: `stress = 0.5`."""
-        bound = self._bound
-        return {point_name(bound, one): self._problem.with_bound(bound, one) for one in self._values.tolist()}
 
     @property
     @override

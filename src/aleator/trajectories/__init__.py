@@ -5,15 +5,15 @@ Knows no physics.
 
 from aleator.trajectories._bspline import BSpline as BSpline
 from aleator.trajectories._bspline import fit_control_points as fit_control_points
-from aleator.trajectories._piecewise import Piecewise as Piecewise
-from aleator.trajectories._piecewise import before_jumps as before_jumps
-from aleator.trajectories._piecewise import has_jumps as has_jumps
-from aleator.trajectories._piecewise import jumps_of as jumps_of
-from aleator.trajectories._piecewise import least_steps as least_steps
-from aleator.trajectories._piecewise import piecewise_in as piecewise_in
-from aleator.trajectories._power_series import PowerSeries as PowerSeries
-from aleator.trajectories._signal import AbstractSignal as AbstractSignal
-from aleator.trajectories._signal import instants as instants
-from aleator.trajectories._tabulated import Tabulated as Tabulated
-from aleator.trajectories._trajectory import AbstractTrajectory as AbstractTrajectory
-from aleator.trajectories._trajectory import Stack as Stack
+from aleator.trajectories._polynomials import Piecewise as Piecewise
+from aleator.trajectories._polynomials import PowerSeries as PowerSeries
+from aleator.trajectories._polynomials import before_jumps as before_jumps
+from aleator.trajectories._polynomials import has_jumps as has_jumps
+from aleator.trajectories._polynomials import jumps_of as jumps_of
+from aleator.trajectories._polynomials import least_steps as least_steps
+from aleator.trajectories._polynomials import piecewise_in as piecewise_in
+from aleator.trajectories._signals import AbstractSignal as AbstractSignal
+from aleator.trajectories._signals import AbstractTrajectory as AbstractTrajectory
+from aleator.trajectories._signals import Stack as Stack
+from aleator.trajectories._signals import Tabulated as Tabulated
+from aleator.trajectories._signals import instants as instants

@@ -1,5 +1,9 @@
-"""`BSpline`: clamped B-splines with given end conditions and free control points in between."""
+"""`BSpline`: clamped B-splines with given end conditions and free control points in between.
 
+Their bases come from the Cox-de Boor recursion, as matrices from control points to values and derivatives.
+"""
+
+from functools import lru_cache
 from typing import Any, ClassVar, final
 
 import equinox as eqx
@@ -13,9 +17,8 @@ from typing_extensions import override
 from aleator._core import given as check
 from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import AbstractLeaf, is_leaf, lowest
-from aleator.trajectories._basis import basis_matrix, clamped, derived
-from aleator.trajectories._trajectory import AbstractTrajectory, Fractions, as_array, conditions, copied, shape_of
+from aleator._core.leaves import AbstractLeaf, is_leaf, lowest, realised_shape, stored_numbers
+from aleator.trajectories._signals import AbstractTrajectory, Fractions, as_array, conditions
 
 _KIND = "BSpline"
 
@@ -57,8 +60,8 @@ class BSpline(AbstractTrajectory):
         knots: Any = None,
         spans: Any = None,
     ):
-        self.free = copied(_KIND, "control points", free)
-        if len(shape_of(self.free)) == 0:
+        self.free = stored_numbers(f"{_KIND}: control points", free)
+        if len(realised_shape(self.free)) == 0:
             raise ProblemError(
                 f"{_KIND}: expected several control points, such as al.Decision(np.zeros(8), -3.0, 3.0); received one."
             )
@@ -75,8 +78,8 @@ class BSpline(AbstractTrajectory):
         if interior < 0:
             raise ProblemError(
                 f"{_KIND}: degree {degree} needs at least {degree + 1} control points in all; received "
-                f"{shape_of(self.free)[0]} free ones and {len(self.start)} conditions at the start and {len(self.end)} "
-                f"at the end. Give {-interior} more free control points."
+                f"{realised_shape(self.free)[0]} free ones and {len(self.start)} conditions at the start and "
+                f"{len(self.end)} at the end. Give {-interior} more free control points."
             )
         if knots is not None and spans is not None:
             raise ProblemError(f"{_KIND}: expected knots or spans; received both.")
@@ -86,12 +89,12 @@ class BSpline(AbstractTrajectory):
     @property
     @override
     def shape(self) -> tuple[int, ...]:
-        return shape_of(self.free)[1:]
+        return realised_shape(self.free)[1:]
 
     @property
     def count(self) -> int:
         """The total number of control points."""
-        return shape_of(self.free)[0] + len(self.start) + len(self.end)
+        return realised_shape(self.free)[0] + len(self.start) + len(self.end)
 
     def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
         """As in `AbstractTrajectory.values`; derivatives by the splines of equations (56) and (57)."""
@@ -200,11 +203,86 @@ def _checked_knots(knots: Any, interior: int) -> tuple[float, ...]:
 
 
 def _checked_spans(spans: Any, count: int) -> Any:
-    kept = copied(_KIND, "spans", spans)
+    kept = stored_numbers(f"{_KIND}: spans", spans)
     least = lowest(kept)
-    if shape_of(kept) != (count,) or (least is not None and least <= 0):
+    if realised_shape(kept) != (count,) or (least is not None and least <= 0):
         raise ProblemError(
             f"{_KIND}: expected {count} positive spans, or distributions that stay positive, or a Decision of that "
             f"many with positive lower bounds, such as al.Decision(np.ones({count}), 0.2, 5.0); received {spans!r}."
         )
     return kept
+
+
+def clamped(interior: Any, degree: int) -> Any:
+    """The knots of a clamped spline over [0, 1]: each end `degree + 1` times, with the interior knots in between."""
+    xp = _library(interior)
+    return xp.concatenate([xp.zeros(degree + 1), xp.asarray(interior), xp.ones(degree + 1)])
+
+
+def basis(u: Any, knots: Any, degree: int) -> Any:
+    """All basis functions at the points `u`, by the Cox-de Boor recursion (equation 53): shape (points, functions).
+
+    The first and the last interval extend beyond the ends, since rounding may put a point there.
+    """
+    xp = _library(u, knots)
+    u, knots = xp.asarray(u)[:, None], xp.asarray(knots)
+    left, right = knots[:-1][None], knots[1:][None]
+    within = ((u >= left) | (left <= knots[0])) & ((u < right) | (right >= knots[-1]))
+    found = xp.where(within & (left < right), 1.0, 0.0)
+    for p in range(1, degree + 1):
+        rising = _ratio(xp, u - knots[: -p - 1][None], (knots[p:-1] - knots[: -p - 1])[None])
+        falling = _ratio(xp, knots[p + 1 :][None] - u, (knots[p + 1 :] - knots[1:-p])[None])
+        found = rising * found[:, :-1] + falling * found[:, 1:]
+    return found
+
+
+def differences(knots: Any, degree: int) -> Any:
+    """The matrix from a spline's control points to those of its derivative (equation 54): (n - 1, n)."""
+    xp = _library(knots)
+    knots = xp.asarray(knots)
+    n = len(knots) - degree - 1
+    slopes = degree / (knots[degree + 1 : -1] - knots[1 : -degree - 1])
+    return slopes[:, None] * (xp.eye(n)[1:] - xp.eye(n)[:-1])
+
+
+def derived(knots: Any, degree: int, order: int) -> Any:
+    """The matrix from a spline's control points to those of its derivative of some order: (n - order, n)."""
+    xp = _library(knots)
+    found = xp.eye(len(knots) - degree - 1)
+    for done in range(order):
+        inner = knots[done : len(knots) - done]
+        found = differences(inner, degree - done) @ found
+    return found
+
+
+def matrix(u: Any, knots: Any, degree: int, order: int = 0) -> Any:
+    """From control points to the derivative of some order at the points `u`: shape (points, control points)."""
+    if order > degree:
+        return np.zeros((len(u), len(knots) - degree - 1))
+    inner = knots[order : len(knots) - order]
+    return basis(u, inner, degree - order) @ derived(knots, degree, order)
+
+
+@lru_cache(maxsize=256)
+def _fixed_matrix(u: bytes, knots: tuple[float, ...], degree: int, order: int) -> Float[np.ndarray, "points n"]:
+    return matrix(np.frombuffer(u), np.array(knots), degree, order)
+
+
+def basis_matrix(u: Any, knots: tuple[float, ...] | Array, degree: int, order: int) -> Any:
+    """The same as `matrix`, but cached for plain points and fixed knots, where it is a constant of the compiled
+    program.
+    """
+    if isinstance(u, np.ndarray) and isinstance(knots, tuple):
+        return _fixed_matrix(np.ascontiguousarray(u, dtype=float).tobytes(), knots, degree, order)
+    return matrix(u, jnp.asarray(knots), degree, order)
+
+
+def _library(*arrays: Any) -> Any:
+    """NumPy for plain arrays, JAX for its own: one recursion serves both."""
+    return jnp if any(isinstance(one, Tracer | Array) for one in arrays) else np
+
+
+def _ratio(xp: Any, numerator: Any, denominator: Any) -> Any:
+    """`numerator / denominator`, and 0 where knots coincide."""
+    proper = denominator > 0
+    return xp.where(proper, numerator / xp.where(proper, denominator, 1.0), 0.0)

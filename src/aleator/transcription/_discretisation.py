@@ -60,7 +60,9 @@ def discretised(problem: Problem) -> Discretised:
     needed = (one.kind.preparation for one in statistics_in(problem.expressions))
     preparations = tuple(dict.fromkeys(one for one in needed if one is not None))
     outputs = _Outputs.of(problem) if chooses and germs else None
-    found = _discretised(germs, expansion, preparations, outputs)
+    # A user's own preparation may compute something else than in an earlier problem.
+    code = "" if problem.is_declared else problem.physics.text
+    found = _discretised(germs, expansion, preparations, outputs, code)
     # Outputs of one instant are differentiated at that instant, by the few numbers known there.
     decided = problem.placements.vector("initial").size if problem.is_integrated else 0
     refuse_large_histories(
@@ -74,8 +76,9 @@ Germs = tuple[tuple[str, AbstractGerm], ...]
 
 @lru_cache(maxsize=_KEPT)
 def _discretised(
-    germs: Germs, expansion: Expansion, preparations: tuple[Preparation, ...], outputs: "_Outputs | None"
+    germs: Germs, expansion: Expansion, preparations: tuple[Preparation, ...], outputs: "_Outputs | None", code: str
 ) -> Discretised:
+    del code  # part of the key
     basis, collocation = _collocated(germs, expansion, outputs)
     return Discretised(basis, collocation, Constants(preparations, tuple(one(basis) for one in preparations)))
 

@@ -1,5 +1,6 @@
-"""Families between bounds whose polynomials have no closed form: Triangular and TruncatedNormal."""
+"""Families between bounds whose polynomials have no closed form: Triangular and TruncatedNormal, each with its germ."""
 
+from dataclasses import dataclass
 from typing import Any, ClassVar, final
 
 import jax.numpy as jnp
@@ -8,20 +9,63 @@ from jax.scipy import special
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Scalar
-from aleator.uncertainty._density_germs import TriangularGerm, TruncatedNormalGerm
-from aleator.uncertainty._distribution import AbstractDistribution
-from aleator.uncertainty._parameters import Canonical, Form
+from aleator._core.arrays import Scalar, in_library
+from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
+from aleator.uncertainty._measure import AbstractDensityGerm
 from aleator.uncertainty._polynomials import AbstractGerm
 
+_REACH = 80.0  # the density is 1e-17 of its peak where half the square of the germ has grown by half of this
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(96)
 
-def _triangular_quantile(below: Array, above: Array, mode: Scalar) -> Array:
+
+@final
+@dataclass(frozen=True)
+class TriangularGerm(AbstractDensityGerm):
+    """Triangular on [-1, 1]; `mode` is the peak's position as a fraction of the interval, from 0 at -1 to 1 at 1."""
+
+    mode: float
+
+    @override
+    def density(self, germ: np.ndarray) -> np.ndarray:
+        rise, fall = self.mode or 1.0, 1 - self.mode or 1.0  # a side of length 0 has no points
+        return np.where(germ < 2 * self.mode - 1, (1 + germ) / rise, (1 - germ) / fall)
+
+    @override
+    def quantile(self, level: np.ndarray) -> np.ndarray:
+        return _triangular_quantile(level, 1 - level, self.mode)
+
+    @override
+    def support(self) -> tuple[float, float]:
+        return -1.0, 1.0
+
+
+@final
+@dataclass(frozen=True)
+class TruncatedNormalGerm(AbstractDensityGerm):
+    """Standard normal, truncated to [`low`, `high`], of which either may be infinite."""
+
+    low: float
+    high: float
+
+    @override
+    def density(self, germ: np.ndarray) -> np.ndarray:
+        """Equal to 1 at the peak, however far in the tail the interval lies."""
+        peak = np.clip(0.0, self.low, self.high)
+        return np.exp(-(germ - peak) * (germ + peak) / 2)
+
+    @override
+    def support(self) -> tuple[float, float]:
+        return self.low, self.high
+
+
+def _triangular_quantile(below: Any, above: Any, mode: Scalar) -> Any:
     """Quantile on [-1, 1], given the probabilities below and above."""
+    library, below, above, mode = in_library(below, above, mode)
     left = below < mode
-    square = jnp.where(left, mode * below, (1 - mode) * above)
+    square = library.where(left, mode * below, (1 - mode) * above)
     # The ends do not move with the mode.
-    distance = jnp.where(square > 0, 2 * jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
-    return jnp.where(left, distance - 1, 1 - distance)
+    distance = library.where(square > 0, 2 * library.sqrt(library.where(square > 0, square, 1.0)), 0.0)
+    return library.where(left, distance - 1, 1 - distance)
 
 
 @final
@@ -52,8 +96,8 @@ class Triangular(AbstractDistribution):
         half_width: Any = None,
         shared_name: str | None = None,
     ):
-        given = {"lower": lower, "mode": mode, "upper": upper, "mean": mean, "half_width": half_width}
-        self.set_parameters(given, shared_name)
+        parameters = {"lower": lower, "mode": mode, "upper": upper, "mean": mean, "half_width": half_width}
+        self.set_parameters(parameters, shared_name)
 
     def _is_possible(self, parameters: dict[str, float], shape: tuple[float, ...]) -> bool:
         del parameters
@@ -109,10 +153,6 @@ def _truncated_quantile(below: Array, above: Array, low: Array, high: Array) -> 
     from_high = (low > 0) | ((high > 0) & (below > above))
     tail = jnp.where(from_high, special.ndtr(-high) + above * mass, special.ndtr(low) + below * mass)
     return jnp.where(from_high, -1, 1) * special.ndtri(tail)
-
-
-_REACH = 80.0  # the density is 1e-17 of its peak where half the square of the germ has grown by half of this
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(96)
 
 
 def _truncated_moments(low: Scalar, high: Scalar) -> tuple[Array, Array]:

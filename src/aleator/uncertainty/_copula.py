@@ -20,8 +20,7 @@ from jaxtyping import Float
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, real, real_array, refusal
 from aleator._core.leaves import is_traced
-from aleator.uncertainty._dependence import Dependence
-from aleator.uncertainty._distribution import AbstractDistribution
+from aleator.uncertainty._distribution import AbstractDistribution, Dependence
 from aleator.uncertainty._polynomials import HermiteGerm
 
 _TERMS = 100
@@ -192,14 +191,14 @@ def _correlation_of(first: np.ndarray, second: np.ndarray) -> np.polynomial.Poly
 
 def pearson(distributions: Mapping[str, AbstractDistribution]) -> dict[tuple[str, str], float]:
     """Pearson's correlation of each two distributions that a group correlates, by their names; of plain numbers."""
-    found = {}
-    members = {name: one.dependence for name, one in distributions.items() if one.dependence is not None}
+    correlations = {}
+    members = {name: member.dependence for name, member in distributions.items() if member.dependence is not None}
     standard = {name: _standard_values(distributions[name]) for name in members}
-    for (first, one), (second, other) in itertools.combinations(members.items(), 2):
-        if one.group != other.group:
+    for (first, member), (second, other) in itertools.combinations(members.items(), 2):
+        if member.group != other.group:
             continue
-        factor = np.asarray(one.factor)
-        normal = float(factor[one.index] @ factor[other.index])
+        factor = np.asarray(member.factor)
+        normal = float(factor[member.index] @ factor[other.index])
         if abs(normal) > _ROUNDING:
-            found[first, second] = float(_correlation_of(standard[first], standard[second])(normal))
-    return found
+            correlations[first, second] = float(_correlation_of(standard[first], standard[second])(normal))
+    return correlations

@@ -1,7 +1,9 @@
-"""Distributions given by a density function or by data: Density and Sample."""
+"""Distributions given by a density function or by data: Density and Sample, each with its germ."""
 
 import functools
+import hashlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, ClassVar, final
 
 import equinox as eqx
@@ -15,10 +17,81 @@ from typing_extensions import override
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
 from aleator._core.given import real_array, refusal
-from aleator.uncertainty._density_germs import DensityGerm, SampleGerm
-from aleator.uncertainty._distribution import AbstractDistribution
-from aleator.uncertainty._parameters import Canonical, Form
+from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
+from aleator.uncertainty._measure import AbstractDensityGerm, recurrence_of
 from aleator.uncertainty._polynomials import AbstractGerm
+
+_NORMALS = np.linspace(-8.2, 8.2, 4101)
+
+
+@final
+@dataclass(frozen=True)
+class DensityGerm(AbstractDensityGerm):
+    """Any density on (low, high), not necessarily normalised, as a NumPy function of an array of points."""
+
+    function: Callable[[np.ndarray], np.ndarray]
+    low: float
+    high: float
+
+    @override
+    def density(self, germ: np.ndarray) -> np.ndarray:
+        return self.function(germ)
+
+    @override
+    def support(self) -> tuple[float, float]:
+        return self.low, self.high
+
+
+@final
+class SampleGerm(AbstractGerm):
+    """The measure of a data sample: polynomials orthonormal under the data (arbitrary polynomial chaos).
+
+    Source: Oladyshkin and Nowak, Reliability Engineering & System Safety 106 (2012). A sample of n distinct values
+    carries polynomials up to order n - 1. The quantile is the value at which the empirical distribution function
+    reaches a level; it is a step function, so that drawn values have the moments of the data. `levels` are the levels
+    at which it steps from one value to the next.
+    """
+
+    def __init__(self, data: Float[np.ndarray, " n"]):
+        self.values, counts = np.unique(data, return_counts=True)
+        self.weights = counts / counts.sum()
+        self.levels = np.cumsum(counts)[:-1] / counts.sum()
+        # The data are static when a model is compiled, so two germs are equal if their values are.
+        self._digest = hashlib.sha256(self.values.tobytes() + counts.tobytes()).hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the other germ holds the same data."""
+        return isinstance(other, SampleGerm) and self._digest == other._digest
+
+    def __hash__(self) -> int:
+        """Hash of the data."""
+        return hash(self._digest)
+
+    @override
+    def recurrence(self, order: int) -> tuple[np.ndarray, np.ndarray]:
+        """Raises `ProblemError` if the order is too high for the data."""
+        if order >= self.values.size:
+            raise ProblemError(
+                f"A sample of {self.values.size} distinct values carries polynomials up to order "
+                f"{self.values.size - 1}; received order {order}. Lower the order, or give more data."
+            )
+        a, b, _ = recurrence_of(self.values, self.weights, order)
+        return a, b
+
+    @override
+    def quantile(self, level: np.ndarray) -> np.ndarray:
+        return self.values[np.searchsorted(self.levels, level, side="left")]
+
+    @override
+    def cumulative(self, germ: np.ndarray) -> np.ndarray:
+        """At one of the data itself, half of its probability counts as below."""
+        reached = np.concatenate([[0.0], self.levels, [1.0]])
+        below, up_to = (reached[np.searchsorted(self.values, germ, side=side)] for side in ("left", "right"))
+        return (below + up_to) / 2
+
+    @override
+    def support(self) -> tuple[float, float]:
+        return float(self.values[0]), float(self.values[-1])
 
 
 def _linear(location: Scalar, scale: Scalar) -> Canonical:
@@ -96,9 +169,6 @@ def _ends(lower: Any, upper: Any) -> tuple[float, float]:
     if not low < high:
         raise ProblemError(f"Density needs lower < upper; received lower={low:g}, upper={high:g}.")
     return low, high
-
-
-_NORMALS = np.linspace(-8.2, 8.2, 4101)
 
 
 @functools.lru_cache(maxsize=32)

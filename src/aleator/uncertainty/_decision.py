@@ -100,7 +100,7 @@ def start_given(name: str, value: Any, decision: Decision) -> Float[np.ndarray, 
     if beyond.any():
         first = np.flatnonzero(beyond)[0]
         lower, upper, start = (
-            np.broadcast_to(one, numbers.shape).flat[first] for one in (decision.lower, decision.upper, numbers)
+            np.broadcast_to(value, numbers.shape).flat[first] for value in (decision.lower, decision.upper, numbers)
         )
         raise ProblemError(f"start: expected '{name}' between its bounds {lower:g} and {upper:g}; received {start:g}.")
     return inside

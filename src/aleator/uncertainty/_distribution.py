@@ -3,25 +3,95 @@
 import abc
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator
-from typing import Any, ClassVar, Self
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, ClassVar, NamedTuple, Self, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar, jax_array
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name
+from aleator._core.given import a_name, real_array, refusal
 from aleator._core.identity import is_library
-from aleator._core.leaves import AbstractLeaf, is_traced
-from aleator.uncertainty._contradictions import refuse_contradictions
+from aleator._core.leaves import AbstractLeaf, is_traced, realised_shape
+from aleator._core.module import Module
 from aleator.uncertainty._decision import Decision
-from aleator.uncertainty._dependence import Dependence
-from aleator.uncertainty._parameters import Canonical, Form, brief, constant, plain
 from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm
+
+# Probability levels at which methods of a user's own distribution are compared, and the tolerance by its spread.
+_LEVELS = np.array([0.02, 0.16, 0.5, 0.84, 0.98])
+_SAME = 1e-6
+
+
+class Canonical(NamedTuple):
+    """A distribution as `location + scale * germ`, with the shape parameters of its germ (none, one or two numbers)."""
+
+    location: Scalar
+    scale: Scalar
+    shape: tuple[Scalar, ...] = ()
+
+
+class Form(NamedTuple):
+    """One way to give a distribution's parameters: their canonical form, and which of them set the shape."""
+
+    canonical: Callable[..., Canonical]
+    shaped_by: frozenset[str] = frozenset()
+
+
+def constant(tree: Any) -> Any:
+    """The same numbers without their derivatives: plain ones under `jax.grad`, but traced ones under `jax.jit`."""
+    with jax.ensure_compile_time_eval():
+        return jax.lax.stop_gradient(tree)
+
+
+def plain(name: str, value: Any, family: type) -> Any:
+    """A parameter as a float, a scalar array or a scalar `Decision`."""
+    if isinstance(value, Decision | jax.Array) and realised_shape(value) == ():
+        return value
+    what, expected = f"{family.__name__}: '{name}'", "one number or one Decision"
+    number = real_array(what, value, expected)
+    if number.ndim:
+        raise refusal(what, expected, value)
+    return float(number)
+
+
+def brief(value: Any) -> str:
+    """A parameter as text."""
+    if isinstance(value, Decision):
+        return f"Decision({float(value.initial):g} in [{float(value.lower):g}, {float(value.upper):g}])"
+    return f"{float(value):g}" if not isinstance(value, Tracer) else "traced"
+
+
+@final
+class Dependence(Module):
+    """A member's place in a group of correlated distributions.
+
+    The group has one standard normal germ variable for each member. Member `index` is a function of the normal variable
+    `factor[index] @ germs`, where `factor` is the Cholesky factor of the normals' correlation matrix. So it depends on
+    its own germ variable and on those of the members before it.
+    """
+
+    group: str = eqx.field(static=True)
+    members: tuple[str, ...] = eqx.field(static=True)
+    index: int = eqx.field(static=True)
+    factor: Float[np.ndarray, "members members"] | Float[Array, "members members"]
+
+    @property
+    def germ_names(self) -> tuple[str, ...]:
+        """The germ variables on which the member depends."""
+        return tuple(f"{self.group}.{member}" for member in self.members[: self.index + 1])
+
+    def normal(self, germs: Sequence[Float[Array, ""]]) -> Float[Array, ""]:
+        """The member's standard normal variable at the values of its germ variables."""
+        return jnp.asarray(self.factor)[self.index, : self.index + 1] @ jnp.stack(germs)
+
+    def __str__(self) -> str:
+        return f"'{self.members[self.index]}' of the correlated group '{self.group}'"
 
 
 class AbstractDistribution(AbstractLeaf):
@@ -45,15 +115,16 @@ class AbstractDistribution(AbstractLeaf):
     REACHES_ENDS: ClassVar[bool] = True
     """Whether values come so close to a finite end of the support that the physics must hold at the end itself."""
 
-    def set_parameters(self, given: dict[str, Any], shared_name: str | None) -> None:
-        """Store the given parameters after checking that they define a distribution."""
-        parameters = {name: plain(name, value, type(self)) for name, value in given.items() if value is not None}
-        self.parameters = parameters
+    def set_parameters(self, parameters: dict[str, Any], shared_name: str | None) -> None:
+        """Store the parameters that are not None after checking that they define a distribution."""
+        self.parameters = {
+            name: plain(name, value, type(self)) for name, value in parameters.items() if value is not None
+        }
         self.dependence = None
         self.shared_name = None if shared_name is None else a_name(f"{type(self).__name__}: shared_name", shared_name)
         self._names()
         # The numbers are known under jax.grad, and so checked; under jax.jit they are not.
-        if not is_traced(constant(parameters)):
+        if not is_traced(constant(self.parameters)):
             self._check()
 
     def shared(self, name: str) -> Self:
@@ -152,30 +223,23 @@ class AbstractDistribution(AbstractLeaf):
 
     def lowest(self) -> float | None:
         """The lower end of the support, at its lowest over the corners of the decisions' bounds."""
-        ends = self._ends(0)
-        if not ends:
-            return None
-        least = float(np.nanmin(ends))
-        return least if self.REACHES_ENDS else float(np.nextafter(least, np.inf))
+        return self._outermost(0, np.nanmin, np.inf)
 
     def highest(self) -> float | None:
         """The upper end of the support, at its highest over the corners of the decisions' bounds."""
-        ends = self._ends(1)
-        if not ends:
-            return None
-        most = float(np.nanmax(ends))
-        return most if self.REACHES_ENDS else float(np.nextafter(most, -np.inf))
+        return self._outermost(1, np.nanmax, -np.inf)
 
-    def _ends(self, which: int) -> list[float]:
-        """One end of the support at every corner of the decisions' bounds; an empty list where numbers are traced.
+    def _outermost(self, end: int, extreme: Callable[[list[float]], Any], inwards: float) -> float | None:
+        """An end of the support over all corners of the decisions' bounds; None where numbers are traced.
 
         A corner at infinity may give NaN (infinity minus infinity), which is dropped; another corner has that end.
         """
         if is_traced(self):
-            return []
+            return None
         with np.errstate(invalid="ignore"), jax.ensure_compile_time_eval():
             corners = [self.decided(lambda name, _, at=corner: at[name]) for corner in self.corners()]
-            return [float(one.support()[which]) for one in corners]
+            value = float(extreme([float(corner.support()[end]) for corner in corners]))
+        return value if self.REACHES_ENDS else float(np.nextafter(value, inwards))
 
     def canonical(self) -> Canonical:
         """Location, scale and shape, once the parameters are plain numbers."""
@@ -300,3 +364,29 @@ class AbstractDistribution(AbstractLeaf):
     def __str__(self) -> str:
         inside = ", ".join(f"{name}={brief(self.parameters[name])}" for name in self._names())
         return f"{type(self).__name__}({inside})"
+
+
+def refuse_contradictions(distribution: Any) -> None:
+    """Raise `ProblemError`, naming the method, where two methods of a distribution of plain numbers disagree."""
+    with jax.ensure_compile_time_eval():
+        location, scale, shape = distribution.canonical()
+        germ = distribution.germ()
+        a, b = germ.recurrence(1)
+        low, high = germ.support()
+        quantiles = np.asarray(germ.quantile(_LEVELS), dtype=float)
+        normal = [float(distribution.from_normal(np.asarray(z), shape)) for z in scipy.special.ndtri(_LEVELS)]
+        methods = {
+            f"from_normal at the levels {_LEVELS.tolist()}": (normal, quantiles),
+            "mean": (distribution.mean(), location + scale * a[0]),
+            "std": (distribution.std(), scale * b[1]),
+            "support": (distribution.support(), (location + scale * low, location + scale * high)),
+        }
+    for name, (values, expected) in methods.items():
+        values, expected = np.asarray(values, dtype=float), np.asarray(expected, dtype=float)
+        size = 1.0 if name.startswith("from_normal") else abs(float(scale))
+        if not (values.shape == expected.shape and np.allclose(values, expected, rtol=_SAME, atol=_SAME * size)):
+            by_germ, received = (", ".join(f"{x:.6g}" for x in np.ravel(side)) for side in (expected, values))
+            raise ProblemError(
+                f"{type(distribution).__name__}: its germ and its {name} contradict each other: expected "
+                f"{by_germ} by germ(); received {received}."
+            )

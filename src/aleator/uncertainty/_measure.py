@@ -1,17 +1,26 @@
-"""A density as a fine quadrature: its nodes, its probabilities and its quantiles.
+"""A density as a fine quadrature: its nodes, probabilities and quantiles, and the polynomials orthonormal under it.
 
 The line is mapped to a finite range of `t` by the double exponential maps of Takahasi and Mori (1974), which spread out
 singular ends and decaying tails. That range is subdivided into panels until Gauss quadrature is accurate on each, which
 also locates kinks and jumps of the density.
+
+The recurrence of any measure's polynomials follows by a discretised Stieltjes procedure (Gautschi, Orthogonal
+Polynomials: Computation and Approximation, 2004, sections 2.2.3 and 2.2.4). Its inner products are taken on the nodes
+of a fine quadrature, and each new polynomial is made orthogonal to all before it (as in the Lanczos process), which
+keeps the basis orthonormal to rounding.
 """
 
+import abc
+import functools
 from collections.abc import Callable
 from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
+from aleator.uncertainty._polynomials import AbstractGerm
 
 _RULE = np.polynomial.legendre.leggauss(20)
 _FIRST_PANELS = 64
@@ -22,6 +31,9 @@ _NO_MASS = 1e-250  # a smaller total is the foot of a peak that lies between the
 _BISECTIONS = 60
 
 _FINITE_END, _FAR, _NEAR = 6.0, 4.5, 6.7  # values of t where a map is within 1e-275 of an end, or 1e30 away
+
+_HALVINGS = 7
+_AGREEMENT = 1e-11  # of two rules; the coefficients taken are those of the finer one, which is far more accurate
 
 
 class _Map(NamedTuple):
@@ -156,19 +168,19 @@ class Measure:
         inside = (x > low) & (x < high)
         values = np.zeros(x.shape)
         with np.errstate(all="ignore"):
-            found = np.asarray(self._density(x[inside]))
-        if found.shape != x[inside].shape:
+            density = np.asarray(self._density(x[inside]))
+        if density.shape != x[inside].shape:
             raise ProblemError(
                 "A density takes an array of points and returns one number for each: expected shape "
-                f"{x[inside].shape}; received {found.shape}. Write it with NumPy functions."
+                f"{x[inside].shape}; received {density.shape}. Write it with NumPy functions."
             )
-        bad = ~(np.isfinite(found) & (found >= 0))
+        bad = ~(np.isfinite(density) & (density >= 0))
         if np.any(bad):
             raise ProblemError(
-                f"A density is finite and not negative inside its bounds: received {found[bad][0]:g} at "
+                f"A density is finite and not negative inside its bounds: received {density[bad][0]:g} at "
                 f"{x[inside][bad][0]:g}. Correct the function, or set `lower` and `upper` to where it is a density."
             )
-        values[inside] = found
+        values[inside] = density
         return values
 
     def _divide(self) -> np.ndarray:
@@ -234,3 +246,94 @@ class Measure:
                     f"A density could not be integrated: its integral does not converge towards its end {end:g}. "
                     "Set `lower` and `upper` so that its integral is finite."
                 )
+
+
+def recurrence_of(
+    nodes: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"], order: int
+) -> tuple[Float[np.ndarray, " terms"], Float[np.ndarray, " terms"], Float[np.ndarray, "terms n"]]:
+    """Coefficients `a` and `b` of `AbstractGerm.recurrence` for the measure of `weights` (of sum 1) at `nodes`.
+
+    The third result holds the polynomials at the nodes, times the square root of the weights: orthonormal rows. `order`
+    must be less than the number of nodes.
+    """
+    centre = weights @ nodes
+    spread = np.sqrt(weights @ (nodes - centre) ** 2) if order else 1.0
+    x = (nodes - centre) / spread  # a mean far from 0 would cost digits
+    a, b = np.zeros(order + 1), np.zeros(order + 1)
+    basis = np.empty((order + 1, nodes.size))
+    basis[0] = np.sqrt(weights)
+    for n in range(order + 1):
+        product = x * basis[n]
+        a[n] = basis[n] @ product
+        if n == order:
+            break
+        for _ in range(2):  # twice, since rounding leaves a remainder the first time
+            product = product - (basis[: n + 1] @ product) @ basis[: n + 1]
+        b[n + 1] = np.linalg.norm(product)
+        basis[n + 1] = product / b[n + 1]
+    return centre + spread * a, spread * b, basis
+
+
+class AbstractDensityGerm(AbstractGerm):
+    """A germ given by its density: polynomials, quantiles and probabilities come from a fine quadrature of it."""
+
+    @abc.abstractmethod
+    def density(self, germ: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """The density inside the support, up to a constant factor."""
+
+    @override
+    def recurrence(self, order: int) -> tuple[np.ndarray, np.ndarray]:
+        """Raises `ProblemError` if moments of the density do not exist."""
+        return _recurrence(self, order)
+
+    @override
+    def quantile(self, level: np.ndarray) -> np.ndarray:
+        return _measure(self).quantile(level)
+
+    @override
+    def cumulative(self, germ: np.ndarray) -> np.ndarray:
+        return _measure(self).cumulative(germ)
+
+
+@functools.lru_cache(maxsize=128)
+def _measure(germ: AbstractDensityGerm) -> Measure:
+    return Measure(germ.density, *germ.support())
+
+
+@functools.lru_cache(maxsize=512)
+def _recurrence(germ: AbstractDensityGerm, order: int) -> tuple[np.ndarray, np.ndarray]:
+    """The recurrence on successively finer rules, until two agree."""
+    if order == 0:
+        # At order 0 there is only the mean, which may be zero and so gives no scale for a tolerance.
+        a, b = _recurrence(germ, 1)
+        return a[:1], b[:1]
+    a, b = _discretised(germ, order, halvings=0)
+    for halvings in range(1, _HALVINGS):
+        coarse = a, b
+        a, b = _discretised(germ, order, halvings)
+        change = np.max(np.abs([coarse[0] - a, coarse[1] - b]))
+        rounding = 64 * np.finfo(float).eps * np.max(np.abs(a))  # of coordinates far from 0
+        if change <= _AGREEMENT * np.max(np.append(b[1:], np.abs(a[-1] - a[0]))) + rounding:
+            break
+    else:
+        raise ProblemError(
+            f"The polynomials of a density are not resolved at order {order}: the function is not smooth between its "
+            "jumps. Smooth it, or lower the order."
+        )
+    for coefficients in (a, b):
+        coefficients.flags.writeable = False  # the cached array is shared
+    return a, b
+
+
+def _discretised(germ: AbstractDensityGerm, order: int, halvings: int) -> tuple[np.ndarray, np.ndarray]:
+    nodes, weights = _measure(germ).rule(halvings)
+    with np.errstate(over="ignore", invalid="ignore"):
+        a, b, basis = recurrence_of(nodes, weights, order)
+    for end, column in zip(germ.support(), (basis[:, 0], basis[:, -1]), strict=True):
+        # Where the tail is too heavy, the highest polynomials concentrate at the last node, however far away it is.
+        if np.isinf(end) and not np.all(np.abs(column) < 1e-6):
+            raise ProblemError(
+                f"The tail of a density decays too slowly for polynomials of order {order}: the moments that they "
+                "need do not exist. Bound the density by `lower` and `upper`, or lower the order."
+            )
+    return a, b

@@ -1,25 +1,77 @@
 """Where the distributions and decisions of a model stand: its germ variables and its decision vector.
 
 A model is any pytree. `placements` finds the distributions and decisions among its leaves and names each by its place;
-`realise` replaces them with numbers, on which the physics runs unchanged.
+`realise` replaces them with numbers, on which the physics runs unchanged; `at_means` holds the distributions at their
+means: a deterministic model that retains them.
 """
 
-from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, ClassVar, NamedTuple, final
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
-from aleator._core.arrays import Pytree
+from aleator._core.arrays import Pytree, in_library, is_number, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.given import refuse_missing
 from aleator._core.leaves import AbstractLeaf, is_leaf, is_traced, named_leaves
-from aleator.uncertainty._at_mean import free
+from aleator.uncertainty._copula import pearson
 from aleator.uncertainty._decision import Decision, start_given
-from aleator.uncertainty._dependence import check_groups
-from aleator.uncertainty._distribution import AbstractDistribution
+from aleator.uncertainty._distribution import AbstractDistribution, Dependence
 from aleator.uncertainty._polynomials import AbstractGerm
+
+
+@final
+class AtMean(AbstractLeaf):
+    """A distribution held at its mean: `deterministic` replaces each distribution by one."""
+
+    UNCERTAIN: ClassVar[bool] = False
+
+    distribution: AbstractDistribution
+
+    @property
+    def shared_name(self) -> str | None:  # type: ignore[override]
+        """The name under which the distribution is shared."""
+        return self.distribution.shared_name
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """That of the distribution."""
+        return self.distribution.shape
+
+    def lowest(self) -> float | None:
+        """That of the distribution, which evidence samples again."""
+        return self.distribution.lowest()
+
+    def highest(self) -> float | None:
+        """That of the distribution, which evidence samples again."""
+        return self.distribution.highest()
+
+
+def free(leaf: Any) -> Any:
+    """The distribution behind a leaf that holds it at its mean; any other leaf as it is."""
+    return leaf.distribution if isinstance(leaf, AtMean) else leaf
+
+
+def at_means(model: Pytree) -> Pytree:
+    """The model with every distribution held at its mean: no germ is left."""
+    return _replace(model, AbstractDistribution, AtMean)  # type: ignore[arg-type]
+
+
+def uncertain_again(model: Pytree) -> Pytree:
+    """The inverse of `at_means`."""
+    return _replace(model, AtMean, lambda leaf: leaf.distribution)
+
+
+def _replace(model: Pytree, kind: type, change: Callable[[Any], Any]) -> Pytree:
+    return jax.tree.map(
+        lambda leaf: change(leaf) if isinstance(leaf, kind) else leaf,
+        model,
+        is_leaf=is_leaf,
+    )
 
 
 class Place(NamedTuple):
@@ -169,3 +221,139 @@ def _refuse_conflict(name: str, first: Any, second: Any) -> None:
             f"'{name}' is shared by two placements that differ: {first} and {second}. "
             "Give the same distribution or decision in both places, or two names."
         )
+
+
+def realise(model: Pytree, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> Pytree:
+    """The model with each distribution and decision replaced by a plain number (dissertation, equation 26).
+
+    `germ` has one entry for each germ variable and `decisions` one for each decided number, in the order of
+    `placements`. Differentiable with respect to both; the parameters of distributions are realised first.
+    """
+    places = placements(model)
+    uncertain = uncertain_numbers(places, germ, decisions)
+
+    def value(name: str, leaf: Any) -> Any:
+        if isinstance(leaf, Decision):
+            return _chosen(places, decisions, name)
+        if isinstance(leaf, AtMean):
+            return _decided(leaf.distribution, name, places, decisions).mean()
+        return uncertain[name] if is_leaf(leaf) else leaf
+
+    return _with_leaves(model, value)
+
+
+def uncertain_numbers(
+    places: Placements, germ: Float[Array, " variables"], decisions: Float[Array, " n"]
+) -> dict[str, Float[Array, ""]]:
+    """The values of a model's distributions at one germ point, by name."""
+    _, numbers = in_library(germ)
+    variables = dict(zip(places.germ_names, numbers, strict=True))
+    values = {}
+    for name, distribution in places.distributions.items():
+        own = tuple(variables[variable] for variable in distribution.germ_names(name))
+        values[name] = _decided(distribution, name, places, decisions).realised(own, distribution.reference())
+    return values
+
+
+def _chosen(places: Placements, decisions: Float[Array, " n"], name: str) -> Float[Array, "..."]:
+    place = places.decisions[name]
+    _, decisions = in_library(decisions)
+    return jax_array(decisions[place.where].reshape(np.shape(place.decision.initial)))
+
+
+def _decided(
+    distribution: AbstractDistribution, name: str, places: Placements, decisions: Float[Array, " n"]
+) -> AbstractDistribution:
+    """The distribution called `name` with its decisions at their current values."""
+    return distribution.decided(
+        lambda parameter, decision: _chosen(places, decisions, decision.shared_name or f"{name}.{parameter}")
+    )
+
+
+def correlations_at(places: Placements, decisions: Float[np.ndarray, " n"]) -> dict[tuple[str, str], float]:
+    """Pearson's correlations of a model's distributions, by pairs of names, at given decisions; no zeros."""
+    at = jnp.asarray(decisions)
+    return pearson(
+        {name: _decided(distribution, name, places, at) for name, distribution in places.distributions.items()}
+    )
+
+
+def named_numbers(model: Pytree, decisions: Float[Array, " n"]) -> dict[str, Any]:
+    """Every number of a model by name, at given decisions.
+
+    A plain number (integer or real) or decision is named by its place (`m_u`), a distribution's parameters below it
+    (`k_s.half_width`), as are its `mean` and `std`, whatever its parameters are.
+    """
+    places = placements(model)
+    numbers: dict[str, Any] = {}
+    for name, leaf in named_leaves(model):
+        if isinstance(leaf, Decision):
+            numbers[name] = _chosen(places, decisions, name)
+        elif is_leaf(leaf):
+            distribution = _decided(free(leaf), name, places, decisions)
+            moments = {"mean": distribution.mean(), "std": distribution.std()}
+            numbers |= {f"{name}.{key}": jax_array(value) for key, value in (moments | distribution.parameters).items()}
+        elif is_number(leaf) or _is_whole(leaf):
+            numbers[name] = jax_array(leaf, float)
+    return numbers
+
+
+def _is_whole(leaf: Any) -> bool:
+    """Whether `leaf` is an integer or an array of them; unlike in Python, a bool is not."""
+    if isinstance(leaf, bool):
+        return False
+    return isinstance(leaf, int) or jnp.issubdtype(getattr(leaf, "dtype", None) or bool, jnp.integer)
+
+
+def with_distributions(model: Pytree, choose: Callable[[str, AbstractDistribution], AbstractDistribution]) -> Pytree:
+    """The model with each distribution replaced by `choose(name, distribution)`; sharing is kept."""
+
+    def change(name: str, leaf: Any) -> Any:
+        if not isinstance(leaf, AbstractDistribution):
+            return leaf
+        distribution = choose(name, leaf)
+        return distribution.shared(leaf.shared_name) if leaf.shared_name else distribution
+
+    return _with_leaves(model, change)
+
+
+def _with_leaves(model: Pytree, change: Callable[[str, Any], Any]) -> Pytree:
+    """The model with each leaf replaced by `change(name, leaf)`."""
+    structure = jax.tree.structure(model, is_leaf=is_leaf)
+    return jax.tree.unflatten(structure, [change(name, leaf) for name, leaf in named_leaves(model)])
+
+
+def check_groups(dependences: Mapping[str, Dependence | None]) -> None:
+    """Refuse two groups of one name, and a member placed twice; `dependences` are keyed by the distributions' names."""
+    groups: dict[str, Dependence] = {}
+    placed: dict[str, str] = {}
+    for place, dependence in dependences.items():
+        if dependence is None:
+            continue
+        if not _is_one_group(dependence, groups.setdefault(dependence.group, dependence)):
+            raise ProblemError(
+                f"'{dependence.group}' names two groups of correlated distributions. Give `name` to one of them: "
+                "correlated(..., name=...)."
+            )
+        own = dependence.germ_names[-1]
+        if own in placed:
+            raise ProblemError(
+                f"{dependence} is placed twice, at '{placed[own]}' and at '{place}'. Make both one number with "
+                '`.shared("name")`, or make two groups with two names: correlated(..., name=...).'
+            )
+        placed[own] = place
+    for dependence in groups.values():
+        for germ in (f"{dependence.group}.{member}" for member in dependence.members):
+            if germ in dependences and dependences[germ] is None:
+                raise ProblemError(
+                    f"'{germ}' names a germ variable of a correlated group and an independent distribution. "
+                    "Give the group another name: correlated(..., name=...)."
+                )
+
+
+def _is_one_group(first: Dependence, second: Dependence) -> bool:
+    if first.members != second.members:
+        return False
+    if is_traced((first.factor, second.factor)):
+        return True  # compared before compilation
+    return np.array_equal(np.asarray(first.factor), np.asarray(second.factor))

@@ -13,7 +13,7 @@ from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
 from aleator._core.leaves import is_leaf, is_transparent, lowest, shown
 from aleator.trajectories import AbstractSignal
-from aleator.uncertainty._at_mean import free
+from aleator.uncertainty._placements import free
 from aleator.uncertainty._toleranced import Toleranced
 
 

@@ -1,7 +1,9 @@
-"""Families with a tail: Exponential, LogNormal, Weibull and Gumbel."""
+"""Families with a tail: Exponential, LogNormal, Weibull and Gumbel, with the germs that are their own."""
 
+from dataclasses import dataclass
 from typing import Any, ClassVar, final
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy import special
@@ -9,11 +11,82 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar
-from aleator.uncertainty._density_germs import GumbelGerm, WeibullGerm
-from aleator.uncertainty._distribution import AbstractDistribution
-from aleator.uncertainty._parameters import Canonical, Form
+from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
+from aleator.uncertainty._families import bisect
+from aleator.uncertainty._measure import AbstractDensityGerm
 from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm, LaguerreGerm
-from aleator.uncertainty._transport import weibull_inverse_shape
+
+_GUMBEL_STD = np.pi / np.sqrt(6)
+
+
+@final
+@dataclass(frozen=True)
+class WeibullGerm(AbstractDensityGerm):
+    """Weibull on [0, inf) with unit scale: density proportional to `xi^(shape - 1) exp(-xi^shape)`."""
+
+    shape: float
+
+    @override
+    def density(self, germ: np.ndarray) -> np.ndarray:
+        return np.exp((self.shape - 1) * np.log(germ) - germ**self.shape)
+
+    @override
+    def quantile(self, level: np.ndarray) -> np.ndarray:
+        return (-np.log1p(-np.asarray(level))) ** (1 / self.shape)
+
+    @override
+    def cumulative(self, germ: np.ndarray) -> np.ndarray:
+        return -np.expm1(-(np.maximum(germ, 0) ** self.shape))
+
+    @override
+    def support(self) -> tuple[float, float]:
+        return 0.0, np.inf
+
+
+@final
+@dataclass(frozen=True)
+class GumbelGerm(AbstractDensityGerm):
+    """Standard Gumbel distribution of maxima: `F(xi) = exp(-exp(-xi))`."""
+
+    @override
+    def density(self, germ: np.ndarray) -> np.ndarray:
+        return np.exp(-germ - np.exp(-germ))
+
+    @override
+    def quantile(self, level: np.ndarray) -> np.ndarray:
+        return -np.log(-np.log(level))
+
+    @override
+    def cumulative(self, germ: np.ndarray) -> np.ndarray:
+        with np.errstate(over="ignore"):
+            return np.exp(-np.exp(-np.asarray(germ)))
+
+    @override
+    def support(self) -> tuple[float, float]:
+        return -np.inf, np.inf
+
+
+def _weibull_dispersion(inverse: Array) -> Array:
+    """`ln(1 + (std / mean)^2)` of the Weibull distribution, as a function of the reciprocal of its shape."""
+    return special.gammaln(1 + 2 * inverse) - 2 * special.gammaln(1 + inverse)
+
+
+@jax.jit
+def _weibull_root(dispersion: Array) -> Array:
+    fraction = bisect(lambda y: _weibull_dispersion(y / (1 - y)) < dispersion, dispersion)
+    return jnp.where(dispersion > 0, fraction / (1 - fraction), 0.0)
+
+
+@jax.custom_jvp
+def weibull_inverse_shape(dispersion: Array) -> Array:
+    """The reciprocal of the shape of the Weibull distribution with the dispersion `ln(1 + (std / mean)^2)`."""
+    return _weibull_root(dispersion)
+
+
+@weibull_inverse_shape.defjvp
+def _weibull_inverse_shape_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    inverse = weibull_inverse_shape(*primals)
+    return inverse, tangents[0] / (2 * special.digamma(1 + 2 * inverse) - 2 * special.digamma(1 + inverse))
 
 
 @final
@@ -94,8 +167,15 @@ class LogNormal(AbstractDistribution):
         lower: Any = 0.0,
         shared_name: str | None = None,
     ):
-        given = {"mean": mean, "std": std, "median": median, "log_mean": log_mean, "log_std": log_std, "lower": lower}
-        self.set_parameters(given, shared_name)
+        parameters = {
+            "mean": mean,
+            "std": std,
+            "median": median,
+            "log_mean": log_mean,
+            "log_std": log_std,
+            "lower": lower,
+        }
+        self.set_parameters(parameters, shared_name)
 
     @override
     def value(self, germ: Float[Array, ""], reference: tuple[Scalar, ...] | None = None) -> Float[Array, ""]:
@@ -186,9 +266,6 @@ class Weibull(AbstractDistribution):
     @override
     def support(self) -> tuple[Scalar, Scalar]:
         return self.parameters["lower"], np.inf
-
-
-_GUMBEL_STD = np.pi / np.sqrt(6)
 
 
 @final

@@ -12,8 +12,7 @@ from typing_extensions import override
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
-from aleator.uncertainty._distribution import AbstractDistribution
-from aleator.uncertainty._parameters import Canonical, Form
+from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
 from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm
 
 
@@ -37,16 +36,16 @@ _ZONES = (("nominal", "tolerance"), ("nominal", "plus", "minus"))
 _CAPABILITIES = (("cp",), ("sigmas",), ("cp", "cpk"))
 
 
-def _zone(given: dict[str, Any]) -> _Zone:
-    if "tolerance" in given:
-        return _Zone(given["nominal"], given["tolerance"], given["tolerance"])
-    return _Zone(given["nominal"], given["plus"], given["minus"])
+def _zone(parameters: dict[str, Any]) -> _Zone:
+    if "tolerance" in parameters:
+        return _Zone(parameters["nominal"], parameters["tolerance"], parameters["tolerance"])
+    return _Zone(parameters["nominal"], parameters["plus"], parameters["minus"])
 
 
-def _canonical(**given: Any) -> Canonical:
+def _canonical(**parameters: Any) -> Canonical:
     """Canonical form of the normal distribution, with the mean shifted upwards where `cpk < cp`."""
-    cp = given["sigmas"] / 3 if "sigmas" in given else given["cp"]
-    zone, shift = _zone(given), 1 - given.get("cpk", cp) / cp
+    cp = parameters["sigmas"] / 3 if "sigmas" in parameters else parameters["cp"]
+    zone, shift = _zone(parameters), 1 - parameters.get("cpk", cp) / cp
     return Canonical(zone.middle + shift * zone.half_width, zone.half_width / (3 * cp))
 
 

@@ -17,7 +17,7 @@ from aleator.reporting import (
     percent,
     share_text,
 )
-from aleator.studies._designs import margin_drawing, signed
+from aleator.studies._shared import margin_drawing, signed
 
 TARGET = 0.01
 """The share of systems that may break any limit."""

@@ -7,7 +7,7 @@ import equinox as eqx
 
 import aleator as al
 from aleator.reporting import Card, Table, count, interval, number, percent, words
-from aleator.studies._designs import violation_rows
+from aleator.studies._shared import violation_rows
 
 
 def named(problem: al.Problem, together: Mapping[str, str]) -> al.Problem:

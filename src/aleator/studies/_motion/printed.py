@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from aleator.reporting import words
-from aleator.studies._designs import signed
+from aleator.studies._shared import signed
 
 SAME_SIZE = 0.1
 """Changes agree in size if they differ by at most this fraction of the published one."""

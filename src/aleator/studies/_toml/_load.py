@@ -1,18 +1,26 @@
 """Studies from TOML files: read, checked, and made of a problem with other numbers."""
 
+import inspect
 import re
 import sys
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+import equinox as eqx
+import numpy as np
+
+from aleator import solvers, uncertainty
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import meant
-from aleator.design import Problem, deterministic
+from aleator.design import Problem, declared_anew, deterministic, units_of
+from aleator.dynamics import Grid
+from aleator.nlp import AbstractSolver
 from aleator.studies._own import Study
-from aleator.studies._toml._lines import line_of
-from aleator.studies._toml._overridden import expanded, limited, on_grid, overridden, solver_of, swept
+from aleator.studies._toml._quantity import amount, plain
+from aleator.uncertainty import Decision, fields_of
 
 Result = TypeVar("Result")
 
@@ -24,6 +32,11 @@ _SAID = {
     "extra_forbidden": "is unknown",
     "literal_error": "is none of the names that may stand there",
 }
+# Parameters of distributions that are pure numbers.
+_PURE = ("alpha", "beta", "shape", "cp", "cpk", "sigmas")
+_HEADER = re.compile(r"\s*\[\[?(?P<path>[^\]]+)\]\]?\s*(?:#.*)?$")
+_KEY = re.compile(r"\s*(?P<path>(?:\"[^\"]*\"|'[^']*'|[\w.\-])+)\s*=")
+_PART = re.compile(r"\"([^\"]*)\"|'([^']*)'|([\w\-]+)")
 
 
 class _File(NamedTuple):
@@ -35,7 +48,7 @@ class _File(NamedTuple):
     def refusal(self, place: Sequence[str | int], said: str) -> ProblemError:
         """The error about a place of the file."""
         name = ".".join(str(one) for one in place)
-        return ProblemError(f"{self.path}, line {line_of(self.text, place)}: {name + ': ' if name else ''}{said}")
+        return ProblemError(f"{self.path}, line {_line_of(self.text, place)}: {name + ': ' if name else ''}{said}")
 
     def about(self, place: Sequence[str | int], make: Callable[..., Result], *given: Any) -> Result:
         """What is made of a place of the file; refusals name it."""
@@ -58,8 +71,8 @@ def load_toml(path: Path, loaded: Callable[[str], Any]) -> Study:
     if folder not in sys.path:
         sys.path.insert(0, folder)
     problem = _changed(file, data, file.about(["problem"], _one_problem, data.problem, loaded))
-    sweeps = {name: file.about(["sweeps", name], swept, problem, name, values) for name, values in data.sweeps.items()}
-    solver = None if data.solver is None else file.about(["solver"], solver_of, data.solver)
+    sweeps = {name: file.about(["sweeps", name], _swept, problem, name, values) for name, values in data.sweeps.items()}
+    solver = None if data.solver is None else file.about(["solver"], _solver_of, data.solver)
     return file.about(
         [],
         lambda: Study(
@@ -86,13 +99,13 @@ def _one_problem(name: str, loaded: Callable[[str], Any]) -> Problem:
 def _changed(file: _File, data: Any, problem: Problem) -> Problem:
     """The problem with all that the file says otherwise."""
     for name, value in data.model.items():
-        problem = file.about(["model", name], overridden, problem, name, value)
+        problem = file.about(["model", name], _overridden, problem, name, value)
     if data.grid is not None:
-        problem = file.about(["grid"], on_grid, problem, data.grid.t_final, data.grid.steps)
+        problem = file.about(["grid"], _on_grid, problem, data.grid.t_final, data.grid.steps)
     if data.expansion is not None:
-        problem = file.about(["expansion", "order"], expanded, problem, data.expansion.order)
+        problem = file.about(["expansion", "order"], _expanded, problem, data.expansion.order)
     for name, bound in data.limits.items():
-        problem = file.about(["limits", name], limited, problem, name, bound)
+        problem = file.about(["limits", name], _limited, problem, name, bound)
     for name, sigmas in data.sigmas.items():
         problem = file.about(["sigmas", name], problem.with_sigmas, name, sigmas)
     return problem
@@ -138,3 +151,122 @@ def _first(file: _File, errors: Sequence[Any], known: Mapping[str, Any]) -> Prob
         return file.refusal(place, f"{said}: the file needs it.")
     message = one["msg"][0].lower() + one["msg"][1:]
     return file.refusal(place, f"{message}; received {one['input']!r:.80}.")
+
+
+def _line_of(text: str, place: Sequence[str | int]) -> int:
+    """The line on which a place begins, or the nearest table around it; 1 if it is nowhere."""
+    wanted = [str(one) for one in place]
+    best, longest, table = 1, 0, list[str]()
+    for number, line in enumerate(text.splitlines(), 1):
+        if header := _HEADER.match(line):
+            table = path = _parts(header["path"])
+        elif key := _KEY.match(line):
+            path = [*table, *_parts(key["path"])]
+        else:
+            continue
+        shared = next(
+            (i for i, (a, b) in enumerate(zip(path, wanted, strict=False)) if a != b), min(len(path), len(wanted))
+        )
+        if shared == len(path) and shared > longest:
+            best, longest = number, shared
+    return best
+
+
+def _parts(path: str) -> list[str]:
+    return [next(part for part in found if part) for found in _PART.findall(path)]
+
+
+def _overridden(problem: Problem, name: str, value: Any) -> Problem:
+    """The problem with another number, distribution or decision in the place of a field of its model."""
+    system = problem.simulation.system
+    fields = {place: (field, now) for place, field, now in fields_of(system)}
+    if name not in fields:
+        raise ProblemError(f"the model has no number of this name.{meant(name, list(fields))}")
+    field, _ = fields[name]
+    new = _leaf(value, field.metadata.get("unit", ""))
+    path = name.split(".")
+
+    def where(tree: Any) -> Any:
+        for part in path:
+            tree = tree[part] if isinstance(tree, dict) else tree[int(part)] if part.isdigit() else getattr(tree, part)
+        return tree
+
+    changed = eqx.tree_at(where, system, new, is_leaf=lambda node: node is None)
+    return declared_anew(problem, replace(problem.simulation, system=changed))
+
+
+def _leaf(value: Any, unit: str) -> Any:
+    if hasattr(value, "distribution"):
+        return _distribution(value, unit)
+    if hasattr(value, "start"):
+        return _decision(value, unit)
+    return amount(value, unit)
+
+
+def _decision(table: Any, unit: str) -> Decision:
+    lower = -np.inf if table.lower is None else plain(table.lower, unit)
+    upper = np.inf if table.upper is None else plain(table.upper, unit)
+    return Decision(plain(table.start, unit), lower, upper)
+
+
+def _distribution(table: Any, unit: str) -> Any:
+    family = getattr(uncertainty, table.distribution)
+    given = {
+        name: _decision(one, unit) if hasattr(one, "start") else _parameter(name, one, unit)
+        for name, one in (table.__pydantic_extra__ or {}).items()
+    }
+    known = [name for name in inspect.signature(family).parameters if name not in ("unnamed", "shared_name")]
+    for name in given:
+        if name not in known:
+            raise ProblemError(f"{table.distribution} has no parameter '{name}'; expected some of {known}.")
+    return family(**given)
+
+
+def _parameter(name: str, value: Any, unit: str) -> float:
+    """A parameter of a distribution."""
+    if name in _PURE and isinstance(value, str):
+        raise ProblemError(f"{name}: expected a number; received the text '{value}'. Leave out the quotation marks.")
+    return plain(value, "" if name in _PURE else unit)
+
+
+def _limited(problem: Problem, name: str, bound: Any) -> Problem:
+    """The problem with another bound."""
+    unit = _unit(problem, name)
+    if isinstance(bound, tuple):
+        lower, upper = (plain(one, unit) for one in bound)
+        return problem.with_bound(name, (lower, upper))
+    return problem.with_bound(name, plain(bound, unit))
+
+
+def _swept(problem: Problem, name: str, values: Sequence[Any]) -> list[float]:
+    """Values of a bound."""
+    return [plain(one, _unit(problem, name)) for one in values]
+
+
+def _unit(problem: Problem, name: str) -> str:
+    expression = problem.named(name)[0].expression
+    return expression.unit(units_of(expression, problem))
+
+
+def _on_grid(problem: Problem, t_final: Any, steps: int | None) -> Problem:
+    """The problem on another grid."""
+    grid = problem.grid
+    if not isinstance(grid, Grid):
+        raise ProblemError("the model has no time, and so no grid.")
+    changed = Grid(grid.t_final if t_final is None else plain(t_final, "s"), grid.steps if steps is None else steps)
+    return declared_anew(problem, replace(problem.simulation, grid=changed))
+
+
+def _expanded(problem: Problem, order: int) -> Problem:
+    """The problem with another order of its expansion."""
+    return eqx.tree_at(lambda tree: tree.expansion, problem, replace(problem.expansion, order=order))
+
+
+def _solver_of(table: Any) -> AbstractSolver:
+    """A solver by its name, with its options."""
+    family, options = getattr(solvers, table.name), dict(table.__pydantic_extra__ or {})
+    known = list(inspect.signature(family).parameters)
+    for name in options:
+        if name not in known:
+            raise ProblemError(f"{table.name} has no option '{name}'.{meant(name, known)} Expected some of {known}.")
+    return family(**options)

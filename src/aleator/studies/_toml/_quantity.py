@@ -5,7 +5,7 @@ import re
 from typing import Any
 
 from aleator._core.errors import ProblemError
-from aleator.studies._toml._units import factor
+from aleator._core.units import measure
 from aleator.uncertainty import Toleranced, toleranced
 
 _NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
@@ -72,4 +72,21 @@ def _scale(given: str, wanted: str) -> float:
             f"expected a number without a unit, since the model declares none here (`al.parameter('kg')` does for a "
             f"number, `units = {{...}}` of the system for outputs); received the unit '{given}'."
         )
-    return factor(given, wanted)
+    if given == wanted:
+        return 1.0
+    one, other = measure(given), measure(wanted)
+    if one is None or other is None or one.powers != other.powers:
+        raise ProblemError(
+            f"expected a unit that can be converted to '{wanted}'; received '{given}'. Write factors apart, powers "
+            "with '^', and brackets around a product below a fraction stroke: 'N m', 'kg m^2', 'J/(kg K)'."
+        )
+    if one.zero != other.zero:
+        raise ProblemError(f"expected a unit whose zero is that of '{wanted}'; received '{given}': convert it.")
+    ratio = one.per(other)
+    if ratio is None:
+        why = "another power of angles" if one.angles else "no angle"
+        raise ProblemError(
+            f"expected a unit with the angles of '{wanted}'; received '{given}', which has {why}. Write angles as rad, "
+            "deg or turn, speeds as rad/s, rpm or Hz (a turn per second), and what has no angle without one."
+        )
+    return ratio

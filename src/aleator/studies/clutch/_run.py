@@ -12,8 +12,7 @@ import numpy as np
 import aleator as al
 from aleator._core.progress import Progress
 from aleator.journalling import kept
-from aleator.studies._declared import Stage
-from aleator.studies._study import stop_if_interrupted
+from aleator.studies._study import Stage, stop_if_interrupted
 from aleator.studies.clutch import (
     DEVIATION,
     LIMITS,

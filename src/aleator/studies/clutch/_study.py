@@ -7,8 +7,7 @@ from typing_extensions import override
 
 import aleator as al
 from aleator.reporting import Section, Table, Verdict
-from aleator.studies._declared import Stage
-from aleator.studies._study import AbstractStudy
+from aleator.studies._study import AbstractStudy, Stage
 from aleator.studies.clutch import _page, _run, allocation_problem
 from aleator.studies.clutch._facts import (
     allocation_table,

@@ -8,7 +8,7 @@ import numpy as np
 import aleator as al
 from aleator.design import value_at
 from aleator.reporting import Table, count, given, number, share_text, words
-from aleator.studies._designs import violation_rows
+from aleator.studies._shared import violation_rows
 from aleator.studies.four_bar import COST, FORCE, SIGMAS, TORQUE, TRANSMISSION, ZONE
 from aleator.studies.four_bar._counts import LEVELS, Counts, lengths_of, widths_of
 from aleator.studies.four_bar._run import PUBLISHED, FourBarResults

@@ -22,7 +22,7 @@ from aleator.reporting import (
     looks,
     trajectory_figure,
 )
-from aleator.studies._second_way import second_way
+from aleator.studies._shared import second_way
 from aleator.studies.four_bar import DURATION, HEIGHT, SIGMAS, WIDTHS, ZONE
 from aleator.studies.four_bar._counts import Posture, crank_angles, drawn_postures, lengths_of, widths_of
 from aleator.studies.four_bar._drawing import linkage_drawing, posture_of

@@ -9,9 +9,8 @@ import numpy as np
 import aleator as al
 from aleator._core.progress import Progress
 from aleator.journalling import kept
-from aleator.studies._declared import Stage
-from aleator.studies._second_way import SECOND_WAY, found_both_ways
-from aleator.studies._study import stop_if_interrupted
+from aleator.studies._shared import SECOND_WAY, found_both_ways
+from aleator.studies._study import Stage, stop_if_interrupted
 from aleator.studies.four_bar import LENGTHS, WIDTHS, allocation_problem, mean_problem, nominal_problem, robust_problem
 from aleator.studies.four_bar._counts import Counts, count_linkages, lengths_of, widths_of
 

@@ -7,9 +7,8 @@ from typing_extensions import override
 
 import aleator as al
 from aleator.reporting import Section, Table, Verdict, given
-from aleator.studies._declared import Stage
-from aleator.studies._second_way import collocated
-from aleator.studies._study import AbstractStudy
+from aleator.studies._shared import collocated
+from aleator.studies._study import AbstractStudy, Stage
 from aleator.studies.four_bar import HEIGHT, STROKE, ZONE, _page, _run
 from aleator.studies.four_bar._facts import counts_dataset, counts_table, designs_table
 from aleator.studies.four_bar._run import MEAN, Effort, FourBarResults

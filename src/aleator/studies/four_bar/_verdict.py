@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import aleator as al
 from aleator.reporting import Card, Verdict, count, given, number, percent, share_text, words
 from aleator.reporting import interval as interval_text
-from aleator.studies._designs import no_recommendation, signed
+from aleator.studies._shared import no_recommendation, signed
 from aleator.studies.four_bar import FORCE, SIGMAS, WIDTHS, ZONE
 from aleator.studies.four_bar._counts import widths_of
 from aleator.studies.four_bar._facts import cost, zone

@@ -8,12 +8,11 @@ from typing_extensions import override
 import aleator as al
 from aleator._core.progress import Progress
 from aleator.reporting import Card, Schematic, Section, Table, given
-from aleator.studies._declared import Stage
 from aleator.studies._motion.build import CALIBRATED
 from aleator.studies._motion.family import Family
 from aleator.studies._motion.results import Effort
 from aleator.studies._motion.study import AbstractMotionStudy
-from aleator.studies._study import stop_if_interrupted
+from aleator.studies._study import Stage, stop_if_interrupted
 from aleator.studies.pick_and_place_effort import DURATION, PAYLOAD, _page, _run, _verdict
 from aleator.studies.pick_and_place_effort._facts import UNIT, effort_of, published_table
 from aleator.studies.pick_and_place_effort._run import LEAST, MEAN, PAYLOADS, ROBUST, WIDE, Spread

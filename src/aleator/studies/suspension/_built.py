@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import aleator as al
 from aleator.reporting import Card, Table, given, number, percent, words
-from aleator.studies._designs import signed, violation_rows
+from aleator.studies._shared import signed, violation_rows
 from aleator.studies.suspension._facts import (
     RIDE_TEXT,
     RIDE_UNIT,

@@ -24,7 +24,7 @@ from aleator.reporting import (
     trajectory_figure,
     words,
 )
-from aleator.studies._designs import margin_drawing
+from aleator.studies._shared import margin_drawing
 from aleator.studies.suspension import GRID, road
 from aleator.studies.suspension._built import margins_text
 from aleator.studies.suspension._facts import (

@@ -7,7 +7,7 @@ import numpy as np
 import aleator as al
 from aleator.design import value_at
 from aleator.reporting import Box, Table, given, number, words
-from aleator.studies._designs import violation_rows
+from aleator.studies._shared import violation_rows
 from aleator.studies.suspension import COST
 from aleator.studies.suspension._run import HOLDING, RIDE, TRAVEL, SuspensionResults
 

@@ -14,7 +14,7 @@ from aleator.reporting import (
     evidence_table,
     percentile_figure,
 )
-from aleator.studies._second_way import second_way
+from aleator.studies._shared import second_way
 from aleator.studies.suspension import nominal, road
 from aleator.studies.suspension._built import built_table
 from aleator.studies.suspension._chapters import apportionment, projections, robust_design, violations

@@ -9,9 +9,8 @@ import numpy as np
 
 import aleator as al
 from aleator._core.progress import Progress
-from aleator.studies._declared import Stage
-from aleator.studies._second_way import SECOND_WAY, found_both_ways
-from aleator.studies._study import stop_if_interrupted
+from aleator.studies._shared import SECOND_WAY, found_both_ways
+from aleator.studies._study import Stage, stop_if_interrupted
 from aleator.studies.suspension import apportionment_problem, deterministic_problem, robust_problem
 
 TRAVEL, HOLDING, RIDE = 0.203, 0.034, 220.0

@@ -7,9 +7,8 @@ from typing_extensions import override
 
 import aleator as al
 from aleator.reporting import Section, Table, Verdict
-from aleator.studies._declared import Stage
-from aleator.studies._second_way import collocated
-from aleator.studies._study import AbstractStudy
+from aleator.studies._shared import collocated
+from aleator.studies._study import AbstractStudy, Stage
 from aleator.studies.suspension import _page, _run
 from aleator.studies.suspension._built import built_table
 from aleator.studies.suspension._facts import designs_table

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import aleator as al
 from aleator.reporting import Card, Verdict, given, number, percent, words
 from aleator.reporting import interval as interval_text
-from aleator.studies._designs import no_recommendation, signed
+from aleator.studies._shared import no_recommendation, signed
 from aleator.studies.suspension._built import WITHIN, confirmed, headline
 from aleator.studies.suspension._built import cards as built_cards
 from aleator.studies.suspension._built import sentences as built_sentences

@@ -8,11 +8,11 @@ from typing_extensions import override
 import aleator as al
 from aleator._core.progress import Progress
 from aleator.reporting import Card, Schematic, Section, Table, given
-from aleator.studies._declared import Stage
 from aleator.studies._motion.build import CALIBRATED
 from aleator.studies._motion.family import Family
 from aleator.studies._motion.results import Effort
 from aleator.studies._motion.study import AbstractMotionStudy
+from aleator.studies._study import Stage
 from aleator.studies.swing_up import MASS_2, TORQUE, _page, _run, _verdict
 from aleator.studies.swing_up._facts import published_table
 from aleator.studies.swing_up._run import ENERGY, EXPECTED, MEAN

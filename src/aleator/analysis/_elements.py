@@ -1,0 +1,332 @@
+"""Elements of a germ's domain, each a cell with an expansion of its own: multi-element gPC, [11]-[16]."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple, final
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from typing_extensions import override
+
+from aleator._core import given
+from aleator._core.arrays import Pytree, in_library, jax_array
+from aleator._core.module import Module
+from aleator.analysis._sampling import Sampler, plain
+from aleator.ensemble import at_levels, random_levels
+from aleator.expansion import ROUNDING, Basis, Expansion, GaussPoints, HammersleyPoints, collocate, leave_one_out
+from aleator.uncertainty import AbstractGerm, LegendreGerm
+from aleator.uncertainty._families import tanh_sinh
+from aleator.uncertainty._measure import recurrence_of
+
+# Probability levels that cluster at both ends of an element, with their weights.
+_LEVELS, _WEIGHTS = tanh_sinh(240, -4.0, 4.0)
+
+# Fresh points for checking elements with small errors: their own samples cannot show a jump between them.
+_FRESH_POINTS = 128
+
+# Sample size for statistics that are no sums over elements.
+POINTS = 2**14
+
+
+@final
+class MultiElement(Module):
+    """Settings of a multi-element expansion, for outputs that no single polynomial fits: jumps, kinks, long times.
+
+    The element of the germ's domain with the largest error is split in two until the error is small enough.
+
+    - `order`: the total degree in each element;
+    - `error`: the relative root mean square error of the piecewise expansion at which splitting stops, estimated by
+      leaving one sample out and at fresh points;
+    - `budget`: the largest number of calls of the function.
+
+    Sources: Wan and Karniadakis (2005), An adaptive multi-element generalized polynomial chaos method for stochastic
+    differential equations; by collocation: Foo, Wan and Karniadakis (2008), The multi-element probabilistic collocation
+    method.
+    """
+
+    order: int = eqx.field(static=True)
+    error: float = eqx.field(static=True)
+    budget: int = eqx.field(static=True)
+
+    def __init__(self, order: int = 4, *, error: float = 1e-3, budget: int = 10_000):
+        self.order = given.whole("MultiElement: order", order)
+        self.error = given.positive("MultiElement: error", error, below=1.0)
+        self.budget = given.whole("MultiElement: budget, the number of calls,", budget)
+
+
+def restricted(germ: AbstractGerm, low: float, high: float) -> AbstractGerm:
+    """The distribution of `germ` given that its probability level lies between `low` and `high`."""
+    return germ if (low, high) == (0.0, 1.0) else RestrictedGerm(germ, low, high)
+
+
+@final
+@dataclass(frozen=True)
+class RestrictedGerm(AbstractGerm):
+    """The distribution of `germ` given that its probability level lies between `low` and `high`.
+
+    Its values are those of `germ` itself. A restricted uniform distribution is uniform. The polynomials of any other
+    follow by Stieltjes' procedure from quadrature over the levels (Wan and Karniadakis, 2006, Multi-element generalized
+    polynomial chaos for arbitrary probability measures).
+    """
+
+    germ: AbstractGerm
+    low: float
+    high: float
+
+    @override
+    def recurrence(self, order: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        if isinstance(self.germ, LegendreGerm):
+            a, b = self.germ.recurrence(order)
+            return a + (self.low + self.high - 1), b * (self.high - self.low)
+        a, b, _ = recurrence_of(*self._quadrature(), order)
+        return a, b
+
+    @override
+    def quantile(self, level: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        return self.germ.quantile(self.low + level * (self.high - self.low))
+
+    @override
+    def cumulative(self, germ: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        return np.clip((self.germ.cumulative(germ) - self.low) / (self.high - self.low), 0.0, 1.0)
+
+    @override
+    def support(self) -> tuple[float, float]:
+        first, last = self.germ.support()
+        low = first if self.low == 0 else float(self.germ.quantile(np.array(self.low)))
+        high = last if self.high == 1 else float(self.germ.quantile(np.array(self.high)))
+        return low, high
+
+    def _quadrature(self) -> tuple[np.ndarray, np.ndarray]:
+        """Germ values and probability weights. The nodes cluster at an end of an unbounded distribution."""
+        levels = self.low + _LEVELS * (self.high - self.low)
+        inside = (levels > 0) & (levels < 1)
+        return self.germ.quantile(levels[inside]), _WEIGHTS[inside] / _WEIGHTS[inside].sum()
+
+
+@final
+@dataclass(frozen=True)
+class Cell:
+    """The probability levels of each germ variable between `low` and `high`."""
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+    @property
+    def probability(self) -> float:
+        """The probability that the germ lies in the cell."""
+        return float(np.prod(np.subtract(self.high, self.low)))
+
+    def halves(self, variable: int) -> tuple["Cell", "Cell"]:
+        """Two cells of equal probability, from a cut across one variable."""
+        middle = (self.low[variable] + self.high[variable]) / 2
+
+        def at_middle(ends: tuple[float, ...]) -> tuple[float, ...]:
+            return (*ends[:variable], middle, *ends[variable + 1 :])
+
+        return Cell(self.low, at_middle(self.high)), Cell(at_middle(self.low), self.high)
+
+    def germs(self, germs: Mapping[str, AbstractGerm]) -> dict[str, AbstractGerm]:
+        """The distributions of the germ variables, conditional on the cell."""
+        limits = zip(germs.items(), self.low, self.high, strict=True)
+        return {name: restricted(germ, low, high) for (name, germ), low, high in limits}
+
+    def holds(self, levels: Float[np.ndarray, "n variables"]) -> Bool[np.ndarray, " n"]:
+        """Which points of the unit cube lie in the cell. A face between two cells belongs to the upper one."""
+        low, high = np.array(self.low)[None], np.array(self.high)[None]
+        return np.all((levels >= low) & ((levels < high) | (high == 1)), axis=1)
+
+
+@final
+@dataclass(frozen=True)
+class Element:
+    """The expansion of all outputs in one cell.
+
+    - `coefficients`: of each output, shape (terms, *shape);
+    - `known`: the same as plain numbers, a list with shapes (terms, entries);
+    - `squared_errors`: mean squared leave-one-out error of each output, summed over its entries.
+    """
+
+    cell: Cell
+    basis: Basis
+    points: int
+    coefficients: Pytree
+    known: list[Float[np.ndarray, "terms entries"]]
+    squared_errors: Float[np.ndarray, " outputs"]
+
+    def prediction(self, points: Float[np.ndarray, "n variables"]) -> list[Float[np.ndarray, "n entries"]]:
+        """Each output at germ points of the cell."""
+        matrix = self.basis.matrix(points)
+        return [matrix @ terms for terms in self.known]
+
+
+def expanded_in(cell: Cell, germs: Mapping[str, AbstractGerm], expansion: Expansion, sampler: Sampler) -> Element:
+    """Expand all outputs in one cell."""
+    basis, collocation = collocate(cell.germs(germs), expansion)
+    samples = sampler.samples(collocation.points)
+    values = flat(samples)
+    known = [np.asarray(collocation.coefficients(jax_array(output))) for output in values]
+    errors = [
+        float(leave_one_out(collocation, jax_array(output), jax_array(terms))) ** 2 * output.var(axis=0).sum()
+        for output, terms in zip(values, known, strict=True)
+    ]
+    coefficients = jax.tree.map(collocation.coefficients, samples)
+    return Element(cell, basis, len(collocation.points), coefficients, known, np.array(errors))
+
+
+def flat(samples: Pytree) -> list[Float[np.ndarray, "points entries"]]:
+    """Each output as plain numbers."""
+    return [values.reshape(len(values), -1) for values in jax.tree.leaves(plain(samples))]
+
+
+@final
+class Refinement:
+    """A set of elements that is refined, starting from one.
+
+    - `elements`: at present; `splits`: the variable of each split, in order; `calls`: of the function;
+    - `error`: the estimated relative rms error of the piecewise expansion.
+    """
+
+    def __init__(self, sampler: Sampler, settings: MultiElement):
+        self._sampler, self._settings, self._expansion = sampler, settings, Expansion(settings.order)
+        self.germs = sampler.places.germs
+        self.elements: list[Element] = []
+        self.splits: list[str] = []
+        self.calls = 0
+        self._generator = np.random.default_rng(0)
+        self._fresh_variance: Float[np.ndarray, " outputs"] = np.zeros(1)
+        self._add(Cell((0.0,) * len(self.germs), (1.0,) * len(self.germs)))
+
+    def run(self) -> None:
+        """Split until the error is small enough, at fresh points too, or the budget is spent."""
+        per_split = 2 * self.elements[0].points
+        while True:
+            if self.error <= self._settings.error:
+                if not self._affords(_FRESH_POINTS):
+                    return
+                self._try_fresh_points()
+                if self.error <= self._settings.error:
+                    return
+            if not self._affords(per_split):
+                return
+            self._split(self.elements.pop(int(np.argmax(self._shares().max(axis=1)))))
+
+    @property
+    def error(self) -> float:
+        """The estimated relative rms error, the largest over the outputs."""
+        return float(np.sqrt(self._shares().sum(axis=0).max()))
+
+    def _affords(self, calls: int) -> bool:
+        return self.calls + calls <= self._settings.budget
+
+    def _add(self, cell: Cell) -> None:
+        self.elements.append(expanded_in(cell, self.germs, self._expansion, self._sampler))
+        self.calls += self.elements[-1].points
+
+    def _split(self, worst: Element) -> None:
+        across = _direction(worst)
+        for half in worst.cell.halves(across):
+            self._add(half)
+        self.splits.append(worst.basis.names[across])
+
+    def _shares(self) -> Float[np.ndarray, "elements outputs"]:
+        """Each element's part in the squared error of each output, relative to its variance."""
+        probability = np.array([element.cell.probability for element in self.elements])
+        errors = probability[:, None] * np.array([element.squared_errors for element in self.elements])
+        outputs = zip(*(element.known for element in self.elements), strict=True)
+        scale = np.maximum([_variance(probability, terms) for terms in outputs], self._fresh_variance)
+        return errors / np.where(scale > 0, scale, 1.0)[None]
+
+    def _try_fresh_points(self) -> None:
+        """Raise the errors of elements to those at fresh points, which no fit has used."""
+        levels = random_levels(self._generator, _FRESH_POINTS, len(self.germs))
+        points = at_levels(self.germs.values(), levels)
+        values = flat(self._sampler.samples(jax_array(points)))
+        self.calls += _FRESH_POINTS
+        self._fresh_variance = np.array([output.var(axis=0).sum() for output in values])
+        for k, element in enumerate(self.elements):
+            inside = element.cell.holds(levels)
+            misses = zip(element.prediction(points[inside]), values, strict=True)
+            squares = np.array([((predicted - true[inside]) ** 2).sum() for predicted, true in misses])
+            fresh = squares / (_FRESH_POINTS * element.cell.probability)
+            self.elements[k] = replace(element, squared_errors=np.maximum(element.squared_errors, fresh))
+
+
+def _variance(probability: Float[np.ndarray, " elements"], terms: tuple[np.ndarray, ...]) -> float:
+    """The variance of one output over all elements, summed over its entries; at least that of rounding."""
+    means = np.stack([coefficients[0] for coefficients in terms])
+    within = np.array([(coefficients[1:] ** 2).sum() for coefficients in terms])
+    away = ((means - (probability @ means)[None]) ** 2).sum(axis=1)
+    return float(probability @ (within + away + ROUNDING**2 * (means**2).sum(axis=1)))
+
+
+def _direction(worst: Element) -> int:
+    """The variable to split: the one with the largest part in the terms of the two highest degrees.
+
+    Two, because a response that is odd about the element's middle, such as a jump there, has no even terms. If nothing
+    varies at the element's samples, it is the variable in which the element is widest.
+    """
+    degrees = worst.basis.indices
+    highest = degrees.sum(axis=1) >= degrees.sum(axis=1).max() - 1
+    squares = sum(np.sum(terms**2, axis=1) / (np.sum(terms[1:] ** 2) or 1.0) for terms in worst.known)
+    parts = (squares * highest) @ degrees
+    return int(np.argmax(parts if parts.max() > 0 else np.subtract(worst.cell.high, worst.cell.low)))
+
+
+class Scattered(NamedTuple):
+    """Germ points sorted by element.
+
+    - `matrices`: for each element, its polynomials at its points;
+    - `back`: the index of each given point among the sorted ones.
+    """
+
+    matrices: list[Float[np.ndarray, "n terms"]]
+    back: Int[np.ndarray, " points"]
+
+    def evaluate(self, coefficients: Float[Array, "elements terms *shape"]) -> Float[Array, "points *shape"]:
+        """A piecewise expansion at the points, in the order given."""
+        library, terms = in_library(coefficients)
+        pieces = [library.tensordot(matrix, terms[k], axes=1) for k, matrix in enumerate(self.matrices) if len(matrix)]
+        return jax_array(library.concatenate(pieces)[self.back])
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Partition:
+    """Cells that fill a germ's probability space, with the orthonormal polynomials in each."""
+
+    germs: Mapping[str, AbstractGerm]
+    cells: tuple[Cell, ...]
+    bases: tuple[Basis, ...]
+
+    @property
+    def probability(self) -> Float[np.ndarray, " elements"]:
+        """The probability of each element."""
+        return np.array([cell.probability for cell in self.cells])
+
+    def scatter(self, points: Float[np.ndarray, "points variables"]) -> Scattered:
+        """Germ points by element."""
+        levels = [germ.cumulative(points[:, i]) for i, germ in enumerate(self.germs.values())]
+        owner = np.zeros(len(points), dtype=int)
+        for k, cell in enumerate(self.cells):
+            owner[cell.holds(np.stack(levels, axis=1))] = k
+        matrices = [basis.matrix(points[owner == k]) for k, basis in enumerate(self.bases)]
+        return Scattered(matrices, np.argsort(np.argsort(owner, kind="stable"), kind="stable"))
+
+    @cached_property
+    def cloud(self) -> Scattered:
+        """A low-discrepancy sample of the whole domain."""
+        whole = Basis(self.germs, self.bases[0].indices)
+        return self.scatter(whole.map_to_germ(HammersleyPoints(POINTS).levels(POINTS, whole.variables)))
+
+    @cached_property
+    def quadrature(self) -> list[tuple[Float[np.ndarray, "nodes terms"], Float[np.ndarray, " nodes"]]]:
+        """For each element, its polynomials at Gauss nodes, with weights: exact for fourth powers of an expansion."""
+        return [_gauss(basis) for basis in self.bases]
+
+
+def _gauss(basis: Basis) -> tuple[np.ndarray, np.ndarray]:
+    nodes = GaussPoints(2 * max(basis.degrees) + 1).nodes(basis, 0)
+    return basis.matrix(nodes.points), nodes.weights

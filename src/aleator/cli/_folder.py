@@ -1,0 +1,275 @@
+"""A run's folder: what began the run, so that `aleator resume FOLDER` goes on from it alone, and its designs.
+
+Designs are objects in the journal, with the evidence on each, and documents in `designs.json`, which are known without
+the model's code.
+"""
+
+import hashlib
+import json
+import os
+import re
+import sys
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields, replace
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+import aleator
+from aleator import studies
+from aleator._core.errors import AleatorError, ProblemError
+from aleator.reporting import json_text, values_text, write_whole
+from aleator.solution import Solution
+from aleator.studies import AbstractStudy, SweptStudy
+from aleator.validation import Evidence
+
+RECORD = "command.json"
+"""The file in a run's folder that says what began it."""
+
+_FILES, _DESIGNS = (".py", ".toml"), "designs.json"
+
+
+@final
+@dataclass(frozen=True)
+class Record:
+    """The command that began a run.
+
+    - `study`: its name, file or module, as given; `quick`: of `aleator run`;
+    - `directory`: where the command was given; `beside`: the study's file, relative to the run's folder;
+    - `workers`: processes that share the work, none if the study shall say;
+    - `bound`, `values`, `design`: of `aleator sweep`; empty for `aleator run`;
+    - `source`: a digest of the study's file and of the versions that computed; see `is_stale`.
+    """
+
+    study: str
+    quick: bool = False
+    directory: str = ""
+    beside: str = ""
+    bound: str = ""
+    values: tuple[float, ...] = ()
+    design: str = ""
+    workers: int = 0
+    source: str = ""
+
+    @property
+    def command(self) -> str:
+        """The name of the command."""
+        return "sweep" if self.bound else "run"
+
+    def made(self) -> AbstractStudy:
+        """The study, ready to run. Raises `ProblemError` if there is no such study, or none such."""
+        study = studies.load(self.study, quick=self.quick)
+        if not self.bound:
+            return study.with_workers(self.workers) if self.workers else study
+        return SweptStudy(study, self.bound, self.values, design=self.design or None, workers=self.workers or None)
+
+    def check_owns(self, folder: Path) -> None:
+        """Refuse a folder that another study has begun, or another sweep: its results would be replaced.
+
+        Raises `ProblemError`; also where the folder does not say what began it.
+        """
+        if not (folder / RECORD).is_file():
+            return
+        other = _read(folder)
+        if not self._is_of(other, folder):
+            raise ProblemError(
+                f"The results of `{other}` are in '{folder}', and `{self}` would replace them: name another folder, "
+                f"such as --out {self._another(folder, other)}, or remove that one."
+            )
+
+    def _is_of(self, other: "Record", folder: Path) -> bool:
+        """Whether it goes on with the run that another has begun, wherever its file is now."""
+        if (self.bound, self.design) != (other.bound, other.design):
+            return False
+        if not self.study.endswith(_FILES) or not other.study.endswith(_FILES):
+            return self.study == other.study
+        places = [place for place in other.places(folder) if place.is_file()]
+        if not places:
+            return Path(self.study).name == Path(other.study).name
+        return Path(self.study).resolve() in [place.resolve() for place in places]
+
+    def _another(self, folder: Path, other: "Record") -> Path:
+        """A name for another folder, which tells what differs: the bound, or the kind of the study's file."""
+        if self.bound and self.bound != other.bound:
+            return folder_over(folder, self.bound)
+        kind = Path(self.study).suffix.removeprefix(".") if self.study.endswith(_FILES) else ""
+        return folder.with_name(f"{folder.name}-{kind or 'again'}")
+
+    def places(self, folder: Path) -> list[Path]:
+        """Where the study's file may be: as it was given, or as it lies from the run's folder."""
+        return [Path(self.directory) / self.study, folder / self.beside]
+
+    def __str__(self) -> str:
+        bound = f" --bound {self.bound}" if self.bound else ""
+        return f"aleator {self.command} {self.study}{bound}{f' --design {self.design}' if self.design else ''}"
+
+    def write(self, folder: Path) -> None:
+        """Note it in the run's folder, atomically."""
+        text = json_text({"command": self.command, **asdict(self._placed(folder))})
+        write_whole(folder / RECORD, lambda file: file.write_text(text, encoding="utf-8"))
+
+    def _placed(self, folder: Path) -> "Record":
+        """The same, with the places from which the study can be found again, and its source of now."""
+        here = Path.cwd()
+        beside = _relative(here / self.study, folder.resolve()) if self.study.endswith(_FILES) else ""
+        return replace(self, directory=str(here), beside=beside, source=_source(self.study))
+
+
+def _relative(file: Path, folder: Path) -> str:
+    try:
+        return os.path.relpath(file.resolve(), folder)
+    except ValueError:  # on another drive of Windows
+        return ""
+
+
+def folder_of(study: str) -> Path:
+    """Where the results of a study go by default: `results/` and the last part of its name, file or module."""
+    place = Path(study).stem if study.endswith(_FILES) else study.rpartition(":")[2]
+    return Path("results") / place.rpartition(".")[2]
+
+
+def folder_over(folder: Path, bound: str) -> Path:
+    """Where a sweep goes by default: beside the results of its study."""
+    of_the_bound = re.sub(r"[^\w.-]+", "-", bound).strip("-")
+    return folder.with_name(f"{folder.name}-over-{of_the_bound}")
+
+
+def is_stale(folder: Path) -> bool:
+    """Whether the study of a folder has been edited since its run, or aleator or JAX has another version.
+
+    No where the study has gone, or where the folder names none.
+    """
+    try:
+        record = recorded(folder)
+    except ProblemError:
+        return False
+    return record.source != _source(record.study)
+
+
+def stale(folder: Path) -> str:
+    """The sentence on a folder that is stale."""
+    return (
+        f"'{folder}' is stale: its study, or the version of aleator or JAX, has changed since the run. "
+        f"`aleator resume {folder}` runs it again."
+    )
+
+
+def _source(study: str) -> str:
+    """A digest of the text of a study's file or module, and of the versions; a case study is a part of aleator."""
+    file = study if study.endswith(_FILES) else ""
+    if not file and study not in studies.STUDIES:
+        with suppress(ImportError, ValueError):
+            file = getattr(find_spec(study.partition(":")[0]), "origin", "") or ""
+    digest = hashlib.sha256(f"{aleator.__version__} {version('jax')} ".encode())
+    with suppress(OSError):
+        digest.update(Path(file).read_bytes())
+    return digest.hexdigest()
+
+
+def study_of(folder: Path) -> tuple[AbstractStudy | None, str]:
+    """The study that began the run of a folder; or none, and why, if it cannot be loaded any more.
+
+    Modules beside its file can be imported from now on, also where the file has gone.
+    """
+    if not (folder / RECORD).is_file():
+        return None, ""
+    try:
+        return recorded(folder).made(), ""
+    except AleatorError as error:
+        return None, f"{error}"
+
+
+def recorded(folder: Path) -> Record:
+    """What began the run of a folder, whose modules can be imported from now on.
+
+    Raises `ProblemError` if the folder does not say, or if the study's file has gone.
+    """
+    return _in_its_place(_read(folder), folder)
+
+
+def _read(folder: Path) -> Record:
+    """What began the run of a folder, as it was noted. Raises `ProblemError` if the folder does not say."""
+    path = folder / RECORD
+    try:
+        data = json.loads(path.read_bytes())
+        return Record(**{name: _checked(data[name], name) for name in (field.name for field in fields(Record))})
+    except FileNotFoundError:
+        raise ProblemError(
+            f"There is no '{RECORD}' in '{folder}': expected a folder that `aleator run` or `aleator sweep` has begun. "
+            "Name the study instead, or run your script again."
+        ) from None
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise ProblemError(
+            f"'{path}' does not say what began the run ({type(error).__name__}: {error}): remove this file if you know "
+            "it, and run the study by its name, with --out for this folder."
+        ) from error
+
+
+def _checked(value: Any, name: str) -> Any:
+    kinds = {"quick": bool, "workers": int, "values": list}
+    if not isinstance(value, kinds.get(name, str)):
+        raise TypeError(f"{name} = {value!r}")
+    return tuple(map(float, value)) if isinstance(value, list) else value
+
+
+def _in_its_place(record: Record, folder: Path) -> Record:
+    """The record, with the study's file where it is now: as it was given, or as it lies from the folder."""
+    if not record.study.endswith(_FILES):
+        if record.directory not in sys.path:
+            sys.path.insert(0, record.directory)
+        return record
+    places = record.places(folder)
+    for place in places:
+        if place.is_file():
+            return replace(record, study=str(place))
+    sys.path[:0] = [f"{place.parent.resolve()}" for place in places if place.parent.is_dir()]
+    raise ProblemError(
+        f"The study of '{folder}' has gone: there is no file '{places[0]}', nor '{places[1]}'. Put it back, or run it "
+        "where it is now, with --out for this folder."
+    )
+
+
+def designs_and_evidence(results: Mapping[str, Any]) -> tuple[dict[str, Solution], dict[str, Evidence]]:
+    """The designs among results, and the last evidence on each of them, by the names of the designs.
+
+    Where a study names its designs (`designs/robust`), only these count, by the last part of their names.
+    """
+    solutions = {name: result for name, result in results.items() if isinstance(result, Solution)}
+    named = {name.rpartition("/")[2]: solution for name, solution in solutions.items() if "/" in name}
+    designs = named or solutions
+    evidence = [result for result in results.values() if isinstance(result, Evidence)]
+    return designs, {name: last for name, design in designs.items() for last in evidence if _is_on(last, design)}
+
+
+def _is_on(evidence: Evidence, design: Solution) -> bool:
+    on = evidence.solution
+    return (
+        type(on.problem.system) is type(design.problem.system)
+        and np.array_equal(on.vector, design.vector)
+        and on.problem_text == design.problem_text
+    )
+
+
+def written_designs(folder: Path) -> Mapping[str, Any]:
+    """The designs of a run as documents, by name; none if there is no file. Raises `ProblemError` for nonsense."""
+    path = folder / _DESIGNS
+    if not path.is_file():
+        return {}
+    try:
+        designs = json.loads(path.read_bytes())
+        return {name: design for name, design in designs.items() if isinstance(design["decisions"], dict)}
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        raise ProblemError(
+            f"'{path}' cannot be read as the designs of a run ({type(error).__name__}: {error})."
+        ) from error
+
+
+def value_text(number: Mapping[str, Any] | None) -> str:
+    """A decision or an objective with its unit."""
+    if number is None or number["value"] is None:
+        return "–"
+    return values_text(number["value"], 6, number["unit"])

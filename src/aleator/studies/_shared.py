@@ -1,0 +1,144 @@
+"""What pages of several studies share: missing recommendations, violation rates, a design found in a second way.
+
+The second way is direct collocation, which shares neither discretisation nor solver with shooting.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+import aleator as al
+from aleator._core.progress import Progress
+from aleator.reporting import (
+    Card,
+    Drawing,
+    Section,
+    Table,
+    Verdict,
+    calibration_figure,
+    given,
+    mesh_drawing,
+    number,
+    percent,
+    share_text,
+    unresolved,
+    words,
+)
+
+SECOND_WAY = "second way"
+"""The name of its stage."""
+
+_HEADING, _DIGITS = "A second way", 8
+
+
+def no_recommendation(
+    designs: Mapping[str, al.Solution],
+    evidence: Mapping[str, al.results.Evidence],
+    awaited: Sequence[str],
+    sentences: Sequence[str],
+    cards: Sequence[Card],
+    also: Mapping[str, al.Solution] | None = None,
+) -> Verdict | None:
+    """The verdict where something is missing, not solved or not resolved; None where all designs can be judged.
+
+    - `awaited`: the designs that need evidence; `also`: further solutions whose expansions must be resolved.
+    """
+    if failed := [name for name, one in designs.items() if not one.ok]:
+        why = [f"{name}: {designs[name].why()}" for name in failed]
+        headline = f"{words(failed)} could not be solved: no recommendation."
+        return Verdict("bad", "Not solved", headline, [*why, *sentences], cards)
+    if not set(awaited) <= set(evidence):
+        headline = "The study was stopped before its evidence: no recommendation yet."
+        return Verdict("caution", "Incomplete", headline, sentences, cards)
+    if coarse := unresolved({**designs, **(also or {})}):
+        headline = f"The expansion of {words(list(coarse))} is too coarse to trust."
+        return Verdict("bad", "Not resolved", headline, sentences, cards)
+    return None
+
+
+def violation_rows(evidence: Sequence[al.results.Evidence | None], broken: str) -> Iterator[list[str]]:
+    """Rows of a table with designs as columns: how often fresh systems break each limit, and any limit.
+
+    `broken` begins each row: `Cars beyond`, `Systems that break`.
+    """
+    found = [one for one in evidence if one is not None]
+    for limit in dict.fromkeys(limit for one in found for limit in one.violations):
+        yield [f"{broken} {limit}", *(share_text(one.violations.get(limit)) if one else "–" for one in evidence)]
+    if found:
+        yield [f"{broken} any limit", *(share_text(one.joint) if one else "–" for one in evidence)]
+
+
+def signed(change: float) -> str:
+    """A relative change with its sign: `+3.9 %`."""
+    return f"{'+' if change >= 0 else '−'}{percent(abs(change))}"
+
+
+def margin_drawing(found: al.results.Calibration, heading: str, who: str, margin: str = "") -> Drawing:
+    """The search for a margin, with the result on fresh systems for the chosen one; `margin` names it in words."""
+    chosen = margin or f"a = {number(found.sigmas, 4)}"
+    caption = (
+        f"Each trial is a full design, counted on the same random {who}, until at most {given(100 * found.target)} % "
+        f"of them break a limit. The chosen margin, {chosen}, is {found.sentence(who)}. Bars: 95 % intervals; on fresh "
+        f"{who} at the confidence stated."
+    )
+    return Drawing([calibration_figure(found, who=who)], heading, caption)
+
+
+def found_both_ways(name: str, problem: al.Problem, progress: Progress) -> al.results.CrossChecked:
+    """A design by shooting and by direct collocation."""
+    progress(f"{name} by direct collocation", 0, 1)
+    return al.cross_check(problem)
+
+
+def collocated(name: str, found: al.results.CrossChecked | None) -> dict[str, al.Solution]:
+    """What the study keeps of it: the design by direct collocation, once it is found."""
+    return {} if found is None else {name: found.second}
+
+
+def second_way(name: str, found: al.results.CrossChecked | None) -> Section:
+    """The chapter that compares both, without blocks before they are found."""
+    if found is None:
+        return Section(_HEADING, [])
+    return Section(_HEADING, [comparison_table(name, found), mesh_drawing(found.second.meshes, name)])
+
+
+def comparison_table(name: str, found: al.results.CrossChecked) -> Table:
+    """Both answers, decision by decision, and the largest differences of statistics and shadow prices."""
+    ways = found.first, found.second
+    rows = [
+        ["Status", *("solved" if one.ok else one.why() for one in ways), ""],
+        ["Objective", *(number(one.objective, _DIGITS) for one in ways), _difference(found.objective)],
+        *_decision_rows(found),
+        ["Statistics, the largest difference", "", "", _largest(found.statistics)],
+        ["Shadow prices, the largest difference", "", "", _largest(found.multipliers)],
+        ["Iterations", *(str(one.effort.iterations) for one in ways), ""],
+    ]
+    note = (
+        "Shooting integrates from the start, step by step; direct collocation makes the states at all instants "
+        "variables of one sparse program, for another solver. Both have the same grid and the same expansion. "
+        "Differences of decisions are relative to the range allowed for each."
+    )
+    said = "agree" if found.agree else "do NOT agree"
+    caption = f"{name} by shooting and by direct collocation: they {said} to {number(found.tolerance, 1)}"
+    return Table(caption, ["", "Shooting", "Direct collocation", "Relative difference"], rows, note)
+
+
+def _decision_rows(found: al.results.CrossChecked) -> Iterator[Sequence[str]]:
+    """The decisions that are free, one number each; arrays by their difference alone."""
+    for name, difference in found.decisions.items():
+        if name in found.first.at_bounds:
+            continue
+        values = [np.asarray(one.decisions[name]) for one in (found.first, found.second)]
+        shown = [number(float(one), _DIGITS) if one.ndim == 0 else f"{one.size} numbers" for one in values]
+        yield [name, *shown, _difference(difference) if np.isfinite(difference) else "on another mesh"]
+
+
+def _largest(differences: Mapping[str, float]) -> str:
+    if not differences:
+        return "–"
+    name, worst = max(differences.items(), key=lambda one: one[1])
+    return f"{_difference(worst)} ({name})"
+
+
+def _difference(value: float) -> str:
+    return number(value, 3)

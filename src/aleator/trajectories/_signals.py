@@ -1,0 +1,251 @@
+"""Functions of time: signals (inputs of a system, prescribed motions), tables of them, and trajectories.
+
+Trajectories are functions over a duration that is set elsewhere, with their derivatives.
+"""
+
+import abc
+from pathlib import Path
+from typing import Any, ClassVar, Self, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from typing_extensions import override
+
+from aleator._core.arrays import in_library, jax_array
+from aleator._core.errors import ProblemError
+from aleator._core.given import real_array
+from aleator._core.leaves import realised_shape, stored_numbers
+from aleator._core.module import Module
+from aleator._core.tables import entry, read_table
+
+
+class AbstractSignal(Module):
+    """An input of a system as a function of time. It is part of the model: its numbers may be uncertain or decided.
+
+    `unbounded` says that its values have no bound whatever its numbers are, as for a Gaussian process.
+    """
+
+    unbounded: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
+        """The value at time `t`, s."""
+
+    @abc.abstractmethod
+    def span(self) -> tuple[float, float]:
+        """The first and last time at which the signal is known (infinite if everywhere)."""
+
+    def over(self, t_start: Any, t_final: Any) -> "AbstractSignal":
+        """The signal on a grid from `t_start` to `t_final`, s: trajectories are stretched to fill it."""
+        del t_start, t_final
+        return self
+
+    def sampled(self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
+        """Its values at fixed fractions of the time from `t_start` to `t_final`."""
+        return jax.vmap(self.over(t_start, t_final))(instants(fractions, t_start, t_final))
+
+
+def instants(fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, " n"]:
+    """Fractions of the time from `t_start` to `t_final` as times; 1 is `t_final` to the last bit."""
+    # A signal is undefined even a rounding error beyond its end, and so is an adaptive integrator's solution.
+    xp, fractions, t_start, t_final = in_library(fractions, t_start, t_final)
+    return jax_array(xp.where(fractions < 1, t_start + fractions * (t_final - t_start), t_final))
+
+
+Fractions = Float[np.ndarray, " n"] | Float[Array, " n"]
+
+
+class AbstractTrajectory(AbstractSignal):
+    """A signal that spans the time grid of its problem: a free final time only scales it.
+
+    It is a function of the fraction of the duration, from 0 at the start to 1 at the end; its derivatives are with
+    respect to time, in seconds. When called by itself it lasts one second. `curve_fields` names the fields in which the
+    curve is affine, to which a solution of a coarser problem can be refitted.
+    """
+
+    curve_fields: ClassVar[tuple[str, ...]] = ()
+
+    @abc.abstractmethod
+    def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
+        """The time derivative of order `order` (0: the value) at fractions of the duration (s): shape (n, ...)."""
+
+    @property
+    @abc.abstractmethod
+    def shape(self) -> tuple[int, ...]:
+        """The shape of one value: `()` for a number, `(n,)` for n joints."""
+
+    @property
+    def derivatives(self) -> float:
+        """How many time derivatives it has whatever its numbers are; any number by default."""
+        return np.inf
+
+    def breaks(self) -> Float[np.ndarray, " ends"]:
+        """The fractions at which the smooth pieces of a realised trajectory begin and end; one piece by default."""
+        return np.array([0.0, 1.0])
+
+    def derivative(self, order: int = 1) -> "Derivative":
+        """The time derivative as a trajectory of its own. Raises `ProblemError` for a negative order."""
+        if isinstance(order, bool) or not isinstance(order, int) or order < 0:
+            raise ProblemError(f"derivative: expected an order of 0, 1, 2, ...; received {order!r}.")
+        return Derivative(self, order)
+
+    @override
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
+        return self.values(jnp.asarray(t)[None])[0]
+
+    @override
+    def span(self) -> tuple[float, float]:
+        """Unlimited: it is stretched to any span."""
+        return -np.inf, np.inf
+
+    @override
+    def over(self, t_start: Any, t_final: Any) -> AbstractSignal:
+        return _Stretched(self, t_start, t_final)
+
+    @override
+    def sampled(self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
+        """As for any signal; at fixed fractions, whatever depends on these alone is computed once."""
+        return self.values(fractions, t_final - t_start)
+
+
+@final
+class Derivative(AbstractTrajectory):
+    """A time derivative of a trajectory; see `AbstractTrajectory.derivative`."""
+
+    trajectory: AbstractTrajectory
+    order: int = eqx.field(static=True)
+
+    @override
+    def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
+        return self.trajectory.values(fractions, duration, self.order + order)
+
+    @property
+    @override
+    def shape(self) -> tuple[int, ...]:
+        return self.trajectory.shape
+
+
+@final
+class Stack(AbstractTrajectory):
+    """Scalar trajectories side by side: one trajectory of several joints."""
+
+    parts: tuple[AbstractTrajectory, ...]
+
+    @property
+    @override
+    def derivatives(self) -> float:
+        return min(part.derivatives for part in self.parts)
+
+    @override
+    def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n parts"]:
+        xp, parts = in_library([part.values(fractions, duration, order) for part in self.parts])
+        return jax_array(xp.stack(parts, axis=-1))
+
+    @property
+    @override
+    def shape(self) -> tuple[int, ...]:
+        return (len(self.parts),)
+
+
+@final
+class _Stretched(AbstractSignal):
+    """A trajectory stretched between two times."""
+
+    trajectory: AbstractTrajectory
+    t_start: Any
+    t_final: Any
+
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
+        duration = self.t_final - self.t_start
+        return self.trajectory.values(((t - self.t_start) / duration)[None], duration)[0]
+
+    def span(self) -> tuple[float, float]:
+        return -np.inf, np.inf
+
+
+def as_array(number: Any) -> Float[Array, "..."]:
+    """A realised number, or a sequence of them, as an array."""
+    if isinstance(number, list | tuple):
+        xp, *entries = in_library(*(as_array(one) for one in number))
+        return jax_array(xp.stack(entries))
+    return jax_array(number, float)
+
+
+def conditions(kind: str, where: str, given: Any, shape: tuple[int, ...]) -> tuple[Any, ...]:
+    """Conditions at one end, `(value, velocity, acceleration)` or the first of them, each of the trajectory's shape.
+
+    Zero stands for zeros of any shape. Raises `ProblemError` for more than three or for other shapes.
+    """
+    given = tuple(given) if isinstance(given, list | tuple) else (given,)
+    if len(given) > 3:
+        raise ProblemError(
+            f"{kind}: expected at the {where} a value, a velocity and an acceleration, or the first one or two of "
+            f"them; received {len(given)} conditions."
+        )
+    kept = []
+    for number, name in zip(given, ("value", "velocity", "acceleration"), strict=False):
+        is_zero = isinstance(number, int | float) and number == 0
+        if realised_shape(number) != shape and not is_zero:
+            raise ProblemError(
+                f"{kind}: expected a {name} of shape {shape} at the {where}, that of its control points; "
+                f"received shape {realised_shape(number)}."
+            )
+        kept.append(np.zeros(shape) if is_zero else stored_numbers(f"{kind}: {name} at the {where}", number))
+    return tuple(kept)
+
+
+@final
+class Tabulated(AbstractSignal):
+    """A table of times (s) and values, linear between its samples.
+
+    Times are plain numbers. The values may be one array-valued `Decision`, or a list in which any value is a
+    distribution or a `Decision`: `Tabulated([0.0, 1.0], [Uniform(2.0, half_width=0.1), 3.0])`. A caller's arrays are
+    copied.
+
+    Raises `ProblemError` if the two differ in length, if there are fewer than two samples, if a number is not finite or
+    if the times do not increase.
+    """
+
+    times: Float[np.ndarray, " samples"]
+    values: Any
+
+    def __init__(self, times: Any, values: Any):
+        self.times = real_array("Tabulated: times", times, "plain numbers")
+        self.values = stored_numbers("Tabulated: values", values)
+        length = realised_shape(self.values)
+        if self.times.ndim != 1 or self.times.shape != length or self.times.size < 2:
+            raise ProblemError(
+                "Tabulated: expected two vectors of the same length, of at least 2; "
+                f"received times {self.times.shape} and values {length}."
+            )
+        if not np.isfinite(self.times).all():
+            raise ProblemError("Tabulated: times must be finite.")
+        if not np.all(np.diff(self.times) > 0):
+            at = int(np.argmin(np.diff(self.times) > 0)) + 1
+            raise ProblemError(f"Tabulated: times must increase, but sample {at} is not after the one before it.")
+
+    @classmethod
+    def from_csv(cls, path: str | Path, time: str, value: str) -> Self:
+        """Read the columns `time` and `value` of a CSV file; lines that start with `#` are comments.
+
+        Raises `ProblemError` if the file does not exist, is not a table, or does not have each of the two columns once.
+        """
+        names, rows = read_table("Tabulated.from_csv", path)
+        for name in (time, value):
+            if names.count(name) != 1:
+                raise ProblemError(f"{path}: expected one column '{name}'; received {names}.")
+        try:
+            return cls(*(np.array([entry(row, names.index(name)) for row in rows]) for name in (time, value)))
+        except ValueError as error:
+            raise ProblemError(f"{path}: {error}") from error
+
+    @override
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, ""]:
+        return jnp.interp(t, self.times, as_array(self.values))
+
+    @override
+    def span(self) -> tuple[float, float]:
+        return float(self.times[0]), float(self.times[-1])
