@@ -46,7 +46,8 @@ class Problem(AbstractProblem):
     - `decisions`: further decisions by name, which no model contains, such as a slack or a level that several limits
       share; `al.value(name)` is one in an expression.
 
-    `print(problem)` shows it as mathematics. Raises `ProblemError`, before anything is compiled, for any inconsistency:
+    Its equations are traced here, and here alone: to change the code of a model, declare again. `print(problem)` shows it
+    as mathematics. Raises `ProblemError`, before anything is compiled, for any inconsistency:
     a missing input or output, a wrong shape, an unknown name, a mass that can reach zero.
     """
 
