@@ -46,9 +46,9 @@ class Problem(AbstractProblem):
     - `decisions`: further decisions by name, which no model contains, such as a slack or a level that several limits
       share; `al.value(name)` is one in an expression.
 
-    Its equations are traced here, and here alone: to change the code of a model, declare again. `print(problem)` shows it
-    as mathematics. Raises `ProblemError`, before anything is compiled, for any inconsistency:
-    a missing input or output, a wrong shape, an unknown name, a mass that can reach zero.
+    Its equations are traced here, and here alone: to change the code of a model, declare again. `print(problem)` shows
+    it as mathematics. Raises `ProblemError`, before anything is compiled, for any inconsistency: a missing input or
+    output, a wrong shape, an unknown name, a mass that can reach zero.
     """
 
     def __init__(

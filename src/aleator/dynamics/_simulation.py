@@ -182,8 +182,8 @@ def simulate(
     one instant and takes no grid, inputs or integrator: `simulate(system)`. A system without states is not integrated
     either: its outputs follow from its inputs at each instant. `only` lists the names of the outputs wanted (default:
     all). Where equations could not be solved, or an adaptive integrator gives up, the outputs are NaN, and a
-    `SimulationWarning` says so. Equations are compiled once for a class of systems, whose methods are pure as JAX has it:
-    the same with other numbers take milliseconds.
+    `SimulationWarning` says so. Equations are compiled once for a class of systems, whose methods are pure as JAX
+    has it: the same with other numbers take milliseconds.
 
     Raises `ProblemError` if system, grid or inputs contain a distribution or a decision, if grid or inputs do not match
     the system, if a signal is not known on the whole grid (unless traced), or if `only` names an output that the system
