@@ -32,8 +32,7 @@ from aleator.dynamics import (
     solve_algebraic,
 )
 from aleator.dynamics._algebraic import equations, first_guess, outputs_at
-from aleator.dynamics._named_roots import constant_terms
-from aleator.dynamics._newton import newton
+from aleator.dynamics._newton import constant_terms, newton
 from aleator.ensemble import concrete, is_finite
 from aleator.expansion import Adaptive, Basis, Expansion, GaussPoints, SmolyakPoints
 from aleator.trajectories import AbstractSignal
