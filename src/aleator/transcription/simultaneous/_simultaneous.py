@@ -16,7 +16,7 @@ from aleator.dynamics import MOST_STAGES, AbstractScheme, Grid, HermiteSimpson
 from aleator.nlp import AbstractSolver, Ipopt
 from aleator.solution import Solution
 from aleator.transcription._abstract import AbstractTranscription, Meanwhile
-from aleator.transcription._discretisation import discretised
+from aleator.transcription._expansions import discretised
 from aleator.transcription._scenarios import first_scenarios
 from aleator.transcription.simultaneous._controls import first_nodes
 from aleator.transcription.simultaneous._first_point import ALGEBRAIC
