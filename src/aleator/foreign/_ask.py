@@ -16,11 +16,11 @@ from aleator._core import border
 from aleator._core.arrays import Pytree, jax_array
 from aleator._core.border import real_array
 from aleator._core.errors import ProblemError, SimulationError
-from aleator._core.tables import entry, read_table
 from aleator.analysis import Expanded, expand
 from aleator.ensemble import AbstractBox, Realisation, inputs_at, listed
 from aleator.expansion import Expansion, candidate_terms
 from aleator.foreign._campaign import drop_given, most_of, sound, warn_of_dropped
+from aleator.trajectories import entry, read_table
 from aleator.uncertainty import placements
 
 NUMBER = "sample"

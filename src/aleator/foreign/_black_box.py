@@ -11,9 +11,8 @@ from typing_extensions import override
 from aleator._core import border
 from aleator._core.arrays import Pytree
 from aleator._core.errors import AleatorError, SimulationError, SimulationWarning, warn_outside
-from aleator._core.executors import check_executor
+from aleator._core.executors import check_executor, end_running
 from aleator._core.identity import code_digest
-from aleator._core.own_process import end_running
 from aleator.ensemble import AbstractBox, Realisation, name_of
 from aleator.foreign._campaign import Campaign, Journal, drop_given, most_of, warn_of_dropped
 from aleator.foreign._command import Command

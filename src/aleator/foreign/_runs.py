@@ -17,8 +17,8 @@ from typing_extensions import override
 from aleator._core import border
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
+from aleator._core.executors import ended_with, endings, exit_told, report
 from aleator._core.leaves import is_traced
-from aleator._core.own_process import ended_with, endings, exit_told, report
 from aleator.ensemble import name_of
 
 # Runs that an executor is given at a time: enough for all its workers, and few to cancel.
