@@ -8,10 +8,9 @@ from typing import Any, final
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from aleator._core.arrays import numbers_to_arrays
+from aleator._core.arrays import in_library, jax_array, numbers_to_arrays
 from aleator._core.border import one_of, refusal, refuse_missing
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError, SimulationWarning
@@ -56,8 +55,9 @@ class Simulation(Module):
         if not (isinstance(self.system, System) and isinstance(self.grid, Grid)):
             return None
         signals = {**self.system.signals(), **self.inputs}
-        now = {name: values[0] for name, values in sampled(signals, self.grid, self.grid.fractions[:1]).items()}
-        return Start(jnp.asarray(self.grid.times[0]), now)
+        values = sampled(signals, self.grid, self.grid.fractions[:1])
+        _, times, values = in_library(self.grid.times, values)
+        return Start(jax_array(times[0]), {name: jax_array(rows[0]) for name, rows in values.items()})
 
     def record(self, asked: Asked) -> Record:
         """Simulate with known numbers, recording what is asked for. Raises `ProblemError` if parts do not match."""
