@@ -12,10 +12,9 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar, in_library, jax_array, quietly
+from aleator._core.border import a_name
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name
-from aleator._core.module import Module
-from aleator._core.units import common
+from aleator._core.leaves import Module
 from aleator.design._rules import AbstractRule, Norm, Power, Product, Quotient
 from aleator.design._scope import (
     AbstractAtom,
@@ -27,6 +26,7 @@ from aleator.design._scope import (
     a_number,
     ordered,
 )
+from aleator.statistics import common
 
 
 @final

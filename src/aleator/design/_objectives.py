@@ -14,15 +14,14 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar
+from aleator._core.border import a_name, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name, refusal
-from aleator._core.units import integrated
 from aleator.design._expression import Expression, as_expression, composed, value
 from aleator.design._functionals import SquareIntegral, Work, path, terminal
 from aleator.design._rules import Extremum, Norm, Own, PositivePart, Pure
 from aleator.design._scope import AbstractAtom, AbstractComposite, AbstractScope, Units, a_number, a_smoothing
 from aleator.design._statistic import an_output, statistic
-from aleator.statistics import CoefficientProduct
+from aleator.statistics import CoefficientProduct, integrated
 
 Curve = Callable[..., Float[Array, ""]]
 Weights: TypeAlias = float | Sequence[float] | Array | None

@@ -10,13 +10,11 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import numbers_to_arrays
+from aleator._core.arrays import NUMBER, numbers_to_arrays, refuse_beyond_memory
 from aleator._core.compilation import Compiled, Use
 from aleator._core.equations import Digest
 from aleator._core.errors import ProblemError
-from aleator._core.memory import NUMBER, refuse_beyond_memory
-from aleator._core.module import Module
-from aleator._core.shown import Printed
+from aleator._core.leaves import Module, Printed
 from aleator.design._expression import Constraint, Expression
 from aleator.design._functionals import AbstractIntegral, Integral
 from aleator.design._scope import AbstractScope, AbstractScopeOfInstants, Value

@@ -8,10 +8,9 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import refusal
 from aleator._core.leaves import is_leaf
-from aleator._core.units import PURE, is_same, measure, rate
 from aleator.design._expression import Expression
 from aleator.design._functionals import SquareIntegral, Work
 from aleator.design._response import AbstractProblem
@@ -19,7 +18,7 @@ from aleator.design._scope import AbstractAtom, Units
 from aleator.design._statistic import Statistic, statistics_in
 from aleator.dynamics import Grid, System
 from aleator.mechanics import AbstractFormulation
-from aleator.statistics import Mean
+from aleator.statistics import PURE, Mean, is_same, measure, rate
 from aleator.uncertainty import AbstractDistribution, AbstractGerm, Decision, Placements, correlations_at, fields_of
 from aleator.uncertainty._placements import free
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core import given
+from aleator._core import border
 from aleator.dynamics._evaluation import completed, derivative, explain_algebraic, explain_from, initial_state
 from aleator.dynamics._grid import Grid, Inputs, inputs_on
 from aleator.dynamics._integrators import AbstractIntegrator
@@ -44,8 +44,8 @@ class AbstractAdaptive(AbstractIntegrator):
 
     def __init__(self, rtol: float = _RELATIVE, atol: float = _ABSOLUTE, max_steps: int = _STEPS):
         who = type(self).__name__
-        self.rtol, self.atol = given.positive(f"{who}: rtol", rtol), given.positive(f"{who}: atol", atol)
-        self.max_steps = given.whole(f"{who}: max_steps", max_steps)
+        self.rtol, self.atol = border.positive(f"{who}: rtol", rtol), border.positive(f"{who}: atol", atol)
+        self.max_steps = border.whole(f"{who}: max_steps", max_steps)
 
     @override
     def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:

@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.border import meant, members
 from aleator._core.errors import ProblemError
-from aleator._core.given import meant, members
 from aleator._core.leaves import AbstractLeaf, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem
 from aleator.dynamics._system import state_type

@@ -19,8 +19,8 @@ from jax.core import Tracer
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from aleator._core.border import traceable
 from aleator._core.errors import ProblemError
-from aleator._core.given import traceable
 from aleator.dynamics._grid import Grid, inputs_on
 from aleator.dynamics._newton import Named, Root, failure_text, listed, named_root, numbers_in
 from aleator.dynamics._system import System, evaluated, state_type

@@ -14,10 +14,9 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar
+from aleator._core.border import is_masked, whole
 from aleator._core.errors import ProblemError
-from aleator._core.given import is_masked, whole
-from aleator._core.leaves import AbstractLeaf, highest, lowest, realised_shape
-from aleator._core.module import Module
+from aleator._core.leaves import AbstractLeaf, Module, highest, lowest, realised_shape
 from aleator.dynamics._system import System, check_inputs
 from aleator.trajectories import AbstractSignal, instants
 

@@ -17,7 +17,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree
 from aleator._core.compilation import Use, evaluate
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 from aleator.dynamics._evaluation import completed, derivative, explain_algebraic, initial_state
 from aleator.dynamics._grid import Grid, Inputs, sampled
 from aleator.dynamics._record import Asked, Record

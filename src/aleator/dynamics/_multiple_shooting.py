@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from typing_extensions import override
 
-from aleator._core.given import refusal, whole
+from aleator._core.border import refusal, whole
 from aleator.dynamics._integrators import RungeKutta4
 from aleator.dynamics._schemes import AbstractMeanRate, AbstractScheme, Rate
 

@@ -16,8 +16,8 @@ from jaxtyping import Array, Float, Int
 from numpy.polynomial import legendre
 from typing_extensions import override
 
+from aleator._core.border import whole
 from aleator._core.errors import ProblemError
-from aleator._core.given import whole
 
 Rate: TypeAlias = Callable[[Array, Array, Array], Float[Array, " rates"]]
 """The rates of states, then integrands, at a place in time, with the signals and the states there."""

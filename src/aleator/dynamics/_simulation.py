@@ -8,15 +8,13 @@ from typing import Any, final
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from aleator._core.arrays import numbers_to_arrays
+from aleator._core.arrays import in_library, jax_array, numbers_to_arrays
+from aleator._core.border import one_of, refusal, refuse_missing
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError, SimulationWarning
-from aleator._core.given import one_of, refusal, refuse_missing
-from aleator._core.leaves import is_leaf, is_traced, named_leaves, transparent
-from aleator._core.module import Module
+from aleator._core.leaves import Module, is_leaf, is_traced, named_leaves, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, explain_failure
 from aleator.dynamics._equations import Equations, Start
 from aleator.dynamics._evaluation import derivative, initial_state, observation
@@ -57,8 +55,9 @@ class Simulation(Module):
         if not (isinstance(self.system, System) and isinstance(self.grid, Grid)):
             return None
         signals = {**self.system.signals(), **self.inputs}
-        now = {name: values[0] for name, values in sampled(signals, self.grid, self.grid.fractions[:1]).items()}
-        return Start(jnp.asarray(self.grid.times[0]), now)
+        values = sampled(signals, self.grid, self.grid.fractions[:1])
+        _, times, values = in_library(self.grid.times, values)
+        return Start(jax_array(times[0]), {name: jax_array(rows[0]) for name, rows in values.items()})
 
     def record(self, asked: Asked) -> Record:
         """Simulate with known numbers, recording what is asked for. Raises `ProblemError` if parts do not match."""
@@ -180,7 +179,8 @@ def simulate(
     one instant and takes no grid, inputs or integrator: `simulate(system)`. A system without states is not integrated
     either: its outputs follow from its inputs at each instant. `only` lists the names of the outputs wanted (default:
     all). Where equations could not be solved, or an adaptive integrator gives up, the outputs are NaN, and a
-    `SimulationWarning` says so. Equations are compiled once: the same with other numbers take milliseconds.
+    `SimulationWarning` says so. Equations are compiled once for a class of systems, whose methods are pure as JAX
+    has it: the same with other numbers take milliseconds.
 
     Raises `ProblemError` if system, grid or inputs contain a distribution or a decision, if grid or inputs do not match
     the system, if a signal is not known on the whole grid (unless traced), or if `only` names an output that the system

@@ -12,10 +12,9 @@ import jax
 from jaxtyping import Array
 from typing_extensions import override
 
+from aleator._core.border import refusal
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.given import refusal
-from aleator._core.module import Module
-from aleator._core.shown import Printed
+from aleator._core.leaves import Module, Printed
 from aleator.trajectories import AbstractSignal
 
 # The longest quotation of another library's error message.
