@@ -10,28 +10,30 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
-from aleator.mechanics._consistent import checked_guess, consistent_start, kept_of, start_unknown
-from aleator.mechanics._constraints import (
-    Bound,
-    Loose,
-    Saddle,
-    all_loose,
-    put_back,
-)
-from aleator.mechanics._formulation import AbstractFormulation, model_given
-from aleator.mechanics._given import (
+from aleator.mechanics._arguments import (
     Given,
+    checked_guess,
     checked_start,
     combined,
     coordinates_at,
-    course_of,
     signals_for,
+    start_unknown,
     vector,
 )
-from aleator.mechanics._instant import at, is_timed
-from aleator.mechanics._maps import accelerations, rates
-from aleator.mechanics._mechanical import AbstractMechanical, Motion, actuation_map, bias_of, driven, load_on, mass_of
-from aleator.mechanics._outputs import constrained_outputs, standard_outputs
+from aleator.mechanics._constraints import Bound, Loose, Saddle, all_loose, consistent_start, kept_of, put_back
+from aleator.mechanics._formulation import AbstractFormulation, a_model, constrained_outputs, standard_outputs
+from aleator.mechanics._instant import at, course, is_timed
+from aleator.mechanics._mechanical import (
+    AbstractMechanical,
+    Motion,
+    accelerations,
+    actuation_map,
+    bias_of,
+    driven,
+    load_on,
+    mass_of,
+    rates,
+)
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 
@@ -70,19 +72,14 @@ class ForwardDynamics(AbstractFormulation):
         start: Mapping[str, Any] | None = None,
         guess: Mapping[str, Any] | None = None,
     ):
-        self.model = model_given("ForwardDynamics", model)
+        self.model = a_model("ForwardDynamics", model)
         self.torque = signals_for(model.actuators, {} if torque is None else torque, "ForwardDynamics, torque")
         self.start = checked_start(model, (*model.coordinates, *model.speeds), start, "ForwardDynamics")
         self.guess = checked_guess("ForwardDynamics", model, model.coordinates, self.start, guess, 0)
 
-    @property
-    def units(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The units that the model declares, and the standard units of its kind."""
-        return {**self.model.standard_units, **self.model.units}
-
     @override
     def signals(self) -> Mapping[str, AbstractSignal]:
-        found = course_of(self.model)
+        found = course(self.model)
         if not self.model.actuators:
             return found
         torque = combined(self.model.actuators, self.torque)

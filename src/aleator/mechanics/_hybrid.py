@@ -1,6 +1,6 @@
 """`HybridDynamics`: some coordinates are prescribed, others integrated, and torques follow (equations 70 and 71)."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar, final
 
 import equinox as eqx
@@ -13,27 +13,24 @@ from typing_extensions import override
 from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
-from aleator.mechanics._consistent import checked_guess, consistent_start, kept_of, start_unknown
-from aleator.mechanics._constraints import Loose
-from aleator.mechanics._formulation import AbstractFormulation, model_given
-from aleator.mechanics._given import (
+from aleator.mechanics._arguments import (
     Given,
-    asks_torque_rates,
+    checked_guess,
     checked_start,
     combined,
     combined_motion,
     coordinates_at,
-    course_of,
     followed,
     motions_for,
     signals_for,
+    start_unknown,
     vector,
 )
-from aleator.mechanics._instant import along_time, at
-from aleator.mechanics._maps import accelerations, rates
+from aleator.mechanics._constraints import Loose, consistent_start, kept_of
+from aleator.mechanics._formulation import AbstractFormulation, a_model, constrained_outputs, standard_outputs
+from aleator.mechanics._instant import along_time, at, course
 from aleator.mechanics._matrices import taken
-from aleator.mechanics._mechanical import AbstractMechanical, Motion, rate_map
-from aleator.mechanics._outputs import constrained_outputs, standard_outputs
+from aleator.mechanics._mechanical import AbstractMechanical, Motion, accelerations, rate_map, rates
 from aleator.mechanics._partial import Partition, Prescribed, Solved, effect_of_torques, prescribed_velocities, solved
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
@@ -80,7 +77,7 @@ class HybridDynamics(AbstractFormulation):
         guess: Mapping[str, Any] | None = None,
         torque_rates: bool = True,
     ):
-        self.model = model_given("HybridDynamics", model)
+        self.model = a_model("HybridDynamics", model)
         self.torque_rates = torque_rates
         _check_names(model, motion, torque or {})
         self.prescribed = tuple(i for i, name in enumerate(model.coordinates) if name in motion)
@@ -98,29 +95,15 @@ class HybridDynamics(AbstractFormulation):
         """Coordinates and velocities that are not prescribed; no velocities where constraints determine all of them."""
         return ("q",) if 0 < len(self._parts.undriven) == len(self.model.constraints) else ("q", "v")
 
-    @property
-    def units(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The units that the model declares, and the standard units of its kind."""
-        return {**self.model.standard_units, **self.model.units}
-
     @override
     def signals(self) -> Mapping[str, AbstractSignal]:
         found = followed(combined_motion(self._followed(), self.motion), self.torque_rates)
-        found |= course_of(self.model, self.torque_rates)
+        found |= course(self.model, self.torque_rates)
         if self.known:
             found["known"] = known = combined(self._commanded(), self.torque)
             if isinstance(known, AbstractTrajectory):
                 found["known_rate"] = known.derivative()
         return found
-
-    @override
-    def focused(self, only: Collection[str]) -> "HybridDynamics":
-        """Without torque rates where they are not asked for: they need one more derivative of everything."""
-        asked = asks_torque_rates(self.model, only)
-        given = {"motion": self.motion, "torque": self.torque, "start": self.start}
-        if self.model.constraints:
-            given["guess"] = self.guess
-        return HybridDynamics(self.model, **given, torque_rates=asked)  # type: ignore[arg-type]
 
     @override
     def initial(self) -> Mapping[str, Any]:

@@ -8,17 +8,20 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from aleator.mechanics._constraints import (
-    Bound,
-    Loose,
-    Saddle,
-    jacobian_of,
-    put_back,
-)
+from aleator.mechanics._constraints import Bound, Loose, Saddle, put_back
 from aleator.mechanics._instant import along_time
-from aleator.mechanics._maps import on_manifold, rates
 from aleator.mechanics._matrices import block, merged, product, solve_any, taken
-from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, bias_of, load_on, mass_of, rate_map
+from aleator.mechanics._mechanical import (
+    AbstractMechanical,
+    actuation_map,
+    bias_of,
+    jacobian_of,
+    load_on,
+    mass_of,
+    on_manifold,
+    rate_map,
+    rates,
+)
 
 
 class Prescribed(NamedTuple):
