@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree, jax_array, numbers_to_arrays
+from aleator._core.border import one_of, refusal
 from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ExpansionWarning, ProblemError, SimulationError
 from aleator._core.leaves import transparent
