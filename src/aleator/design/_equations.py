@@ -57,17 +57,17 @@ def declared(problem: AbstractProblem) -> Declared:
 
 def _traced(problem: AbstractProblem) -> tuple[Equations, Digest]:
     """The equations of a realised system, and the digest of how its numbers and signals follow from the problem's."""
-    places, found = problem.placements, list[Equations]()
+    places, equations = problem.placements, list[Equations]()
     numbers, static = eqx.partition(numbers_to_arrays(problem.simulation), eqx.is_array)
 
     def realised(numbers: Any, germ: jax.Array, decisions: jax.Array) -> Any:
         simulation = realise(eqx.combine(numbers, static), germ, decisions)
-        found.append(simulation.traced_equations())
+        equations.append(simulation.traced_equations())
         return eqx.filter(numbers_to_arrays((simulation, simulation.start())), eqx.is_array)
 
     germ, decisions = (jax.ShapeDtypeStruct((size,), float) for size in (len(places.germ_names), places.size))
     closed = jax.make_jaxpr(realised)(numbers, germ, decisions)
-    return found[0], digest_of(closed)
+    return equations[0], digest_of(closed)
 
 
 def _check_outputs(problem: AbstractProblem, outputs: Mapping[str, np.ndarray]) -> None:

@@ -65,16 +65,16 @@ class TimeIntegral(AbstractComposite):
 def time_integrals(expression: Expression) -> tuple[Expression, ...]:
     """The expressions that are integrated over time within another one, in the order of evaluation."""
     return tuple(
-        found
+        inner
         for atom in expression.atoms
         for one in atom.inner
-        for found in ((one,) if isinstance(atom, TimeIntegral) else time_integrals(one))
+        for inner in ((one,) if isinstance(atom, TimeIntegral) else time_integrals(one))
     )
 
 
 def beside_integrals(expression: Expression) -> Expression:
     """The sum of the statistics and values of an expression that stand outside of its time integrals."""
-    found = tuple(
+    outside = tuple(
         part
         for atom in expression.atoms
         if not isinstance(atom, TimeIntegral)
@@ -82,7 +82,7 @@ def beside_integrals(expression: Expression) -> Expression:
             tuple(leaf for one in atom.inner for leaf in beside_integrals(one).atoms) if atom.inner else atom.parts
         )
     )
-    return Expression((1.0,) * len(found), found)
+    return Expression((1.0,) * len(outside), outside)
 
 
 def final_time() -> Expression:
@@ -111,8 +111,8 @@ def power(pairs: Mapping[str, str], *, weights: Weights = None, smoothing: float
     stall: `smoothing`, W, rounds the kink, and lowers the integrand by at most that much. `coefficient_power` is the
     sum printed in the dissertation.
     """
-    smoothing, given = a_smoothing("power", smoothing), _pairs("power", pairs)
-    return _weighted([Work(pair, smoothing).mean for pair in given], weights, "power")
+    smoothing, products = a_smoothing("power", smoothing), _pairs("power", pairs)
+    return _weighted([Work(pair, smoothing).mean for pair in products], weights, "power")
 
 
 def coefficient_power(pairs: Mapping[str, str], *, weights: Weights = None, smoothing: float = 0.0) -> Expression:

@@ -86,10 +86,10 @@ class AbstractProblem(Module, Printed):
 
     def named(self, name: str) -> tuple[Constraint, ...]:
         """The constraints of one name. Raises `ProblemError` if there are none."""
-        found = tuple(constraint for constraint in self.constraints if constraint.name == name)
-        if not found:
+        constraints = tuple(constraint for constraint in self.constraints if constraint.name == name)
+        if not constraints:
             raise ProblemError(f"There is no constraint '{name}'; expected one of {list(self.names)}.")
-        return found
+        return constraints
 
 
 def history(problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> History:
@@ -145,9 +145,9 @@ def sampled(
 
     def one(point: Float[Array, " variables"]) -> Sampled:
         realised = realise(problem.simulation, point, decisions)
-        found = realised.record(asked)
-        taken = Taken(found.history, dict(zip(integrals, found.integrals, strict=True)))
-        between = Taken(found.nodes, {})
+        record = realised.record(asked)
+        taken = Taken(record.history, dict(zip(integrals, record.integrals, strict=True)))
+        between = Taken(record.nodes, {})
         return Sampled(
             numbers_of(functionals, taken, realised.grid),
             numbers_of(paths, between, realised.grid),
@@ -170,13 +170,13 @@ class Broken(NamedTuple):
 
 def first_broken(outputs: Mapping[str, Float[np.ndarray, "points instants ..."]]) -> Broken | None:
     """The earliest value of some realisations that is not finite; None if all are."""
-    found = []
+    broken = []
     for name, values in outputs.items():
         bad = np.asarray(~np.isfinite(values.reshape(*values.shape[:2], -1)).all(axis=2))
         if bad.any():
             instant = int(np.argmax(bad.any(axis=0)))
-            found.append(Broken(name, int(np.argmax(bad[:, instant])), instant))
-    return min(found, key=lambda one: one.instant, default=None)
+            broken.append(Broken(name, int(np.argmax(bad[:, instant])), instant))
+    return min(broken, key=lambda one: one.instant, default=None)
 
 
 def unsolved(problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> str:

@@ -80,10 +80,10 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
             )
         for name in self.outputs:
             an_output(name)
-        if found := [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(self)]:
+        if numbers := [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(self)]:
             raise ProblemError(
                 f"{type(self).__name__}: expected its numbers as static fields, such as `target: float = "
-                f"eqx.field(static=True)`; received {', '.join(found)} without it."
+                f"eqx.field(static=True)`; received {', '.join(numbers)} without it."
             )
 
     @property
@@ -199,18 +199,18 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
     ) -> Expression:
         """The upper (`side = 1`) or lower (`side = -1`) end of its distribution."""
         multiple = _multiple(self, sigmas)
-        for name, given in (("worst_case", worst_case), ("at_points", at_points)):
-            if not isinstance(given, bool):
-                raise refusal(f"'{self.text()}': {name}", "True or False", given)
-        asked = {
+        for name, choice in (("worst_case", worst_case), ("at_points", at_points)):
+            if not isinstance(choice, bool):
+                raise refusal(f"'{self.text()}': {name}", "True or False", choice)
+        chosen = {
             "sigmas": multiple > 0,
             "probability": probability is not None,
             "worst_case": worst_case,
             "at_points": at_points,
         }
-        if sum(asked.values()) > 1:
-            names = [name for name, is_asked in asked.items() if is_asked]
-            raise ProblemError(f"'{self.text()}': expected one of {', '.join(asked)}; received {names}.")
+        if sum(chosen.values()) > 1:
+            names = [name for name, is_chosen in chosen.items() if is_chosen]
+            raise ProblemError(f"'{self.text()}': expected one of {', '.join(chosen)}; received {names}.")
         if worst_case or at_points:
             return Expression((1.0,), (Extreme(self, side, at_points),))
         if probability is not None:

@@ -52,31 +52,31 @@ class _Expression(NamedTuple):
     value: Callable[[Mapping[str, Any]], Any]
 
 
-def _read_formula(given: Any, known: Collection[str], where: str) -> Formula:
+def _read_formula(formula: Any, known: Collection[str], where: str) -> Formula:
     """A formula in parsed form, checked to use only `known` names."""
-    if callable(given):
-        return given
-    if isinstance(given, int | float | np.number) and not isinstance(given, bool) and math.isfinite(given):
-        return float(given)
-    if not isinstance(given, str):
+    if callable(formula):
+        return formula
+    if isinstance(formula, int | float | np.number) and not isinstance(formula, bool) and math.isfinite(formula):
+        return float(formula)
+    if not isinstance(formula, str):
         raise ProblemError(
             f"{where}: expected a name, a finite number, an expression such as 'e - c', or a function of the named "
-            f"values; received {given!r}. Put uncertain or decided numbers among the dimensions, under a name."
+            f"values; received {formula!r}. Put uncertain or decided numbers among the dimensions, under a name."
         )
     try:
-        names = _expression(given).names
+        names = _expression(formula).names
     except ProblemError as error:
         raise ProblemError(f"{where}: {error}") from error
     for name in sorted(names.difference(known)):
         raise ProblemError(f"{where}: there is no '{name}'; expected one of {sorted(known)}.{meant(name, known)}")
-    return given
+    return formula
 
 
-def _read_equation(given: Any, known: Collection[str], where: str) -> tuple[Formula, Formula]:
+def _read_equation(equation: Any, known: Collection[str], where: str) -> tuple[Formula, Formula]:
     """The two sides of an equation `left = right`; for a formula alone, the formula and zero."""
-    left, *rest = given.split("=") if isinstance(given, str) else (given,)
+    left, *rest = equation.split("=") if isinstance(equation, str) else (equation,)
     if len(rest) > 1:
-        raise ProblemError(f"{where}: expected 'left = right'; received {given!r}.")
+        raise ProblemError(f"{where}: expected 'left = right'; received {equation!r}.")
     return _read_formula(left, known, where), _read_formula(rest[0] if rest else 0.0, known, where)
 
 
@@ -177,22 +177,25 @@ class Chain(NamedTuple):
         return total[: self.components]
 
 
-def _is_chain(given: Any) -> bool:
+def _is_chain(description: Any) -> bool:
     """Whether a description is a list of vectors rather than a formula."""
-    return isinstance(given, list | tuple)
+    return isinstance(description, list | tuple)
 
 
-def _read_chain(given: Any, known: Collection[str], where: str) -> Chain:
+def _read_chain(description: Any, known: Collection[str], where: str) -> Chain:
     """A chain from its description `[(length, direction), ...]`."""
-    if not _is_chain(given) or len(given) < 2:
-        raise ProblemError(f"{where}: expected two or more vectors, [(length, direction), ...]; received {given!r}.")
-    return Chain(tuple(_read_vector(one, known, f"{where}, vector {i + 1}", i == 0) for i, one in enumerate(given)))
+    if not _is_chain(description) or len(description) < 2:
+        raise ProblemError(
+            f"{where}: expected two or more vectors, [(length, direction), ...]; received {description!r}."
+        )
+    vectors = enumerate(description)
+    return Chain(tuple(_read_vector(one, known, f"{where}, vector {i + 1}", i == 0) for i, one in vectors))
 
 
-def _read_vector(given: Any, known: Collection[str], where: str, is_first: bool) -> Vector:
-    if not (_is_chain(given) and len(given) == 2):
-        raise ProblemError(f"{where}: expected (length, direction), such as ('a', 90); received {given!r}.")
-    length, direction = given
+def _read_vector(vector: Any, known: Collection[str], where: str, is_first: bool) -> Vector:
+    if not (_is_chain(vector) and len(vector) == 2):
+        raise ProblemError(f"{where}: expected (length, direction), such as ('a', 90); received {vector!r}.")
+    length, direction = vector
     angles = tuple(direction) if _is_chain(direction) else (direction,)
     if len(angles) not in (1, 2):
         raise ProblemError(
@@ -321,11 +324,11 @@ def _check_names(
 ) -> None:
     seen: dict[str, str] = {}
     by_name = {"dimension": dimensions, "unknown": unknowns, "feature": features}
-    for kind, given in {**by_name, "unit": units}.items():
-        if not isinstance(given, Mapping):
-            raise ProblemError(f"Assembly: expected each {kind} by name, in a dict; received {given!r}.")
-    for kind, given in by_name.items():
-        for name in given:
+    for kind, named in {**by_name, "unit": units}.items():
+        if not isinstance(named, Mapping):
+            raise ProblemError(f"Assembly: expected each {kind} by name, in a dict; received {named!r}.")
+    for kind, named in by_name.items():
+        for name in named:
             _check_name(name, kind)
             if name in seen:
                 raise ProblemError(f"Assembly: '{name}' names a {seen[name]} and a {kind}. Rename one of them.")

@@ -40,11 +40,11 @@ class Columns(AbstractSignal):
         return max(first), min(last)
 
 
-Given = AbstractSignal | dict[str, AbstractSignal]
+Signals = AbstractSignal | dict[str, AbstractSignal]
 """Signals as given: one for all names, or one for each name, after which its decisions are named."""
 
 
-def signals_for(names: tuple[str, ...], given: Any, what: str) -> Given:
+def signals_for(names: tuple[str, ...], given: Any, what: str) -> Signals:
     """Signals for all names, as given; names missing from a mapping get zero.
 
     Raises `ProblemError` for unknown names, for values that are not signals, and for a signal of another size.
@@ -65,21 +65,21 @@ def signals_for(names: tuple[str, ...], given: Any, what: str) -> Given:
     return {name: _single(given.get(name, 0.0), f"{what} of '{name}'") for name in names}
 
 
-def motions_for(names: tuple[str, ...], given: Any, what: str) -> Given:
+def motions_for(names: tuple[str, ...], given: Any, what: str) -> Signals:
     """Trajectories for all names. Raises `ProblemError` for a missing one, or a signal without derivatives."""
     if isinstance(given, Mapping) and (missing := [name for name in names if name not in given]):
         raise ProblemError(f"{what}: expected a trajectory for each of {list(names)}; received none for {missing}.")
-    found = signals_for(names, given, what)
-    motion = combined(names, found)
+    signals = signals_for(names, given, what)
+    motion = combined(names, signals)
     if not isinstance(motion, AbstractTrajectory) or motion.derivatives < 2:
         raise ProblemError(
             f"{what}: a prescribed motion needs velocity and acceleration: expected trajectories, such as al.BSpline "
             f"or al.PowerSeries; received {given!r}."
         )
-    return found
+    return signals
 
 
-def combined(names: tuple[str, ...], given: Given) -> AbstractSignal:
+def combined(names: tuple[str, ...], given: Signals) -> AbstractSignal:
     """One signal of all names in order; it is a trajectory if each of them is one."""
     if not isinstance(given, Mapping):
         return given
@@ -88,11 +88,11 @@ def combined(names: tuple[str, ...], given: Given) -> AbstractSignal:
     return Stack(trajectories) if len(trajectories) == len(parts) else Columns(parts)
 
 
-def combined_motion(names: tuple[str, ...], given: Given) -> AbstractTrajectory:
+def combined_motion(names: tuple[str, ...], given: Signals) -> AbstractTrajectory:
     """One trajectory of all names in order, from checked motions."""
-    found = combined(names, given)
-    assert isinstance(found, AbstractTrajectory)
-    return found
+    motion = combined(names, given)
+    assert isinstance(motion, AbstractTrajectory)
+    return motion
 
 
 def followed(motion: AbstractTrajectory, torque_rates: bool) -> dict[str, AbstractSignal]:

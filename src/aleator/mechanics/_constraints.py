@@ -139,27 +139,14 @@ def put_back(
     return q, step <= _CLOSE * (1 + jnp.abs(q).max())
 
 
-class Kept(NamedTuple):
-    """The places of coordinates and velocities that stay as they are given; the others follow from the constraints."""
-
-    coordinates: tuple[int, ...]
-    speeds: tuple[int, ...]
-
-    def loose(self, model: AbstractMechanical) -> Loose:
-        """The places of all others."""
-        return Loose(
-            tuple(i for i in range(len(model.coordinates)) if i not in self.coordinates),
-            tuple(i for i in range(len(model.speeds)) if i not in self.speeds),
-        )
-
-
-def kept_of(
+def loose_beside(
     model: AbstractMechanical, start: Collection[str], prescribed: tuple[int, ...] = (), driven: tuple[int, ...] = ()
-) -> Kept:
-    """What is kept of a start: what is prescribed, and what `start` names."""
-    coordinates = {*prescribed, *(i for i, name in enumerate(model.coordinates) if name in start)}
-    speeds = {*driven, *(i for i, name in enumerate(model.speeds) if name in start)}
-    return Kept(tuple(sorted(coordinates)), tuple(sorted(speeds)))
+) -> Loose:
+    """What follows the constraints at a start: all that is neither prescribed nor named by `start`."""
+    return Loose(
+        tuple(i for i, name in enumerate(model.coordinates) if i not in prescribed and name not in start),
+        tuple(i for i, name in enumerate(model.speeds) if i not in driven and name not in start),
+    )
 
 
 def consistent_start(
@@ -181,10 +168,10 @@ def consistent_coordinates(
     # Rounding of angles and lengths of about 1, for a start may obey the constraints with coordinates of zero.
     sizes = 1 + jnp.abs(near)
     terms = jnp.abs(jax.jacfwd(functools.partial(constraint_of, model))(near)) @ sizes
-    kept = [i for i in range(len(near)) if i not in moving]
+    fixed = [i for i in range(len(near)) if i not in moving]
 
     def posture(at: Array) -> Array:
-        return model.normalised(merged(at, moving, taken(near, kept), kept))
+        return model.normalised(merged(at, moving, taken(near, fixed), fixed))
 
     def bound(at: Array) -> Array:
         return constraint_of(model, posture(at))

@@ -44,7 +44,7 @@ class Examination(NamedTuple):
       formulation itself checks there;
     - `motion`: coordinates and velocities at each instant, not finite where they could not be integrated; `postures`:
       there, or at the last posture before; at the first instant alone if nothing can change later;
-    - `given`, `valid`: the prescribed coordinates, and the same made valid, if these may differ.
+    - `prescribed`, `valid`: the prescribed coordinates, and the same made valid, if these may differ.
     """
 
     row: Any
@@ -52,7 +52,7 @@ class Examination(NamedTuple):
     own: Any
     motion: Any
     postures: Posture
-    given: Any
+    prescribed: Any
     valid: Any
 
 
@@ -143,13 +143,13 @@ def quaternion_diagnosis(model: AbstractMechanical, times: np.ndarray, seen: Exa
     """Where prescribed coordinates pass near a zero quaternion, which has no direction."""
     if seen.valid is None:
         return ""
-    vanished = np.abs(seen.valid) > np.abs(seen.given) / _VANISHING
+    vanished = np.abs(seen.valid) > np.abs(seen.prescribed) / _VANISHING
     if not vanished.any():
         return ""
     instant, coordinate = np.argwhere(vanished)[0]
     return (
         f"{type(model).__name__}: the quaternion of '{model.coordinates[coordinate]}' is zero at t = "
-        f"{times[instant]:.4g} s ({posture_text(model, seen.given[instant])}), and so has no direction. Prescribe "
+        f"{times[instant]:.4g} s ({posture_text(model, seen.prescribed[instant])}), and so has no direction. Prescribe "
         "quaternions that stay away from zero."
     )
 
@@ -167,10 +167,10 @@ def first_diagnosis(model: AbstractMechanical, times: np.ndarray, postures: Post
 
 def effect_diagnosis(model: AbstractMechanical, times: np.ndarray, q: np.ndarray, effects: np.ndarray | None) -> str:
     """Where torques lose their effect: at an instant, or between two where the determinant changes sign."""
-    found = None if effects is None else lost_rank(times, effects)
-    if found is None:
+    lost = None if effects is None else lost_rank(times, effects)
+    if lost is None:
         return ""
-    when, first = found
+    when, first = lost
     return (
         f"The torques of {type(model).__name__} lose their effect {when} ({posture_text(model, q[first])}): the matrix "
         "by which they act on the motion they must realise is singular there. Start from a motion that avoids this "

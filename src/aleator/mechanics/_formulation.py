@@ -114,9 +114,9 @@ class AbstractFormulation(System):
     @override
     def diagnose(self, grid: Grid) -> str:
         times = np.asarray(grid.times)
-        found = self._diagnosis(times, examined(self, grid))
+        fault = self._diagnosis(times, examined(self, grid))
         # A program of code that has changed since may let a fault pass, but must not refuse what is right.
-        return found and self._diagnosis(times, examined(self, grid, eqx.filter_jit(lambda *given: _examined(*given))))
+        return fault and self._diagnosis(times, examined(self, grid, eqx.filter_jit(lambda *given: _examined(*given))))
 
     def _diagnosis(self, times: np.ndarray, seen: Examination) -> str:
         """What is wrong at the start, in the first bad posture, or where the motion ends; empty if nothing.
@@ -185,8 +185,8 @@ def _examined(system: AbstractFormulation, grid: Grid) -> Examination:
 def _integrated(system: AbstractFormulation, grid: Grid) -> Any:
     """Coordinates and velocities at each instant."""
     parts = system.model.coordinates, system.model.speeds
-    found = simulate(system, grid, {}, RungeKutta4(), only=[name for names in parts for name in names])
-    return tuple(jnp.stack([found[name] for name in names], axis=1) for names in parts)
+    history = simulate(system, grid, {}, RungeKutta4(), only=[name for names in parts for name in names])
+    return tuple(jnp.stack([history[name] for name in names], axis=1) for names in parts)
 
 
 def _started(system: AbstractFormulation, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -225,8 +225,8 @@ def standard_outputs(
             listed.append((f"{name}_rate", torque_rate[i]))
     if bound is not None and model.constraints:
         listed += _of_constraints(model, motion, bound)
-    found = dict(listed)
-    if len(found) < len(listed):
+    standard = dict(listed)
+    if len(standard) < len(listed):
         twice = sorted(name for name, count in Counter(name for name, _ in listed).items() if count > 1)
         raise ProblemError(
             f"{type(model).__name__}: {twice} name two outputs each; rename its coordinates, velocities or actuators."
@@ -236,24 +236,24 @@ def standard_outputs(
         raise ProblemError(
             f"{type(model).__name__}.outputs returns a dict of arrays by name; received {type(own).__name__}."
         )
-    if taken := sorted(set(found) & set(own)):
+    if taken := sorted(set(standard) & set(own)):
         raise ProblemError(
             f"{type(model).__name__}.outputs: {taken} are standard outputs of every mechanical system; rename yours."
         )
-    return {**found, **own}
+    return {**standard, **own}
 
 
 def constrained_outputs(
-    model: AbstractMechanical, found: dict[str, Any], integrated: Array, kept: Any
+    model: AbstractMechanical, outputs: dict[str, Any], integrated: Array, obeyed: Any
 ) -> dict[str, Any]:
     """The outputs of a system with constraints: not a number where these were not obeyed, and how far they had drifted.
 
     `integrated` are the coordinates before they were put back.
     """
     if not model.constraints:
-        return found
+        return outputs
     drift = {"constraint_drift": jnp.abs(constraint_of(model, model.normalised(integrated))).max()}
-    return {name: jnp.where(kept, value, jnp.nan) for name, value in {**drift, **found}.items()}
+    return {name: jnp.where(obeyed, value, jnp.nan) for name, value in {**drift, **outputs}.items()}
 
 
 def _of_constraints(model: AbstractMechanical, motion: Motion, bound: Bound) -> list[tuple[str, Any]]:

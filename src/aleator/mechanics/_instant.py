@@ -257,13 +257,13 @@ def _split(row: Any, signals: Sequence[AbstractSignal]) -> tuple[Any, ...]:
 
 def _taylor(orders: Sequence[Array], s: Any) -> Array:
     """The value after a time `s`, by the Taylor polynomial of a value and its derivatives."""
-    found = orders[-1]
+    total = orders[-1]
     for k in range(len(orders) - 1, 0, -1):
-        found = orders[k - 1] + s / k * found
-    return found
+        total = orders[k - 1] + s / k * total
+    return total
 
 
 def _remembering(model: Model, when: When | None) -> Model:
-    found = copy(model)
-    object.__setattr__(found, "_when", when)  # a fresh copy, not shared yet
-    return found
+    instant = copy(model)
+    object.__setattr__(instant, "_when", when)  # a fresh copy, not shared yet
+    return instant

@@ -13,7 +13,7 @@ from typing_extensions import override
 from aleator._core.border import one_of, real_array, refusal
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
-from aleator.mechanics._arguments import Given, checked_guess, combined_motion, followed, motions_for
+from aleator.mechanics._arguments import Signals, checked_guess, combined_motion, followed, motions_for
 from aleator.mechanics._formulation import AbstractFormulation, a_model, examined, standard_outputs
 from aleator.mechanics._hybrid import HybridDynamics
 from aleator.mechanics._instant import along_time, at, course
@@ -99,7 +99,7 @@ class InverseDynamics(AbstractFormulation):
     """
 
     model: AbstractMechanical
-    motion: Given
+    motion: Signals
     guess: dict[str, Any]
     torque_rates: bool = eqx.field(static=True)
 

@@ -240,7 +240,7 @@ def wrenches_of(kind: str, tree: Tree, q: Float[Array, " coordinates"], loads: A
     """
     if not isinstance(loads, tuple | list) or not all(isinstance(one, BodyLoad) for one in loads):
         raise ProblemError(f"{kind}.body_loads returns a tuple of al.BodyLoad; received {loads!r}.")
-    found = [Wrench(np.zeros(3), np.zeros(3)) for _ in tree.links]
+    wrenches = [Wrench(np.zeros(3), np.zeros(3)) for _ in tree.links]
     poses = world_poses(tree, q) if loads else []
     for one in loads:
         if one.body not in tree.places:
@@ -255,8 +255,8 @@ def wrenches_of(kind: str, tree: Tree, q: Float[Array, " coordinates"], loads: A
         inward = poses[index].rotation.T
         force = inward @ as_array(one.force, "force", (3,))
         moment = plus(inward @ as_array(one.moment, "moment", (3,)), cross(arm, force))
-        found[index] = added(found[index], Wrench(moment, force))
-    return found
+        wrenches[index] = added(wrenches[index], Wrench(moment, force))
+    return wrenches
 
 
 def refuse_moving_places(kind: str, bodies: Callable[[Array], Sequence[Body]]) -> None:
@@ -268,10 +268,10 @@ def refuse_moving_places(kind: str, bodies: Callable[[Array], Sequence[Body]]) -
     names: list[str] = []
 
     def places(s: Array) -> list[Any]:
-        found = list(bodies(s))
-        names[:] = [body.name for body in found]
-        axes = [body.joint.direction() if isinstance(body.joint, AbstractAxial) else 0.0 for body in found]
-        return [(jnp.asarray(axis), *map(jnp.asarray, placement(body))) for axis, body in zip(axes, found, strict=True)]
+        every = list(bodies(s))
+        names[:] = [body.name for body in every]
+        axes = [body.joint.direction() if isinstance(body.joint, AbstractAxial) else 0.0 for body in every]
+        return [(jnp.asarray(axis), *map(jnp.asarray, placement(body))) for axis, body in zip(axes, every, strict=True)]
 
     closed = jax.make_jaxpr(places)(jnp.zeros(()))
     moved = set(closed.jaxpr.invars)

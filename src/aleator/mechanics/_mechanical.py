@@ -282,10 +282,10 @@ def shaped(
 ) -> Float[Array, "..."]:
     """The value of a user's method as an array. Raises `ProblemError` for what is none, or has another shape."""
     who = f"{type(model).__name__}.{call_of(name)}"
-    found = traceable(who, evaluated(model, name, *arguments))
-    if found.shape != shape:
-        raise ProblemError(f"{who}: expected shape {shape}; received {found.shape}.")
-    return found
+    array = traceable(who, evaluated(model, name, *arguments))
+    if array.shape != shape:
+        raise ProblemError(f"{who}: expected shape {shape}; received {array.shape}.")
+    return array
 
 
 def evaluated(model: AbstractMechanical, name: str, *arguments: Any) -> Any:

@@ -102,17 +102,17 @@ class Multibody(AbstractMechanical):
     @override
     def standard_units(self) -> Mapping[str, str]:
         """The units of the joints. Those of torques are by the torques' names."""
-        found = {}
+        units = {}
         for name, joint in self._joints():
-            found |= {name + end: unit for end, unit in zip(joint.coordinates, joint.units, strict=False)}
+            units |= {name + end: unit for end, unit in zip(joint.coordinates, joint.units, strict=False)}
             for end, unit in zip(joint.speeds, joint.speed_units, strict=True):
                 speed = name + end
-                found[speed] = unit
+                units[speed] = unit
                 for force in ("torque", "reaction"):
-                    found[f"{speed.removesuffix('_rate')}_{force}"] = "N" if unit == "m/s" else "N·m"
+                    units[f"{speed.removesuffix('_rate')}_{force}"] = "N" if unit == "m/s" else "N·m"
         for closure in self._loops():
-            found |= {f"{name}_multiplier": unit for name, unit in zip(closure.names, closure.units, strict=True)}
-        return found
+            units |= {f"{name}_multiplier": unit for name, unit in zip(closure.names, closure.units, strict=True)}
+        return units
 
     @property
     @override
@@ -211,7 +211,7 @@ class Multibody(AbstractMechanical):
     @override
     def speeds_along(self, coordinates: Collection[str]) -> tuple[int, ...]:
         """The velocities of the joints concerned, each of which needs all its coordinates."""
-        found: list[int] = []
+        places: list[int] = []
         first = 0
         for name, joint in self._joints():
             own = [name + end for end in joint.coordinates]
@@ -221,9 +221,9 @@ class Multibody(AbstractMechanical):
                     f"{type(self).__name__}: the coordinates {own} of the joint of '{name}' belong together; received "
                     f"only {given}. Prescribe all of them, or none."
                 )
-            found += range(first, first + len(joint.speeds)) if given else ()
+            places += range(first, first + len(joint.speeds)) if given else ()
             first += len(joint.speeds)
-        return tuple(found)
+        return tuple(places)
 
     def kinetic_energy(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, ""]:
         """The kinetic energy of the bodies and of the joints' rotors, J."""
