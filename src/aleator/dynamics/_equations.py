@@ -142,11 +142,16 @@ def _outputs(system: AlgebraicSystem, *rho: Any) -> _Instant:
     return _Instant((), tuple(outputs.values()), tuple(outputs))
 
 
-def _named(function: TracedFunction, arguments: tuple[Any, ...], only: Collection[str] | None) -> dict[str, Array]:
-    """The outputs by name, or some of them."""
+def _evaluated(
+    function: TracedFunction, arguments: tuple[Any, ...], only: Collection[str] | None = None, with_rates: bool = False
+) -> tuple[Any, dict[str, Array]]:
+    """The rates, if they are needed, and the outputs by name, or some of them: no other equations are evaluated."""
     names = [name for name in function.rest.names if only is None or name in only]
     where = [function.rest.names.index(name) for name in names]
-    return dict(zip(names, function.part(lambda results: [results.outputs[i] for i in where], *arguments), strict=True))
+    rates, values = function.part(
+        lambda results: (results.rates if with_rates else (), [results.outputs[i] for i in where]), *arguments
+    )
+    return rates, dict(zip(names, values, strict=True))
 
 
 @final
@@ -178,18 +183,12 @@ class TracedSystem(System):
 
     @override
     def outputs(self, t: Any, z: Any, **inputs: Any) -> dict[str, Any]:
-        return _named(self.equations["instant"], (self.system, t, z, inputs), self.only)
+        return _evaluated(self.equations["instant"], (self.system, t, z, inputs), self.only)[1]
 
     @override
     def rates_and_outputs(self, t: Any, z: Any, *args: Any, **inputs: Any) -> tuple[Any, dict[str, Any]]:
         del args
-        instant = self.equations["instant"]
-        names = [name for name in instant.rest.names if self.only is None or name in self.only]
-        where = [instant.rest.names.index(name) for name in names]
-        rates, values = instant.part(
-            lambda results: (results.rates, [results.outputs[i] for i in where]), self.system, t, z, inputs
-        )
-        return rates, dict(zip(names, values, strict=True))
+        return _evaluated(self.equations["instant"], (self.system, t, z, inputs), self.only, with_rates=True)
 
     @override
     def residual(self, t: Any, z: Any, **inputs: Any) -> Any:
@@ -249,4 +248,4 @@ class TracedAlgebraic(AlgebraicSystem):
     @override
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
         del kwargs
-        return _named(self.equations["outputs"], (self.system, *args), None)
+        return _evaluated(self.equations["outputs"], (self.system, *args))[1]

@@ -8,7 +8,7 @@ velocities that its constraints allow are found from those given.
 
 import functools
 from collections.abc import Collection
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -77,6 +77,18 @@ class Bound:
     def reactions(self, multipliers: Float[Array, " constraints"]) -> Float[Array, " speeds"]:
         """The generalised force of the constraints, `-Gᵀ λ`."""
         return -product(self.G.T, multipliers)
+
+
+class Solved(NamedTuple):
+    """The complete motion at one instant, and whether its constraints could be obeyed."""
+
+    q: Array
+    v: Array
+    v_dot: Array
+    torque: Array
+    multipliers: Array
+    obeyed: Any
+    bound: Bound
 
 
 def constraint_rate(model: AbstractMechanical, q: Array, v: Array) -> Float[Array, " constraints"]:

@@ -7,7 +7,7 @@ import abc
 import contextlib
 from collections import Counter
 from collections.abc import Callable, Mapping
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import equinox as eqx
 import jax
@@ -22,7 +22,7 @@ from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_traced, transparent
 from aleator.dynamics import Grid, RungeKutta4, System, simulate
-from aleator.mechanics._constraints import Bound, Loose, all_loose
+from aleator.mechanics._constraints import Bound, Loose, Solved, all_loose
 from aleator.mechanics._diagnosis import (
     Examination,
     Posture,
@@ -36,7 +36,16 @@ from aleator.mechanics._diagnosis import (
     unobeyed,
 )
 from aleator.mechanics._instant import at, instants_of, is_timed
-from aleator.mechanics._mechanical import AbstractMechanical, Motion, constraint_of, jacobian_of, mass_of, rate_map
+from aleator.mechanics._mechanical import (
+    AbstractMechanical,
+    Motion,
+    accelerations,
+    constraint_of,
+    jacobian_of,
+    mass_of,
+    rate_map,
+    rates,
+)
 
 # Coordinates this many times as large as at the start are no longer a meaningful posture.
 _ABSURD = 1e4
@@ -51,10 +60,16 @@ class AbstractFormulation(System):
 
     model: eqx.AbstractVar[AbstractMechanical]
 
+    further_inputs: ClassVar[tuple[str, ...] | None] = ()
+
     @property
     def units(self) -> Mapping[str, str]:  # type: ignore[override]
         """The units that the model declares, and the standard units of its kind."""
         return {**self.model.standard_units, **self.model.units}
+
+    @override
+    def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
+        return self.rates_and_outputs(*args, **kwargs)[1]
 
     @override
     def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -215,9 +230,9 @@ def standard_outputs(
     for i, name in enumerate(model.coordinates):
         along = (motion.q[i], motion.q_dot[i], motion.q_ddot[i])
         listed += zip((name, f"{name}_rate", f"{name}_acceleration"), along, strict=True)
-    rates = {f"{name}_rate" for name in model.coordinates}
+    coordinate_rates = {f"{name}_rate" for name in model.coordinates}
     for i, name in enumerate(model.speeds):
-        if name not in rates:
+        if name not in coordinate_rates:
             listed += [(name, motion.v[i]), (f"{name}_rate", motion.v_dot[i])]
     for i, name in enumerate(model.actuators):
         listed.append((name, motion.torque[i]))
@@ -243,13 +258,16 @@ def standard_outputs(
     return {**standard, **own}
 
 
-def constrained_outputs(
-    model: AbstractMechanical, outputs: dict[str, Any], integrated: Array, obeyed: Any
+def outputs_of(
+    model: AbstractMechanical, t: Any, solved: Solved, torque_rate: Any, integrated: Array
 ) -> dict[str, Any]:
-    """The outputs of a system with constraints: not a number where these were not obeyed, and how far they had drifted.
+    """The outputs of a motion; with constraints not a number where these were not obeyed, and how far it had drifted.
 
     `integrated` are the coordinates before they were put back.
     """
+    q, v, v_dot, torque, multipliers, obeyed, bound = solved
+    motion = Motion(t, q, rates(model, q, v), accelerations(model, q, v, v_dot), v, v_dot, torque, multipliers)
+    outputs = standard_outputs(model, motion, torque_rate, bound)
     if not model.constraints:
         return outputs
     drift = {"constraint_drift": jnp.abs(constraint_of(model, model.normalised(integrated))).max()}

@@ -1,7 +1,7 @@
 """`ForwardDynamics`: torques are given, the motion follows by integration (equation 68)."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, ClassVar, final
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,13 +20,20 @@ from aleator.mechanics._arguments import (
     start_unknown,
     vector,
 )
-from aleator.mechanics._constraints import Bound, Loose, Saddle, all_loose, consistent_start, loose_beside, put_back
-from aleator.mechanics._formulation import AbstractFormulation, a_model, constrained_outputs, standard_outputs
+from aleator.mechanics._constraints import (
+    Bound,
+    Loose,
+    Saddle,
+    Solved,
+    all_loose,
+    consistent_start,
+    loose_beside,
+    put_back,
+)
+from aleator.mechanics._formulation import AbstractFormulation, a_model, outputs_of
 from aleator.mechanics._instant import at, course, is_timed
 from aleator.mechanics._mechanical import (
     AbstractMechanical,
-    Motion,
-    accelerations,
     actuation_map,
     bias_of,
     driven,
@@ -108,22 +115,15 @@ class ForwardDynamics(AbstractFormulation):
     @override
     def rhs(self, t: Any, z: Any, torque: Any = None, parameters: Any = None) -> tuple[Array, Array]:
         model = at(self.model, t, parameters)
-        return _rates_of(model, _moving(model, z.q, z.v, self._given(torque)))
-
-    @override
-    def outputs(
-        self, t: Any, z: Any, torque: Any = None, torque_rate: Any = None, parameters: Any = None
-    ) -> dict[str, Any]:
-        model, torque = at(self.model, t, parameters), self._given(torque)
-        return _outputs_of(model, t, z, torque, torque_rate, _moving(model, z.q, z.v, torque))
+        return _rates_of(model, _moving(model, z.q, z.v, self._torques(torque)))
 
     @override
     def rates_and_outputs(
         self, t: Any, z: Any, torque: Any = None, torque_rate: Any = None, parameters: Any = None
     ) -> tuple[tuple[Array, Array], dict[str, Any]]:
-        model, torque = at(self.model, t, parameters), self._given(torque)
+        model, torque = at(self.model, t, parameters), self._torques(torque)
         moving = _moving(model, z.q, z.v, torque)
-        return _rates_of(model, moving), _outputs_of(model, t, z, torque, torque_rate, moving)
+        return _rates_of(model, moving), outputs_of(model, t, moving, torque_rate, z.q)
 
     @override
     def beginning(self, model: AbstractMechanical, grid: Grid) -> tuple[Any, Any]:
@@ -135,7 +135,7 @@ class ForwardDynamics(AbstractFormulation):
     def loose_at_start(self) -> Loose:
         return loose_beside(self.model, self.start)
 
-    def _given(self, torque: Any) -> Array:
+    def _torques(self, torque: Any) -> Array:
         n = len(self.model.actuators)
         if torque is None:
             return jnp.zeros(n)
@@ -148,21 +148,11 @@ class ForwardDynamics(AbstractFormulation):
         return jnp.reshape(torque, (n,))
 
 
-class _Moving(NamedTuple):
-    """The motion under given torques, and whether its constraints could be obeyed."""
-
-    q: Array
-    v: Array
-    v_dot: Array
-    multipliers: Array
-    obeyed: Any
-    bound: Bound
-
-
-def _moving(model: AbstractMechanical, q: Array, v: Array, torque: Array) -> _Moving:
+def _moving(model: AbstractMechanical, q: Array, v: Array, torque: Array) -> Solved:
+    """The motion under torques."""
     if not model.constraints:
         q = model.normalised(q)
-        return _Moving(q, v, driven(model, q, v, _force(model, q, torque)), jnp.zeros(0), True, Bound(model, q))
+        return Solved(q, v, driven(model, q, v, _force(model, q, torque)), torque, jnp.zeros(0), True, Bound(model, q))
     loose = all_loose(model)
     q, obeyed = put_back(model, q, loose)
     bound = Bound(model, q)
@@ -171,19 +161,11 @@ def _moving(model: AbstractMechanical, q: Array, v: Array, torque: Array) -> _Mo
     v = v - saddle.least(bound.rate(v))
     force = _force(model, q, torque) + load_on(model, q, v) - bias_of(model, q, v)
     v_dot, multipliers = saddle.solve(force, bound.acceleration(v))
-    return _Moving(q, v, v_dot, multipliers, obeyed, bound)
+    return Solved(q, v, v_dot, torque, multipliers, obeyed, bound)
 
 
-def _rates_of(model: AbstractMechanical, moving: _Moving) -> tuple[Array, Array]:
+def _rates_of(model: AbstractMechanical, moving: Solved) -> tuple[Array, Array]:
     return rates(model, moving.q, moving.v), moving.v_dot
-
-
-def _outputs_of(
-    model: AbstractMechanical, t: Any, z: Any, torque: Array, torque_rate: Any, moving: _Moving
-) -> dict[str, Any]:
-    q, v, v_dot, multipliers, obeyed, bound = moving
-    motion = Motion(t, q, rates(model, q, v), accelerations(model, q, v, v_dot), v, v_dot, torque, multipliers)
-    return constrained_outputs(model, standard_outputs(model, motion, torque_rate, bound), z.q, obeyed)
 
 
 def _force(model: AbstractMechanical, q: Array, torque: Array) -> Array:

@@ -26,12 +26,12 @@ from aleator.mechanics._arguments import (
     start_unknown,
     vector,
 )
-from aleator.mechanics._constraints import Loose, consistent_start, loose_beside
-from aleator.mechanics._formulation import AbstractFormulation, a_model, constrained_outputs, standard_outputs
+from aleator.mechanics._constraints import Loose, Solved, consistent_start, loose_beside
+from aleator.mechanics._formulation import AbstractFormulation, a_model, outputs_of
 from aleator.mechanics._instant import along_time, at, course
 from aleator.mechanics._matrices import taken
-from aleator.mechanics._mechanical import AbstractMechanical, Motion, accelerations, rate_map, rates
-from aleator.mechanics._partial import Partition, Prescribed, Solved, effect_of_torques, prescribed_velocities, solved
+from aleator.mechanics._mechanical import AbstractMechanical, rate_map, rates
+from aleator.mechanics._partial import Partition, Prescribed, effect_of_torques, prescribed_velocities, solved
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 
@@ -139,23 +139,6 @@ class HybridDynamics(AbstractFormulation):
         return tuple(self._stated(q_dot, taken(motion.v_dot, self._parts.undriven)).values())
 
     @override
-    def outputs(
-        self,
-        t: Any,
-        z: Any,
-        position: Array,
-        velocity: Array,
-        acceleration: Array,
-        jerk: Array | None = None,
-        known: Any = None,
-        known_rate: Any = None,
-        parameters: Any = None,
-    ) -> dict[str, Any]:
-        return self.rates_and_outputs(
-            t, z, position, velocity, acceleration, jerk, known, known_rate, parameters=parameters
-        )[1]
-
-    @override
     def rates_and_outputs(
         self,
         t: Any,
@@ -179,10 +162,7 @@ class HybridDynamics(AbstractFormulation):
             torque_rate = along_time(
                 lambda now, *where: solved(now, parts, *where).torque, model, (given, z.q, v_u), along
             )[1]
-        q_ddot = accelerations(model, whole.q, whole.v, whole.v_dot)
-        motion = Motion(t, whole.q, q_dot, q_ddot, whole.v, whole.v_dot, whole.torque, whole.multipliers)
-        outputs = standard_outputs(model, motion, torque_rate, whole.bound)
-        outputs = constrained_outputs(model, outputs, parts.merged(position, z.q), whole.obeyed)
+        outputs = outputs_of(model, t, whole, torque_rate, parts.merged(position, z.q))
         return self._rates_of(model, whole), outputs
 
     @override

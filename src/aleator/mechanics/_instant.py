@@ -217,10 +217,6 @@ class Instants(NamedTuple):
     times: Float[Array, " n"]
     parameters: Float[Array, "n orders numbers"] | None
 
-    def at(self, i: int) -> Any:
-        """The model at one instant."""
-        return at(self.model, *self.row(i))
-
     def row(self, i: int) -> tuple[Any, Any]:
         """The time of one instant, and the numbers there of the signals in the model's fields."""
         _, times, parameters = in_library(self.times, self.parameters)

@@ -162,7 +162,7 @@ class InverseDynamics(AbstractFormulation):
         parameters: Array | None = None,
     ) -> dict[str, Any]:
         if self.model.constraints:
-            return self._driven().outputs(t, z, position, velocity, acceleration, jerk, parameters=parameters)
+            return self.rates_and_outputs(t, z, position, velocity, acceleration, jerk, parameters=parameters)[1]
         model, curve = at(self.model, t, parameters), (position, velocity, acceleration)
         if jerk is None:
             torque, path = _torques(model, *curve)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from aleator.mechanics._constraints import Bound, Loose, Saddle, put_back
+from aleator.mechanics._constraints import Bound, Loose, Saddle, Solved, put_back
 from aleator.mechanics._instant import along_time
 from aleator.mechanics._matrices import block, merged, product, solve_any, taken
 from aleator.mechanics._mechanical import (
@@ -31,18 +31,6 @@ class Prescribed(NamedTuple):
     velocity: Array
     acceleration: Array
     known: Array
-
-
-class Solved(NamedTuple):
-    """The complete motion at one instant, and whether its constraints could be satisfied."""
-
-    q: Array
-    v: Array
-    v_dot: Array
-    torque: Array
-    multipliers: Array
-    obeyed: Any
-    bound: Bound
 
 
 class Partition(NamedTuple):
