@@ -132,7 +132,7 @@ def read_mjcf(path: str | Path, *, leave_out: Sequence[str] = ()) -> Robot:
         bodies,
         gravity=gravity_of(model),
         limits=limits,
-        posture=posture_of(model, joints),
+        posture=tuple(posture_of(model, joints).items()),
         loops=equalities.loops,
         couplings=equalities.couplings,
         notes=(*notes, *unread, *equalities.notes, *_notes(model, limits)),

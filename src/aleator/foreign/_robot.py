@@ -3,7 +3,6 @@
 from collections.abc import Collection, Mapping, Sequence
 from itertools import chain, count
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, TypeVar, final
 
 import equinox as eqx
@@ -121,28 +120,15 @@ class Robot(Multibody):
 
 
 def robot_of(
-    path: str | Path,
-    bodies: Sequence[Body],
-    *,
-    gravity: Any = (0.0, 0.0, -9.81),
-    loops: Mapping[str, Closure] = MappingProxyType({}),
-    couplings: Mapping[str, Coupling] = MappingProxyType({}),
-    limits: Mapping[str, tuple[float, float]],
-    posture: Mapping[str, float],
-    notes: Sequence[str],
+    path: str | Path, bodies: Sequence[Body], *, limits: Mapping[str, tuple[float, float]], **fields: Any
 ) -> Robot:
-    """The robot of some bodies, parents first. Raises `ProblemError` for a joint that moves no mass."""
+    """The robot of some bodies, parents first, with further `fields`.
+
+    Raises `ProblemError` for a joint that moves no mass.
+    """
     _refuse_massless(path, bodies)
-    return Robot(
-        {body.name: body for body in bodies},
-        gravity,
-        loops=dict(loops),
-        couplings=dict(couplings),
-        order=tuple(body.name for body in bodies),
-        allowed=tuple(limits.items()),
-        posture=tuple(posture.items()),
-        notes=tuple(notes),
-    )
+    parts = {body.name: body for body in bodies}
+    return Robot(parts, order=tuple(parts), allowed=tuple(limits.items()), **fields)
 
 
 def known(number: float) -> float | int:

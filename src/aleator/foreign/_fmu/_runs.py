@@ -9,10 +9,10 @@ from jaxtyping import Float
 
 from aleator._core.errors import SimulationError, SimulationWarning
 from aleator.foreign._fmu._derivatives import STEP, Slope, difference_jacobian, scales
-from aleator.foreign._fmu._description import Variable, nominals_of, with_numbers
+from aleator.foreign._fmu._description import nominals_of, with_numbers
 from aleator.foreign._fmu._equations import Equations, Place
 from aleator.foreign._fmu._library import Opened
-from aleator.foreign._fmu._motion import EventError, Inputs, Motion, integrated, motion_of, stepped
+from aleator.foreign._fmu._motion import EventError, Inputs, Motion, Sampled, integrated, motion_of, stepped
 
 # At as many instants of a motion, derivatives that the FMU offers are compared with differences.
 _JUDGED = 5
@@ -63,17 +63,17 @@ def sensitivities(
 
 
 class Runs:
-    """An FMU from the start to the end of a grid, by the values of `parameters`, with chosen `outputs`."""
+    """An FMU from the start to the end of a grid, by the values of `parameters`, with chosen `outputs`: all names."""
 
-    def __init__(
-        self, fmu: Opened, parameters: list[Variable], outputs: list[Variable], inputs: Inputs, tolerance: float
-    ):
-        self._fmu, self._parameters, self._outputs = fmu, parameters, outputs
-        self._inputs, self._tolerance = inputs, tolerance
+    def __init__(self, fmu: Opened, parameters: list[str], outputs: list[str], sampled: Sampled, tolerance: float):
+        variables = fmu.variables
+        self._fmu, self._tolerance = fmu, tolerance
+        self._parameters, self._outputs = variables.settable(parameters), variables.readable(outputs)
+        self._inputs = inputs = Inputs(variables.of_inputs(sampled.names), sampled.times, sampled.values)
         self._equations = None
         if fmu.is_exchange:
-            t = float(inputs.times[0])
-            self._equations = Equations(fmu, parameters, inputs.variables, outputs, t, tolerance, inputs.first)
+            chosen = self._parameters, inputs.variables, self._outputs
+            self._equations = Equations(fmu, *chosen, float(inputs.times[0]), tolerance, inputs.first)
 
     def outputs(self, p: Float[np.ndarray, " k"]) -> Float[np.ndarray, "instants outputs"]:
         """The outputs at all instants. Raises `SimulationError` if a run fails or an output is not finite."""

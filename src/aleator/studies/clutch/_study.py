@@ -54,6 +54,10 @@ from aleator.studies.clutch._run import (
     worst_case_tolerances,
 )
 
+if TYPE_CHECKING:
+    import xarray
+    from plotly.graph_objects import Figure
+
 WIDTH, HEIGHT = 420.0, 372.0
 ACROSS = 320.0
 """Pixels from the middle of the ring to the ring."""
@@ -134,28 +138,6 @@ def _sizes(at: View, sizes: tuple[float, float, float, float], chi: float, slope
 
 def _title(chi: float) -> str:
     return f"Quarter of a roller clutch: hub, roller and ring, with a pressure angle of {chi:.3f} degrees"
-
-
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
-
-
-def sections(results: ClutchResults) -> list[Section]:
-    """The sections for the results available so far."""
-    return [
-        Section("The clutch", [_schematic()]),
-        Section("Table 7.2", list(_methods(results))),
-        Section("The given tolerances", list(_analyses(results))),
-        Section("Allocation", list(_allocation(results))),
-        Section("Certificate", list(_certificate(results))),
-    ]
-
-
-def cut_short(results: ClutchResults) -> Iterator[str]:
-    """How much of an interrupted front is available."""
-    front = results.front
-    if front is not None and front.interrupted:
-        yield f"Of the front {len(front.values)} of {results.effort.front_points} points are finished and shown."
 
 
 def _schematic() -> Schematic:
@@ -257,10 +239,6 @@ def _certificate(results: ClutchResults) -> Iterator[Block]:
         yield certificate_table({"cheapest": results.allocation})
 
 
-if TYPE_CHECKING:
-    import xarray
-
-
 def methods_dataset(methods: Sequence[Method]) -> "xarray.Dataset":
     """The rows of table 7.2 and of its extension."""
     import xarray
@@ -359,11 +337,21 @@ class ClutchStudy(AbstractStudy):
 
     @override
     def sections(self) -> Sequence[Section]:
-        return sections(self.found)
+        results = self.found
+        return [
+            Section("The clutch", [_schematic()]),
+            Section("Table 7.2", list(_methods(results))),
+            Section("The given tolerances", list(_analyses(results))),
+            Section("Allocation", list(_allocation(results))),
+            Section("Certificate", list(_certificate(results))),
+        ]
 
     @override
     def cut_short(self) -> Iterator[str]:
-        return cut_short(self.found)
+        results = self.found
+        front = results.front
+        if front is not None and front.interrupted:
+            yield f"Of the front {len(front.values)} of {results.effort.front_points} points are finished and shown."
 
     @override
     def tables(self) -> list[Table]:

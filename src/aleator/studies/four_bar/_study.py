@@ -52,6 +52,9 @@ from aleator.studies.four_bar._run import (
     widths_of,
 )
 
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
 _WIDTH, _HEIGHT = 460.0, 400.0
 SHOWN = 2.3
 """The crank's angle in the drawing, rad."""
@@ -111,24 +114,6 @@ def _point(at: View, place: np.ndarray) -> Point:
 
 def _between(start: Point, end: Point, aside: float) -> Point:
     return (start[0] + end[0]) / 2 + aside, (start[1] + end[1]) / 2
-
-
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
-
-
-def sections(results: FourBarResults) -> list[Section]:
-    """The sections for the results available so far."""
-    return [
-        Section("The linkage", [_schematic(results)]),
-        Section("The three designs", list(_designs(results))),
-        Section("The path", list(_paths(results))),
-        Section("Forces and torque", list(_forces(results))),
-        Section("Tolerances", list(_tolerances(results))),
-        Section("Evidence", [evidence_table(results.evidence)] if results.evidence else []),
-        Section("Certificate", [certificate_table(results.designs)] if results.designs else []),
-        second_way(MEAN, results.second_way),
-    ]
 
 
 def _schematic(results: FourBarResults) -> Schematic:
@@ -290,7 +275,17 @@ class FourBarStudy(AbstractStudy):
 
     @override
     def sections(self) -> Sequence[Section]:
-        return sections(self.found)
+        results = self.found
+        return [
+            Section("The linkage", [_schematic(results)]),
+            Section("The three designs", list(_designs(results))),
+            Section("The path", list(_paths(results))),
+            Section("Forces and torque", list(_forces(results))),
+            Section("Tolerances", list(_tolerances(results))),
+            Section("Evidence", [evidence_table(results.evidence)] if results.evidence else []),
+            Section("Certificate", [certificate_table(results.designs)] if results.designs else []),
+            second_way(MEAN, results.second_way),
+        ]
 
     @override
     def cut_short(self) -> Iterator[str]:

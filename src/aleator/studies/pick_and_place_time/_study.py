@@ -93,29 +93,6 @@ def torques_of(family: Family, *, nominal: bool = False) -> dict[str, np.ndarray
     return {text: np.atleast_2d(outputs[name]) for text, name in (("τ₁", "q1_torque"), ("τ₂", "q2_torque"))}
 
 
-def published_table(done: MotionResults) -> Table:
-    """Published values and those of an independent program, compared with ours."""
-    rows, ours = [], {name: duration(plan) for name, plan in done.plans.items()}
-    for name, plan in done.plans.items():
-        printed, reference = PUBLISHED.get(name), REFERENCE.get(name)
-        rows.append(
-            [
-                name,
-                "–" if printed is None else given(printed, "s"),
-                "–" if reference is None else f"{reference:.4f} s",
-                number(duration(done.coarse[name]), 5, "s") if name in done.coarse else "–",
-                number(duration(plan), 5, "s"),
-            ]
-        )
-    note = (
-        "Reference: an independent program for the same arm, with limits only at the 91 instants. The published times "
-        "cannot be reproduced: the dissertation gives neither the arm's inertias nor its obstacle, and no arm whose "
-        f"parameters are all one has both of its times. {compared(PUBLISHED, ours, 'the published times')}"
-    )
-    header = ["t_f", "Published", "Reference", "Ours, at the instants", "Ours, between them too"]
-    return Table("Published and reference values compared with ours", header, rows, note)
-
-
 def margins_table(done: MotionResults) -> Table:
     """The share of payloads outside a margin: in closed form, and counted."""
     rows = []
@@ -146,14 +123,6 @@ def worst_case_holds(done: MotionResults) -> bool:
     """Whether fresh payloads confirm that the worst-case plan breaks no limit."""
     found = done.evidence[WORST].joint
     return found.upper <= TARGET and not found.count
-
-
-def worst_case_broken(done: MotionResults) -> str:
-    """How often the worst-case plan breaks a limit."""
-    return (
-        f" The plan with a = √3 is not safe either: {share_text(done.evidence[WORST].joint)} of the payloads break a "
-        "limit."
-    )
 
 
 def headline(done: MotionResults) -> str:
@@ -279,7 +248,26 @@ class PickAndPlaceTime(AbstractMotionStudy):
 
     @override
     def published(self) -> Table:
-        return published_table(self.done)
+        done = self.done
+        rows, ours = [], {name: duration(plan) for name, plan in done.plans.items()}
+        for name, plan in done.plans.items():
+            printed, reference = PUBLISHED.get(name), REFERENCE.get(name)
+            rows.append(
+                [
+                    name,
+                    "–" if printed is None else given(printed, "s"),
+                    "–" if reference is None else f"{reference:.4f} s",
+                    number(duration(done.coarse[name]), 5, "s") if name in done.coarse else "–",
+                    number(duration(plan), 5, "s"),
+                ]
+            )
+        note = (
+            "Reference: an independent program for the same arm, with limits only at the 91 instants. The published "
+            "times cannot be reproduced: the dissertation gives neither the inertias nor the obstacle, and no arm "
+            f"whose parameters are all one has both of its times. {compared(PUBLISHED, ours, 'the published times')}"
+        )
+        header = ["t_f", "Published", "Reference", "Ours, at the instants", "Ours, between them too"]
+        return Table("Published and reference values compared with ours", header, rows, note)
 
     @override
     def recommendation(self, sentences: Sequence[str], cards: Sequence[Card]) -> Verdict:
@@ -289,7 +277,8 @@ class PickAndPlaceTime(AbstractMotionStudy):
 
     @override
     def beside(self) -> str:
-        return worst_case_broken(self.done)
+        share = share_text(self.done.evidence[WORST].joint)
+        return f" The plan with a = √3 is not safe either: {share} of the payloads break a limit."
 
     @override
     def sentences(self) -> Iterator[str]:

@@ -206,36 +206,6 @@ def _calibrated(results: SuspensionResults) -> str:
     return f" A margin of a = {number(one.sigmas, 3)} is {one.sentence('cars')}{price}."
 
 
-def sections(results: SuspensionResults) -> list[Section]:
-    """The sections for the results available so far."""
-    return [
-        Section("The car", [_schematic(results)]),
-        Section("The designs to build", [built_table(results)] if results.built else []),
-        Section("The three designs", _designs(results)),
-        Section("Comparison with published values", [published_table(results)] if results.designs else []),
-        Section("Robust design (chapter 6)", list(robust_design(results))),
-        Section("How often cars violate", list(violations(results))),
-        Section("Apportionment (chapter 7)", list(apportionment(results))),
-        Section("Evidence", list(_evidence(results))),
-        Section("Certificate", _certificate(results)),
-        second_way("dOpt", results.second_way),
-    ]
-
-
-def cut_short(results: SuspensionResults) -> Iterator[str]:
-    """How much of each interrupted front is available."""
-    points = results.effort.front_points
-    groups = (
-        (results.travel_fronts, "over travel", points),
-        (results.holding_fronts, "over holding", points),
-        (results.boxes, "of boxes over holding", len(HOLDING_BOXES)),
-    )
-    for fronts, what, count in groups:
-        for name, front in fronts.items():
-            if front.interrupted:
-                yield f"Of the front {what} of {name}, {len(front.values)} of {count} points are finished and shown."
-
-
 def _schematic(results: SuspensionResults) -> Schematic:
     profile = road()
     drawing = car_drawing(nominal(), np.asarray(profile.times), np.asarray(profile.values))
@@ -343,11 +313,34 @@ class SuspensionStudy(AbstractStudy):
 
     @override
     def sections(self) -> Sequence[Section]:
-        return sections(self.found)
+        results = self.found
+        return [
+            Section("The car", [_schematic(results)]),
+            Section("The designs to build", [built_table(results)] if results.built else []),
+            Section("The three designs", _designs(results)),
+            Section("Comparison with published values", [published_table(results)] if results.designs else []),
+            Section("Robust design (chapter 6)", list(robust_design(results))),
+            Section("How often cars violate", list(violations(results))),
+            Section("Apportionment (chapter 7)", list(apportionment(results))),
+            Section("Evidence", list(_evidence(results))),
+            Section("Certificate", _certificate(results)),
+            second_way("dOpt", results.second_way),
+        ]
 
     @override
     def cut_short(self) -> Iterator[str]:
-        return cut_short(self.found)
+        results = self.found
+        points = results.effort.front_points
+        groups = (
+            (results.travel_fronts, "over travel", points),
+            (results.holding_fronts, "over holding", points),
+            (results.boxes, "of boxes over holding", len(HOLDING_BOXES)),
+        )
+        for fronts, what, count in groups:
+            for name, front in fronts.items():
+                if front.interrupted:
+                    done = f"{len(front.values)} of {count} points are finished and shown."
+                    yield f"Of the front {what} of {name}, {done}"
 
     @override
     def tables(self) -> list[Table]:
