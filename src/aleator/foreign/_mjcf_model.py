@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from aleator._core.errors import MissingExtraError, ProblemError
-from aleator.foreign._robot_files import broken, refuse_effects
+from aleator.foreign._robot import broken, refuse_effects
 
 Model: TypeAlias = Any
 """A compiled model, `mujoco.MjModel`, which declares no types: rows of arrays for bodies, joints, speeds and so on."""

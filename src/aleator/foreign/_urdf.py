@@ -13,8 +13,18 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import meant, refusal
-from aleator.foreign._robot import Robot, carriers, known, robot_of
-from aleator.foreign._robot_files import Place, broken, checked_effects, geometry, refuse_effects, root_of
+from aleator.foreign._robot import (
+    Place,
+    Robot,
+    broken,
+    carriers,
+    checked_effects,
+    geometry,
+    known,
+    refuse_effects,
+    robot_of,
+    root_of,
+)
 from aleator.mechanics import AbstractJoint, Body, Fixed, Free, Prismatic, Revolute
 
 _AXIAL = {"revolute": Revolute, "continuous": Revolute, "prismatic": Prismatic}

@@ -18,8 +18,7 @@ from aleator.foreign._fmu._derivatives import Evaluations, called_back
 from aleator.foreign._fmu._description import with_numbers
 from aleator.foreign._fmu._doors import Served
 from aleator.foreign._fmu._fmu import Fmu, fmu_given
-from aleator.foreign._fmu._motion import Sampled
-from aleator.foreign._fmu._runs import Runs
+from aleator.foreign._fmu._runs import Runs, Sampled
 from aleator.trajectories import AbstractSignal
 
 

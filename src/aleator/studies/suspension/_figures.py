@@ -57,7 +57,10 @@ HOW_TO_SEE = "Filled markers: the swept limit is active; open markers: another l
 
 
 def car_drawing(car: QuarterCar, times: Float[np.ndarray, " samples"], heights: Float[np.ndarray, " samples"]) -> str:
-    """The car and its road (s, m) as SVG. An uncertain number is written with `(ξ)` and its half-width or spread."""
+    """The car and its road (s, m) as SVG. An uncertain number is written with `(ξ)` and its half-width or spread.
+
+    The masses are boxes with areas proportional to the masses; heights of the road are exaggerated.
+    """
     sprung, unsprung = (_box(mass) for mass in (_mean(car.m_s), _mean(car.m_u)))
     top, wheel, contact = 70.0 + sprung[1], 250.0, 385.0
     under = wheel + unsprung[1]
