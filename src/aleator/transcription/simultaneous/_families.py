@@ -22,10 +22,8 @@ from aleator.dynamics import AbstractMeanRate
 from aleator.statistics import Constants
 from aleator.transcription._expansions import ExpansionScope
 from aleator.transcription.simultaneous._blocks import Block, Family
-from aleator.transcription.simultaneous._layout import Layout, Plan, Variables, found_integrals
-from aleator.transcription.simultaneous._pointwise import Pointwise
-from aleator.transcription.simultaneous._shapes import apart
-from aleator.transcription.simultaneous._signals import known_numbers
+from aleator.transcription.simultaneous._layout import Layout, Plan, Variables, found_integrals, known_numbers
+from aleator.transcription.simultaneous._pointwise import Pointwise, apart
 from aleator.uncertainty import named_numbers
 
 
@@ -76,10 +74,11 @@ def families(
 
     - `points`: the germ points of the realisations.
     """
-    asked, mesh = layout.asked, layout.plan.mesh
-    instants, sides = mesh.instants(asked.grid.fractions), mesh.instant_sides(asked.grid.fractions)
+    pointwise, mesh, grid = layout.pointwise, layout.plan.mesh, layout.pointwise.grid
+    instants, sides = mesh.instants(grid.fractions), mesh.instant_sides(grid.fractions)
+    nodes, node_sides = mesh.instants(grid.node_fractions), mesh.instant_sides(grid.node_fractions)
     places, every = mesh.places, np.arange(len(mesh.sides))
-    model = np.concatenate([variables.decisions[asked.direct], variables.duration])
+    model = np.concatenate([variables.decisions[pointwise.direct], variables.duration])
     none = variables.decisions[None, None, :0]
     integrals = variables.integrals.shape[2]
     histories = variables.paths.reshape(len(variables.paths), -1)
@@ -96,31 +95,32 @@ def families(
         return np.broadcast_to(told, (len(points), *told.shape))
 
     def observed(names: tuple[str, ...], which: np.ndarray, sides: np.ndarray) -> Family:
-        return Family(partial(asked.outputs, names), model, at(which, sides), points, places[sides])
+        return Family(partial(pointwise.outputs, names), model, at(which, sides), points, places[sides])
 
     def known(outer: Any, inner: Any, shared: Array, own: Array) -> Array:
         del outer, inner, own
-        return known_numbers(asked, mesh, shared if shared.size else jnp.zeros(layout.sizes.decisions))
+        return known_numbers(pointwise, mesh, shared if shared.size else jnp.zeros(layout.sizes.decisions))
 
     def composed(outer: Any, inner: Any, shared: Array, own: Array) -> Array:
         del outer, inner
-        return asked.composites(layout.shapes, shared[0], own[:integrals], own[integrals:])
+        return pointwise.composites(layout.shapes, shared[0], own[:integrals], own[integrals:])
 
+    residuals = pointwise.residuals if layout.shapes.algebraic else _nothing
     return Families(
         Family(known, variables.decisions[: 0 if layout.plan.is_affine else None], none),
-        Family(asked.initial, model, signals_at(every[:1]), points, places[:1]),
+        Family(pointwise.initial, model, signals_at(every[:1]), points, places[:1]),
         Family(
-            partial(asked.mean_rates, mesh.scheme.rate),
+            partial(pointwise.mean_rates, mesh.scheme.rate),
             model,
             at(mesh.asked, mesh.asked_sides),
             points,
             places[mesh.asked_sides],
         ),
-        Family(asked.residuals if layout.shapes.algebraic else _nothing, model, at(mesh.sides, every), points, places),
-        observed(asked.paths, instants, sides),
-        observed(asked.ends, instants[-1:], sides[-1:]),
+        Family(residuals, model, at(mesh.sides, every), points, places),
+        observed(pointwise.paths, instants, sides),
+        observed(pointwise.ends, instants[-1:], sides[-1:]),
         Family(composed, variables.duration, recorded[:, None]),
-        observed(asked.nodes, mesh.instants(asked.grid.node_fractions), mesh.instant_sides(asked.grid.node_fractions)),
+        observed(pointwise.nodes, nodes, node_sides),
         tuple(_limits(layout, problem, constants, variables)),
         tuple(_integrand(layout, problem, constants, one, variables) for one in found_integrals(problem)),
     )
@@ -131,11 +131,11 @@ def functions(problem: Problem, constants: Constants | None, plan: Plan | Abstra
     mesh.
     """
     if isinstance(plan, AbstractMeanRate):
-        asked = Pointwise.of(problem)
+        pointwise = Pointwise.of(problem)
         return {
-            RATES: partial(asked.mean_rates, plan),
-            EQUATIONS: asked.residuals,
-            PATHS: partial(asked.outputs, asked.paths),
+            RATES: partial(pointwise.mean_rates, plan),
+            EQUATIONS: pointwise.residuals,
+            PATHS: partial(pointwise.outputs, pointwise.paths),
         }
     assert constants is not None
     layout = Layout.of(problem, plan)

@@ -18,18 +18,13 @@ from aleator.solution import Solution
 from aleator.transcription._abstract import AbstractTranscription, Meanwhile
 from aleator.transcription._expansions import discretised
 from aleator.transcription._scenarios import first_scenarios
-from aleator.transcription.simultaneous._controls import first_nodes
-from aleator.transcription.simultaneous._first_point import ALGEBRAIC
-from aleator.transcription.simultaneous._guess import Guess, start_of
-from aleator.transcription.simultaneous._mesh import Mesh
-from aleator.transcription.simultaneous._mesh_error import BETWEEN
+from aleator.transcription.simultaneous._layout import ALONG
+from aleator.transcription.simultaneous._mesh import Mesh, first_nodes
 from aleator.transcription.simultaneous._pointwise import Pointwise
-from aleator.transcription.simultaneous._refinement import Goal
-from aleator.transcription.simultaneous._segments import FLOWN
-from aleator.transcription.simultaneous._signals import ALONG
-from aleator.transcription.simultaneous._start import SIMULATED, AbstractStart
+from aleator.transcription.simultaneous._refinement import BETWEEN, FLOWN, Goal
+from aleator.transcription.simultaneous._starts import ALGEBRAIC, SIMULATED, AbstractStart, Guess, start_of
 from aleator.transcription.simultaneous._tiles import CURVE, EVALUATE
-from aleator.transcription.simultaneous._transcribed import TOLD, SimultaneouslyTranscribed, Way
+from aleator.transcription.simultaneous._transcribed import TAKEN, SimultaneouslyTranscribed, Way
 
 # The least error of a mesh that may be asked for.
 _LEAST_ERROR = 1e-12
@@ -70,7 +65,16 @@ class Simultaneous(AbstractTranscription):
     guess: Guess | None = field(default=None, compare=False, repr=False)
     _start: AbstractStart = field(init=False, repr=False)
 
-    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CURVE, SIMULATED, ALGEBRAIC, ALONG, TOLD, BETWEEN, FLOWN)
+    programs: ClassVar[tuple[Compiled, ...]] = (
+        EVALUATE,
+        CURVE,
+        SIMULATED,
+        ALGEBRAIC,
+        ALONG,
+        TAKEN,
+        BETWEEN,
+        FLOWN,
+    )
 
     def __post_init__(self) -> None:
         one_of("Simultaneous: scheme", self.scheme, AbstractScheme, "al.schemes.HermiteSimpson()")

@@ -31,23 +31,22 @@ from aleator.statistics import Constants
 from aleator.transcription._abstract import AbstractTranscribed, Meaning, Remembered, Texts
 from aleator.transcription._expansions import Between, Discretised, ExpansionScope
 from aleator.transcription._scenarios import Scenarios
-from aleator.transcription.simultaneous._controls import followed, whole_parts
+from aleator.transcription.simultaneous._assembly import Fixed
 from aleator.transcription.simultaneous._costates import adjoint
-from aleator.transcription.simultaneous._first_point import started
-from aleator.transcription.simultaneous._guess import state_shapes
-from aleator.transcription.simultaneous._layout import Layout, Plan
-from aleator.transcription.simultaneous._mesh import Mesh
-from aleator.transcription.simultaneous._mesh_error import Drift, drift_of, states_on
-from aleator.transcription.simultaneous._nonlinear import program_of
-from aleator.transcription.simultaneous._pointwise import Pointwise
-from aleator.transcription.simultaneous._program import Assembled
-from aleator.transcription.simultaneous._refinement import Goal, refinement
-from aleator.transcription.simultaneous._rows import Given
-from aleator.transcription.simultaneous._scales import scales
-from aleator.transcription.simultaneous._segments import segment_drift, segment_states_on
-from aleator.transcription.simultaneous._shapes import apart
-from aleator.transcription.simultaneous._signals import are_affine
-from aleator.transcription.simultaneous._start import AbstractStart
+from aleator.transcription.simultaneous._layout import Layout, Plan, are_affine
+from aleator.transcription.simultaneous._mesh import Mesh, followed, whole_parts
+from aleator.transcription.simultaneous._pointwise import Pointwise, apart
+from aleator.transcription.simultaneous._program import Assembled, program_of, scales
+from aleator.transcription.simultaneous._refinement import (
+    Drift,
+    Goal,
+    drift_of,
+    refinement,
+    segment_drift,
+    segment_states_on,
+    states_on,
+)
+from aleator.transcription.simultaneous._starts import AbstractStart, started, state_shapes
 from aleator.uncertainty import named_numbers
 
 # Steps of a simulation for each step in an interval of a mesh, if it has no more points inside.
@@ -56,7 +55,7 @@ _FINER = 2
 _MOST_MESHES, _MOST_VARIABLES = 8, 1_000_000
 
 
-def _told(problem: Problem, constants: Constants, at: tuple[Any, ...]) -> tuple[jax.Array, ...]:
+def _taken(problem: Problem, constants: Constants, at: tuple[Any, ...]) -> tuple[jax.Array, ...]:
     """Every statistic that stands in a problem, from decisions, coefficients, and values on the scenarios."""
     decisions, coefficients, realised = at
     scope = ExpansionScope(
@@ -72,7 +71,7 @@ def _told(problem: Problem, constants: Constants, at: tuple[Any, ...]) -> tuple[
     return tuple(one for some in taken for one in some)
 
 
-TOLD = Compiled(_told, use=Use.ONCE)
+TAKEN = Compiled(_taken, use=Use.ONCE)
 
 
 @final
@@ -121,7 +120,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
             for one in expanded_functionals(expressions)
         ]
         realised = [jnp.asarray(samples[one][count:]) for one in extreme_functionals(expressions)]
-        taken = TOLD(self.traced, self.constants, (jnp.asarray(variables.decisions), fitted, realised))
+        taken = TAKEN(self.traced, self.constants, (jnp.asarray(variables.decisions), fitted, realised))
         functionals, grid = functionals_of(expressions), self.problem.grid
         assert isinstance(grid, Grid)
         return Meaning(
@@ -174,7 +173,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         states = self._states_on(point, finer.fractions)
         problem, decisions = followed(self.problem, values.decisions, finer.nodes)
         traced = numbers_to_arrays(problem)
-        equations = self.equations if _has_same_equations(problem, self.layout.asked) else traced
+        equations = self.equations if _has_same_equations(problem, self.layout.pointwise) else traced
         way = self._way._replace(problem=problem, traced=traced, equations=equations)
         found = way.transcribed(finer, (decisions, states))
         return replace(found, meshes=(*self.meshes, error)), found.program.start
@@ -191,7 +190,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         self, point: Float[np.ndarray, " variables"], multipliers: Float[np.ndarray, " rows"]
     ) -> tuple[Costates, Switching] | tuple[None, None]:
         found, mesh = adjoint(self.layout, self.assembled, point, multipliers), self.layout.plan.mesh
-        states, signals = state_shapes(self.problem), self.layout.asked.signal_shapes
+        states, signals = state_shapes(self.problem), self.layout.pointwise.signal_shapes
         nodes, asked = self._instants(point, np.array(mesh.nodes)), self._instants(point, mesh.places[mesh.weighed, 0])
         by_state = dict(zip(states, apart(found.states, list(states.values())), strict=True))
         # What an integral over time of a statistic adds stands in no rate.
@@ -207,7 +206,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         self, point: Float[np.ndarray, " variables"], fractions: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, " n"]:
         """Fractions of the duration as times, s."""
-        return float(self.layout.asked.grid.t_start) + fractions * float(self.layout.view(point).duration[0])
+        return float(self.layout.pointwise.grid.t_start) + fractions * float(self.layout.view(point).duration[0])
 
     def _rates(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, "realisations asked rates"]:
         return self.assembled.blocks(point)[0][self.assembled.rates]
@@ -246,8 +245,8 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
 
 def _has_same_equations(problem: Problem, before: Pointwise) -> bool:
     """Whether a problem with other controls has the rates and outputs of the one before, of signals as told."""
-    asked = Pointwise.of(problem)
-    return not asked.is_random and asked.direct.size == before.direct.size
+    pointwise = Pointwise.of(problem)
+    return not pointwise.is_random and pointwise.direct.size == before.direct.size
 
 
 class Way(NamedTuple):
@@ -268,15 +267,15 @@ class Way(NamedTuple):
         points = np.asarray(collocation.points)
         every = points if scenarios is None else np.concatenate([points, scenarios.points])
         fit = np.asarray(collocation.pseudo_inverse)
-        asked = Pointwise.of(problem)
+        pointwise = Pointwise.of(problem)
         plan = Plan(
-            mesh, self.goal.schemes[0], len(points), len(every) - len(points), len(fit), are_affine(asked, mesh)
+            mesh, self.goal.schemes[0], len(points), len(every) - len(points), len(fit), are_affine(pointwise, mesh)
         )
-        layout, given = Layout.of(problem, plan), Given.of(asked)
-        assembled = Assembled.of(layout, traced, self.equations, constants, every, fit, given)
+        layout, fixed = Layout.of(problem, plan), Fixed.of(pointwise)
+        assembled = Assembled.of(layout, traced, self.equations, constants, every, fit, fixed)
         decisions, states = begun or self._first(mesh, every)
         start = started(traced, layout, assembled, every, decisions, states)
-        program, sizes = program_of(problem, scenarios, layout, assembled, given, start)
+        program, sizes = program_of(problem, scenarios, layout, assembled, fixed, start)
         return SimultaneouslyTranscribed(
             problem,
             traced,

@@ -1,5 +1,9 @@
-"""Guesses of states: a function of time, a table, or a solution, from which a simultaneous program starts."""
+"""Where a simultaneous program starts: at states as simulated, or by a guess of them; all else follows from these.
 
+A guess is a function of time, a table, or a solution.
+"""
+
+import abc
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias, final
@@ -7,22 +11,26 @@ from typing import Any, TypeAlias, final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.errors import AleatorError, ProblemError
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.compilation import Compiled, Use
+from aleator._core.errors import AleatorError, ProblemError, SimulationError
 from aleator._core.given import meant, real_array, refusal, shown
-from aleator.design import Problem, deterministic, grid_at
-from aleator.dynamics import Grid, System, initial_state
+from aleator.design import Problem, deterministic, grid_at, unsolved
+from aleator.dynamics import STATES, Asked, Grid, ObservedStates, Simulation, System, initial_state
 from aleator.solution import Solution, States
 from aleator.transcription._warm_start import started_from
-from aleator.transcription.simultaneous._start import (
-    SIMULATED_START,
-    AbstractStart,
-    interpolated,
-    simulated_states,
-)
+from aleator.transcription.simultaneous._layout import Layout
+from aleator.transcription.simultaneous._pointwise import Pointwise
+from aleator.transcription.simultaneous._program import Assembled
 from aleator.uncertainty import realise
+
+# Steps of a simulation in each of the grid: points of a mesh between instants are interpolated.
+_FINER = 4
+# States that grow by more than this after the first tenth of the time are those of a system that runs away.
+_BEGINNING, _MOST_GROWTH = 10, 1e4
 
 Guess: TypeAlias = Callable[[float], Any] | Mapping[str, Any] | np.ndarray | Solution
 """A function of time, in s, that returns the states by name or in the system's order; a table of the same, with the
@@ -32,6 +40,92 @@ _WHO = "Simultaneous: guess"
 _TIME = "time"
 # A table may end before the last instant by this part of the duration: rounding.
 _ROUNDING = 1e-9
+
+
+def _simulated(
+    problem: Problem, points: Float[Array, "realisations germs"], decisions: Float[Array, " n"]
+) -> Float[Array, "realisations instants states"]:
+    def one(germ: Array) -> Array:
+        found = realise(problem.simulation, germ, decisions)
+        system = found.traced
+        assert isinstance(system, System)
+        simulation = Simulation(ObservedStates(system), found.inputs, found.grid, found.integrator, found.numbers)
+        return simulation.record(Asked(frozenset({STATES}))).history[STATES]
+
+    return jax.vmap(one)(points)
+
+
+SIMULATED = Compiled(_simulated, use=Use.ONCE)
+
+
+def simulated_states(
+    problem: Problem,
+    fractions: Float[np.ndarray, " points"],
+    points: Float[np.ndarray, "realisations germs"],
+    decisions: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "realisations points states"]:
+    """The states of all realisations at some fractions of the duration. If one cannot be simulated at these decisions,
+    or grows beyond reason, all rest at their initial states: a program may begin where nothing can be simulated.
+    """
+    if not problem.is_integrated:
+        return np.zeros((len(points), len(fractions), 0))
+    assert isinstance(problem.grid, Grid)
+    finer = numbers_to_arrays(problem.on_grid(problem.grid.finer(_FINER)))
+    found = np.array(SIMULATED(finer, jnp.asarray(points), jnp.asarray(decisions)))
+    begun = np.abs(found[:, : 1 + found.shape[1] // _BEGINNING]).max(axis=(0, 1))
+    grown = np.abs(found).max(axis=(0, 1)) > _MOST_GROWTH * np.where(begun > 0, begun, np.inf)
+    if not np.isfinite(found).all() or grown.any():
+        found = np.repeat(found[:, :1], found.shape[1], axis=1)
+    instants = np.linspace(0.0, 1.0, found.shape[1])
+    return np.moveaxis(interpolated(instants, np.moveaxis(found, 1, 0), fractions), 0, 1)
+
+
+def interpolated(
+    known: Float[np.ndarray, " n"], values: Float[np.ndarray, "n ..."], at: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, "m ..."]:
+    """Values between known places, linearly."""
+    after = np.clip(np.searchsorted(known, at), 1, len(known) - 1)
+    share = np.clip((at - known[after - 1]) / (known[after] - known[after - 1]), 0.0, 1.0)
+    share = share.reshape(-1, *(1,) * (values.ndim - 1))
+    return (1 - share) * values[after - 1] + share * values[after]
+
+
+class AbstractStart(abc.ABC):
+    """Where the programs of a problem start, on any mesh."""
+
+    def decisions(self, problem: Problem) -> Float[np.ndarray, " n"]:
+        """The first decisions: by default the problem's own initial ones."""
+        return problem.placements.vector("initial")
+
+    @abc.abstractmethod
+    def states(
+        self,
+        problem: Problem,
+        fractions: Float[np.ndarray, " points"],
+        points: Float[np.ndarray, "realisations germs"],
+        decisions: Float[np.ndarray, " n"],
+    ) -> Float[np.ndarray, "realisations points states"]:
+        """The states of realisations at some fractions of the duration, for given decisions."""
+
+
+@final
+@dataclass(frozen=True)
+class _Simulated(AbstractStart):
+    """States as they are simulated."""
+
+    @override
+    def states(
+        self,
+        problem: Problem,
+        fractions: Float[np.ndarray, " points"],
+        points: Float[np.ndarray, "realisations germs"],
+        decisions: Float[np.ndarray, " n"],
+    ) -> Float[np.ndarray, "realisations points states"]:
+        return simulated_states(problem, fractions, points, decisions)
+
+
+SIMULATED_START = _Simulated()
+"""The start where nothing is guessed."""
 
 
 def start_of(guess: Guess | None) -> AbstractStart:
@@ -220,3 +314,67 @@ def _side_by_side(values: Float[np.ndarray, "realisations points ..."]) -> Float
 
 def _told(shapes: Mapping[str, tuple[int, ...]]) -> str:
     return ", ".join(f"'{name}'{f' of shape {shape}' if shape else ''}" for name, shape in shapes.items()) or "none"
+
+
+def _algebraic(
+    problem: Problem,
+    points: Float[Array, "realisations germs"],
+    places: Float[Array, "places 2"],
+    at: tuple[Array, Array, Array, Array],
+) -> Float[Array, "realisations places algebraic"]:
+    """The algebraic variables at some places, from decisions, duration, and the signals and states there."""
+    decisions, duration, signals, states = at
+    pointwise = Pointwise.of(problem)
+    shared = jnp.append(decisions[pointwise.direct], duration)
+    return pointwise.everywhere(pointwise.algebraic, points, places, shared, signals, states)
+
+
+ALGEBRAIC = Compiled(_algebraic, use=Use.ONCE)
+
+
+def started(
+    traced: Problem,
+    layout: Layout,
+    assembled: Assembled,
+    points: Float[np.ndarray, "realisations germs"],
+    decisions: Float[np.ndarray, " n"],
+    states: Float[np.ndarray, "realisations points states"],
+) -> Float[np.ndarray, " variables"]:
+    """The point of a program at some decisions and states: all else follows from them.
+
+    Raises `SimulationError` where the algebraic variables of a realisation do not follow from its initial state.
+    """
+    variables, numbers = np.zeros(layout.count), layout.numbers
+    variables[numbers.decisions] = decisions
+    variables[np.append(numbers.signals.ravel(), numbers.duration)] = assembled.known(variables)
+    variables[numbers.states] = states
+    if numbers.algebraic.size:
+        mesh, values = layout.plan.mesh, layout.view(variables)
+        at = values.decisions, values.duration[0], values.signals, states[:, mesh.sides]
+        found = np.asarray(
+            ALGEBRAIC(traced, jnp.asarray(points), jnp.asarray(mesh.places), jax.tree.map(jnp.asarray, at))
+        )
+        _refuse_unsolved(traced, points, decisions, found)
+        variables[numbers.algebraic] = found
+    # Each is tied to those before it: what is missing from zero is what it stands for, and what an interval adds.
+    ties = assembled.rows.ties
+    for some in (numbers.integrals, *layout.stages[1:]):
+        these = np.isin(ties.variables, some)
+        # What is NaN here makes no start; the rows that are NaN there say where.
+        variables[ties.variables[these]] = np.nan_to_num(-assembled.constraints(variables)[ties.rows][these])
+        if some is numbers.integrals:
+            variables[some] = np.cumsum(variables[some], axis=1)
+    return variables
+
+
+def _refuse_unsolved(
+    traced: Problem,
+    points: Float[np.ndarray, "realisations germs"],
+    decisions: Float[np.ndarray, " n"],
+    found: Float[np.ndarray, "realisations places algebraic"],
+) -> None:
+    failed = ~np.isfinite(found[:, 0]).all(axis=1)
+    if failed.any():
+        first = int(np.argmax(failed))
+        reason = unsolved(traced, jnp.asarray(points[first]), jnp.asarray(decisions))
+        raise SimulationError(f"{reason} This is collocation point {first + 1} of {len(points)}.")
