@@ -10,7 +10,7 @@ from boxed_functions import assert_same
 
 import aleator as al
 import black_boxes as boxes
-from aleator.foreign._responses import answers
+from aleator.foreign._ask import answers
 
 TWO = {"x": al.Uniform.bounds(-1.0, 1.0), "z": al.Normal(2.0, 0.1)}
 ORDER = al.Expansion(order=3)

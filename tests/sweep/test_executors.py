@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator._core.elsewhere import each_done, each_of, packed
+from aleator._core.executors import each_done, each_of, packed
 from aleator.transcription import transcribe, valued_by
 from aleator.transcription.sequential import _population
 from executors import AsProcesses, Inline, Lost, scattered

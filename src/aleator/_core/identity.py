@@ -28,9 +28,9 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from aleator._core.beside import CORES
 from aleator._core.equations import TracedFunction, array_digest
-from aleator._core.module import Module
+from aleator._core.leaves import Module
+from aleator._core.parallel import CORES
 
 # Libraries that trace and compile. The folder of programs is separate for each version of JAX; a journal's is not.
 _TRACING = ("jax", "jaxlib", "equinox", "numpy", "scipy", "diffrax", "lineax", "optimistix")

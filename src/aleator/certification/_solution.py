@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core import clock
+from aleator import _core
 from aleator.design import Problem, expanded_functionals, first_broken, grid_at, sizes, statistics_in, unsolved
 from aleator.dynamics import Grid
 from aleator.ensemble import inputs_at, listed
@@ -95,7 +95,7 @@ def solution_of(
             solver=outcome.solver,
             iterations=outcome.iterations,
             evaluations=outcome.evaluations,
-            times=Times(clock.import_seconds, compiled, outcome.seconds),
+            times=Times(_core.import_seconds, compiled, outcome.seconds),
             searched=outcome.searched,
             visited=outcome.visited,
         ),

@@ -1,24 +1,192 @@
-"""`ask`: the points of an expansion, to be answered by whoever has the model."""
+"""`ask`: the points of an expansion, to be answered by whoever has the model; the responses that come back."""
 
 import csv
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
+import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from typing_extensions import override
 
-from aleator._core import given
+from aleator._core import border
 from aleator._core.arrays import Pytree, jax_array
+from aleator._core.border import real_array
 from aleator._core.errors import ProblemError, SimulationError
 from aleator.analysis import Expanded, expand
 from aleator.ensemble import AbstractBox, Realisation, inputs_at, listed
 from aleator.expansion import Expansion, candidate_terms
-from aleator.foreign._failures import drop_given, most_of, sound, warn_of_dropped
-from aleator.foreign._responses import NUMBER, answers, columns_of
+from aleator.foreign._campaign import drop_given, most_of, sound, warn_of_dropped
+from aleator.trajectories import entry, read_table
 from aleator.uncertainty import placements
+
+NUMBER = "sample"
+"""The column with the numbers of samples, from 1 on."""
+
+# Inputs may be rounded to this part of their range, as spreadsheets do (15 digits), or to six digits: by this part of
+# the number, and by this part of the range, as long as each row belongs to one point alone.
+_ROUNDED = 1e-9
+_SIX_DIGITS = 5.000001e-6
+_OF_RANGE = 1e-3
+
+# Columns of a table that may have texts, which nobody reads here.
+_COMMENTS = ("comment", "comments")
+
+# A column with one entry of an output: y[3].
+_ENTRY = re.compile(r"(.+)\[(\d+)\]")
+
+
+def columns_of(responses: Any, inputs: list[str]) -> Pytree:
+    """Responses in any form as a dict of arrays with a row for each sample, or as one array."""
+    if isinstance(responses, str | os.PathLike):
+        return _required(str(responses), _from_table(responses), inputs)
+    if hasattr(responses, "data_vars"):
+        return _required("tell: the dataset", _from_dataset(responses), inputs)
+    if isinstance(responses, Mapping):
+        if odd := [name for name in responses if not isinstance(name, str)]:
+            raise border.refusal("tell: the responses", "names of outputs that are texts", odd[0])
+        return {name: _rows_of(f"tell: {name!r}", values) for name, values in responses.items()}
+    return _rows_of("tell", responses)
+
+
+def answers(points: Mapping[str, Float[np.ndarray, " n"]], columns: Pytree) -> list[Pytree | None]:
+    """The response of each sample that was asked for; None where it is missing.
+
+    Raises `ProblemError` if rows do not belong to the points.
+    """
+    named = columns if isinstance(columns, dict) else {}
+    count = len(next(iter(points.values())))
+    numbers = _numbers(named[NUMBER], count) if NUMBER in named else None
+    outputs = {name: values for name, values in named.items() if name not in (NUMBER, *points)} if named else columns
+    lengths = {len(values) for values in jax.tree.leaves(columns)}
+    if not jax.tree.leaves(outputs):
+        raise ProblemError(f"tell: expected an output besides {[NUMBER, *points]}; received {list(named)}.")
+    if len(lengths) > 1 or (numbers is None and lengths != {count}):
+        raise ProblemError(
+            f"tell: expected {count} rows, one for each sample, or a column {NUMBER!r} with their numbers; received "
+            f"{' and '.join(map(str, sorted(lengths)))} rows."
+        )
+    numbers = np.arange(count) if numbers is None else numbers
+    _refuse_changed(points, named, numbers)
+    rows: list[Pytree | None] = [None] * count
+    for row, number in enumerate(numbers.tolist()):
+        response = jax.tree.map(lambda values, row=row: np.array(values[row]), outputs)
+        if not all(np.isnan(leaf).all() for leaf in jax.tree.leaves(response)):
+            rows[number] = response
+    return rows
+
+
+def _numbers(values: np.ndarray, count: int) -> Int[np.ndarray, " rows"]:
+    """The samples of rows as indices from 0 on."""
+    whole = np.isfinite(values) & (values == np.round(values)) & (values >= 1) & (values <= count)
+    if values.ndim != 1 or not whole.all():
+        bad = values if values.ndim != 1 else float(values[~whole][0])
+        raise border.refusal(f"tell: {NUMBER!r}", f"the numbers of samples from 1 to {count}", bad)
+    found, times = np.unique(values, return_counts=True)
+    if (times > 1).any():
+        raise ProblemError(f"tell: sample {found[times > 1][0]:g} has {times.max()} rows; expected one.")
+    return values.astype(int) - 1
+
+
+def _refuse_changed(points: Mapping[str, np.ndarray], named: Mapping[str, np.ndarray], numbers: np.ndarray) -> None:
+    """Refuse inputs that differ from those that were asked for, and rounded ones that might be those of two samples."""
+    told = {name: asked for name, asked in points.items() if name in named}
+    rounded = np.zeros(len(numbers), dtype=bool)
+    for name, asked in told.items():
+        received, expected = named[name], asked[numbers]
+        if received.shape != expected.shape:
+            raise border.refusal(f"tell: the input {name!r}", "one number in each row", received)
+        rounded |= received != expected
+        wrong = ~(np.abs(received - expected) <= _to_six_digits(asked)[numbers])
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise ProblemError(
+                f"tell: expected {name} = {float(expected[row])!r} at sample {numbers[row] + 1}, as asked; received "
+                f"{float(received[row])!r} ({np.count_nonzero(wrong)} of {len(wrong)} rows differ). Were points "
+                "changed or rows reordered? Ask again, or answer the points that were asked."
+            )
+    for row in np.flatnonzero(rounded):
+        fits = [np.abs(asked - named[name][row]) <= _to_six_digits(asked) for name, asked in told.items()]
+        others = [asked != asked[numbers[row]] for asked in told.values()]
+        if np.any(np.all(fits, axis=0) & np.any(others, axis=0)):
+            raise ProblemError(
+                f"tell: expected inputs with more digits; those of sample {numbers[row] + 1} are rounded so that they "
+                "fit another sample too."
+            )
+
+
+def _to_six_digits(asked: np.ndarray) -> Float[np.ndarray, " n"]:
+    """How far each input in a table may be from the one that was asked for."""
+    least = _ROUNDED * max(np.ptp(asked), np.abs(asked).max())
+    return np.maximum(np.minimum(_SIX_DIGITS * np.abs(asked), _OF_RANGE * np.ptp(asked)), least)
+
+
+def _required(what: str, columns: dict[str, np.ndarray], inputs: list[str]) -> dict[str, np.ndarray]:
+    if missing := [name for name in (NUMBER, *inputs) if name not in columns]:
+        raise ProblemError(
+            f"{what}: expected the points that were asked for beside the outputs, to compare them; {missing} are "
+            f"missing among {list(columns)}."
+        )
+    return columns
+
+
+def _rows_of(what: str, values: Any) -> np.ndarray:
+    array = real_array(what, values, "real numbers with a row for each sample")
+    if array.ndim == 0:
+        raise border.refusal(what, "an array with a row for each sample", values)
+    return array
+
+
+def _from_dataset(dataset: Any) -> dict[str, np.ndarray]:
+    """The variables and coordinates of an `xarray.Dataset`, whose library takes long to import."""
+    columns = {}
+    for name, values in dataset.variables.items():
+        if NUMBER not in values.dims:
+            if name in dataset.data_vars:
+                raise ProblemError(
+                    f"tell: expected {name!r} to have the dimension {NUMBER!r}; received {list(values.dims)}."
+                )
+            continue
+        columns[str(name)] = _rows_of(f"tell: {name!r}", values.transpose(NUMBER, ...).values)
+    return columns
+
+
+def _from_table(path: Any) -> dict[str, np.ndarray]:
+    names, rows = read_table("tell", path)
+    names = [name.strip() for name in names]
+    if len(set(names)) < len(names):
+        raise ProblemError(f"{path}: expected each column once; received {names}.")
+    columns: dict[str, list[np.ndarray]] = {}
+    for column, name in enumerate(names):
+        if name.lower() in _COMMENTS and not _is_all_numbers(rows, column):
+            continue
+        try:
+            values = np.array([entry(row, column) for row in rows])
+        except ValueError as error:
+            raise ProblemError(
+                f"{path}: expected numbers in the column {name!r}, empty where there is no response; {error}. "
+                f"Texts may stand in a column {_COMMENTS[0]!r}."
+            ) from error
+        if part := _ENTRY.fullmatch(name):
+            of_output = columns.setdefault(part[1], [])
+            if int(part[2]) != len(of_output):
+                raise ProblemError(f"{path}: expected {part[1]}[{len(of_output)}] next; received the column {name!r}.")
+            of_output.append(values)
+        else:
+            columns[name] = [values]
+    entries = {part[1] for part in map(_ENTRY.fullmatch, names) if part}
+    return {name: np.stack(parts, axis=1) if name in entries else parts[0] for name, parts in columns.items()}
+
+
+def _is_all_numbers(rows: list[list[str]], column: int) -> bool:
+    try:
+        return all(np.isfinite(entry(row, column)) for row in rows)
+    except ValueError:
+        return False
+
 
 if TYPE_CHECKING:
     import xarray
@@ -35,10 +203,10 @@ def ask(model: Pytree, expansion: Expansion | None = None) -> "Asked":
     points depend on outputs, as they do for adaptive index sets and for `al.MultiElement()`.
     """
     if not isinstance(expansion, Expansion | None):
-        raise given.refusal("ask: the expansion", "an Expansion, such as al.Expansion(order=4)", expansion)
+        raise border.refusal("ask: the expansion", "an Expansion, such as al.Expansion(order=4)", expansion)
     places = placements(model)
     if not places.distributions:
-        raise given.refusal("ask: the model", "distributions in it, such as al.Uniform.bounds(0.9, 1.1)", model)
+        raise border.refusal("ask: the model", "distributions in it, such as al.Uniform.bounds(0.9, 1.1)", model)
     if NUMBER in places.distributions:
         raise ProblemError(f"ask: {NUMBER!r} is the name of the samples' numbers; expected another name of the input.")
     expansion = expansion or Expansion()
@@ -87,7 +255,7 @@ class Asked:
                 table.writerow([NUMBER, *self.points])
                 table.writerows([number, *row] for number, row in enumerate(rows, 1))
         except TypeError as error:
-            raise given.refusal("write_csv", "the path of a file", path) from error
+            raise border.refusal("write_csv", "the path of a file", path) from error
         except OSError as error:
             raise ProblemError(f"write_csv: {path} cannot be written ({error.strerror}).") from error
 

@@ -1,5 +1,6 @@
 """`BlackBox`: any function or command line as the model of an uncertainty analysis."""
 
+import hashlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
@@ -7,19 +8,36 @@ from typing import Any, final
 
 from typing_extensions import override
 
-from aleator._core import given
+from aleator._core import border
 from aleator._core.arrays import Pytree
-from aleator._core.elsewhere import check_executor
-from aleator._core.errors import AleatorError, SimulationError, SimulationWarning
-from aleator._core.own_process import end_running
-from aleator._core.warned import warn_outside
+from aleator._core.errors import AleatorError, SimulationError, SimulationWarning, warn_outside
+from aleator._core.executors import check_executor, end_running
+from aleator._core.identity import code_digest
 from aleator.ensemble import AbstractBox, Realisation, name_of
-from aleator.foreign._campaign import Campaign
+from aleator.foreign._campaign import Campaign, Journal, drop_given, most_of, warn_of_dropped
 from aleator.foreign._command import Command
-from aleator.foreign._failures import drop_given, most_of, warn_of_dropped
-from aleator.foreign._identity import followed, identity
-from aleator.foreign._journal import Journal
-from aleator.foreign._runs import Runs
+from aleator.foreign._runs import Isolated, Runs
+
+
+def identity(function: Callable[..., Any], version: str) -> str:
+    """A digest of a function's source and its version, or of a command with the contents of the files that it names."""
+    if isinstance(function, Isolated):
+        return identity(function.function, version)
+    if not isinstance(function, Command):
+        return code_digest(function, version)
+    files = [hashlib.sha256(Path(one).read_bytes()).hexdigest() for one in function.arguments if Path(one).is_file()]
+    told = [list(function.arguments), function.input_file, function.output_file, files, version]
+    return hashlib.sha256(repr(told).encode()).hexdigest()
+
+
+def followed(function: Callable[..., Any]) -> Any:
+    """What the outputs follow from, for the journal of a run: a function, told by its source; None for a command.
+
+    A command may read what nobody sees.
+    """
+    if isinstance(function, Isolated):
+        return followed(function.function)
+    return None if isinstance(function, Command) else function
 
 
 @final
@@ -63,12 +81,12 @@ class BlackBox(AbstractBox):
         version: str | int = "",
     ):
         if not callable(function):
-            raise given.refusal("BlackBox", "a function or a Command", function)
+            raise border.refusal("BlackBox", "a function or a Command", function)
         check_executor("BlackBox", executor)
         self._function, self._executor = function, executor
-        self._retries = given.whole("BlackBox: retries", retries, least=0)
+        self._retries = border.whole("BlackBox: retries", retries, least=0)
         self._drop = drop_given("BlackBox: drop", drop)
-        self._version = str(given.one_of("BlackBox: version", version, (str, int)))
+        self._version = str(border.one_of("BlackBox: version", version, (str, int)))
         self._journal = Journal(journal, identity(function, self._version))
         self.__name__ = name_of(function).strip("'")
 

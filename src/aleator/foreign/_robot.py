@@ -13,11 +13,30 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import transparent
-from aleator.foreign._couplings import Coupling
+from aleator._core.leaves import Module, transparent
 from aleator.mechanics import Body, Closure, Multibody
 
 Key = TypeVar("Key", int, str)
+
+
+@final
+class Coupling(Module):
+    """A coordinate that is a polynomial of another one, of which it is measured from references.
+
+    `follower - rest = coefficients[0] + coefficients[1] (leader - leader_rest) + ...`, up to the fourth power; without
+    a leader the follower stays where it is. All in the units of the coordinates, rad or m.
+    """
+
+    follower: str = eqx.field(static=True)
+    leader: str | None = eqx.field(static=True)
+    coefficients: Any = (0.0, 1.0, 0.0, 0.0, 0.0)
+    rest: Any = 0.0
+    leader_rest: Any = 0.0
+
+    def residual(self, at: Mapping[str, Any]) -> Float[Array, ""]:
+        """What is left of the equation, for coordinates by name."""
+        away = 0.0 if self.leader is None else at[self.leader] - self.leader_rest
+        return at[self.follower] - self.rest - jnp.polyval(jnp.flip(jnp.asarray(self.coefficients)), jnp.asarray(away))
 
 
 @final

@@ -1,4 +1,4 @@
-"""Differential equations of SymPy as a system."""
+"""Differential equations and formulas of SymPy as systems."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, final
@@ -8,12 +8,11 @@ import jax.numpy as jnp
 from jaxtyping import Array
 from typing_extensions import override
 
+from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import refusal
 from aleator._core.leaves import AbstractLeaf, realised_shape, stored_numbers, transparent
-from aleator.dynamics import System
+from aleator.dynamics import AlgebraicSystem, System
 from aleator.dynamics._system import state_type
-from aleator.foreign._sympy_assumptions import refuse_contradiction, refuse_stepping
 from aleator.foreign._sympy_program import Program, load_sympy, written
 from aleator.foreign._sympy_symbols import (
     Found,
@@ -23,6 +22,8 @@ from aleator.foreign._sympy_symbols import (
     name_of,
     named,
     numbers_for,
+    refuse_contradiction,
+    refuse_stepping,
     refuse_unknown,
     symbols_given,
     time_symbol,
@@ -30,6 +31,8 @@ from aleator.foreign._sympy_symbols import (
 )
 
 _WHO = "from_sympy"
+# Under these names, which no symbol has, programs read the time and the states' rates.
+_TIME = "\0t"
 
 
 class _Equations(NamedTuple):
@@ -107,10 +110,6 @@ class SymPySystem(System):
     def _outputs(self, values: Mapping[str, Any], rates: Sequence[Array]) -> dict[str, Array]:
         slopes = {_rate_of(name): rate for name, rate in zip(self.states, rates, strict=True)}
         return dict(zip(self.equations.names, self.equations.outputs({**values, **slopes}), strict=True))
-
-
-# Under these names, which no symbol has, programs read the time and the states' rates.
-_TIME = "\0t"
 
 
 def _rate_of(name: str) -> str:
@@ -249,3 +248,60 @@ def _slopes(told: Found, rates: Mapping[Any, Any], explicit: bool) -> dict[Any, 
                 "input of its own."
             )
     return known
+
+
+class _Formulas(NamedTuple):
+    """Formulas without their numbers: the structure, which determines what is compiled."""
+
+    names: tuple[str, ...]
+    outputs: Program
+    units: tuple[tuple[str, str], ...]
+
+
+@final
+@transparent("numbers")
+class SymPyFormulas(AlgebraicSystem):
+    """A system without time from formulas of SymPy; made by `al.foreign.from_sympy_formulas`."""
+
+    numbers: dict[str, Any]
+    formulas: _Formulas = eqx.field(static=True)
+
+    @property
+    def units(self) -> Mapping[str, str]:  # type: ignore[override]
+        """The units of outputs, as far as they are given."""
+        return dict(self.formulas.units)
+
+    @override
+    def outputs(self) -> dict[str, Array]:
+        return dict(zip(self.formulas.names, self.formulas.outputs(self.numbers), strict=True))
+
+
+def from_sympy_formulas(
+    outputs: Mapping[str, Any], numbers: Mapping[Any, Any], *, units: Mapping[str, str] | None = None
+) -> SymPyFormulas:
+    """A system without time, an `al.AlgebraicSystem`, from SymPy expressions.
+
+        F, L, E, I = sympy.symbols("F L E I")
+        beam = al.foreign.from_sympy_formulas({"sag": F * L**3 / (3 * E * I)}, {F: al.Normal(1e3, 50.0), L: 1.0, ...})
+
+    - `outputs`: expressions by name;
+    - `numbers`: a number, distribution or decision for each symbol in them; each has the symbol's name;
+    - `units`: the units of outputs by name, for reports.
+
+    Raises `ProblemError` for symbols without a number, for numbers that are not used, for equations (`Eq`), and for
+    functions that JAX lacks; `MissingExtraError` without SymPy.
+    """
+    who = "from_sympy_formulas"
+    formulas = expressions_by_name(f"{who}: outputs", outputs)
+    given = symbols_given(f"{who}: numbers", numbers)
+    found = found_in(who, formulas.values())
+    if found.functions or found.derivatives:
+        raise ProblemError(
+            f"{who}: expected formulas without time; received {(*found.derivatives, *found.functions)[0]}. Use "
+            "al.foreign.from_sympy for a system that moves."
+        )
+    meanings = named(who, found.symbols)
+    return SymPyFormulas(
+        numbers_for(who, found.symbols, given),
+        _Formulas(tuple(formulas), written(who, list(formulas.values()), meanings), units_for(who, units, formulas)),
+    )

@@ -1,4 +1,4 @@
-"""URDF: the Unified Robot Description Format of ROS (wiki.ros.org/urdf/XML), read by Python's own XML parser.
+"""URDF: the Unified Robot Description Format of ROS (wiki.ros.org/urdf/XML), read by the XML parser of Python.
 
 Of a URDF, dynamics need a handful of elements, which are all read here: a library would bring meshes and viewers along,
 and would not say which element is wrong. Nothing is computed from geometry, which this format does not do either.
@@ -11,12 +11,10 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from aleator._core.border import meant, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import meant, refusal
 from aleator.foreign._robot import Robot, carriers, known, robot_of
-from aleator.foreign._robot_effects import checked_effects, refuse_effects
-from aleator.foreign._urdf_tree import ordered
-from aleator.foreign._xml import Place, broken, geometry, root_of
+from aleator.foreign._robot_files import Place, broken, checked_effects, geometry, refuse_effects, root_of
 from aleator.mechanics import AbstractJoint, Body, Fixed, Free, Prismatic, Revolute
 
 _AXIAL = {"revolute": Revolute, "continuous": Revolute, "prismatic": Prismatic}
@@ -29,8 +27,6 @@ _READ: Mapping[str, frozenset[str]] = {
         {"origin", "parent", "child", "axis", "dynamics", "limit", "mimic", "calibration", "safety_controller"}
     ),
 }
-
-
 # The attributes of elements that say where things are and what they weigh: another one is a slip of the pen.
 _ATTRIBUTES: Mapping[str, frozenset[str]] = {
     "origin": frozenset({"xyz", "rpy"}),
@@ -236,3 +232,51 @@ def _refuse_macros(path: str | Path, root: Element) -> None:
                 "",
                 "expected a URDF; received one with macros of xacro. Expand them first: xacro FILE > robot.urdf.",
             )
+
+
+def ordered(path: str | Path, links: Mapping[str, Place], joints: Mapping[str, Place]) -> tuple[str, dict[str, Place]]:
+    """The first link, and the joints, those of parents before those of children.
+
+    Raises `ProblemError` for links that do not exist, and for joints that make no tree with one root.
+    """
+    ends = {name: _ends(joint, links) for name, joint in joints.items()}
+    carriers: dict[str, str] = {}
+    for name, (_, child) in ends.items():
+        if child in carriers:
+            raise broken(
+                path,
+                f"link '{child}'",
+                f"expected one joint that carries it; received '{carriers[child]}' and '{name}'. A tree has no loops: "
+                "remove one joint, and close the loop by al.joints.Closure in a model of your own.",
+            )
+        carriers[child] = name
+    roots = [name for name in links if name not in carriers]
+    if len(roots) > 1:
+        raise broken(
+            path,
+            "",
+            f"expected one link that no joint carries, the root; received {roots}. Connect all but one of them by "
+            "joints of the type fixed.",
+        )
+    found: dict[str, Place] = {}
+    reached = set(roots)
+    while following := [name for name, (parent, _) in ends.items() if parent in reached and name not in found]:
+        found |= {name: joints[name] for name in following}
+        reached |= {ends[name][1] for name in following}
+    if len(found) < len(joints):
+        circle = [name for name in links if name not in reached]
+        raise broken(path, "", f"expected a tree of links; received a cycle: {circle} carry one another.")
+    return roots[0], found
+
+
+def _ends(joint: Place, links: Mapping[str, Place]) -> tuple[str, str]:
+    """The links before and behind a joint."""
+    parent, child = (joint.needed(end).text("link") for end in ("parent", "child"))
+    for end, name in (("parent", parent), ("child", child)):
+        if name not in links:
+            raise broken(
+                joint.path,
+                joint.where,
+                f"expected a link of the file as its {end}; received '{name}', which is none of {sorted(links)}."[:300],
+            )
+    return parent, child

@@ -7,8 +7,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import refusal
 from aleator._core.identity import is_library
 from aleator.design import Problem
 from aleator.nlp import Evaluation, NonlinearProgram

@@ -6,13 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, final
 
+from aleator._core.border import positive, refusal, shown
 from aleator._core.errors import ProblemError
-from aleator._core.given import positive, refusal, shown
-from aleator.foreign._fmu._doors import Here
-from aleator.foreign._fmu._files import folder_of, path_of, read_description, unpack_all
-from aleator.foreign._fmu._opened import Described
-from aleator.foreign._fmu._own_process import OwnProcess
-from aleator.foreign._fmu._variables import Variables
+from aleator.foreign._fmu._description import Described, Variables, folder_of, path_of, read_description, unpack_all
+from aleator.foreign._fmu._doors import Here, OwnProcess
 
 
 @final

@@ -1,24 +1,65 @@
 """Runs of an FMU over a grid as a function of its parameters: outputs at all instants, and their derivatives."""
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
 from jaxtyping import Float
 
 from aleator._core.errors import SimulationError, SimulationWarning
-from aleator.foreign._fmu import _differences as differences
-from aleator.foreign._fmu._cosimulation import stepped
-from aleator.foreign._fmu._equations import Equations
-from aleator.foreign._fmu._exchange import EventError, integrated, motion_of
-from aleator.foreign._fmu._inputs import Inputs
-from aleator.foreign._fmu._opened import Opened
-from aleator.foreign._fmu._sensitivities import sensitivities
-from aleator.foreign._fmu._variables import Variable, nominals_of, with_numbers
+from aleator.foreign._fmu._derivatives import STEP, Slope, difference_jacobian, scales
+from aleator.foreign._fmu._description import Variable, nominals_of, with_numbers
+from aleator.foreign._fmu._equations import Equations, Place
+from aleator.foreign._fmu._library import Opened
+from aleator.foreign._fmu._motion import EventError, Inputs, Motion, integrated, motion_of, stepped
 
+# At as many instants of a motion, derivatives that the FMU offers are compared with differences.
+_JUDGED = 5
 # Differences over one step and over two may disagree by this part of the largest derivative.
 _NOISY = 1e-2
+
+
+def sensitivities(
+    equations: Equations, inputs: Inputs, p: Float[np.ndarray, " k"], tolerance: float
+) -> Float[np.ndarray, "instants outputs k"]:
+    """The derivatives of the outputs by the parameters at all instants.
+
+    Raises `EventError` if there is an event, and `SimulationError` if the FMU or the integrator fails.
+    """
+    n, k = equations.n, len(p)
+
+    def initial(p: np.ndarray) -> np.ndarray:
+        return equations.instance(p).initial
+
+    def place(t: float, y: np.ndarray) -> Place:
+        return Place(t, y[:n], inputs.at(t), p)
+
+    def slopes(t: float, y: np.ndarray) -> np.ndarray:
+        """The derivatives of rates and outputs by each parameter, shape (k, n + outputs)."""
+        now, by, held = place(t, y), np.eye(k), np.zeros(len(inputs.references))
+        return np.stack([equations.slope(now, s, held, e) for s, e in zip(y[n:].reshape(k, n), by, strict=True)])
+
+    def motion(rates: Callable, observe: Callable, atol: np.ndarray) -> Motion:
+        return Motion(n, rates, observe, lambda t: inputs.apply(instance, t), inputs.kink_after, tolerance, atol, False)
+
+    def of_states(t: float, y: np.ndarray) -> np.ndarray:
+        return equations.values(place(t, y))[:n]
+
+    instance, x = equations.instance(p), initial(p)
+    sizes, steps = equations.nominals(p), equations.scales(p, equations.parameters)
+    if equations.trusted is None:
+        path = integrated(instance, motion(of_states, lambda _, y: y, tolerance * sizes), x, inputs.times)
+        chosen = np.unique(np.linspace(0, len(path) - 1, _JUDGED).astype(int))
+        equations.judge([place(float(inputs.times[one]), path[one]) for one in chosen])
+    start = difference_jacobian(initial, p, STEP * steps).value
+    atol = tolerance * np.concatenate([sizes, (sizes / steps[:, None]).ravel()])
+    full = motion(
+        lambda t, y: np.concatenate([of_states(t, y), slopes(t, y)[:, :n].ravel()]),
+        lambda t, y: slopes(t, y)[:, n:].T,
+        atol,
+    )
+    return integrated(instance, full, np.concatenate([x, start.T.ravel()]), inputs.times)
 
 
 class Runs:
@@ -64,16 +105,16 @@ class Runs:
                 pass
             finally:
                 self._equations.forget()
-        found = differences.jacobian(self.outputs, p, self._steps(p))
+        found = difference_jacobian(self.outputs, p, self._steps(p))
         self._warn_of_noise(found)
         return found.value
 
     def hessian(self, p: Float[np.ndarray, " k"]) -> Float[np.ndarray, "instants outputs k k"]:
         """The second derivatives, by differences of the first."""
-        return differences.jacobian(self.jacobian, p, self._steps(p)).value
+        return difference_jacobian(self.jacobian, p, self._steps(p)).value
 
     def _steps(self, p: np.ndarray) -> np.ndarray:
-        return differences.STEP * differences.scales(p, nominals_of(self._parameters))
+        return STEP * scales(p, nominals_of(self._parameters))
 
     @contextmanager
     def _explained(self, p: np.ndarray) -> Iterator[None]:
@@ -94,7 +135,7 @@ class Runs:
             f"t = {self._inputs.times[instant]:.6g} s"
         )
 
-    def _warn_of_noise(self, found: differences.Slope) -> None:
+    def _warn_of_noise(self, found: Slope) -> None:
         largest = np.max(np.abs(found.value), axis=0)
         doubt = np.max(found.disagreement, axis=0) / np.where(largest > 0, largest, 1.0)
         output, parameter = np.unravel_index(np.argmax(doubt), doubt.shape)

@@ -12,14 +12,14 @@ from jax.core import Tracer
 from jaxtyping import Array
 from typing_extensions import override
 
+from aleator._core.border import real, shown
 from aleator._core.errors import ProblemError
-from aleator._core.given import real, shown
 from aleator._core.leaves import AbstractLeaf, transparent
 from aleator.dynamics import System
-from aleator.foreign._fmu._callbacks import Evaluations, Host, called_back
+from aleator.foreign._fmu._derivatives import Evaluations, Host, called_back
+from aleator.foreign._fmu._description import units_of, with_numbers
 from aleator.foreign._fmu._doors import Served
 from aleator.foreign._fmu._fmu import Fmu, fmu_given
-from aleator.foreign._fmu._variables import units_of, with_numbers
 
 
 @final

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, final
 
 import aleator as al
-from aleator._core.progress import Progress
+from aleator._core.border import Progress
 from aleator.journalling import kept
 from aleator.studies._motion.build import CALIBRATED, TARGET
 from aleator.studies._motion.family import Family, fly

@@ -5,7 +5,7 @@ import re
 from typing import Any
 
 from aleator._core.errors import ProblemError
-from aleator._core.units import measure
+from aleator.statistics import measure
 from aleator.uncertainty import Toleranced, toleranced
 
 _NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 import aleator as al
-from aleator._core.progress import Progress, silent
+from aleator._core.border import Progress, silent
 from aleator.studies.clutch import DEVIATION, LIMITS, MEANS, TOLERANCES, pressure_angle
 
 GIVEN, CHEAPEST, SAFE = "given", "cheapest", "worst case within limits"

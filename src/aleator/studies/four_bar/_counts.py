@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 import aleator as al
-from aleator._core.progress import Progress, silent
+from aleator._core.border import Progress, silent
 from aleator.studies.four_bar import ANGLES, HEIGHT, LENGTHS, SIGMAS, TRANSMISSION, WIDTHS, ZONE
 
 ALONG_STROKE = 81

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, final
 from typing_extensions import override
 
 import aleator as al
-from aleator._core.progress import Progress
+from aleator._core.border import Progress
 from aleator.reporting import Card, Schematic, Section, Table, given
 from aleator.studies._motion.build import CALIBRATED
 from aleator.studies._motion.family import Family

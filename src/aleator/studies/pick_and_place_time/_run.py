@@ -3,7 +3,7 @@
 import numpy as np
 
 import aleator as al
-from aleator._core.progress import Progress
+from aleator._core.border import Progress
 from aleator.studies._motion.build import TRIED
 from aleator.studies._motion.facts import named
 from aleator.studies._motion.results import Effort, MotionResults

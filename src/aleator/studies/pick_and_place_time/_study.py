@@ -6,7 +6,7 @@ from typing import ClassVar, final
 from typing_extensions import override
 
 import aleator as al
-from aleator._core.progress import Progress
+from aleator._core.border import Progress
 from aleator.reporting import Block, Card, Schematic, Section, Table, Verdict, given
 from aleator.studies._motion.build import CALIBRATED
 from aleator.studies._motion.study import AbstractMotionStudy

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.compilation import Compiled, Use
-from aleator._core.devices import over_devices
+from aleator._core.parallel import over_devices
 from aleator.design import AbstractFunctional, Expression, Problem, functionals_of, grid_at
 from aleator.dynamics import Grid
 from aleator.expansion import Collocation

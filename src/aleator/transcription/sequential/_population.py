@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.compilation import Compiled
-from aleator._core.elsewhere import AbstractPack, each_of, packed
 from aleator._core.errors import ProblemError
+from aleator._core.executors import AbstractPack, each_of, packed
 from aleator.design import Problem, functionals_of, refuse_other_code
 from aleator.ensemble import Part, each, fill, parts
 from aleator.expansion import Collocation

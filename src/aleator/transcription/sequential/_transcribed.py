@@ -17,8 +17,8 @@ from scipy import sparse
 from typing_extensions import override
 
 from aleator._core.arrays import numbers_to_arrays
+from aleator._core.border import refusal
 from aleator._core.compilation import Compiled
-from aleator._core.given import refusal
 from aleator.design import Problem, functionals_of
 from aleator.expansion import Collocation
 from aleator.nlp import Hessian, NonlinearProgram, with_entries

@@ -8,9 +8,9 @@ from jaxtyping import Float
 from typing_extensions import override
 
 from aleator._core.arrays import numbers_to_arrays
+from aleator._core.border import one_of, positive, refusal, whole
 from aleator._core.compilation import Compiled
 from aleator._core.errors import ProblemError
-from aleator._core.given import one_of, positive, refusal, whole
 from aleator.design import Problem
 from aleator.dynamics import MOST_STAGES, AbstractScheme, Grid, HermiteSimpson
 from aleator.nlp import AbstractSolver, Ipopt

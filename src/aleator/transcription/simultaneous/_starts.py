@@ -15,9 +15,9 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import numbers_to_arrays
+from aleator._core.border import meant, real_array, refusal, shown
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import AleatorError, ProblemError, SimulationError
-from aleator._core.given import meant, real_array, refusal, shown
 from aleator.design import Problem, deterministic, grid_at, unsolved
 from aleator.dynamics import STATES, Asked, Grid, ObservedStates, Simulation, System, initial_state
 from aleator.solution import Solution, States

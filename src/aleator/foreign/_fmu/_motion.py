@@ -1,5 +1,6 @@
-"""Model exchange: the states of an FMU are integrated here, from event to event."""
+"""The motion of an FMU over a grid: model exchange integrated from event to event, co-simulation by its own steps."""
 
+import itertools
 import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -9,11 +10,64 @@ import scipy.integrate
 from jaxtyping import Float
 
 from aleator._core.errors import SimulationError
-from aleator.foreign._fmu._inputs import Inputs
-from aleator.foreign._fmu._instance import Instance
+from aleator.foreign._fmu._description import Variable
+from aleator.foreign._fmu._library import Instance
 
 # How finely the time of an event is determined, as a part of the step in which it happens.
 _FINE = 1e-13
+
+
+class Sampled(NamedTuple):
+    """Names and values, shape (instants, inputs), of inputs at instants."""
+
+    names: list[str]
+    times: Float[np.ndarray, " instants"]
+    values: Float[np.ndarray, "instants inputs"]
+
+
+class Inputs(NamedTuple):
+    """Values of inputs at instants, shape (instants, inputs)."""
+
+    variables: list[Variable]
+    times: Float[np.ndarray, " instants"]
+    values: Float[np.ndarray, "instants inputs"]
+
+    @property
+    def references(self) -> list[int]:
+        """By which the FMU knows them."""
+        return [one.valueReference for one in self.variables]
+
+    def at(self, t: float) -> Float[np.ndarray, " inputs"]:
+        """The values at a time."""
+        return np.array([np.interp(t, self.times, column) for column in self.values.T], dtype=float)
+
+    @property
+    def first(self) -> dict[Variable, float]:
+        """The values at the start, by variable."""
+        return dict(zip(self.variables, self.values[0].tolist(), strict=True))
+
+    def apply(self, instance: Instance, t: float) -> None:
+        """Set the values at a time."""
+        if self.references:
+            instance.set(self.references, self.at(t))
+
+    def kink_after(self, t: float) -> float:
+        """The next instant at which their slopes change; inf without inputs."""
+        later = self.times[self.times > t]
+        return float(later[0]) if self.references and len(later) else np.inf
+
+
+def stepped(
+    instance: Instance, outputs: list[int], inputs: Inputs, times: Float[np.ndarray, " instants"]
+) -> Float[np.ndarray, "instants outputs"]:
+    """The outputs at all instants. During a step, each input has its value in the middle of it."""
+    inputs.apply(instance, float(times[0]))
+    found = [instance.get(outputs)]
+    for now, then in itertools.pairwise(times):
+        inputs.apply(instance, float(now + then) / 2)
+        instance.step(float(now), float(then - now))
+        found.append(instance.get(outputs))
+    return np.stack(found)
 
 
 class EventError(Exception):
