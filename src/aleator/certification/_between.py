@@ -190,13 +190,13 @@ def _knots(problem: Problem, decisions: Float[np.ndarray, " n"]) -> Float[np.nda
     model = realise(at_means(problem.simulation), jnp.zeros(0), jnp.asarray(decisions))
     parts = model.system, model.inputs
     ends = (one.breaks() for one in (*splines_in(parts), *piecewise_in(parts)))
-    found = np.concatenate([np.zeros(0), *ends])
-    return np.unique(found[(found > 0) & (found < 1)])
+    fractions = np.concatenate([np.zeros(0), *ends])
+    return np.unique(fractions[(fractions > 0) & (fractions < 1)])
 
 
 def jumps(values: Float[np.ndarray, "finer entries"], at: Float[np.ndarray, " knots"]) -> list[Jump]:
     """The jumps of a path at knots, from linear extrapolation on both sides."""
-    found = []
+    jumps_there = []
     last, size = len(values) - 1, float(np.abs(values).max(initial=0.0))
     for place in at * last:
         left, right = int(np.ceil(place - _AT)) - 1, int(np.floor(place + _AT)) + 1
@@ -206,8 +206,8 @@ def jumps(values: Float[np.ndarray, "finer entries"], at: Float[np.ndarray, " kn
         before, after = values[left] + rising * (place - left), values[right] - going * (right - place)
         change = max(float(np.abs(rising).max()), float(np.abs(going).max()))
         if float(np.abs(after - before).max()) > _STEEP * change + _LEAST * size:
-            found.append(Jump(float(place), before, after))
-    return found
+            jumps_there.append(Jump(float(place), before, after))
+    return jumps_there
 
 
 def _one_sided(

@@ -105,12 +105,12 @@ def _at_least_1d(finer: Reference, which: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _limits(problem: Problem, functional: Any) -> list[float]:
     """The bounds other than zero that a functional is held to, in its own unit."""
-    found = []
+    limits = []
     for one in problem.constraints:
         sizes = [abs(float(bound)) for bound in (one.lower, one.upper)]
         for bounded, factor in bounded_by(one):
-            found += [size / factor for size in sizes if bounded == functional and 0 < size < np.inf]
-    return found
+            limits += [size / factor for size in sizes if bounded == functional and 0 < size < np.inf]
+    return limits
 
 
 class _Difference(NamedTuple):
@@ -162,14 +162,14 @@ def unresolved(transcribed: AbstractTranscribed, meaning: Meaning, finer: Refere
             continue
         own, value = np.ravel(meaning.constraints[i]), np.asarray(finer.values[1 + i])
         magnitude = max(size, float(np.abs(own).max()), float(np.abs(value).max()))
-        for found in _differences(one, own, value, i, finer, meaning):
-            is_near = found.away > _NEAR_BOUND * size and found.away > abs(found.slack)
-            if (is_near or found.away > _ANYWHERE * magnitude) and found.away > worst * size:
-                worst = found.away / size
-                when = "" if np.isnan(found.time) else f" at t = {found.time:.4g} s"
+        for difference in _differences(one, own, value, i, finer, meaning):
+            is_near = difference.away > _NEAR_BOUND * size and difference.away > abs(difference.slack)
+            if (is_near or difference.away > _ANYWHERE * magnitude) and difference.away > worst * size:
+                worst = difference.away / size
+                when = "" if np.isnan(difference.time) else f" at t = {difference.time:.4g} s"
                 sentence = (
-                    f"'{one.name}' ({one}) differs by {found.away:.2g}{when} on a finer grid, so that these steps do "
-                    "not tell whether it holds"
+                    f"'{one.name}' ({one}) differs by {difference.away:.2g}{when} on a finer grid, so that these steps "
+                    "do not tell whether it holds"
                 )
     return sentence
 

@@ -68,8 +68,8 @@ def alone(
 
 def _elsewhere(problem: Problem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> tuple:
     functionals = functionals_of(problem.expressions)
-    found = responses(problem, functionals, germ[None], decisions)
-    return alone(problem, dict(zip(functionals, (one[0] for one in found), strict=True)), decisions)
+    values = responses(problem, functionals, germ[None], decisions)
+    return alone(problem, dict(zip(functionals, (one[0] for one in values), strict=True)), decisions)
 
 
 ELSEWHERE = Compiled(_elsewhere, use=Use.ONCE)
@@ -92,8 +92,8 @@ def alone_elsewhere(
     steps = whole * _prime_from(-(-max(_STEPS, int(_BEYOND * factor * problem.grid.steps)) // whole))
     there = numbers_to_arrays(problem.on_grid(problem.grid.divided(steps)))
     point = jax_array(np.asarray(collocation.points)[middle(collocation)])
-    found = ELSEWHERE.begin(there, point, jax_array(decisions))
-    return lambda: Alone(*jax.tree.map(np.asarray, found()))
+    simulated = ELSEWHERE.begin(there, point, jax_array(decisions))
+    return lambda: Alone(*jax.tree.map(np.asarray, simulated()))
 
 
 def _prime_from(number: int) -> int:
@@ -213,12 +213,12 @@ def rounding_of(transcribed: AbstractTranscribed, sizes: Float[np.ndarray, " row
 
     A functional with a bound of zero is a difference of numbers of that magnitude.
     """
-    found: dict[Any, float] = {}
+    rounding: dict[Any, float] = {}
     for one, rows in zip(transcribed.problem.constraints, transcribed.rows, strict=True):
         size = float(np.max(sizes[rows], initial=0.0))
         for functional, factor in bounded_by(one):
-            found[functional] = max(found.get(functional, 0.0), ROUNDING * size / factor)
-    return found
+            rounding[functional] = max(rounding.get(functional, 0.0), ROUNDING * size / factor)
+    return rounding
 
 
 def row_sizes(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " rows"]:

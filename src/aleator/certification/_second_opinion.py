@@ -234,13 +234,13 @@ def _fresh(
 ) -> dict[str, _Fresh]:
     samples, resolved = transcribed.at(point).samples, transcribed.resolve(point)
     predict = transcribed.basis.matrix(systems.points) @ np.asarray(transcribed.collocation.pseudo_inverse)
-    found = {}
+    fresh = {}
     for text, seen, known in zip(transcribed.texts.functionals, values, samples, strict=True):
         predicted = (predict @ np.asarray(known).reshape(len(known), -1)).reshape(seen.shape)
         moments = resolved[text]
         weights = systems.weights.reshape(-1, *[1] * (seen.ndim - 1))
-        found[text] = _Fresh(seen, predicted, weights, np.asarray(moments.mean), np.asarray(moments.std) ** 2)
-    return found
+        fresh[text] = _Fresh(seen, predicted, weights, np.asarray(moments.mean), np.asarray(moments.std) ** 2)
+    return fresh
 
 
 def _corrected(

@@ -242,16 +242,16 @@ def doubts(quality: ExpansionQuality, opinion: SecondOpinion | None) -> list[str
 
 
 def moved_correlations(problem: Problem, decisions: Float[np.ndarray, " n"]) -> str:
-    """Which correlations differ from those given, in a sentence; empty if none does."""
+    """Which correlations differ from those declared, in a sentence; empty if none does."""
     places = problem.placements
     if not any(one.dependence is not None and one.shape_is_decided for one in places.distributions.values()):
         return ""
-    given, now = (correlations_at(places, one) for one in (places.vector("initial"), decisions))
-    moved = [pair for pair in given if not abs(now[pair] - given[pair]) <= _TOLERATED]
+    declared, now = (correlations_at(places, one) for one in (places.vector("initial"), decisions))
+    moved = [pair for pair in declared if not abs(now[pair] - declared[pair]) <= _TOLERATED]
     if not moved:
         return ""
     texts = ", ".join(
-        f"{now[pair]:.3g} between {' and '.join(pair)} in the place of {given[pair]:.3g}" for pair in moved
+        f"{now[pair]:.3g} between {' and '.join(pair)} in the place of {declared[pair]:.3g}" for pair in moved
     )
     return (
         f"at this design correlations are {texts}: a decision sets a shape, and a copula keeps to the shapes in which "

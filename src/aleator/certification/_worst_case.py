@@ -197,15 +197,15 @@ def _reached(
 
     def one(values: tuple[Array, ...]) -> tuple[Array, Array, Array]:
         scope = OneSystem(dict(zip(functionals, values, strict=True)), numbers, step)
-        found = []
+        reached = []
         for limit in limits:
             value = jnp.asarray(limit.expression.evaluate(scope))
             beyond = jnp.ravel(jnp.maximum(value - limit.upper, limit.lower - value))
             # The first NaN counts as the largest.
             worst = jnp.argmax(beyond)
             time = times[worst * len(times) // beyond.size] if limit.is_path else jnp.nan
-            found.append((beyond[worst], jnp.ravel(value)[worst], time))
-        return tuple(jnp.stack(part) for part in zip(*found, strict=True))  # type: ignore[return-value]
+            reached.append((beyond[worst], jnp.ravel(value)[worst], time))
+        return tuple(jnp.stack(part) for part in zip(*reached, strict=True))  # type: ignore[return-value]
 
     return jax.vmap(one)(responses(problem, functionals, germ, decisions))
 
@@ -318,15 +318,15 @@ def _expansions(transcribed: AbstractTranscribed, point: np.ndarray) -> list[Flo
     """The coefficients of how far each limit on the worst case is exceeded, at some of its instants."""
     functionals = functionals_of(transcribed.problem.expressions)
     samples = transcribed.at(point).samples
-    found = []
+    expansions = []
     for limit in worst_case_limits(transcribed.problem):
         (functional,) = functionals_of((limit.expression,))
         values = samples[functionals.index(functional)]
         if limit.is_path:
             values = values[:, :: max(1, values.shape[1] // _RANKED_INSTANTS)]
         side = 1.0 if np.isfinite(float(limit.upper)) else -1.0
-        found.append(side * np.asarray(transcribed.collocation.coefficients(jnp.asarray(values))))
-    return found
+        expansions.append(side * np.asarray(transcribed.collocation.coefficients(jnp.asarray(values))))
+    return expansions
 
 
 def _searched(
@@ -337,15 +337,15 @@ def _searched(
     decisions = transcribed.decisions(outcome.point)
     points = _candidates(transcribed, oracle, outcome.point, seed)
     beyond = oracle(oracle.germ(points), decisions).beyond
-    found = search(lambda places: oracle(oracle.germ(places), decisions).beyond, points, beyond, seed)
+    worst_points = search(lambda places: oracle(oracle.germ(places), decisions).beyond, points, beyond, seed)
     # Present scenarios may exceed a limit between instants too: margins have to enforce it there.
     at_hand = beyond[: len(transcribed.scenarios.held)].max(axis=0)
     allowed = np.maximum(at_hand, 0.0) + HELD / 2 * _sizes(transcribed, outcome)
     new = [
         some[(excess > allowance) & (excess >= _WORTH * excess[0])][:_NEW]
-        for some, excess, allowance in zip(*found, allowed, strict=True)
+        for some, excess, allowance in zip(*worst_points, allowed, strict=True)
     ]
-    worst = np.stack([some[0] for some in found.points])
+    worst = np.stack([some[0] for some in worst_points.points])
     return oracle.germ(np.unique(np.concatenate(new), axis=0)), oracle.germ(worst)
 
 

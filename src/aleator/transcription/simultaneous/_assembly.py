@@ -72,9 +72,9 @@ class Pattern:
     def full(self, entries: Float[np.ndarray, " entries"]) -> Float[np.ndarray, "outer inner rows columns"]:
         """The Jacobians of all blocks, from their entries."""
         shape = *self.rows.shape, self.columns.shape[2]
-        found = np.zeros((*shape[:2], shape[2] * shape[3]))
-        found[..., self.slopes] = entries.reshape(self.slopes_shape)
-        return found.reshape(shape)
+        every = np.zeros((*shape[:2], shape[2] * shape[3]))
+        every[..., self.slopes] = entries.reshape(self.slopes_shape)
+        return every.reshape(shape)
 
 
 @final
@@ -149,9 +149,9 @@ def _matrix(entries: list[tuple[Any, Any, Any]], shape: tuple[int, int]) -> Spar
 def _pattern(keys: Int[np.ndarray, " entries"], shape: tuple[int, int]) -> SparseMatrix:
     rows, columns = np.divmod(keys, shape[1])
     starts = np.searchsorted(rows, np.arange(shape[0] + 1))
-    found = scipy.sparse.csr_array((np.ones(keys.size, dtype=bool), columns, starts), shape=shape)
-    found.has_canonical_format = True
-    return found
+    pattern = scipy.sparse.csr_array((np.ones(keys.size, dtype=bool), columns, starts), shape=shape)
+    pattern.has_canonical_format = True
+    return pattern
 
 
 class Fixed(NamedTuple):

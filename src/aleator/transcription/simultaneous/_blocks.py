@@ -79,8 +79,8 @@ class Family(NamedTuple):
     outer: Pytree = ()
     inner: Pytree = ()
 
-    def mapped(self, operate: Callable[..., Any], *given: Array) -> Any:
-        """`operate(block, shared, own, *given)` on every block: `given` has both axes of the family."""
+    def mapped(self, operate: Callable[..., Any], *arrays: Array) -> Any:
+        """`operate(block, shared, own, *arrays)` on every block: the arrays have both axes of the family."""
 
         def one(outer: Pytree, inner: Pytree, own: Array, *each: Array) -> Any:
             return operate(lambda s, o: self.function(outer, inner, s, o), self.shared, own, *each)
@@ -88,7 +88,7 @@ class Family(NamedTuple):
         def row(outer: Pytree, own: Any, *each: Array) -> Any:
             return jax.vmap(lambda inner, o, *rest: one(outer, inner, o, *rest))(self.inner, own, *each)
 
-        return jax.vmap(row)(self.outer, self.own, *given)
+        return jax.vmap(row)(self.outer, self.own, *arrays)
 
     @property
     def dependence(self) -> Dependence:
@@ -162,17 +162,17 @@ def dependence(function: Callable[..., Array], data: Sequence[Any], variables: S
     certain = len(jaxpr.invars) - len(variables)
     alone = np.split(np.eye(count, dtype=bool), np.cumsum(sizes)[:-1])
     following = _Following(count)
-    (found,) = following.results(jaxpr, [*[None] * certain, *alone])
-    return Dependence(np.zeros((rows, count), dtype=bool) if found is None else found, following.bent)
+    (first,) = following.results(jaxpr, [*[None] * certain, *alone])
+    return Dependence(np.zeros((rows, count), dtype=bool) if first is None else first, following.bent)
 
 
 def _largest(jaxpr: Any) -> int:
     """The size of the largest array in some equations."""
-    found = 0
+    size = 0
     for equation in jaxpr.eqns:
         inner = equation.params.get(_NESTED.get(equation.primitive.name, ""))
-        found = max(found, *(one.aval.size for one in equation.outvars), _largest(inner.jaxpr) if inner else 0)
-    return found
+        size = max(size, *(one.aval.size for one in equation.outvars), _largest(inner.jaxpr) if inner else 0)
+    return size
 
 
 @final
@@ -184,16 +184,16 @@ class _Following:
 
     def results(self, jaxpr: Any, arguments: Sequence[_Known]) -> list[_Known]:
         """The dependences of the results of some equations."""
-        found: dict[Any, _Known] = dict(zip(jaxpr.invars, arguments, strict=True))
+        tables: dict[Any, _Known] = dict(zip(jaxpr.invars, arguments, strict=True))
 
         def read(variable: Any) -> _Known:
-            return None if isinstance(variable, Literal) else found.get(variable)
+            return None if isinstance(variable, Literal) else tables.get(variable)
 
         for equation in jaxpr.eqns:
             operands = [read(one) for one in equation.invars]
             if any(one is not None for one in operands) and any(map(_is_smooth, equation.outvars)):
-                given = zip(equation.outvars, self._followed(equation, operands), strict=True)
-                found.update((variable, table if _is_smooth(variable) else None) for variable, table in given)
+                pairs = zip(equation.outvars, self._followed(equation, operands), strict=True)
+                tables.update((variable, table if _is_smooth(variable) else None) for variable, table in pairs)
         return [read(one) for one in jaxpr.outvars]
 
     def _followed(self, equation: Any, operands: list[_Known]) -> Sequence[_Known]:
@@ -228,7 +228,7 @@ class _Following:
         summed, kept = equation.params["dimension_numbers"]
         count = len(self.bent)
         each = zip((one, other), equation.invars, summed, kept, strict=True)
-        left, right = (_arranged(table, count, given.aval.shape, *axes) for table, given, *axes in each)
+        left, right = (_arranged(table, count, operand.aval.shape, *axes) for table, operand, *axes in each)
         self._bend(*(_one_after_another(np.logical_or.reduce(side, axis=1)) for side in (left, right)))
         before, after = (np.logical_or.reduce(side, axis=2) for side in (left, right))
         return _one_after_another(np.logical_or(before[:, :, None], after[:, None]))
@@ -250,9 +250,9 @@ def _spread(equation: Any, operands: list[_Known]) -> list[_Known]:
     shapes = [one.aval.shape for one in equation.invars]
     return [
         one
-        if one is None or given == shape
-        else _one_after_another(np.broadcast_to(one.reshape(*given, one.shape[1]), (*shape, one.shape[1])))
-        for one, given in zip(operands, shapes, strict=True)
+        if one is None or own == shape
+        else _one_after_another(np.broadcast_to(one.reshape(*own, one.shape[1]), (*shape, one.shape[1])))
+        for one, own in zip(operands, shapes, strict=True)
     ]
 
 
@@ -271,20 +271,20 @@ def _moves_by_known_places(equation: Any) -> bool:
 
 
 def _moved(equation: Any, operands: list[_Known]) -> list[_Known]:
-    """What has moved where is found by moving numbers of places. 0 is that of nothing, such as what is padded with."""
+    """What has moved where follows from moving numbers of places. 0 is that of nothing, such as what is padded with."""
     sizes = [one.aval.size if _is_smooth(one) else 0 for one in equation.invars]
-    given = [
+    places = [
         np.arange(last - size, last, dtype=float).reshape(one.aval.shape) if _is_smooth(one) else one.val
         for one, size, last in zip(equation.invars, sizes, 1 + np.cumsum(sizes), strict=True)
     ]
-    found = equation.primitive.bind(*given, **equation.primitive.get_bind_params(equation.params))
+    moved = equation.primitive.bind(*places, **equation.primitive.get_bind_params(equation.params))
     nothing = np.zeros((1, next(one for one in operands if one is not None).shape[1]), dtype=bool)
     tables = [
         np.repeat(nothing, size, axis=0) if one is None else one for one, size in zip(operands, sizes, strict=True)
     ]
     every = np.concatenate([nothing, *tables])
     # What lies outside of an array may be told as no number at all.
-    results = found if equation.primitive.multiple_results else [found]
+    results = moved if equation.primitive.multiple_results else [moved]
     return [every[np.nan_to_num(np.asarray(one)).astype(int).ravel()] for one in results]
 
 
@@ -294,11 +294,11 @@ def _summed(equation: Any, operand: _Known) -> _Known:
     count, params = operand.shape[1], equation.params
     table = operand.reshape(*equation.invars[0].aval.shape, count)
     if equation.primitive.name == "reduce_sum":
-        found = np.logical_or.reduce(table, axis=tuple(params["axes"]))
+        united = np.logical_or.reduce(table, axis=tuple(params["axes"]))
     else:
         axis, turn = params["axis"], np.flip if params["reverse"] else lambda one, _: one
-        found = turn(np.logical_or.accumulate(turn(table, axis), axis=axis), axis)
-    return _one_after_another(found)
+        united = turn(np.logical_or.accumulate(turn(table, axis), axis=axis), axis)
+    return _one_after_another(united)
 
 
 def _arranged(

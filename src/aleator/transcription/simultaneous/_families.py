@@ -91,8 +91,8 @@ def families(
         return np.concatenate([signals_at(sides), variables.states[:, which], variables.algebraic[:, first]], axis=2)
 
     def signals_at(sides: np.ndarray) -> np.ndarray:
-        told = variables.signals[sides].reshape(len(sides), -1)
-        return np.broadcast_to(told, (len(points), *told.shape))
+        signals = variables.signals[sides].reshape(len(sides), -1)
+        return np.broadcast_to(signals, (len(points), *signals.shape))
 
     def observed(names: tuple[str, ...], which: np.ndarray, sides: np.ndarray) -> Family:
         return Family(partial(pointwise.outputs, names), model, at(which, sides), points, places[sides])
@@ -171,11 +171,11 @@ def _integrand(
 ) -> Family:
     """The integrand of an integral over time: one block a node."""
     coefficients = {**layout.coefficients(variables), **layout.between(variables)}
-    found = _limit(layout, problem, constants, expression, variables, coefficients, variables.totals[:0])
-    block = found.function
-    return found._replace(
+    family = _limit(layout, problem, constants, expression, variables, coefficients, variables.totals[:0])
+    block = family.function
+    return family._replace(
         function=lambda outer, inner, s, o: s[0] * block(outer, inner, s[1:], o),
-        shared=np.concatenate([variables.duration, found.shared]),
+        shared=np.concatenate([variables.duration, family.shared]),
     )
 
 
@@ -194,10 +194,10 @@ def _limit(
     """
     samples, beside = layout.samples(variables), beside_integrals(expression)
     decisions = variables.decisions if _speaks_of_numbers(beside) else variables.decisions[:0]
-    given = [(one, True, coefficients[one]) for one in expanded_functionals((beside,))]
-    given += [(one, False, samples[one][layout.plan.points :]) for one in extreme_functionals((beside,))]
+    parts = [(one, True, coefficients[one]) for one in expanded_functionals((beside,))]
+    parts += [(one, False, samples[one][layout.plan.points :]) for one in extreme_functionals((beside,))]
     moving, still = [], []
-    for functional, is_expanded, numbers in given:
+    for functional, is_expanded, numbers in parts:
         is_own = expression.is_path and functional.is_path
         # One part an instant, the first axis.
         numbers = np.moveaxis(numbers, 1, 0) if is_own else numbers
@@ -222,9 +222,9 @@ def _expression(
 ) -> Float[Array, " rows"]:
     decisions, totals, others = jnp.split(shared, np.cumsum(sizes))
     numbers = named_numbers(problem.simulation, decisions) if decisions.size else {}
-    found = [*_taken(parts[0], others), *_taken(parts[1], own)]
-    coefficients = {one.functional: values for one, values in found if one.is_expanded}
-    realised = {one.functional: values for one, values in found if not one.is_expanded}
+    pairs = [*_taken(parts[0], others), *_taken(parts[1], own)]
+    coefficients = {one.functional: values for one, values in pairs if one.is_expanded}
+    realised = {one.functional: values for one, values in pairs if not one.is_expanded}
     scope = ExpansionScope({}, coefficients, constants, numbers, realised=realised, totals=iter(totals))
     return jnp.ravel(expression.evaluate(scope))
 

@@ -140,10 +140,10 @@ class Layout:
             coefficients=(),
             between=(),
         )
-        found = cls(plan, pointwise, shapes, composed, sizes)
-        samples = found.samples(found.numbers)
-        terms = tuple((plan.terms, *samples[one].shape[1:]) for one in found.expanded)
-        between = tuple((plan.terms, *one.shape[1:]) for one in found.integrated(found.numbers).values())
+        layout = cls(plan, pointwise, shapes, composed, sizes)
+        samples = layout.samples(layout.numbers)
+        terms = tuple((plan.terms, *samples[one].shape[1:]) for one in layout.expanded)
+        between = tuple((plan.terms, *one.shape[1:]) for one in layout.integrated(layout.numbers).values())
         return cls(plan, pointwise, shapes, composed, sizes._replace(coefficients=terms, between=between))
 
     @property
@@ -176,11 +176,11 @@ class Layout:
     @cached_property
     def owners(self) -> np.ndarray:
         """The realisation to which each variable belongs, -1 for none, shape (n,)."""
-        found = np.full(self.count, -1)
+        owners = np.full(self.count, -1)
         owned: tuple[Any, ...] = self.numbers[_FIRST_OWNED:_LAST_OWNED]
         for some in owned:
-            found[some] = np.arange(len(some)).reshape(-1, *(1,) * (some.ndim - 1))
-        return found
+            owners[some] = np.arange(len(some)).reshape(-1, *(1,) * (some.ndim - 1))
+        return owners
 
     @cached_property
     def stages(self) -> tuple[np.ndarray, ...]:
@@ -200,25 +200,25 @@ class Layout:
     def samples(self, variables: Variables) -> dict[AbstractFunctional, Any]:
         """Each functional on every realisation, shape (realisations, ...)."""
         pointwise, shapes = self.pointwise, self.shapes
-        found: dict[AbstractFunctional, Any] = dict(
+        samples: dict[AbstractFunctional, Any] = dict(
             zip(pointwise.composed, apart(variables.composed, self.composed), strict=True)
         )
         for one in functionals_of(pointwise.problem.expressions):
-            if one not in found:
+            if one not in samples:
                 is_path = isinstance(one, Path)
                 names, table = (pointwise.paths, variables.paths) if is_path else (pointwise.ends, variables.ends)
                 chosen = table[..., shapes.columns(names, one.output)]
-                found[one] = chosen.reshape(*table.shape[:-1], *shapes.outputs[one.output])
-        return found
+                samples[one] = chosen.reshape(*table.shape[:-1], *shapes.outputs[one.output])
+        return samples
 
     def integrated(self, variables: Variables) -> dict[AbstractFunctional, Any]:
         """The paths whose statistics are integrated over time: their values, shape (realisations, nodes, ...)."""
-        found: dict[AbstractFunctional, Any] = {}
+        paths: dict[AbstractFunctional, Any] = {}
         for one in integrated_paths(self.pointwise.problem.expressions):
             assert isinstance(one, Path)
             chosen = variables.nodes[..., self.shapes.columns(self.pointwise.nodes, one.output)]
-            found[one] = chosen.reshape(*variables.nodes.shape[:-1], *self.shapes.outputs[one.output])
-        return found
+            paths[one] = chosen.reshape(*variables.nodes.shape[:-1], *self.shapes.outputs[one.output])
+        return paths
 
     def between(self, variables: Variables) -> dict[AbstractFunctional, Any]:
         """The coefficients of these paths, shape (terms, nodes, ...)."""
@@ -247,8 +247,8 @@ def _shape(functional: AbstractFunctional, pointwise: Pointwise, shapes: Shapes)
     def evaluated(history: dict[str, Float[Array, "instants ..."]]) -> Array:
         return functional.evaluate(Taken(history, {}), pointwise.grid)
 
-    given = {name: jax.ShapeDtypeStruct((instants, *shapes.outputs[name]), float) for name in functional.outputs}
-    return jax.eval_shape(evaluated, given).shape
+    histories = {name: jax.ShapeDtypeStruct((instants, *shapes.outputs[name]), float) for name in functional.outputs}
+    return jax.eval_shape(evaluated, histories).shape
 
 
 def known_numbers(pointwise: Pointwise, mesh: Mesh, decisions: Float[Array, " n"]) -> Float[Array, " known"]:

@@ -68,12 +68,12 @@ class Mesh:
         inside = nodes[:-1, None] + self.lengths[:, None] * self.scheme.told[:-1]
         every = np.stack(np.broadcast_arrays(np.append(inside, nodes[1:, None], axis=1), 0.0), axis=2)
         every[:, -1, 1] = self.has_jumps
-        return self._told(every)
+        return self._by_place(every)
 
     @property
     def sides(self) -> Int[np.ndarray, " places"]:
         """The number of the point that each of the `places` is at, or after."""
-        return self._told(self.points[:, np.searchsorted(self.scheme.points, self.scheme.told, side="right") - 1])
+        return self._by_place(self.points[:, np.searchsorted(self.scheme.points, self.scheme.told, side="right") - 1])
 
     @property
     def asked_sides(self) -> Int[np.ndarray, "asked seen"]:
@@ -84,9 +84,9 @@ class Mesh:
     @property
     def weights(self) -> Float[np.ndarray, " places"]:
         """The scheme's quadrature over the whole duration, for a duration of one."""
-        found = np.zeros(len(self.places))
-        np.add.at(found, self._sides, self.lengths[:, None] * self.scheme.quadrature)
-        return found
+        weights = np.zeros(len(self.places))
+        np.add.at(weights, self._sides, self.lengths[:, None] * self.scheme.quadrature)
+        return weights
 
     @property
     def weighed(self) -> Int[np.ndarray, " weighed"]:
@@ -114,11 +114,11 @@ class Mesh:
         apart = count if self.has_jumps else count - 1
         return np.arange(len(self.lengths))[:, None] * apart + np.arange(count)
 
-    def _told(self, every: Num[np.ndarray, "intervals told ..."]) -> Num[np.ndarray, "places ..."]:
+    def _by_place(self, every: Num[np.ndarray, "intervals told ..."]) -> Num[np.ndarray, "places ..."]:
         """What belongs to the places of each interval, by place."""
-        found = np.zeros((self._sides[-1, -1] + 1, *every.shape[2:]), dtype=every.dtype)
-        found[self._sides] = every
-        return found
+        by_place = np.zeros((self._sides[-1, -1] + 1, *every.shape[2:]), dtype=every.dtype)
+        by_place[self._sides] = every
+        return by_place
 
     @property
     def _once(self) -> Int[np.ndarray, " asked"]:
@@ -163,13 +163,13 @@ def followed(
         return _on(node, nodes) if isinstance(node, Piecewise) else node
 
     simulation = jax.tree.map(finer, problem.simulation, is_leaf=lambda node: isinstance(node, Piecewise))
-    found = declared_anew(problem, simulation)
-    curves = {id(new.levels): one for new, one in zip(piecewise_in(found.simulation), old, strict=True)}
-    places, vector = problem.placements.decisions, found.placements.vector("initial")
-    for name, place in found.placements.decisions.items():
+    finer_problem = declared_anew(problem, simulation)
+    curves = {id(new.levels): one for new, one in zip(piecewise_in(finer_problem.simulation), old, strict=True)}
+    places, vector = problem.placements.decisions, finer_problem.placements.vector("initial")
+    for name, place in finer_problem.placements.decisions.items():
         values, curve = decisions[places[name].where], curves.get(id(place.decision))
         vector[place.where] = values if curve is None else _interpolated(curve, values, nodes)
-    return found, vector
+    return finer_problem, vector
 
 
 def _on(control: Piecewise, nodes: tuple[float, ...]) -> Piecewise:

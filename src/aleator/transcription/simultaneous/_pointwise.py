@@ -146,26 +146,26 @@ class Pointwise:
     def decides_signals(self) -> bool:
         """Whether signals or the duration may depend on decisions: those of the system's own are not asked."""
         decided = bool(placements((self.problem.inputs, self.problem.grid)).decisions)
-        return decided or self._tells(lambda system, _: bool(system.signals()))
+        return decided or self._holds(lambda system, _: bool(system.signals()))
 
     @property
     def has_jumps(self) -> bool:
         """Whether signals may jump at instants of the mesh."""
-        return self._tells(lambda system, inputs: has_jumps({**system.signals(), **inputs}))
+        return self._holds(lambda system, inputs: has_jumps({**system.signals(), **inputs}))
 
     @cached_property
     def signal_shapes(self) -> dict[str, tuple[int, ...]]:
         """The shape of each signal by name, in the order of `known`; none where they are uncertain."""
-        found: dict[str, tuple[int, ...]] = {}
+        shapes: dict[str, tuple[int, ...]] = {}
 
-        def told(decisions: Array) -> Array:
+        def traced(decisions: Array) -> Array:
             system, grid, inputs = self._known_parts(decisions)
-            found.update(known_at({**system.signals(), **inputs}, grid, np.zeros(1)).inputs)
+            shapes.update(known_at({**system.signals(), **inputs}, grid, np.zeros(1)).inputs)
             return decisions
 
         if not self.is_random:
-            jax.eval_shape(told, _numbers(self.problem.placements.size))
-        return found
+            jax.eval_shape(traced, _numbers(self.problem.placements.size))
+        return shapes
 
     @property
     def signal_count(self) -> int:
@@ -173,17 +173,17 @@ class Pointwise:
         decisions = _numbers(self.problem.placements.size)
         return jax.eval_shape(lambda x: self.known(np.zeros(1), x), decisions).shape[1]
 
-    def _tells(self, told: Callable[[System, Inputs], bool]) -> bool:
+    def _holds(self, condition: Callable[[System, Inputs], bool]) -> bool:
         """Whether something holds for the signals of a realisation; nothing is computed."""
-        found: list[bool] = []
+        answers: list[bool] = []
 
         def realised(decisions: Array) -> Array:
             system, _, inputs = self._known_parts(decisions)
-            found.append(told(system, inputs))
+            answers.append(condition(system, inputs))
             return decisions
 
         jax.eval_shape(realised, _numbers(self.problem.placements.size))
-        return any(found)
+        return any(answers)
 
     @property
     def grid(self) -> Grid:
@@ -205,10 +205,10 @@ class Pointwise:
             return jnp.zeros((len(fractions), 0))
         system, grid, inputs = self._known_parts(decisions)
         every = {**system.signals(), **inputs}
-        found = known_at(every, grid, fractions).rows[:, 1:]
+        signals = known_at(every, grid, fractions).rows[:, 1:]
         if is_before is None or not is_before.any():
-            return found
-        return jnp.where(is_before[:, None], known_at(before_jumps(every), grid, fractions).rows[:, 1:], found)
+            return signals
+        return jnp.where(is_before[:, None], known_at(before_jumps(every), grid, fractions).rows[:, 1:], signals)
 
     def duration(self, decisions: Float[Array, " n"]) -> Float[Array, ""]:
         """From the first instant to the last, s."""
@@ -229,10 +229,10 @@ class Pointwise:
         """
         system, t, z, now = self._at(germ, place, shared, own)
         z = completed(system, t, z, now)
-        asked = self._integrated
+        integrated = self._integrated
         if not system.states:
-            return shared[-1] * flat(asked.rates(system, t, z, now))
-        return shared[-1] * flat(asked.slopes(system, t, z, now))
+            return shared[-1] * flat(integrated.rates(system, t, z, now))
+        return shared[-1] * flat(integrated.slopes(system, t, z, now))
 
     def mean_rates(
         self, rate: AbstractMeanRate, germ: Array, places: Array, shared: Array, own: Array
@@ -264,8 +264,8 @@ class Pointwise:
     def outputs(self, names: tuple[str, ...], germ: Array, place: Array, shared: Array, own: Array) -> Array:
         """Some outputs, side by side."""
         system, t, z, now = self._at(germ, place, shared, own)
-        found = observation(system, t, z, now)
-        return flat([found[name] for name in names])
+        outputs = observation(system, t, z, now)
+        return flat([outputs[name] for name in names])
 
     def everywhere(
         self,
@@ -300,7 +300,7 @@ class Pointwise:
         shared, first = _numbers(self.direct.size + 1), _numbers(signals)
         states = jax.eval_shape(self.initial, germ, place, shared, first).size
 
-        def found(germ: Array, place: Array, shared: Array, own: Array) -> tuple[Any, ...]:
+        def recorded(germ: Array, place: Array, shared: Array, own: Array) -> tuple[Any, ...]:
             system, t, z, now = self._at(germ, place, shared, own)
             outputs = observation(system, t, z, now)
             names = (*self.paths, *self.ends)
@@ -308,7 +308,7 @@ class Pointwise:
             return algebraic, self._integrated.rates(system, t, z, now), {name: outputs[name] for name in names}
 
         own = _numbers(signals + states)
-        algebraic, integrals, outputs = jax.eval_shape(found, germ, place, shared, own)
+        algebraic, integrals, outputs = jax.eval_shape(recorded, germ, place, shared, own)
         return Shapes(
             states,
             sum(one.size for one in algebraic),

@@ -234,21 +234,21 @@ def scales(
     - `decisions`: typical magnitudes of the decisions.
     """
     numbers, slopes = layout.numbers, abs(evaluation.jacobian[ties.rows])
-    found = _by_kind(layout, np.abs(point))
-    found[numbers.decisions] = decisions
+    scale = _by_kind(layout, np.abs(point))
+    scale[numbers.decisions] = decisions
     signals, *later = layout.stages
-    found = _reached(layout, ties, slopes, found, signals)
+    scale = _reached(layout, ties, slopes, scale, signals)
     intervals = _PUSHED * len(layout.plan.mesh.lengths)
     for _ in range(_CHAIN):
-        still = numbers.states[found[numbers.states] <= _NOTHING]
+        still = numbers.states[scale[numbers.states] <= _NOTHING]
         if not still.size:
             break
-        found = _reached(layout, ties, intervals * slopes, found, still)
-    still = numbers.integrals[found[numbers.integrals] <= _NOTHING]
-    found = _reached(layout, ties, intervals * slopes, found, still)
+        scale = _reached(layout, ties, intervals * slopes, scale, still)
+    still = numbers.integrals[scale[numbers.integrals] <= _NOTHING]
+    scale = _reached(layout, ties, intervals * slopes, scale, still)
     for some in later:
-        found = _reached(layout, ties, slopes, found, some)
-    return np.where(found > _NOTHING, found, 1.0)
+        scale = _reached(layout, ties, slopes, scale, some)
+    return np.where(scale > _NOTHING, scale, 1.0)
 
 
 def _tie_sizes(
@@ -267,14 +267,14 @@ def _tie_sizes(
 
 
 def _reached(
-    layout: Layout, ties: Ties, slopes: np.ndarray, found: Float[np.ndarray, " variables"], which: np.ndarray
+    layout: Layout, ties: Ties, slopes: np.ndarray, scale: Float[np.ndarray, " variables"], which: np.ndarray
 ) -> Float[np.ndarray, " variables"]:
     """Magnitudes, those of some variables being no less than what they are tied to may change them by."""
-    change, these = slopes @ found, np.isin(ties.variables, which)
+    change, these = slopes @ scale, np.isin(ties.variables, which)
     own = ties.variables[these]
-    larger = found.copy()
-    larger[own] = np.maximum(found[own], np.nan_to_num(change[these] - found[own], posinf=0.0))
-    return np.where(np.isin(np.arange(layout.count), which), _by_kind(layout, larger), found)
+    larger = scale.copy()
+    larger[own] = np.maximum(scale[own], np.nan_to_num(change[these] - scale[own], posinf=0.0))
+    return np.where(np.isin(np.arange(layout.count), which), _by_kind(layout, larger), scale)
 
 
 def _by_kind(layout: Layout, sizes: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " variables"]:
@@ -285,13 +285,13 @@ def _by_kind(layout: Layout, sizes: Float[np.ndarray, " variables"]) -> Float[np
         finite = np.where(np.isfinite(part), part, 0.0)
         return np.broadcast_to(finite.max(axis=over, initial=0.0), part.shape)
 
-    found, values = np.zeros(layout.count), layout.view(sizes)
+    result, values = np.zeros(layout.count), layout.view(sizes)
     each = jax.tree.map(lambda one: largest(one, 1), values._replace(coefficients=(), between=()))
     coefficients, between = (tuple(largest(one, 0) for one in some) for some in (values.coefficients, values.between))
     each = each._replace(coefficients=coefficients, between=between)
     for where, scale in zip(jax.tree.leaves(layout.numbers), jax.tree.leaves(each), strict=True):
-        found[where] = scale
-    return found
+        result[where] = scale
+    return result
 
 
 @final

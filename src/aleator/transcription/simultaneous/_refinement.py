@@ -85,13 +85,13 @@ def drift_of(
     fractions = (np.array(mesh.nodes)[:-1, None] + mesh.lengths[:, None] * inner).ravel()
     states = states_on(mesh, fractions, values.states, rates)
     at = jax_array(values.decisions), jax_array(values.duration[0]), jax_array(states)
-    found = np.asarray(BETWEEN(traced, jax_array(points), tuple(fractions.tolist()), at))
-    told = rates[:, mesh.stages, :count]
-    polynomial = np.einsum("qi,pkis->pkqs", mesh.scheme.interpolated(inner), told)
-    missed = np.abs(polynomial - found.reshape(polynomial.shape))
+    true_rates = np.asarray(BETWEEN(traced, jax_array(points), tuple(fractions.tolist()), at))
+    stage_rates = rates[:, mesh.stages, :count]
+    polynomial = np.einsum("qi,pkis->pkqs", mesh.scheme.interpolated(inner), stage_rates)
+    missed = np.abs(polynomial - true_rates.reshape(polynomial.shape))
     average = np.einsum("q,pkqs->pks", weights, missed)
     size = layout.view(scales).states[:, :1]
-    return Drift(mesh.lengths[:, None] * average / size, _ratios(mesh.scheme, told, average))
+    return Drift(mesh.lengths[:, None] * average / size, _ratios(mesh.scheme, stage_rates, average))
 
 
 def _ratios(
@@ -107,8 +107,8 @@ def _ratios(
     stages = len(scheme.nodes)
     first = max(min(1, stages - 1), stages - _LAST)
     # Every second polynomial may be missing by symmetry.
-    found = np.abs(np.einsum("ji,pkis->pkjs", scheme.spectrum[first:], rates)).max(axis=2)
-    share = np.divide(missed, found, out=np.ones_like(missed), where=found > 0)
+    last = np.abs(np.einsum("ji,pkis->pkjs", scheme.spectrum[first:], rates)).max(axis=2)
+    share = np.divide(missed, last, out=np.ones_like(missed), where=last > 0)
     return np.clip(share ** (1 / (stages - first)), _LEAST_RATIO, 1.0)
 
 

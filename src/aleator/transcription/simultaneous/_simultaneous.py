@@ -118,14 +118,14 @@ class Simultaneous(AbstractTranscription):
     @override
     def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SimultaneouslyTranscribed:
         _refuse(problem)
-        found, traced = discretised(problem), numbers_to_arrays(problem)
-        scenarios = first_scenarios(problem, np.asarray(found.collocation.points))
-        found = found.at_scenarios(scenarios)
-        meanwhile(problem, found)
+        discretisation, traced = discretised(problem), numbers_to_arrays(problem)
+        scenarios = first_scenarios(problem, np.asarray(discretisation.collocation.points))
+        discretisation = discretisation.at_scenarios(scenarios)
+        meanwhile(problem, discretisation)
         mesh = Mesh(first_nodes(problem), self.scheme, Pointwise.of(problem).has_jumps)
         raised = () if self.most_stages is None else self.scheme.raised(self.most_stages)
         goal = Goal(np.inf if self.error is None else float(self.error), (self.scheme, *raised))
-        return Way(problem, traced, traced, found, scenarios, goal, self._start).transcribed(mesh)
+        return Way(problem, traced, traced, discretisation, scenarios, goal, self._start).transcribed(mesh)
 
 
 def _check_stages(scheme: AbstractScheme, error: float | None, most: int) -> None:

@@ -46,10 +46,12 @@ def _simulated(
     problem: Problem, points: Float[Array, "realisations germs"], decisions: Float[Array, " n"]
 ) -> Float[Array, "realisations instants states"]:
     def one(germ: Array) -> Array:
-        found = realise(problem.simulation, germ, decisions)
-        system = found.traced
+        realised = realise(problem.simulation, germ, decisions)
+        system = realised.traced
         assert isinstance(system, System)
-        simulation = Simulation(ObservedStates(system), found.inputs, found.grid, found.integrator, found.numbers)
+        simulation = Simulation(
+            ObservedStates(system), realised.inputs, realised.grid, realised.integrator, realised.numbers
+        )
         return simulation.record(Asked(frozenset({STATES}))).history[STATES]
 
     return jax.vmap(one)(points)
@@ -71,13 +73,13 @@ def simulated_states(
         return np.zeros((len(points), len(fractions), 0))
     assert isinstance(problem.grid, Grid)
     finer = numbers_to_arrays(problem.on_grid(problem.grid.finer(_FINER)))
-    found = np.array(SIMULATED(finer, jnp.asarray(points), jnp.asarray(decisions)))
-    begun = np.abs(found[:, : 1 + found.shape[1] // _BEGINNING]).max(axis=(0, 1))
-    grown = np.abs(found).max(axis=(0, 1)) > _MOST_GROWTH * np.where(begun > 0, begun, np.inf)
-    if not np.isfinite(found).all() or grown.any():
-        found = np.repeat(found[:, :1], found.shape[1], axis=1)
-    instants = np.linspace(0.0, 1.0, found.shape[1])
-    return np.moveaxis(interpolated(instants, np.moveaxis(found, 1, 0), fractions), 0, 1)
+    states = np.array(SIMULATED(finer, jnp.asarray(points), jnp.asarray(decisions)))
+    begun = np.abs(states[:, : 1 + states.shape[1] // _BEGINNING]).max(axis=(0, 1))
+    grown = np.abs(states).max(axis=(0, 1)) > _MOST_GROWTH * np.where(begun > 0, begun, np.inf)
+    if not np.isfinite(states).all() or grown.any():
+        states = np.repeat(states[:, :1], states.shape[1], axis=1)
+    instants = np.linspace(0.0, 1.0, states.shape[1])
+    return np.moveaxis(interpolated(instants, np.moveaxis(states, 1, 0), fractions), 0, 1)
 
 
 def interpolated(
@@ -184,18 +186,18 @@ class _Table:
     columns: Mapping[str, Float[np.ndarray, "instants ..."]]
 
     @classmethod
-    def of(cls, given: Mapping[str, Any]) -> "_Table":
+    def of(cls, table: Mapping[str, Any]) -> "_Table":
         """That of arrays by name. Raises `ProblemError` where these are no table over time."""
-        names = [name for name in given if name != _TIME]
+        names = [name for name in table if name != _TIME]
         try:
-            times = real_array(f"{_WHO}, '{_TIME}'", given[_TIME], "instants, in s")
+            times = real_array(f"{_WHO}, '{_TIME}'", table[_TIME], "instants, in s")
         except KeyError:
             raise refusal(_WHO, f"the instants of a table as '{_TIME}', in s", sorted(map(str, names))) from None
         if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or not (np.diff(times) > 0).all():
             raise refusal(f"{_WHO}, '{_TIME}'", "at least two finite instants in ascending order", times)
         columns = {}
         for name in names:
-            values = real_array(f"{_WHO}, '{name}'", given[name])
+            values = real_array(f"{_WHO}, '{name}'", table[name])
             if values.shape[:1] != times.shape:
                 raise ProblemError(
                     f"{_WHO}, '{name}': expected a value for each of {len(times)} instants; received an array of shape "
@@ -243,21 +245,21 @@ class _OfSolution(AbstractStart):
         is_alike = old.placements.germ_names == problem.placements.germ_names
         if (known := self.solution.states) is None:
             same, at = (old, points) if is_alike else (deterministic(old), np.zeros((1, 0)))
-            found = simulated_states(same, fractions, at, self.solution.vector)
+            states = simulated_states(same, fractions, at, self.solution.vector)
         else:
             table = np.concatenate([_side_by_side(one) for one in known.values.values()], axis=2)
             chosen = table[_nearest(known, points)] if is_alike else table.mean(axis=0, keepdims=True)
-            found = np.stack([interpolated(known.fractions, one, fractions) for one in chosen])
-        if not np.isfinite(found).all():
+            states = np.stack([interpolated(known.fractions, one, fractions) for one in chosen])
+        if not np.isfinite(states).all():
             raise refusal(_WHO, "a solution with finite states", self.solution.status)
-        return np.broadcast_to(found, (len(points), *found.shape[1:]))
+        return np.broadcast_to(states, (len(points), *states.shape[1:]))
 
     def _refuse_others(self, old: Problem, shapes: Mapping[str, tuple[int, ...]]) -> None:
         received = state_shapes(old) if isinstance(old.system, System) else {}
         if received != shapes:
             raise ProblemError(
-                f"{_WHO}: expected a solution of a system with the states {_told(shapes)}; received one with "
-                f"{_told(received)}."
+                f"{_WHO}: expected a solution of a system with the states {_listed(shapes)}; received one with "
+                f"{_listed(received)}."
             )
 
 
@@ -267,8 +269,8 @@ def state_shapes(problem: Problem) -> dict[str, tuple[int, ...]]:
     germ, decisions = jnp.zeros(len(places.germ_names)), jnp.asarray(places.vector("initial"))
 
     def first() -> Any:
-        found = realise(problem.simulation, germ, decisions)
-        system, start = found.traced, found.start()
+        realised = realise(problem.simulation, germ, decisions)
+        system, start = realised.traced, realised.start()
         assert isinstance(system, System)
         assert start is not None
         return initial_state(system, *start)
@@ -277,28 +279,28 @@ def state_shapes(problem: Problem) -> dict[str, tuple[int, ...]]:
     return {name: one.shape for name, one in jax.eval_shape(first)._asdict().items()}
 
 
-def _flat(what: str, given: Any, shapes: Mapping[str, tuple[int, ...]]) -> Float[np.ndarray, " states"]:
+def _flat(what: str, states: Any, shapes: Mapping[str, tuple[int, ...]]) -> Float[np.ndarray, " states"]:
     """The states at one instant, side by side. Raises `ProblemError` unless there is a finite value for each."""
-    if isinstance(given, np.ndarray | jax.Array) and given.ndim:
-        given = list(given)
-    if isinstance(given, Sequence) and not isinstance(given, str) and len(given) == len(shapes):
-        given = dict(zip(shapes, given, strict=True))
-    if not isinstance(given, Mapping):
-        raise refusal(what, f"the states {_told(shapes)}, by name or in that order", given)
-    for name in given:
+    if isinstance(states, np.ndarray | jax.Array) and states.ndim:
+        states = list(states)
+    if isinstance(states, Sequence) and not isinstance(states, str) and len(states) == len(shapes):
+        states = dict(zip(shapes, states, strict=True))
+    if not isinstance(states, Mapping):
+        raise refusal(what, f"the states {_listed(shapes)}, by name or in that order", states)
+    for name in states:
         if name not in shapes:
             known = list(shapes)
             raise ProblemError(f"{what}: there is no state {name!r}; expected {known}.{meant(str(name), known)}")
-    if missing := [name for name in shapes if name not in given]:
+    if missing := [name for name in shapes if name not in states]:
         raise ProblemError(f"{what}: expected all of {list(shapes)}; received none for {missing}.")
     parts = []
     for name, shape in shapes.items():
-        value = real_array(f"{what}, '{name}'", given[name])
+        value = real_array(f"{what}, '{name}'", states[name])
         if value.shape != shape:
             expected = f"numbers of shape {shape}" if shape else "one number"
-            raise ProblemError(f"{what}, '{name}': expected {expected}; received {shown(given[name])}.")
+            raise ProblemError(f"{what}, '{name}': expected {expected}; received {shown(states[name])}.")
         if not np.isfinite(value).all():
-            raise refusal(f"{what}, '{name}'", "finite numbers", given[name])
+            raise refusal(f"{what}, '{name}'", "finite numbers", states[name])
         parts.append(value.ravel())
     return np.concatenate([np.zeros(0), *parts])
 
@@ -312,7 +314,7 @@ def _side_by_side(values: Float[np.ndarray, "realisations points ..."]) -> Float
     return values.reshape(*values.shape[:2], -1)
 
 
-def _told(shapes: Mapping[str, tuple[int, ...]]) -> str:
+def _listed(shapes: Mapping[str, tuple[int, ...]]) -> str:
     return ", ".join(f"'{name}'{f' of shape {shape}' if shape else ''}" for name, shape in shapes.items()) or "none"
 
 
@@ -351,11 +353,11 @@ def started(
     if numbers.algebraic.size:
         mesh, values = layout.plan.mesh, layout.view(variables)
         at = values.decisions, values.duration[0], values.signals, states[:, mesh.sides]
-        found = np.asarray(
+        algebraic = np.asarray(
             ALGEBRAIC(traced, jnp.asarray(points), jnp.asarray(mesh.places), jax.tree.map(jnp.asarray, at))
         )
-        _refuse_unsolved(traced, points, decisions, found)
-        variables[numbers.algebraic] = found
+        _refuse_unsolved(traced, points, decisions, algebraic)
+        variables[numbers.algebraic] = algebraic
     # Each is tied to those before it: what is missing from zero is what it stands for, and what an interval adds.
     ties = assembled.rows.ties
     for some in (numbers.integrals, *layout.stages[1:]):
@@ -371,9 +373,9 @@ def _refuse_unsolved(
     traced: Problem,
     points: Float[np.ndarray, "realisations germs"],
     decisions: Float[np.ndarray, " n"],
-    found: Float[np.ndarray, "realisations places algebraic"],
+    algebraic: Float[np.ndarray, "realisations places algebraic"],
 ) -> None:
-    failed = ~np.isfinite(found[:, 0]).all(axis=1)
+    failed = ~np.isfinite(algebraic[:, 0]).all(axis=1)
     if failed.any():
         first = int(np.argmax(failed))
         reason = unsolved(traced, jnp.asarray(points[first]), jnp.asarray(decisions))

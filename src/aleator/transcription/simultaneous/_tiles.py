@@ -98,10 +98,10 @@ class Tile:
     data: Float[np.ndarray, " data"]
     rows: Int[np.ndarray, " rows"]
 
-    def write(self, found: np.ndarray, into: list[np.ndarray]) -> None:
+    def write(self, results: np.ndarray, into: list[np.ndarray]) -> None:
         """Results of the blocks among those of all, family by family."""
         target = into[self.form.family][self.place]
-        target[...] = found[: target.shape[0], : target.shape[1]]
+        target[...] = results[: target.shape[0], : target.shape[1]]
 
 
 def tiles_of(number: int, family: Family, pattern: Pattern, size: tuple[int, int]) -> list[Tile]:
@@ -110,13 +110,13 @@ def tiles_of(number: int, family: Family, pattern: Pattern, size: tuple[int, int
     data = [None if isinstance(one, tuple) else np.asarray(one) for one in (family.outer, family.inner)]
     outer, inner = own.shape[:2]
     height, width = size
-    found = []
+    tiles = []
     for i, j in product(range(0, outer, height), range(0, inner, width)):
         # Beyond the last block it is repeated.
         which = np.minimum(np.arange(i, i + height), outer - 1), np.minimum(np.arange(j, j + width), inner - 1)
         at = np.ix_(*which)
         of_outer, of_inner = (None if one is None else one[some] for one, some in zip(data, which, strict=True))
-        found.append(
+        tiles.append(
             Tile(
                 Form(
                     number,
@@ -134,7 +134,7 @@ def tiles_of(number: int, family: Family, pattern: Pattern, size: tuple[int, int
                 pattern.rows[at].ravel(),
             )
         )
-    return found
+    return tiles
 
 
 def _shape(data: np.ndarray | None) -> tuple[int, ...] | None:
@@ -192,12 +192,12 @@ def calls_of(
 
 
 def results(tasks: list[Task]) -> Iterator[tuple[Tile, Any]]:
-    """Each tile and what was found of it."""
+    """Each tile and its results."""
     # The calling thread traces a user's code before other threads start.
     for task in _one_of_each(tasks):
         task.function.prepare(task.argument())
-    for task, found in zip(tasks, in_order(lambda task: task(), tasks), strict=True):
-        yield from zip(task.tiles, found, strict=True)
+    for task, values in zip(tasks, in_order(lambda task: task(), tasks), strict=True):
+        yield from zip(task.tiles, values, strict=True)
 
 
 def begin(tasks: list[Task]) -> None:

@@ -142,8 +142,8 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
 
     @override
     def at_scenarios(self, scenarios: Scenarios) -> "SimultaneouslyTranscribed":
-        found = self.discretised.at_scenarios(scenarios)
-        way = self._way._replace(found=found, scenarios=scenarios)
+        discretised = self.discretised.at_scenarios(scenarios)
+        way = self._way._replace(discretised=discretised, scenarios=scenarios)
         return replace(way.transcribed(self.layout.plan.mesh), meshes=self.meshes)
 
     @property
@@ -175,8 +175,8 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         traced = numbers_to_arrays(problem)
         equations = self.equations if _has_same_equations(problem, self.layout.pointwise) else traced
         way = self._way._replace(problem=problem, traced=traced, equations=equations)
-        found = way.transcribed(finer, (decisions, states))
-        return replace(found, meshes=(*self.meshes, error)), found.program.start
+        transcribed = way.transcribed(finer, (decisions, states))
+        return replace(transcribed, meshes=(*self.meshes, error)), transcribed.program.start
 
     @override
     def states_at(self, point: Float[np.ndarray, " variables"]) -> States:
@@ -189,14 +189,14 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     def costates_at(
         self, point: Float[np.ndarray, " variables"], multipliers: Float[np.ndarray, " rows"]
     ) -> tuple[Costates, Switching] | tuple[None, None]:
-        found, mesh = adjoint(self.layout, self.assembled, point, multipliers), self.layout.plan.mesh
+        duals, mesh = adjoint(self.layout, self.assembled, point, multipliers), self.layout.plan.mesh
         states, signals = state_shapes(self.problem), self.layout.pointwise.signal_shapes
-        nodes, asked = self._instants(point, np.array(mesh.nodes)), self._instants(point, mesh.places[mesh.weighed, 0])
-        by_state = dict(zip(states, apart(found.states, list(states.values())), strict=True))
+        nodes, weighed = (self._instants(point, at) for at in (np.array(mesh.nodes), mesh.places[mesh.weighed, 0]))
+        by_state = dict(zip(states, apart(duals.states, list(states.values())), strict=True))
         # What an integral over time of a statistic adds stands in no rate.
         is_whole = not integrated_paths(self.problem.expressions)
-        by_signal = dict(zip(signals, apart(found.signals, list(signals.values())), strict=True)) if is_whole else {}
-        return Costates(nodes, self.points, by_state), Switching(asked, by_signal)
+        by_signal = dict(zip(signals, apart(duals.signals, list(signals.values())), strict=True)) if is_whole else {}
+        return Costates(nodes, self.points, by_state), Switching(weighed, by_signal)
 
     @property
     def _way(self) -> "Way":
@@ -255,15 +255,15 @@ class Way(NamedTuple):
     problem: Problem
     traced: Problem
     equations: Problem
-    found: Discretised
+    discretised: Discretised
     scenarios: Scenarios | None
     goal: Goal
     begins: AbstractStart
 
     def transcribed(self, mesh: Mesh, begun: tuple[np.ndarray, np.ndarray] | None = None) -> SimultaneouslyTranscribed:
         """The program on a mesh. It begins at given decisions and states, or where all begin."""
-        problem, traced, found, scenarios = self.problem, self.traced, self.found, self.scenarios
-        collocation, constants = found.collocation, found.constants
+        problem, traced, discretised, scenarios = self.problem, self.traced, self.discretised, self.scenarios
+        collocation, constants = discretised.collocation, discretised.constants
         points = np.asarray(collocation.points)
         every = points if scenarios is None else np.concatenate([points, scenarios.points])
         fit = np.asarray(collocation.pseudo_inverse)
@@ -279,7 +279,7 @@ class Way(NamedTuple):
         return SimultaneouslyTranscribed(
             problem,
             traced,
-            found,
+            discretised,
             program,
             assembled.rows.own,
             sizes,
