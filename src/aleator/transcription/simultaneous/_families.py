@@ -22,7 +22,7 @@ from aleator.dynamics import AbstractMeanRate
 from aleator.statistics import Constants
 from aleator.transcription._expansions import ExpansionScope
 from aleator.transcription.simultaneous._blocks import Block, Family
-from aleator.transcription.simultaneous._layout import Layout, Plan, Variables, found_integrals, known_numbers
+from aleator.transcription.simultaneous._layout import Layout, Plan, Variables, integrals_over_time, known_numbers
 from aleator.transcription.simultaneous._pointwise import Pointwise, apart
 from aleator.uncertainty import named_numbers
 
@@ -122,7 +122,7 @@ def families(
         Family(composed, variables.duration, recorded[:, None]),
         observed(pointwise.nodes, nodes, node_sides),
         tuple(_limits(layout, problem, constants, variables)),
-        tuple(_integrand(layout, problem, constants, one, variables) for one in found_integrals(problem)),
+        tuple(_integrand(layout, problem, constants, one, variables) for one in integrals_over_time(problem)),
     )
 
 

@@ -136,7 +136,7 @@ class Layout:
             ends=(every, shapes.size(pointwise.ends)),
             composed=(every, sum(map(math.prod, composed))),
             nodes=(every, 2 * instants - 1, shapes.size(pointwise.nodes)),
-            totals=(len(found_integrals(problem)),),
+            totals=(len(integrals_over_time(problem)),),
             coefficients=(),
             between=(),
         )
@@ -233,7 +233,7 @@ def _shapes_of(sizes: Variables) -> Sequence[tuple[int, ...]]:
     return [*sizes[:_ALONE], *sizes.coefficients, *sizes.between]
 
 
-def found_integrals(problem: Problem) -> tuple[Expression, ...]:
+def integrals_over_time(problem: Problem) -> tuple[Expression, ...]:
     """The expressions that are integrated over time in a problem's, in the order of evaluation."""
     return tuple(inner for one in problem.expressions for inner in time_integrals(one))
 

@@ -204,8 +204,7 @@ class Assembled:
         row, where, columns = self.objective
         gradient = np.zeros(variables.size)
         np.add.at(gradient, columns, entries[where])
-        constraints = self.rows.linear @ variables + self.rows.combined @ values
-        return Evaluation(float(values[row]), gradient, constraints, self.jacobian.at(entries))
+        return Evaluation(float(values[row]), gradient, self.constraints(variables), self.jacobian.at(entries))
 
     @property
     def hessian(self) -> Hessian:

@@ -24,7 +24,7 @@ from aleator.transcription.simultaneous._pointwise import Pointwise
 from aleator.transcription.simultaneous._refinement import BETWEEN, FLOWN, Goal
 from aleator.transcription.simultaneous._starts import ALGEBRAIC, SIMULATED, AbstractStart, Guess, start_of
 from aleator.transcription.simultaneous._tiles import CURVE, EVALUATE
-from aleator.transcription.simultaneous._transcribed import TAKEN, SimultaneouslyTranscribed, Way
+from aleator.transcription.simultaneous._transcribed import TAKEN, Recipe, SimultaneouslyTranscribed
 
 # The least error of a mesh that may be asked for.
 _LEAST_ERROR = 1e-12
@@ -125,7 +125,7 @@ class Simultaneous(AbstractTranscription):
         mesh = Mesh(first_nodes(problem), self.scheme, Pointwise.of(problem).has_jumps)
         raised = () if self.most_stages is None else self.scheme.raised(self.most_stages)
         goal = Goal(np.inf if self.error is None else float(self.error), (self.scheme, *raised))
-        return Way(problem, traced, traced, discretisation, scenarios, goal, self._start).transcribed(mesh)
+        return Recipe(problem, traced, traced, discretisation, scenarios, goal, self._start).on(mesh)
 
 
 def _check_stages(scheme: AbstractScheme, error: float | None, most: int) -> None:

@@ -60,38 +60,6 @@ def _simulated(
 SIMULATED = Compiled(_simulated, use=Use.ONCE)
 
 
-def simulated_states(
-    problem: Problem,
-    fractions: Float[np.ndarray, " points"],
-    points: Float[np.ndarray, "realisations germs"],
-    decisions: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, "realisations points states"]:
-    """The states of all realisations at some fractions of the duration. If one cannot be simulated at these decisions,
-    or grows beyond reason, all rest at their initial states: a program may begin where nothing can be simulated.
-    """
-    if not problem.is_integrated:
-        return np.zeros((len(points), len(fractions), 0))
-    assert isinstance(problem.grid, Grid)
-    finer = numbers_to_arrays(problem.on_grid(problem.grid.finer(_FINER)))
-    states = np.array(SIMULATED(finer, jnp.asarray(points), jnp.asarray(decisions)))
-    begun = np.abs(states[:, : 1 + states.shape[1] // _BEGINNING]).max(axis=(0, 1))
-    grown = np.abs(states).max(axis=(0, 1)) > _MOST_GROWTH * np.where(begun > 0, begun, np.inf)
-    if not np.isfinite(states).all() or grown.any():
-        states = np.repeat(states[:, :1], states.shape[1], axis=1)
-    instants = np.linspace(0.0, 1.0, states.shape[1])
-    return np.moveaxis(interpolated(instants, np.moveaxis(states, 1, 0), fractions), 0, 1)
-
-
-def interpolated(
-    known: Float[np.ndarray, " n"], values: Float[np.ndarray, "n ..."], at: Float[np.ndarray, " m"]
-) -> Float[np.ndarray, "m ..."]:
-    """Values between known places, linearly."""
-    after = np.clip(np.searchsorted(known, at), 1, len(known) - 1)
-    share = np.clip((at - known[after - 1]) / (known[after] - known[after - 1]), 0.0, 1.0)
-    share = share.reshape(-1, *(1,) * (values.ndim - 1))
-    return (1 - share) * values[after - 1] + share * values[after]
-
-
 class AbstractStart(abc.ABC):
     """Where the programs of a problem start, on any mesh."""
 
@@ -113,7 +81,9 @@ class AbstractStart(abc.ABC):
 @final
 @dataclass(frozen=True)
 class _Simulated(AbstractStart):
-    """States as they are simulated."""
+    """States as they are simulated. If one realisation cannot be simulated at these decisions, or grows beyond reason,
+    all rest at their initial states: a program may begin where nothing can be simulated.
+    """
 
     @override
     def states(
@@ -123,17 +93,23 @@ class _Simulated(AbstractStart):
         points: Float[np.ndarray, "realisations germs"],
         decisions: Float[np.ndarray, " n"],
     ) -> Float[np.ndarray, "realisations points states"]:
-        return simulated_states(problem, fractions, points, decisions)
-
-
-SIMULATED_START = _Simulated()
-"""The start where nothing is guessed."""
+        if not problem.is_integrated:
+            return np.zeros((len(points), len(fractions), 0))
+        assert isinstance(problem.grid, Grid)
+        finer = numbers_to_arrays(problem.on_grid(problem.grid.finer(_FINER)))
+        states = np.array(SIMULATED(finer, jnp.asarray(points), jnp.asarray(decisions)))
+        begun = np.abs(states[:, : 1 + states.shape[1] // _BEGINNING]).max(axis=(0, 1))
+        grown = np.abs(states).max(axis=(0, 1)) > _MOST_GROWTH * np.where(begun > 0, begun, np.inf)
+        if not np.isfinite(states).all() or grown.any():
+            states = np.repeat(states[:, :1], states.shape[1], axis=1)
+        instants = np.linspace(0.0, 1.0, states.shape[1])
+        return np.moveaxis(_interpolated(instants, np.moveaxis(states, 1, 0), fractions), 0, 1)
 
 
 def start_of(guess: Guess | None) -> AbstractStart:
     """The start that a guess stands for; that of a simulation for none. Raises `ProblemError` for what is no guess."""
     if guess is None:
-        return SIMULATED_START
+        return _Simulated()
     if isinstance(guess, Solution):
         return _OfSolution(guess)
     if isinstance(guess, np.ndarray) and guess.dtype.names:
@@ -216,7 +192,7 @@ class _Table:
             )
 
     def __call__(self, t: float) -> dict[str, np.ndarray]:
-        return {name: interpolated(self.times, values, np.array([t]))[0] for name, values in self.columns.items()}
+        return {name: _interpolated(self.times, values, np.array([t]))[0] for name, values in self.columns.items()}
 
 
 @final
@@ -245,11 +221,11 @@ class _OfSolution(AbstractStart):
         is_alike = old.placements.germ_names == problem.placements.germ_names
         if (known := self.solution.states) is None:
             same, at = (old, points) if is_alike else (deterministic(old), np.zeros((1, 0)))
-            states = simulated_states(same, fractions, at, self.solution.vector)
+            states = _Simulated().states(same, fractions, at, self.solution.vector)
         else:
             table = np.concatenate([_side_by_side(one) for one in known.values.values()], axis=2)
             chosen = table[_nearest(known, points)] if is_alike else table.mean(axis=0, keepdims=True)
-            states = np.stack([interpolated(known.fractions, one, fractions) for one in chosen])
+            states = np.stack([_interpolated(known.fractions, one, fractions) for one in chosen])
         if not np.isfinite(states).all():
             raise refusal(_WHO, "a solution with finite states", self.solution.status)
         return np.broadcast_to(states, (len(points), *states.shape[1:]))
@@ -261,6 +237,16 @@ class _OfSolution(AbstractStart):
                 f"{_WHO}: expected a solution of a system with the states {_listed(shapes)}; received one with "
                 f"{_listed(received)}."
             )
+
+
+def _interpolated(
+    known: Float[np.ndarray, " n"], values: Float[np.ndarray, "n ..."], at: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, "m ..."]:
+    """Values between known places, linearly."""
+    after = np.clip(np.searchsorted(known, at), 1, len(known) - 1)
+    share = np.clip((at - known[after - 1]) / (known[after] - known[after - 1]), 0.0, 1.0)
+    share = share.reshape(-1, *(1,) * (values.ndim - 1))
+    return (1 - share) * values[after - 1] + share * values[after]
 
 
 def state_shapes(problem: Problem) -> dict[str, tuple[int, ...]]:

@@ -74,21 +74,65 @@ def _taken(problem: Problem, constants: Constants, at: tuple[Any, ...]) -> tuple
 TAKEN = Compiled(_taken, use=Use.ONCE)
 
 
+class Recipe(NamedTuple):
+    """What a program is made from, beside a mesh.
+
+    - `traced`: the problem with its numbers as arrays; `equations`: the same as it is on the first mesh, with its rates
+      and outputs, which are compiled once;
+    - `goal`: what is asked of meshes; `begins`: where programs of the problem start.
+    """
+
+    problem: Problem
+    traced: Problem
+    equations: Problem
+    discretised: Discretised
+    scenarios: Scenarios | None
+    goal: Goal
+    begins: AbstractStart
+
+    def on(self, mesh: Mesh, start: tuple[np.ndarray, np.ndarray] | None = None) -> "SimultaneouslyTranscribed":
+        """The program on a mesh, starting at some decisions and states, or where all programs of the problem do."""
+        problem, scenarios = self.problem, self.scenarios
+        _, collocation, constants = self.discretised
+        points, fit = np.asarray(collocation.points), np.asarray(collocation.pseudo_inverse)
+        every = points if scenarios is None else np.concatenate([points, scenarios.points])
+        pointwise = Pointwise.of(problem)
+        plan = Plan(
+            mesh, self.goal.schemes[0], len(points), len(every) - len(points), len(fit), are_affine(pointwise, mesh)
+        )
+        layout, fixed = Layout.of(problem, plan), Fixed.of(pointwise)
+        assembled = Assembled.of(layout, self.traced, self.equations, constants, every, fit, fixed)
+        if start is None:
+            decisions = self.begins.decisions(problem)
+            start = decisions, self.begins.states(problem, mesh.fractions, every, decisions)
+        first = started(self.traced, layout, assembled, every, *start)
+        program, sizes = program_of(problem, scenarios, layout, assembled, fixed, first)
+        return SimultaneouslyTranscribed(
+            problem,
+            self.traced,
+            self.discretised,
+            program,
+            assembled.rows.own,
+            sizes,
+            Texts.of(problem),
+            scenarios,
+            layout=layout,
+            assembled=assembled,
+            recipe=self,
+        )
+
+
 @final
 @dataclass(frozen=True, kw_only=True)
 class SimultaneouslyTranscribed(AbstractTranscribed):
     """A problem as a sparse program in its decisions and in the states of all realisations at the points of a mesh.
 
-    - `goal`: what is asked of meshes; `meshes`: those before;
-    - `begins`: where programs of the problem start;
-    - `equations`: the problem, traced, as it is on the first mesh: with its rates and outputs, which are compiled once.
+    - `recipe`: what it is made from on any mesh; `meshes`: those before.
     """
 
     layout: Layout
     assembled: Assembled
-    goal: Goal
-    begins: AbstractStart
-    equations: Problem
+    recipe: Recipe
     meshes: tuple[MeshError, ...] = ()
 
     @property
@@ -98,7 +142,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
 
     @override
     def point(self, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " variables"]:
-        states = self.begins.states(self.problem, self.layout.plan.mesh.fractions, self.points, decisions)
+        states = self.recipe.begins.states(self.problem, self.layout.plan.mesh.fractions, self.points, decisions)
         return started(self.traced, self.layout, self.assembled, self.points, decisions, states)
 
     @override
@@ -143,8 +187,8 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     @override
     def at_scenarios(self, scenarios: Scenarios) -> "SimultaneouslyTranscribed":
         discretised = self.discretised.at_scenarios(scenarios)
-        way = self._way._replace(discretised=discretised, scenarios=scenarios)
-        return replace(way.transcribed(self.layout.plan.mesh), meshes=self.meshes)
+        recipe = self.recipe._replace(discretised=discretised, scenarios=scenarios)
+        return replace(recipe.on(self.layout.plan.mesh), meshes=self.meshes)
 
     @property
     @override
@@ -165,7 +209,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         error = self._reported(drift, point)
         if error.is_met or len(self.meshes) + 1 == _MOST_MESHES:
             return None
-        scheme, parts = refinement(self.goal, mesh.scheme, drift)
+        scheme, parts = refinement(self.recipe.goal, mesh.scheme, drift)
         finer = mesh.refined(scheme, whole_parts(self.problem, parts))
         if self.layout.count * len(finer.fractions) > _MOST_VARIABLES * len(mesh.fractions):
             return None
@@ -173,9 +217,9 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         states = self._states_on(point, finer.fractions)
         problem, decisions = followed(self.problem, values.decisions, finer.nodes)
         traced = numbers_to_arrays(problem)
-        equations = self.equations if _has_same_equations(problem, self.layout.pointwise) else traced
-        way = self._way._replace(problem=problem, traced=traced, equations=equations)
-        transcribed = way.transcribed(finer, (decisions, states))
+        equations = self.recipe.equations if _has_same_equations(problem, self.layout.pointwise) else traced
+        recipe = self.recipe._replace(problem=problem, traced=traced, equations=equations)
+        transcribed = recipe.on(finer, (decisions, states))
         return replace(transcribed, meshes=(*self.meshes, error)), transcribed.program.start
 
     @override
@@ -197,10 +241,6 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         is_whole = not integrated_paths(self.problem.expressions)
         by_signal = dict(zip(signals, apart(duals.signals, list(signals.values())), strict=True)) if is_whole else {}
         return Costates(nodes, self.points, by_state), Switching(weighed, by_signal)
-
-    @property
-    def _way(self) -> "Way":
-        return Way(self.problem, self.traced, self.equations, self.discretised, self.scenarios, self.goal, self.begins)
 
     def _instants(
         self, point: Float[np.ndarray, " variables"], fractions: Float[np.ndarray, " n"]
@@ -237,61 +277,13 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         return segment_drift(self.traced, layout, self.points, point, sizes)
 
     def _reported(self, drift: Drift, point: Float[np.ndarray, " variables"]) -> MeshError:
-        drifts, mesh = drift.errors.max(axis=2, initial=0.0), self.layout.plan.mesh
+        drifts, mesh, goal = drift.errors.max(axis=2, initial=0.0), self.layout.plan.mesh, self.recipe.goal.error
         worst, _ = np.unravel_index(np.argmax(drifts), drifts.shape)
         numbers = inputs_at(self.places, self.points[worst], jnp.asarray(self.decisions(point)))
-        return MeshError(self._instants(point, np.array(mesh.nodes)), mesh.scheme, drifts, self.goal.error, numbers)
+        return MeshError(self._instants(point, np.array(mesh.nodes)), mesh.scheme, drifts, goal, numbers)
 
 
 def _has_same_equations(problem: Problem, before: Pointwise) -> bool:
     """Whether a problem with other controls has the rates and outputs of the one before, of signals as told."""
     pointwise = Pointwise.of(problem)
     return not pointwise.is_random and pointwise.direct.size == before.direct.size
-
-
-class Way(NamedTuple):
-    """What a program is made from, beside a mesh."""
-
-    problem: Problem
-    traced: Problem
-    equations: Problem
-    discretised: Discretised
-    scenarios: Scenarios | None
-    goal: Goal
-    begins: AbstractStart
-
-    def transcribed(self, mesh: Mesh, begun: tuple[np.ndarray, np.ndarray] | None = None) -> SimultaneouslyTranscribed:
-        """The program on a mesh. It begins at given decisions and states, or where all begin."""
-        problem, traced, discretised, scenarios = self.problem, self.traced, self.discretised, self.scenarios
-        collocation, constants = discretised.collocation, discretised.constants
-        points = np.asarray(collocation.points)
-        every = points if scenarios is None else np.concatenate([points, scenarios.points])
-        fit = np.asarray(collocation.pseudo_inverse)
-        pointwise = Pointwise.of(problem)
-        plan = Plan(
-            mesh, self.goal.schemes[0], len(points), len(every) - len(points), len(fit), are_affine(pointwise, mesh)
-        )
-        layout, fixed = Layout.of(problem, plan), Fixed.of(pointwise)
-        assembled = Assembled.of(layout, traced, self.equations, constants, every, fit, fixed)
-        decisions, states = begun or self._first(mesh, every)
-        start = started(traced, layout, assembled, every, decisions, states)
-        program, sizes = program_of(problem, scenarios, layout, assembled, fixed, start)
-        return SimultaneouslyTranscribed(
-            problem,
-            traced,
-            discretised,
-            program,
-            assembled.rows.own,
-            sizes,
-            Texts.of(problem),
-            scenarios,
-            layout=layout,
-            assembled=assembled,
-            goal=self.goal,
-            begins=self.begins,
-            equations=self.equations,
-        )
-
-    def _first(self, mesh: Mesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        decisions = self.begins.decisions(self.problem)
-        return decisions, self.begins.states(self.problem, mesh.fractions, points, decisions)
