@@ -5,7 +5,6 @@ told before anything is sent. Threads of this process are handed the objects the
 Processes can be ended with all those that they started, and end when nobody waits for them any more.
 """
 
-import abc
 import concurrent.futures
 import hashlib
 import os
@@ -22,8 +21,6 @@ from functools import partial
 from multiprocessing import connection, parent_process
 from multiprocessing.connection import Connection
 from typing import Any, TypeAlias, TypeVar, final
-
-from typing_extensions import override
 
 from aleator._core.border import refusal, shown
 from aleator._core.errors import AleatorError, AleatorWarning, ProblemError, SimulationError, warned_of
@@ -120,7 +117,7 @@ class Sent:
         self._known = set[Future[Any]]()
         self._open: dict[Future[Any], tuple[int, Callable[[], Any]]] = {}
 
-    def send(self, index: int, pack: "AbstractPack", where: str) -> None:
+    def send(self, index: int, pack: "Pack", where: str) -> None:
         """Send a pack. Raises `SimulationError` if the executor does not take it."""
         future = _submitted(self._executor, pack, where)
         if future in self._known:
@@ -140,7 +137,7 @@ class Sent:
             future.cancel()
 
 
-def _submitted(executor: Executor, pack: "AbstractPack", where: str) -> "Future[Any]":
+def _submitted(executor: Executor, pack: "Pack", where: str) -> "Future[Any]":
     try:
         future = executor.submit(run, pack)
     except Exception as error:  # every executor has its own
@@ -154,73 +151,41 @@ def _lost(where: str, why: str) -> SimulationError:
     return SimulationError(f"{where}: {why}. Finished results are kept within al.journal(folder), for the next run.")
 
 
-class AbstractPack(abc.ABC):
-    """Some work with its arguments, as an executor is given it."""
-
-    @abc.abstractmethod
-    def opened(self) -> tuple[Work, Mapping[str, Any]]:
-        """The work and its arguments by name, where it is done."""
-
-    @abc.abstractmethod
-    def answer(self, found: Any) -> Any:
-        """What is found there, as it is sent back."""
-
-    @abc.abstractmethod
-    def read(self, answer: Any) -> tuple[bool, Any]:
-        """Whether an answer is one to this pack, and what was found. Raises anything for what is no answer at all."""
-
-
-@final
-@dataclass(frozen=True)
-class _Pickle(AbstractPack):
-    """Work for other processes."""
-
-    content: bytes
-
-    @override
-    def opened(self) -> tuple[Work, Mapping[str, Any]]:
-        return pickle.loads(self.content)
-
-    @override
-    def answer(self, found: Any) -> bytes:
-        return pickle.dumps((self._digest(), found))
-
-    @override
-    def read(self, answer: Any) -> tuple[bool, Any]:
-        digest, found = pickle.loads(answer)
-        return digest == self._digest(), found
-
-    def _digest(self) -> bytes:
-        """Tells one piece of work from another, so that no result is believed that is given for another one."""
-        return hashlib.sha256(self.content).digest()
-
-
 @final
 @dataclass(frozen=True, eq=False)
-class _Handed(AbstractPack):
-    """Work for a thread of this process."""
+class Pack:
+    """Some work with its arguments, as an executor is given it: a pickle, or for threads of this process as it stands.
 
-    work: Work
-    call: Mapping[str, Any]
+    An answer tells which pack it answers, so that no result is believed that is given for another one.
+    """
 
-    @override
+    content: Any
+
     def opened(self) -> tuple[Work, Mapping[str, Any]]:
-        return self.work, self.call
+        """The work and its arguments by name, where it is done."""
+        return pickle.loads(self.content) if self._travels else self.content
 
-    @override
-    def answer(self, found: Any) -> tuple[AbstractPack, Any]:
-        return self, found
+    def answer(self, result: Any) -> Any:
+        """A result as it is sent back."""
+        return pickle.dumps((self._name(), result)) if self._travels else (self._name(), result)
 
-    @override
     def read(self, answer: Any) -> tuple[bool, Any]:
-        pack, found = answer
-        return pack is self, found
+        """Whether an answer is one to this pack, and the result. Raises anything for what is no answer at all."""
+        name, result = pickle.loads(answer) if self._travels else answer
+        return name == self._name(), result
+
+    @property
+    def _travels(self) -> bool:
+        return isinstance(self.content, bytes)
+
+    def _name(self) -> Any:
+        return hashlib.sha256(self.content).digest() if self._travels else id(self)
 
 
-def packed(executor: Executor, work: Work, call: Mapping[str, Any]) -> AbstractPack:
+def packed(executor: Executor, work: Work, call: Mapping[str, Any]) -> Pack:
     """Some work with its arguments by name. Raises `ProblemError` for what other processes could not read."""
     if is_of_this_process(executor):
-        return _Handed(work, dict(call))
+        return Pack((work, dict(call)))
     try:
         content = pickle.dumps((work, dict(call)))
     except Exception as error:  # of whatever kind a user's object raises
@@ -235,10 +200,10 @@ def packed(executor: Executor, work: Work, call: Mapping[str, Any]) -> AbstractP
             "not have. Move them into a module, a file of their own beside the script, and import them from there; or "
             "give it to threads of this process, ThreadPoolExecutor(2), which take any model."
         )
-    return _Pickle(content)
+    return Pack(content)
 
 
-def run(pack: AbstractPack) -> Any:
+def run(pack: Pack) -> Any:
     """Do some work where an executor does it: the result or our own exception, and the warnings, as an answer."""
     work, call = pack.opened()
     with _HEARD, warnings.catch_warnings(record=True) as heard:
@@ -251,7 +216,7 @@ def run(pack: AbstractPack) -> Any:
     return pack.answer((result, told))
 
 
-def received(future: "Future[Any]", pack: AbstractPack, where: str) -> Any:
+def received(future: "Future[Any]", pack: Pack, where: str) -> Any:
     """The result of `run` for a pack, or our own exception as a result, with its warnings told here.
 
     Raises `SimulationError` if the worker was lost, or gave what is no result of this pack.

@@ -14,7 +14,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree, jax_array, numbers_to_arrays
 from aleator._core.border import one_of, refusal
-from aleator._core.compilation import Use
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ExpansionWarning, ProblemError, SimulationError
 from aleator._core.leaves import transparent
 from aleator.analysis._expanded import Expanded

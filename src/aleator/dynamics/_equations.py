@@ -65,8 +65,10 @@ class Equations:
                     "declared with in another one. Start workers anew, with the same files; solve stored designs again."
                 )
             self._functions = again._functions
-        traced = TracedAlgebraic if isinstance(system, AlgebraicSystem) else TracedSystem
-        return traced(system, self)
+        if isinstance(system, AlgebraicSystem):
+            return TracedAlgebraic(system, self)
+        assert isinstance(system, System)
+        return TracedSystem(system, self)
 
     def output_shapes(self) -> dict[str, tuple[int, ...]]:
         """The shape of each output at one instant, by name."""

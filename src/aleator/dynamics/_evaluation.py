@@ -11,7 +11,6 @@ import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,7 +22,7 @@ from aleator._core.border import traceable
 from aleator._core.errors import ProblemError
 from aleator.dynamics._grid import Grid, inputs_on
 from aleator.dynamics._newton import Named, Root, failure_text, listed, named_root, numbers_in
-from aleator.dynamics._system import System, evaluated, state_type
+from aleator.dynamics._system import AbstractSystem, System, evaluated, state_type
 from aleator.trajectories import AbstractSignal
 
 # So many places along a step are looked at for the first one where the equations have no solution.
@@ -117,7 +116,7 @@ def starting(what: str, names: tuple[str, ...], given: Mapping[str, Any]) -> lis
     return values
 
 
-def as_outputs(system: eqx.Module, values: Any) -> dict[str, Array]:
+def as_outputs(system: AbstractSystem, values: Any) -> dict[str, Array]:
     """The return value of `system.outputs` as arrays by name."""
     if not isinstance(values, dict):
         raise ProblemError(
@@ -138,7 +137,7 @@ def as_outputs(system: eqx.Module, values: Any) -> dict[str, Array]:
 
 
 def as_equations(
-    system: eqx.Module, values: Any, unknowns: tuple[str, ...], expected: int
+    system: AbstractSystem, values: Any, unknowns: tuple[str, ...], expected: int
 ) -> Float[Array, " expected"]:
     """The return value of `system.residual` as one vector, of as many entries as there are numbers in `unknowns`."""
     name = system.title

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.compilation import Compiled
 from aleator._core.errors import ProblemError
-from aleator._core.executors import AbstractPack, each_of, packed
+from aleator._core.executors import Pack, each_of, packed
 from aleator.design import Problem, functionals_of, refuse_other_code
 from aleator.ensemble import Part, each, fill, parts
 from aleator.expansion import Collocation
@@ -126,13 +126,13 @@ class _Elsewhere:
 
 
 def _rows_there(
-    items: Sequence[Float[np.ndarray, "few n"]], made_of: AbstractPack, size: int
+    items: Sequence[Float[np.ndarray, "few n"]], made_of: Pack, size: int
 ) -> list[Float[np.ndarray, "few rows"]]:
     return _population(made_of).rows(items, size)
 
 
 @functools.lru_cache(_KEPT)
-def _population(made_of: AbstractPack) -> Population:
+def _population(made_of: Pack) -> Population:
     """A population in this process, which is made and compiled once for all generations."""
     kind, parts_of_it = made_of.opened()
     refuse_other_code(parts_of_it["traced"])
