@@ -7,11 +7,9 @@ import pytest
 import report_problems as given
 
 import aleator as al
-from aleator.studies.suspension._facts import box, cost
-from aleator.studies.suspension._published import published_table
+from aleator.studies.suspension._facts import box, cost, published_table
 from aleator.studies.suspension._run import BUILT, QUICK, Effort, SuspensionResults, problems
-from aleator.studies.suspension._study import SuspensionStudy
-from aleator.studies.suspension._verdict import verdict
+from aleator.studies.suspension._study import SuspensionStudy, verdict
 from aleator.sweep import Trial
 
 INSTANTS = 5

@@ -16,20 +16,21 @@ from aleator.journalling import FILE
 from aleator.reporting import PAGE
 from aleator.studies import load
 from aleator.studies.clutch import MEANS, TOLERANCES, clutch, pressure_angle
-from aleator.studies.clutch._counts import (
+from aleator.studies.clutch._facts import counted, counts_table, method, rejects_of, times_cheaper, verdict
+from aleator.studies.clutch._run import (
     CHEAPEST,
     GIVEN,
     SAFE,
+    Effort,
+    Method,
     count_rejects,
     exact_rejects,
+    exact_variation,
     tolerances_of,
     worst_case,
     worst_case_tolerances,
 )
-from aleator.studies.clutch._facts import counted, counts_table, method, rejects_of, times_cheaper
-from aleator.studies.clutch._run import Effort, Method, exact_variation
 from aleator.studies.clutch._study import ClutchStudy
-from aleator.studies.clutch._verdict import verdict
 
 SMALL = Effort(samples=20_000, quasi_samples=2**11, evidence_samples=20_000, counted=200_000, front_points=3, repeats=1)
 

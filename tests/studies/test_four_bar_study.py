@@ -7,11 +7,20 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.studies.four_bar import DURATION, HEIGHT, LENGTHS, WIDTHS, ZONE, FourBar, _counts, driven
-from aleator.studies.four_bar._counts import count_linkages, crank_angles, posture
-from aleator.studies.four_bar._drawing import posture_of
-from aleator.studies.four_bar._run import ALLOCATED, DESIGNS, NOMINAL, PUBLISHED, QUICK, ROBUST, TARGET
-from aleator.studies.four_bar._study import FourBarStudy
+from aleator.studies.four_bar import DURATION, HEIGHT, LENGTHS, WIDTHS, ZONE, FourBar, _run, driven
+from aleator.studies.four_bar._run import (
+    ALLOCATED,
+    DESIGNS,
+    NOMINAL,
+    PUBLISHED,
+    QUICK,
+    ROBUST,
+    TARGET,
+    count_linkages,
+    crank_angles,
+    posture,
+)
+from aleator.studies.four_bar._study import FourBarStudy, posture_of
 from compiling import compiled
 
 G = 9.81
@@ -110,14 +119,14 @@ def test_counts_find_the_published_linkage_within_its_published_error():
 
 
 def test_every_batch_of_linkages_is_drawn_anew(monkeypatch: pytest.MonkeyPatch):
-    drawn, draw = [], _counts.drawn_postures
+    drawn, draw = [], _run.drawn_postures
 
     def noted(*given, **named):
         drawn.append(draw(*given, **named))
         return drawn[-1]
 
-    monkeypatch.setattr(_counts, "AT_ONCE", 4)
-    monkeypatch.setattr(_counts, "drawn_postures", noted)
+    monkeypatch.setattr(_run, "AT_ONCE", 4)
+    monkeypatch.setattr(_run, "drawn_postures", noted)
     count_linkages(LENGTHS, WIDTHS, 10)
     heights = [one.tool[:, 0, 1] for one in drawn]
     assert [len(one) for one in heights] == [4, 4, 2]

@@ -13,12 +13,10 @@ import aleator as al
 from aleator import cli
 from aleator.reporting import page_html
 from aleator.studies import load, pick_and_place_effort, pick_and_place_time, six_axis_arm, swing_up
-from aleator.studies._motion.build import TARGET as TOLERATED
-from aleator.studies._motion.build import price
-from aleator.studies._motion.family import fly
-from aleator.studies._motion.results import Effort
-from aleator.studies.pick_and_place_time._run import MEAN, ONE, WORST
-from aleator.studies.pick_and_place_time._study import PickAndPlaceTime
+from aleator.studies._motion.facts import TARGET as TOLERATED
+from aleator.studies._motion.facts import price
+from aleator.studies._motion.results import Effort, fly
+from aleator.studies.pick_and_place_time._study import MEAN, ONE, WORST, PickAndPlaceTime
 from aleator.studies.two_link_arm import START, TARGET, TwoLinkArm
 from aleator.uncertainty import realise
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.studies._motion.build import TARGET, build_verdict, meets, price
-from aleator.studies._motion.family import Family
-from aleator.studies._motion.printed import compared
+from aleator.studies._motion.facts import TARGET, build_verdict, compared, meets, price
+from aleator.studies._motion.results import Family
 from aleator.studies.swing_up._facts import terminal_norm
 from zoo import STRESS, bar_problem
 

@@ -3,7 +3,7 @@
 import pytest
 
 import aleator as al
-from aleator.studies._toml._quantity import amount, plain
+from aleator.studies._toml import amount, plain
 
 # Each by hand: a turn is 6.283185307179586 rad, a degree 0.017453292519943295 rad, a minute 60 s.
 PAIRS = {

@@ -23,6 +23,9 @@ from aleator.foreign._campaign import drop_given, most_of, sound, warn_of_droppe
 from aleator.trajectories import entry, read_table
 from aleator.uncertainty import placements
 
+if TYPE_CHECKING:
+    import xarray
+
 NUMBER = "sample"
 """The column with the numbers of samples, from 1 on."""
 
@@ -188,10 +191,6 @@ def _is_all_numbers(rows: list[list[str]], column: int) -> bool:
         return False
 
 
-if TYPE_CHECKING:
-    import xarray
-
-
 def ask(model: Pytree, expansion: Expansion | None = None) -> "Asked":
     """The points at which `al.expand` would call a function: `al.foreign.ask({"w": al.Normal(1.0, 0.1)})`.
 
@@ -277,7 +276,7 @@ class Asked:
         """
         part = drop_given("tell: drop", drop)
         rows = answers(self.points, columns_of(responses, list(self.points)))
-        return expand(_Told(rows, part), self._model, self._expansion, times=times)
+        return expand(_Responses(rows, part), self._model, self._expansion, times=times)
 
     def __str__(self) -> str:
         lines = [f"{len(self)} samples of {', '.join(self.points)}"]
@@ -287,7 +286,7 @@ class Asked:
 
 
 @final
-class _Told(AbstractBox):
+class _Responses(AbstractBox):
     """A box that knows its outputs at the points that were asked for, and no others."""
 
     def __init__(self, rows: Sequence[Pytree | None], drop: float):
@@ -300,28 +299,22 @@ class _Told(AbstractBox):
 
     @override
     def at_all(self, realisations: Sequence[Realisation], *, whole: bool) -> list[Pytree | None]:
-        found: list[Pytree | None] = []
         failures: dict[int, str] = {}
         for index, outputs in enumerate(self._rows):
-            reason = "it has no response" if outputs is None else _unsound(outputs)
-            if reason:
-                failures[index] = reason
-            found.append(None if reason else outputs)
-        most = 0 if whole else most_of(self._drop, len(found))
+            if outputs is None:
+                failures[index] = "it has no response"
+                continue
+            try:
+                sound(outputs, self.__name__, None)
+            except SimulationError as error:
+                failures[index] = str(error)
+        most = 0 if whole else most_of(self._drop, len(self._rows))
         if len(failures) > most:
             first = min(failures)
             raise SimulationError(
-                f"tell: {len(failures)} of {len(found)} samples have no response of finite numbers, and drop="
+                f"tell: {len(failures)} of {len(self._rows)} samples have no response of finite numbers, and drop="
                 f"{self._drop:g} allows {most}{' here' * whole}: first {realisations[first]}, {failures[first]}."
             )
         if failures:
-            warn_of_dropped("the model", realisations, failures)
-        return found
-
-
-def _unsound(outputs: Pytree) -> str:
-    try:
-        sound(outputs, "the model", None)
-    except SimulationError as error:
-        return str(error)
-    return ""
+            warn_of_dropped(self.__name__, realisations, failures)
+        return [None if index in failures else outputs for index, outputs in enumerate(self._rows)]

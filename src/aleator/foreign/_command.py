@@ -186,18 +186,16 @@ def _rival(before: list[str], parsed: Any) -> str | None:
     """The last line before the parsed one that rather looks like an output: an object, or a list before a number."""
     if isinstance(parsed, dict):
         return None
-    begins = _begins_object if isinstance(parsed, list) else _begins_object_or_list
-    return next(filter(begins, reversed(before)), None)
+    return next((line for line in reversed(before) if _begins(line, lists=not isinstance(parsed, list))), None)
 
 
-def _begins_object(line: str) -> bool:
-    """Whether an object begins in a line: it may go on in others, or be printed as Python does."""
-    return line.startswith("{")
-
-
-def _begins_object_or_list(line: str) -> bool:
-    """The same for lists too; `[info] ...` is none."""
-    if _begins_object(line) or line == "[":
+def _begins(line: str, *, lists: bool) -> bool:
+    """Whether an object begins in a line, which may go on in others or be printed as Python does, or a list, which
+    `[info] ...` is not.
+    """
+    if line.startswith("{") or not lists:
+        return line.startswith("{")
+    if line == "[":
         return True
     try:
         return isinstance(json.loads(line), list)
@@ -207,12 +205,11 @@ def _begins_object_or_list(line: str) -> bool:
 
 def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """An object of JSON. Raises `SimulationError` for a name that it has twice."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
-        raise SimulationError(f"expected each output once; received {twice!r} twice")
-    return found
+    names = [name for name, _ in pairs]
+    for name in names:
+        if names.count(name) > 1:
+            raise SimulationError(f"expected each output once; received {name!r} twice")
+    return dict(pairs)
 
 
 def _arrays(parsed: Any, what: str) -> Pytree:

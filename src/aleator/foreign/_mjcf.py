@@ -15,8 +15,7 @@ from jaxtyping import Bool
 from aleator._core.errors import ProblemError
 from aleator.foreign._mjcf_bodies import Equalities, are_held, bodies_of, equalities_of, joints_of, posture_of
 from aleator.foreign._mjcf_model import Model, compiled, is_disabled
-from aleator.foreign._robot import Robot, robot_of
-from aleator.foreign._robot_files import broken, checked_effects, refuse_effects, root_of
+from aleator.foreign._robot import Robot, broken, checked_effects, refuse_effects, robot_of, root_of
 
 
 def gravity_of(model: Model) -> tuple[float, ...]:
@@ -132,7 +131,7 @@ def read_mjcf(path: str | Path, *, leave_out: Sequence[str] = ()) -> Robot:
         bodies,
         gravity=gravity_of(model),
         limits=limits,
-        posture=posture_of(model, joints),
+        posture=tuple(posture_of(model, joints).items()),
         loops=equalities.loops,
         couplings=equalities.couplings,
         notes=(*notes, *unread, *equalities.notes, *_notes(model, limits)),

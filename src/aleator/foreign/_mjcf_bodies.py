@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from aleator.foreign._mjcf_model import Model, Posture, is_disabled, library
-from aleator.foreign._robot import Coupling, carriers, known
-from aleator.foreign._robot_files import broken, geometry
+from aleator.foreign._robot import Coupling, broken, carriers, geometry, known
 from aleator.mechanics import AbstractJoint, Ball, Body, Closure, Fixed, Free, Prismatic, Revolute
 
 _FREE, _BALL, _SLIDE, _HINGE = range(4)

@@ -13,9 +13,9 @@ from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
 from aleator.foreign._sympy_program import Program, load_sympy, written
 from aleator.foreign._sympy_symbols import (
-    Found,
+    Contents,
+    contents_of,
     expressions_by_name,
-    found_in,
     name_of,
     named,
     numbers_for,
@@ -141,7 +141,7 @@ def acceleration_of(name: str) -> str:
     return f"\0acceleration of {name}"
 
 
-class _Given(NamedTuple):
+class _Equations(NamedTuple):
     """Equations of motion `M v̇ = forcing` in SymPy's expressions, with `q̇ = kinematics` and `constraints = 0`."""
 
     who: str
@@ -192,7 +192,7 @@ def from_kane(
     mass, forcing = _formed(who, kane, "kanes_equations")
     q, v = list(kane.q), list(kane.u)
     kinematics = sympy.Matrix([rates[one.diff(time_symbol())] for one in q])
-    given = _Given(who, q, v, mass.xreplace(rates), forcing.xreplace(rates), kinematics, [], [])
+    given = _Equations(who, q, v, mass.xreplace(rates), forcing.xreplace(rates), kinematics, [], [])
     return _mechanical(given, numbers, outputs, units)
 
 
@@ -226,7 +226,7 @@ def from_lagrange(
     mass, forcing = _formed(who, lagrange, "form_lagranges_equations")
     q = list(lagrange.q)
     v = [one.diff(time_symbol()) for one in q]
-    given = _Given(who, q, v, mass[:, : len(q)], forcing, sympy.Matrix(v), constraints, list(lagrange.lam_vec))
+    given = _Equations(who, q, v, mass[:, : len(q)], forcing, sympy.Matrix(v), constraints, list(lagrange.lam_vec))
     return _mechanical(given, numbers, outputs, units)
 
 
@@ -237,14 +237,14 @@ def _formed(who: str, method: Any, former: str) -> tuple[Any, Any]:
         raise ProblemError(f"{who}: the equations are not formed yet; call {former}() first.") from error
 
 
-def _mechanical(given: _Given, numbers: Any, outputs: Any, units: Any) -> SymPyMechanical:
+def _mechanical(given: _Equations, numbers: Any, outputs: Any, units: Any) -> SymPyMechanical:
     who, q, v = given.who, given.q, given.v
     sympy, time = load_sympy(who), time_symbol()
     numbers = symbols_given(f"{who}: numbers", numbers)
     formulas = expressions_by_name(f"{who}: outputs", {} if outputs is None else outputs)
-    moving = found_in(who, [*given.mass, *given.forcing, *given.kinematics, *given.constraints])
-    told = found_in(f"{who}: outputs", formulas.values())
-    if time in (*moving.symbols, *told.symbols):
+    moving = contents_of(who, [*given.mass, *given.forcing, *given.kinematics, *given.constraints])
+    of_outputs = contents_of(f"{who}: outputs", formulas.values())
+    if time in (*moving.symbols, *of_outputs.symbols):
         raise ProblemError(
             f"{who}: the time {time} stands in the model; put a function of time in its place (dynamicsymbols), and "
             "give this in numbers as a signal."
@@ -253,7 +253,7 @@ def _mechanical(given: _Given, numbers: Any, outputs: Any, units: Any) -> SymPyM
     free = [one for one in moving.functions if one not in (*q, *v)]
     torques = [one for one in free if one not in numbers]
     parameters = [one for one in free if one in numbers]
-    parameters += sorted({*moving.symbols, *told.symbols}, key=str)
+    parameters += sorted({*moving.symbols, *of_outputs.symbols}, key=str)
 
     effect = given.forcing.jacobian(torques) if torques else sympy.zeros(len(v), 0)
     _refuse_nonlinear(given, effect, torques)
@@ -269,7 +269,7 @@ def _mechanical(given: _Given, numbers: Any, outputs: Any, units: Any) -> SymPyM
     speeds = {one: meanings[one] for one in v}
     multipliers = {one: f"\0{name_of(one)}" for one in given.multipliers}
     known = {**_rates(q, speeds), **multipliers, **meanings}
-    _refuse_unknown_outputs(who, told, known)
+    _refuse_unknown_outputs(who, of_outputs, known)
     return SymPyMechanical(
         numbers_for(who, parameters, numbers),
         Mechanics(
@@ -305,7 +305,7 @@ def _standard(q: Sequence[Any], v: Sequence[Any], torques: Sequence[Any]) -> lis
     return motion + [f"{name_of(one)}{end}" for one in (*v, *torques) for end in ("", "_rate")]
 
 
-def _refuse_derivatives(who: str, moving: Found, motion: Collection[Any]) -> None:
+def _refuse_derivatives(who: str, moving: Contents, motion: Collection[Any]) -> None:
     """Refuse derivatives of anything but the motion: prescribed motions."""
     for one in moving.derivatives:
         if one not in motion:
@@ -315,11 +315,11 @@ def _refuse_derivatives(who: str, moving: Found, motion: Collection[Any]) -> Non
             )
 
 
-def _refuse_nonlinear(given: _Given, effect: Any, torques: Sequence[Any]) -> None:
+def _refuse_nonlinear(given: _Equations, effect: Any, torques: Sequence[Any]) -> None:
     """Refuse functions of time that are neither given nor torques."""
-    elsewhere = found_in(given.who, [*given.mass, *given.kinematics, *given.constraints]).functions
+    elsewhere = contents_of(given.who, [*given.mass, *given.kinematics, *given.constraints]).functions
     for i, one in enumerate(torques):
-        factors = found_in(given.who, effect[:, i])
+        factors = contents_of(given.who, effect[:, i])
         if one in elsewhere or {*factors.functions, *factors.derivatives} & {*torques, *given.v}:
             raise ProblemError(
                 f"{given.who}: an actuator enters linearly, by factors that depend on the coordinates alone; received "
@@ -327,10 +327,10 @@ def _refuse_nonlinear(given: _Given, effect: Any, torques: Sequence[Any]) -> Non
             )
 
 
-def _refuse_driven(given: _Given, forms: Any) -> None:
+def _refuse_driven(given: _Equations, forms: Any) -> None:
     """Refuse rates of coordinates that are not linear in the speeds."""
     at_rest = given.kinematics.xreplace(dict.fromkeys(given.v, 0))
-    inside = found_in(given.who, forms)
+    inside = contents_of(given.who, forms)
     if any(not one.equals(0) for one in at_rest) or {*given.v} & {*inside.functions, *inside.derivatives}:
         raise ProblemError(
             f"{given.who}: expected rates of coordinates that are linear in the speeds, without further terms; "
@@ -338,10 +338,10 @@ def _refuse_driven(given: _Given, forms: Any) -> None:
         )
 
 
-def _refuse_unknown_outputs(who: str, told: Found, known: Mapping[Any, str]) -> None:
+def _refuse_unknown_outputs(who: str, of_outputs: Contents, known: Mapping[Any, str]) -> None:
     """Refuse what outputs contain, but no equation of motion."""
     names = {str(one): one for one in known}
-    for one in (*told.functions, *told.derivatives):
+    for one in (*of_outputs.functions, *of_outputs.derivatives):
         if one not in known:
             raise ProblemError(
                 f"{who}: outputs: the equations of motion do not contain {one}.{meant(str(one), names)} Expected "

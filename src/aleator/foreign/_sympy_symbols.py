@@ -72,7 +72,7 @@ def _is_whole(kind: str, low: float, high: float) -> bool | None:
     return bool(getattr(sympy.Integer(int(low)), f"is_{kind}"))
 
 
-class Found(NamedTuple):
+class Contents(NamedTuple):
     """What some expressions contain, each in the order of its name.
 
     - `functions`: functions of time without an equation of their own, such as `q(t)`; `derivatives` of these;
@@ -111,7 +111,7 @@ def expressions_by_name(what: str, given: Any) -> dict[str, Any]:
     return {name: expression(f"{what}, '{name}'", one) for name, one in given.items()}
 
 
-def found_in(who: str, expressions: Iterable[Any]) -> Found:
+def contents_of(who: str, expressions: Iterable[Any]) -> Contents:
     """What expressions contain. Raises `ProblemError` for functions of anything but the time."""
     sympy = load_sympy(who)
     whole, time = sympy.Tuple(*expressions), time_symbol()
@@ -125,7 +125,7 @@ def found_in(who: str, expressions: Iterable[Any]) -> Found:
             )
     plain = whole.xreplace({one: sympy.Dummy() for one in derivatives | functions})
     symbols = (one for one in plain.free_symbols if not isinstance(one, sympy.Dummy))
-    return Found(*(tuple(sorted(part, key=str)) for part in (functions, derivatives, symbols)))
+    return Contents(*(tuple(sorted(part, key=str)) for part in (functions, derivatives, symbols)))
 
 
 def time_symbol() -> Any:

@@ -15,10 +15,10 @@ from aleator.dynamics import AlgebraicSystem, System
 from aleator.dynamics._system import state_type
 from aleator.foreign._sympy_program import Program, load_sympy, written
 from aleator.foreign._sympy_symbols import (
-    Found,
+    Contents,
+    contents_of,
     expression,
     expressions_by_name,
-    found_in,
     name_of,
     named,
     numbers_for,
@@ -160,25 +160,25 @@ def from_sympy(
     )
     values, follow = _started(start, states)
 
-    moving = found_in(_WHO, [*rates.values(), *mass])
+    moving = contents_of(_WHO, [*rates.values(), *mass])
     if moving.derivatives:
         raise ProblemError(
             f"{_WHO}: expected rates without derivatives; received {moving.derivatives[0]}. Solve the equations for "
             "the rates (sympy.solve), or give their matrix as mass_matrix."
         )
-    told = found_in(f"{_WHO}: outputs", formulas.values())
+    of_outputs = contents_of(f"{_WHO}: outputs", formulas.values())
     inputs = [one for one in moving.functions if one not in states]
-    inputs += [one for one in told.functions if one not in (*states, *inputs)]
+    inputs += [one for one in of_outputs.functions if one not in (*states, *inputs)]
     if signalled := [one for one in inputs if one in given]:
         raise ProblemError(
             f"{_WHO}: {signalled[0]} is an input, not one of numbers; give it as a signal: al.Problem(..., "
             f"inputs={{'{name_of(signalled[0])}': ...}})."
         )
-    parameters = _parameters(states, moving, told, found_in(f"{_WHO}: start", follow.values()))
+    parameters = _parameters(states, moving, of_outputs, contents_of(f"{_WHO}: start", follow.values()))
     meanings = named(_WHO, (*states, *inputs, *parameters)) | {time_symbol(): _TIME}
     for one in (*states, *inputs):
         refuse_stepping(_WHO, one, meanings[one])
-    slopes = _slopes(told, rates, mass_matrix is None)
+    slopes = _slopes(of_outputs, rates, mass_matrix is None)
     state_type(tuple(meanings[one] for one in states))
     equations = _Equations(
         states=tuple(meanings[one] for one in states),
@@ -225,15 +225,15 @@ def _started(given: Any, states: Sequence[Any]) -> tuple[dict[Any, Any], dict[An
     return values, follow
 
 
-def _parameters(states: Sequence[Any], moving: Found, told: Found, begun: Found) -> list[Any]:
+def _parameters(states: Sequence[Any], moving: Contents, of_outputs: Contents, of_start: Contents) -> list[Any]:
     """The symbols whose numbers are given: neither states nor the time."""
-    if begun.functions or begun.derivatives or any(one in states for one in begun.symbols):
+    if of_start.functions or of_start.derivatives or any(one in states for one in of_start.symbols):
         raise ProblemError(f"{_WHO}: start: expected numbers, or expressions of the parameters alone.")
-    symbols = dict.fromkeys((*moving.symbols, *told.symbols, *begun.symbols))
+    symbols = dict.fromkeys((*moving.symbols, *of_outputs.symbols, *of_start.symbols))
     return sorted((one for one in symbols if one not in states and one != time_symbol()), key=str)
 
 
-def _slopes(told: Found, rates: Mapping[Any, Any], explicit: bool) -> dict[Any, str]:
+def _slopes(of_outputs: Contents, rates: Mapping[Any, Any], explicit: bool) -> dict[Any, str]:
     """What derivatives in outputs mean: the first ones of states, and second ones where the first is a state."""
     time, known = time_symbol(), {}
     # Plain symbols have no derivatives by time: SymPy gives zero.
@@ -241,7 +241,7 @@ def _slopes(told: Found, rates: Mapping[Any, Any], explicit: bool) -> dict[Any, 
         known[state.diff(time)] = _rate_of(name_of(state))
         if explicit and rate in rates:
             known[state.diff(time, 2)] = _rate_of(name_of(rate))
-    for one in told.derivatives:
+    for one in of_outputs.derivatives:
         if one not in known:
             raise ProblemError(
                 f"{_WHO}: outputs: expected rates of states at most; received {one}. Give an input's derivative as an "
@@ -294,7 +294,7 @@ def from_sympy_formulas(
     who = "from_sympy_formulas"
     formulas = expressions_by_name(f"{who}: outputs", outputs)
     given = symbols_given(f"{who}: numbers", numbers)
-    found = found_in(who, formulas.values())
+    found = contents_of(who, formulas.values())
     if found.functions or found.derivatives:
         raise ProblemError(
             f"{who}: expected formulas without time; received {(*found.derivatives, *found.functions)[0]}. Use "

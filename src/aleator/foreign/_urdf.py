@@ -13,8 +13,18 @@ import numpy as np
 
 from aleator._core.border import meant, refusal
 from aleator._core.errors import ProblemError
-from aleator.foreign._robot import Robot, carriers, known, robot_of
-from aleator.foreign._robot_files import Place, broken, checked_effects, geometry, refuse_effects, root_of
+from aleator.foreign._robot import (
+    Place,
+    Robot,
+    broken,
+    carriers,
+    checked_effects,
+    geometry,
+    known,
+    refuse_effects,
+    robot_of,
+    root_of,
+)
 from aleator.mechanics import AbstractJoint, Body, Fixed, Free, Prismatic, Revolute
 
 _AXIAL = {"revolute": Revolute, "continuous": Revolute, "prismatic": Prismatic}
@@ -66,11 +76,11 @@ def read_urdf(path: str | Path, *, floating: bool = False, leave_out: Sequence[s
     first, joints = ordered(path, links, joints)
     notes = refuse_effects(path, _effects(joints), left_out)
     names = carriers({name: name for name in joints}, links)
-    bodies = [_base(links[first], floating)]
+    bodies = [_body(links[first], first, parent=None, joint=Free() if floating else Fixed())]
     for name, joint in joints.items():
         bodies += _behind(joint, names[name], links[joint.needed("child").text("link")])
     limits = {output: ends for name, joint in joints.items() for output, ends in _limits(joint, names[name])}
-    return robot_of(path, bodies, limits=limits, posture={}, notes=(*notes, *_notes(root, links, limits)))
+    return robot_of(path, bodies, limits=limits, notes=(*notes, *_notes(root, links, limits)))
 
 
 def _named(path: str | Path, root: Element, tag: str) -> dict[str, Place]:
@@ -82,10 +92,6 @@ def _named(path: str | Path, root: Element, tag: str) -> dict[str, Place]:
             raise broken(path, f"{tag} '{name}'", f"expected one {tag} of this name; received two.")
         found[name] = Place(path, f"{tag} '{name}'", element)
     return found
-
-
-def _base(link: Place, floating: bool) -> Body:
-    return _body(link, link.text("name"), parent=None, joint=Free() if floating else Fixed())
 
 
 def _behind(joint: Place, name: str, link: Place) -> tuple[Body, ...]:

@@ -2,10 +2,9 @@
 
     __init__    the physics and the problems
     _run        the computations: stages and their results
-    _facts      tables and numbers of the results
-    _verdict    what to build, and why
-    _page       the chapters of the page, with _drawing for a scheme of the system
-    _study      the declaration that joins these, as any study is declared (`docs/extending.md`)
+    _facts      numbers and tables of the results; what to build, and why
+    _study      the chapters of the page, a scheme of the system, and the declaration that joins these, as any study is
+                declared (`docs/extending.md`)
 
 The command line finds them by name. What runs, saves and shows them is listed in `__init__.pyi` and loaded at its first
 use: whoever wants the physics alone does not wait for it.

@@ -1,12 +1,12 @@
 """What running studies needs; see `__init__.py`. Modules are loaded at their first use."""
 
 from ._check import Check as Check
-from ._files import begin_file as begin_file
-from ._files import load_file as load_file
-from ._files import load_module as load_module
 from ._listed import STUDIES as STUDIES
 from ._listed import Entry as Entry
+from ._listed import begin_file as begin_file
 from ._listed import load as load
+from ._listed import load_file as load_file
+from ._listed import load_module as load_module
 from ._own import Study as Study
 from ._study import AbstractStudy as AbstractStudy
 from ._study import PartlySavedError as PartlySavedError

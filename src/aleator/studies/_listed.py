@@ -1,14 +1,179 @@
-"""The case studies by name, and how a study is loaded: by its name, its Python file, its TOML file or its module."""
+"""The case studies by name, and how a study is loaded or begun: by its name, Python file, TOML file or module."""
 
+import importlib
+import importlib.util
+import re
+import sys
+import traceback
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NamedTuple
 
-from aleator._core.errors import ProblemError
-from aleator.studies._files import load_file, load_module
-from aleator.studies._own import Study
+from aleator._core.border import meant
+from aleator._core.errors import AleatorError, ProblemError
+from aleator.design import Problem
+from aleator.studies._own import Study, study_of
 from aleator.studies._study import AbstractStudy
 from aleator.studies._toml import load_toml
+
+TEMPLATE = '''"""{title}: a robust design of an uncertain system.
+
+    aleator check {file}     what will be done, before anything is spent
+    aleator run {file}       solve, sample, sweep, and write the report
+"""
+
+import aleator as al
+
+
+class Oscillator(al.System):
+    """Write the physics of your own system here: its states, its numbers, its equations of motion, its outputs."""
+
+    states = ("x", "v")
+    units = {{"x": "m", "force": "N"}}
+
+    mass: al.Number = al.parameter("kg", positive=True)
+    stiffness: al.Number = al.parameter("N/m", positive=True)
+    damping: al.Number = al.parameter("N s/m", positive=True)
+
+    def initial(self):
+        return {{"x": 0.1, "v": 0.0}}  # m, m/s
+
+    def rhs(self, t, z):
+        return z.v, -(self.stiffness * z.x + self.damping * z.v) / self.mass
+
+    def outputs(self, t, z):
+        return {{"x": z.x, "force": self.damping * z.v}}
+
+
+# Put a distribution in the place of any number that is uncertain, a decision in the place of any number to choose.
+system = Oscillator(
+    mass=al.Uniform(1.0, half_width=0.1),
+    stiffness=al.Uniform(40.0, half_width=4.0),
+    damping=al.Uniform(al.Decision(2.0, 0.5, 20.0), half_width=0.3),
+)
+
+# What to minimise, subject to what: statistics over the uncertainty, here with a margin of two standard deviations.
+robust = al.Problem(
+    system,
+    grid=al.Grid(t_final=3.0, steps=300),
+    minimize=al.rms("x").mean,
+    subject_to=[*al.path("force").within(-0.8, 0.8, sigmas=2.0)],
+    expansion=al.Expansion(order=4),
+)
+
+# The last design is the one that is proposed; the nominal one stands beside it for comparison.
+study = al.Study(
+    {{"nominal": al.deterministic(robust), "robust": robust}},
+    title="{title}",
+    samples=20_000,
+    sweeps={{"force": [0.6, 0.7, 0.8, 0.9]}},
+)
+'''
+
+
+def begin_file(path: Path) -> Path:
+    """Write a commented study to begin with. Raises `ProblemError` for a file that exists or cannot be written, and
+    for odd names.
+    """
+    path = path.with_suffix(".py")
+    if not re.fullmatch(r"[A-Za-z_]\w*", path.stem):
+        raise ProblemError(
+            f"new: expected a name of letters, digits and underscores, such as bracket.py; received '{path.name}'."
+        )
+    if path.exists():
+        raise ProblemError(f"new: '{path}' exists already, and is left as it is: choose another name.")
+    title = path.stem.replace("_", " ").capitalize()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(TEMPLATE.format(title=title, file=path), encoding="utf-8")
+    except OSError as error:
+        raise ProblemError(
+            f"new: '{path}' cannot be written ({error.strerror}): name a file in a folder of your own."
+        ) from error
+    return path
+
+
+def load_file(path: Path) -> AbstractStudy:
+    """The study that a Python file declares; the file is executed.
+
+    Raises `ProblemError`, naming the file and the line, if it cannot be read, raises, or declares no study.
+    """
+    if not path.is_file():
+        raise ProblemError(f"There is no file '{path}'. `aleator new {path}` begins a study there.")
+    return study_of(str(path), vars(_executed(path)))
+
+
+def load_module(place: str) -> AbstractStudy:
+    """The study that an importable module declares: `package.module`, or `package.module:name` for one object in it.
+
+    The object may be a study, a problem, or a function without arguments that makes one. Modules of the present folder
+    count. Raises `ProblemError`, naming the place, if there is none.
+    """
+    name, _, attribute = place.partition(":")
+    folder = str(Path.cwd())
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    try:
+        module = importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        missing = error.name or name
+        if name == missing or name.startswith(f"{missing}."):
+            raise ProblemError(f"There is no module '{missing}', which the study '{place}' needs.") from error
+        raise ProblemError(f"{place}: it imports '{missing}', which is not installed.") from error
+    except Exception as error:
+        raise _refused(place, Path(), error) from error
+    return study_of(place, vars(module) if not attribute else {"study": _attribute(place, module, attribute)})
+
+
+def _attribute(place: str, module: ModuleType, name: str) -> Any:
+    if not hasattr(module, name):
+        raise ProblemError(f"{place}: the module has no '{name}'.{meant(name, dir(module))}")
+    found = getattr(module, name)
+    if callable(found) and not isinstance(found, AbstractStudy | Problem):
+        try:
+            found = found()
+        except Exception as error:
+            raise _refused(place, Path(), error) from error
+    return Study(found, title=name.replace("_", " ").capitalize()) if isinstance(found, Problem) else found
+
+
+def _refused(owner: str, path: Path, error: BaseException) -> ProblemError:
+    """The error of a user's own code in a sentence: our own messages, and others with their kind."""
+    kind = "" if isinstance(error, AleatorError) else f"{type(error).__name__}: "
+    line = _line(error, path)
+    return ProblemError(f"{owner}{f', line {line}' if line else ''}: {kind}{error}")
+
+
+def _executed(path: Path) -> ModuleType:
+    """A file as a module under its own name, so that its classes can be found by other processes."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise ProblemError(f"'{path}': expected a Python file, with a name that ends in .py.")
+    module = importlib.util.module_from_spec(spec)
+    before = sys.modules.get(path.stem)
+    sys.modules[path.stem] = module
+    # Modules beside it, as for `python FILE.py`.
+    sys.path.insert(0, str(path.parent.resolve()))
+    try:
+        spec.loader.exec_module(module)
+    except SyntaxError as error:
+        is_own = error.filename is None or Path(error.filename).resolve() == path.resolve()
+        raise ProblemError(f"{path if is_own else error.filename}, line {error.lineno}: {error.msg}.") from error
+    except (Exception, SystemExit) as error:
+        if before is None:
+            del sys.modules[path.stem]
+        else:
+            sys.modules[path.stem] = before
+        raise _refused(str(path), path, error) from error
+    return module
+
+
+def _line(error: BaseException, path: Path) -> int:
+    """The last line of a file that an exception passed through."""
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [one.lineno for one in frames if Path(one.filename).resolve() == path.resolve()]
+    return next((one for one in reversed(lines) if one is not None), 0)
 
 
 class Entry(NamedTuple):

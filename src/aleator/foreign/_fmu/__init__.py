@@ -1,8 +1,8 @@
 """Functional mock-up units (FMI 2 and 3), run by FMPy: read, simulated, differentiated.
 
 `_description` reads the file, `_library` speaks to the compiled code, `_equations` and `_derivatives` differentiate,
-`_motion` integrates or lets co-simulation step, `_runs` makes functions of these. All that happens behind a door
-(`_doors`): in a process of its own or in this one. `_fmu`, `_simulation` and `_system` are what users see.
+`_runs` integrates or lets co-simulation step. All that happens behind a door (`_doors`): in a process of its own or in
+this one. `_fmu`, `_simulation` and `_system` are what users see.
 """
 
 from aleator.foreign._fmu._fmu import Fmu as Fmu

@@ -37,7 +37,7 @@ def scales(values: Float[np.ndarray, " n"], nominals: Float[np.ndarray, " n"]) -
 
 
 def slope(along: Callable[[float], np.ndarray], step: float) -> Slope:
-    """The derivative at zero of `along`, a function of a number."""
+    """The derivative at zero of `along`, a function of a number, by four points about zero, of fourth order."""
     once = (along(step) - along(-step)) / (2 * step)
     twice = (along(2 * step) - along(-2 * step)) / (4 * step)
     return Slope((4 * once - twice) / 3, np.abs(once - twice))

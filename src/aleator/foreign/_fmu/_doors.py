@@ -16,7 +16,6 @@ from concurrent.futures import Future, wait
 from multiprocessing.connection import Client, Connection, Listener
 from multiprocessing.spawn import get_executable
 from pathlib import Path
-from types import MappingProxyType
 from typing import IO, Any, NamedTuple, final
 
 from typing_extensions import override
@@ -25,7 +24,6 @@ from aleator._core.errors import AleatorError, ProblemError, SimulationError, Si
 from aleator._core.executors import end_group, ended_with, endings, exit_told, in_group
 from aleator.foreign._fmu._equations import Field
 from aleator.foreign._fmu._library import LOCK, Opened
-from aleator.foreign._fmu._motion import Inputs, Sampled
 from aleator.foreign._fmu._runs import Runs
 
 _NUMBERS = itertools.count()
@@ -42,26 +40,14 @@ _PAUSE = 0.05
 _ERRORS = {kind.__name__: kind for kind in (ProblemError, SimulationError)}
 
 
-def _runs(fmu: Opened, parameters: list[str], outputs: list[str], inputs: Sampled, tolerance: float) -> Runs:
-    variables = fmu.variables
-    given = Inputs(variables.of_inputs(inputs.names), inputs.times, inputs.values)
-    return Runs(fmu, variables.settable(parameters), variables.readable(outputs), given, tolerance)
-
-
-def _field(fmu: Opened, numbers: Mapping[str, float | None], inputs: list[str], outputs: list[str]) -> Field:
-    variables = fmu.variables
-    chosen, free, read = variables.settable(numbers), variables.of_inputs(inputs), variables.readable(outputs)
-    return Field(fmu, chosen, free, read, list(numbers.values()))
-
-
-MAKERS: Mapping[str, Callable[..., Any]] = MappingProxyType({"runs": _runs, "field": _field})
-
-
 class Request(NamedTuple):
-    """A call of a method of an object, which has a number and is made by `maker` from `parts` at its first call."""
+    """A call of a method of an object, which has a number, and is made of names, numbers and arrays at its first call.
+
+    So it is made again where a process has ended.
+    """
 
     number: int
-    maker: str
+    kind: type[Runs | Field]
     parts: tuple[Any, ...]
     method: str
     arguments: tuple[Any, ...]
@@ -78,7 +64,7 @@ class Objects:
     def answer(self, request: Request) -> Any:
         """What a method of an object returns."""
         if request.number not in self._made:
-            self._made[request.number] = MAKERS[request.maker](self._fmu, *request.parts)
+            self._made[request.number] = request.kind(self._fmu, *request.parts)
         return getattr(self._made[request.number], request.method)(*request.arguments)
 
     def forget(self, numbers: list[int]) -> None:
@@ -88,7 +74,7 @@ class Objects:
 
 
 class AbstractDoor:
-    """The way to the objects of an FMU (`_served.py`). One request at a time is answered."""
+    """The way to the objects of an FMU (`Objects`). One request at a time is answered."""
 
     def __init__(self) -> None:
         # Whatever runs when an object is collected must not send anything: it may be in the middle of a request.
@@ -125,16 +111,16 @@ class Here(AbstractDoor):
 
 @final
 class Served:
-    """An object behind a door, made there by `maker` from `parts`; given up there when it is collected here."""
+    """An object of a kind behind a door, made there from `parts`; given up there when it is collected here."""
 
-    def __init__(self, door: AbstractDoor, maker: str, *parts: Any):
-        self._door, self._maker, self._parts = door, maker, parts
+    def __init__(self, door: AbstractDoor, kind: type[Runs | Field], *parts: Any):
+        self._door, self._kind, self._parts = door, kind, parts
         self._number = next(_NUMBERS)
         weakref.finalize(self, door.forget, self._number).atexit = False
 
     def ask(self, method: str, *arguments: Any, where: Callable[[], str]) -> Any:
         """What a method of it returns."""
-        return self._door.ask(Request(self._number, self._maker, self._parts, method, arguments), where)
+        return self._door.ask(Request(self._number, self._kind, self._parts, method, arguments), where)
 
 
 class _Process(NamedTuple):
@@ -199,7 +185,9 @@ class OwnProcess(AbstractDoor):
             warnings.warn(text, SimulationWarning, stacklevel=2)
         if raised is not None:
             kind, text = raised
-            raise _ERRORS.get(kind, SimulationError)(text if kind in _ERRORS else self._odd(kind, text, where))
+            if kind in _ERRORS:
+                raise _ERRORS[kind](text)
+            raise SimulationError(f"FMU '{self._name}' raised {kind}: {text.rstrip('.')}{where()}.")
         return returned
 
     def _received(
@@ -220,9 +208,6 @@ class OwnProcess(AbstractDoor):
             f"FMU '{self._name}' did not end a run within its time limit of {self._limit:g} s{where()}: its process "
             "was ended. If it needs longer, give Fmu a larger time_limit."
         )
-
-    def _odd(self, kind: str, text: str, where: Callable[[], str]) -> str:
-        return f"FMU '{self._name}' raised {kind}: {text.rstrip('.')}{where()}."
 
     def _end(self) -> None:
         _end_all(self._running)

@@ -234,7 +234,7 @@ def _free_all(instances: OrderedDict[bytes, Instance]) -> None:
 
 @final
 class Field:
-    """The equations of an FMU for model exchange, for `numbers` of its parameters where they are known.
+    """The equations of an FMU for model exchange, for `numbers` of its parameters, None where they are not known.
 
     `rates` are those of the states, then outputs, as functions of the time and of states, inputs and parameters in one
     vector. The initial state, `start`, is one of the time, which it ignores, and of inputs and parameters; its
@@ -244,17 +244,11 @@ class Field:
     start.
     """
 
-    def __init__(
-        self,
-        fmu: Opened,
-        parameters: list[Variable],
-        inputs: list[Variable],
-        outputs: list[Variable],
-        numbers: list[float | None],
-    ):
-        self._fmu = fmu
-        self._equations = Equations(fmu, parameters, inputs, outputs, 0.0, _TOLERANCE)
-        self._first = self._judged(numbers)
+    def __init__(self, fmu: Opened, numbers: Mapping[str, float | None], inputs: list[str], outputs: list[str]):
+        self._fmu, named = fmu, fmu.variables
+        parameters, free = named.settable(numbers), named.of_inputs(inputs)
+        self._equations = Equations(fmu, parameters, free, named.readable(outputs), 0.0, _TOLERANCE)
+        self._first = self._judged(list(numbers.values()))
 
     def first(self) -> tuple[list[float], list[float]]:
         """The FMU's own values of the inputs, and its states at the start."""

@@ -1,6 +1,7 @@
 """`FmuSimulation`: a run of an FMU as a function of its parameters."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, final
 
 import jax
@@ -17,7 +18,7 @@ from aleator.foreign._fmu._derivatives import Evaluations, called_back
 from aleator.foreign._fmu._description import with_numbers
 from aleator.foreign._fmu._doors import Served
 from aleator.foreign._fmu._fmu import Fmu, fmu_given
-from aleator.foreign._fmu._motion import Sampled
+from aleator.foreign._fmu._runs import Runs, Sampled
 from aleator.trajectories import AbstractSignal
 
 
@@ -116,7 +117,8 @@ class FmuSimulation:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Sent to other processes as what it was made of."""
-        return _made, (self._fmu, self._grid, self._outputs, self._signals, self._tolerance)
+        settings = {"outputs": self._outputs, "inputs": self._signals, "tolerance": self._tolerance}
+        return partial(FmuSimulation, **settings), (self._fmu, self._grid)
 
     def __str__(self) -> str:
         outputs = ", ".join(self._outputs)
@@ -130,7 +132,7 @@ class FmuSimulation:
         """Ask for the outputs of a run, or for their derivatives, by the names of its numbers."""
         if names not in self._served:
             parts = list(names), self._outputs, self._inputs, self._tolerance
-            self._served[names] = Served(self._fmu.door, "runs", *parts)
+            self._served[names] = Served(self._fmu.door, Runs, *parts)
         return self._served[names].ask(method, numbers, where=lambda: with_numbers(names, numbers))
 
     def _differentiable(self, names: tuple[str, ...], fixed: np.ndarray, k: int) -> Any:
@@ -156,8 +158,9 @@ class FmuSimulation:
         """The numbers that are known, and those that are traced."""
         who = f"FMU '{self._fmu.name}'"
         if not isinstance(at, Mapping):
+            example = next(iter(self._fmu.parameters), "x")
             raise ProblemError(
-                f"{who}: expected numbers by the names of parameters, such as {{'{_example(self._fmu)}': 1.0}}; "
+                f"{who}: expected numbers by the names of parameters, such as {{'{example}': 1.0}}; "
                 f"received {shown(at)}."
             )
         known, traced = {}, {}
@@ -179,16 +182,8 @@ class FmuSimulation:
         return known, traced
 
 
-def _made(fmu: Fmu, grid: Grid, outputs: list[str], inputs: dict[str, Any], tolerance: float) -> FmuSimulation:
-    return FmuSimulation(fmu, grid, outputs=outputs, inputs=inputs, tolerance=tolerance)
-
-
 def _known_grid(grid: Any) -> Grid:
     one_of("FmuSimulation: grid", grid, Grid, "al.Grid(2.0, 200)")
     if not isinstance(grid.t_final, float | int):
         raise ProblemError(f"FmuSimulation: expected a grid whose final time is known; received {shown(grid.t_final)}.")
     return grid
-
-
-def _example(fmu: Fmu) -> str:
-    return next(iter(fmu.parameters), "x")

@@ -19,6 +19,7 @@ from aleator.dynamics import System
 from aleator.foreign._fmu._derivatives import Evaluations, Host, called_back
 from aleator.foreign._fmu._description import units_of, with_numbers
 from aleator.foreign._fmu._doors import Served
+from aleator.foreign._fmu._equations import Field
 from aleator.foreign._fmu._fmu import Fmu, fmu_given
 
 
@@ -45,7 +46,7 @@ class FmuSystem(System):
     """
 
     parameters: dict[str, Any]
-    _equations: "Equations" = eqx.field(static=True)
+    _equations: "ServedField" = eqx.field(static=True)
     _held: tuple[float, ...] = eqx.field(static=True)
     _first: tuple[float, ...] = eqx.field(static=True)
 
@@ -66,7 +67,7 @@ class FmuSystem(System):
         read = [one.name for one in variables.readable(outputs)]
         numbers = {name: value if isinstance(value, float) else None for name, value in self.parameters.items()}
         free = [one.name for one in variables.of_inputs(one for one in fmu.inputs if one not in numbers)]
-        self._equations = Equations(fmu, numbers, free, read)
+        self._equations = ServedField(fmu, numbers, free, read)
         self._held, self._first = self._equations.first()
 
     @property
@@ -134,7 +135,7 @@ def _number(value: Any) -> Array:
 
 
 @final
-class Equations:
+class ServedField:
     """The equations of an FMU: those of a `Field`, wherever its library is loaded.
 
     `numbers`: its parameters with their values, as far as these are known; `inputs`, `outputs`: names.
@@ -143,11 +144,11 @@ class Equations:
     def __init__(self, fmu: Fmu, numbers: dict[str, float | None], inputs: list[str], outputs: list[str]):
         self.fmu, self.inputs, self.outputs = fmu, inputs, outputs
         self.parameters, self._numbers, self.n = list(numbers), numbers, len(fmu.states)
-        self._served = Served(fmu.door, "field", numbers, inputs, outputs)
+        self._served = Served(fmu.door, Field, numbers, inputs, outputs)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Sent to other processes as what it was made of."""
-        return Equations, (self.fmu, self._numbers, self.inputs, self.outputs)
+        return ServedField, (self.fmu, self._numbers, self.inputs, self.outputs)
 
     def first(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """The FMU's own values of the inputs, and its states at the start."""

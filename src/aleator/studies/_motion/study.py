@@ -10,8 +10,14 @@ from typing_extensions import override
 import aleator as al
 from aleator._core.border import Progress
 from aleator.reporting import Block, Card, Code, Schematic, Section, Table, Verdict, certificate_table
-from aleator.studies._motion.build import CALIBRATED, build_verdict, margin_blocks, price_table
-from aleator.studies._motion.facts import optima_table, plans_table
+from aleator.studies._motion.facts import (
+    CALIBRATED,
+    build_verdict,
+    margin_blocks,
+    optima_table,
+    plans_table,
+    price_table,
+)
 from aleator.studies._motion.results import Effort, MotionResults
 from aleator.studies._shared import no_recommendation
 from aleator.studies._study import AbstractStudy, Stage

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.reporting import Drawing, Scene, bands_figure, linkage_animation, looks, plane_figure
-from aleator.studies._motion.family import Family
+from aleator.studies._motion.results import Family
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

@@ -1,22 +1,29 @@
-"""The numbers on the page of the effort-optimal study: published and reference values, spreads, a lesson."""
+"""Numbers and tables of the effort-optimal study, and its verdict: which plan to build, and why."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import scipy
 
-from aleator.reporting import Table, given, number, percent
-from aleator.studies._motion.family import Family
-from aleator.studies._motion.printed import compared
-from aleator.studies._motion.results import MotionResults
+from aleator.reporting import Card, Table, given, number, percent, share_text
+from aleator.studies._motion.facts import CALIBRATED, compared, violation_cards
+from aleator.studies._motion.results import Family, MotionResults
 from aleator.studies.pick_and_place_effort import TOLERANCE
-from aleator.studies.pick_and_place_effort._run import LEAST, MEAN, ROBUST, Spread
+from aleator.studies.pick_and_place_effort._run import LEAST, MEAN, ROBUST, WIDE, Spread
 
 REFERENCE = {MEAN: 106.34, ROBUST: 112.12, LEAST: 200.4}
 PUBLISHED = {MEAN: 2770.0, ROBUST: 3530.0, LEAST: 5910.0}
 SPREADS = {ROBUST: (0.191, 0.133), LEAST: (0.144, 0.114)}
 LEAST_REFERENCE = 0.02533
 UNIT = "(N m)² s"
+LESSON = (
+    (
+        "The dissertation's payload has a standard deviation of 0.5 kg. The same torques then send a light and a heavy "
+        "payload to quite different places, and the joint angles as functions of the payload are too strongly curved "
+        "for a polynomial of order 5. The expansion's leave-one-out error shows this."
+    ),
+    "The remedy is feedback, or planning the motion instead of the torques: see the study pick-and-place-time.",
+)
 
 
 def published_table(done: MotionResults) -> Table:
@@ -89,11 +96,47 @@ def pair_text(values: tuple[float, float] | None) -> str:
     return "–" if values is None else " and ".join(number(one, 3) for one in values)
 
 
-LESSON = (
-    (
-        "The dissertation's payload has a standard deviation of 0.5 kg. The same torques then send a light and a heavy "
-        "payload to quite different places, and the joint angles as functions of the payload are too strongly curved "
-        "for a polynomial of order 5. The expansion's leave-one-out error shows this."
-    ),
-    "The remedy is feedback, or planning the motion instead of the torques: see the study pick-and-place-time.",
-)
+def sentences(done: MotionResults, spreads: Mapping[str, Mapping[str, Spread]]) -> Iterator[str]:
+    """Sentences on the plans available, and on the joints' spread at the end by payload."""
+    families = done.families
+    if {MEAN, ROBUST} <= set(done.evidence):
+        mean, robust = (done.evidence[name].violations["obstacle"] for name in (MEAN, ROBUST))
+        yield (
+            f"The deterministic plan grazes the obstacle with the mean payload, so that {share_text(mean)} of all "
+            f"payloads hit it. With one σ of clearance, as published, {share_text(robust)} hit it: for a uniform "
+            "distribution 21.1 % of the payloads lie beyond one σ on one side."
+        )
+    if {ROBUST, LEAST} <= set(families):
+        robust, least = (terminal_spread(families[name]) for name in (ROBUST, LEAST))
+        efforts = [effort_of(families[name]) for name in (ROBUST, LEAST)]
+        yield (
+            f"At the end the tip has σ = {pair_text(robust)} m in x and y. The best that torques can achieve, with "
+            f"{number(efforts[1] / efforts[0], 3)} times the effort, is {pair_text(least)} m: no open-loop plan brings "
+            "it to zero."
+        )
+    if wide := spreads.get(str(WIDE)):
+        spread, error = (max(parts) for parts in zip(*((one.sampled, one.error) for one in wide.values()), strict=True))
+        yield (
+            f"With five times the spread of payloads a joint ends with σ = {number(spread, 2, 'rad')}, and order 5 "
+            f"misses a new payload by {percent(error)} of it: there the expansion must not be trusted."
+        )
+
+
+def cards(done: MotionResults) -> Iterator[Card]:
+    """The cost of the robust plans, and how often they fail."""
+    plans = done.plans
+    if ROBUST in plans:
+        note = f"margin a = 1; reference {REFERENCE[ROBUST]}"
+        yield Card(f"Effort, {ROBUST}", number(plans[ROBUST].objective, 4, UNIT), note)
+    if CALIBRATED in plans and done.calibration is not None:
+        note = f"margin a = {number(done.calibration.sigmas, 3)}"
+        yield Card(f"Effort, {CALIBRATED}", number(plans[CALIBRATED].objective, 4, UNIT), note)
+    yield from violation_cards(done.evidence, (ROBUST, CALIBRATED), "a limit")
+
+
+def left_to_feedback(done: MotionResults) -> str:
+    """The remaining spread at the end, which clearance does not reduce."""
+    if CALIBRATED not in done.families:
+        return ""
+    spread = pair_text(terminal_spread(done.families[CALIBRATED]))
+    return f" At the end its tip has σ = {spread} m in x and y: feedback has to do the rest."

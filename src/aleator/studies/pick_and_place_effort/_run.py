@@ -9,10 +9,8 @@ from jaxtyping import Float
 import aleator as al
 from aleator._core.border import Progress
 from aleator.journalling import kept
-from aleator.studies._motion.build import TRIED
-from aleator.studies._motion.facts import named
-from aleator.studies._motion.family import Family
-from aleator.studies._motion.results import Effort, MotionResults
+from aleator.studies._motion.facts import TRIED, named
+from aleator.studies._motion.results import Effort, Family, MotionResults
 from aleator.studies.pick_and_place_effort import (
     DURATION,
     PAYLOAD,
@@ -35,6 +33,8 @@ MOST = 2 * TORQUE**2 * DURATION
 
 FULL = Effort(starts=4)
 QUICK = Effort(starts=1, samples=2_000, family=400, calibration_samples=2_000, whole=False)
+PAYLOADS = (PAYLOAD, WIDE)
+"""The payload of the study, and one with five times the spread."""
 
 
 def problems() -> dict[str, al.Problem]:
@@ -92,7 +92,3 @@ def expanded_ends(problem: al.Problem, decisions: Float[np.ndarray, " n"]) -> di
     resolved = transcribe(problem).resolve(decisions)
     ends = {name: resolved[f"{name}(t_f)"] for name in ("q1", "q2")}
     return {name: (float(one.std), float(one.leave_one_out)) for name, one in ends.items()}
-
-
-PAYLOADS = (PAYLOAD, WIDE)
-"""The payload of the study, and one with five times the spread."""

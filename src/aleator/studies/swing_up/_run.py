@@ -9,10 +9,8 @@ import numpy as np
 import aleator as al
 from aleator._core.border import Progress
 from aleator.journalling import kept
-from aleator.studies._motion.build import TRIED
-from aleator.studies._motion.facts import named
-from aleator.studies._motion.family import Family, fly
-from aleator.studies._motion.results import Effort, MotionResults
+from aleator.studies._motion.facts import TRIED, named
+from aleator.studies._motion.results import Effort, Family, MotionResults, fly
 from aleator.studies.swing_up import DEGREE, ENDS, FREE, deterministic_problem, robust_problem
 
 MEAN, EXPECTED, ENERGY = "deterministic", "robust, expected torque", "robust, expected energy"
