@@ -239,9 +239,10 @@ def pure(expression: Any) -> Expression:
 
 
 def _extremum(who: str, side: int, expressions: tuple[Any, ...], smoothing: float) -> Expression:
+    rule = Extremum(side=side, smoothing=a_smoothing(who, smoothing))
     if len(expressions) < 2:
         raise ProblemError(f"{who}: expected at least two expressions or numbers; received {len(expressions)}.")
-    return composed(Extremum(side=side, smoothing=a_smoothing(who, smoothing)), *expressions)
+    return composed(rule, *expressions)
 
 
 @final
