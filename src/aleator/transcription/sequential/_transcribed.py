@@ -12,8 +12,8 @@ from typing import Any, ClassVar, NamedTuple, final
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Bool, Float, Int
-from scipy import sparse
 from typing_extensions import override
 
 from aleator._core.arrays import numbers_to_arrays
@@ -101,7 +101,7 @@ def _hessian(traced: Problem, discretised: Discretised, size: int) -> Hessian:
     """Second derivatives for solvers of a problem with `size` decisions."""
     evaluate = CURVATURE.bound(traced, discretised.collocation, discretised.constants)
     rows, columns = np.tril_indices(size)
-    triangle = sparse.csr_array((np.ones(rows.size), (rows, columns)), shape=(size, size))
+    triangle = scipy.sparse.csr_array((np.ones(rows.size), (rows, columns)), shape=(size, size))
 
     def lower(x: np.ndarray, weight: float, multipliers: np.ndarray) -> Any:
         whole = np.asarray(evaluate(_At(jnp.asarray(x), jnp.asarray(float(weight)), jnp.asarray(multipliers))))
