@@ -12,7 +12,7 @@ import numpy as np
 
 import aleator as al
 from aleator._core.compilation import Compiled
-from aleator._core.devices import here, over_devices
+from aleator._core.parallel import here, over_devices
 from aleator.transcription.sequential._evaluator import CONTRIBUTE
 from aleator.validation._systems import SIMULATE_BATCH
 from zoo import Oscillator, sine

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import aleator_command
 from aleator import cli, studies  # noqa: F401  the commands are imported before a fork
-from aleator._core import interruption
-from aleator._core.progress import Progress
+from aleator._core.border import Progress
+from aleator.cli import _interruption as interruption
 from aleator.reporting import PAGE, Section, Table, Verdict
 from aleator.reporting._files import write_text, write_together
 from aleator.studies import AbstractStudy, Stage

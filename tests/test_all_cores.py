@@ -7,7 +7,7 @@ from itertools import count, islice
 import pytest
 
 import aleator as al
-from aleator._core.beside import CORES, beside, dropped_on_failure, in_order
+from aleator._core.parallel import CORES, beside, dropped_on_failure, in_order
 from zoo import MASS, Bar, bar_problem
 
 

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 import pytest
 
-from aleator._core.devices import here, over_devices
+from aleator._core.parallel import here, over_devices
 
 SCRIPT = Path(__file__).with_name("answers_on_devices.py")
 SEVERAL = 4

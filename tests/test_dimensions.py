@@ -3,7 +3,7 @@
 import pytest
 from scipy import constants
 
-from aleator._core.units import common, is_same, measure
+from aleator.statistics._units import common, is_same, measure
 
 
 def known(unit):

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator._core import part_by_part
-from aleator._core.journalled import NotKeptError, journalled
-from aleator._core.json_lines import read_lines
+from aleator._core import journalled as journal_hook
+from aleator._core.journalled import NotKeptError, journalled, read_lines
 from aleator.extending import kept
 from aleator.journalling import recalling
 from aleator.journalling._parts import Parts
@@ -147,7 +146,7 @@ def test_designs_found_by_kept_work_are_parts_of_its_result(tmp_path):
 
 @pytest.mark.parametrize("way", ["part by part", "call by call"])
 def test_a_run_that_is_ended_twice_goes_on_from_its_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: str):
-    monkeypatch.setattr(part_by_part, "_OFTEN", 0.0)
+    monkeypatch.setattr(journal_hook, "_OFTEN", 0.0)
     parts, worked, items = Parts(tmp_path, "key", pytest.fail), [], list(range(7))
 
     def square(item: int) -> int:
@@ -156,8 +155,8 @@ def test_a_run_that_is_ended_twice_goes_on_from_its_parts(tmp_path: Path, monkey
 
     def results():
         if way == "call by call":
-            return map(part_by_part.call_by_call(square, parts), items)
-        squares = part_by_part.part_by_part(items, lambda some: ((one, square(one)) for one in some), parts)
+            return map(journal_hook.call_by_call(square, parts), items)
+        squares = journal_hook.part_by_part(items, lambda some: ((one, square(one)) for one in some), parts)
         return (found for _, found in squares)
 
     for ended in (2, 3, 5, 7):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator._core import memory
+from aleator._core import arrays
 from aleator.expansion import Basis, collocate
 from aleator.uncertainty import LegendreGerm
 from zoo import Decay
@@ -40,7 +40,7 @@ EXPANSIONS = {
 
 @pytest.mark.parametrize("name", EXPANSIONS)
 def test_an_expansion_that_does_not_fit_is_refused_by_its_count(name, monkeypatch):
-    monkeypatch.setattr(memory, "memory", lambda: 16 * 2**30)
+    monkeypatch.setattr(arrays, "memory", lambda: 16 * 2**30)
     variables, expansion = EXPANSIONS[name]
     with pytest.raises(al.ProblemError, match=r"GiB|more than") as caught:
         collocate(germs(variables), expansion)
@@ -50,13 +50,13 @@ def test_an_expansion_that_does_not_fit_is_refused_by_its_count(name, monkeypatc
 
 
 def test_the_same_expansion_is_made_where_there_is_room_for_it_and_its_matrix_counted(monkeypatch):
-    monkeypatch.setattr(memory, "memory", lambda: 100_000)
+    monkeypatch.setattr(arrays, "memory", lambda: 100_000)
     with pytest.raises(al.ProblemError, match="GiB"):
         collocate(germs(3), al.Expansion(3))
-    monkeypatch.setattr(memory, "memory", lambda: 1_000_000)
+    monkeypatch.setattr(arrays, "memory", lambda: 1_000_000)
     assert collocate(germs(3), al.Expansion(3)).basis.terms == 20
     basis = Basis(germs(2), np.zeros((1, 2), dtype=int))
-    monkeypatch.setattr(memory, "memory", lambda: 1000)
+    monkeypatch.setattr(arrays, "memory", lambda: 1000)
     with pytest.raises(al.ProblemError, match="1 terms in 2 variables at 40 points"):
         basis.matrix(np.zeros((40, 2)))
 
@@ -79,13 +79,13 @@ def test_a_solve_and_evidence_that_do_not_fit_are_refused(monkeypatch):
     )
     # 12 points, 10 001 instants, one output with its derivative by one decision.
     with monkeypatch.context() as patch:
-        patch.setattr(memory, "memory", lambda: int(1.9 * 12 * 10_001 * 2 * 8))
+        patch.setattr(arrays, "memory", lambda: int(1.9 * 12 * 10_001 * 2 * 8))
         with pytest.raises(al.ProblemError, match=r"12 systems with 1 outputs at 10001 instants .* by 1 decisions"):
             al.solve(problem.on_grid(al.Grid(1.0, 10_000)))
     solution = al.solve(problem)
     with pytest.raises(al.ProblemError, match=r"systems would need .* GiB"):
         al.validate(solution, 10**15)
-    monkeypatch.setattr(memory, "memory", lambda: 10**6)
+    monkeypatch.setattr(arrays, "memory", lambda: 10**6)
     with pytest.raises(al.ProblemError, match="Take a smaller batch"):
         al.validate(solution, 10_000, batch=10_000)
     assert al.validate(solution, 10_000, batch=100).samples == 10_000
@@ -98,10 +98,10 @@ def test_the_limit_of_a_container_counts(tmp_path, monkeypatch):
             file = tmp_path / place.replace("__", "/") / "memory.max"
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(limit)
-        return memory.memory.__wrapped__()
+        return arrays.memory.__wrapped__()
 
-    monkeypatch.setattr(memory, "_GROUPS", tmp_path)
-    monkeypatch.setattr(memory, "_OWN_GROUP", tmp_path / "own")
+    monkeypatch.setattr(arrays, "_GROUPS", tmp_path)
+    monkeypatch.setattr(arrays, "_OWN_GROUP", tmp_path / "own")
     whole = found("0::/\n")
     assert whole > 2**28
     assert found("0::/a/b\n", a="100000\n", a__b="max\n") == 100_000

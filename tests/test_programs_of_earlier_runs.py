@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from aleator._core import store
+from aleator._core import programs
 
 # Solves models, each a module of the same name with a module of numbers, and tells the decision of each and how many
 # programs of ours were traced for it.
@@ -169,13 +169,13 @@ def test_files_that_are_lost_or_damaged_are_made_anew_and_what_calls_python_is_n
 
 
 def test_the_programs_unused_for_longest_are_forgotten_and_other_files_are_spared(tmp_path, monkeypatch):
-    monkeypatch.setattr(store, "_MOST_BYTES", 250)
-    folder = tmp_path / store._kind()
+    monkeypatch.setattr(programs, "_MOST_BYTES", 250)
+    folder = tmp_path / programs._kind()
     other = tmp_path / "of a user" / "aleator_a-cache"
     for age, path in enumerate([*(folder / f"{name}-cache" for name in ("newest", "new", "old", "oldest")), other]):
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(bytes(100))
         os.utime(path, (1e9 - age, 1e9 - age))
-    store._forget_oldest(folder)
+    programs._forget_oldest(folder)
     assert sorted(path.name for path in folder.iterdir()) == ["new-cache", "newest-cache"]
     assert other.exists()

@@ -17,7 +17,7 @@ import sympy
 import sympy.physics.mechanics
 
 import aleator as al
-from aleator._core import given
+from aleator._core import border
 from test_public_names import TOPICS
 from zoo import Crane, Decay, Pendulum, bar_problem, oscillator_problem
 
@@ -282,18 +282,18 @@ MASKED = np.ma.masked_array([1.0, 2.0], [False, True])
 @pytest.mark.parametrize(
     ("check", "right", "wrong"),
     [
-        (given.real, [1, 2.5, np.float32(3), np.array(4.0)], [True, "1", 1j, None, math.inf, math.nan, [1.0], {}]),
-        (given.positive, [1, 1e-9, np.array(2.0)], [0, -1.0, math.inf, math.nan, "1", True]),
-        (functools.partial(given.positive, below=1.0), [0.5], [1.0, 2.0]),
-        (functools.partial(given.positive, most=1.0), [0.5, 1.0], [1.5]),
-        (given.whole, [1, np.int64(3), np.uint8(2)], [0, -1, 1.0, True, "1", None, math.nan, [1]]),
-        (functools.partial(given.whole, least=0), [0], [-1]),
-        (given.a_name, ["x"], ["", None, 3, b"x", ["x"]]),
-        (functools.partial(given.one_of, kinds=(int, str)), [1, "x"], [None, 2.5]),
-        (functools.partial(given.members, kinds=str), [["x"], (), ["a", "b"]], ["x", b"x", 3, [1], {"a": 1}, None]),
-        (given.real_array, [[1.0, 2.0], 3, np.zeros(0)], ["x", [1, "x"], [True], [1j], MASKED, None, [[1.0], [1, 2]]]),
-        (given.traceable, [1.0, [1.0, 2.0]], [1j, "x", MASKED, None]),
-        (given.refuse_missing, [1.0, np.ones(2)], [math.nan, MASKED, np.array([0.0, math.nan])]),
+        (border.real, [1, 2.5, np.float32(3), np.array(4.0)], [True, "1", 1j, None, math.inf, math.nan, [1.0], {}]),
+        (border.positive, [1, 1e-9, np.array(2.0)], [0, -1.0, math.inf, math.nan, "1", True]),
+        (functools.partial(border.positive, below=1.0), [0.5], [1.0, 2.0]),
+        (functools.partial(border.positive, most=1.0), [0.5, 1.0], [1.5]),
+        (border.whole, [1, np.int64(3), np.uint8(2)], [0, -1, 1.0, True, "1", None, math.nan, [1]]),
+        (functools.partial(border.whole, least=0), [0], [-1]),
+        (border.a_name, ["x"], ["", None, 3, b"x", ["x"]]),
+        (functools.partial(border.one_of, kinds=(int, str)), [1, "x"], [None, 2.5]),
+        (functools.partial(border.members, kinds=str), [["x"], (), ["a", "b"]], ["x", b"x", 3, [1], {"a": 1}, None]),
+        (border.real_array, [[1.0, 2.0], 3, np.zeros(0)], ["x", [1, "x"], [True], [1j], MASKED, None, [[1.0], [1, 2]]]),
+        (border.traceable, [1.0, [1.0, 2.0]], [1j, "x", MASKED, None]),
+        (border.refuse_missing, [1.0, np.ones(2)], [math.nan, MASKED, np.array([0.0, math.nan])]),
     ],
 )
 def test_a_validator_passes_what_is_right_and_refuses_all_else_by_name(check, right, wrong):
@@ -307,18 +307,18 @@ def test_a_validator_passes_what_is_right_and_refuses_all_else_by_name(check, ri
 
 def test_a_checked_number_is_stored_as_a_plain_one():
     for value in (np.float64(0.5), np.float32(0.5), np.array(0.5)):
-        assert type(given.real("it", value)) is float
-    assert type(given.whole("it", np.int32(3))) is int
+        assert type(border.real("it", value)) is float
+    assert type(border.whole("it", np.int32(3))) is int
     table = np.array([1.0, 2.0])
-    stored = given.real_array("it", table)
+    stored = border.real_array("it", table)
     table[0] = 9.0
     assert stored[0] == 1.0, "a later change of the user's array changed what was declared"
 
 
 def test_a_long_value_is_shortened_and_a_misspelt_name_leads_to_the_right_one():
-    assert len(str(given.refusal("it", "a number", "x" * 10_000))) < LONGEST
-    assert given.meant("stifness", ["stiffness", "mass"]) == " Did you mean 'stiffness'?"
-    assert given.meant("zzz", ["stiffness", "mass"]) == ""
+    assert len(str(border.refusal("it", "a number", "x" * 10_000))) < LONGEST
+    assert border.meant("stifness", ["stiffness", "mass"]) == " Did you mean 'stiffness'?"
+    assert border.meant("zzz", ["stiffness", "mass"]) == ""
 
 
 # --- Code of a user's own --------------------------------------------------------------------------------------------

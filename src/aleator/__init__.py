@@ -16,13 +16,13 @@ import lazy_loader as _lazy
 _started = _now()
 
 # Configures JAX, before a script makes its first array.
-from aleator._core import clock as _clock  # noqa: E402
+from aleator import _core  # noqa: E402
 
 _load, _, _names = _lazy.attach_stub(__name__, __file__)
 
 __all__ = _names  # pyright: ignore[reportUnsupportedDunderAll]
 __version__ = "0.1.0"
-_clock.import_seconds = _now() - _started
+_core.import_seconds = _now() - _started
 
 
 def __getattr__(name: str) -> _Any:
@@ -33,7 +33,7 @@ def __getattr__(name: str) -> _Any:
     try:
         return _load(name)
     finally:
-        _clock.import_seconds += _now() - started
+        _core.import_seconds += _now() - started
 
 
 def __dir__() -> list[str]:

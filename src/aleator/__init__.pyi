@@ -17,7 +17,6 @@ from . import schemes as schemes
 from . import shapes as shapes
 from . import solvers as solvers
 from ._core.arrays import Number as Number
-from ._core.beside import threads as threads
 from ._core.errors import AleatorError as AleatorError
 from ._core.errors import AleatorWarning as AleatorWarning
 from ._core.errors import CalibrationWarning as CalibrationWarning
@@ -30,7 +29,8 @@ from ._core.errors import ProblemError as ProblemError
 from ._core.errors import SimulationError as SimulationError
 from ._core.errors import SimulationWarning as SimulationWarning
 from ._core.errors import SolveError as SolveError
-from ._core.kept_programs import compilation_cache as compilation_cache
+from ._core.parallel import threads as threads
+from ._core.programs import compilation_cache as compilation_cache
 from .analysis import MultiElement as MultiElement
 from .analysis import expand as expand
 from .analysis import galerkin as galerkin

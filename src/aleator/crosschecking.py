@@ -6,8 +6,8 @@ from typing import final
 
 import numpy as np
 
-from aleator._core.given import one_of, positive, refusal
-from aleator._core.shown import Drawn
+from aleator._core.border import one_of, positive, refusal
+from aleator._core.leaves import Drawn
 from aleator.design import Estimated, Problem, estimated, statistics_in
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution

@@ -7,9 +7,9 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float
 
+from aleator._core.border import refusal
 from aleator._core.errors import SimulationError
-from aleator._core.given import refusal
-from aleator._core.shown import Printed
+from aleator._core.leaves import Printed
 from aleator.certification import bound_size
 from aleator.design import Expression, Problem, statistics_in
 from aleator.nlp import Searched, Slopes, lost_variables, slopes_at

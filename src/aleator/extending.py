@@ -8,9 +8,9 @@ Signals, trajectories and covariances of your own derive from `al.AbstractSignal
 `al.processes.AbstractCovariance`.
 """
 
-from aleator._core.progress import Progress as Progress
-from aleator._core.shown import Drawn as Drawn
-from aleator._core.shown import Printed as Printed
+from aleator._core.border import Progress as Progress
+from aleator._core.leaves import Drawn as Drawn
+from aleator._core.leaves import Printed as Printed
 from aleator.cli import run_study as run_study
 from aleator.design import AbstractFunctional as AbstractFunctional
 from aleator.design import AbstractIntegral as AbstractIntegral

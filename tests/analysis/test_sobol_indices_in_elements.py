@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 import aleator as al
-from aleator._core import memory
+from aleator._core import arrays
 
 BOTH = {"x": al.Uniform.bounds(-1.0, 1.0), "y": al.Uniform.bounds(-1.0, 1.0)}
 
@@ -73,7 +73,7 @@ def test_indices_that_there_are_not_are_refused_as_those_of_a_single_expansion(m
     pieces = al.expand(lambda m: m["x"] * jnp.abs(m["y"]), BOTH, al.MultiElement())
     with pytest.raises(al.ProblemError, match=r"no germ variable 'z'\. Expected one of \['x', 'y'\]"):
         pieces.sobol("z")
-    monkeypatch.setattr(memory, "memory", lambda: 1000)
+    monkeypatch.setattr(arrays, "memory", lambda: 1000)
     with pytest.raises(
         al.ProblemError, match=r"pairs of 5 terms in 2 elements would need .*al\.references\.sobol_indices"
     ):

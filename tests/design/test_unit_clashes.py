@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator._core import units
 from aleator.design import _units
+from aleator.statistics import _units as units
 
 UNITS = {
     **{"place": "m", "other_place": "m", "long": "mm", "acceleration": "m/s²", "torque": "N m", "moment": "N·m"},

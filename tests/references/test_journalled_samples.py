@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator._core import part_by_part
+from aleator._core import journalled
 from aleator.ensemble import CalledEnsemble
 from executors import AsProcesses
 
@@ -27,7 +27,7 @@ METHODS = [al.references.monte_carlo, al.references.quasi_monte_carlo]
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Parts are kept as soon as they are there."""
-    monkeypatch.setattr(part_by_part, "_OFTEN", 0.0)
+    monkeypatch.setattr(journalled, "_OFTEN", 0.0)
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ def test_a_sample_that_was_ended_goes_on_from_its_parts(
     assert len(list((tmp_path / "finished").glob("*.part"))) == 11
     told = []
     with al.journal(tmp_path) as kept:
-        monkeypatch.setattr("aleator._core.part_by_part._Keeping.add", lambda self, result: told.append(result))
+        monkeypatch.setattr("aleator._core.journalled._Keeping.add", lambda self, result: told.append(result))
         resumed = method(scattered, MODEL, 2048, batch=100, executor=executor)
         assert kept.recalled == 0
     assert bits(resumed) == bits(undisturbed)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator._core.units import integrated, product, rate, squared
 from aleator.reporting._numbers import unit_of_decision, unit_of_expression, units_of_moments
+from aleator.statistics._units import integrated, product, rate, squared
 
 ENDS = {"start": ((0.0, 0.0), 0), "end": ((1.0, 1.0), 0)}
 

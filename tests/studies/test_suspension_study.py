@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 import aleator as al
 from aleator import cli
-from aleator._core.progress import silent
+from aleator._core.border import silent
 from aleator.design import responses
 from aleator.studies.suspension import apportionment_problem, deterministic_problem, robust_problem
 from aleator.studies.suspension._run import BUILT, TARGET, Effort, SuspensionResults, calibrate_designs

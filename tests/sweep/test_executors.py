@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator._core.elsewhere import each_done, each_of, packed
+from aleator._core.executors import each_done, each_of, packed
 from aleator.transcription import transcribe, valued_by
-from aleator.transcription.sequential import _population_elsewhere
+from aleator.transcription.sequential import _population
 from executors import AsProcesses, Inline, Lost, scattered
 from zoo import MASS, SPREAD, STRESS, Valleys, bar_problem, valleys_problem
 
@@ -241,7 +241,7 @@ def test_a_search_by_an_executor_is_that_of_this_process_to_the_last_bit(tmp_pat
 
 def test_a_worker_makes_a_population_once_for_all_generations(travelling: Executor, monkeypatch: pytest.MonkeyPatch):
     made = []
-    monkeypatch.setattr(_population_elsewhere, "refuse_other_code", made.append)
+    monkeypatch.setattr(_population, "refuse_other_code", made.append)
     # A problem of its own: what a worker has made for others, it keeps.
     own = al.Problem(Valleys(al.Decision(0.25, -2.0, 2.0), 0.0), minimize=al.output("depth").mean)
     program = transcribe(own).program

@@ -9,7 +9,7 @@ from numpy.polynomial import legendre
 
 import aleator as al
 from aleator.transcription import transcribe
-from aleator.transcription.sequential import EVALUATE, _shares
+from aleator.transcription.sequential import EVALUATE, _evaluator
 from aleator.transcription.sequential._evaluator import Blocks
 from zoo import Decay
 
@@ -31,7 +31,7 @@ def decaying(model: Any = Decay):
 
 @pytest.fixture(autouse=True)
 def small_problems_in_parts(monkeypatch):
-    monkeypatch.setattr(_shares, "_FEWEST_NUMBERS", 0)
+    monkeypatch.setattr(_evaluator, "_FEWEST_NUMBERS", 0)
 
 
 @pytest.fixture
@@ -70,7 +70,7 @@ def test_parts_give_statistics_and_derivatives_of_systems_one_by_one():
 @pytest.mark.usefixtures("all_threads_again")
 def test_parts_agree_with_all_points_at_once_and_digits_do_not_depend_on_threads():
     transcription, parts = evaluated(decaying(), [1.1, 0.6])
-    traced, collocation, anchors = transcription.evaluator._given
+    traced, collocation, anchors = transcription.evaluator._made_of
     given = traced, collocation, transcription.constants, anchors
     whole = Blocks._make((*EVALUATE.bound(*given)(np.array([1.1, 0.6])), POINTS))
     for name in ("values", "derivatives", "times"):

@@ -9,7 +9,7 @@ from decaying_problems import decaying_problem
 from scipy import stats
 
 import aleator as al
-from aleator._core import beside
+from aleator._core import parallel
 from aleator.ensemble import draw
 from aleator.uncertainty import LegendreGerm
 from aleator.validation import PERCENTILES, Proportion
@@ -74,7 +74,7 @@ def test_the_same_seed_gives_the_same_evidence_whatever_the_batch_and_the_cores(
     for ours, theirs in zip(one.trajectories, other.trajectories, strict=True):
         np.testing.assert_allclose(ours.values, theirs.values, rtol=1e-12, atol=1e-15)
         np.testing.assert_array_equal(ours.violating, theirs.violating)
-    monkeypatch.setattr(beside, "CORES", 1)
+    monkeypatch.setattr(parallel, "CORES", 1)
     alone = al.validate(decaying, 230, seed=5, batch=64)
     assert alone.violations == other.violations
     for name, sampled in other.functionals.items():

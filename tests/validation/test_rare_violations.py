@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 import aleator as al
-from aleator._core import part_by_part
+from aleator._core import journalled
 from aleator.validation import WeightedProportion, _rare
 from aleator.validation._rare import adapted, weighted
 from zoo import gain_problem
@@ -107,7 +107,7 @@ def test_what_cannot_happen_is_counted_instead():
 def test_an_estimate_that_was_ended_goes_on_from_its_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     solution = al.solve(gain_problem())
     undisturbed = al.rare_violation(solution, samples=4000, seed=3)
-    monkeypatch.setattr(part_by_part, "_OFTEN", 0.0)
+    monkeypatch.setattr(journalled, "_OFTEN", 0.0)
     simulated, beyond = [], _rare._Limits.beyond
     monkeypatch.setattr(_rare._Limits, "beyond", lambda self, points: simulated.append(points) or beyond(self, points))
 

@@ -9,7 +9,7 @@ import pytest
 from decaying_problems import decaying_problem, rooted_problem
 
 import aleator as al
-from aleator._core import part_by_part
+from aleator._core import journalled
 from aleator.ensemble import draw, drawn_from
 from aleator.solution import Solution
 from aleator.uncertainty import HermiteGerm, LegendreGerm
@@ -109,7 +109,7 @@ def test_evidence_that_was_ended_goes_on_from_its_parts(
     solution: Solution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     undisturbed = al.validate(solution, SAMPLES, batch=100)
-    monkeypatch.setattr(part_by_part, "_OFTEN", 0.0)
+    monkeypatch.setattr(journalled, "_OFTEN", 0.0)
 
     def end(task: str, done: int, total: int) -> None:
         if done >= 0.7 * total:

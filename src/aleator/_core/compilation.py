@@ -16,13 +16,12 @@ import numpy as np
 from jax.core import Tracer, eval_jaxpr
 from jaxtyping import Array
 
-from aleator._core import store
+from aleator._core import programs
 from aleator._core.arrays import Pytree, in_library
-from aleator._core.beside import beside, undisturbed
-from aleator._core.devices import Device, devices, elsewhere, home, placed
 from aleator._core.equations import TracedFunction
 from aleator._core.errors import ProblemError
 from aleator._core.identity import lasting_name
+from aleator._core.parallel import Device, beside, devices, elsewhere, home, placed, undisturbed
 from aleator._core.programs import PROGRAMS, Executable, Program
 
 # The compiler with the options below; those of other devices know other options.
@@ -202,7 +201,7 @@ class Compiled:
     ) -> Callable[[], Executable]:
         """Load what an earlier run has kept, or trace a function: what is returned compiles it."""
         started = time.perf_counter()
-        earlier = store.load(name, inputs)
+        earlier = programs.load(name, inputs)
         if earlier is not None:
             return lambda: _ready(*earlier)
         layouts: list[Layout] = []
@@ -212,7 +211,7 @@ class Compiled:
             layouts[:] = [Layout.of(result, packed=packed)]
             return layouts[0].arrays(result)
 
-        if store.keeps(name):
+        if programs.keeps(name):
             # JAX finds programs by their text, this one among others: else it would find one of another name, which
             # could not be kept under this one.
             flat.__name__ = f"flat_{name}"
@@ -226,10 +225,10 @@ class Compiled:
             self.seconds += time.perf_counter() - started
 
         def compiled() -> Executable:
-            before = store.found_by_jax()
+            before = programs.found_by_jax()
             executable = compiled_for(use, lowered, platform)
-            if name is not None and store.found_by_jax() == before:
-                store.keep(name, lowered, executable, layouts[0])
+            if name is not None and programs.found_by_jax() == before:
+                programs.keep(name, lowered, executable, layouts[0])
             ready = _ready(executable, layouts[0])
             return _OnEach(ready, lambda: self._timed(here)) if moves else ready
 

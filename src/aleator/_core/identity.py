@@ -28,9 +28,9 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from aleator._core.beside import CORES
 from aleator._core.equations import TracedFunction, array_digest
-from aleator._core.module import Module
+from aleator._core.leaves import Module
+from aleator._core.parallel import CORES
 
 # Libraries that trace and compile. The folder of programs is separate for each version of JAX; a journal's is not.
 _TRACING = ("jax", "jaxlib", "equinox", "numpy", "scipy", "diffrax", "lineax", "optimistix")
@@ -190,7 +190,8 @@ class _Texts:
         elif isinstance(it, types.ModuleType):
             yield f"module {it.__name__}"
         elif callable(getattr(it, "__wrapped__", None)) and is_library(type(it).__module__):
-            yield from (_name_of(type(it)), *self(it.__wrapped__, declared=declared))  # `jax.jit`, `lru_cache`
+            wrapped: Any = it.__wrapped__  # type: ignore[union-attr]  # of `jax.jit` or `lru_cache`
+            yield from (_name_of(type(it)), *self(wrapped, declared=declared))
         else:
             yield from self._compound(it, declared)
 

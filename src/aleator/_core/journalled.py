@@ -1,14 +1,17 @@
 """The journal of a run: finished results that a later run with the same code and numbers takes from there.
 
 Whoever computes a result that takes long opens an entry for it (`journalled`), without knowing whether anybody keeps a
-journal, and where.
+journal, and where. A long one is kept part by part, every few seconds; files of JSON lines only grow.
 """
 
 import abc
+import json
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, TypeVar, final
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar, final
 
 from typing_extensions import override
 
@@ -172,3 +175,104 @@ def parts_so_far() -> AbstractParts:
     """The parts of the result that is being computed, for whoever computes it part by part."""
     entry = _begun.get()
     return NOTHING if entry is None else entry.parts
+
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
+# What is finished is kept so often, in seconds: a crash costs no more, and a file each time costs little.
+_OFTEN = 3.0
+
+
+def part_by_part(
+    items: Sequence[_Item],
+    work: Callable[[Sequence[_Item]], Iterator[tuple[_Item, _Result]]],
+    parts: AbstractParts,
+) -> Iterator[tuple[_Item, _Result]]:
+    """What `work` finds for each item, in order; it is given those alone that no earlier run has finished."""
+    done = 0
+    for found in _recalled(parts):
+        yield items[done], found
+        done += 1
+    keeping = _Keeping(parts, done)
+    for item, found in work(items[done:]):
+        keeping.add(found)
+        yield item, found
+
+
+def call_by_call(work: Callable[[_Item], _Result], parts: AbstractParts) -> Callable[[_Item], _Result]:
+    """A function whose first calls an earlier run has answered: for the same calls in the same order."""
+    earlier = list(_recalled(parts))
+    keeping, known = _Keeping(parts, len(earlier)), iter(earlier)
+
+    def answer(item: _Item) -> _Result:
+        found = next(known, None)
+        if found is None:
+            found = work(item)
+            keeping.add(found)
+        return found
+
+    return answer
+
+
+def _recalled(parts: AbstractParts) -> Iterator[Any]:
+    """The results of an earlier run, from the first one on, without a gap."""
+    done = 0
+    while (some := parts.recall(done)) is not None:
+        yield from some
+        done += len(some)
+
+
+@final
+class _Keeping:
+    """Keeps the results from a number on, those of some seconds in one part."""
+
+    def __init__(self, parts: AbstractParts, first: int):
+        self._parts, self._first = parts, first
+        self._unkept = list[Any]()
+        self._kept_at = time.monotonic()
+
+    def add(self, result: Any) -> None:
+        """Add the next result."""
+        self._unkept.append(result)
+        if time.monotonic() - self._kept_at >= _OFTEN:
+            self._parts.keep(self._first, self._unkept)
+            self._first += len(self._unkept)
+            self._unkept, self._kept_at = [], time.monotonic()
+
+
+class Line(NamedTuple):
+    """A line that was written whole: its number from 1, its text, and what it says; None if it is no JSON."""
+
+    number: int
+    text: bytes
+    value: Any
+
+
+class Lines(NamedTuple):
+    """The whole lines of a file, their size in bytes, and what stands after them: a last line that was cut off."""
+
+    lines: tuple[Line, ...]
+    size: int
+    cut: bytes
+
+
+def read_lines(path: Path) -> Lines:
+    """The whole lines of a file; none if there is no file. A last line without its end was cut off by a crash.
+
+    Raises `OSError` if it cannot be read.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        return Lines((), 0, b"")
+    *whole, cut = content.split(b"\n")
+    lines = [Line(number, text, _value(text)) for number, text in enumerate(whole, 1) if text.strip()]
+    return Lines(tuple(lines), len(content) - len(cut), cut)
+
+
+def _value(text: bytes) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:  # UnicodeDecodeError is one
+        return None

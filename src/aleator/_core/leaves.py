@@ -1,6 +1,7 @@
-"""Leaves of a model, for all layers: objects that may take the place of a number, and the names of places."""
+"""Models, for all layers: modules that hold numbers, leaves in the place of one, and the names of places."""
 
 import abc
+import importlib
 from collections import Counter
 from collections.abc import Callable
 from typing import Any, ClassVar, TypeVar
@@ -12,9 +13,56 @@ from jax.core import Tracer
 from jax.tree_util import DictKey, GetAttrKey, SequenceKey, keystr, tree_flatten_with_path
 
 from aleator._core.arrays import Pytree
+from aleator._core.border import real_array, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import real_array, refusal
-from aleator._core.module import Module
+
+
+class Module(eqx.Module):
+    """An Equinox module whose methods are plain ones.
+
+    Equinox makes a module of each method at each access, for those who give methods to compiled functions as arguments.
+    Nothing here does, and problems are walked through so often that this took much of the time of small solves.
+    """
+
+    __getattribute__ = object.__getattribute__
+
+    @property
+    def is_declared(self) -> bool:
+        """Whether it holds a digest of equations that tells all code in it."""
+        return False
+
+
+class Printed:
+    """Something that a notebook shows as a table; `print` shows the same as text."""
+
+    __slots__ = ()
+
+    def _repr_html_(self) -> str:
+        return _showing().page_of(self)
+
+
+class _Figures:
+    """The figures of a result: `result.plot()` is the usual one, and the methods of `result.plot` are the others.
+
+    Each returns a figure of Plotly, or with `backend="matplotlib"` one of Matplotlib, for papers. It is a descriptor of
+    its own, not a property, because notebooks complete `result.plot.` only if looking it up is no property's code.
+    """
+
+    def __get__(self, result: Any, owner: Any = None) -> Any:
+        return self if result is None else _showing().plots_of(result)
+
+
+class Drawn(Printed):
+    """A result of which there are figures."""
+
+    __slots__ = ()
+
+    plot = _Figures()
+
+
+def _showing() -> Any:
+    return importlib.import_module("aleator.reporting.drawn")
+
 
 _Class = TypeVar("_Class", bound=type)
 

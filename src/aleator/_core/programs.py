@@ -1,15 +1,42 @@
-"""Programs: traced once, compiled by the first thread that needs them, and kept while there is room."""
+"""Programs: traced once, compiled by the first thread that needs them, kept while there is room, and kept on the disk.
 
+Later runs need not trace, lower or compile them again. They are in the user's own folder, in a part for each kind of
+machine, because they are machine code. JAX's persistent compilation cache keeps small programs there, which it finds by
+their lowered text; those of problems are kept beside them under lasting names (`identity`), because tracing and
+lowering take longer than all the rest.
+
+Reading a file runs what it holds: machine code, and a pickle, because JAX has no other form of an executable. So only
+files are opened that belong to this user, that nobody else can write to, and whose digest is that of their name and
+content. What cannot be read or loaded is deleted, and the program is compiled as if it had never been kept. Nobody is
+told, since nothing is lost but time.
+"""
+
+import contextlib
+import functools
 import gc
+import hashlib
+import os
+import pickle
+import platform
+import re
+import sys
 import threading
+import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from importlib import metadata
 from pathlib import Path
 from typing import Any, final
 
 import jax
+import jax.numpy as jnp
+import platformdirs
+from jax.experimental import serialize_executable
+from jax.experimental.compilation_cache import compilation_cache as persistent
 
-from aleator._core.beside import undisturbed
+from aleator._core.border import refusal
+from aleator._core.errors import ProblemError
+from aleator._core.parallel import undisturbed
 
 Executable = Callable[..., Any]
 
@@ -138,3 +165,218 @@ def most_mappings() -> float:
 
 
 PROGRAMS = Programs()
+
+
+VARIABLE = "ALEATOR_CACHE"
+"""Environment variable: a folder, or "off"."""
+
+# Beyond this many bytes, the least recently used programs are deleted when a process starts.
+_MOST_BYTES = 500 * 2**20
+# Names of the folders for each kind of machine; others beside them are not ours.
+_DIGITS = 16
+_KIND_GLOB = "[0-9a-f]" * _DIGITS
+_PROCESSOR = Path("/proc/cpuinfo")
+_ON = ("on", "yes", "1", "true")
+_OFF = ("off", "no", "none", "0", "false", "")
+
+# Calls of functions outside XLA in the text of a program.
+_CALLED, _LAPACK = re.compile(r"custom_call @([^(]+)"), "lapack_"
+_DIGEST = hashlib.sha256().digest_size
+_BINARY = getattr(os, "O_BINARY", 0)  # on Windows
+
+_folder: Path | None = None
+_heard = threading.local()
+
+
+def compilation_cache(folder: str | os.PathLike[str] | None) -> None:
+    """Keep compiled programs in `folder` from now on, so that other runs need not compile; `None` ends this.
+
+    By default they are kept in the user's own cache folder, at most 500 MB, unless JAX has been given a folder; the
+    environment variable `ALEATOR_CACHE`, a folder or `off`, overrides this. Entries that are damaged, or come from
+    another machine or version, are ignored. Anyone who can write to them can make this process run any code, so that
+    they are in a part of the folder that is closed to others.
+
+    Raises `ProblemError` if the folder cannot be created or written to, or if its part for this machine belongs to
+    another user or can be written to by others.
+    """
+    if folder is not None and not (isinstance(folder, str | os.PathLike) and str(folder)):
+        raise refusal("compilation_cache: folder", "a folder, or None", folder)
+    _keep_in(None if folder is None else _made(Path(folder)))
+
+
+def keep_by_default() -> None:
+    """Keep programs in the folder set in the environment, or in the user's cache folder; called once, at set-up.
+
+    A folder given to JAX is left unchanged. A warning is given if a folder set by the user cannot be written to.
+    """
+    wanted = os.environ.get(VARIABLE)
+    if wanted is None and jax.config.jax_compilation_cache_dir is not None:  # type: ignore[attr-defined]
+        return
+    if wanted is not None and wanted.strip().lower() in _OFF:
+        return
+    try:
+        usual = wanted is None or wanted.strip().lower() in _ON
+        _keep_in(_made(platformdirs.user_cache_path("aleator") if usual else Path(str(wanted))))
+    except (ProblemError, RuntimeError) as error:  # the latter where the user's home is unknown
+        if wanted is not None:
+            warnings.warn(f"{VARIABLE}: {error} Nothing is kept.", stacklevel=2)
+
+
+def is_private(status: os.stat_result) -> bool:
+    """Whether a file or folder belongs to this user, and nobody else can write to it; assumed on Windows."""
+    return sys.platform == "win32" or (status.st_uid == os.getuid() and not status.st_mode & 0o022)
+
+
+def keeps(name: str | None) -> bool:
+    """Whether a program of this name is kept at all."""
+    return name is not None and _folder is not None
+
+
+def load(name: str | None, inputs: list[Any]) -> tuple[Any, Any] | None:
+    """The executable that an earlier run has kept under a name, and the layout of its results; None if there is none.
+
+    - `inputs`: arrays like those that it is called with.
+    """
+    if name is None or (path := _path(name)) is None:
+        return None
+    try:
+        with path.open("rb") as file:
+            if not is_private(os.fstat(file.fileno())):
+                raise PermissionError(path)
+            digest, content = file.read(_DIGEST), file.read()
+        if _digest(name, content) != digest:
+            raise ValueError(path)
+        _prepare_lapack()
+        payload, layout, count = pickle.loads(content)
+        trees = jax.tree.structure((tuple(inputs), {})), jax.tree.structure([0] * count)
+        return serialize_executable.deserialize_and_load(payload, *trees), layout
+    except FileNotFoundError:
+        return None
+    except Exception:  # XLA, JAX and pickle have no common one
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+        return None
+
+
+def keep(name: str, lowered: jax.stages.Lowered, executable: jax.stages.Compiled, layout: Any) -> None:
+    """Keep an executable with the layout of its results for later runs; silently skipped if it cannot be written.
+
+    It is skipped too if it calls anything outside XLA other than LAPACK, such as Python code: such a function may not
+    exist in another run.
+    """
+    path = _path(name)
+    if path is None or not all(one.startswith(_LAPACK) for one in _CALLED.findall(lowered.as_text())):
+        return
+    try:
+        payload, _, results = serialize_executable.serialize(executable)
+        content = pickle.dumps((payload, layout, results.num_leaves))
+    except Exception:  # XLA, JAX and pickle have no common one
+        return
+    # Of a run that is ended here, the name lets it be counted and deleted as the others are.
+    trial = path.with_name(f".{os.getpid()}.{threading.get_ident()}.{path.name}")
+    with contextlib.suppress(OSError):
+        try:
+            # Private whatever the user's mask is; a new file, because its name could be a link.
+            with os.fdopen(os.open(trial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o600), "wb") as file:
+                file.write(_digest(name, content) + content)
+            trial.replace(path)
+            # JAX's own copy goes: found there when this file is lost, the program could never be written again.
+            for copy in path.parent.glob(f"jit_*{name}-*"):
+                copy.unlink(missing_ok=True)
+        finally:
+            trial.unlink(missing_ok=True)
+
+
+def found_by_jax() -> int:
+    """How many programs this thread has found in JAX's own cache. Written again, such a program has lost its code."""
+    return getattr(_heard, "hits", 0)
+
+
+def _hear(event: str, **_: Any) -> None:
+    if event.endswith("/cache_hits"):
+        _heard.hits = found_by_jax() + 1
+
+
+jax.monitoring.register_event_listener(_hear)
+
+
+def _path(name: str) -> Path | None:
+    return None if _folder is None else _folder / f"aleator_{name}-cache"
+
+
+def _digest(name: str, content: bytes) -> bytes:
+    """Of the name too: under another one, an executable would compute something else."""
+    return hashlib.sha256(name.encode() + b"\0" + content).digest()
+
+
+@functools.cache
+def _prepare_lapack() -> None:
+    """Make JAX look up LAPACK's functions, which it does otherwise only when it lowers a call of one.
+
+    A loaded program that calls one before crashes the process.
+    """
+    jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), float))
+
+
+def _keep_in(folder: Path | None) -> None:
+    global _folder
+    _folder = folder
+    jax.config.update("jax_compilation_cache_dir", None if folder is None else str(folder))
+    persistent.reset_cache()
+    if folder is None:
+        return
+    # Small programs too: hundreds of them are compiled one by one when single numbers of a model are evaluated.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    # Unreadable entries are compiled, unwritable ones compiled again: users need not know of either.
+    warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache")
+    _forget_oldest(folder)
+
+
+def _made(folder: Path) -> Path:
+    """The part of a folder for machines of this kind. Raises `ProblemError` if it cannot be written to."""
+    try:
+        # Absolute, because the working directory may change later.
+        own = folder.expanduser().absolute() / _kind()
+        own.mkdir(mode=0o700, parents=True, exist_ok=True)
+        trial = own / f".{os.getpid()}"
+        trial.touch()
+        trial.unlink()
+        if not is_private(own.stat()):
+            raise ValueError(f"{own} belongs to another user, or others can write to it")
+    except (OSError, RuntimeError, ValueError) as error:
+        reason = (error.strerror if isinstance(error, OSError) else "") or str(error).rstrip(".")
+        raise ProblemError(
+            f"Compiled programs cannot be kept in {str(folder)!r}: {reason}. Give a folder that can be written to, or "
+            f"turn keeping off with {VARIABLE}=off."
+        ) from error
+    return own
+
+
+def _kind() -> str:
+    """A name for this kind of machine and these versions: code for one processor may crash on another."""
+    about = [platform.system(), platform.machine(), platform.processor(), jax.__version__, metadata.version("jaxlib")]
+    try:
+        lines = _PROCESSOR.read_text().split("\n\n")[0].splitlines()
+        about += [line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))]
+    except OSError:
+        about.append(platform.node())  # Nothing tells what its processor can do: a machine of its own.
+    return hashlib.sha256("\n".join(about).encode()).hexdigest()[:_DIGITS]
+
+
+def _forget_oldest(folder: Path) -> None:
+    """Delete the least recently used programs beyond the limit, also those of other versions and kinds of machines.
+
+    Another process may be doing the same.
+    """
+    found: list[tuple[float, int, Path]] = []
+    for path in folder.parent.glob(f"{_KIND_GLOB}/*-cache"):
+        with contextlib.suppress(OSError):
+            status = path.stat()
+            found.append((max(status.st_atime, status.st_mtime), status.st_size, path))
+    total = sum(size for _, size, _ in found)
+    for _, size, path in sorted(found):
+        if total <= _MOST_BYTES:
+            return
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+            total -= size

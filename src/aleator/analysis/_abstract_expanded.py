@@ -19,8 +19,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
-from aleator._core.module import Module
-from aleator._core.shown import Drawn
+from aleator._core.leaves import Drawn, Module
 from aleator.ensemble import at_levels, concrete, part, random_levels
 from aleator.expansion import Basis
 from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance

@@ -27,9 +27,8 @@ from jax.scipy.stats import norm
 from jaxtyping import Array, Float, Int
 from typing_extensions import override
 
-from aleator._core.arrays import Pytree, Scalar, in_library, jax_array
+from aleator._core.arrays import NUMBER, Pytree, Scalar, in_library, jax_array, refuse_beyond_memory
 from aleator._core.compilation import evaluate
-from aleator._core.memory import NUMBER, refuse_beyond_memory
 from aleator.analysis._abstract_expanded import (
     AbstractExpanded,
     as_lines,

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
-from aleator._core import given
+from aleator._core import border
 from aleator._core.arrays import Pytree, in_library, jax_array
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 from aleator.analysis._sampling import Sampler, plain
 from aleator.ensemble import at_levels, random_levels
 from aleator.expansion import ROUNDING, Basis, Expansion, GaussPoints, HammersleyPoints, collocate, leave_one_out
@@ -52,9 +52,9 @@ class MultiElement(Module):
     budget: int = eqx.field(static=True)
 
     def __init__(self, order: int = 4, *, error: float = 1e-3, budget: int = 10_000):
-        self.order = given.whole("MultiElement: order", order)
-        self.error = given.positive("MultiElement: error", error, below=1.0)
-        self.budget = given.whole("MultiElement: budget, the number of calls,", budget)
+        self.order = border.whole("MultiElement: order", order)
+        self.error = border.positive("MultiElement: error", error, below=1.0)
+        self.budget = border.whole("MultiElement: budget, the number of calls,", budget)
 
 
 def restricted(germ: AbstractGerm, low: float, high: float) -> AbstractGerm:

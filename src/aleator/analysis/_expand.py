@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Array
 
 from aleator._core.arrays import Pytree, in_library, jax_array
+from aleator._core.border import real_array
 from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ExpansionWarning, ProblemError
-from aleator._core.given import real_array
 from aleator.analysis._abstract_expanded import extrapolates
 from aleator.analysis._element_expanded import ElementExpanded
 from aleator.analysis._elements import MultiElement, Partition, Refinement

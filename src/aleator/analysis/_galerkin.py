@@ -13,9 +13,9 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree, jax_array, numbers_to_arrays
-from aleator._core.compilation import Use
+from aleator._core.border import one_of, refusal
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ExpansionWarning, ProblemError, SimulationError
-from aleator._core.given import one_of, refusal
 from aleator._core.leaves import transparent
 from aleator.analysis._expanded import Expanded
 from aleator.dynamics import (
@@ -32,8 +32,7 @@ from aleator.dynamics import (
     solve_algebraic,
 )
 from aleator.dynamics._algebraic import equations, first_guess, outputs_at
-from aleator.dynamics._named_roots import constant_terms
-from aleator.dynamics._newton import newton
+from aleator.dynamics._newton import constant_terms, newton
 from aleator.ensemble import concrete, is_finite
 from aleator.expansion import Adaptive, Basis, Expansion, GaussPoints, SmolyakPoints
 from aleator.trajectories import AbstractSignal

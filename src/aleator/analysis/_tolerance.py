@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from aleator._core.arrays import Pytree, jax_array
+from aleator._core.border import one_of, real_array
 from aleator._core.errors import ProblemError, SimulationError
-from aleator._core.given import one_of, real_array
-from aleator._core.shown import Drawn, Printed
+from aleator._core.leaves import Drawn, Printed
 from aleator.analysis._expand import expand
 from aleator.analysis._expanded import Expanded
 from aleator.analysis._sampling import Sampler

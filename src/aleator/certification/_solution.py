@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from aleator._core import clock
+from aleator import _core
 from aleator.certification._quality import quality_of
 from aleator.design import expanded_functionals
 from aleator.nlp import Outcome, Status
@@ -76,7 +76,7 @@ def solution_of(
             solver=outcome.solver,
             iterations=outcome.iterations,
             evaluations=outcome.evaluations,
-            times=Times(clock.import_seconds, compiled, outcome.seconds),
+            times=Times(_core.import_seconds, compiled, outcome.seconds),
             searched=outcome.searched,
             visited=outcome.visited,
         ),

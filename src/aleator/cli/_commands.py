@@ -13,10 +13,10 @@ from typer.core import TyperGroup
 from typing_extensions import override
 
 from aleator import studies
-from aleator._core.given import refusal
-from aleator._core.interruption import Interruptions
+from aleator._core.border import refusal
 from aleator.cli._course import executed
 from aleator.cli._folder import Record, folder_of, folder_over, is_stale, recorded, stale
+from aleator.cli._interruption import Interruptions
 from aleator.cli._pages import compare, report
 from aleator.cli._terminal import USAGE, Afresh, AsJson, Design, Folder, StudyName, Terminal, Workers
 from aleator.cli._validate import validate

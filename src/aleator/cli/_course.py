@@ -8,10 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, final
 
+from aleator._core.border import one_of
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.given import one_of
-from aleator._core.interruption import Interruptions
 from aleator.cli._folder import RECORD, Record, is_stale
+from aleator.cli._interruption import Interruptions
 from aleator.cli._shown import shown
 from aleator.cli._terminal import FAILED, USAGE, Terminal
 from aleator.journalling import Journal, journal

@@ -100,7 +100,7 @@ class AbstractShown(abc.ABC):
 
     @abc.abstractmethod
     def show(self, task: str, done: int, total: int) -> None:
-        """Show the work inside the present stage: see `aleator._core.progress`."""
+        """Show the work inside the present stage: see `aleator._core.border`."""
 
     @abc.abstractmethod
     def begin(self, stage: str) -> None:

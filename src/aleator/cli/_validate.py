@@ -10,11 +10,10 @@ from typing import Annotated, Any, final
 import typer
 
 from aleator import studies
+from aleator._core.border import Progress, meant
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.given import meant
-from aleator._core.interruption import Interruptions
-from aleator._core.progress import Progress
 from aleator.cli._folder import Record, designs_and_evidence, folder_of, is_stale, stale, study_of, value_text
+from aleator.cli._interruption import Interruptions
 from aleator.cli._shown import shown
 from aleator.cli._terminal import FAILED, AsJson, Design, StudyOrFolder, Terminal
 from aleator.design import Problem

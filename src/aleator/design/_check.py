@@ -11,9 +11,9 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr
 
 from aleator._core.arrays import jax_array, numbers_to_arrays
+from aleator._core.border import meant, traceable
 from aleator._core.equations import Digest, digest_of, joint_digest, refuse_unsteady
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.given import meant, traceable
 from aleator._core.identity import code_digest, is_library
 from aleator.design._cost import CostCurve
 from aleator.design._declaration import AbstractProblem

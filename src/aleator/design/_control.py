@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.border import real_array, shown
 from aleator._core.errors import ProblemError
-from aleator._core.given import real_array, shown
 from aleator.dynamics import Grid, returned
 from aleator.trajectories import AbstractTrajectory, Piecewise
 from aleator.uncertainty import Decision

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar
-from aleator._core.given import a_name, refusal
+from aleator._core.border import a_name, refusal
 from aleator.design._expression import Expression
 from aleator.design._numbers import number_given
 from aleator.design._scope import AbstractAtom, AbstractScope, Units

@@ -4,8 +4,7 @@ import equinox as eqx
 
 from aleator._core.equations import Digest
 from aleator._core.errors import ProblemError
-from aleator._core.module import Module
-from aleator._core.shown import Printed
+from aleator._core.leaves import Module, Printed
 from aleator.design._expression import Constraint, Expression
 from aleator.dynamics import AbstractGrid, AbstractIntegrator, AbstractSystem, Simulation
 from aleator.expansion import Expansion

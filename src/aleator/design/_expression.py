@@ -12,13 +12,13 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar, in_library, jax_array, quietly
+from aleator._core.border import a_name
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name
-from aleator._core.module import Module
-from aleator._core.units import common
+from aleator._core.leaves import Module
 from aleator.design._numbers import number_given, ordered
 from aleator.design._rules import AbstractRule, Norm, Power, Product, Quotient
 from aleator.design._scope import AbstractAtom, AbstractComposite, AbstractRandom, AbstractScope, Units, Value
+from aleator.statistics import common
 
 
 @final

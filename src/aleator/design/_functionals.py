@@ -8,11 +8,10 @@ import jax.numpy as jnp
 from jaxtyping import Array
 from typing_extensions import override
 
-from aleator._core.units import integrated
 from aleator.design._expression import Constraint, Expression
 from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, statistics_in
 from aleator.dynamics import AbstractGrid, Grid
-from aleator.statistics import root
+from aleator.statistics import integrated, root
 
 # The order of what the integrator carries, at the instants of its grid.
 INTEGRATED = 4

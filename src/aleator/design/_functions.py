@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from typing import Any
 
+from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import refusal
 from aleator.design._expression import Expression, composed
 from aleator.design._numbers import smoothing_given
 from aleator.design._rules import Extremum, Own, PositivePart, Pure

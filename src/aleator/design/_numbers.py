@@ -7,8 +7,8 @@ from jax.core import Tracer
 from jaxtyping import Array
 
 from aleator._core.arrays import Scalar
+from aleator._core.border import is_masked, real_array
 from aleator._core.errors import ProblemError
-from aleator._core.given import is_masked, real_array
 
 
 def number_given(value: Any, action: str) -> float:

@@ -10,14 +10,13 @@ from jaxtyping import Array
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
-from aleator._core.units import integrated, product, squared
 from aleator.design._expression import Expression, as_expression, composed, value
 from aleator.design._functionals import AbstractIntegral, path, terminal
 from aleator.design._numbers import smoothing_given
 from aleator.design._rules import Norm
 from aleator.design._scope import AbstractAtom, AbstractComposite, AbstractScope, Units
 from aleator.design._statistic import name_given, statistic
-from aleator.statistics import CoefficientProduct
+from aleator.statistics import CoefficientProduct, integrated, product, squared
 
 Weights: TypeAlias = float | Sequence[float] | Array | None
 """One factor per term, in order; a number for a single term. `None` means ones."""

@@ -9,9 +9,9 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from aleator._core.border import a_name, one_of, positive, real, refusal
 from aleator._core.equations import Digest
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name, one_of, positive, real, refusal
 from aleator.design._check import check, declared
 from aleator.design._control import on_grid
 from aleator.design._declaration import AbstractProblem
@@ -46,8 +46,9 @@ class Problem(AbstractProblem):
     - `decisions`: further decisions by name, which no model contains, such as a slack or a level that several limits
       share; `al.value(name)` is one in an expression.
 
-    `print(problem)` shows it as mathematics. Raises `ProblemError`, before anything is compiled, for any inconsistency:
-    a missing input or output, a wrong shape, an unknown name, a mass that can reach zero.
+    Its equations are traced here, and here alone: to change the code of a model, declare again. `print(problem)` shows
+    it as mathematics. Raises `ProblemError`, before anything is compiled, for any inconsistency: a missing input or
+    output, a wrong shape, an unknown name, a mass that can reach zero.
     """
 
     def __init__(

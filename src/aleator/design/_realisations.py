@@ -3,10 +3,10 @@
 from collections.abc import Iterator
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
 from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Constraint, Expression
@@ -29,12 +29,12 @@ def refuse_diagnosed(problem: AbstractProblem) -> None:
     """
     if not _speaks(problem.system):
         return
-    start = jnp.asarray(problem.placements.vector("initial"))
+    start = jax_array(problem.placements.vector("initial"))
     _refuse(_at_means(problem, start), "")
     for germ in _extremes(list(problem.placements.germs.values())):
-        numbers = uncertain_numbers(problem.placements, jnp.asarray(germ), start)
+        numbers = uncertain_numbers(problem.placements, jax_array(germ), start)
         where = ", ".join(f"{name} = {float(number):.4g}" for name, number in numbers.items())
-        _refuse(realise(problem.simulation, jnp.asarray(germ), start), f" In the system with {where}.")
+        _refuse(realise(problem.simulation, jax_array(germ), start), f" In the system with {where}.")
     for name, decisions in _bounds(problem):
         _refuse(_at_means(problem, decisions), f" In the system with {name}.")
     _refuse_unheld(problem)
@@ -45,7 +45,7 @@ def _speaks(system: AbstractSystem) -> bool:
 
 
 def _at_means(problem: AbstractProblem, decisions: Any) -> Simulation:
-    return realise(at_means(problem.simulation), jnp.zeros(0), jnp.asarray(decisions))
+    return realise(at_means(problem.simulation), jax_array(np.zeros(0)), jax_array(decisions))
 
 
 def _refuse(simulation: Simulation, who: str) -> None:

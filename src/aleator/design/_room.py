@@ -1,6 +1,6 @@
 """The memory that the histories of a problem need, estimated before anything is simulated."""
 
-from aleator._core.memory import NUMBER, refuse_beyond_memory
+from aleator._core.arrays import NUMBER, refuse_beyond_memory
 from aleator.design._declaration import AbstractProblem
 from aleator.design._functionals import AbstractIntegral
 from aleator.design._statistic import functionals_of

@@ -12,12 +12,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.border import traceable
 from aleator._core.errors import ProblemError
-from aleator._core.given import traceable
-from aleator._core.module import Module
-from aleator._core.units import EXPONENTS, PURE, common, product, quotient, raised
+from aleator._core.leaves import Module
 from aleator.dynamics import returned
-from aleator.statistics import root
+from aleator.statistics import EXPONENTS, PURE, common, product, quotient, raised, root
 
 # A name or number without an exponent, or a statistic of one.
 _ELEMENTARY = re.compile(r"[\w.]*[^\W²³¹⁰⁴-⁹](\[[^\[\]]*\])?")

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 from aleator.statistics import AbstractStatistic
 
 
@@ -50,7 +50,7 @@ class AbstractScopeOfInstants(AbstractScope):
 
 
 class Units(NamedTuple):
-    """The units of a problem as far as they are known, as text (see `_core.units`).
+    """The units of a problem as far as they are known, as text (see `statistics/_units.py`).
 
     - `outputs`: of outputs, by name;
     - `numbers`: of those numbers of the model that expressions use, by name (`k_s`, `k_s.half_width`).

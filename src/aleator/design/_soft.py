@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from aleator._core.border import a_name, one_of, positive, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name, one_of, positive, refusal
 from aleator.design._expression import Constraint, Expression, as_expression, value
 from aleator.design._functions import positive_part, pure
 from aleator.design._objectives import time_integral

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import refusal
 from aleator.design._expression import Constraint, Expression, Range
 from aleator.design._extreme import Extreme
 from aleator.design._numbers import number_given, ordered
@@ -61,7 +61,7 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
         return peaks[self.output]
 
     def unit(self, outputs: Mapping[str, str]) -> str:
-        """Its unit, from those of outputs as far as known (see `_core.units`): by default that of its output."""
+        """Its unit, from those of outputs as far as known (see `statistics._units`): by default its output's."""
         return outputs.get(self.output, "")
 
     @property

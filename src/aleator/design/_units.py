@@ -7,16 +7,16 @@ from typing import Any
 import equinox as eqx
 import jax
 
+from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import refusal
 from aleator._core.leaves import is_leaf
-from aleator._core.units import PURE, is_same, measure, rate
 from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Expression
 from aleator.design._objectives import SquareIntegral, Work
 from aleator.design._scope import AbstractAtom, Units
 from aleator.design._statistic import Statistic
 from aleator.mechanics import AbstractFormulation
+from aleator.statistics import PURE, is_same, measure, rate
 from aleator.uncertainty import AbstractDistribution, fields_of
 from aleator.uncertainty._placements import free
 

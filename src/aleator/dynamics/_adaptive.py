@@ -1,6 +1,5 @@
 """Adaptive integrators (diffrax), for stiff and long simulations."""
 
-import abc
 from collections.abc import Callable
 from typing import Any, final
 
@@ -11,12 +10,10 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core import given
-from aleator.dynamics._evaluation import derivative, initial_state
-from aleator.dynamics._grid import Grid
-from aleator.dynamics._index_one import completed
-from aleator.dynamics._index_one_failure import explain_algebraic, explain_from, inputs_on
-from aleator.dynamics._integrators import AbstractIntegrator, Inputs
+from aleator._core import border
+from aleator.dynamics._evaluation import completed, derivative, explain_algebraic, explain_from, initial_state
+from aleator.dynamics._grid import Grid, Inputs, inputs_on
+from aleator.dynamics._integrators import AbstractIntegrator
 from aleator.dynamics._record import Asked, Record
 from aleator.dynamics._system import System
 from aleator.trajectories import instants, jumps_of
@@ -31,7 +28,7 @@ _STUCK = 0.01
 
 
 class AbstractAdaptive(AbstractIntegrator):
-    """Adaptive integration by diffrax, to relative and absolute tolerances.
+    """Adaptive integration to relative and absolute tolerances, by the solver of diffrax that has the class's name.
 
     Steps are never longer than those of the grid: with smooth states, longer ones could pass over fast changes of
     outputs, integrands or loads.
@@ -47,12 +44,8 @@ class AbstractAdaptive(AbstractIntegrator):
 
     def __init__(self, rtol: float = _RELATIVE, atol: float = _ABSOLUTE, max_steps: int = _STEPS):
         who = type(self).__name__
-        self.rtol, self.atol = given.positive(f"{who}: rtol", rtol), given.positive(f"{who}: atol", atol)
-        self.max_steps = given.whole(f"{who}: max_steps", max_steps)
-
-    @abc.abstractmethod
-    def solver(self) -> Any:
-        """The diffrax solver."""
+        self.rtol, self.atol = border.positive(f"{who}: rtol", rtol), border.positive(f"{who}: atol", atol)
+        self.max_steps = border.whole(f"{who}: max_steps", max_steps)
 
     @override
     def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
@@ -140,7 +133,7 @@ class AbstractAdaptive(AbstractIntegrator):
             controller = diffrax.ClipStepSizeController(controller, jump_ts=instants(jumps, grid.t_start, grid.t_final))
         return diffrax.diffeqsolve(
             diffrax.ODETerm(lambda *at: jax.tree.map(_slopes_of_numbers, rates(*at))),
-            self.solver(),
+            getattr(diffrax, type(self).__name__)(),
             t0=grid.t_start,
             t1=grid.t_final,
             dt0=None,
@@ -186,12 +179,6 @@ class Tsit5(AbstractAdaptive):
     """Adaptive explicit Runge-Kutta of order 5 (Tsitouras, 2011), for smooth, non-stiff systems."""
 
     @override
-    def solver(self) -> Any:
-        import diffrax
-
-        return diffrax.Tsit5()
-
-    @override
     def reference(self) -> AbstractIntegrator:
         return Dopri8(**self.tighter())
 
@@ -199,12 +186,6 @@ class Tsit5(AbstractAdaptive):
 @final
 class Dopri8(AbstractAdaptive):
     """Adaptive explicit Runge-Kutta of order 8 (Dormand and Prince, 1981)."""
-
-    @override
-    def solver(self) -> Any:
-        import diffrax
-
-        return diffrax.Dopri8()
 
     @override
     def reference(self) -> AbstractIntegrator:
@@ -216,12 +197,6 @@ class Kvaerno5(AbstractAdaptive):
     """Adaptive implicit Runge-Kutta of order 5 (Kvaerno, 2004), for stiff systems."""
 
     @override
-    def solver(self) -> Any:
-        import diffrax
-
-        return diffrax.Kvaerno5()
-
-    @override
     def reference(self) -> AbstractIntegrator:
         """The method of order 4, at the same tolerances."""
         return Kvaerno4(**self.tighter())
@@ -230,12 +205,6 @@ class Kvaerno5(AbstractAdaptive):
 @final
 class Kvaerno4(AbstractAdaptive):
     """Adaptive implicit Runge-Kutta of order 4 (Kvaerno, 2004)."""
-
-    @override
-    def solver(self) -> Any:
-        import diffrax
-
-        return diffrax.Kvaerno4()
 
     @override
     def reference(self) -> AbstractIntegrator:

@@ -11,11 +11,9 @@ from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
-from aleator.dynamics._abstract_system import AbstractSystem
-from aleator.dynamics._named_roots import Named, failure_text, listed, named_root, numbers_in
-from aleator.dynamics._newton import Root
-from aleator.dynamics._returned import as_equations, as_outputs, starting
-from aleator.dynamics._system import called, state_type
+from aleator.dynamics._evaluation import as_equations, as_outputs, starting
+from aleator.dynamics._newton import Named, Root, failure_text, listed, named_root, numbers_in
+from aleator.dynamics._system import AbstractSystem, called, state_type
 
 
 class AlgebraicSystem(AbstractSystem):
@@ -59,7 +57,20 @@ class AlgebraicSystem(AbstractSystem):
 
     def check_declaration(self) -> None:
         """Refuse a class that is neither explicit (only `outputs`) nor implicit (`unknowns`, `guess`, `residual`)."""
-        _check_declared(self)
+        parts = {part: _declares(self, part) for part in ("unknowns", "guess", "residual")}
+        parts["unknowns"] |= bool(self.unknowns)
+        has, lacks = ([part for part, is_own in parts.items() if is_own is wanted] for wanted in (True, False))
+        if has and lacks:
+            raise ProblemError(
+                f"{self.title} declares {' and '.join(has)}, but not {' and '.join(lacks)}: implicit equations need "
+                "all three, and outputs in closed form need none of them, only outputs(self)."
+            )
+        if not (has or _declares(self, "outputs")):
+            raise ProblemError(
+                f"{self.title} declares no outputs: expected outputs(self), or unknowns with guess and residual for "
+                "equations."
+            )
+        _check_arguments(self, ("rho",) if has else ())
 
     def guess(self) -> Mapping[str, Any]:
         """A value near the solution for each unknown, by name: a number, or an array for an unknown array."""
@@ -151,35 +162,22 @@ def _declares(system: AlgebraicSystem, part: str) -> bool:
     return own is not default and (part != "unknowns" or own != ())
 
 
-def _check_declared(system: AlgebraicSystem) -> None:
-    name = system.title
-    parts = {part: _declares(system, part) for part in ("unknowns", "guess", "residual")}
-    parts["unknowns"] |= bool(system.unknowns)
-    has, lacks = ([part for part, declared in parts.items() if declared is one] for one in (True, False))
-    if has and lacks:
-        raise ProblemError(
-            f"{name} declares {' and '.join(has)}, but not {' and '.join(lacks)}: implicit equations need all three, "
-            "and outputs in closed form need none of them, only outputs(self)."
-        )
-    if not (has or _declares(system, "outputs")):
-        raise ProblemError(
-            f"{name} declares no outputs: expected outputs(self), or unknowns with guess and residual for equations."
-        )
-    expected = ("rho",) if has else ()
+def _check_arguments(system: AlgebraicSystem, expected: tuple[str, ...]) -> None:
+    """Refuse an `outputs` that takes other arguments."""
     signature = inspect.signature(system.outputs)
     try:
         signature.bind(*expected)
     except TypeError:
         received = ", ".join(("self", *map(str, signature.parameters.values())))
         raise ProblemError(
-            f"{name}.outputs: expected outputs({', '.join(('self', *expected))}), for a class "
-            f"{'with' if has else 'without'} unknowns; received outputs({received})."
+            f"{system.title}.outputs: expected outputs({', '.join(('self', *expected))}), for a class "
+            f"{'with' if expected else 'without'} unknowns; received outputs({received})."
         ) from None
 
 
 def _root(system: AlgebraicSystem, guess: Any) -> tuple[Root, Named]:
     size = ravel_pytree(guess)[0].size
-    return named_root(lambda one, rho: equations(one, rho, size), system, guess)
+    return named_root(lambda system, rho: equations(system, rho, size), system, guess)
 
 
 def first_guess(system: AlgebraicSystem) -> Any:

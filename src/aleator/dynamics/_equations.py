@@ -17,11 +17,16 @@ from typing_extensions import override
 from aleator._core.equations import Digest, TracedFunction, digest_of, joint_digest
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
-from aleator.dynamics._abstract_system import AbstractSystem
 from aleator.dynamics._algebraic import AlgebraicSystem, equations, first_guess, outputs_at
-from aleator.dynamics._evaluation import derivative_and_observation, initial_state, observation
-from aleator.dynamics._index_one import algebraic_residuals, guessed_algebraic, with_algebraic
-from aleator.dynamics._system import System
+from aleator.dynamics._evaluation import (
+    algebraic_residuals,
+    derivative_and_observation,
+    guessed_algebraic,
+    initial_state,
+    observation,
+    with_algebraic,
+)
+from aleator.dynamics._system import AbstractSystem, System
 from aleator.trajectories import AbstractSignal
 
 
@@ -60,8 +65,10 @@ class Equations:
                     "declared with in another one. Start workers anew, with the same files; solve stored designs again."
                 )
             self._functions = again._functions
-        traced = TracedAlgebraic if isinstance(system, AlgebraicSystem) else TracedSystem
-        return traced(system, self)
+        if isinstance(system, AlgebraicSystem):
+            return TracedAlgebraic(system, self)
+        assert isinstance(system, System)
+        return TracedSystem(system, self)
 
     def output_shapes(self) -> dict[str, tuple[int, ...]]:
         """The shape of each output at one instant, by name."""

@@ -1,19 +1,32 @@
-"""What a system says at one instant: its initial state, rates and outputs, as arrays; checked at trace time."""
+"""What a system says at one instant: its initial state, rates and outputs, as arrays; checked at trace time.
+
+Algebraic variables are a function of the time, the states and the inputs at that instant alone (index 1), which
+Newton's method finds from the system's own guess: neither the steps of an integrator nor other realisations have an
+effect on them. So wherever a system is evaluated they are eliminated, `z' = f(t, z, y(t, z))`, and every integrator
+keeps its order.
+"""
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+import numpy as np
+from jax.core import Tracer
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
 
+from aleator._core.border import traceable
 from aleator._core.errors import ProblemError
-from aleator._core.given import traceable
-from aleator.dynamics._index_one import completed
-from aleator.dynamics._returned import as_outputs, starting
-from aleator.dynamics._system import System, evaluated, state_type
+from aleator.dynamics._grid import Grid, inputs_on
+from aleator.dynamics._newton import Named, Root, failure_text, listed, named_root, numbers_in
+from aleator.dynamics._system import AbstractSystem, System, evaluated, state_type
 from aleator.trajectories import AbstractSignal
+
+# So many places along a step are looked at for the first one where the equations have no solution.
+_LOOKED_AT = 16
 
 
 def initial_state(system: System, t: Any = None, inputs: Mapping[str, Any] | None = None) -> Any:
@@ -92,3 +105,158 @@ def _signals_told(system: System) -> Iterator[None]:
                     f"take it: rhs(self, t, z, {name})."
                 ) from error
         raise
+
+
+def starting(what: str, names: tuple[str, ...], given: Mapping[str, Any]) -> list[Array]:
+    """Initial values or guesses by name as arrays, zero where not given; known ones are checked to be finite."""
+    values = [traceable(f"{what}, '{name}'", given.get(name, 0.0)) for name in names]
+    for name, value in zip(names, values, strict=True):
+        if not isinstance(value, Tracer) and not np.isfinite(value).all():
+            raise ProblemError(f"{what}, '{name}': expected finite numbers; received {given[name]}.")
+    return values
+
+
+def as_outputs(system: AbstractSystem, values: Any) -> dict[str, Array]:
+    """The return value of `system.outputs` as arrays by name."""
+    if not isinstance(values, dict):
+        raise ProblemError(
+            f"{system.title}.outputs returns a dict of arrays by name; received {type(values).__name__}."
+        )
+    who = f"{system.title}.outputs"
+    found = {}
+    for name, value in values.items():
+        if not isinstance(name, str):
+            raise ProblemError(f"{who}: expected names of outputs; received {name!r}.")
+        found[name] = traceable(f"{who}, '{name}'", value)
+        if found[name].size == 0:
+            raise ProblemError(
+                f"{who}, '{name}': expected at least one number; received an array of shape {found[name].shape}, on "
+                "which every constraint would hold. Drop the output."
+            )
+    return found
+
+
+def as_equations(
+    system: AbstractSystem, values: Any, unknowns: tuple[str, ...], expected: int
+) -> Float[Array, " expected"]:
+    """The return value of `system.residual` as one vector, of as many entries as there are numbers in `unknowns`."""
+    name = system.title
+    if not isinstance(values, tuple | list):
+        received = f"an array of shape {values.shape}" if isinstance(values, jax.Array) else type(values).__name__
+        raise ProblemError(
+            f"{name}.residual returns the equations as a tuple, one equation too: 'return (left - right,)'; "
+            f"received {received}."
+        )
+    vector = jnp.concatenate([jnp.zeros(0), *(jnp.ravel(traceable(f"{name}.residual", value)) for value in values)])
+    if vector.size != expected:
+        raise ProblemError(
+            f"{name}.residual: expected as many equations as there are numbers in the unknowns {unknowns}, "
+            f"{expected}; received {vector.size}."
+        )
+    return vector
+
+
+def guessed_algebraic(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> Any:
+    """The guess of the algebraic variables as a named tuple of arrays: their number and shapes, too."""
+    who = f"{system.title}.algebraic_guess"
+    given = evaluated(system, system.algebraic_guess, t, z, inputs)
+    if not isinstance(given, Mapping) or not set(given) <= set(system.algebraic):
+        raise ProblemError(
+            f"{who} returns a dict of values near the solution, by the names of some of the algebraic variables "
+            f"{system.algebraic}; received {given!r}."
+        )
+    return state_type(system.algebraic)(*starting(who, system.algebraic, given))
+
+
+def algebraic_residuals(system: System, t: Any, whole: Any, inputs: dict[str, Array]) -> Float[Array, " algebraic"]:
+    """`system.residual` at states and algebraic variables, as one vector of as many entries as the latter have."""
+    size = sum(jnp.size(getattr(whole, name)) for name in system.algebraic)
+    return as_equations(system, evaluated(system, system.residual, t, whole, inputs), system.algebraic, size)
+
+
+def completed(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> Any:
+    """The states with the algebraic variables that follow from them, as one named tuple; unchanged if it has them.
+
+    Where Newton's method finds no isolated solution they are NaN: see `explain_algebraic`.
+    """
+    if not system.algebraic or len(z) > len(system.states):
+        return z
+    root, named = solved_algebraic(system, t, z, inputs)
+    return with_algebraic(system, z, named(jnp.where(root.converged, root.point, jnp.nan)))
+
+
+def solved_algebraic(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> tuple[Root, Named]:
+    """Solve for the algebraic variables; differentiable to any order, by the implicit function theorem."""
+
+    def equations(numbers: tuple[System, Any, Any, dict[str, Array]], y: Any) -> Float[Array, " algebraic"]:
+        one, at, states, now = numbers
+        return algebraic_residuals(one, at, with_algebraic(one, states, y), now)
+
+    return named_root(equations, (system, t, z, inputs), guessed_algebraic(system, t, z, inputs))
+
+
+def with_algebraic(system: System, z: Any, y: Any) -> Any:
+    """States and algebraic variables as one named tuple."""
+    return state_type((*system.states, *system.algebraic))(*z, *y)
+
+
+def explain_algebraic(
+    system: System, grid: Grid, inputs: dict[str, AbstractSignal], course: Float[np.ndarray, "instants states"]
+) -> str:
+    """Why the algebraic variables cannot be found along a course of the states, NaN at its end; empty if they can.
+
+    - `inputs`: with the system's own signals; `course`: the states side by side at each instant of the grid.
+    """
+    now = inputs_on(grid, inputs)
+    times = np.asarray(grid.times)
+    _, named = ravel_pytree(initial_state(system, times[0], now(times[0])))
+
+    @jax.jit
+    @jax.vmap
+    def found(t: Array, row: Array) -> Array:
+        return jnp.isfinite(row).all() & solved_algebraic(system, t, named(row), now(t))[0].converged
+
+    good = np.asarray(found(jnp.asarray(times), jnp.asarray(course)))
+    if good.all():
+        return ""
+    last = max(int(np.argmin(good)) - 1, 0)
+    return explain_from(system, float(times[last]), named(jnp.asarray(course[last])), float(grid.step), now)
+
+
+def explain_from(system: System, t: float, z: Any, step: float, now: Callable[[Any], dict[str, Array]]) -> str:
+    """Why the algebraic variables cannot be found at an instant or within a step after it; empty if they can.
+
+    - `now`: the inputs at a time.
+    """
+    shares = np.arange(_LOOKED_AT + 1) / _LOOKED_AT
+
+    @jax.jit
+    @jax.vmap
+    def onward(share: Array) -> tuple[Root, Any, Any, Array]:
+        """The solution on the tangent to the course."""
+        later, slope = t + share * step, derivative(system, t, z, now(t))
+        place = jax.tree.map(lambda one, change: one + jnp.where(share > 0, share * step * change, 0.0), z, slope)
+        at = system, later, place, now(later)
+        root = solved_algebraic(*at)[0]
+        return root, place, guessed_algebraic(*at), root.converged
+
+    *found, converged = onward(jnp.asarray(shares))
+    if np.all(converged):
+        return ""
+    first = int(np.argmin(converged))
+    root, place, guess = jax.tree.map(lambda one: one[first], found)
+    numbers = listed({**place._asdict(), **numbers_in(system)})
+    return (
+        f"{system.title}: its algebraic variables have no solution at about t = "
+        f"{t + shares[first] * step:.4g} s{f', with {numbers}' if numbers else ''}. "
+        f"{failure_text(root, ravel_pytree(guess)[1], guess)} {_remedy(root)}"
+    )
+
+
+def _remedy(root: Root) -> str:
+    if np.isfinite(root.residuals).all() and not root.regular:
+        return (
+            "Each of them has to follow from the equations at a fixed state (index 1): differentiate by time those "
+            "that do not contain them, or keep away from where solutions meet."
+        )
+    return "Check whether a solution exists there, and return values closer to it from algebraic_guess(t, z)."

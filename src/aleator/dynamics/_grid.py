@@ -1,6 +1,7 @@
-"""The instants at which a simulation is recorded: a `Grid` of them or, without time, one `Instant`."""
+"""The instants of a simulation, a `Grid` or, without time, one `Instant`; and signals at these instants."""
 
 import abc
+from collections.abc import Callable, Mapping
 from copy import copy
 from typing import Any, Self, final
 
@@ -13,11 +14,13 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar
+from aleator._core.border import is_masked, whole
 from aleator._core.errors import ProblemError
-from aleator._core.given import is_masked, whole
-from aleator._core.leaves import AbstractLeaf, highest, lowest, realised_shape
-from aleator._core.module import Module
-from aleator.trajectories import instants
+from aleator._core.leaves import AbstractLeaf, Module, highest, lowest, realised_shape
+from aleator.dynamics._system import System, check_inputs
+from aleator.trajectories import AbstractSignal, instants
+
+Inputs = dict[str, AbstractSignal]
 
 
 class AbstractGrid(Module):
@@ -55,7 +58,7 @@ class Grid(AbstractGrid):
         self.steps = whole("Grid: steps", steps)
         t_final, t_start = _scalar(t_final), _scalar(t_start)
         free = _is_decided(t_final)
-        earliest = _earliest(t_final)
+        earliest: Any = lowest(t_final) if free else t_final
         if free and realised_shape(t_final) != ():
             raise ProblemError(f"Grid: expected one final time; received an array of decisions {t_final!r}.")
         if not (_is_finite(t_start) and _is_finite(earliest) and earliest > t_start):
@@ -146,12 +149,7 @@ class Instant(AbstractGrid):
 
 
 def _is_decided(t_final: Any) -> bool:
-    """Whether a final time is decided."""
     return isinstance(t_final, AbstractLeaf) and not t_final.UNCERTAIN
-
-
-def _earliest(t_final: Any) -> Any:
-    return lowest(t_final) if _is_decided(t_final) else t_final
 
 
 def _scalar(number: Any) -> Any:
@@ -163,3 +161,45 @@ def _scalar(number: Any) -> Any:
 def _is_finite(number: Any) -> bool:
     is_real = isinstance(number, int | float | np.number) and not isinstance(number, bool)
     return is_real and bool(np.isfinite(number))
+
+
+def sampled(inputs: Inputs, grid: Grid, fractions: Float[np.ndarray, " n"]) -> dict[str, Float[Array, "n ..."]]:
+    """Every input at fixed fractions of a grid's duration."""
+    return {name: signal.sampled(fractions, grid.t_start, grid.t_final) for name, signal in inputs.items()}
+
+
+def inputs_on(grid: Grid, inputs: dict[str, AbstractSignal]) -> Callable[[Any], dict[str, Array]]:
+    """All inputs at a time on a grid."""
+    stretched = {name: signal.over(grid.t_start, grid.t_final) for name, signal in inputs.items()}
+    return lambda t: {name: signal(jnp.asarray(t, dtype=float)) for name, signal in stretched.items()}
+
+
+def check_signals(system: System, grid: Grid, inputs: Mapping[str, Any]) -> None:
+    """Refuse missing or unknown inputs, inputs that are not signals, and signals not known on the whole grid.
+
+    The system's own signals are checked too. The grid extends to the largest final time that may be chosen; where its
+    numbers are traced, the span is not checked.
+    """
+    check_inputs(system, inputs)
+    for name, signal in inputs.items():
+        if not isinstance(signal, AbstractSignal):
+            raise ProblemError(
+                f"Input '{name}' must be a signal, such as al.Tabulated(times, values); "
+                f"received {type(signal).__name__}."
+            )
+    own = {f"Signal '{name}' of {system.title}": signal for name, signal in system.signals().items()}
+    for who, signal in (own | {f"Input '{name}'": signal for name, signal in inputs.items()}).items():
+        if not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((signal, grid))):
+            _check_span(who, signal, grid)
+
+
+def _check_span(who: str, signal: AbstractSignal, grid: Grid) -> None:
+    # These are known even while a function that simulates is traced.
+    with jax.ensure_compile_time_eval():
+        first, last = signal.span()
+    start, end = float(grid.t_start), grid.latest
+    if start < first or end > last:
+        raise ProblemError(
+            f"{who} is known from {first:g} to {last:g} s, but the grid runs from {start:g} to {end:g} s. Give it for "
+            "the whole time, or change the grid."
+        )

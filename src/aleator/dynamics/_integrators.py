@@ -5,8 +5,10 @@ evaluated at the same instants.
 """
 
 import abc
+from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple, final
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,17 +17,14 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree
 from aleator._core.compilation import Use, evaluate
-from aleator._core.module import Module
-from aleator.dynamics._evaluation import derivative, initial_state
-from aleator.dynamics._grid import Grid
-from aleator.dynamics._index_one import completed
-from aleator.dynamics._index_one_failure import explain_algebraic
-from aleator.dynamics._observed_states import STATES, ObservedStates
+from aleator._core.leaves import Module
+from aleator.dynamics._evaluation import completed, derivative, explain_algebraic, initial_state
+from aleator.dynamics._grid import Grid, Inputs, sampled
 from aleator.dynamics._record import Asked, Record
 from aleator.dynamics._system import System
 from aleator.trajectories import AbstractSignal, before_jumps, has_jumps
 
-Inputs = dict[str, AbstractSignal]
+STATES = "states"
 
 
 class AbstractIntegrator(Module):
@@ -113,7 +112,8 @@ class AbstractFixedStep(AbstractIntegrator):
                 halfway = asked.at_node(system, t + h / 2, centre, signals[0.5])
             return (end, _moved(integrals, h, weights, growths), folded), (found, halfway)
 
-        zeros = jax.tree.map(lambda one: jnp.zeros(one.shape), _rate_shapes(asked, system, grid, start, now))
+        shapes = jax.eval_shape(lambda: asked.rates(system, grid.times[0], start, now))
+        zeros = jax.tree.map(lambda one: jnp.zeros(one.shape), shapes)
         spans = (
             grid.times[:-1],
             _rows(at_instants, slice(None, -1)),
@@ -123,7 +123,7 @@ class AbstractFixedStep(AbstractIntegrator):
         )
         folded, first = asked.folded(None, asked.at_instant(system, grid.times[0], start, now))
         (_, integrals, folded), (rest, middles) = jax.lax.scan(advance, (start, zeros, folded), spans)
-        history = {name: jax.tree.map(_preceded, first[name], rest[name]) for name in first}
+        history = jax.tree.map(lambda start, later: jnp.concatenate([start[None], later]), first, rest)
         return Record(history, _interleaved(history, middles), integrals, folded)
 
     @override
@@ -131,10 +131,6 @@ class AbstractFixedStep(AbstractIntegrator):
         if not system.algebraic:
             return ""
         return explain_algebraic(system, grid, inputs, self.course(system, grid, inputs))
-
-
-def _rate_shapes(asked: Asked, system: System, grid: Grid, start: Any, now: dict[str, Array]) -> Any:
-    return jax.eval_shape(lambda: asked.rates(system, grid.times[0], start, now))
 
 
 def _moved(z: Pytree, h: Any, weights: tuple[float, ...], slopes: list[Pytree]) -> Pytree:
@@ -147,10 +143,6 @@ def _moved(z: Pytree, h: Any, weights: tuple[float, ...], slopes: list[Pytree]) 
         z,
         *(slope for _, slope in used),
     )
-
-
-def _preceded(first: Array, rest: Array) -> Array:
-    return jnp.concatenate([first[None], rest])
 
 
 def _interleaved(history: dict[str, Array], middles: dict[str, Array]) -> dict[str, Array]:
@@ -203,10 +195,33 @@ class DormandPrince5(AbstractFixedStep):
         return RungeKutta4()
 
 
-def sampled(inputs: Inputs, grid: Grid, fractions: Float[np.ndarray, " n"]) -> dict[str, Float[Array, "n ..."]]:
-    """Every input at fixed fractions of a grid's duration."""
-    return {name: signal.sampled(fractions, grid.t_start, grid.t_final) for name, signal in inputs.items()}
-
-
 def _rows(signals: dict[str, Array], rows: slice) -> dict[str, Array]:
     return {name: values[rows] for name, values in signals.items()}
+
+
+@final
+class ObservedStates(System):
+    """The same system, with one output `STATES`: its states side by side."""
+
+    system: System
+    states: tuple[str, ...] = eqx.field(static=True)  # type: ignore[misc]
+
+    def __init__(self, system: System):
+        self.system, self.states = system, system.states  # type: ignore[misc]
+
+    @override
+    def rhs(self, t: Any, z: Any, **inputs: Any) -> Any:
+        return derivative(self.system, t, z, inputs)
+
+    @override
+    def outputs(self, t: Any, z: Any, **inputs: Any) -> dict[str, Any]:
+        del t, inputs
+        return {STATES: jnp.concatenate([jnp.ravel(one) for one in jax.tree.leaves(z)])}
+
+    @override
+    def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
+        return self.system.starting(t, inputs)
+
+    @override
+    def signals(self) -> Mapping[str, AbstractSignal]:
+        return self.system.signals()

@@ -6,15 +6,81 @@
 from dataclasses import dataclass
 from typing import final
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 from typing_extensions import override
 
-from aleator._core.given import refusal, whole
-from aleator.dynamics._mean_rates import AbstractMeanRate, SegmentRate
-from aleator.dynamics._schemes import AbstractScheme
+from aleator._core.border import refusal, whole
+from aleator.dynamics._integrators import RungeKutta4
+from aleator.dynamics._schemes import AbstractMeanRate, AbstractScheme, Rate
 
 _MOST_STEPS = 100
+_RULE = RungeKutta4.tableau
+
+# Each stage of this rule depends on the one before alone, and signals are told twice a step.
+_COUPLINGS = np.array([row[-1] if row else 0.0 for row in _RULE.couplings])
+_WEIGHTS, _TWICE = np.array(_RULE.weights), 2 * np.array(_RULE.nodes)
+
+
+@final
+@dataclass(frozen=True)
+class SegmentRate(AbstractMeanRate):
+    """The mean over a segment of time, by some equal steps of `RungeKutta4`.
+
+    Signals are told at the ends and in the middle of each step.
+    """
+
+    count: int
+
+    @property
+    @override
+    def steps(self) -> int:
+        return self.count
+
+    @property
+    def told(self) -> Float[np.ndarray, " told"]:
+        """Where signals are told, as fractions of the segment."""
+        return np.linspace(0.0, 1.0, 2 * self.count + 1)
+
+    @property
+    def quadrature(self) -> Float[np.ndarray, " told"]:
+        """The weights of what is told in a mean over the segment."""
+        found = np.zeros(len(self.told))
+        np.add.at(found, self._places, np.tile(_WEIGHTS, self.count) / self.count)
+        return found
+
+    @override
+    def __call__(
+        self,
+        rate: Rate,
+        places: Float[Array, "told 2"],
+        signals: Float[Array, "told signals"],
+        states: Float[Array, " states"],
+    ) -> Float[Array, " rates"]:
+        h = (places[-1, 0] - places[0, 0]) / self.count
+        zeros = jnp.zeros(jax.eval_shape(rate, places[0], signals[0], states).shape)
+
+        def stage(
+            carried: tuple[Array, Array, Array], now: tuple[Array, ...]
+        ) -> tuple[tuple[Array, Array, Array], None]:
+            """One of all stages: of what was moved when its step began, until now, and by the stage before."""
+            (begun, moved, slope), (begins, coupling, weight, place, signal) = carried, now
+            begun = jnp.where(begins, moved, begun)
+            slope = rate(place, signal, states + h * (begun + coupling * slope)[: states.size])
+            return (begun, moved + weight * slope, slope), None
+
+        each = (np.arange(len(_WEIGHTS)) == 0, _COUPLINGS, _WEIGHTS)
+        every = (*(jnp.asarray(np.tile(one, self.count)) for one in each), places[self._places], signals[self._places])
+        # A loop over stages, not steps: a model is traced once, however many there are.
+        (_, moved, _), _ = jax.lax.scan(stage, (zeros, zeros, zeros), every)
+        return moved / self.count
+
+    @property
+    def _places(self) -> np.ndarray:
+        """Which of the places each stage of each step is at."""
+        return (2 * np.arange(self.count)[:, None] + _TWICE.astype(int)).ravel()
 
 
 @final

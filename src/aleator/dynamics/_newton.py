@@ -1,24 +1,31 @@
 """Newton's method for implicit equations: damped, scale-invariant, differentiable to any order."""
 
-from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, TypeAlias
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
+
+from aleator._core.arrays import Pytree, is_number, numbers_to_arrays
+from aleator._core.leaves import named_leaves
 
 Vector: TypeAlias = Float[Array, " n"]
 Matrix: TypeAlias = Float[Array, "n n"]
-
 _MOST_STEPS = 50
 _SMALLEST_DAMPING = 2.0**-12
+
 # Step lengths relative to the sizes of the unknowns. Newton iterates to the first, below the rounding noise of most
 # equations; where the noise is larger it accepts the second.
 _FINISHED = 1e-13
 _CLOSE = 1e-10
+
 # The relative rounding error of an equation's terms.
 _ROUNDING = 32 * float(jnp.finfo(float).eps)
+
 # Steps shrink quadratically near a regular solution, but only by halves near one where the Jacobian is singular. They
 # are told apart by steps no longer than the first of these that follow one longer than the second, above rounding.
 _SHORT = 1e-6
@@ -27,6 +34,12 @@ _REGULAR_SHRINKAGE = 0.25
 _REGULAR_CHANGE = 0.25
 _LEAST_REGULARITY = 1e-8
 _BALANCING_SWEEPS = 10
+Named: TypeAlias = Callable[[Array], Any]
+"""Turns the vector of all unknowns into a named tuple."""
+_GOLDEN = (5**0.5 - 1) / 2
+
+# So many residuals are listed one by one.
+_LISTED = 8
 
 
 class Root(NamedTuple):
@@ -204,3 +217,62 @@ def _solve_tangent(linear: Callable[[Vector], Vector], right: Vector) -> Vector:
     """Solve `linear(x) = right` for `x`: the implicit function theorem."""
     balanced = _balanced(jax.jacfwd(linear)(right))
     return balanced.columns * jnp.linalg.solve(balanced.matrix, right / balanced.rows)
+
+
+def named_root(
+    equations: Callable[[Pytree, Any], Float[Array, " n"]], numbers: Pytree, guess: Any
+) -> tuple[Root, Named]:
+    """Solve `equations(numbers, unknowns) = 0` from a guess, a named tuple of arrays: see `newton`."""
+    start, named = ravel_pytree(guess)
+    terms = constant_terms(lambda given: equations(given, guess), numbers)
+    return newton(lambda vector: equations(numbers, named(vector)), start, terms), named
+
+
+def constant_terms(equations: Callable[[Pytree], Float[Array, " n"]], given: Pytree) -> Float[Array, " n"]:
+    """The magnitudes of the terms that known numbers add to each equation: their rounding limits the unknowns.
+
+    Computed by derivatives along all numbers at once, with weights under which terms of opposite sign do not cancel.
+    """
+    dynamic, static = eqx.partition(numbers_to_arrays(given), eqx.is_inexact_array)
+    numbers, combined = ravel_pytree(dynamic)
+    if not numbers.size:
+        return jnp.zeros_like(equations(given))
+    order = np.arange(1, numbers.size + 1)
+    weights = np.stack([0.5 + order * _GOLDEN % 1, (-1.0) ** order * (0.5 + order * _GOLDEN**2 % 1)])
+
+    def of(numbers: Float[Array, " numbers"]) -> Float[Array, " n"]:
+        return equations(eqx.combine(combined(numbers), static))
+
+    _, along = jax.vmap(lambda weight: jax.jvp(of, (numbers,), (numbers * weight,)))(jnp.asarray(weights))
+    return jnp.nan_to_num(jnp.abs(along).max(axis=0), nan=0.0, posinf=0.0)
+
+
+def failure_text(root: Root, named: Named, guess: Any) -> str:
+    """Where Newton's method went from a guess, and what is left of the equations there."""
+    worst = int(np.argmax(np.nan_to_num(np.abs(root.relative), nan=np.inf)))
+    count = root.relative.size
+    every = ", ".join(f"{float(one):.3g}" for one in np.asarray(root.residuals))
+    return (
+        f"From the guess {listed(guess._asdict())} it reached in {int(root.steps)} steps "
+        f"{listed(named(root.point)._asdict())}, where equation {worst + 1} of {count} is left with a residual of "
+        f"{float(root.residuals[worst]):.3g}{f' (all: {every})' if 1 < count <= _LISTED else ''}{_remark(root)}."
+    )
+
+
+def numbers_in(system: eqx.Module) -> dict[str, Any]:
+    """The numbers in the fields of a realised system, by name."""
+    return {name: leaf for name, leaf in named_leaves(system) if is_number(leaf) or isinstance(leaf, int)}
+
+
+def listed(numbers: Mapping[str, Any]) -> str:
+    """Numbers with their names."""
+    style: Any = {"float_kind": "{:.6g}".format}
+    return ", ".join(f"{name}={np.array2string(np.asarray(value), formatter=style)}" for name, value in numbers.items())
+
+
+def _remark(root: Root) -> str:
+    if not np.isfinite(root.residuals).all():
+        return ", which is not a finite number"
+    if not root.regular:
+        return "; the Jacobian is singular there: the equations do not determine the unknowns, or two solutions meet"
+    return ""

@@ -1,13 +1,25 @@
-"""What a simulation is asked to record, and its record."""
+"""What a simulation is asked to record, and its record; that of systems without states, whose outputs at an instant
+depend only on the inputs there.
+"""
 
+import math
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, NamedTuple, TypeAlias
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
+from aleator._core.arrays import Pytree
+from aleator._core.equations import derived
 from aleator._core.errors import ProblemError
-from aleator.dynamics._evaluation import derivative, derivative_and_observation, observation
+from aleator.dynamics._evaluation import derivative, derivative_and_observation, initial_state, observation
+from aleator.dynamics._grid import Grid, Inputs, sampled
 from aleator.dynamics._system import System
+from aleator.trajectories import before_jumps, has_jumps, instants
 
 History: TypeAlias = dict[str, Float[Array, "instants ..."]]
 Integrand: TypeAlias = Callable[[Mapping[str, Array]], Float[Array, "..."]]
@@ -15,6 +27,8 @@ Integrand: TypeAlias = Callable[[Mapping[str, Array]], Float[Array, "..."]]
 Fold: TypeAlias = Callable[[Any, dict[str, Array]], tuple[Any, dict[str, Array]]]
 """From what is carried from instant to instant (None before the first) and the outputs there: what is carried on, and
 what is recorded in the place of these outputs."""
+Fractions: TypeAlias = Float[np.ndarray, " n"]
+Take: TypeAlias = Callable[[System, Any, Any, dict[str, Array]], Pytree]
 
 
 class Asked(NamedTuple):
@@ -91,3 +105,111 @@ def chosen(system: Any, found: dict[str, Array], only: Collection[str] | None) -
             f"received {sorted(only)!r}."
         )
     return {name: value for name, value in found.items() if name in only}
+
+
+class Known(NamedTuple):
+    """The data at each instant as one row of numbers: the time, then all inputs side by side.
+
+    - `rows`: shape (instants, numbers); `inputs`: the shape of each input by name, in order.
+    """
+
+    rows: Float[Array, "instants numbers"]
+    inputs: Mapping[str, tuple[int, ...]]
+
+    def unpack(self, row: Float[Array, " numbers"]) -> tuple[Array, dict[str, Array]]:
+        """The time and the inputs of one row."""
+        found, start = {}, 1
+        for name, shape in self.inputs.items():
+            size = math.prod(shape)
+            found[name] = row[start : start + size].reshape(shape)
+            start += size
+        return row[0], found
+
+
+def known_at(inputs: Inputs, grid: Grid, fractions: Fractions | None = None) -> Known:
+    """The data at each instant of a grid, or at some fractions of it; `inputs` include the system's own signals."""
+    fractions = grid.fractions if fractions is None else fractions
+    at = sampled(inputs, grid, fractions)
+    columns = [values.reshape(len(values), -1) for values in at.values()]
+    times = instants(fractions, grid.t_start, grid.t_final)
+    rows = jnp.concatenate([times[:, None], *columns], axis=1)
+    return Known(rows, {name: values.shape[1:] for name, values in at.items()})
+
+
+def observed_at(system: System, known: Known, row: Float[Array, " numbers"]) -> dict[str, Array]:
+    """The outputs of a system without states at one row of data."""
+    t, now = known.unpack(row)
+    return observation(system, t, initial_state(system, t, now), now)
+
+
+def observed(system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
+    """The record of a system without states; `inputs` include its own signals.
+
+    Integrals are taken by Simpson's rule, which sees midpoints of steps.
+    """
+
+    def over(fractions: Fractions, take: Take, inputs: Inputs = inputs) -> Pytree:
+        known = known_at(inputs, grid, fractions)
+
+        def one(realised: System, row: Array) -> Pytree:
+            t, now = known.unpack(row)
+            return take(realised, t, initial_state(realised, t, now), now)
+
+        return at_each_instant(one, system, known.rows)
+
+    history = over(grid.fractions, asked.at_instant)
+    nodes = over(grid.node_fractions, asked.at_node) if asked.nodes else {}
+    rates = over(grid.node_fractions, asked.rates) if asked.integrands else ()
+    integrals = tuple(jnp.tensordot(grid.node_weights, one, axes=1) for one in rates)
+    if asked.integrands and has_jumps(inputs):
+        # Each step ends on the side of a jump that is its own.
+        before = over(grid.fractions[1:], asked.rates, before_jumps(inputs))
+        ends = (after[2::2] for after in rates)
+        missed = (jnp.sum(one - other, axis=0) for one, other in zip(before, ends, strict=True))
+        integrals = tuple(one + grid.step / 6 * more for one, more in zip(integrals, missed, strict=True))
+    return Record(history, nodes, integrals)
+
+
+def at_each_instant(
+    function: Callable[[Any, Array], Pytree], parameters: Pytree, known: Float[Array, "instants numbers"]
+) -> Pytree:
+    """`function(parameters, row)` at every instant: arrays with a leading axis of instants.
+
+    However many decisions there are, they act on an instant only through its few numbers. The derivatives with respect
+    to these numbers are computed once and multiplied by the numbers' own derivatives: the chain rule in the order that
+    is cheap for many decisions.
+    """
+    numbers, rest = eqx.partition(parameters, eqx.is_inexact_array)
+
+    def one(given: Pytree, row: Array) -> Pytree:
+        return function(eqx.combine(given, rest), row)
+
+    every = jax.vmap(one, in_axes=(None, 0))
+
+    @jax.custom_jvp
+    def evaluated(given: Pytree, rows: Array) -> Pytree:
+        return every(given, rows)
+
+    def tangent(primals: tuple[Pytree, Array], tangents: tuple[Pytree, Any]) -> tuple[Pytree, Pytree]:
+        given, rows = primals
+        given_dot, rows_dot = tangents
+        values = every(given, rows)
+        slopes = jax.vmap(jax.jacfwd(one, argnums=1), in_axes=(None, 0))(given, rows)
+        moved = jnp.zeros_like(rows) if _is_zero(rows_dot) else rows_dot
+        change = jax.tree.map(lambda slope: jnp.einsum("t...k,tk->t...", slope, moved), slopes)
+        if any(not _is_zero(leaf) for leaf in jax.tree.leaves(given_dot, is_leaf=_is_zero)):
+            along = jax.tree.map(_materialised, given, given_dot)
+            direct = jax.jvp(lambda where: every(where, rows), (given,), (along,))[1]
+            change = jax.tree.map(jnp.add, change, direct)
+        return values, change
+
+    evaluated.defjvp(derived(tangent), symbolic_zeros=True)
+    return evaluated(numbers, known)
+
+
+def _is_zero(leaf: Any) -> bool:
+    return isinstance(leaf, SymbolicZero)
+
+
+def _materialised(primal: Array, tangent: Any) -> Array:
+    return jnp.zeros_like(primal) if _is_zero(tangent) else tangent

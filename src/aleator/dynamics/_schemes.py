@@ -1,26 +1,72 @@
-"""Schemes for simultaneous transcription: how states follow from their rates between nodes; those of collocation.
+"""Schemes for simultaneous transcription: how states follow from mean rates between nodes; those of collocation.
 
-Over each interval of a mesh the states are polynomials whose rates agree with the dynamics at the scheme's stages.
-They differ only in the positions of their stages (Hairer, Nørsett and Wanner, Solving Ordinary Differential
-Equations I, II.7; Betts, Practical Methods for Optimal Control, chapter 4).
+Over each interval of a mesh a collocation scheme's states are polynomials whose rates agree with the dynamics at its
+stages. The schemes differ only in the positions of their stages (Hairer, Nørsett and Wanner, Solving Ordinary
+Differential Equations I, II.7; Betts, Practical Methods for Optimal Control, chapter 4).
 """
 
 import abc
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import final
+from typing import TypeAlias, final
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 from numpy.polynomial import legendre
 from typing_extensions import override
 
+from aleator._core.border import whole
 from aleator._core.errors import ProblemError
-from aleator._core.given import whole
-from aleator.dynamics._mean_rates import AbstractMeanRate, PointRate
+
+Rate: TypeAlias = Callable[[Array, Array, Array], Float[Array, " rates"]]
+"""The rates of states, then integrands, at a place in time, with the signals and the states there."""
 
 # With more stages the points lose accuracy in 64-bit arithmetic, without any gain.
 MOST_STAGES = 12
+
+
+class AbstractMeanRate(abc.ABC):
+    """What one block of a scheme is: a mean of rates, from the states where it begins."""
+
+    @property
+    @abc.abstractmethod
+    def steps(self) -> int:
+        """Steps in time that an interval of a mesh stands for."""
+
+    @abc.abstractmethod
+    def __call__(
+        self,
+        rate: Rate,
+        places: Float[Array, "told 2"],
+        signals: Float[Array, "told signals"],
+        states: Float[Array, " states"],
+    ) -> Float[Array, " rates"]:
+        """The mean.
+
+        - `places`: where signals are told; the first number of each is the time; `states`: at the first of them.
+        """
+
+
+@final
+@dataclass(frozen=True)
+class PointRate(AbstractMeanRate):
+    """The rate at one point."""
+
+    @property
+    @override
+    def steps(self) -> int:
+        return 1
+
+    @override
+    def __call__(
+        self,
+        rate: Rate,
+        places: Float[Array, "told 2"],
+        signals: Float[Array, "told signals"],
+        states: Float[Array, " states"],
+    ) -> Float[Array, " rates"]:
+        return rate(places[0], signals[0], states)
 
 
 @dataclass(frozen=True)

@@ -8,25 +8,20 @@ from typing import Any, final
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from aleator._core.arrays import numbers_to_arrays
+from aleator._core.arrays import in_library, jax_array, numbers_to_arrays
+from aleator._core.border import one_of, refusal, refuse_missing
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError, SimulationWarning
-from aleator._core.given import one_of, refusal
-from aleator._core.leaves import is_traced, transparent
-from aleator._core.module import Module
-from aleator.dynamics._abstract_system import AbstractSystem
+from aleator._core.leaves import Module, is_leaf, is_traced, named_leaves, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, explain_failure
 from aleator.dynamics._equations import Equations, Start
 from aleator.dynamics._evaluation import derivative, initial_state, observation
-from aleator.dynamics._grid import AbstractGrid, Grid, Instant
-from aleator.dynamics._instantaneous import observed
-from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator, Inputs, RungeKutta4, sampled
-from aleator.dynamics._record import Asked, History, Record, chosen
-from aleator.dynamics._refusals import check_signals, refuse_unrealised
-from aleator.dynamics._system import System, check_variables
+from aleator.dynamics._grid import AbstractGrid, Grid, Inputs, Instant, check_signals, sampled
+from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator, RungeKutta4
+from aleator.dynamics._record import Asked, History, Record, chosen, observed
+from aleator.dynamics._system import AbstractSystem, System, check_variables
 from aleator.trajectories import AbstractSignal, least_steps
 
 
@@ -60,8 +55,9 @@ class Simulation(Module):
         if not (isinstance(self.system, System) and isinstance(self.grid, Grid)):
             return None
         signals = {**self.system.signals(), **self.inputs}
-        now = {name: values[0] for name, values in sampled(signals, self.grid, self.grid.fractions[:1]).items()}
-        return Start(jnp.asarray(self.grid.times[0]), now)
+        values = sampled(signals, self.grid, self.grid.fractions[:1])
+        _, times, values = in_library(self.grid.times, values)
+        return Start(jax_array(times[0]), {name: jax_array(rows[0]) for name, rows in values.items()})
 
     def record(self, asked: Asked) -> Record:
         """Simulate with known numbers, recording what is asked for. Raises `ProblemError` if parts do not match."""
@@ -183,7 +179,8 @@ def simulate(
     one instant and takes no grid, inputs or integrator: `simulate(system)`. A system without states is not integrated
     either: its outputs follow from its inputs at each instant. `only` lists the names of the outputs wanted (default:
     all). Where equations could not be solved, or an adaptive integrator gives up, the outputs are NaN, and a
-    `SimulationWarning` says so. Equations are compiled once: the same with other numbers take milliseconds.
+    `SimulationWarning` says so. Equations are compiled once for a class of systems, whose methods are pure as JAX
+    has it: the same with other numbers take milliseconds.
 
     Raises `ProblemError` if system, grid or inputs contain a distribution or a decision, if grid or inputs do not match
     the system, if a signal is not known on the whole grid (unless traced), or if `only` names an output that the system
@@ -197,15 +194,15 @@ def simulate(
     if only is not None and (isinstance(only, str) or not isinstance(only, Collection)):
         raise refusal("simulate: only", "a list of outputs by name, such as ['x']", only)
     simulation = simulation_of(system, grid, inputs, integrator)
-    found = simulation.recorded(_asked(only))
-    if not is_traced(found):
-        _warn_of_what_is_not_finite(simulation, found)
-    return found
+    history = simulation.recorded(Asked(None if only is None else frozenset(only)))
+    if not is_traced(history):
+        _warn_of_what_is_not_finite(simulation, history)
+    return history
 
 
-def _warn_of_what_is_not_finite(simulation: Simulation, found: History) -> None:
+def _warn_of_what_is_not_finite(simulation: Simulation, history: History) -> None:
     """Warn (`SimulationWarning`) if an output is not finite: the first one, when, and why if anything can tell."""
-    broken = {name: ~np.isfinite(np.asarray(one)).reshape(len(one), -1).all(axis=1) for name, one in found.items()}
+    broken = {name: ~np.isfinite(np.asarray(one)).reshape(len(one), -1).all(axis=1) for name, one in history.items()}
     first = {name: int(np.argmax(bad)) for name, bad in broken.items() if bad.any()}
     if not first:
         return
@@ -236,5 +233,18 @@ def simulation_of(
     return Simulation(system, dict(inputs or {}), instants, integrator, dict(numbers))  # type: ignore[arg-type]
 
 
-def _asked(only: Collection[str] | None) -> Asked:
-    return Asked(None if only is None else frozenset(only))
+def refuse_unrealised(**parts: Any) -> None:
+    """Raise `ProblemError` if a distribution or a decision is left in the parts to simulate; traced numbers pass."""
+    for name, leaf in named_leaves(parts):
+        refuse_missing(name, leaf)
+    found = [
+        f"'{jax.tree_util.keystr(path, simple=True, separator='.')}' is a {type(leaf).__name__}"
+        for path, leaf in jax.tree_util.tree_leaves_with_path(parts, is_leaf=is_leaf)
+        if is_leaf(leaf)
+    ]
+    if found:
+        raise ProblemError(
+            f"simulate: expected one realised system, with plain numbers throughout; received {', '.join(found)}. "
+            "Replace these by numbers, declare an al.Problem, or pass a function that simulates to al.expand or "
+            "al.references.monte_carlo, which realise the system."
+        )

@@ -1,4 +1,4 @@
-"""`System`: ordinary differential equations with named states, inputs and outputs."""
+"""Systems: the interface of all of them, and ordinary differential equations with named states, inputs and outputs."""
 
 import abc
 import inspect
@@ -12,9 +12,9 @@ import jax
 from jaxtyping import Array
 from typing_extensions import override
 
+from aleator._core.border import refusal
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.given import refusal
-from aleator.dynamics._abstract_system import AbstractSystem
+from aleator._core.leaves import Module, Printed
 from aleator.trajectories import AbstractSignal
 
 # The longest quotation of another library's error message.
@@ -22,6 +22,46 @@ _LONGEST = 160
 
 # The methods of a system with algebraic variables.
 _IMPLICIT = ("residual", "algebraic_guess")
+
+
+class AbstractSystem(Module, Printed):
+    """What can be simulated: a `System`, which evolves in time, or an `AlgebraicSystem`, which has no time.
+
+    - `has_time`: whether it evolves in time; `units`: the units of its outputs as far as they are known, for reports.
+    """
+
+    has_time: ClassVar[bool]
+    units: ClassVar[Mapping[str, str]] = {}
+
+    @property
+    def title(self) -> str:
+        """The name of its class, for messages."""
+        return type(self).__name__
+
+    @property
+    @abc.abstractmethod
+    def is_integrated(self) -> bool:
+        """Whether it has states, which are integrated over time."""
+
+    @abc.abstractmethod
+    def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
+        """Quantities of interest by name: accelerations, distances, forces."""
+
+    def diagnose(self, grid: Any) -> str:
+        """What is wrong with the realised system on a grid, in a sentence with its remedy; empty if nothing.
+
+        It is asked before anything is compiled.
+        """
+        del grid
+        return ""
+
+    def holding(self, grid: Any) -> Mapping[str, Any]:
+        """The holding torques: the outputs that keep the system at rest at its start, by name.
+
+        Empty by default, and where the system does not start at rest or is free to move.
+        """
+        del grid
+        return {}
 
 
 class System(AbstractSystem):

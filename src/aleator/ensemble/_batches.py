@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.compilation import Compiled
-from aleator._core.devices import over_devices
+from aleator._core.parallel import over_devices
 from aleator.uncertainty import AbstractGerm
 
 # Systems whose histories are held in memory at a time: larger batches gain little time.
@@ -97,8 +97,8 @@ def in_batches(
     if len(points) > _TOGETHER:
         # Traced here, because only the calling thread may run a user's code.
         program.prepare(model, jnp.asarray(points[:_TOGETHER]), decisions)
-    found = [values for _, values in each(outputs, parts(points, _TOGETHER))]
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *found)
+    results = [values for _, values in each(outputs, parts(points, _TOGETHER))]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
 
 
 def few_at_once(

@@ -243,7 +243,7 @@ class CalledEnsemble(AbstractEnsemble):
         if self._first is None:
             self._first = outputs
         if not same_shapes(outputs, self._first):
-            first, now = (jax.tree.map(np.shape, one) for one in (self._first, outputs))
+            first, now = (jax.tree.map(np.shape, output) for output in (self._first, outputs))
             raise ProblemError(
                 f"{self._name} must return arrays of the same shapes at every point; received {first} and {now}."
             )
@@ -268,8 +268,9 @@ class BoxEnsemble(AbstractEnsemble):
 
     def kept(self, points: Points) -> tuple[Pytree, Bool[np.ndarray, " points"]]:
         """The outputs at the points that the box does not leave out, and which points these are."""
-        found = self._box.at_all(self._realisations(points, 0), whole=False)
-        return _stacked([one for one in found if one is not None]), np.array([one is not None for one in found])
+        outputs = self._box.at_all(self._realisations(points, 0), whole=False)
+        present = np.array([output is not None for output in outputs])
+        return _stacked([output for output in outputs if output is not None]), present
 
     def _realisations(self, points: Points, before: int) -> list[Realisation]:
         return [self._realisation(number, point) for number, point in enumerate(points, before + 1)]
@@ -298,10 +299,10 @@ def _refuse_traced(model: Pytree, why: str) -> None:
         raise ProblemError(f"{why}, so nothing can be differentiated or compiled through it. Write it with jax.numpy.")
 
 
-def same_shapes(one: Pytree, other: Pytree) -> bool:
+def same_shapes(first: Pytree, second: Pytree) -> bool:
     """Whether two outputs have the same structure, and arrays of the same shapes."""
-    structures = [jax.tree.structure(outputs) for outputs in (one, other)]
-    shapes = [[leaf.shape for leaf in jax.tree.leaves(outputs)] for outputs in (one, other)]
+    structures = [jax.tree.structure(outputs) for outputs in (first, second)]
+    shapes = [[leaf.shape for leaf in jax.tree.leaves(outputs)] for outputs in (first, second)]
     return structures[0] == structures[1] and shapes[0] == shapes[1]
 
 

@@ -11,8 +11,8 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
+from aleator._core.border import is_masked
 from aleator._core.errors import AleatorError, ProblemError, SimulationError
-from aleator._core.given import is_masked
 from aleator.uncertainty import Placements, uncertain_numbers
 
 Function: TypeAlias = Callable[[Any], Pytree]

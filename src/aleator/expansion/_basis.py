@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from typing_extensions import override
 
-from aleator._core import given
+from aleator._core import border
+from aleator._core.arrays import NUMBER, refuse_beyond_memory
 from aleator._core.errors import ProblemError
-from aleator._core.memory import NUMBER, refuse_beyond_memory
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 from aleator.ensemble import at_levels
 from aleator.uncertainty import AbstractGerm
 
@@ -80,7 +80,7 @@ class HyperbolicCross(AbstractIndexSet):
     q: float = eqx.field(static=True)
 
     def __init__(self, q: float = 0.5):
-        self.q = given.positive("HyperbolicCross: q, where 1 keeps the total degree,", q, most=1.0)
+        self.q = border.positive("HyperbolicCross: q, where 1 keeps the total degree,", q, most=1.0)
 
     @override
     def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
@@ -102,9 +102,9 @@ class Anisotropic(AbstractIndexSet):
     def __init__(self, weights: Sequence[float] | Mapping[str, float]):
         named = isinstance(weights, Mapping)
         if isinstance(weights, str) or not isinstance(weights, Iterable) or not tuple(weights):
-            raise given.refusal("Anisotropic: weights", "positive numbers, one for each variable or by name", weights)
+            raise border.refusal("Anisotropic: weights", "positive numbers, one for each variable or by name", weights)
         each = weights.values() if named else weights
-        numbers = tuple(given.positive("Anisotropic: weights", weight) for weight in each)
+        numbers = tuple(border.positive("Anisotropic: weights", weight) for weight in each)
         self.weights, self.names = numbers, tuple(weights) if named else None
 
     @override

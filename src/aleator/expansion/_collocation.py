@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.arrays import in_library, jax_array, quietly
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 
 LEAST_REMAINDER = 1e-8
 """One minus the leverage counts as zero up to this: rounding of an exact zero."""

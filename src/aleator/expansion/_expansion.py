@@ -8,10 +8,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core import given
+from aleator._core import border
 from aleator._core.errors import ProblemError
-from aleator._core.module import Module
-from aleator._core.shown import Printed
+from aleator._core.leaves import Module, Printed
 from aleator.expansion._basis import AbstractIndexSet, Basis, TotalDegree
 from aleator.expansion._collocation import UNRESOLVED, Collocation
 from aleator.expansion._fit import AbstractFit, LeastSquares, Respond
@@ -75,17 +74,17 @@ class Expansion(Module):
         adaptive = isinstance(index_set, Adaptive)
         if order is None:
             order = _HIGHEST_ORDER if adaptive else _ORDER
-        self.order = given.whole("Expansion: the order", order)
+        self.order = border.whole("Expansion: the order", order)
         sets = (AbstractIndexSet, Adaptive)
-        self.index_set = given.one_of(
+        self.index_set = border.one_of(
             "Expansion: index_set",
             TotalDegree() if index_set is None else index_set,
             sets,
             "al.index_sets.TotalDegree()",
         )
         if not isinstance(points, AbstractPoints | None):
-            points = given.whole("Expansion: points", points)
-        self.fit = given.one_of(
+            points = border.whole("Expansion: points", points)
+        self.fit = border.one_of(
             "Expansion: fit", LeastSquares() if fit is None else fit, AbstractFit, "al.fits.LeastSquares()"
         )
         if not isinstance(points, AbstractPoints):
@@ -110,7 +109,7 @@ class Expansion(Module):
 
 def _checked_tolerance(tolerance: float) -> float:
     what = "Expansion: tolerance, the relative leave-one-out error up to which outputs count as resolved"
-    return given.positive(what, tolerance)
+    return border.positive(what, tolerance)
 
 
 class Discretisation(NamedTuple):

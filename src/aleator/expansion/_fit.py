@@ -10,7 +10,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree, jax_array
 from aleator._core.errors import ProblemError
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 from aleator.expansion._basis import Basis
 from aleator.expansion._collocation import Collocation
 from aleator.expansion._points import Nodes

@@ -13,9 +13,9 @@ import scipy
 from jaxtyping import Float
 from typing_extensions import override
 
-from aleator._core import given
+from aleator._core import border
 from aleator._core.errors import ProblemError
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 from aleator.expansion._basis import Basis
 from aleator.uncertainty import AbstractGerm
 
@@ -41,12 +41,12 @@ class Nodes(NamedTuple):
 
 def count_given(count: int | None) -> int | None:
     """A checked number of points or roots; None if it follows from the basis."""
-    return None if count is None else given.whole("The number of points", count)
+    return None if count is None else border.whole("The number of points", count)
 
 
 def seed_given(seed: int) -> int:
     """A checked seed of random numbers."""
-    return given.whole("The seed of random points", seed, least=0)
+    return border.whole("The seed of random points", seed, least=0)
 
 
 class AbstractPoints(Module):

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Int
 from typing_extensions import override
 
-from aleator._core import given
+from aleator._core import border
+from aleator._core.arrays import NUMBER, refuse_beyond_memory
 from aleator._core.errors import ProblemError
-from aleator._core.memory import NUMBER, refuse_beyond_memory
 from aleator.expansion._basis import Basis, TotalDegree
 from aleator.expansion._points import AbstractPoints, Nodes, count_given
 from aleator.uncertainty import AbstractGerm
@@ -23,7 +23,7 @@ _SAME = 1e-10
 
 
 def _level_given(level: int | None) -> int | None:
-    return None if level is None else given.whole("SmolyakPoints: the level", level)
+    return None if level is None else border.whole("SmolyakPoints: the level", level)
 
 
 @final

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from typing_extensions import override
 
-from aleator._core import given
+from aleator._core import border
 from aleator._core.errors import ExpansionWarning, MissingExtraError, ProblemError
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 from aleator.ensemble import listed, refuse_nonfinite
 from aleator.expansion._basis import Basis, TotalDegree, sorted_terms
 from aleator.expansion._collocation import LEAST_REMAINDER, ROUNDING, Collocation
@@ -61,8 +61,8 @@ class Adaptive(Module):
     budget: int = eqx.field(static=True)
 
     def __init__(self, error: float = 1e-2, budget: int = 1000):
-        self.error = given.positive("Adaptive: the error to reach", error, below=1.0)
-        self.budget = given.whole("Adaptive: the budget of points", budget)
+        self.error = border.positive("Adaptive: the error to reach", error, below=1.0)
+        self.budget = border.whole("Adaptive: the budget of points", budget)
 
 
 def grow(

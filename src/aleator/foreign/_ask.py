@@ -12,15 +12,15 @@ import numpy as np
 from jaxtyping import Float, Int
 from typing_extensions import override
 
-from aleator._core import given
+from aleator._core import border
 from aleator._core.arrays import Pytree, jax_array
+from aleator._core.border import real_array
 from aleator._core.errors import ProblemError, SimulationError
-from aleator._core.given import real_array
-from aleator._core.tables import entry, read_table
 from aleator.analysis import Expanded, expand
 from aleator.ensemble import AbstractBox, Realisation, inputs_at, listed
 from aleator.expansion import Expansion, candidate_terms
 from aleator.foreign._campaign import drop_given, most_of, sound, warn_of_dropped
+from aleator.trajectories import entry, read_table
 from aleator.uncertainty import placements
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def columns_of(responses: Any, inputs: list[str]) -> Pytree:
         return _required("tell: the dataset", _from_dataset(responses), inputs)
     if isinstance(responses, Mapping):
         if odd := [name for name in responses if not isinstance(name, str)]:
-            raise given.refusal("tell: the responses", "names of outputs that are texts", odd[0])
+            raise border.refusal("tell: the responses", "names of outputs that are texts", odd[0])
         return {name: _rows_of(f"tell: {name!r}", values) for name, values in responses.items()}
     return _rows_of("tell", responses)
 
@@ -87,7 +87,7 @@ def _numbers(values: np.ndarray, count: int) -> Int[np.ndarray, " rows"]:
     whole = np.isfinite(values) & (values == np.round(values)) & (values >= 1) & (values <= count)
     if values.ndim != 1 or not whole.all():
         bad = values if values.ndim != 1 else float(values[~whole][0])
-        raise given.refusal(f"tell: {NUMBER!r}", f"the numbers of samples from 1 to {count}", bad)
+        raise border.refusal(f"tell: {NUMBER!r}", f"the numbers of samples from 1 to {count}", bad)
     found, times = np.unique(values, return_counts=True)
     if (times > 1).any():
         raise ProblemError(f"tell: sample {found[times > 1][0]:g} has {times.max()} rows; expected one.")
@@ -101,7 +101,7 @@ def _refuse_changed(points: Mapping[str, np.ndarray], named: Mapping[str, np.nda
     for name, asked in told.items():
         received, expected = named[name], asked[numbers]
         if received.shape != expected.shape:
-            raise given.refusal(f"tell: the input {name!r}", "one number in each row", received)
+            raise border.refusal(f"tell: the input {name!r}", "one number in each row", received)
         rounded |= received != expected
         wrong = ~(np.abs(received - expected) <= _to_six_digits(asked)[numbers])
         if wrong.any():
@@ -139,7 +139,7 @@ def _required(what: str, columns: dict[str, np.ndarray], inputs: list[str]) -> d
 def _rows_of(what: str, values: Any) -> np.ndarray:
     array = real_array(what, values, "real numbers with a row for each sample")
     if array.ndim == 0:
-        raise given.refusal(what, "an array with a row for each sample", values)
+        raise border.refusal(what, "an array with a row for each sample", values)
     return array
 
 
@@ -202,10 +202,10 @@ def ask(model: Pytree, expansion: Expansion | None = None) -> "Asked":
     points depend on outputs, as they do for adaptive index sets and for `al.MultiElement()`.
     """
     if not isinstance(expansion, Expansion | None):
-        raise given.refusal("ask: the expansion", "an Expansion, such as al.Expansion(order=4)", expansion)
+        raise border.refusal("ask: the expansion", "an Expansion, such as al.Expansion(order=4)", expansion)
     places = placements(model)
     if not places.distributions:
-        raise given.refusal("ask: the model", "distributions in it, such as al.Uniform.bounds(0.9, 1.1)", model)
+        raise border.refusal("ask: the model", "distributions in it, such as al.Uniform.bounds(0.9, 1.1)", model)
     if NUMBER in places.distributions:
         raise ProblemError(f"ask: {NUMBER!r} is the name of the samples' numbers; expected another name of the input.")
     expansion = expansion or Expansion()
@@ -254,7 +254,7 @@ class Asked:
                 table.writerow([NUMBER, *self.points])
                 table.writerows([number, *row] for number, row in enumerate(rows, 1))
         except TypeError as error:
-            raise given.refusal("write_csv", "the path of a file", path) from error
+            raise border.refusal("write_csv", "the path of a file", path) from error
         except OSError as error:
             raise ProblemError(f"write_csv: {path} cannot be written ({error.strerror}).") from error
 

@@ -8,13 +8,11 @@ from typing import Any, final
 
 from typing_extensions import override
 
-from aleator._core import given
+from aleator._core import border
 from aleator._core.arrays import Pytree
-from aleator._core.elsewhere import check_executor
-from aleator._core.errors import AleatorError, SimulationError, SimulationWarning
+from aleator._core.errors import AleatorError, SimulationError, SimulationWarning, warn_outside
+from aleator._core.executors import check_executor, end_running
 from aleator._core.identity import code_digest
-from aleator._core.own_process import end_running
-from aleator._core.warned import warn_outside
 from aleator.ensemble import AbstractBox, Realisation, name_of
 from aleator.foreign._campaign import Campaign, Journal, drop_given, most_of, warn_of_dropped
 from aleator.foreign._command import Command
@@ -83,12 +81,12 @@ class BlackBox(AbstractBox):
         version: str | int = "",
     ):
         if not callable(function):
-            raise given.refusal("BlackBox", "a function or a Command", function)
+            raise border.refusal("BlackBox", "a function or a Command", function)
         check_executor("BlackBox", executor)
         self._function, self._executor = function, executor
-        self._retries = given.whole("BlackBox: retries", retries, least=0)
+        self._retries = border.whole("BlackBox: retries", retries, least=0)
         self._drop = drop_given("BlackBox: drop", drop)
-        self._version = str(given.one_of("BlackBox: version", version, (str, int)))
+        self._version = str(border.one_of("BlackBox: version", version, (str, int)))
         self._journal = Journal(journal, identity(function, self._version))
         self.__name__ = name_of(function).strip("'")
 

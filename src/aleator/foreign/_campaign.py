@@ -12,10 +12,9 @@ import jax
 import numpy as np
 
 from aleator._core.arrays import Pytree
-from aleator._core.errors import ProblemError, SimulationError, SimulationWarning
-from aleator._core.given import real, refusal
-from aleator._core.json_lines import read_lines
-from aleator._core.warned import warn_outside
+from aleator._core.border import real, refusal
+from aleator._core.errors import ProblemError, SimulationError, SimulationWarning, warn_outside
+from aleator._core.journalled import read_lines
 from aleator.ensemble import Realisation, absent, as_outputs, same_shapes
 from aleator.foreign._runs import Ended, Runs
 

@@ -11,10 +11,10 @@ from typing import IO, Any, final
 
 import numpy as np
 
-from aleator._core import given
+from aleator._core import border
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
-from aleator._core.own_process import ended_with, endings, exit_told, in_group
+from aleator._core.executors import ended_with, endings, exit_told, in_group
 from aleator.foreign._runs import refuse_traced
 
 # A placeholder in an argument, such as {mass}.
@@ -52,14 +52,14 @@ class Command:
     time_limit: float | None = None
 
     def __post_init__(self) -> None:
-        arguments = given.members("Command: arguments", self.arguments, str)
+        arguments = border.members("Command: arguments", self.arguments, str)
         if not arguments or not arguments[0]:
-            raise given.refusal("Command: arguments", "a program and its arguments", self.arguments)
+            raise border.refusal("Command: arguments", "a program and its arguments", self.arguments)
         for what, name in (("input_file", self.input_file), ("output_file", self.output_file)):
             if name is not None and (not isinstance(name, str) or not name or Path(name).name != name):
-                raise given.refusal(f"Command: {what}", "the name of a file, without a folder", name)
+                raise border.refusal(f"Command: {what}", "the name of a file, without a folder", name)
         if self.time_limit is not None:
-            object.__setattr__(self, "time_limit", given.positive("Command: time_limit", self.time_limit))
+            object.__setattr__(self, "time_limit", border.positive("Command: time_limit", self.time_limit))
         own = {self.input_file, self.output_file}
         object.__setattr__(self, "arguments", tuple(one if one in own else _absolute(one) for one in arguments))
         if self.input_file is None and not self._placeholders:
@@ -93,7 +93,7 @@ class Command:
     def _refuse_unfit(self, inputs: Any) -> None:
         refuse_traced(self, inputs)
         if not isinstance(inputs, Mapping):
-            raise given.refusal("Command: its model", "a dict of inputs by name", inputs)
+            raise border.refusal("Command: its model", "a dict of inputs by name", inputs)
         names = {str(name) for name in inputs}
         if unknown := self._placeholders - names:
             raise ProblemError(f"Command: {self.__name__} asks for {sorted(unknown)}; expected some of {list(inputs)}.")
@@ -143,7 +143,7 @@ def _filled(argument: str, inputs: Mapping[str, Any]) -> str:
 def _as_text(name: str, value: Any) -> str:
     """A number with all its digits, or a text."""
     if isinstance(value, Mapping) or np.ndim(value):
-        raise given.refusal(f"Command: {{{name}}}", "one number; arrays and dicts need an input_file", value)
+        raise border.refusal(f"Command: {{{name}}}", "one number; arrays and dicts need an input_file", value)
     return str(_as_json(value))
 
 
@@ -154,7 +154,7 @@ def _as_json(value: Any) -> Any:
         return value.tolist()
     if isinstance(value, bool | int | float | str):
         return value
-    raise given.refusal("Command: an input", "a number, an array or a text", value)
+    raise border.refusal("Command: an input", "a number, an array or a text", value)
 
 
 def _end_of(errors: IO[bytes]) -> str:
@@ -220,5 +220,5 @@ def _arrays(parsed: Any, what: str) -> Pytree:
     except ValueError:
         array = None
     if array is None or array.dtype.kind not in "iuf":
-        raise SimulationError(f"{what}: expected numbers; received {given.shown(parsed)}")
+        raise SimulationError(f"{what}: expected numbers; received {border.shown(parsed)}")
     return array.astype(float)

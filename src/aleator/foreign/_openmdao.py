@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from aleator._core.border import one_of, shown
 from aleator._core.errors import MissingExtraError, ProblemError
-from aleator._core.given import one_of, shown
-from aleator._core.units import measure
 from aleator.design import Problem, is_at_points, is_worst_case, number_unit, units_of
 from aleator.nlp import Evaluation
+from aleator.statistics import measure
 from aleator.transcription import transcribe
 
 _OBJECTIVE = "objective"

@@ -15,10 +15,9 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.border import members
 from aleator._core.errors import ProblemError
-from aleator._core.given import members
-from aleator._core.leaves import transparent
-from aleator._core.module import Module
+from aleator._core.leaves import Module, transparent
 from aleator.mechanics import Body, Closure, Multibody
 
 Key = TypeVar("Key", int, str)

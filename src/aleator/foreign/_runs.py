@@ -14,11 +14,11 @@ import jax
 import numpy as np
 from typing_extensions import override
 
-from aleator._core import given
+from aleator._core import border
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
+from aleator._core.executors import ended_with, endings, exit_told, report
 from aleator._core.leaves import is_traced
-from aleator._core.own_process import ended_with, endings, exit_told, report
 from aleator.ensemble import name_of
 
 # Runs that an executor is given at a time: enough for all its workers, and few to cancel.
@@ -170,9 +170,9 @@ class Isolated:
 
     def __post_init__(self) -> None:
         if not callable(self.function):
-            raise given.refusal("Isolated", "a function", self.function)
+            raise border.refusal("Isolated", "a function", self.function)
         if self.time_limit is not None:
-            object.__setattr__(self, "time_limit", given.positive("Isolated: time_limit", self.time_limit))
+            object.__setattr__(self, "time_limit", border.positive("Isolated: time_limit", self.time_limit))
 
     @property
     def __name__(self) -> str:

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.border import meant, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import meant, refusal
 from aleator._core.leaves import transparent
 from aleator.foreign._sympy_program import Program, load_sympy, written
 from aleator.foreign._sympy_symbols import (

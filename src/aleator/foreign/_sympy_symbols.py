@@ -6,8 +6,8 @@ from collections.abc import Collection, Iterable, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from aleator._core.border import meant, refusal, shown
 from aleator._core.errors import ProblemError
-from aleator._core.given import meant, refusal, shown
 from aleator._core.leaves import highest, lowest, realised_shape, stored_numbers
 from aleator.foreign._sympy_program import load_sympy
 from aleator.trajectories import AbstractSignal, AbstractTrajectory

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 from typing_extensions import override
 
+from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import refusal
 from aleator._core.leaves import AbstractLeaf, realised_shape, stored_numbers, transparent
 from aleator.dynamics import AlgebraicSystem, System
 from aleator.dynamics._system import state_type

@@ -11,8 +11,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from aleator._core.border import meant, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import meant, refusal
 from aleator.foreign._robot import (
     Place,
     Robot,

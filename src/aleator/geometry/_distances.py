@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator._core.border import refusal, refuse_missing, traceable, whole
 from aleator._core.errors import ProblemError
-from aleator._core.given import refusal, refuse_missing, traceable, whole
 from aleator._core.leaves import stored_numbers
 from aleator.geometry._shapes import (
     AbstractBounded,
@@ -225,12 +225,12 @@ def link_distances(links: Sequence[AbstractBounded], apart: int = 2) -> Float[Ar
     alike = defaultdict(list)
     for pair in pairs:
         alike[tuple(bodies[place].rank for place in pair)].append(pair)
-    found = [
+    distances = [
         jax.vmap(between_bodies)(*(_stacked([bodies[place] for place in side]) for side in zip(*group, strict=True)))
         for group in alike.values()
     ]
     order = [pair for group in alike.values() for pair in group]
-    return jnp.concatenate(found)[jnp.array([order.index(pair) for pair in pairs])]
+    return jnp.concatenate(distances)[jnp.array([order.index(pair) for pair in pairs])]
 
 
 def smallest(distances: Any, sharpness: Any = 1e3) -> Float[Array, ""]:

@@ -14,8 +14,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import Number
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import AbstractLeaf, lowest, realised_shape, stored_numbers
-from aleator._core.module import Module
+from aleator._core.leaves import AbstractLeaf, Module, lowest, realised_shape, stored_numbers
 
 TINY = 1e-200
 """A squared length below which a vector has no direction."""

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple, final
 
 from aleator._core.errors import ProblemError
-from aleator._core.json_lines import read_lines
+from aleator._core.journalled import read_lines
 
 FILE = "journal.jsonl"
 """The journal in a run's folder, a line for each beginning and each end of a result."""

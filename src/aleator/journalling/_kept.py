@@ -5,11 +5,10 @@ from collections.abc import Callable
 from types import FunctionType
 from typing import Any, TypeVar
 
+from aleator._core.border import Progress, a_name, check_progress, one_of, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name, one_of, refusal
-from aleator._core.heard import heeding
+from aleator._core.interruption import heeding
 from aleator._core.journalled import journalled
-from aleator._core.progress import Progress, check_progress
 
 Result = TypeVar("Result")
 

@@ -8,8 +8,8 @@ from typing import Any, final
 
 from typing_extensions import override
 
+from aleator._core.border import meant
 from aleator._core.errors import ProblemError
-from aleator._core.given import meant
 from aleator.journalling import _results
 from aleator.journalling._entry import FILE, Entry, State, named, read, seen, unfinished
 from aleator.journalling._keys import Keys

@@ -11,7 +11,7 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.journalled import AbstractParts
-from aleator._core.store import is_private
+from aleator._core.programs import is_private
 from aleator.reporting import write_whole
 
 _DIGEST = hashlib.sha256().digest_size

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from aleator._core.errors import ProblemError
-from aleator._core.store import is_private
+from aleator._core.programs import is_private
 from aleator.reporting import KINDS, tree, write_whole
 
 _OBJECT, _KEY = "object", "key"

@@ -1,8 +1,6 @@
 """Mechanical systems and their forward, inverse and hybrid dynamics. Knows no randomness."""
 
-from aleator.mechanics._actuation import Actuation as Actuation
-from aleator.mechanics._actuation import actuation_of as actuation_of
-from aleator.mechanics._body import Body as Body
+from aleator.mechanics._bodies import Body as Body
 from aleator.mechanics._body_load import BodyLoad as BodyLoad
 from aleator.mechanics._closure import Closure as Closure
 from aleator.mechanics._equations import Accelerations as Accelerations
@@ -18,6 +16,8 @@ from aleator.mechanics._joints import Fixed as Fixed
 from aleator.mechanics._joints import Free as Free
 from aleator.mechanics._joints import Prismatic as Prismatic
 from aleator.mechanics._joints import Revolute as Revolute
+from aleator.mechanics._maps import Actuation as Actuation
+from aleator.mechanics._maps import actuation_of as actuation_of
 from aleator.mechanics._mechanical import AbstractMechanical as AbstractMechanical
-from aleator.mechanics._motion import Motion as Motion
+from aleator.mechanics._mechanical import Motion as Motion
 from aleator.mechanics._multibody import Multibody as Multibody

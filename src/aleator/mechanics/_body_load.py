@@ -10,14 +10,13 @@ import numpy as np
 from jax.extend.core import Literal
 from jaxtyping import Array, Float
 
+from aleator._core.border import a_name
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name
-from aleator._core.module import Module
-from aleator.mechanics._body import Body, placement
+from aleator._core.leaves import Module
+from aleator.mechanics._bodies import GROUND, Body, Tree, placement
 from aleator.mechanics._joints import AbstractAxial
 from aleator.mechanics._recursions import world_poses
 from aleator.mechanics._spatial import Wrench, added, as_array, cross, plus
-from aleator.mechanics._tree import GROUND, Tree
 
 
 @final

@@ -8,15 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator._core.border import a_name, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name, refusal
-from aleator._core.leaves import is_leaf
-from aleator._core.module import Module
-from aleator.mechanics._body import frame
+from aleator._core.leaves import Module, is_leaf
+from aleator.mechanics._bodies import GROUND, Tree, frame
 from aleator.mechanics._joints import AbstractAxial, Ball, Fixed, Prismatic, Revolute
 from aleator.mechanics._recursions import motion_apart
 from aleator.mechanics._spatial import Block, Pose, all_known, composed, cross, library, minus, plus, times, unit
-from aleator.mechanics._tree import GROUND, Tree
 
 Closing: TypeAlias = Revolute | Prismatic | Ball | Fixed
 """The joints that may close a loop."""

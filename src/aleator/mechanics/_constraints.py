@@ -12,10 +12,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from aleator.mechanics._instant import along_time
-from aleator.mechanics._kinematics import rates
-from aleator.mechanics._matrices import inverse, positive_solver, product, solve_any, solve_positive
+from aleator.mechanics._maps import rates
+from aleator.mechanics._matrices import (
+    block,
+    inverse,
+    positive_solver,
+    product,
+    solve_any,
+    solve_positive,
+    spread,
+    taken,
+)
 from aleator.mechanics._mechanical import AbstractMechanical, constraint_of, jacobian_of, rate_map
-from aleator.mechanics._places import block, spread, taken
 
 # Corrections of the coordinates with one Jacobian: each multiplies what is missing by what was missing at first.
 _CORRECTIONS = 3

@@ -7,7 +7,7 @@ one program; prescribed motions of bodies on simple joints need none.
 import abc
 import contextlib
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -17,11 +17,11 @@ from jaxtyping import Array
 from typing_extensions import override
 
 from aleator._core.arrays import in_library, numbers_to_arrays
+from aleator._core.border import one_of
 from aleator._core.compilation import Compiled, Use
-from aleator._core.given import one_of
 from aleator._core.leaves import is_traced, transparent
 from aleator.dynamics import Grid, RungeKutta4, System, simulate
-from aleator.mechanics._constraint_diagnosis import constraint_diagnosis_along, lost_rank, start_diagnosis
+from aleator.mechanics._consistent import constraint_diagnosis_along, lost_rank, posture_text, start_diagnosis
 from aleator.mechanics._constraints import Loose, all_loose
 from aleator.mechanics._instant import at, instants_of, is_timed
 from aleator.mechanics._mechanical import AbstractMechanical, jacobian_of, mass_of, rate_map
@@ -195,21 +195,22 @@ def _examined(system: AbstractFormulation, grid: Grid) -> Examination:
     near, own = system.beginning(at(model, *row), grid)
     if not system.changes:
         _, near, postures = in_library(near, system.posture(model, near))
-        return Examination(row, near, own, *jax.tree.map(lambda one: one[None], ((near, near), postures)), None, None)
+        motion, postures = jax.tree.map(lambda one: one[None], ((near, near), postures))
+        return Examination(row, near, own, motion, postures, None, None)
     given = system.prescribed_path(grid)
     valid = None if model.moves_directly or given is None else jax.vmap(model.normalised)(given)
-    motion = _simulated(system, grid) if system.states else (given, given)
-    whole = jnp.isfinite(motion[0])
-    last = jax.lax.cummax(jnp.where(whole.all(axis=1), jnp.arange(len(whole)), 0))
-    postures = now.each(system.posture, jnp.where(whole, motion[0], motion[0][last]))
-    return Examination(row, near, own, motion, postures, given, valid)
+    q, v = _integrated(system, grid) if system.states else (cast(Any, given), given)
+    finite = jnp.isfinite(q)
+    last = jax.lax.cummax(jnp.where(finite.all(axis=1), jnp.arange(len(q)), 0))
+    postures = now.each(system.posture, jnp.where(finite, q, q[last]))
+    return Examination(row, near, own, (q, v), postures, given, valid)
 
 
-def _simulated(system: AbstractFormulation, grid: Grid) -> tuple[Array, Array]:
+def _integrated(system: AbstractFormulation, grid: Grid) -> Any:
     """Coordinates and velocities at each instant."""
     parts = system.model.coordinates, system.model.speeds
     found = simulate(system, grid, {}, RungeKutta4(), only=[name for names in parts for name in names])
-    return tuple(jnp.stack([found[name] for name in names], axis=1) for names in parts)  # type: ignore[return-value]
+    return tuple(jnp.stack([found[name] for name in names], axis=1) for names in parts)
 
 
 def _started(system: AbstractFormulation, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -245,7 +246,7 @@ def _contradiction(model: AbstractMechanical, posture: Posture) -> str:
 
 
 def _mass_diagnosis(model: AbstractMechanical, at: Posture, when: str) -> str:
-    M, posture = at.mass, _listed(model, at.q)
+    M, posture = at.mass, posture_text(model, at.q)
     if not np.isfinite(M).all():
         return f"The mass matrix of {type(model).__name__} is not finite {when} ({posture})."
     if not np.allclose(M, M.T, rtol=1e-8, atol=1e-12 * np.abs(M).max(initial=1.0)):
@@ -272,7 +273,7 @@ def _map_diagnosis(model: AbstractMechanical, at: Posture, when: str) -> str:
         return _name_diagnosis(model, H, when)
     worst = model.coordinates[int(np.argmax(np.where(np.isfinite(H), np.abs(H), np.inf).max(axis=1)))]
     return (
-        f"The velocity map H of {type(model).__name__} is singular {when} ({_listed(model, at.q)}): the rate of "
+        f"The velocity map H of {type(model).__name__} is singular {when} ({posture_text(model, at.q)}): the rate of "
         f"'{worst}' is not determined (gimbal lock). Avoid this posture, or choose other coordinates, such as "
         "quaternions."
     )
@@ -318,7 +319,7 @@ def _quaternion_diagnosis(model: AbstractMechanical, times: np.ndarray, seen: Ex
     instant, coordinate = np.argwhere(vanished)[0]
     return (
         f"{type(model).__name__}: the quaternion of '{model.coordinates[coordinate]}' is zero at t = "
-        f"{times[instant]:.4g} s ({_listed(model, seen.given[instant])}), and so has no direction. Prescribe "
+        f"{times[instant]:.4g} s ({posture_text(model, seen.given[instant])}), and so has no direction. Prescribe "
         "quaternions that stay away from zero."
     )
 
@@ -341,8 +342,8 @@ def _effect_diagnosis(model: AbstractMechanical, times: np.ndarray, q: np.ndarra
         return ""
     when, first = found
     return (
-        f"The torques of {type(model).__name__} lose their effect {when} ({_listed(model, q[first])}): the matrix by "
-        "which they act on the motion they must realise is singular there. Start from a motion that avoids this "
+        f"The torques of {type(model).__name__} lose their effect {when} ({posture_text(model, q[first])}): the matrix "
+        "by which they act on the motion they must realise is singular there. Start from a motion that avoids this "
         "posture, or add a torque."
     )
 
@@ -351,11 +352,7 @@ def _unobeyed(model: AbstractMechanical, time: float, q: np.ndarray) -> str:
     """Constraints that the motion cannot obey any further."""
     return (
         f"The constraints of {type(model).__name__} cannot be obeyed beyond about t = {time:.4g} s "
-        f"({_listed(model, q)}): a dead centre, lengths that do not reach, or accelerations that are not finite. "
+        f"({posture_text(model, q)}): a dead centre, lengths that do not reach, or accelerations that are not finite. "
         "Change lengths, start or motion so that it keeps away from there, check forces and energies, or take shorter "
         "steps."
     )
-
-
-def _listed(model: AbstractMechanical, q: Any) -> str:
-    return ", ".join(f"{name} = {float(value):.4g}" for name, value in zip(model.coordinates, q, strict=True))

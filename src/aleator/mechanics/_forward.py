@@ -29,9 +29,8 @@ from aleator.mechanics._given import (
     vector,
 )
 from aleator.mechanics._instant import at, is_timed
-from aleator.mechanics._kinematics import accelerations, rates
-from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, bias_of, driven, load_on, mass_of
-from aleator.mechanics._motion import Motion
+from aleator.mechanics._maps import accelerations, rates
+from aleator.mechanics._mechanical import AbstractMechanical, Motion, actuation_map, bias_of, driven, load_on, mass_of
 from aleator.mechanics._outputs import constrained_outputs, standard_outputs
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 

@@ -13,7 +13,6 @@ from aleator._core.errors import ProblemError
 from aleator._core.leaves import realised_shape, stored_numbers
 from aleator.mechanics._instant import course
 from aleator.mechanics._mechanical import AbstractMechanical
-from aleator.mechanics._spatial import Numbers
 from aleator.trajectories import AbstractSignal, AbstractTrajectory, PowerSeries, Stack
 
 
@@ -143,7 +142,8 @@ def checked_start(model: AbstractMechanical, names: tuple[str, ...], start: Any,
 def coordinates_at(model: AbstractMechanical, start: Mapping[str, Any]) -> Float[Array, " coordinates"]:
     """Initial coordinates, valid ones; those not given are zero, or those of the identity quaternion."""
     names = model.coordinates
-    unturned = model.normalised(np.zeros(len(names)))
+    zeros: Any = np.zeros(len(names))
+    unturned = model.normalised(zeros)
     return jax_array(model.normalised(_stacked([start.get(*given) for given in zip(names, unturned, strict=True)])))
 
 
@@ -152,6 +152,6 @@ def vector(names: tuple[str, ...], start: Mapping[str, Any]) -> Float[Array, " n
     return jax_array(_stacked([start.get(name, 0.0) for name in names]))
 
 
-def _stacked(values: list[Any]) -> Float[Numbers, " values"]:
+def _stacked(values: list[Any]) -> Any:
     xp, values = in_library(values)
     return xp.stack([xp.asarray(value, dtype=float) for value in values]) if values else np.zeros(0)

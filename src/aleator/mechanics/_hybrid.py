@@ -30,13 +30,11 @@ from aleator.mechanics._given import (
     vector,
 )
 from aleator.mechanics._instant import along_time, at
-from aleator.mechanics._kinematics import accelerations, rates
-from aleator.mechanics._mechanical import AbstractMechanical, rate_map
-from aleator.mechanics._motion import Motion
+from aleator.mechanics._maps import accelerations, rates
+from aleator.mechanics._matrices import taken
+from aleator.mechanics._mechanical import AbstractMechanical, Motion, rate_map
 from aleator.mechanics._outputs import constrained_outputs, standard_outputs
-from aleator.mechanics._partial import effect_of_torques, prescribed_velocities, solved
-from aleator.mechanics._partition import Partition, Prescribed, Solved
-from aleator.mechanics._places import taken
+from aleator.mechanics._partial import Partition, Prescribed, Solved, effect_of_torques, prescribed_velocities, solved
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 

@@ -10,15 +10,13 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
-from aleator.mechanics._actuation import Actuation, scheme, torques
 from aleator.mechanics._consistent import checked_guess
 from aleator.mechanics._formulation import AbstractFormulation, examined, model_given
 from aleator.mechanics._given import Given, asks_torque_rates, combined_motion, followed, motions_for
 from aleator.mechanics._hybrid import HybridDynamics
 from aleator.mechanics._instant import along_time, at, course
-from aleator.mechanics._kinematics import Followed, follow
-from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, required_force
-from aleator.mechanics._motion import Motion
+from aleator.mechanics._maps import Actuation, Followed, follow, scheme, torques
+from aleator.mechanics._mechanical import AbstractMechanical, Motion, actuation_map, required_force
 from aleator.mechanics._outputs import standard_outputs
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 

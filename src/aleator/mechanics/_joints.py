@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 from aleator.mechanics._spatial import (
     Block,
     Numbers,

@@ -1,15 +1,19 @@
-"""Small dense systems of equations, solved entry by entry: under `vmap` each operation then serves all points at once.
+"""Small dense systems of equations and blocks of matrices, entry by entry.
 
-A library call for each matrix would cost more than the arithmetic. Singular matrices give NaN.
+Under `vmap` each operation serves all points, where a library call for each matrix would cost more than the arithmetic;
+and slices compile far sooner than gathers and scatters. Singular matrices give NaN.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import jax.scipy.linalg as linalg
 import numpy as np
 from jaxtyping import Array, Float
+
+from aleator.mechanics._spatial import Numbers, library
 
 # Beyond this length of sums products are left to the library.
 _SHORT = 6
@@ -101,3 +105,39 @@ def _large_solver(M: Float[Array, "n n"]) -> Callable[[Float[Array, "n ..."]], F
     pivots = jnp.diagonal(factor) ** 2
     regular = jnp.all(pivots > _SINGULAR * jnp.abs(jnp.diagonal(M)))
     return lambda b: jnp.where(regular, linalg.cho_solve((factor, True), b), jnp.nan)
+
+
+def taken(array: Float[Numbers, "n ..."], places: Sequence[int]) -> Float[Numbers, "places ..."]:
+    """The entries at some places along the first axis, in the order of the places."""
+    if tuple(places) == tuple(range(len(array))):
+        return array
+    parts = [array[first:last] for first, last in _runs(places)]
+    return parts[0] if len(parts) == 1 else library(array).concatenate([array[:0], *parts])
+
+
+def block(M: Float[Array, "m n"], rows: Sequence[int], columns: Sequence[int]) -> Float[Array, "rows columns"]:
+    """The entries of a matrix in some rows and columns."""
+    return taken(taken(M, rows).T, columns).T
+
+
+def spread(values: Float[Array, "places ..."], places: Sequence[int], count: int) -> Float[Array, "count ..."]:
+    """Values at some places along the first axis of so many; zero elsewhere."""
+    others = [i for i in range(count) if i not in places]
+    return merged(values, places, jnp.zeros((len(others), *values.shape[1:])), others)
+
+
+def merged(
+    first: Float[Array, "some ..."], places: Sequence[int], second: Float[Array, "others ..."], others: Sequence[int]
+) -> Float[Array, "n ..."]:
+    """Two parts of an array, each at its places along the first axis."""
+    listed = [*places, *others]
+    return taken(jnp.concatenate([first, second]), [listed.index(i) for i in range(len(listed))])
+
+
+def _runs(places: Sequence[int]) -> Iterator[tuple[Any, Any]]:
+    """Ranges of places that follow one another, from the first to before the last."""
+    found = [int(place) for place in places]
+    while found:
+        count = next((i for i in range(1, len(found)) if found[i] != found[0] + i), len(found))
+        yield found[0], found[0] + count
+        found = found[count:]

@@ -1,8 +1,8 @@
-"""`AbstractMechanical`: the interface of mechanical systems to forward, inverse and hybrid dynamics."""
+"""`AbstractMechanical`: the interface of mechanical systems to their dynamics; and `Motion`, their state."""
 
 import abc
 from collections.abc import Collection, Mapping
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -11,16 +11,32 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import in_library
+from aleator._core.border import traceable
 from aleator._core.errors import ProblemError
-from aleator._core.given import traceable
-from aleator._core.module import Module
-from aleator._core.shown import Printed
+from aleator._core.leaves import Module, Printed
 from aleator.dynamics import called
-from aleator.mechanics._instant import at, course, is_timed
+from aleator.mechanics._instant import at, call_of, course, is_timed, timed_methods
 from aleator.mechanics._matrices import solve_positive
-from aleator.mechanics._motion import Motion
-from aleator.mechanics._signatures import call_of, timed_methods
 from aleator.mechanics._spatial import Numbers
+
+
+class Motion(NamedTuple):
+    """A mechanical system at one instant, from forward, inverse or hybrid dynamics.
+
+    - `t`: s; `q`, `q_dot`, `q_ddot`: coordinates and their time derivatives, shape (coordinates,);
+    - `v`, `v_dot`: generalised velocities and their time derivatives, shape (speeds,); `q_dot = H(q) v`;
+    - `torque`: the actuators' torques, shape (actuators,);
+    - `multipliers`: Lagrange multipliers `λ` of the constraints, shape (constraints,).
+    """
+
+    t: Any
+    q: Float[Array, " coordinates"]
+    q_dot: Float[Array, " coordinates"]
+    q_ddot: Float[Array, " coordinates"]
+    v: Float[Array, " speeds"]
+    v_dot: Float[Array, " speeds"]
+    torque: Float[Array, " actuators"]
+    multipliers: Float[Array, " constraints"] = np.zeros(0)  # type: ignore[assignment]
 
 
 class AbstractMechanical(Module, Printed):

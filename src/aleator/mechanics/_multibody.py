@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.once import once_for_each
-from aleator.mechanics._body import Body
+from aleator.mechanics._bodies import GROUND, Body, Tree, build_tree, sorted_bodies, with_numbers, without_numbers
 from aleator.mechanics._body_load import BodyLoad, refuse_moving_places, wrenches_of
 from aleator.mechanics._closure import Closure, checked_closures, residuals
 from aleator.mechanics._instant import is_timed, later
@@ -27,8 +27,6 @@ from aleator.mechanics._recursions import (
     world_poses,
 )
 from aleator.mechanics._spatial import Block, Numbers, Pose, as_array, composed, cross, library, momentum, plus, power
-from aleator.mechanics._structure import with_numbers, without_numbers
-from aleator.mechanics._tree import GROUND, Tree, build_tree, sorted_bodies
 
 
 class Multibody(AbstractMechanical):
@@ -198,8 +196,8 @@ class Multibody(AbstractMechanical):
     def refuse_impossible(self) -> None:
         """What bodies and joints refuse themselves, such as impossible inertias, negative damping or armature."""
         for link in self._tree().links:
-            coordinates, speeds = (np.zeros(part.stop - part.start) for part in (link.q, link.v))
-            link.joint.passive(coordinates, speeds)
+            at_rest: Any = [np.zeros(part.stop - part.start) for part in (link.q, link.v)]
+            link.joint.passive(*at_rest)
             link.joint.rotors()
 
     @override

@@ -9,8 +9,7 @@ from jaxtyping import Array
 
 from aleator._core.errors import ProblemError
 from aleator.mechanics._constraints import Bound
-from aleator.mechanics._mechanical import AbstractMechanical, constraint_of
-from aleator.mechanics._motion import Motion
+from aleator.mechanics._mechanical import AbstractMechanical, Motion, constraint_of
 
 
 def standard_outputs(

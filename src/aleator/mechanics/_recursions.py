@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import jax_array
+from aleator.mechanics._bodies import GROUND, Tree
 from aleator.mechanics._matrices import solve_positive
 from aleator.mechanics._spatial import (
     Articulated,
@@ -37,7 +38,6 @@ from aleator.mechanics._spatial import (
     twist_within,
     wrench_outside,
 )
-from aleator.mechanics._tree import GROUND, Tree
 
 _NO_MOTION = Twist(None, None)
 

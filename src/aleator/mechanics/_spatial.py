@@ -8,7 +8,7 @@ stay in NumPy, so that they are computed once and not at every point.
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -16,12 +16,15 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from aleator._core.border import real_array, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import real_array, refusal
 from aleator._core.leaves import is_leaf
 
-Numbers: TypeAlias = Array | np.ndarray
-"""An array of NumPy where its numbers are known, else of JAX."""
+if TYPE_CHECKING:
+    Numbers: TypeAlias = Array
+else:
+    # An array of NumPy where its numbers are known, which type checkers take for one of JAX.
+    Numbers = Array | np.ndarray
 
 Block: TypeAlias = Any
 """A vector (3,), a matrix of columns (3, n), or `None` for zero; a NumPy array where known, else a JAX array."""

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from aleator._core.border import real_array
 from aleator._core.errors import ProblemError
-from aleator._core.given import real_array
 from aleator.nlp._certificate import Certificate, lagrangian_gradient
 from aleator.nlp._evaluations import NotFiniteError
 from aleator.nlp._program import Evaluation

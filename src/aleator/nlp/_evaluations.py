@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from aleator._core.errors import ProblemError
-from aleator._core.heard import noting
+from aleator._core.interruption import noting
 from aleator.nlp._matrices import Matrix, SparseMatrix, checked_sparse, entries, with_entries
 from aleator.nlp._program import Evaluation
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from typing_extensions import override
 
-from aleator._core import given
+from aleator._core import border
 from aleator._core.errors import ProblemError
 from aleator.nlp._answer import Answer, Verdict, checked_answer, has_run_away
 from aleator.nlp._evaluations import HaltedError, NotFiniteError, NowhereFiniteError
@@ -48,7 +48,7 @@ class AbstractLocalSolver(AbstractSolver):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given.whole(f"{type(self).__name__}: max_iterations", self.max_iterations)
+        border.whole(f"{type(self).__name__}: max_iterations", self.max_iterations)
 
     @property
     def aim(self) -> float:

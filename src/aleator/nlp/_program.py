@@ -6,8 +6,8 @@ from typing import NamedTuple, final
 
 import numpy as np
 
+from aleator._core.border import shown
 from aleator._core.errors import ProblemError
-from aleator._core.given import shown
 from aleator.nlp._matrices import Matrix, SparseMatrix, check_sparsity, entries, rows_of_entries
 
 

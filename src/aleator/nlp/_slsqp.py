@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from typing_extensions import override
 
-from aleator._core import given
+from aleator._core import border
 from aleator._core.errors import ProblemError
 from aleator.nlp._answer import Answer
 from aleator.nlp._evaluations import NotFiniteError
@@ -59,7 +59,7 @@ class Slsqp(AbstractLocalSolver):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given.whole("Slsqp: max_rounds", self.max_rounds)
+        border.whole("Slsqp: max_rounds", self.max_rounds)
 
     @property
     @override

@@ -9,9 +9,9 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core import given
+from aleator._core import border
 from aleator._core.errors import ProblemError
-from aleator._core.shown import Drawn
+from aleator._core.leaves import Drawn
 from aleator.nlp._program import Evaluation, NonlinearProgram
 
 
@@ -170,7 +170,7 @@ class AbstractSolver(abc.ABC):
     tolerance: float = 1e-6
 
     def __post_init__(self) -> None:
-        given.positive(f"{type(self).__name__}: tolerance", self.tolerance, below=1.0)
+        border.positive(f"{type(self).__name__}: tolerance", self.tolerance, below=1.0)
 
     @abc.abstractmethod
     def solve(

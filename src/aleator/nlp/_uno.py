@@ -8,9 +8,9 @@ from typing import Any, final
 import numpy as np
 from typing_extensions import override
 
-from aleator._core import given
+from aleator._core import border
 from aleator._core.errors import MissingExtraError
-from aleator._core.heard import take_back
+from aleator._core.interruption import take_back
 from aleator.nlp._answer import Answer
 from aleator.nlp._ipopt import Ipopt
 from aleator.nlp._local_solver import AbstractLocalSolver
@@ -164,7 +164,7 @@ class FilterSQP(AbstractLocalSolver):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given.positive("FilterSQP: radius", self.radius)
+        border.positive("FilterSQP: radius", self.radius)
 
     @override
     def require(self) -> None:

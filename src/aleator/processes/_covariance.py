@@ -19,10 +19,9 @@ from jaxtyping import Array, Float
 from numpy.polynomial.legendre import leggauss, legvander
 from typing_extensions import override
 
+from aleator._core.border import positive, real
 from aleator._core.errors import ProblemError
-from aleator._core.given import positive, real
-from aleator._core.leaves import AbstractLeaf
-from aleator._core.module import Module
+from aleator._core.leaves import AbstractLeaf, Module
 
 # Numbers of polynomials, tried in turn.
 _SIZES = (32, 48, 64, 96, 128, 192, 256, 384, 512)

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.border import real, real_array, refusal
 from aleator._core.errors import ExpansionWarning, ProblemError
-from aleator._core.given import real, real_array, refusal
 from aleator._core.leaves import AbstractLeaf, realised_shape
 from aleator.processes._covariance import (
     AbstractCovariance,

@@ -15,14 +15,12 @@ import scipy
 from jaxtyping import Float
 from typing_extensions import override
 
-from aleator._core.arrays import Pytree
-from aleator._core.elsewhere import check_executor, each_of
+from aleator._core.arrays import NUMBER, Pytree, refuse_beyond_memory
+from aleator._core.border import Progress, check_progress, silent
+from aleator._core.border import whole as whole_given
 from aleator._core.errors import ProblemError
-from aleator._core.given import whole as whole_given
-from aleator._core.journalled import NOTHING, AbstractParts, journalled, parts_so_far
-from aleator._core.memory import NUMBER, refuse_beyond_memory
-from aleator._core.part_by_part import part_by_part
-from aleator._core.progress import Progress, check_progress, silent
+from aleator._core.executors import check_executor, each_of
+from aleator._core.journalled import NOTHING, AbstractParts, journalled, part_by_part, parts_so_far
 from aleator.ensemble import (
     AbstractBox,
     AbstractEnsemble,

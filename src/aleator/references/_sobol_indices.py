@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import Pytree
+from aleator._core.border import Progress, check_progress, silent
 from aleator._core.errors import ProblemError
-from aleator._core.progress import Progress, check_progress, silent
 from aleator.ensemble import Function
 from aleator.references._estimate import Estimate, estimate
 from aleator.references._monte_carlo import check_whole, ensemble_of, evaluate, refuse_large_sample, scrambled_nets

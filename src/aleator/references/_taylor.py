@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import Pytree, Scalar, in_library, jax_array, numbers_to_arrays
 from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError, SimulationError
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 from aleator.ensemble import UNTRACEABLE, AbstractBox, Function, is_finite, outputs_of, part, uncertain_places
 from aleator.statistics._statistic import root
 from aleator.uncertainty import (

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, final, get_args
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.given import members, one_of, refusal
+from aleator._core.border import members, one_of, refusal
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

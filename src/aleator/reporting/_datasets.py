@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from aleator._core.border import one_of, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import one_of, refusal
 from aleator.design import statistics_in
 from aleator.reporting._numbers import (
     unit_of_decision,

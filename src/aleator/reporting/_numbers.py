@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from aleator._core.units import PURE
 from aleator.design import (
     AbstractFunctional,
     Expression,
@@ -17,6 +16,7 @@ from aleator.design import (
     output_units,
     units_of,
 )
+from aleator.statistics import PURE
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

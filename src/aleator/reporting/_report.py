@@ -7,8 +7,8 @@ from typing import TypeVar, cast
 
 import numpy as np
 
+from aleator._core.border import a_name
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name
 from aleator.reporting._blocks import Block, Code, Drawing, Section, Text
 from aleator.reporting._choices import evidence_on
 from aleator.reporting._designs import mesh_drawing, search_drawings

@@ -7,7 +7,7 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.shown import Printed
+from aleator._core.leaves import Printed
 from aleator.expansion import ILL_CONDITIONED, UNRESOLVED, Unseen
 from aleator.nlp import HELD
 from aleator.solution._grid import GridError, system_text

@@ -7,8 +7,8 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.given import refusal
-from aleator._core.shown import Drawn, Printed
+from aleator._core.border import refusal
+from aleator._core.leaves import Drawn, Printed
 from aleator.dynamics import AbstractScheme
 
 # Messages list at most this many numbers.

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import jax_array
-from aleator._core.shown import Drawn, Printed
+from aleator._core.leaves import Drawn, Printed
 from aleator.design import Problem, grid_at, problem_text
 from aleator.nlp import HELD, Searched, Status
 from aleator.solution._certificate import Certificate, Moments, lines

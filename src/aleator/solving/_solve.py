@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from aleator._core.beside import dropped_on_failure
-from aleator._core.elsewhere import check_executor
+from aleator._core.border import one_of, whole
 from aleator._core.errors import (
     CorrelationWarning,
     ExpansionWarning,
@@ -18,9 +17,10 @@ from aleator._core.errors import (
     SimulationError,
     SolveError,
 )
-from aleator._core.given import one_of, whole
-from aleator._core.heard import heeding
+from aleator._core.executors import check_executor
+from aleator._core.interruption import heeding
 from aleator._core.journalled import journalled
+from aleator._core.parallel import dropped_on_failure
 from aleator.certification import doubts, moved_correlations, refinement, second_opinion, unconverged, untrusted
 from aleator.design import Problem, deterministic
 from aleator.nlp import AbstractSearch, AbstractSolver, Status

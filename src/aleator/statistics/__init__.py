@@ -30,3 +30,14 @@ from aleator.statistics._tails import Quantile as Quantile
 from aleator.statistics._tails import cdf as cdf
 from aleator.statistics._tails import pdf as pdf
 from aleator.statistics._tails import together as together
+from aleator.statistics._units import EXPONENTS as EXPONENTS
+from aleator.statistics._units import PURE as PURE
+from aleator.statistics._units import common as common
+from aleator.statistics._units import integrated as integrated
+from aleator.statistics._units import is_same as is_same
+from aleator.statistics._units import measure as measure
+from aleator.statistics._units import product as product
+from aleator.statistics._units import quotient as quotient
+from aleator.statistics._units import raised as raised
+from aleator.statistics._units import rate as rate
+from aleator.statistics._units import squared as squared

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 from aleator.expansion import Basis
 from aleator.statistics._statistic import root
 from aleator.uncertainty import AbstractGerm, HermiteGerm, LegendreGerm, SampleGerm

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.arrays import Scalar
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 from aleator.statistics._lines import LineDistribution, Lines
 from aleator.statistics._statistic import in_blocks, root
 

@@ -18,7 +18,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import Scalar, in_library, jax_array, quietly
 from aleator._core.errors import ProblemError
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 from aleator.expansion import Basis
 from aleator.statistics._statistic import AbstractStatistic, Mean, Std, in_blocks, level_given, varies
 from aleator.uncertainty import AbstractGerm

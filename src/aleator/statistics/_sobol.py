@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import jax_array
+from aleator._core.border import meant
 from aleator._core.errors import ProblemError
-from aleator._core.given import meant
 from aleator.expansion import Basis
 from aleator.statistics._statistic import AbstractStatistic, varies
 from aleator.uncertainty import AbstractDistribution

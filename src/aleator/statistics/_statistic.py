@@ -15,12 +15,11 @@ from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree, Scalar, in_library, jax_array, quietly
+from aleator._core.border import real
 from aleator._core.errors import ProblemError
-from aleator._core.given import real
-from aleator._core.leaves import is_traced
-from aleator._core.module import Module
-from aleator._core.units import PURE, product, squared
+from aleator._core.leaves import Module, is_traced
 from aleator.expansion import ROUNDING, Basis
+from aleator.statistics._units import PURE, product, squared
 
 Preparation: TypeAlias = Callable[[Basis], Pytree]
 """A hashable function from a basis to the constant arrays that a statistic needs. Equal preparations are shared."""
@@ -54,7 +53,7 @@ class AbstractStatistic(Module):
         """The same statistic estimated from independent samples, without an expansion."""
 
     def unit(self, *of: str) -> str:
-        """Its unit, from those of its arguments (see `_core.units`): by default that of the first, or none."""
+        """Its unit, from those of its arguments (see `statistics/_units.py`): by default that of the first, or none."""
         return PURE if self.dimensionless else of[0]
 
     def text(self, inside: str) -> str:

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple, final
 import jax
 import numpy as np
 
+from aleator._core.arrays import NUMBER
 from aleator._core.errors import SimulationError
 from aleator._core.leaves import AbstractLeaf
-from aleator._core.memory import NUMBER
 from aleator.design import Problem, problem_text
 from aleator.dynamics import Grid
 from aleator.examining import examine

@@ -10,8 +10,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
+from aleator._core.border import meant
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.given import meant
 from aleator.design import Problem
 from aleator.studies._own import Study, study_of
 from aleator.studies._study import AbstractStudy

@@ -6,9 +6,8 @@ from typing import Any, NamedTuple, TypeVar, final
 
 from typing_extensions import override
 
+from aleator._core.border import Progress, a_name, one_of, refusal, whole
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name, one_of, refusal, whole
-from aleator._core.progress import Progress
 from aleator.design import Expression, Problem
 from aleator.nlp import AbstractSolver, Status
 from aleator.reporting import Section, Table, Verdict, certificate_table, designs_table, evidence_table, sections

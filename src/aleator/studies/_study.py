@@ -10,9 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
 
+from aleator._core.border import Progress, check_progress, members, one_of, positive, refusal, silent
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.given import members, one_of, positive, refusal
-from aleator._core.progress import Progress, check_progress, silent
 from aleator.design import Problem
 from aleator.reporting import (
     HOW_TO_READ,

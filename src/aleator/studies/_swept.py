@@ -8,9 +8,8 @@ from typing import Any, final
 import numpy as np
 from typing_extensions import override
 
+from aleator._core.border import Progress, meant, one_of, real_array, refusal, whole
 from aleator._core.errors import ProblemError
-from aleator._core.given import meant, one_of, real_array, refusal, whole
-from aleator._core.progress import Progress
 from aleator.design import Problem
 from aleator.reporting import Section, Table, Verdict, count, number, sections, words
 from aleator.solution import Solution, in_brief

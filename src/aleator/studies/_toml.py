@@ -17,12 +17,12 @@ import equinox as eqx
 import numpy as np
 
 from aleator import solvers, uncertainty
+from aleator._core.border import meant
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.given import meant
-from aleator._core.units import measure
 from aleator.design import Problem, declared_anew, deterministic, units_of
 from aleator.dynamics import Grid
 from aleator.nlp import AbstractSolver
+from aleator.statistics import measure
 from aleator.studies._own import Study
 from aleator.uncertainty import Decision, Toleranced, fields_of, toleranced
 

@@ -11,10 +11,9 @@ from typing import Any, final
 import numpy as np
 import scipy
 
-from aleator._core.elsewhere import check_executor
-from aleator._core.errors import CalibrationWarning, ProblemError
-from aleator._core.progress import Progress, check_progress, silent
-from aleator._core.warned import warned_of
+from aleator._core.border import Progress, check_progress, silent
+from aleator._core.errors import CalibrationWarning, ProblemError, warned_of
+from aleator._core.executors import check_executor
 from aleator.design import Problem, uncertain
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution

@@ -9,11 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from aleator._core.border import Progress, check_progress, one_of, silent
 from aleator._core.errors import SimulationError
-from aleator._core.given import one_of
-from aleator._core.heard import heeding
-from aleator._core.progress import Progress, check_progress, silent
-from aleator._core.shown import Printed
+from aleator._core.interruption import heeding
+from aleator._core.leaves import Printed
 from aleator.certification import bound_size, diagnose
 from aleator.design import Problem, is_at_points, is_worst_case
 from aleator.ensemble import inputs_at

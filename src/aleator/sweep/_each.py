@@ -20,14 +20,12 @@ from typing import Any, Literal, TypeAlias, TypeVar, cast, final
 
 from typing_extensions import override
 
-from aleator._core.beside import CORES, threads
-from aleator._core.elsewhere import is_of_this_process, packed, sending
-from aleator._core.errors import AleatorError, SimulationError
-from aleator._core.given import whole
-from aleator._core.heard import heeding
+from aleator._core.border import whole
+from aleator._core.errors import AleatorError, SimulationError, warned_of
+from aleator._core.executors import end_with_parent, is_of_this_process, packed, sending
+from aleator._core.interruption import heeding
 from aleator._core.journalled import AbstractEntry, NotKeptError, calling, entry_of
-from aleator._core.own_process import end_with_parent
-from aleator._core.warned import warned_of
+from aleator._core.parallel import CORES, threads
 from aleator.design import Problem, refuse_other_code
 from aleator.nlp import Status
 from aleator.solution import Solution

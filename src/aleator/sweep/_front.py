@@ -8,12 +8,11 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.elsewhere import check_executor
+from aleator._core.border import Progress, a_name, check_progress, one_of, real_array, silent
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.given import a_name, one_of, real_array
+from aleator._core.executors import check_executor
 from aleator._core.journalled import expected
-from aleator._core.progress import Progress, check_progress, silent
-from aleator._core.shown import Drawn, Printed
+from aleator._core.leaves import Drawn, Printed
 from aleator.design import Problem
 from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution, in_brief

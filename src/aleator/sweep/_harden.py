@@ -6,11 +6,9 @@ from typing import final
 
 import numpy as np
 
-from aleator._core.errors import ProblemError
-from aleator._core.given import a_name, one_of, positive, refusal, whole
-from aleator._core.progress import Progress, check_progress, silent
-from aleator._core.shown import Drawn
-from aleator._core.warned import warned_of
+from aleator._core.border import Progress, a_name, check_progress, one_of, positive, refusal, silent, whole
+from aleator._core.errors import ProblemError, warned_of
+from aleator._core.leaves import Drawn
 from aleator.certification import bound_size
 from aleator.design import Problem, soft
 from aleator.nlp import AbstractSolver

@@ -7,9 +7,8 @@ from typing import final
 import numpy as np
 import scipy
 
-from aleator._core.errors import AleatorError, SolveError
-from aleator._core.shown import Drawn, Printed
-from aleator._core.warned import warned_of
+from aleator._core.errors import AleatorError, SolveError, warned_of
+from aleator._core.leaves import Drawn, Printed
 from aleator.design import Problem
 from aleator.solution import Solution
 from aleator.validation import Evidence, Proportion, Share

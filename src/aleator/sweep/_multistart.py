@@ -8,11 +8,10 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.elsewhere import check_executor
+from aleator._core.border import Progress, check_progress, one_of, positive, silent, whole
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.given import one_of, positive, whole
-from aleator._core.progress import Progress, check_progress, silent
-from aleator._core.shown import Drawn
+from aleator._core.executors import check_executor
+from aleator._core.leaves import Drawn
 from aleator.design import Problem
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution

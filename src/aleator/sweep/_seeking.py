@@ -10,9 +10,8 @@ from typing import Any, NamedTuple, TypeAlias, final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from aleator._core.errors import ProblemError
-from aleator._core.heard import answering
-from aleator._core.warned import warned_of
+from aleator._core.errors import ProblemError, warned_of
+from aleator._core.interruption import answering
 from aleator.design import Problem
 from aleator.nlp import (
     AbstractSearch,

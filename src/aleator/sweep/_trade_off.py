@@ -8,109 +8,10 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from aleator._core.given import real_array, refusal
-from aleator._core.shown import Drawn
+from aleator._core.border import real_array, refusal
+from aleator._core.leaves import Drawn
 from aleator.design import Expression
 from aleator.solution import Solution
-
-# Points that are nearer to one another, as a part of their range, are the same place.
-_APART = 1e-3
-
-
-class Gap(NamedTuple):
-    """A gap of a front of two wishes: its places between the anchors, from 0 to 1, and the points at its ends."""
-
-    first: float
-    last: float
-    before: Float[np.ndarray, " wishes"]
-    after: Float[np.ndarray, " wishes"]
-
-    @property
-    def width(self) -> float:
-        """Its part of the line between the anchors."""
-        return self.last - self.first
-
-    @property
-    def ends(self) -> tuple[float, float]:
-        """The first wish at its ends."""
-        return float(self.before[0]), float(self.after[0])
-
-    def size(self, scales: Float[np.ndarray, " wishes"]) -> float:
-        """The largest difference of its ends, in scaled wishes; lines through a hole end at one of its ends."""
-        return float(np.abs((self.after - self.before) * scales).max())
-
-
-def simplex(size: int, count: int) -> list[Float[np.ndarray, " wishes"]]:
-    """So many points spread evenly over the inside and the edges of a simplex, without its corners."""
-    parts = 1
-    while len(inner := _lattice(size, parts)) < count:
-        parts += 1
-    return inner if len(inner) == count else [inner[i] for i in sorted(far_apart(np.array(inner), count))]
-
-
-def box(size: int, parts: int) -> list[Float[np.ndarray, " wishes"]]:
-    """Starts of parallel lines that pass evenly through a unit box in the direction of its diagonal.
-
-    They are the points of a lattice on the plane through the box's middle whose line meets it, for fronts of which no
-    simplex between the best designs is known.
-    """
-    shifted = ((size - 1) * (one - 1 / size) + 0.5 for one in _lattice(size, parts))
-    return [one for one in shifted if np.ptp(one) < 1.0]
-
-
-def far_apart(values: Float[np.ndarray, "k wishes"], count: int, taken: int = 0) -> list[int]:
-    """The indices of at most so many points, each as far as can be from those before and from the first few, which are
-    taken already.
-    """
-    if len(values) <= taken:
-        return []
-    spread = np.ptp(values, axis=0)
-    scaled = values / np.where(spread > 0, spread, 1.0)
-    chosen = list(range(taken)) or [int(np.argmin(scaled[:, 0]))]
-    while len(chosen) < min(count + taken, len(values)):
-        away = np.abs(scaled[:, None] - scaled[chosen][None]).max(axis=2).min(axis=1)
-        if not away.max() > _APART:
-            break
-        chosen.append(int(np.argmax(away)))
-    return chosen[taken:]
-
-
-def _lattice(size: int, parts: int) -> list[Float[np.ndarray, " wishes"]]:
-    """All sums of multiples of `1 / parts` that make one, but for the corners (Das and Dennis 1998)."""
-    bars = combinations(range(parts + size - 1), size - 1)
-    every = (np.diff([-1, *one, parts + size - 1]) - 1 for one in bars)
-    return [one / parts for one in every if one.max() < parts]
-
-
-def efficient(points: Float[np.ndarray, "n wishes"], tolerance: Float[np.ndarray, " wishes"]) -> Bool[np.ndarray, " n"]:
-    """Which points no other one dominates: is as good in every wish, and better in one by more than its tolerance.
-
-    As good is what is worse by at most a tenth of the tolerance, so that steep ends of a front are kept.
-    """
-    kept = np.ones(len(points), dtype=bool)
-    for i, point in enumerate(points):
-        others = points[kept & (np.arange(len(points)) != i)]
-        as_good = (others <= point + 0.1 * tolerance).all(axis=1)
-        better = (others < point - tolerance).any(axis=1)
-        kept[i] = not (as_good & better).any()
-    return kept
-
-
-def hypervolume(points: Float[np.ndarray, "n wishes"], reference: Float[np.ndarray, " wishes"]) -> float:
-    """The volume of what some point is better than, up to a reference that is worse than all of them.
-
-    By slices along the last wish (Zitzler 1999); points beyond the reference add nothing.
-    """
-    inside = points[(points < reference).all(axis=1)]
-    if not len(inside):
-        return 0.0
-    if inside.shape[1] == 1:
-        return float(reference[0] - inside.min())
-    inside = inside[np.argsort(inside[:, -1], kind="stable")]
-    depths = np.append(inside[1:, -1], reference[-1]) - inside[:, -1]
-    return sum(
-        hypervolume(inside[: i + 1, :-1], reference[:-1]) * float(depth) for i, depth in enumerate(depths) if depth > 0
-    )
 
 
 @final
@@ -182,3 +83,103 @@ class TradeOff(Drawn):
 
 def _designs(count: int) -> str:
     return "1 design was" if count == 1 else f"{count} designs were"
+
+
+def efficient(points: Float[np.ndarray, "n wishes"], tolerance: Float[np.ndarray, " wishes"]) -> Bool[np.ndarray, " n"]:
+    """Which points no other one dominates: is as good in every wish, and better in one by more than its tolerance.
+
+    As good is what is worse by at most a tenth of the tolerance, so that steep ends of a front are kept.
+    """
+    kept = np.ones(len(points), dtype=bool)
+    for i, point in enumerate(points):
+        others = points[kept & (np.arange(len(points)) != i)]
+        as_good = (others <= point + 0.1 * tolerance).all(axis=1)
+        better = (others < point - tolerance).any(axis=1)
+        kept[i] = not (as_good & better).any()
+    return kept
+
+
+def hypervolume(points: Float[np.ndarray, "n wishes"], reference: Float[np.ndarray, " wishes"]) -> float:
+    """The volume of what some point is better than, up to a reference that is worse than all of them.
+
+    By slices along the last wish (Zitzler 1999); points beyond the reference add nothing.
+    """
+    inside = points[(points < reference).all(axis=1)]
+    if not len(inside):
+        return 0.0
+    if inside.shape[1] == 1:
+        return float(reference[0] - inside.min())
+    inside = inside[np.argsort(inside[:, -1], kind="stable")]
+    depths = np.append(inside[1:, -1], reference[-1]) - inside[:, -1]
+    return sum(
+        hypervolume(inside[: i + 1, :-1], reference[:-1]) * float(depth) for i, depth in enumerate(depths) if depth > 0
+    )
+
+
+# Points that are nearer to one another, as a part of their range, are the same place.
+_APART = 1e-3
+
+
+class Gap(NamedTuple):
+    """A gap of a front of two wishes: its places between the anchors, from 0 to 1, and the points at its ends."""
+
+    first: float
+    last: float
+    before: Float[np.ndarray, " wishes"]
+    after: Float[np.ndarray, " wishes"]
+
+    @property
+    def width(self) -> float:
+        """Its part of the line between the anchors."""
+        return self.last - self.first
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The first wish at its ends."""
+        return float(self.before[0]), float(self.after[0])
+
+    def size(self, scales: Float[np.ndarray, " wishes"]) -> float:
+        """The largest difference of its ends, in scaled wishes; lines through a hole end at one of its ends."""
+        return float(np.abs((self.after - self.before) * scales).max())
+
+
+def simplex(size: int, count: int) -> list[Float[np.ndarray, " wishes"]]:
+    """So many points spread evenly over the inside and the edges of a simplex, without its corners."""
+    parts = 1
+    while len(inner := _lattice(size, parts)) < count:
+        parts += 1
+    return inner if len(inner) == count else [inner[i] for i in sorted(far_apart(np.array(inner), count))]
+
+
+def box(size: int, parts: int) -> list[Float[np.ndarray, " wishes"]]:
+    """Starts of parallel lines that pass evenly through a unit box in the direction of its diagonal.
+
+    They are the points of a lattice on the plane through the box's middle whose line meets it, for fronts of which no
+    simplex between the best designs is known.
+    """
+    shifted = ((size - 1) * (one - 1 / size) + 0.5 for one in _lattice(size, parts))
+    return [one for one in shifted if np.ptp(one) < 1.0]
+
+
+def far_apart(values: Float[np.ndarray, "k wishes"], count: int, taken: int = 0) -> list[int]:
+    """The indices of at most so many points, each as far as can be from those before and from the first few, which are
+    taken already.
+    """
+    if len(values) <= taken:
+        return []
+    spread = np.ptp(values, axis=0)
+    scaled = values / np.where(spread > 0, spread, 1.0)
+    chosen = list(range(taken)) or [int(np.argmin(scaled[:, 0]))]
+    while len(chosen) < min(count + taken, len(values)):
+        away = np.abs(scaled[:, None] - scaled[chosen][None]).max(axis=2).min(axis=1)
+        if not away.max() > _APART:
+            break
+        chosen.append(int(np.argmax(away)))
+    return chosen[taken:]
+
+
+def _lattice(size: int, parts: int) -> list[Float[np.ndarray, " wishes"]]:
+    """All sums of multiples of `1 / parts` that make one, but for the corners (Das and Dennis 1998)."""
+    bars = combinations(range(parts + size - 1), size - 1)
+    every = (np.diff([-1, *one, parts + size - 1]) - 1 for one in bars)
+    return [one / parts for one in every if one.max() < parts]

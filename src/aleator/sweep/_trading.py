@@ -7,11 +7,10 @@ from typing import Any, Literal, TypeAlias, assert_never, final, get_args
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.elsewhere import check_executor
+from aleator._core.border import Progress, a_name, check_progress, one_of, refusal, silent, whole
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name, one_of, refusal, whole
+from aleator._core.executors import check_executor
 from aleator._core.journalled import calling
-from aleator._core.progress import Progress, check_progress, silent
 from aleator.design import Expression, Problem
 from aleator.nlp import AbstractSolver
 from aleator.sweep._each import until_interrupted

@@ -5,11 +5,10 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any, TypeAlias, final
 
-from aleator._core.elsewhere import check_executor
+from aleator._core.border import Progress, check_progress, refusal, silent, whole
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.given import refusal, whole
-from aleator._core.progress import Progress, check_progress, silent
-from aleator._core.shown import Drawn
+from aleator._core.executors import check_executor
+from aleator._core.leaves import Drawn
 from aleator.solution import Solution
 from aleator.sweep._each import each, until_interrupted
 from aleator.sweep._front import Front, point_name

@@ -17,3 +17,5 @@ from aleator.trajectories._signals import AbstractTrajectory as AbstractTrajecto
 from aleator.trajectories._signals import Stack as Stack
 from aleator.trajectories._signals import Tabulated as Tabulated
 from aleator.trajectories._signals import instants as instants
+from aleator.trajectories._tables import entry as entry
+from aleator.trajectories._tables import read_table as read_table

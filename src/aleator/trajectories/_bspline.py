@@ -14,7 +14,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core import given as check
+from aleator._core import border as check
 from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf, is_leaf, lowest, realised_shape, stored_numbers
@@ -136,11 +136,11 @@ class BSpline(AbstractTrajectory):
     def _eliminated(self, side: int, duration: Any) -> Any:
         """The control points that the conditions at one end determine, outermost first."""
         end, knots = np.array([float(side)]), self.all_knots()
-        given = [as_array(condition) for condition in (self.start, self.end)[side]]
-        rows = [basis_matrix(end, knots, self.degree, order)[0] for order in range(len(given))]
-        xp, given, rows, duration = in_library(given, rows, duration)
+        prescribed = [as_array(condition) for condition in (self.start, self.end)[side]]
+        rows = [basis_matrix(end, knots, self.degree, order)[0] for order in range(len(prescribed))]
+        xp, prescribed, rows, duration = in_library(prescribed, rows, duration)
         points: list[Any] = []
-        for order, (condition, weights) in enumerate(zip(given, rows, strict=True)):
+        for order, (condition, weights) in enumerate(zip(prescribed, rows, strict=True)):
             # At an end, a derivative of order k depends on the outermost k + 1 control points only.
             weights = weights[::-1] if side else weights
             known = sum((weights[i] * point for i, point in enumerate(points)), start=xp.zeros(self.shape))
@@ -170,7 +170,7 @@ def fit_control_points(
             f"fit_control_points: path: expected finite values at {free} or more instants; received shape "
             f"{samples.shape}."
         )
-    if any(is_leaf(one) for one in jax.tree.leaves((start, end), is_leaf=is_leaf)):
+    if any(is_leaf(number) for number in jax.tree.leaves((start, end), is_leaf=is_leaf)):
         raise ProblemError(
             "fit_control_points: expected plain numbers at the ends; received distributions or decisions."
         )
@@ -190,27 +190,27 @@ def _checked_degree(degree: int) -> int:
 def _checked_knots(knots: Any, interior: int) -> tuple[float, ...]:
     if knots is None:
         return tuple((i / (interior + 1)) for i in range(1, interior + 1))
-    if any(isinstance(one, AbstractLeaf | Tracer) for one in jax.tree.leaves(knots, is_leaf=is_leaf)):
+    if any(isinstance(knot, AbstractLeaf | Tracer) for knot in jax.tree.leaves(knots, is_leaf=is_leaf)):
         raise ProblemError(
             f"{_KIND}: expected plain numbers as knots; received {knots!r}. Decided or uncertain knots are given by "
             f"the lengths between them, such as spans=al.Decision(np.ones({interior + 1}), 0.2, 5.0)."
         )
-    kept = tuple(np.ravel(check.real_array(f"{_KIND}: knots", knots)).tolist())
-    ordered = all(a < b for a, b in zip((0.0, *kept), (*kept, 1.0), strict=True))
-    if len(kept) != interior or not ordered:
-        raise ProblemError(f"{_KIND}: expected {interior} increasing knots between 0 and 1; received {list(kept)}.")
-    return kept
+    values = tuple(np.ravel(check.real_array(f"{_KIND}: knots", knots)).tolist())
+    ordered = all(a < b for a, b in zip((0.0, *values), (*values, 1.0), strict=True))
+    if len(values) != interior or not ordered:
+        raise ProblemError(f"{_KIND}: expected {interior} increasing knots between 0 and 1; received {list(values)}.")
+    return values
 
 
 def _checked_spans(spans: Any, count: int) -> Any:
-    kept = stored_numbers(f"{_KIND}: spans", spans)
-    least = lowest(kept)
-    if realised_shape(kept) != (count,) or (least is not None and least <= 0):
+    lengths = stored_numbers(f"{_KIND}: spans", spans)
+    least = lowest(lengths)
+    if realised_shape(lengths) != (count,) or (least is not None and least <= 0):
         raise ProblemError(
             f"{_KIND}: expected {count} positive spans, or distributions that stay positive, or a Decision of that "
             f"many with positive lower bounds, such as al.Decision(np.ones({count}), 0.2, 5.0); received {spans!r}."
         )
-    return kept
+    return lengths
 
 
 def clamped(interior: Any, degree: int) -> Any:
@@ -228,12 +228,12 @@ def basis(u: Any, knots: Any, degree: int) -> Any:
     u, knots = xp.asarray(u)[:, None], xp.asarray(knots)
     left, right = knots[:-1][None], knots[1:][None]
     within = ((u >= left) | (left <= knots[0])) & ((u < right) | (right >= knots[-1]))
-    found = xp.where(within & (left < right), 1.0, 0.0)
+    values = xp.where(within & (left < right), 1.0, 0.0)
     for p in range(1, degree + 1):
         rising = _ratio(xp, u - knots[: -p - 1][None], (knots[p:-1] - knots[: -p - 1])[None])
         falling = _ratio(xp, knots[p + 1 :][None] - u, (knots[p + 1 :] - knots[1:-p])[None])
-        found = rising * found[:, :-1] + falling * found[:, 1:]
-    return found
+        values = rising * values[:, :-1] + falling * values[:, 1:]
+    return values
 
 
 def differences(knots: Any, degree: int) -> Any:
@@ -248,11 +248,11 @@ def differences(knots: Any, degree: int) -> Any:
 def derived(knots: Any, degree: int, order: int) -> Any:
     """The matrix from a spline's control points to those of its derivative of some order: (n - order, n)."""
     xp = _library(knots)
-    found = xp.eye(len(knots) - degree - 1)
-    for done in range(order):
-        inner = knots[done : len(knots) - done]
-        found = differences(inner, degree - done) @ found
-    return found
+    change = xp.eye(len(knots) - degree - 1)
+    for lower in range(order):
+        inner = knots[lower : len(knots) - lower]
+        change = differences(inner, degree - lower) @ change
+    return change
 
 
 def matrix(u: Any, knots: Any, degree: int, order: int = 0) -> Any:
@@ -279,7 +279,7 @@ def basis_matrix(u: Any, knots: tuple[float, ...] | Array, degree: int, order: i
 
 def _library(*arrays: Any) -> Any:
     """NumPy for plain arrays, JAX for its own: one recursion serves both."""
-    return jnp if any(isinstance(one, Tracer | Array) for one in arrays) else np
+    return jnp if any(isinstance(array, Tracer | Array) for array in arrays) else np
 
 
 def _ratio(xp: Any, numerator: Any, denominator: Any) -> Any:

@@ -170,12 +170,12 @@ def _least_steps(nodes: tuple[float, ...]) -> int:
 
 def piecewise_in(tree: Any) -> list[Piecewise]:
     """All such trajectories in a model or a part of it, in order."""
-    return [one for one in jax.tree.leaves(tree, is_leaf=_is_piecewise) if _is_piecewise(one)]
+    return [node for node in jax.tree.leaves(tree, is_leaf=_is_piecewise) if _is_piecewise(node)]
 
 
 def least_steps(tree: Any) -> int:
     """The least number of equal steps that end one at each node of all such trajectories; 1 if there are none."""
-    return math.lcm(1, *(one.least_steps for one in piecewise_in(tree)))
+    return math.lcm(1, *(piecewise.least_steps for piecewise in piecewise_in(tree)))
 
 
 def has_jumps(signals: Any) -> bool:
@@ -184,13 +184,13 @@ def has_jumps(signals: Any) -> bool:
     def is_seen(node: Any) -> bool:
         return isinstance(node, Piecewise | Derivative)
 
-    seen = [one for one in jax.tree.leaves(signals, is_leaf=is_seen) if is_seen(one)]
-    return any(one.degree == 0 if isinstance(one, Piecewise) else bool(piecewise_in(one)) for one in seen)
+    seen = [node for node in jax.tree.leaves(signals, is_leaf=is_seen) if is_seen(node)]
+    return any(node.degree == 0 if isinstance(node, Piecewise) else bool(piecewise_in(node)) for node in seen)
 
 
 def jumps_of(signals: Any) -> Float[np.ndarray, " jumps"]:
     """The fractions of the duration at which any of some signals may jump; none if none does."""
-    nodes = [one.nodes[1:-1] for one in piecewise_in(signals)] if has_jumps(signals) else []
+    nodes = [piecewise.nodes[1:-1] for piecewise in piecewise_in(signals)] if has_jumps(signals) else []
     return np.unique(np.concatenate([np.zeros(0), *nodes]))
 
 

@@ -15,11 +15,10 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import in_library, jax_array
+from aleator._core.border import real_array
 from aleator._core.errors import ProblemError
-from aleator._core.given import real_array
-from aleator._core.leaves import realised_shape, stored_numbers
-from aleator._core.module import Module
-from aleator._core.tables import entry, read_table
+from aleator._core.leaves import Module, realised_shape, stored_numbers
+from aleator.trajectories._tables import entry, read_table
 
 
 class AbstractSignal(Module):
@@ -174,27 +173,27 @@ def as_array(number: Any) -> Float[Array, "..."]:
     return jax_array(number, float)
 
 
-def conditions(kind: str, where: str, given: Any, shape: tuple[int, ...]) -> tuple[Any, ...]:
+def conditions(kind: str, where: str, values: Any, shape: tuple[int, ...]) -> tuple[Any, ...]:
     """Conditions at one end, `(value, velocity, acceleration)` or the first of them, each of the trajectory's shape.
 
     Zero stands for zeros of any shape. Raises `ProblemError` for more than three or for other shapes.
     """
-    given = tuple(given) if isinstance(given, list | tuple) else (given,)
-    if len(given) > 3:
+    values = tuple(values) if isinstance(values, list | tuple) else (values,)
+    if len(values) > 3:
         raise ProblemError(
             f"{kind}: expected at the {where} a value, a velocity and an acceleration, or the first one or two of "
-            f"them; received {len(given)} conditions."
+            f"them; received {len(values)} conditions."
         )
-    kept = []
-    for number, name in zip(given, ("value", "velocity", "acceleration"), strict=False):
+    stored = []
+    for number, name in zip(values, ("value", "velocity", "acceleration"), strict=False):
         is_zero = isinstance(number, int | float) and number == 0
         if realised_shape(number) != shape and not is_zero:
             raise ProblemError(
                 f"{kind}: expected a {name} of shape {shape} at the {where}, that of its control points; "
                 f"received shape {realised_shape(number)}."
             )
-        kept.append(np.zeros(shape) if is_zero else stored_numbers(f"{kind}: {name} at the {where}", number))
-    return tuple(kept)
+        stored.append(np.zeros(shape) if is_zero else stored_numbers(f"{kind}: {name} at the {where}", number))
+    return tuple(stored)
 
 
 @final

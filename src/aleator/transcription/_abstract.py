@@ -1,9 +1,11 @@
 """Abstract transcriptions: a problem's nonlinear program, and the meaning of that program's points."""
 
 import abc
+import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import ClassVar, NamedTuple, Self
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar, Generic, NamedTuple, Self, TypeVar, final
 
 import jax
 import jax.numpy as jnp
@@ -11,16 +13,59 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from aleator._core.compilation import Compiled, Use
-from aleator.design import Problem, functionals_of, history
+from aleator.design import Problem, functionals_of, history, statistics_in
 from aleator.expansion import Basis, Collocation
 from aleator.nlp import AbstractSolver, NonlinearProgram, default_solver
 from aleator.solution import Costates, MeshError, Solution, States, Switching
 from aleator.statistics import Constants
-from aleator.transcription._discretisation import RESPOND, Discretised
-from aleator.transcription._resolution import RESOLVE, Resolved
+from aleator.transcription._expansions import RESOLVE, RESPOND, Discretised, Resolved
 from aleator.transcription._scenarios import Scenarios
-from aleator.transcription._texts import Texts
 from aleator.uncertainty import Placements
+
+# The start of a search or its latest point, and the one before.
+_KEPT = 2
+
+_Result = TypeVar("_Result")
+
+
+@final
+class Texts(NamedTuple):
+    """The texts of the statistics, functionals and constraints of a problem, in order."""
+
+    statistics: tuple[str, ...]
+    functionals: tuple[str, ...]
+    constraints: tuple[str, ...]
+
+    @classmethod
+    def of(cls, problem: Problem) -> "Texts":
+        """Those of a problem."""
+        return cls(
+            tuple(one.text() for one in statistics_in(problem.expressions)),
+            tuple(one.text() for one in functionals_of(problem.expressions)),
+            tuple(map(str, problem.constraints)),
+        )
+
+
+@final
+class Remembered(Generic[_Result]):
+    """A function of a point that remembers the latest: neither a start nor an answer is computed twice."""
+
+    def __init__(self, function: Callable[[Float[np.ndarray, " n"]], _Result]):
+        self._function = function
+        self._memory: dict[bytes, _Result] = {}
+        self._lock = threading.Lock()
+
+    def __call__(self, point: Float[np.ndarray, " n"]) -> _Result:
+        key = point.tobytes()
+        with self._lock:
+            if key in self._memory:
+                return self._memory[key]
+        result = self._function(point)
+        with self._lock:
+            while len(self._memory) >= _KEPT:
+                del self._memory[next(iter(self._memory))]
+            self._memory[key] = result
+        return result
 
 
 class Meaning(NamedTuple):
@@ -74,7 +119,6 @@ class AbstractTranscribed(abc.ABC):
     scales: tuple[float, ...]
     texts: Texts
     scenarios: Scenarios | None
-    _latest: list[tuple[bytes, tuple[Resolved, ...]]] = field(default_factory=list, repr=False, compare=False)
 
     @property
     @abc.abstractmethod
@@ -165,12 +209,11 @@ class AbstractTranscribed(abc.ABC):
 
     def resolve(self, point: Float[np.ndarray, " variables"]) -> dict[str, Resolved]:
         """The moments and the quality of each functional's expansion, by its text. The latest are remembered."""
-        key = point.tobytes()
-        known = next((found for where, found in self._latest if where == key), None)
-        if known is None:
-            known = RESOLVE(*self._resolution(point))
-            self._latest[:] = [(key, known)]
-        return dict(zip(self.texts.functionals, known, strict=True))
+        return dict(zip(self.texts.functionals, self._resolved(point), strict=True))
+
+    @cached_property
+    def _resolved(self) -> Remembered[tuple[Resolved, ...]]:
+        return Remembered(lambda point: RESOLVE(*self._resolution(point)))
 
     def prepare_resolution(self, point: Float[np.ndarray, " variables"]) -> None:
         """Begin to compile what `resolve` will need, in parallel with the next steps."""
@@ -232,4 +275,4 @@ class AbstractTranscription(abc.ABC):
 
     def compile_seconds(self) -> float:
         """The total time so far, in s, that users of it have waited for compilations."""
-        return sum(one.seconds for one in (RESOLVE, RESPOND, *self.programs))
+        return sum(program.seconds for program in (RESOLVE, RESPOND, *self.programs))

@@ -7,10 +7,12 @@ from typing import Any
 import jax
 import numpy as np
 
+from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
+from aleator._core.identity import is_library
 from aleator.design import Problem
-from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meanwhile
-from aleator.transcription._checked import checked
+from aleator.nlp import Evaluation, NonlinearProgram
+from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning, Meanwhile
 from aleator.transcription.sequential import Sequential
 
 DEFAULT = Sequential()
@@ -22,6 +24,9 @@ _KEPT = 4
 _RECENT: deque[tuple[AbstractTranscription, list[Any], AbstractTranscribed]] = deque(maxlen=_KEPT)
 _LOCK = threading.Lock()
 
+# Largest relative difference, due to rounding, between the program at a point and the point's meaning.
+_ROUNDING = 1e-9
+
 
 def transcribe(
     problem: Problem, transcription: AbstractTranscription = DEFAULT, meanwhile: Meanwhile = lambda *_: None
@@ -30,25 +35,24 @@ def transcribe(
 
     `meanwhile` is called just before compilation, to begin work in parallel.
 
-    A problem that was transcribed recently, such as for a solve from another start, is reused. If the problem's code
-    has changed since its declaration, the present code is transcribed. Raises `ProblemError` if the problem has no
-    decisions.
+    A problem that was transcribed recently, such as for a solve from another start, is reused. Raises `ProblemError`
+    if the problem has no decisions.
     """
     numbers = jax.tree.leaves(problem)
     with _LOCK:
         recent = list(_RECENT)
-    for how, known, found in recent:
-        if found.problem is problem and how == transcription and _same(known, numbers):
-            return found
+    for how, known, transcribed in recent:
+        if transcribed.problem is problem and how == transcription and _same(known, numbers):
+            return transcribed
     if problem.placements.size == 0:
         raise ProblemError(
             "The problem has no decisions: put al.Decision(initial, lower, upper) in the place of a number of it."
         )
-    found = checked(transcription.transcribed(problem, meanwhile), transcription, problem)
-    kept = [leaf.copy() if isinstance(leaf, np.ndarray) else leaf for leaf in numbers]
+    transcribed = _checked(transcription.transcribed(problem, meanwhile), transcription, problem)
+    copied = [leaf.copy() if isinstance(leaf, np.ndarray) else leaf for leaf in numbers]
     with _LOCK:
-        _RECENT.append((transcription, kept, found))
-    return found
+        _RECENT.append((transcription, copied, transcribed))
+    return transcribed
 
 
 def _same(first: list[Any], second: list[Any]) -> bool:
@@ -57,3 +61,55 @@ def _same(first: list[Any], second: list[Any]) -> bool:
         np.array_equal(one, other) if isinstance(one, np.ndarray) else one is other
         for one, other in zip(first, second, strict=True)
     )
+
+
+def _checked(transcribed: Any, transcription: AbstractTranscription, problem: Problem) -> AbstractTranscribed:
+    """Return the result of a transcription. Raises `ProblemError` if a user's own does not fit its problem.
+
+    At the initial decisions, the numbers of the program and of the point's meaning are compared.
+    """
+    who = f"{type(transcription).__name__}.transcribed"
+    if not isinstance(transcribed, AbstractTranscribed):
+        raise refusal(who, "an AbstractTranscribed", transcribed)
+    if is_library(type(transcribed).__module__):
+        return transcribed
+    program = transcribed.program
+    if not isinstance(program, NonlinearProgram):
+        raise refusal(f"{who}: program", "a NonlinearProgram", program)
+    size, initial = program.start.size, problem.placements.vector("initial")
+    decided = np.asarray(transcribed.decided)
+    if decided.dtype.kind not in "iu" or decided.shape != initial.shape or len(set(decided.tolist())) != len(initial):
+        raise refusal(f"{who}: decided", f"which {len(initial)} of the program's variables are decisions", decided)
+    if len(initial) and not (decided.min() >= 0 and decided.max() < size):
+        raise refusal(f"{who}: decided", f"indices below {size}, the program's variables", decided)
+    if len(transcribed.rows) != len(problem.constraints):
+        raise refusal(f"{who}: rows", f"those of {len(problem.constraints)} constraints", transcribed.rows)
+    point = np.asarray(transcribed.point(initial))
+    if point.shape != (size,) or not np.array_equal(point[decided], initial):
+        raise refusal(f"{who}: point", f"{size} numbers, the given decisions among them", point)
+    evaluation, meaning = program.evaluate(point), transcribed.at(point)
+    if not isinstance(evaluation, Evaluation):
+        raise refusal(f"{who}: program.evaluate", "an Evaluation", evaluation)
+    if not isinstance(meaning, Meaning):
+        raise refusal(f"{who}: at", "a Meaning", meaning)
+    if len(meaning.constraints) != len(transcribed.rows):
+        raise refusal(f"{who}: at", f"the rows of {len(transcribed.rows)} constraints", meaning.constraints)
+    _compare(f"{who}: the objective", evaluation.objective, meaning.objective)
+    for one, rows, own in zip(problem.constraints, transcribed.rows, meaning.constraints, strict=True):
+        _compare(f"{who}: constraint '{one.name}'", evaluation.constraints[rows], own)
+    return transcribed
+
+
+def _compare(what: str, program: Any, meaning: Any) -> None:
+    ours, theirs = np.ravel(program), np.ravel(meaning)
+    if ours.shape == theirs.shape and np.allclose(ours, theirs, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True):
+        return
+    raise ProblemError(
+        f"{what}: expected equal numbers in the program and in the meaning of its point, at the start; received "
+        f"{_first(ours)} and {_first(theirs)}."
+    )
+
+
+def _first(numbers: np.ndarray) -> str:
+    shown = np.array2string(numbers[:3], precision=6)
+    return shown if len(numbers) <= 3 else f"{shown} and {len(numbers) - 3} more"

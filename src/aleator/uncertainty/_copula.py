@@ -17,8 +17,8 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from aleator._core.border import a_name, real, real_array, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name, real, real_array, refusal
 from aleator._core.leaves import is_traced
 from aleator.uncertainty._distribution import AbstractDistribution, Dependence
 from aleator.uncertainty._polynomials import HermiteGerm

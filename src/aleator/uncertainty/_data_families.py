@@ -15,8 +15,8 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar
+from aleator._core.border import real_array, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import real_array, refusal
 from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
 from aleator.uncertainty._measure import AbstractDensityGerm, recurrence_of
 from aleator.uncertainty._polynomials import AbstractGerm

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import Scalar
+from aleator._core.border import a_name, real_array, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name, real_array, refusal
 from aleator._core.leaves import AbstractLeaf, is_traced
 
 # Relative amount by which a start may lie outside its bounds: a computed one may do so by rounding.

@@ -15,11 +15,10 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar, jax_array
+from aleator._core.border import a_name, real_array, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name, real_array, refusal
 from aleator._core.identity import is_library
-from aleator._core.leaves import AbstractLeaf, is_traced, realised_shape
-from aleator._core.module import Module
+from aleator._core.leaves import AbstractLeaf, Module, is_traced, realised_shape
 from aleator.uncertainty._decision import Decision
 from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm
 

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree, in_library, is_number, jax_array
+from aleator._core.border import refuse_missing
 from aleator._core.errors import ProblemError
-from aleator._core.given import refuse_missing
 from aleator._core.leaves import AbstractLeaf, is_leaf, is_traced, named_leaves
 from aleator.uncertainty._copula import pearson
 from aleator.uncertainty._decision import Decision, start_given

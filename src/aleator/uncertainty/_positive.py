@@ -9,8 +9,8 @@ import jax
 import numpy as np
 
 from aleator._core.arrays import Pytree
+from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import refusal
 from aleator._core.leaves import is_leaf, is_transparent, lowest, shown
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty._placements import free

@@ -10,8 +10,8 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar
+from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
-from aleator._core.given import refusal
 from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
 from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from aleator._core.errors import ProblemError
-from aleator._core.shown import Drawn, Printed
+from aleator._core.leaves import Drawn, Printed
 from aleator.design import Problem, Statistic, expanded_functionals, functionals_of, is_worst_case, sizes
 from aleator.references._estimate import group_count, pair
 from aleator.solution import Solution, ends
@@ -226,23 +226,23 @@ class Sample(NamedTuple):
     compared: tuple[Compared, ...]
 
 
-def disagreements(found: Sample) -> tuple[Disagreement, ...]:
+def disagreements(sample: Sample) -> tuple[Disagreement, ...]:
     """The numbers that samples contradict; none for a deterministic design, which has no expansion."""
-    if not found.solution.problem.placements.germs:
+    if not sample.solution.problem.placements.germs:
         return ()
-    told = [*_moments(found), *_statistics(found), *_limits(found)]
-    return tuple(told) if not told else tuple(one for one in told if not _is_rounding(one, found))
+    told = [*_moments(sample), *_statistics(sample), *_limits(sample)]
+    return tuple(told) if not told else tuple(one for one in told if not _is_rounding(one, sample))
 
 
-def _moments(found: Sample) -> Iterator[Disagreement]:
-    times, samples = found.solution.instants, found.samples
+def _moments(sample: Sample) -> Iterator[Disagreement]:
+    times, samples = sample.solution.instants, sample.samples
     # Functionals with only a worst case do not use the expansion.
-    for text in (one.text() for one in expanded_functionals(found.problem.expressions)):
-        one = found.functionals[text]
+    for text in (one.text() for one in expanded_functionals(sample.problem.expressions)):
+        one = sample.functionals[text]
         when = times if np.ndim(one.mean) else None
         size = float(np.max(np.abs(one.mean)))
         spread = 0.0 if when is None else float(np.max(one.std))
-        told_before = _of_the_grid(found.solution, text)
+        told_before = _of_the_grid(sample.solution, text)
         parts = (
             (f"μ[{text}]", one.expanded_mean, one.mean, one.standard_error),
             (f"σ[{text}]", one.expanded_std, one.std, one.std_error),
@@ -268,24 +268,25 @@ def _of_the_grid(solution: Solution, text: str) -> float:
     return 0.0 if deviation is None or np.isnan(deviation.error) else deviation.error
 
 
-def _statistics(found: Sample) -> Iterator[Disagreement]:
-    for text, one in found.statistics.items():
+def _statistics(sample: Sample) -> Iterator[Disagreement]:
+    for text, one in sample.statistics.items():
         kind, names = one.statistic.kind, [each.text() for each in one.statistic.functionals]
         if isinstance(kind, Mean | Std):
             continue
         expected, estimate, error = one.expanded, one.estimate, one.standard_error
-        values = found.values[names[0]]
+        values = sample.values[names[0]]
         if isinstance(kind, Probability):
-            contradicts = is_rare(round(estimate * found.samples), found.samples, min(max(expected, 0.0), 1.0))
+            contradicts = is_rare(round(estimate * sample.samples), sample.samples, min(max(expected, 0.0), 1.0))
         elif isinstance(kind, Quantile):
-            contradicts = is_rare(int(np.sum(values <= expected)), found.samples, float(kind.level))
+            contradicts = is_rare(int(np.sum(values <= expected)), sample.samples, float(kind.level))
         elif isinstance(kind, Supremum | Infimum):
             past = estimate - expected if isinstance(kind, Supremum) else expected - estimate
             contradicts = past > 0.01 * values.std()
         else:
             numbers = np.asarray(expected), np.asarray(estimate), np.asarray(error)
-            freedom, size = group_count(found.samples) - 1, _size(one.statistic, [found.values[name] for name in names])
-            told = worst_disagreement(text, *numbers, samples=found.samples, freedom=freedom, size=size)
+            freedom = group_count(sample.samples) - 1
+            size = _size(one.statistic, [sample.values[name] for name in names])
+            told = worst_disagreement(text, *numbers, samples=sample.samples, freedom=freedom, size=size)
             contradicts = told is not None
         if contradicts:
             yield Disagreement(text, expected, estimate, error)
@@ -299,24 +300,24 @@ def _size(statistic: Statistic, values: list[Float[np.ndarray, " samples"]]) -> 
     return 0.0 if isinstance(statistic.kind, Skewness | Kurtosis | Correlation) else largest[0]
 
 
-def _limits(found: Sample) -> Iterator[Disagreement]:
+def _limits(sample: Sample) -> Iterator[Disagreement]:
     """Limits on statistics that the samples break, and limits for all systems that some samples break."""
-    for one in found.compared:
+    for one in sample.compared:
         if one.meets is False:
             yield Disagreement(one.text, one.bound, one.value, one.standard_error, one.time, "its bound")
-    for limit in found.problem.constraints:
-        share = found.violations.get(limit.name)
+    for limit in sample.problem.constraints:
+        share = sample.violations.get(limit.name)
         atoms = (atom for atom in limit.expression.atoms if isinstance(atom, Statistic))
         for_all = is_worst_case(limit) or any(isinstance(atom.kind, Supremum | Infimum) for atom in atoms)
         if share is not None and share.count and for_all:
             yield Disagreement(f"The share of systems that break '{limit.name}'", 0.0, share.estimate, np.nan)
 
 
-def _is_rounding(one: Disagreement, found: Sample) -> bool:
+def _is_rounding(one: Disagreement, sample: Sample) -> bool:
     """Whether a disagreement is mere rounding, such as of a rate that is zero at the end of every motion."""
-    functionals = functionals_of(found.problem.expressions)
-    centre = jnp.asarray([germ.quantile(np.array(0.5)) for germ in found.problem.placements.germs.values()])
-    magnitudes = sizes(found.problem, centre, jnp.asarray(found.solution.vector))
+    functionals = functionals_of(sample.problem.expressions)
+    centre = jnp.asarray([germ.quantile(np.array(0.5)) for germ in sample.problem.placements.germs.values()])
+    magnitudes = sizes(sample.problem, centre, jnp.asarray(sample.solution.vector))
     for functional, size in zip(functionals, magnitudes, strict=True):
         if one.text in (f"μ[{functional.text()}]", f"σ[{functional.text()}]"):
             return abs(one.estimate - one.expected) <= _ROUNDING * float(size)

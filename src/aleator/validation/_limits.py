@@ -22,7 +22,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from aleator._core.shown import Printed
+from aleator._core.leaves import Printed
 from aleator.design import (
     AbstractFunctional,
     Constraint,

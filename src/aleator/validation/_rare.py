@@ -15,11 +15,9 @@ import numpy as np
 import scipy
 from jaxtyping import Float, Int
 
+from aleator._core.border import Progress, check_progress, refusal, silent
 from aleator._core.errors import ProblemError
-from aleator._core.given import refusal
-from aleator._core.journalled import journalled, parts_so_far
-from aleator._core.part_by_part import call_by_call
-from aleator._core.progress import Progress, check_progress, silent
+from aleator._core.journalled import call_by_call, journalled, parts_so_far
 from aleator.ensemble import Part, at_levels, each, fill, parts
 from aleator.solution import Solution
 from aleator.validation._limits import Share, WeightedProportion, is_counted, tolerances

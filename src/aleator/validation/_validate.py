@@ -10,15 +10,12 @@ from typing import Any, TypeAlias
 import jax.numpy as jnp
 import numpy as np
 
-from aleator._core.arrays import numbers_to_arrays
-from aleator._core.beside import working
-from aleator._core.elsewhere import check_executor, each_of
+from aleator._core.arrays import NUMBER, numbers_to_arrays, refuse_beyond_memory
+from aleator._core.border import Progress, check_progress, silent, whole
 from aleator._core.errors import ExpansionWarning, ProblemError
-from aleator._core.given import whole
-from aleator._core.journalled import journalled, parts_so_far
-from aleator._core.memory import NUMBER, refuse_beyond_memory
-from aleator._core.part_by_part import part_by_part
-from aleator._core.progress import Progress, check_progress, silent
+from aleator._core.executors import check_executor, each_of
+from aleator._core.journalled import journalled, part_by_part, parts_so_far
+from aleator._core.parallel import working
 from aleator.design import functionals_of, refuse_large_histories, refuse_other_code, uncertain
 from aleator.nlp import HELD
 from aleator.solution import Solution

@@ -11,8 +11,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from aleator._core.border import meant, shown
 from aleator._core.errors import MissingExtraError, ProblemError
-from aleator._core.given import meant, shown
 
 # As much of another library's message as ours repeats.
 _LONGEST = 160

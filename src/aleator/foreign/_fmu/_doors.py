@@ -21,7 +21,7 @@ from typing import IO, Any, NamedTuple, final
 from typing_extensions import override
 
 from aleator._core.errors import AleatorError, ProblemError, SimulationError, SimulationWarning
-from aleator._core.own_process import end_group, ended_with, endings, exit_told, in_group
+from aleator._core.executors import end_group, ended_with, endings, exit_told, in_group
 from aleator.foreign._fmu._equations import Field
 from aleator.foreign._fmu._library import LOCK, Opened
 from aleator.foreign._fmu._runs import Runs

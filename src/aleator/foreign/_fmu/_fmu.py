@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, final
 
+from aleator._core.border import positive, refusal, shown
 from aleator._core.errors import ProblemError
-from aleator._core.given import positive, refusal, shown
 from aleator.foreign._fmu._description import Described, Variables, folder_of, path_of, read_description, unpack_all
 from aleator.foreign._fmu._doors import Here, OwnProcess
 

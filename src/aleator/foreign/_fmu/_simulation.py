@@ -10,8 +10,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from aleator._core.border import one_of, positive, real, shown
 from aleator._core.errors import ProblemError
-from aleator._core.given import one_of, positive, real, shown
 from aleator._core.leaves import AbstractLeaf
 from aleator.dynamics import Grid
 from aleator.foreign._fmu._derivatives import Evaluations, called_back

@@ -12,8 +12,8 @@ from jax.core import Tracer
 from jaxtyping import Array
 from typing_extensions import override
 
+from aleator._core.border import real, shown
 from aleator._core.errors import ProblemError
-from aleator._core.given import real, shown
 from aleator._core.leaves import AbstractLeaf, transparent
 from aleator.dynamics import System
 from aleator.foreign._fmu._derivatives import Evaluations, Host, called_back

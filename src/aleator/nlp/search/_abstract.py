@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Float
 from typing_extensions import override
 
-from aleator._core import given
+from aleator._core import border
+from aleator._core.border import Progress, check_progress, silent
 from aleator._core.errors import ProblemError
-from aleator._core.heard import answering
-from aleator._core.progress import Progress, check_progress, silent
+from aleator._core.interruption import answering
 from aleator.nlp._answer import HELD, Answer
 from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._program import NonlinearProgram
@@ -81,12 +81,12 @@ class AbstractSearch(AbstractSolver):
     def __post_init__(self) -> None:
         super().__post_init__()
         who = type(self).__name__
-        given.whole(f"{who}: evaluations", self.evaluations)
-        given.whole(f"{who}: seed", self.seed, least=0)
+        border.whole(f"{who}: evaluations", self.evaluations)
+        border.whole(f"{who}: seed", self.seed, least=0)
         if not (isinstance(self.seconds, float) and self.seconds == math.inf):
-            given.positive(f"{who}: seconds", self.seconds)
+            border.positive(f"{who}: seconds", self.seconds)
         if not isinstance(self.polish, bool):
-            raise given.refusal(f"{who}: polish", "True or False", self.polish)
+            raise border.refusal(f"{who}: polish", "True or False", self.polish)
         check_progress(who, self.progress)
 
     @abc.abstractmethod

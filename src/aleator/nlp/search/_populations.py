@@ -10,7 +10,7 @@ import scipy
 from jaxtyping import Float
 from typing_extensions import override
 
-from aleator._core import given
+from aleator._core import border
 from aleator._core.errors import MissingExtraError
 from aleator.nlp.search._abstract import AbstractSearch
 from aleator.nlp.search._sought import Sought
@@ -39,7 +39,7 @@ class DifferentialEvolution(AbstractSearch):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given.whole("DifferentialEvolution: population", self.population, least=_FEWEST_MUTATED)
+        border.whole("DifferentialEvolution: population", self.population, least=_FEWEST_MUTATED)
 
     @property
     @override
@@ -89,7 +89,7 @@ class CmaEs(AbstractSearch):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given.whole("CmaEs: population", self.population, least=_FEWEST_ADAPTED)
+        border.whole("CmaEs: population", self.population, least=_FEWEST_ADAPTED)
 
     @override
     def require(self) -> None:

@@ -8,8 +8,8 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.border import Progress
 from aleator._core.errors import ProblemError
-from aleator._core.progress import Progress
 from aleator.nlp._program import NonlinearProgram
 
 # Points kept at most, the best; of these so many are compared with one another, and all of the best.

@@ -1,7 +1,7 @@
 """What results show of themselves: their figures (`result.plot`) and their tables in notebooks.
 
 `plots_of` and `facts_of` are functions of the type of a result (`functools.singledispatch`). A new type of result
-derives from `Drawn` of `aleator._core.shown` and is made known by one line for each: `plots_of.register(Type, Plots)`,
+derives from `Drawn` of `aleator._core.leaves` and is made known by one line for each: `plots_of.register(Type, Plots)`,
 and `@facts_of.register(Type)` above the function that gives its facts.
 """
 

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import numbers_to_arrays
+from aleator._core.border import positive, whole
 from aleator._core.compilation import Compiled
 from aleator._core.errors import ProblemError, SimulationError
-from aleator._core.given import positive, whole
 from aleator.design import AbstractFunctional, Problem, history, path, responses
 from aleator.ensemble import draw
 from aleator.reporting._blocks import Table

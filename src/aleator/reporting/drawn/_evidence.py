@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from aleator._core.border import positive
 from aleator._core.errors import ProblemError
-from aleator._core.given import positive
 from aleator.design import functionals_of
 from aleator.reporting._blocks import Table
 from aleator.reporting._methods import density_figure

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, get_args
 
 import numpy as np
 
+from aleator._core.border import meant, refusal, shown
 from aleator._core.errors import ProblemError
-from aleator._core.given import meant, refusal, shown
 from aleator.design import Problem, problem_rows
 from aleator.dynamics import AbstractSystem
 from aleator.mechanics import AbstractMechanical

@@ -11,8 +11,8 @@ from jaxtyping import Array, Float
 
 import aleator as al
 from aleator._core.arrays import numbers_to_arrays
+from aleator._core.border import Progress
 from aleator._core.compilation import Compiled
-from aleator._core.progress import Progress
 from aleator.design import grid_at, history, uncertain
 from aleator.dynamics import History
 from aleator.ensemble import at_levels, few_at_once, random_levels

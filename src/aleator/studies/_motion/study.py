@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 from typing_extensions import override
 
 import aleator as al
-from aleator._core.progress import Progress
+from aleator._core.border import Progress
 from aleator.reporting import Block, Card, Code, Schematic, Section, Table, Verdict, certificate_table
 from aleator.studies._motion.facts import (
     CALIBRATED,

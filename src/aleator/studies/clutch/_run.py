@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 import aleator as al
-from aleator._core.progress import Progress, silent
+from aleator._core.border import Progress, silent
 from aleator.journalling import kept
 from aleator.studies._study import Stage, stop_if_interrupted
 from aleator.studies.clutch import (

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 import aleator as al
-from aleator._core.progress import Progress, silent
+from aleator._core.border import Progress, silent
 from aleator.journalling import kept
 from aleator.studies._shared import SECOND_WAY, found_both_ways
 from aleator.studies._study import Stage, stop_if_interrupted

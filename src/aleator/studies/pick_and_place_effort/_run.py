@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 import aleator as al
-from aleator._core.progress import Progress
+from aleator._core.border import Progress
 from aleator.journalling import kept
 from aleator.studies._motion.facts import TRIED, named
 from aleator.studies._motion.results import Effort, Family, MotionResults

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, final
 from typing_extensions import override
 
 import aleator as al
-from aleator._core.progress import Progress
+from aleator._core.border import Progress
 from aleator.reporting import Block, Card, Drawing, Schematic, Section, Table, Text, front_figure, given, linked_front
 from aleator.studies._motion.facts import CALIBRATED
 from aleator.studies._motion.results import Effort, Family

@@ -8,7 +8,7 @@ import scipy
 from typing_extensions import override
 
 import aleator as al
-from aleator._core.progress import Progress
+from aleator._core.border import Progress
 from aleator.reporting import (
     Block,
     Card,

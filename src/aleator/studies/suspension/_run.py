@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 
 import aleator as al
-from aleator._core.progress import Progress
+from aleator._core.border import Progress
 from aleator.studies._shared import SECOND_WAY, found_both_ways
 from aleator.studies._study import Stage, stop_if_interrupted
 from aleator.studies.suspension import apportionment_problem, deterministic_problem, robust_problem

@@ -7,7 +7,7 @@ from typing import ClassVar, final
 from typing_extensions import override
 
 import aleator as al
-from aleator._core.progress import Progress
+from aleator._core.border import Progress
 from aleator.reporting import Block, Card, Drawing, Scene, Schematic, Section, Table, Text, given, sketch
 from aleator.reporting.sketch import Point, View
 from aleator.studies._motion.facts import CALIBRATED

@@ -20,7 +20,7 @@ from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import jax_array
-from aleator._core.module import Module
+from aleator._core.leaves import Module
 
 # Directions below this part of the largest one are zero up to rounding: no feature varies along them.
 _ROUNDING = 1e-11

@@ -1,22 +1,144 @@
-"""Evaluate a problem: values and exact derivatives from one compiled function, with the latest points remembered."""
+"""Evaluate a problem: values and exact derivatives from compiled functions, with the latest points remembered.
 
+Simulation takes almost all the time of an evaluation, and points are independent until coefficients are formed, which
+are sums over the points. So a large problem is simulated in parts, one per core, each of which gives its share of the
+coefficients, with derivatives; the rest of the work is small. A small problem is one program.
+"""
+
+from functools import reduce
 from typing import Any, NamedTuple, final
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.compilation import Compiled, Use
-from aleator._core.devices import over_devices
-from aleator.design import Problem, functionals_of, grid_at
+from aleator._core.parallel import over_devices
+from aleator.design import AbstractFunctional, Expression, Problem, functionals_of, grid_at
+from aleator.dynamics import Grid
 from aleator.expansion import Collocation
 from aleator.nlp import Evaluation
 from aleator.statistics import Constants
-from aleator.transcription._remembered import Remembered
-from aleator.transcription._scope import Terms
+from aleator.transcription._abstract import Remembered
+from aleator.transcription._expansions import Terms, scope_from, seen, simulated
 from aleator.transcription.sequential._affine import Anchors
 from aleator.transcription.sequential._instantaneous import instantaneous, instantaneous_rows
-from aleator.transcription.sequential._shares import Combined, Part, Share, added, combined, parts_of, share_of
+
+# Fewest points per part that are worth the overhead of a time step, and fewest numbers worth that of threads.
+_FEWEST_POINTS, _FEWEST_NUMBERS = 16, 200_000
+# Two parts, unless there are points enough for more.
+_POINTS_OF_A_PART, _MOST_PARTS = 128, 8
+
+
+class Share(NamedTuple):
+    """The contribution of some points.
+
+    - `samples`: each functional at the points; `finite`: whether all of these are;
+    - `tangents`: the derivatives of samples (of a path at a few instants) by the decisions that are parameters of
+      distributions; None if there are no such decisions;
+    - `terms`: the points' share of the terms of expressions; `slopes`: its derivatives by the decisions, along a first
+      axis of each array.
+    """
+
+    samples: tuple[Float[Array, "points ..."], ...]
+    finite: Bool[Array, ""]
+    tangents: tuple[Float[Array, "points ... parameters"] | None, ...]
+    terms: Terms
+    slopes: Terms
+
+
+class Combined(NamedTuple):
+    """Some expressions: their values, flattened, the derivatives of these, and the statistics in each, in order."""
+
+    values: tuple[Float[Array, " rows"], ...]
+    derivatives: tuple[Float[Array, "rows n"], ...]
+    statistics: tuple[tuple[Float[Array, "..."], ...], ...]
+
+
+class Part(NamedTuple):
+    """Some of the collocation points, and the columns of the pseudo-inverse that belong to them."""
+
+    points: Float[np.ndarray, "points variables"]
+    fit: Float[np.ndarray, "terms points"]
+
+
+def share_of(
+    problem: Problem,
+    functionals: tuple[AbstractFunctional, ...],
+    points: Float[Array, "points variables"],
+    fit: Float[Array, "terms points"],
+    scenarios: Float[Array, "scenarios variables"] | None,
+    decisions: Float[Array, " n"],
+) -> Share:
+    """The contribution of some points, and of the scenarios of the worst case, to expressions of some functionals.
+
+    Derivatives are computed in forward mode: few decisions, thousands of rows.
+    """
+    parameters = tuple(problem.placements.of_distributions.values())
+
+    def contributed(x: Array) -> tuple[tuple[Terms, tuple], tuple]:
+        samples, terms = simulated(problem, functionals, points, fit, scenarios, x)
+        looked_at = [seen(values, one.is_path) for one, values in zip(functionals, samples, strict=True)]
+        return (terms, tuple(looked_at) if parameters else ()), samples
+
+    def along(direction: Array) -> tuple[Any, Any, Any]:
+        return jax.jvp(contributed, (decisions,), (direction,), has_aux=True)
+
+    # Tangents along the first axis: along the last one, inner loops would run over the shortest of all axes.
+    (terms, _), (slopes, looked_at), samples = jax.vmap(along, out_axes=(None, 0, None))(jnp.eye(decisions.size))
+    of_distributions = tuple(jnp.moveaxis(one, 0, -1)[..., jnp.array(parameters)] for one in looked_at)
+    finite = jnp.array([jnp.isfinite(one).all() for one in samples]).all()
+    return Share(samples, finite, of_distributions or (None,) * len(functionals), terms, slopes)
+
+
+def combined(
+    problem: Problem,
+    expressions: tuple[Expression, ...],
+    constants: Constants,
+    terms: Terms,
+    slopes: Terms,
+    decisions: Float[Array, " n"],
+) -> Combined:
+    """Expressions from the terms of all points, with derivatives by the chain rule."""
+    functionals = functionals_of(expressions)
+
+    def rows(terms: Terms, x: Array) -> tuple[tuple[Array, ...], tuple]:
+        return scope_from(problem, functionals, (), terms, constants, x).evaluated(expressions)
+
+    def along(slope: Terms, direction: Array) -> tuple[Any, Any, Any]:
+        return jax.jvp(rows, (terms, decisions), (slope, direction), has_aux=True)
+
+    every = jnp.eye(decisions.size)
+    values, derivatives, taken = jax.vmap(along, out_axes=(None, 0, None))(slopes, every)
+    return Combined(values, tuple(one.T for one in derivatives), taken)
+
+
+def added(shares: tuple[Any, ...]) -> Any:
+    """The sum over all parts of terms or slopes."""
+    return reduce(lambda one, other: jax.tree.map(jnp.add, one, other), shares)
+
+
+def parts_of(problem: Problem, collocation: Collocation, constants: Constants) -> tuple[Part, ...]:
+    """The collocation points in parts of one size if simulating them takes long enough, else one part.
+
+    The number of parts follows from the problem alone, so that digits do not depend on the number of cores. The last
+    part is filled up with copies of its last point, which contribute nothing.
+    """
+    points, fit = np.asarray(collocation.points), np.asarray(collocation.pseudo_inverse)
+    grid, count = problem.grid, len(points)
+    tangents = 1 + problem.placements.size
+    whole = not (problem.is_integrated and isinstance(grid, Grid)) or constants.scenarios is not None
+    if whole or count < 2 * _FEWEST_POINTS or count * grid.steps * tangents < _FEWEST_NUMBERS:
+        return (Part(points, fit),)
+    number = min(max(2, count // _POINTS_OF_A_PART), _MOST_PARTS)
+    size = -(-count // number)
+    missing = size * number - count
+    points = np.concatenate([points, np.repeat(points[-1:], missing, axis=0)])
+    fit = np.concatenate([fit, np.zeros((len(fit), missing))], axis=1)
+    return tuple(
+        Part(one, columns) for one, columns in zip(np.split(points, number), np.split(fit, number, axis=1), strict=True)
+    )
 
 
 class Blocks(NamedTuple):
@@ -89,8 +211,8 @@ def _evaluate(
     parts = Combined(*zip(*(found[i] for i in range(len(problem.expressions))), strict=True))
     ordered = tuple(samples[one] for one in functionals_of(problem.expressions))
     finite = jnp.array([jnp.isfinite(one).all() for one in ordered]).all()
-    looked_at = tuple(tangents.get(one) for one in functionals_of(problem.expressions))
-    return *_told(problem, parts, finite, decisions), (ordered,), (looked_at,)
+    ordered_tangents = tuple(tangents.get(one) for one in functionals_of(problem.expressions))
+    return *_points_together(problem, parts, finite, decisions), (ordered,), (ordered_tangents,)
 
 
 def _contribute(
@@ -99,7 +221,7 @@ def _contribute(
     return share_of(problem, functionals_of(problem.expressions), points, fit, None, decisions)
 
 
-class _Given(NamedTuple):
+class _Shares(NamedTuple):
     """The shares of all parts: `terms` and `slopes` of each, whether it is `finite`, and the `decisions`."""
 
     terms: tuple[Terms, ...]
@@ -108,13 +230,15 @@ class _Given(NamedTuple):
     decisions: Float[Array, " n"]
 
 
-def _combine(problem: Problem, constants: Constants, given: _Given) -> tuple[Any, ...]:
-    terms, slopes, finite, decisions = given
+def _combine(problem: Problem, constants: Constants, shares: _Shares) -> tuple[Any, ...]:
+    terms, slopes, finite, decisions = shares
     parts = combined(problem, problem.expressions, constants, added(terms), added(slopes), decisions)
-    return _told(problem, parts, jnp.array(finite).all(), decisions)
+    return _points_together(problem, parts, jnp.array(finite).all(), decisions)
 
 
-def _told(problem: Problem, parts: Combined, finite: Array, decisions: Float[Array, " n"]) -> tuple[Any, ...]:
+def _points_together(
+    problem: Problem, parts: Combined, finite: Array, decisions: Float[Array, " n"]
+) -> tuple[Any, ...]:
     """The first parts of `Blocks`, those of all points together."""
     # A statistic may hide a failed simulation: the probability of a rare event is zero if that system gives NaN.
     every = jnp.where(finite, jnp.concatenate(parts.values), jnp.nan)
@@ -123,11 +247,12 @@ def _told(problem: Problem, parts: Combined, finite: Array, decisions: Float[Arr
     return every, jnp.concatenate(parts.derivatives), sizes, statistics, grid_at(problem, decisions).times
 
 
-def _use(problem: Problem, *_: Any) -> Use:
+def use_of(problem: Problem, *_: Any) -> Use:
+    """The use of programs that simulate a problem: loops over time, or equations of every instant by itself."""
     return Use.LOOPS if problem.is_integrated else Use.ROWS
 
 
-EVALUATE = Compiled(_evaluate, use=_use)
+EVALUATE = Compiled(_evaluate, use=use_of)
 CONTRIBUTE = Compiled(_contribute)
 COMBINE = Compiled(_combine, use=Use.ROWS)
 
@@ -169,9 +294,9 @@ class _InParts:
         terms, slopes, finite = (
             tuple(each) for each in zip(*((one.terms, one.slopes, one.finite) for one in shares), strict=True)
         )
-        given = _Given(terms, slopes, finite, jnp.asarray(decisions))
+        sums = self._combine(_Shares(terms, slopes, finite, jnp.asarray(decisions)))
         samples, tangents = (tuple(each) for each in zip(*((one.samples, one.tangents) for one in shares), strict=True))
-        return Blocks._make((*self._combine(given), samples, tangents, self._points))
+        return Blocks._make((*sums, samples, tangents, self._points))
 
 
 @final
@@ -182,7 +307,7 @@ class Evaluator:
     """
 
     def __init__(self, traced: Problem, collocation: Collocation, constants: Constants, anchors: Anchors | None):
-        self._given = traced, collocation, anchors
+        self._made_of = traced, collocation, anchors
         parts = parts_of(traced, collocation, constants)
         self._evaluate = (
             _InParts(traced, constants, parts, len(collocation.points))
@@ -197,7 +322,7 @@ class Evaluator:
 
     def with_constants(self, constants: Constants) -> "Evaluator":
         """The same problem with other constants, such as other scenarios."""
-        traced, collocation, anchors = self._given
+        traced, collocation, anchors = self._made_of
         return Evaluator(traced, collocation, constants, anchors)
 
     def __call__(self, decisions: Float[np.ndarray, " n"]) -> Blocks:

@@ -1,27 +1,35 @@
-"""The values of a problem at many decisions in few calls, on all cores, without derivatives."""
+"""The values of a problem at many decisions in few calls, without derivatives: on all cores, or by an executor."""
 
+import functools
 from collections.abc import Sequence
-from typing import Any, final
+from concurrent.futures import Executor
+from dataclasses import replace
+from typing import final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.compilation import Compiled, Use
-from aleator.design import Problem, functionals_of
+from aleator._core.compilation import Compiled
+from aleator._core.errors import ProblemError
+from aleator._core.executors import Pack, each_of, packed
+from aleator.design import Problem, functionals_of, refuse_other_code
 from aleator.ensemble import Part, each, fill, parts
 from aleator.expansion import Collocation
+from aleator.nlp import NonlinearProgram
 from aleator.statistics import Constants
-from aleator.transcription._scope import scope_of
+from aleator.transcription._expansions import scope_of
+from aleator.transcription.sequential._evaluator import use_of
 
 # Systems simulated together: more are slower, because their histories leave the cache.
 _SYSTEMS = 128
 # Designs simulated together: of more, many would often be repetitions, and there would be no calls to share.
 _DESIGNS = 16
-
 # Calls by one thread before it waits for the others, which takes time.
 _CALLS = 8
+# Populations that a worker holds: as many problems as it may be asked about in turn.
+_KEPT = 4
 
 
 def _values(
@@ -39,11 +47,7 @@ def _values(
     return jax.vmap(one)(several)
 
 
-def _use(problem: Problem, *_: Any) -> Use:
-    return Use.LOOPS if problem.is_integrated else Use.ROWS
-
-
-VALUES = Compiled(_values, use=_use)
+VALUES = Compiled(_values, use=use_of)
 
 
 @final
@@ -68,7 +72,7 @@ class Population:
         def values(part: Part) -> Float[np.ndarray, "some rows"]:
             return np.concatenate([self._rows(one.points, size) for one in parts(part.points, size)])
 
-        rows = np.concatenate([found for _, found in each(values, parts(decisions, size * _CALLS))])
+        rows = np.concatenate([values for _, values in each(values, parts(decisions, size * _CALLS))])
         return rows[:, 0], rows[:, 1:]
 
     def size(self, count: int) -> int:
@@ -86,3 +90,50 @@ class Population:
 
     def _rows(self, decisions: Float[np.ndarray, "few n"], size: int) -> Float[np.ndarray, "few rows"]:
         return np.asarray(self._of_size[size](fill(decisions, size)))[: len(decisions)]
+
+
+def valued_by(executor: Executor | None, program: NonlinearProgram, where: str) -> NonlinearProgram:
+    """A program whose values at several points an executor finds; without one the same program.
+
+    - `where`: the words with which warnings and errors begin.
+
+    Raises `ProblemError` for a program whose values are not those of a simulated problem.
+    """
+    if executor is None:
+        return program
+    if not isinstance(program.values, Population):
+        raise ProblemError(
+            f"{where}: executor: expected transcription=al.Sequential(), whose designs other processes can simulate; "
+            "received a transcription of another kind."
+        )
+    return replace(program, values=_Elsewhere(program.values, executor, where))
+
+
+@final
+class _Elsewhere:
+    """A population by an executor, in calls of the same size as here, so that digits are the same."""
+
+    def __init__(self, population: Population, executor: Executor, where: str):
+        self._population, self._executor, self._where = population, executor, where
+        self._made_of = {"made_of": packed(executor, Population, population.made_of)}
+
+    def __call__(self, decisions: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
+        size = self._population.size(len(decisions))
+        calls = [one.points for one in parts(decisions, size)]
+        results = each_of(self._executor, _rows_there, calls, {**self._made_of, "size": size}, self._where)
+        rows = np.concatenate([some for _, some in results])
+        return rows[:, 0], rows[:, 1:]
+
+
+def _rows_there(
+    items: Sequence[Float[np.ndarray, "few n"]], made_of: Pack, size: int
+) -> list[Float[np.ndarray, "few rows"]]:
+    return _population(made_of).rows(items, size)
+
+
+@functools.lru_cache(_KEPT)
+def _population(made_of: Pack) -> Population:
+    """A population in this process, which is made and compiled once for all generations."""
+    kind, parts_of_it = made_of.opened()
+    refuse_other_code(parts_of_it["traced"])
+    return kind(**parts_of_it)

@@ -1,41 +1,113 @@
 """Sequential transcription: simulate inside, optimise outside (SeqNLP, equations 93, 95 and 122).
 
 The decisions are the only variables of the nonlinear program; every evaluation integrates the dynamics. The values and
-the Jacobian of the objective and of all constraints come from one compiled function.
+the Jacobian of the objective and of all constraints come from one compiled function, exact second derivatives, where
+decisions are few, from another one. Rows of splines depend on few decisions each, which the Jacobian's sparsity says.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, final
+from typing import Any, ClassVar, NamedTuple, final
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Bool, Float, Int
+from scipy import sparse
 from typing_extensions import override
 
 from aleator._core.arrays import numbers_to_arrays
+from aleator._core.border import refusal
 from aleator._core.compilation import Compiled
-from aleator._core.given import refusal
-from aleator.design import Problem
-from aleator.nlp import Hessian, NonlinearProgram
-from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning, Meanwhile
-from aleator.transcription._discretisation import Discretised, discretised
-from aleator.transcription._magnitudes import (
+from aleator.design import Problem, functionals_of
+from aleator.expansion import Collocation
+from aleator.nlp import Hessian, NonlinearProgram, with_entries
+from aleator.statistics import Constants
+from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning, Meanwhile, Texts
+from aleator.transcription._constraints import (
     Sizing,
     decision_scales,
     elsewhere,
     largest_of,
     least_objective,
     needs_more,
+    refuse_unsatisfiable,
+    row_bounds,
+    rows_of,
     spread,
 )
-from aleator.transcription._rows import row_bounds, rows_of
+from aleator.transcription._expansions import Discretised, discretised, scope_of
 from aleator.transcription._scenarios import Scenarios, first_scenarios
-from aleator.transcription._texts import Texts
-from aleator.transcription._unsatisfiable import refuse_unsatisfiable
-from aleator.transcription.sequential._curvature import CURVATURE, hessian_of
-from aleator.transcription.sequential._evaluator import COMBINE, CONTRIBUTE, EVALUATE, Evaluator, evaluation_of
+from aleator.transcription.sequential._evaluator import COMBINE, CONTRIBUTE, EVALUATE, Evaluator, evaluation_of, use_of
 from aleator.transcription.sequential._instantaneous import FEATURES, anchors_of, instantaneous
 from aleator.transcription.sequential._population import VALUES, Population
-from aleator.transcription.sequential._sparsity import nearby, sparsity_of
+
+# How many points near the start show which derivatives are zero everywhere, and how far away they are.
+_NEARBY, _DISTANCE = 3, 0.1
+
+
+def _nearby(
+    start: Float[np.ndarray, " n"],
+    lower: Float[np.ndarray, " n"],
+    upper: Float[np.ndarray, " n"],
+    size: Float[np.ndarray, " n"],
+) -> list[Float[np.ndarray, " n"]]:
+    """Decisions near the start, by a part of their typical magnitudes; few derivatives vanish at all of them."""
+    steps = _DISTANCE * np.random.default_rng(0).uniform(-1, 1, (_NEARBY, len(start)))
+    return list(np.clip(start + size * steps, lower, upper))
+
+
+def _sparsity(nonzero: Bool[np.ndarray, "rows n"], paths: Sequence[slice], instants: int) -> Bool[np.ndarray, "rows n"]:
+    """The derivatives that may be nonzero, from those that are nonzero at some decisions.
+
+    A constraint on a path, whose rows are in `paths`, counts as depending on a decision at an instant if it did so at
+    any instant, and if any such constraint did so at this one: so interactions of bodies that are near each other only
+    for a while count wherever they may occur. Other constraints may depend on everything.
+    """
+    sparsity = np.ones_like(nonzero)
+    felt = np.zeros((instants, nonzero.shape[1]), dtype=bool)
+    for where in paths:
+        felt |= nonzero[where].reshape(instants, -1, nonzero.shape[1]).any(axis=1)
+    for where in paths:
+        block = nonzero[where]
+        sparsity[where] = np.repeat(felt, len(block) // instants, axis=0) & block.any(axis=0)
+    return sparsity
+
+
+class _At(NamedTuple):
+    """Decisions, the weight of the objective, and the multipliers of all rows."""
+
+    decisions: Float[Array, " n"]
+    weight: Float[Array, ""]
+    multipliers: Float[Array, " m"]
+
+
+def _curvature(problem: Problem, collocation: Collocation, constants: Constants, at: _At) -> Float[Array, "n n"]:
+    """The second derivatives of `weight f + multipliers · c`: forward mode twice, `n²` directions in one simulation."""
+    functionals = functionals_of(problem.expressions)
+
+    def lagrangian(decisions: Float[Array, " n"]) -> Float[Array, ""]:
+        values, _ = scope_of(problem, functionals, collocation, constants, decisions).evaluated(problem.expressions)
+        rows = jnp.concatenate(values)
+        return at.weight * rows[0] + at.multipliers @ rows[1:]
+
+    return jax.jacfwd(jax.jacfwd(lagrangian))(at.decisions)
+
+
+CURVATURE = Compiled(_curvature, use=use_of)
+
+
+def _hessian(traced: Problem, discretised: Discretised, size: int) -> Hessian:
+    """Second derivatives for solvers of a problem with `size` decisions."""
+    evaluate = CURVATURE.bound(traced, discretised.collocation, discretised.constants)
+    rows, columns = np.tril_indices(size)
+    triangle = sparse.csr_array((np.ones(rows.size), (rows, columns)), shape=(size, size))
+
+    def lower(x: np.ndarray, weight: float, multipliers: np.ndarray) -> Any:
+        whole = np.asarray(evaluate(_At(jnp.asarray(x), jnp.asarray(float(weight)), jnp.asarray(multipliers))))
+        return with_entries(triangle, whole[rows, columns])
+
+    return Hessian(lower, triangle)
 
 
 @final
@@ -89,12 +161,8 @@ class SequentiallyTranscribed(AbstractTranscribed):
             values=Population(self.traced, discretised.collocation, discretised.constants),
             hessian=None if program.hessian is None else _hessian(self.traced, discretised, program.start.size),
         )
-        own = {"discretised": discretised, "evaluator": evaluator, "sizing": sizing, "_latest": []}
+        own = {"discretised": discretised, "evaluator": evaluator, "sizing": sizing}
         return replace(self, rows=rows, program=program, scenarios=scenarios, **own)
-
-
-def _hessian(traced: Problem, found: Discretised, size: int) -> Hessian:
-    return hessian_of(traced, found.collocation, found.constants, size)
 
 
 @final
@@ -131,7 +199,7 @@ class Sequential(AbstractTranscription):
         if not evaluator.is_known(start):
             meanwhile(problem, found)
         decision_scale = decision_scales(start, lower, upper)
-        around = nearby(start, lower, upper, decision_scale)
+        around = _nearby(start, lower, upper, decision_scale)
         beside = [evaluator(one) for one in around] if instantaneous(problem) else []
         # The start comes last, so that the evaluator still remembers it when it is needed again.
         at_start = evaluator(start)
@@ -162,7 +230,7 @@ class Sequential(AbstractTranscription):
             constraint_upper=constraint_upper,
             constraint_scale=spread(rows, [one.scale for one in sizes]),
             variable_scale=decision_scale,
-            sparsity=sparsity_of(np.any(nonzero, axis=0), paths, len(at_start.times)) if beside else None,
+            sparsity=_sparsity(np.any(nonzero, axis=0), paths, len(at_start.times)) if beside else None,
             magnitudes=sizing.at,
             least=least_objective(problem),
             values=Population(traced, found.collocation, found.constants),

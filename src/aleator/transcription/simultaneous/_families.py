@@ -20,7 +20,7 @@ from aleator.design import (
 )
 from aleator.dynamics import AbstractMeanRate
 from aleator.statistics import Constants
-from aleator.transcription._scope import ExpansionScope
+from aleator.transcription._expansions import ExpansionScope
 from aleator.transcription.simultaneous._blocks import Block, Family
 from aleator.transcription.simultaneous._layout import Layout, Plan, Variables, found_integrals
 from aleator.transcription.simultaneous._pointwise import Pointwise

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from typing_extensions import override
 
+from aleator._core.border import meant, real_array, refusal, shown
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.given import meant, real_array, refusal, shown
 from aleator.design import Problem, deterministic, grid_at
 from aleator.dynamics import Grid, System, initial_state
 from aleator.solution import Solution, States

@@ -8,8 +8,7 @@ from jaxtyping import Float
 
 from aleator.design import Problem
 from aleator.nlp import Evaluation, Magnitudes, NonlinearProgram
-from aleator.transcription._magnitudes import Sizing, decision_scales, least_objective, spread
-from aleator.transcription._rows import row_bounds
+from aleator.transcription._constraints import Sizing, decision_scales, least_objective, row_bounds, spread
 from aleator.transcription._scenarios import Scenarios
 from aleator.transcription.simultaneous._layout import Layout
 from aleator.transcription.simultaneous._program import Assembled

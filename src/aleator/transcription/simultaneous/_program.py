@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from aleator.design import Problem
 from aleator.nlp import Evaluation, Hessian, SparseMatrix
 from aleator.statistics import Constants
-from aleator.transcription._remembered import Remembered
+from aleator.transcription._abstract import Remembered
 from aleator.transcription.simultaneous._assembly import Curvature, Jacobian, Pattern
 from aleator.transcription.simultaneous._blocks import Family
 from aleator.transcription.simultaneous._families import EQUATIONS, KNOWN, OBJECTIVE, PATHS, RATES, families

@@ -8,15 +8,15 @@ from jaxtyping import Float
 from typing_extensions import override
 
 from aleator._core.arrays import numbers_to_arrays
+from aleator._core.border import one_of, positive, refusal, whole
 from aleator._core.compilation import Compiled
 from aleator._core.errors import ProblemError
-from aleator._core.given import one_of, positive, refusal, whole
 from aleator.design import Problem
 from aleator.dynamics import MOST_STAGES, AbstractScheme, Grid, HermiteSimpson
 from aleator.nlp import AbstractSolver, Ipopt
 from aleator.solution import Solution
 from aleator.transcription._abstract import AbstractTranscription, Meanwhile
-from aleator.transcription._discretisation import discretised
+from aleator.transcription._expansions import discretised
 from aleator.transcription._scenarios import first_scenarios
 from aleator.transcription.simultaneous._controls import first_nodes
 from aleator.transcription.simultaneous._first_point import ALGEBRAIC

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple, TypeAlias, final
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from aleator._core.beside import in_order
 from aleator._core.compilation import Bound, Compiled, Use
+from aleator._core.parallel import in_order
 from aleator.design import Problem
 from aleator.dynamics import AbstractMeanRate
 from aleator.statistics import Constants

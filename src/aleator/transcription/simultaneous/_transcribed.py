@@ -28,12 +28,9 @@ from aleator.ensemble import inputs_at
 from aleator.nlp import HELD
 from aleator.solution import Costates, MeshError, States, Switching
 from aleator.statistics import Constants
-from aleator.transcription._abstract import AbstractTranscribed, Meaning
-from aleator.transcription._discretisation import Discretised
-from aleator.transcription._remembered import Remembered
+from aleator.transcription._abstract import AbstractTranscribed, Meaning, Remembered, Texts
+from aleator.transcription._expansions import Between, Discretised, ExpansionScope
 from aleator.transcription._scenarios import Scenarios
-from aleator.transcription._scope import Between, ExpansionScope
-from aleator.transcription._texts import Texts
 from aleator.transcription.simultaneous._controls import followed, whole_parts
 from aleator.transcription.simultaneous._costates import adjoint
 from aleator.transcription.simultaneous._first_point import started

@@ -1,13 +1,22 @@
-"""The scope in which a problem's expressions are evaluated: statistics of its functionals by an expansion."""
+"""The expansions of a problem: basis and collocation points, the statistics that follow from coefficients, and how well
+they are resolved.
+"""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, NamedTuple, final
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError
 from aleator.design import (
     AbstractFunctional,
@@ -15,15 +24,127 @@ from aleator.design import (
     Expression,
     Problem,
     Statistic,
+    functionals_of,
     grid_at,
     integrated_paths,
     joined,
+    refuse_large_histories,
+    responses,
     sampled,
+    statistics_in,
 )
 from aleator.dynamics import Grid
-from aleator.expansion import Collocation
-from aleator.statistics import AbstractStatistic, Constants, together
-from aleator.uncertainty import named_numbers
+from aleator.ensemble import in_batches
+from aleator.expansion import (
+    Adaptive,
+    Basis,
+    Collocation,
+    Discretisation,
+    Expansion,
+    Sparse,
+    collocate,
+    leave_one_out,
+    leave_one_out_history,
+)
+from aleator.statistics import AbstractStatistic, Constants, Mean, Preparation, Std, together
+from aleator.transcription._scenarios import Scenarios
+from aleator.uncertainty import AbstractGerm, named_numbers
+
+# Kept discretisations: enough for the problems of a session; a front or a calibration needs one.
+_KEPT = 16
+
+
+class Discretised(NamedTuple):
+    """The discretisation of a problem's uncertainty.
+
+    - `basis`, `collocation`: see `collocate`; `constants`: of the problem's statistics.
+    """
+
+    basis: Basis
+    collocation: Collocation
+    constants: Constants
+
+    def at_scenarios(self, scenarios: Scenarios | None) -> "Discretised":
+        """The same, with limits on the worst case held at some realisations; itself without any."""
+        if scenarios is None:
+            return self
+        return self._replace(constants=replace(self.constants, scenarios=jnp.asarray(scenarios.points)))
+
+
+def discretised(problem: Problem) -> Discretised:
+    """Basis, collocation and constants for a problem, reused from an earlier one if all that they depend on is equal.
+
+    An expansion that chooses its terms by the model's outputs does so once, at the initial decisions. It does not
+    depend on bounds and margins, and so is the same throughout a front and a calibration.
+
+    Raises `ProblemError` if the collocation, or the histories at its points, would not fit into memory.
+    """
+    germs, expansion = tuple(problem.placements.germs.items()), problem.expansion
+    chooses = isinstance(expansion.index_set, Adaptive) or isinstance(expansion.fit, Sparse)
+    needed = (one.kind.preparation for one in statistics_in(problem.expressions))
+    preparations = tuple(dict.fromkeys(one for one in needed if one is not None))
+    outputs = _Outputs.of(problem) if chooses and germs else None
+    # A user's own preparation may compute something else than in an earlier problem.
+    code = "" if problem.is_declared else problem.physics.text
+    found = _discretised(germs, expansion, preparations, outputs, code)
+    # Outputs of one instant are differentiated at that instant, by the few numbers known there.
+    decided = problem.placements.vector("initial").size if problem.is_integrated else 0
+    refuse_large_histories(
+        problem, len(found.collocation.points), decided, "Take fewer steps, fewer points or a lower order."
+    )
+    return found
+
+
+Germs = tuple[tuple[str, AbstractGerm], ...]
+
+
+@lru_cache(maxsize=_KEPT)
+def _discretised(
+    germs: Germs, expansion: Expansion, preparations: tuple[Preparation, ...], outputs: "_Outputs | None", code: str
+) -> Discretised:
+    del code  # part of the key
+    basis, collocation = _collocated(germs, expansion, outputs)
+    return Discretised(basis, collocation, Constants(preparations, tuple(one(basis) for one in preparations)))
+
+
+@lru_cache(maxsize=_KEPT)
+def _collocated(germs: Germs, expansion: Expansion, outputs: "_Outputs | None") -> Discretisation:
+    return collocate(dict(germs), expansion, outputs)
+
+
+@final
+@dataclass(frozen=True)
+class _Outputs:
+    """A problem's functionals at germ points and the initial decisions. Equal if they give the same numbers."""
+
+    key: Hashable
+    problem: Problem = field(compare=False)
+
+    @classmethod
+    def of(cls, problem: Problem) -> "_Outputs":
+        """Those of a problem, distinguished by its equations, its numbers and its functionals, not by its bounds."""
+        parts = numbers_to_arrays((problem.simulation, problem.grid, problem.integrator))
+        numbers, rest = eqx.partition(parts, eqx.is_array)
+        leaves, structure = jax.tree.flatten(numbers)
+        static, static_structure = jax.tree.flatten(rest)
+        data = tuple((one.shape, np.asarray(one).tobytes()) for one in leaves)
+        functionals = functionals_of(problem.expressions)
+        return cls((problem.physics, functionals, structure, static_structure, tuple(static), data), problem)
+
+    def __call__(self, points: Float[np.ndarray, "points variables"]) -> dict[str, Float[np.ndarray, "points ..."]]:
+        """The functionals by their texts."""
+        traced, start = numbers_to_arrays(self.problem), jnp.asarray(self.problem.placements.vector("initial"))
+        texts = [one.text() for one in functionals_of(self.problem.expressions)]
+        return dict(zip(texts, in_batches(RESPOND, traced, points, start), strict=True))
+
+
+def _respond(
+    problem: Problem, germ: Float[Array, "points variables"], decisions: Float[Array, " n"]
+) -> tuple[Float[Array, "points ..."], ...]:
+    return responses(problem, functionals_of(problem.expressions), germ, decisions)
+
+
+RESPOND = Compiled(_respond, use=Use.ONCE)
 
 
 @final
@@ -201,3 +322,67 @@ def scope_from(
 
 def _integrated(problem: Problem, functionals: tuple[AbstractFunctional, ...]) -> tuple[AbstractFunctional, ...]:
     return tuple(one for one in integrated_paths(problem.expressions) if one in functionals)
+
+
+class Resolved(NamedTuple):
+    """One functional at given decisions: its moments, and how well its expansion predicts a new sample.
+
+    - `history`: the leave-one-out error of a path at each instant (see `leave_one_out_history`); None for a number;
+    - `tangents`: the leave-one-out error of its derivative by each decision that is a parameter of a distribution;
+      derivatives of statistics follow from these. None if unknown.
+    """
+
+    mean: Float[Array, "*shape"]
+    std: Float[Array, "*shape"]
+    leave_one_out: Float[Array, ""]
+    history: Float[Array, " instants"] | None
+    tangents: Float[Array, " parameters"] | None
+
+
+# Evenly spread instants of a path at which its derivatives are checked: enough to show how well they are resolved.
+_SEEN = 50
+
+
+def seen(samples: Float[Array, "points *shape"], is_path: bool) -> Float[Array, "points *few"]:
+    """The samples of a functional whose derivatives are checked: of a path at some instants, including the last."""
+    return samples[:, :: -max(1, samples.shape[1] // _SEEN)] if is_path else samples
+
+
+def _resolve(
+    functionals: tuple[AbstractFunctional, ...],
+    collocation: Collocation,
+    samples: tuple[Float[Array, "points ..."], ...],
+    tangents: tuple[Float[Array, "points ... parameters"] | None, ...],
+) -> tuple[Resolved, ...]:
+    parts = zip(functionals, samples, tangents, strict=True)
+    return tuple(_resolved(one, collocation, values, slopes) for one, values, slopes in parts)
+
+
+def _resolved(
+    functional: AbstractFunctional,
+    collocation: Collocation,
+    samples: Float[Array, "points ..."],
+    tangents: Float[Array, "points ... parameters"] | None,
+) -> Resolved:
+    terms = collocation.coefficients(samples)
+    return Resolved(
+        mean=Mean().of(terms, ()),
+        std=Std().of(terms, ()),
+        leave_one_out=leave_one_out(collocation, samples, terms),
+        history=leave_one_out_history(collocation, samples, terms) if functional.is_path else None,
+        tangents=None if tangents is None else _errors_of(collocation, tangents),
+    )
+
+
+def _errors_of(
+    collocation: Collocation, tangents: Float[Array, "points ... parameters"]
+) -> Float[Array, " parameters"]:
+    """The leave-one-out error of each tangent's own expansion.
+
+    A fit is linear, so that the derivatives of its coefficients are the coefficients of the derivative.
+    """
+    each = jnp.moveaxis(tangents, -1, 0)
+    return jax.vmap(lambda one: leave_one_out(collocation, one, collocation.coefficients(one)))(each)
+
+
+RESOLVE = Compiled(_resolve, use=Use.ONCE)

@@ -1,13 +1,14 @@
-"""Checks of a user's inputs: numbers, whole numbers, names, and objects of a type.
+"""Checks of a user's inputs: numbers, whole numbers, names, objects of a type, reports of progress.
 
 Each check returns its value in the form in which it is stored, or raises `ProblemError`: one sentence with what was
 expected and what was received. `what` begins the sentence: "Grid: steps", "validate: the seed".
 """
 
 import difflib
+import inspect
 import reprlib
-from collections.abc import Collection, Sequence
-from typing import Any, TypeVar
+from collections.abc import Callable, Collection, Sequence
+from typing import Any, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
@@ -137,3 +138,24 @@ def refuse_missing(name: str, value: Any) -> None:
     is_nan = isinstance(value, float | np.floating | np.ndarray | jax.Array) and not isinstance(value, Tracer)
     if is_masked(value) or (is_nan and bool(np.any(np.isnan(value)))):
         raise refusal(f"'{name}'", "numbers", value)
+
+
+Progress: TypeAlias = Callable[[str, int, int], None]
+
+
+def silent(task: str, done: int, total: int) -> None:
+    """Report nothing."""
+    del task, done, total
+
+
+def check_progress(who: str, progress: Any) -> None:
+    """Refuse what cannot be called with the task, the steps done and their total."""
+    expected = "a function of three arguments, the task, the steps done and their total"
+    if not callable(progress):
+        raise refusal(f"{who}: progress", expected, progress)
+    try:
+        inspect.signature(progress).bind("", 0, 1)
+    except TypeError:
+        raise refusal(f"{who}: progress", expected, progress) from None
+    except ValueError:  # what is not written in Python need not have a signature
+        return

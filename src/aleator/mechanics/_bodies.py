@@ -1,15 +1,34 @@
-"""`Body`: one rigid body of a tree, with its joint and its mass properties."""
+"""Rigid bodies, and the tree that their joints make of them, with fixed bodies merged into their carriers."""
 
-from typing import Any, final
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple, TypeVar, final
 
 import equinox as eqx
+import jax
 import numpy as np
 
+from aleator._core.arrays import is_number
+from aleator._core.border import a_name
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name
-from aleator._core.module import Module
+from aleator._core.leaves import Module, is_leaf
+from aleator.mechanics._instant import at
 from aleator.mechanics._joints import AbstractJoint, Fixed
-from aleator.mechanics._spatial import Block, Inertia, Pose, all_known, as_array, from_angles, is_known, library, skew
+from aleator.mechanics._mechanical import AbstractMechanical
+from aleator.mechanics._spatial import (
+    Block,
+    Inertia,
+    Pose,
+    added,
+    all_known,
+    as_array,
+    composed,
+    from_angles,
+    inertia_outside,
+    is_known,
+    library,
+    skew,
+)
+from aleator.trajectories import AbstractSignal
 
 # The rounding error allowed in an inertia on the verge of the possible, relative to its largest moment.
 _ROUNDING = 1e-9
@@ -120,3 +139,115 @@ def _check_moments(matrix: np.ndarray, where: str) -> None:
             f"{where}: no body has a principal moment ({largest:.6g}) beyond the sum of the other two ({smallest:.6g} "
             f"+ {middle:.6g}). For a plane model give the one moment that matters and two zeros."
         )
+
+
+GROUND = -1
+"""The parent of links that are attached to the ground."""
+
+
+class Link(NamedTuple):
+    """A moving body, with everything fixed to it.
+
+    - `parent`: the index of the link that carries it, or `GROUND`;
+    - `placement`: its joint's frame in that link's frame;
+    - `q`, `v`: the slices of its coordinates and speeds in the full vectors.
+    """
+
+    name: str
+    parent: int
+    joint: AbstractJoint
+    placement: Pose
+    inertia: Inertia
+    q: slice
+    v: slice
+
+
+class Tree(NamedTuple):
+    """Links, parents before children; and for each body the link to which it belongs and its pose there."""
+
+    links: tuple[Link, ...]
+    places: dict[str, tuple[int, Pose | None]]
+
+    @property
+    def speeds(self) -> int:
+        """The number of speeds."""
+        return self.links[-1].v.stop if self.links else 0
+
+
+def build_tree(bodies: Iterable[Body]) -> Tree:
+    """The tree of some bodies. Raises `ProblemError` if they do not form a tree, or for an impossible body (see
+    `Body`).
+    """
+    links: list[Link] = []
+    places: dict[str, tuple[int, Pose | None]] = {}
+    for body in sorted_bodies(bodies):
+        parent, carrier = (GROUND, None) if body.parent is None else places[body.parent]
+        place = placement(body) if carrier is None else composed(carrier, placement(body))
+        if isinstance(body.joint, Fixed):
+            places[body.name] = (parent, place)
+            if parent != GROUND:
+                joined = added(links[parent].inertia, inertia_outside(place, inertia(body)))
+                links[parent] = links[parent]._replace(inertia=joined)
+            continue
+        q = links[-1].q.stop if links else 0
+        v = links[-1].v.stop if links else 0
+        coordinates, speeds = slice(q, q + len(body.joint.coordinates)), slice(v, v + len(body.joint.speeds))
+        places[body.name] = (len(links), None)
+        links.append(Link(body.name, parent, body.joint, place, inertia(body), coordinates, speeds))
+    return Tree(tuple(links), places)
+
+
+def sorted_bodies(bodies: Iterable[Body]) -> list[Body]:
+    """The bodies, parents before children, otherwise in the given order.
+
+    Raises `ProblemError` for names that occur twice, for unknown parents and for cycles.
+    """
+    waiting = list(bodies)
+    _check_names(waiting)
+    ready: list[Body] = []
+    while waiting:
+        known = {None, *(body.name for body in ready)}
+        following = next((body for body in waiting if body.parent in known), None)
+        if following is None:
+            names = [body.name for body in waiting]
+            raise ProblemError(f"bodies() must return a tree rooted at the ground; {names} form a cycle.")
+        waiting.remove(following)
+        ready.append(following)
+    return ready
+
+
+def _check_names(bodies: Sequence[Body]) -> None:
+    names = [body.name for body in bodies]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ProblemError(f"bodies() needs one name for each body; {twice} occur twice.")
+    unknown = sorted({body.parent for body in bodies if body.parent is not None} - set(names))
+    if unknown:
+        raise ProblemError(f"bodies() names the parents {unknown}, which are no bodies; expected some of {names}.")
+
+
+Model = TypeVar("Model", bound=AbstractMechanical)
+Part = TypeVar("Part")
+
+
+def with_numbers(model: Model) -> Model:
+    """The model with numbers in the place of distributions, decisions and signals."""
+    plain = jax.tree.map(_as_number, model, is_leaf=_is_no_number)
+    return plain if model._when is not None else at(plain, np.zeros(()), None)
+
+
+def without_numbers(part: Part) -> Part:
+    """The structure of a joint or a closure: it outlives the trace in which its numbers may have been made."""
+    return jax.tree.map(lambda leaf: np.zeros(np.shape(leaf)) if is_number(leaf) else leaf, part)
+
+
+def _is_no_number(node: Any) -> bool:
+    return is_leaf(node) or isinstance(node, AbstractSignal)
+
+
+def _as_number(leaf: Any) -> Any:
+    """A placeholder number of the right shape for a distribution, a decision or a signal."""
+    if isinstance(leaf, AbstractSignal):
+        plain = jax.tree.map(_as_number, leaf, is_leaf=is_leaf)
+        return np.ones(jax.eval_shape(plain, jax.ShapeDtypeStruct((), float)).shape)
+    return np.ones(leaf.shape) if is_leaf(leaf) else leaf

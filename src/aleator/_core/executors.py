@@ -2,12 +2,15 @@
 
 Arguments and results travel as pickles of our own, so that every executor gives the same, and what cannot travel is
 told before anything is sent. Threads of this process are handed the objects themselves, so that any model will do.
+Processes can be ended with all those that they started, and end when nobody waits for them any more.
 """
 
-import abc
 import concurrent.futures
 import hashlib
+import os
 import pickle
+import signal
+import subprocess
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,13 +18,12 @@ from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from multiprocessing import connection, parent_process
+from multiprocessing.connection import Connection
 from typing import Any, TypeAlias, TypeVar, final
 
-from typing_extensions import override
-
-from aleator._core.errors import AleatorError, AleatorWarning, ProblemError, SimulationError
-from aleator._core.given import refusal, shown
-from aleator._core.warned import warned_of
+from aleator._core.border import refusal, shown
+from aleator._core.errors import AleatorError, AleatorWarning, ProblemError, SimulationError, warned_of
 
 Work: TypeAlias = Callable[..., Any]
 """A function of a module of ours, so that a pickle names it."""
@@ -115,7 +117,7 @@ class Sent:
         self._known = set[Future[Any]]()
         self._open: dict[Future[Any], tuple[int, Callable[[], Any]]] = {}
 
-    def send(self, index: int, pack: "AbstractPack", where: str) -> None:
+    def send(self, index: int, pack: "Pack", where: str) -> None:
         """Send a pack. Raises `SimulationError` if the executor does not take it."""
         future = _submitted(self._executor, pack, where)
         if future in self._known:
@@ -135,7 +137,7 @@ class Sent:
             future.cancel()
 
 
-def _submitted(executor: Executor, pack: "AbstractPack", where: str) -> "Future[Any]":
+def _submitted(executor: Executor, pack: "Pack", where: str) -> "Future[Any]":
     try:
         future = executor.submit(run, pack)
     except Exception as error:  # every executor has its own
@@ -149,73 +151,41 @@ def _lost(where: str, why: str) -> SimulationError:
     return SimulationError(f"{where}: {why}. Finished results are kept within al.journal(folder), for the next run.")
 
 
-class AbstractPack(abc.ABC):
-    """Some work with its arguments, as an executor is given it."""
-
-    @abc.abstractmethod
-    def opened(self) -> tuple[Work, Mapping[str, Any]]:
-        """The work and its arguments by name, where it is done."""
-
-    @abc.abstractmethod
-    def answer(self, found: Any) -> Any:
-        """What is found there, as it is sent back."""
-
-    @abc.abstractmethod
-    def read(self, answer: Any) -> tuple[bool, Any]:
-        """Whether an answer is one to this pack, and what was found. Raises anything for what is no answer at all."""
-
-
-@final
-@dataclass(frozen=True)
-class _Pickle(AbstractPack):
-    """Work for other processes."""
-
-    content: bytes
-
-    @override
-    def opened(self) -> tuple[Work, Mapping[str, Any]]:
-        return pickle.loads(self.content)
-
-    @override
-    def answer(self, found: Any) -> bytes:
-        return pickle.dumps((self._digest(), found))
-
-    @override
-    def read(self, answer: Any) -> tuple[bool, Any]:
-        digest, found = pickle.loads(answer)
-        return digest == self._digest(), found
-
-    def _digest(self) -> bytes:
-        """Tells one piece of work from another, so that no result is believed that is given for another one."""
-        return hashlib.sha256(self.content).digest()
-
-
 @final
 @dataclass(frozen=True, eq=False)
-class _Handed(AbstractPack):
-    """Work for a thread of this process."""
+class Pack:
+    """Some work with its arguments, as an executor is given it: a pickle, or for threads of this process as it stands.
 
-    work: Work
-    call: Mapping[str, Any]
+    An answer tells which pack it answers, so that no result is believed that is given for another one.
+    """
 
-    @override
+    content: Any
+
     def opened(self) -> tuple[Work, Mapping[str, Any]]:
-        return self.work, self.call
+        """The work and its arguments by name, where it is done."""
+        return pickle.loads(self.content) if self._travels else self.content
 
-    @override
-    def answer(self, found: Any) -> tuple[AbstractPack, Any]:
-        return self, found
+    def answer(self, result: Any) -> Any:
+        """A result as it is sent back."""
+        return pickle.dumps((self._name(), result)) if self._travels else (self._name(), result)
 
-    @override
     def read(self, answer: Any) -> tuple[bool, Any]:
-        pack, found = answer
-        return pack is self, found
+        """Whether an answer is one to this pack, and the result. Raises anything for what is no answer at all."""
+        name, result = pickle.loads(answer) if self._travels else answer
+        return name == self._name(), result
+
+    @property
+    def _travels(self) -> bool:
+        return isinstance(self.content, bytes)
+
+    def _name(self) -> Any:
+        return hashlib.sha256(self.content).digest() if self._travels else id(self)
 
 
-def packed(executor: Executor, work: Work, call: Mapping[str, Any]) -> AbstractPack:
+def packed(executor: Executor, work: Work, call: Mapping[str, Any]) -> Pack:
     """Some work with its arguments by name. Raises `ProblemError` for what other processes could not read."""
     if is_of_this_process(executor):
-        return _Handed(work, dict(call))
+        return Pack((work, dict(call)))
     try:
         content = pickle.dumps((work, dict(call)))
     except Exception as error:  # of whatever kind a user's object raises
@@ -230,10 +200,10 @@ def packed(executor: Executor, work: Work, call: Mapping[str, Any]) -> AbstractP
             "not have. Move them into a module, a file of their own beside the script, and import them from there; or "
             "give it to threads of this process, ThreadPoolExecutor(2), which take any model."
         )
-    return _Pickle(content)
+    return Pack(content)
 
 
-def run(pack: AbstractPack) -> Any:
+def run(pack: Pack) -> Any:
     """Do some work where an executor does it: the result or our own exception, and the warnings, as an answer."""
     work, call = pack.opened()
     with _HEARD, warnings.catch_warnings(record=True) as heard:
@@ -246,7 +216,7 @@ def run(pack: AbstractPack) -> Any:
     return pack.answer((result, told))
 
 
-def received(future: "Future[Any]", pack: AbstractPack, where: str) -> Any:
+def received(future: "Future[Any]", pack: Pack, where: str) -> Any:
     """The result of `run` for a pack, or our own exception as a result, with its warnings told here.
 
     Raises `SimulationError` if the worker was lost, or gave what is no result of this pack.
@@ -268,3 +238,93 @@ def received(future: "Future[Any]", pack: AbstractPack, where: str) -> Any:
         for category, message in told:
             warnings.warn(message, category, stacklevel=2)
     return result
+
+
+# The processes that threads of this one are waiting for, and how often all of them have been ended.
+_RUNNING: set[int] = set()
+_ended = 0
+
+
+def in_group() -> dict[str, Any]:
+    """What `subprocess.Popen` needs so that a process and its children form a group."""
+    return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if os.name == "nt" else {"start_new_session": True}
+
+
+def end_group(process: int) -> None:
+    """End a process that leads a group and has not been waited for, with its children."""
+    if os.name == "nt":
+        subprocess.run(["taskkill", "/T", "/F", "/PID", str(process)], capture_output=True, check=False)
+        return
+    try:
+        os.killpg(process, signal.SIGKILL)
+    except ProcessLookupError:
+        return
+
+
+def endings() -> int:
+    """How often `end_running` has been called: to be asked before a process is started."""
+    return _ended
+
+
+@contextmanager
+def ended_with(process: int, is_over: Callable[[], bool], before: int) -> Iterator[None]:
+    """End a process that leads a group if the block is left before it `is_over`, or if `end_running` is called.
+
+    `before`: the `endings` before it was started; one that was called since then did not know of it.
+    """
+    _RUNNING.add(process)
+    if endings() != before:
+        end_group(process)
+    try:
+        yield
+    finally:
+        _RUNNING.discard(process)
+        if not is_over():
+            end_group(process)
+
+
+def end_running() -> None:
+    """End all processes that threads of this one are waiting for: an interrupt reaches neither of them."""
+    global _ended
+    _ended += 1
+    for process in list(_RUNNING):
+        end_group(process)
+
+
+def exit_told(code: int | None) -> str:
+    """How a process ended, in words: by a signal, whose number is negative, or with an exit code."""
+    if code is None or code >= 0:
+        return f"exit code {code}"
+    try:
+        return f"the signal {signal.Signals(-code).name}"
+    except ValueError:
+        return f"the signal {-code}"
+
+
+def end_with_parent(end: Callable[[], None] = end_running) -> None:
+    """In a process that `multiprocessing` has begun: end as soon as the one that began it is gone, however that ended.
+
+    Without this it waits for work, or works for nobody, for ever after a `kill -9` there. `end` comes before.
+    """
+    parent = parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        connection.wait([parent.sentinel])
+        try:
+            end()
+        finally:
+            os._exit(1)  # from a thread: the main one may be within a library
+
+    threading.Thread(target=watch, name="end with parent", daemon=True).start()
+
+
+def report(sender: Connection, function: Callable[[Any], Any], argument: Any) -> None:
+    """In a process of its own: call a function and send what it returns, or what it raises as text."""
+    if os.name != "nt":
+        os.setsid()
+    end_with_parent(lambda: end_group(os.getpid()))
+    try:
+        sender.send((function(argument), None))
+    except Exception as error:
+        sender.send((None, f"{type(error).__name__}: {error}"))

@@ -1,15 +1,29 @@
-"""Typical magnitudes of decisions and constraints, and other decisions at such distances."""
+"""The constraints of a program: their rows and bounds, their magnitudes, and those that no decision can meet."""
 
-from collections.abc import Iterable, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
-from aleator.design import AbstractAtom, Composed, Constraint, Peak, Problem, Rms, Statistic
-from aleator.nlp import HELD, UNBOUNDED, Evaluation, Magnitudes, Matrix, variable_range
+from aleator._core.errors import ProblemError
+from aleator.design import (
+    AbstractAtom,
+    Composed,
+    Constraint,
+    Peak,
+    Problem,
+    Rms,
+    Statistic,
+    is_at_points,
+    is_worst_case,
+)
+from aleator.nlp import HELD, UNBOUNDED, Evaluation, Magnitudes, Matrix, Outcome, variable_range
 from aleator.statistics import Mean, Std, Variance
+from aleator.transcription._abstract import AbstractTranscribed
+from aleator.transcription._scenarios import Scenarios
 
 Values: TypeAlias = Sequence[Float[np.ndarray, "..."]]
 """Rows of each constraint; their number differs between constraints."""
@@ -175,3 +189,106 @@ def elsewhere(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[F
     low, high = variable_range(start, lower, upper, size)
     near = np.clip(start + 1e-2 * rng.choice([-1.0, 1.0], start.shape), lower, upper)
     return [near, *rng.uniform(low, high, (_TRIED, len(start)))]
+
+
+def rows_of(sizes: Int[np.ndarray, " constraints"]) -> tuple[slice, ...]:
+    """The rows of each constraint, from how many it has."""
+    ends = np.cumsum([0, *sizes]).tolist()
+    return tuple(slice(first, last) for first, last in itertools.pairwise(ends))
+
+
+def row_bounds(
+    constraints: Sequence[Constraint], rows: tuple[slice, ...], scenarios: Scenarios | None
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    """The lower and upper bounds of all rows, infinite for limits on realisations in slots that do not count."""
+    lower = spread(rows, [float(one.lower) for one in constraints])
+    upper = spread(rows, [float(one.upper) for one in constraints])
+    for one, where in zip(constraints, rows, strict=True):
+        if (used := _used(one, scenarios)) is not None:
+            empty = ~np.resize(used, where.stop - where.start)
+            lower[where][empty], upper[where][empty] = -np.inf, np.inf
+    return lower, upper
+
+
+def _used(constraint: Constraint, scenarios: Scenarios | None) -> Bool[np.ndarray, " slots"] | None:
+    """The slots at which a constraint is imposed; None if it is not one on realisations."""
+    if scenarios is None or not (is_worst_case(constraint) or is_at_points(constraint)):
+        return None
+    return scenarios.used if is_worst_case(constraint) else scenarios.fixed
+
+
+def as_read(
+    constraint: Constraint,
+    scenarios: Scenarios | None,
+    values: Float[np.ndarray, " rows"],
+    multipliers: Float[np.ndarray, " rows"],
+    active: Bool[np.ndarray, " rows"],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A constraint's rows for reports: for a limit on realisations, the worst over its scenarios."""
+    if (used := _used(constraint, scenarios)) is None:
+        return values, multipliers, active
+    values, multipliers, active = (one.reshape(-1, len(used))[:, used] for one in (values, multipliers, active))
+    worst = values.max(axis=1) if np.isfinite(float(constraint.upper)) else values.min(axis=1)
+    return worst, multipliers.sum(axis=1), np.asarray(active.any(axis=1))
+
+
+def refuse_unsatisfiable(
+    problem: Problem,
+    values: Values,
+    derivatives: Values,
+    scales: list[float],
+    times: Callable[[], Float[np.ndarray, " instants"]],
+    elsewhere: Callable[[], Sequence[Values]],
+) -> None:
+    """Raise `ProblemError` for a constraint that is violated whatever the decisions are.
+
+    - `values`, `derivatives`: of the constraints at the initial decisions;
+    - `times`: the instants; `elsewhere`: gives the values at some other decisions. It is called only for suspect
+      constraints, because a derivative may vanish at one point by chance, or over a range.
+    """
+    suspects = [
+        (i, int(np.argmax(np.where(row, excess, -np.inf))))
+        for i, (one, value, slope, scale) in enumerate(
+            zip(problem.constraints, values, derivatives, scales, strict=True)
+        )
+        if (row := ((excess := _excess(one, value)) > HELD * scale) & np.all(slope == 0, axis=1)).any()
+    ]
+    if not suspects:
+        return
+    others = elsewhere()
+    for i, row in suspects:
+        if all(other[i][row] == values[i][row] for other in others):
+            raise ProblemError(_sentence(problem.constraints[i], float(values[i][row]), len(values[i]), row, times()))
+
+
+def refuse_blind(outcome: Outcome, transcribed: AbstractTranscribed) -> None:
+    """Raise `ProblemError` for decisions that change values although all derivatives by them are zero."""
+    names = blind_decisions(outcome, transcribed)
+    if not names:
+        return
+    raise ProblemError(
+        f"The objective or a constraint changes with {names}, but all its derivatives tried are zero, so that no "
+        "solver by derivatives can choose: the model rounds, floors, casts to whole numbers or stops gradients. "
+        "Make the effect smooth, let a search compare values (al.solvers.DifferentialEvolution()), or fix the number "
+        "and compare its values one by one."
+    )
+
+
+def blind_decisions(outcome: Outcome, transcribed: AbstractTranscribed) -> str:
+    """The decisions that change values although all derivatives by them are zero, in words; empty if there is none."""
+    names = dict(zip(transcribed.decided.tolist(), transcribed.places.entry_names(), strict=True))
+    return " and ".join(f"'{names[i]}'" for i in outcome.blind if i in names)
+
+
+def _excess(constraint: Constraint, value: np.ndarray) -> np.ndarray:
+    with np.errstate(invalid="ignore"):  # Infinite values of an infinite bound exceed nothing.
+        return np.maximum(value - float(constraint.upper), float(constraint.lower) - value)
+
+
+def _sentence(constraint: Constraint, value: float, rows: int, row: int, times: np.ndarray) -> str:
+    when = f" at t = {times[row * len(times) // rows]:.4g} s" if constraint.is_path else ""
+    return (
+        f"Constraint '{constraint.name}' ({constraint}) is {value:.6g}{when} whatever the decisions are, so that "
+        "no design can meet it. Move what is fixed there (a start inside an obstacle, an end beyond a limit), or "
+        "change the bound."
+    )
