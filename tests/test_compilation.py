@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from aleator._core.compilation import Compiled, Use
-from aleator._core.once import once_for_each
 from aleator._core.programs import Programs
+from aleator.mechanics._multibody import once_for_each
 
 
 def _results(tree, kind, x):

@@ -6,6 +6,7 @@ import threading
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -97,6 +98,21 @@ def test_code_that_changed_is_told_and_the_work_done_again(work, calls, monkeypa
     with pytest.warns(al.JournalWarning, match="the model's code has changed since"):
         assert work(1.0, 2) == [1.0, 1.5]
     assert len(calls) == 2
+
+
+WEIGHTS = jnp.array([1.0, 2.0])
+
+
+def weighted(count: int, progress) -> float:
+    progress("weights", 0, 1)
+    return float(sum(weight * count for weight in [*WEIGHTS]))
+
+
+def test_numbers_of_arrays_that_the_function_names_are_part_of_the_work(work, monkeypatch):
+    assert work(1, function=weighted) == 3.0
+    monkeypatch.setattr(f"{__name__}.WEIGHTS", jnp.array([1.0, 4.0]))
+    with pytest.warns(al.JournalWarning, match="the model's code has changed since"):
+        assert work(1, function=weighted) == 5.0
 
 
 def test_what_another_run_could_not_recognise_or_read_is_not_kept_and_said(work, calls, tmp_path):

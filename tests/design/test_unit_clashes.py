@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.design import _units
+from aleator.design import _text
 from aleator.statistics import _units as units
 
 UNITS = {
@@ -94,7 +94,7 @@ def test_units_that_agree_or_are_not_known_are_not_refused(expression):
 
 
 def test_equal_texts_need_no_library_of_units(monkeypatch):
-    for module in (units, _units):
+    for module in (units, _text):
         monkeypatch.setattr(module, "measure", None)
     assert declared(PLACE.mean + out("other_place").std + out("none").mean, PLACE.mean + PLACE.std <= 1.0)
 

@@ -6,8 +6,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 import aleator as al
-from aleator.certification._between import excess_between, tightened
-from aleator.certification._jumps import jumps
+from aleator.certification._between import excess_between, jumps, tightened
 from aleator.certification._reference import reference
 from aleator.design import is_over_time
 from aleator.nlp import FilterSQP, Status

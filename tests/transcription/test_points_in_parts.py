@@ -104,7 +104,7 @@ def test_a_system_that_is_not_a_number_in_any_part_leaves_no_number():
 @pytest.mark.parametrize(("which", "error"), [(0, MemoryError), (1, KeyboardInterrupt)])
 def test_what_a_part_raises_is_raised(which, error):
     transcription = transcribe(decaying())
-    evaluate: Any = transcription.evaluator.with_constants(transcription.constants)._evaluate
+    evaluate: Any = transcription.evaluator.with_constants(transcription.constants)
 
     class Failing:
         def prepare(self, last):
@@ -113,6 +113,6 @@ def test_what_a_part_raises_is_raised(which, error):
         def __call__(self, last):
             raise error
 
-    evaluate._parts[which] = Failing()
+    evaluate._programs[which] = Failing()
     with pytest.raises(error):
         evaluate(np.array([1.0, 0.5]))

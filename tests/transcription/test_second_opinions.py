@@ -8,7 +8,7 @@ import pytest
 import scipy.stats
 
 import aleator as al
-from aleator.certification._fresh_systems import fresh_systems
+from aleator.certification._second_opinion import fresh_systems
 from zoo import LOSS, ONE_STEP, gain_problem
 
 BOUND = 2.0

@@ -174,6 +174,12 @@ class Pack:
         name, result = pickle.loads(answer) if self._travels else answer
         return name == self._name(), result
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Pack) and self._name() == other._name()
+
+    def __hash__(self) -> int:
+        return hash(self._name())
+
     @property
     def _travels(self) -> bool:
         return isinstance(self.content, bytes)

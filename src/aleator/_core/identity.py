@@ -55,7 +55,7 @@ def lasting_name(function: Callable[..., Any], arguments: tuple[Any, ...], *how:
     user's code outside a declared problem. The numbers of arrays are not part of it.
     """
     try:
-        return joined([_surroundings(), *_texts(function), *_texts(how), *_Texts(of_source=False)(arguments)])
+        return joined([_surroundings(), *_texts(function), *_texts(how), *_Texts(whole=False)(arguments)])
     except Exception:  # besides doubts: a user's object may raise any if it is looked at, and may hold itself
         return None
 
@@ -74,7 +74,7 @@ def lasting_digest(it: Any, *, declared: bool = False) -> str:
     Raises `DoubtError` if it cannot be written out.
     """
     try:
-        return joined(_Texts()(jax.tree.map(_in_numpy, it), declared=declared))
+        return joined(_Texts()(it, declared=declared))
     except DoubtError:
         raise
     except Exception as error:  # a user's object may raise any if it is looked at, and may hold itself
@@ -93,10 +93,6 @@ def code_digest(function: Callable[..., Any], version: str = "") -> str:
         pass
     name = getattr(function, "__qualname__", type(function).__qualname__)
     return joined([function.__module__, name, version or uuid.uuid4().hex])
-
-
-def _in_numpy(leaf: Any) -> Any:
-    return np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf
 
 
 def joined(texts: Iterable[str]) -> str:
@@ -161,18 +157,21 @@ def _texts(it: Any) -> Iterator[str]:
 
 
 class _Texts:
-    """The structure of a tree as texts: constants with their values, traced arrays without, classes by their names.
+    """A tree as texts.
 
-    - `of_source`: whether a user's code outside a declared problem is written by its source; a doubt otherwise.
+    - `whole`: whether numbers of JAX are written too, which programs take as arguments, and by its source a user's code
+      outside a declared problem, which is a doubt otherwise.
     """
 
-    def __init__(self, *, of_source: bool = True):
-        self._of_source = of_source
+    def __init__(self, *, whole: bool = True):
+        self._whole = whole
         self._known = set[Any]()  # functions and classes that have been written
 
     def __call__(self, it: Any, *, declared: bool = False) -> Iterator[str]:
         """The texts of an object; `declared`: within a problem, the digest of whose equations covers its code."""
-        if isinstance(it, jax.Array | jax.ShapeDtypeStruct):
+        if isinstance(it, jax.Array) and self._whole:
+            yield f"constant {array_digest(it)}"
+        elif isinstance(it, jax.Array | jax.ShapeDtypeStruct):
             yield f"array {it.shape} {it.dtype} {it.weak_type}"
         elif isinstance(it, np.ndarray | np.generic):
             yield f"constant {_constant(it)}"
@@ -228,7 +227,7 @@ class _Texts:
         yield f"{_name_of(it)}("
         if declared or isinstance(it, np.ufunc) or is_library(it.__module__) or it in self._known:
             return
-        if not self._of_source:
+        if not self._whole:
             raise DoubtError(f"{_name_of(it)} is known to one run alone")
         self._known.add(it)
         if isinstance(it, types.FunctionType):

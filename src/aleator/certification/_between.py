@@ -1,18 +1,86 @@
-"""Limits between the instants of the grid: how far a solution exceeds them, and margins that enforce them."""
+"""Limits between the instants of the grid: how far a solution exceeds them, and margins that enforce them.
+
+At the knots of trajectories outputs may jump, such as torques of a motion of degree 2. An instant has the value of one
+side of a jump only, so that the sides before and after it are judged separately.
+"""
 
 from dataclasses import replace
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from aleator.certification._jumps import jumps, knots, one_sided
-from aleator.certification._reference import Reference, bound_size
-from aleator.design import Constraint, is_over_time
-from aleator.nlp import NonlinearProgram
+from aleator.certification._reference import (
+    Reference,
+    bound_size,
+    follows_trajectories,
+    reference,
+    reference_factor,
+    splines_in,
+)
+from aleator.design import Constraint, Problem, is_over_time
+from aleator.nlp import HELD, AbstractSolver, NonlinearProgram, Outcome, Status
+from aleator.solution import Between
+from aleator.trajectories import piecewise_in
 from aleator.transcription import AbstractTranscribed
+from aleator.uncertainty import at_means, realise
+
+# How often limits between instants are tightened at most.
+_MOST_TIGHTENINGS = 12
+# A jump exceeds this many changes between neighbouring fine instants, and this part of the values.
+_STEEP, _LEAST = 5.0, 1e-6
+# A knot within this many steps of an instant coincides with it up to rounding.
+_AT = 1e-6
 
 Margins = tuple[Float[np.ndarray, " instants"] | None, ...]
+"""By how much the bounds of each constraint are moved inwards at each instant; None for limits on no path or peak."""
+
+
+class Held(NamedTuple):
+    """An outcome, its excess between instants (None if not checked), and its numbers on the finer grid, if any."""
+
+    outcome: Outcome
+    between: Between | None
+    finer: Reference | None
+
+
+def held_between(
+    transcribed: AbstractTranscribed, solver: AbstractSolver, outcome: Outcome, between: int | None
+) -> Held:
+    """Tighten the bounds at instants between which limits are exceeded, and solve again, until they hold.
+
+    `between`: see `solve`. An outcome that is not solved is returned unchanged.
+    """
+    problem = transcribed.problem
+    factor = reference_factor(problem, between)
+    if factor == 1 or outcome.status is not Status.SOLVED:
+        return Held(outcome, None, None)
+    finer = reference(transcribed, outcome.point, factor)
+    if between == 1 or not any(map(is_over_time, problem.constraints)):
+        return Held(outcome, None, finer)
+    excess = excess_between(transcribed, outcome.point, finer)
+    margins, done, loosest = no_margins(excess), 0, outcome.evaluation.objective
+    while HELD < excess.worst < np.inf and done < _MOST_TIGHTENINGS:
+        # Margins may shrink in the first rounds; later they only grow, so that the iteration ends.
+        margins = margins_for(margins, excess, relax=done < _MOST_TIGHTENINGS // 2)
+        again = solver.solve(tightened(transcribed, margins), start=outcome.point, multipliers=outcome.multipliers)
+        if again.status is Status.INTERRUPTED:
+            return Held(again, None, None)
+        if again.status is not Status.SOLVED:
+            break
+        done += 1
+        outcome = again.with_effort_of(outcome)
+        finer = reference(transcribed, outcome.point, factor)
+        excess = excess_between(transcribed, outcome.point, finer)
+    is_strict = between is not None or done > 0 or follows_trajectories(problem)
+    cost = _part(outcome.evaluation.objective - loosest, loosest)
+    return Held(outcome, Between(factor, excess.worst, excess.where, excess.when, is_strict, cost), finer)
+
+
+def _part(rise: float, objective: float) -> float:
+    """A rise of the objective as a part of it."""
+    return max(rise, 0.0) / abs(objective) if rise > 0 and objective else 0.0
 
 
 class Excess(NamedTuple):
@@ -38,7 +106,7 @@ def excess_between(
     meaning = transcribed.at(point)
     shifts: list[Float[np.ndarray, " instants"] | None] = []
     worst = (0.0, "", 0.0)
-    at = knots(problem, meaning.decisions)
+    at = _knots(problem, meaning.decisions)
     for one, value, scale in zip(problem.constraints, finer.values[1:], transcribed.scales, strict=True):
         scale = bound_size(one) or scale
         if not is_over_time(one):
@@ -81,7 +149,7 @@ def _shifts(
     s = worst / factor
     share = np.stack([1 - s, s]) / ((1 - s) ** 2 + s**2)
     first, last = np.where(excess > 0, share * excess, excess)
-    one_sided(first, last, inside, sides)
+    _one_sided(first, last, inside, sides)
     return np.maximum(np.append(first, -np.inf), np.append(-np.inf, last))
 
 
@@ -107,3 +175,66 @@ def tightened(transcribed: AbstractTranscribed, margins: Margins) -> NonlinearPr
             moved = np.repeat(margin, (rows.stop - rows.start) // len(margin))
             lower[rows], upper[rows] = lower[rows] + moved, upper[rows] - moved
     return replace(program, constraint_lower=lower, constraint_upper=upper)
+
+
+class Jump(NamedTuple):
+    """One jump of a path: its place in steps of the finer grid, and the values on both sides, shape (entries,)."""
+
+    place: float
+    before: Float[np.ndarray, " entries"]
+    after: Float[np.ndarray, " entries"]
+
+
+def _knots(problem: Problem, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " knots"]:
+    """The interior knots of splines and nodes of controls at some decisions, as fractions of a problem's time."""
+    model = realise(at_means(problem.simulation), jnp.zeros(0), jnp.asarray(decisions))
+    parts = model.system, model.inputs
+    ends = (one.breaks() for one in (*splines_in(parts), *piecewise_in(parts)))
+    fractions = np.concatenate([np.zeros(0), *ends])
+    return np.unique(fractions[(fractions > 0) & (fractions < 1)])
+
+
+def jumps(values: Float[np.ndarray, "finer entries"], at: Float[np.ndarray, " knots"]) -> list[Jump]:
+    """The jumps of a path at knots, from linear extrapolation on both sides."""
+    jumps_there = []
+    last, size = len(values) - 1, float(np.abs(values).max(initial=0.0))
+    for place in at * last:
+        left, right = int(np.ceil(place - _AT)) - 1, int(np.floor(place + _AT)) + 1
+        if left < 1 or right > last - 1:
+            continue
+        rising, going = values[left] - values[left - 1], values[right + 1] - values[right]
+        before, after = values[left] + rising * (place - left), values[right] - going * (right - place)
+        change = max(float(np.abs(rising).max()), float(np.abs(going).max()))
+        if float(np.abs(after - before).max()) > _STEEP * change + _LEAST * size:
+            jumps_there.append(Jump(float(place), before, after))
+    return jumps_there
+
+
+def _one_sided(
+    first: Float[np.ndarray, " intervals"],
+    last: Float[np.ndarray, " intervals"],
+    inside: Float[np.ndarray, "intervals fine"],
+    sides: list[tuple[float, float, float]],
+) -> None:
+    """Let each end of an interval with a jump account for its own side only; changes `first` and `last` in place.
+
+    - `first`, `last`: the shifts required at the left and right ends of intervals; `inside`: the excess at fine
+      instants;
+    - `sides`: jumps, as place in fine steps and excess before and after.
+    """
+    factor = inside.shape[1] - 1
+    for i in sorted({j for place, _, _ in sides for j in _intervals(place / factor, len(inside))}):
+        here = [(place / factor - i, before, after) for place, before, after in sides]
+        here = [side for side in here if -_AT <= side[0] <= 1 + _AT]
+        fine = np.arange(factor + 1) / factor
+        earliest, latest = min(side[0] for side in here), max(side[0] for side in here)
+        # Exactly at a jump, rounding decides which side an instant's value belongs to.
+        left = inside[i][fine < earliest - _AT].tolist() + [before for at, before, _ in here if at == earliest]
+        right = inside[i][fine > latest + _AT].tolist() + [after for at, _, after in here if at == latest]
+        first[i] = max(left) if earliest > _AT else -np.inf
+        last[i] = max(right) if latest < 1 - _AT else -np.inf
+
+
+def _intervals(place: float, count: int) -> set[int]:
+    """The intervals that contain a place, in steps: two if it is an instant."""
+    return {i for i in (int(np.floor(place - _AT)), int(np.floor(place + _AT))) if 0 <= i < count}

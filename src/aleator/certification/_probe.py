@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from aleator.certification._alone import Alone, alone_elsewhere, middle
-from aleator.certification._reference import Reference, rounding_of, row_sizes
+from aleator.certification._reference import Alone, Reference, alone_elsewhere, middle, rounding_of, row_sizes
 from aleator.design import Constraint, Problem, functionals_of, is_over_time
 from aleator.dynamics import Grid
 from aleator.transcription import AbstractTranscribed, bound_size

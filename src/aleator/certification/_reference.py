@@ -1,6 +1,8 @@
-"""A problem on a finer grid with an integrator of another order, by which its own grid is judged."""
+"""A problem on a finer grid with an integrator of another order, by which its own grid is judged, and one system of its
+family at instants that no grid has.
+"""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -10,22 +12,27 @@ from jaxtyping import Array, Float, Int
 
 from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
-from aleator.certification._alone import Alone, alone, alone_elsewhere, middle
-from aleator.certification._jumps import splines_in
 from aleator.design import (
+    AbstractFunctional,
     Constraint,
+    OneSystem,
     Peak,
     Problem,
     Statistic,
     functionals_of,
     grid_at,
+    responses,
+    step_at,
 )
 from aleator.dynamics import Grid
 from aleator.expansion import Collocation
 from aleator.statistics import Constants, Mean, Std
-from aleator.trajectories import AbstractTrajectory, least_steps, piecewise_in
+from aleator.trajectories import AbstractTrajectory, BSpline, least_steps, piecewise_in
 from aleator.transcription import AbstractTranscribed, Discretised, scope_of
+from aleator.uncertainty import named_numbers
 
+# The other instants come from a prime number of steps: at least this many, and this many times those of the finer grid.
+_STEPS, _BEYOND = 4099, 1.5
 # Factor of steps for systems that follow trajectories, whose limits are enforced between instants, and for others;
 # then the least number of steps in all, and between two knots.
 _FOLLOWING, _PLAIN, _FEWEST, _BY_PIECE = 10, 2, 100, 4
@@ -33,6 +40,64 @@ _FOLLOWING, _PLAIN, _FEWEST, _BY_PIECE = 10, 2, 100, 4
 ROUNDING = 1e-9
 # Allowance for the error of the finer grid itself, which is much smaller.
 OWN_ERROR = 1.25
+
+
+class Alone(NamedTuple):
+    """One system of the family: a problem's expressions for it, then its functionals."""
+
+    expressions: tuple[Float[np.ndarray, "..."], ...]
+    functionals: tuple[Float[np.ndarray, "..."], ...]
+
+
+def middle(collocation: Collocation) -> int:
+    """The index of the collocation point that is closest to the mean of all."""
+    points, weights = np.asarray(collocation.points), np.asarray(collocation.weights)
+    away = points - weights @ points
+    size = np.sqrt(weights @ away**2)
+    return int(np.argmin(np.sum((away / np.where(size > 0, size, 1.0)) ** 2, axis=1)))
+
+
+def alone(
+    problem: Problem, values: Mapping[AbstractFunctional, Array], decisions: Float[Array, " n"]
+) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """The parts of `Alone` from the functionals of one system."""
+    scope = OneSystem(values, named_numbers(problem.simulation, decisions), step_at(problem, decisions))
+    expressions = tuple(jnp.asarray(one.evaluate(scope)) for one in problem.expressions)
+    return expressions, tuple(values[one] for one in functionals_of(problem.expressions))
+
+
+def _elsewhere(problem: Problem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> tuple:
+    functionals = functionals_of(problem.expressions)
+    values = responses(problem, functionals, germ[None], decisions)
+    return alone(problem, dict(zip(functionals, (one[0] for one in values), strict=True)), decisions)
+
+
+ELSEWHERE = Compiled(_elsewhere, use=Use.ONCE)
+
+
+def alone_elsewhere(
+    problem: Problem, collocation: Collocation, decisions: Float[np.ndarray, " n"], factor: int
+) -> Callable[[], Alone]:
+    """The system in the middle of a problem's family, at a few thousand instants that no grid of the problem has.
+
+    It is simulated on another core; the function returned waits for the result.
+
+    A grid and those with a whole multiple of its steps share their instants. A ripple whose period is one step is
+    constant at all of them, and a shock between two of them is invisible. A prime number of steps gives other instants,
+    and more of them than the grid of `factor` times as many steps.
+    """
+    assert isinstance(problem.grid, Grid)
+    # The nodes of controls are instants of every grid.
+    whole = least_steps((problem.system, problem.inputs))
+    steps = whole * _prime_from(-(-max(_STEPS, int(_BEYOND * factor * problem.grid.steps)) // whole))
+    there = numbers_to_arrays(problem.on_grid(problem.grid.divided(steps)))
+    point = jax_array(np.asarray(collocation.points)[middle(collocation)])
+    simulated = ELSEWHERE.begin(there, point, jax_array(decisions))
+    return lambda: Alone(*jax.tree.map(np.asarray, simulated()))
+
+
+def _prime_from(number: int) -> int:
+    return next(one for one in range(number, 2 * number) if all(one % k for k in range(2, int(one**0.5) + 1)))
 
 
 class Reference(NamedTuple):
@@ -107,6 +172,15 @@ def pieces(problem: Problem) -> int:
     return max([followed, whole, *(one.count - one.degree for one in splines_in(parts))])
 
 
+def splines_in(tree: Any) -> list[BSpline]:
+    """All splines in a model or a part of it, including those inside other trajectories."""
+
+    def is_spline(node: Any) -> bool:
+        return isinstance(node, BSpline)
+
+    return [one for one in jax.tree.leaves(tree, is_leaf=is_spline) if is_spline(one)]
+
+
 def reference(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], factor: int) -> Reference:
     """A problem's numbers on a grid of `factor` times as many steps, with another integrator."""
     problem, collocation, decisions = transcribed.problem, transcribed.collocation, transcribed.decisions(point)
@@ -139,12 +213,12 @@ def rounding_of(transcribed: AbstractTranscribed, sizes: Float[np.ndarray, " row
 
     A functional with a bound of zero is a difference of numbers of that magnitude.
     """
-    found: dict[Any, float] = {}
+    rounding: dict[Any, float] = {}
     for one, rows in zip(transcribed.problem.constraints, transcribed.rows, strict=True):
         size = float(np.max(sizes[rows], initial=0.0))
         for functional, factor in bounded_by(one):
-            found[functional] = max(found.get(functional, 0.0), ROUNDING * size / factor)
-    return found
+            rounding[functional] = max(rounding.get(functional, 0.0), ROUNDING * size / factor)
+    return rounding
 
 
 def row_sizes(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " rows"]:

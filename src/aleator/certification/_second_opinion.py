@@ -2,10 +2,14 @@
 
 Optimisers exploit errors of an expansion. Its errors at a few fresh systems correct each statistic (a control variate:
 the expansion's own number plus the mean error), with a standard error by the jackknife.
+
+Half of the systems are drawn at random, half from the tails: an output may owe much of its spread to the one system in
+a hundred that no collocation point and none of a few random systems resembles. Weights undo the choice (multiple
+importance sampling with the balance heuristic of Veach & Guibas, 1995), and no weight exceeds 2.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import NamedTuple, final
 
 import numpy as np
@@ -14,7 +18,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import jax_array, numbers_to_arrays
-from aleator.certification._fresh_systems import FreshSystems, fresh_systems
+from aleator.certification._reference import prepare_reference
 from aleator.design import (
     AbstractScopeOfInstants,
     Problem,
@@ -24,7 +28,7 @@ from aleator.design import (
     sizes,
     statistics_in,
 )
-from aleator.ensemble import inputs_at, listed
+from aleator.ensemble import at_levels, inputs_at, listed, random_levels
 from aleator.solution import SecondOpinion
 from aleator.statistics import (
     AbstractStatistic,
@@ -38,23 +42,59 @@ from aleator.statistics import (
     Supremum,
     Variance,
 )
-from aleator.transcription import RESPOND, AbstractTranscribed, Meaning
-from aleator.uncertainty import named_numbers
+from aleator.transcription import RESPOND, AbstractTranscribed, Discretised, Meaning
+from aleator.uncertainty import AbstractGerm, named_numbers
 
 # Fresh systems: enough for a standard error, and cheap compared with one evaluation with derivatives.
 _FRESH = 32
-
 # The two-sided probability of four standard deviations of a normal variable.
 _RARE = math.erfc(4 / math.sqrt(2))
-
 # Shifts up to the first part of the effect of one standard deviation are negligible; an excess over a bound by more
 # than the second part breaks it.
 _NONE, _BREAKS = 0.01, 0.05
-
 # Outputs that vary by less than this part of their size are constant up to rounding.
 _ROUNDING = 1e-11
 
 _FOLLOW_THE_SPREAD = (Quantile, CornishFisher, ConditionalValueAtRisk, Supremum, Infimum)
+# The depths of tails, as parts of all systems: more than 4 standard deviations of a normal germ, and the median.
+_DEEPEST, _SHALLOWEST = 1e-5, 0.5
+
+
+class FreshSystems(NamedTuple):
+    """Germ points, and the weights with which their mean stands for all systems."""
+
+    points: Float[np.ndarray, "fresh variables"]
+    weights: Float[np.ndarray, " fresh"]
+
+
+def fresh_systems(germs: Collection[AbstractGerm], count: int, generator: np.random.Generator) -> FreshSystems:
+    """Half of the systems drawn at random, in the others one germ after the other in its lower or its upper tail.
+
+    Depths within a tail are log-uniform, spread evenly over the systems of that tail.
+    """
+    levels = random_levels(generator, count, len(germs))
+    tails = np.arange(count - count // 2) % (2 * len(germs))
+    which, upper = tails // 2, tails % 2 == 1
+    depths = _depths(tails, generator)
+    levels[count // 2 + np.arange(len(tails)), which] = np.where(upper, 1 - depths, depths)
+    drawn = np.bincount(tails, minlength=2 * len(germs)) / count
+    density = count // 2 / count + _tail_density(levels) @ drawn[::2] + _tail_density(1 - levels) @ drawn[1::2]
+    return FreshSystems(at_levels(germs, levels), 1 / density)
+
+
+def _depths(tails: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """A depth for each system, one in each of the equal parts of its tail's logarithmic range."""
+    parts = np.empty(len(tails))
+    for tail in np.unique(tails):
+        those = np.flatnonzero(tails == tail)
+        parts[those] = (np.arange(len(those)) + generator.random(len(those))) / len(those)
+    return _DEEPEST * (_SHALLOWEST / _DEEPEST) ** parts
+
+
+def _tail_density(depths: np.ndarray) -> np.ndarray:
+    """The density of a level at a depth below the median, relative to a random one."""
+    inside = (depths >= _DEEPEST) & (depths <= _SHALLOWEST)
+    return np.where(inside, 1 / (np.maximum(depths, _DEEPEST) * np.log(_SHALLOWEST / _DEEPEST)), 0.0)
 
 
 class _Fresh(NamedTuple):
@@ -138,11 +178,11 @@ def second_opinion(transcribed: AbstractTranscribed, point: Float[np.ndarray, " 
         if broken.any():
             named = listed(inputs_at(transcribed.places, jax_array(systems.points[broken][0]), decisions))
             share = float(systems.weights[broken].sum() / systems.weights.sum())
-            told = f"{text} is not finite in about {100 * share:.2g} % of all systems, such as that with {named}"
-            return SecondOpinion(_FRESH, {}, (told,), "")
-    found = _opinion(transcribed, fresh, point)
-    if found.agrees:
-        return found
+            sentence = f"{text} is not finite in about {100 * share:.2g} % of all systems, such as that with {named}"
+            return SecondOpinion(_FRESH, {}, (sentence,), "")
+    opinion = _opinion(transcribed, fresh, point)
+    if opinion.agrees:
+        return opinion
     magnitudes = sizes(problem, jax_array(systems.points[0]), decisions)
     allowed_for = {
         text: one._replace(values=one.predicted) if one.is_rounding(float(size)) else one
@@ -174,16 +214,16 @@ def _opinion(
     transcribed: AbstractTranscribed, fresh: Mapping[str, _Fresh], point: Float[np.ndarray, " variables"]
 ) -> SecondOpinion:
     # Functionals that only limits on the worst case use do not rely on their expansion.
-    asked = {one.text() for one in expanded_functionals(transcribed.problem.expressions)}
-    fresh = {text: one for text, one in fresh.items() if text in asked}
+    expanded = {one.text() for one in expanded_functionals(transcribed.problem.expressions)}
+    fresh = {text: one for text, one in fresh.items() if text in expanded}
     misses = {text: one.miss() for text, one in fresh.items()}
-    told = [
+    missed = [
         f"the expansion predicts fresh simulations of {text} with an error of {miss:.2g} of their standard deviation"
         for text, miss in misses.items()
         if not miss <= 2 * transcribed.problem.expansion.tolerance
     ]
     shifts, broken = _judged(transcribed, fresh, point)
-    return SecondOpinion(_FRESH, misses, (*told, *shifts), broken)
+    return SecondOpinion(_FRESH, misses, (*missed, *shifts), broken)
 
 
 def _fresh(
@@ -194,13 +234,13 @@ def _fresh(
 ) -> dict[str, _Fresh]:
     samples, resolved = transcribed.at(point).samples, transcribed.resolve(point)
     predict = transcribed.basis.matrix(systems.points) @ np.asarray(transcribed.collocation.pseudo_inverse)
-    found = {}
+    fresh = {}
     for text, seen, known in zip(transcribed.texts.functionals, values, samples, strict=True):
         predicted = (predict @ np.asarray(known).reshape(len(known), -1)).reshape(seen.shape)
         moments = resolved[text]
         weights = systems.weights.reshape(-1, *[1] * (seen.ndim - 1))
-        found[text] = _Fresh(seen, predicted, weights, np.asarray(moments.mean), np.asarray(moments.std) ** 2)
-    return found
+        fresh[text] = _Fresh(seen, predicted, weights, np.asarray(moments.mean), np.asarray(moments.std) ** 2)
+    return fresh
 
 
 def _corrected(
@@ -255,16 +295,16 @@ def _judged(
     times = meaning.times
     step = float(times[1] - times[0]) if len(times) > 1 else 1.0
     scope = _Replicated(known, lambda: named_numbers(problem.simulation, jax_array(meaning.decisions)), step)
-    told, broken = [], ""
+    sentences, broken = [], ""
     for which, expression in enumerate(problem.expressions):
         if not any(isinstance(leaf, Statistic) for leaf in expression.leaves):
             continue
         shift = _shift(np.asarray(expression.evaluate(scope)))
         if shift is None:
             continue
-        told.append(f"{expression} differs by {shift.by:+.3g} ± {shift.error:.2g} in fresh simulations")
+        sentences.append(f"{expression} differs by {shift.by:+.3g} ± {shift.error:.2g} in fresh simulations")
         broken = broken or _break(transcribed, which, shift, meaning)
-    return told, broken
+    return sentences, broken
 
 
 class _Shift(NamedTuple):
@@ -305,3 +345,10 @@ def _break(transcribed: AbstractTranscribed, which: int, shift: _Shift, meaning:
         return ""
     corrected = f"{shift.by:+.3g} ± {shift.error:.2g}"
     return f"'{limit.name}' is broken by {beyond:.3g} once the expansion is corrected by {corrected}"
+
+
+def prepare_judges(factor: int, problem: Problem, discretised: Discretised) -> None:
+    """Begin to compile the finer grid of `factor` times as many steps, if there is one, and the second opinion."""
+    if factor > 1:
+        prepare_reference(problem, discretised, factor)
+    prepare_opinion(problem)

@@ -1,27 +1,46 @@
-"""From the end of a nonlinear program back to the `Solution` of a problem."""
+"""From the end of a program back to its problem: the `Solution`, how far its expansions can be trusted, or where a
+simulation failed.
+"""
 
+from collections.abc import Mapping
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from aleator import _core
-from aleator.certification._quality import quality_of
-from aleator.design import expanded_functionals
+from aleator.design import Problem, expanded_functionals, first_broken, grid_at, sizes, statistics_in, unsolved
+from aleator.dynamics import Grid
+from aleator.ensemble import inputs_at, listed
+from aleator.expansion import ILL_CONDITIONED, unseen
 from aleator.nlp import Outcome, Status
 from aleator.solution import (
     Between,
     Certificate,
     ConstraintResult,
     Effort,
+    ExpansionQuality,
     GridError,
     Moments,
+    SecondOpinion,
     Solution,
     Times,
     WorstCase,
 )
-from aleator.transcription import AbstractTranscribed, Meaning, as_read
+from aleator.statistics import Covariance, Mean, Std, Variance
+from aleator.transcription import AbstractTranscribed, Meaning, Resolved, as_read
+from aleator.uncertainty import correlations_at
 
 _UNFINISHED = (Status.INFEASIBLE, Status.ITERATION_LIMIT, Status.EVALUATION_FAILED, Status.FAILED)
+# The relative error of an expansion that is tolerated for moments.
+_TRUSTED = {Mean: 1.0, Std: 1 / 3, Variance: 1 / 3, Covariance: 1 / 3}
+# A spread below this part of the magnitude of a functional's terms is rounding.
+_ROUNDING = 1e-11
+# Differences that no data would show.
+_TOLERATED = 0.01
+# Most numbers in a message.
+_MOST_NUMBERS = 5
 
 
 def solution_of(
@@ -43,11 +62,11 @@ def solution_of(
     entries = dict(zip(decided.tolist(), names, strict=True))
     # Multipliers of a search that was not finished say nothing of what a push would change.
     is_unfinished = outcome.status in _UNFINISHED
-    told = (None, None) if is_unfinished else transcribed.costates_at(outcome.point, outcome.multipliers)
-    costates, switching = told
+    duals = (None, None) if is_unfinished else transcribed.costates_at(outcome.point, outcome.multipliers)
+    costates, switching = duals
     # Limits on the worst case use the model itself.
-    asked = {one.text() for one in expanded_functionals(problem.expressions)}
-    expanded = {text: one for text, one in resolved.items() if text in asked}
+    texts = {one.text() for one in expanded_functionals(problem.expressions)}
+    expanded = {text: one for text, one in resolved.items() if text in texts}
     return Solution(
         problem=problem,
         status=outcome.status,
@@ -121,3 +140,158 @@ def _constraint_results(
 def _shaped(rows: np.ndarray, times: np.ndarray | None) -> np.ndarray:
     """A constraint's rows by instant, if it has several at each."""
     return rows if times is None or len(rows) == len(times) else rows.reshape(len(times), -1)
+
+
+def quality_of(
+    transcribed: AbstractTranscribed, resolved: Mapping[str, Resolved], point: Float[np.ndarray, " variables"]
+) -> ExpansionQuality:
+    """The quality of the expansions at a point, from `resolved` there."""
+    basis, collocation = transcribed.basis, transcribed.collocation
+    tolerance, meaning = transcribed.problem.expansion.tolerance, transcribed.at(point)
+    errors = {text: float(one.leave_one_out) for text, one in resolved.items()}
+    return ExpansionQuality(
+        order=basis.order,
+        terms=basis.terms,
+        points=len(collocation.points),
+        condition_number=float(collocation.condition_number),
+        leave_one_out=errors | _rounding(transcribed, resolved, errors, meaning.decisions),
+        unresolved_from={
+            text: float(meaning.times[int(np.argmax(late))])
+            for text, one in resolved.items()
+            if one.history is not None and (late := ~(np.asarray(one.history) <= tolerance)).any()
+        },
+        tolerance=tolerance,
+        tangents={
+            text: dict(zip(transcribed.places.of_distributions, np.asarray(one.tangents).tolist(), strict=True))
+            for text, one in resolved.items()
+            if one.tangents is not None
+        },
+        unseen=unseen(basis, np.asarray(collocation.points)),
+    )
+
+
+def _rounding(
+    transcribed: AbstractTranscribed,
+    resolved: Mapping[str, Resolved],
+    errors: Mapping[str, float],
+    decisions: Float[np.ndarray, " n"],
+) -> dict[str, float]:
+    """Unresolved functionals that are numbers and spread by rounding alone, whose error therefore counts as zero.
+
+    For example, the rate at the end of a motion that comes to rest is zero in every system, up to rounding.
+    """
+    tolerance = transcribed.problem.expansion.tolerance
+    suspects = {text for text, error in errors.items() if not error <= tolerance and np.ndim(resolved[text].std) == 0}
+    if not suspects:
+        return {}
+    magnitudes = sizes(transcribed.problem, transcribed.collocation.points[0], jnp.asarray(decisions))
+    return {
+        text: 0.0
+        for text, size in zip(transcribed.texts.functionals, magnitudes, strict=True)
+        if text in suspects and float(resolved[text].std) <= _ROUNDING * float(size)
+    }
+
+
+def untrusted(problem: Problem, quality: ExpansionQuality) -> str:
+    """A sentence on the statistic whose expansion is least accurate, if too inaccurate to act on; empty if none is.
+
+    An error adds to a variance by its square: a third of the standard deviation is a ninth of the variance. Tails have
+    no such advantage, and are trusted only up to the expansion's tolerance; a mean is less sensitive. A user who sets a
+    higher tolerance accepts it for all of them.
+    """
+    worst, sentence = 1.0, ""
+    for one in statistics_in(problem.expressions):
+        most = max(quality.tolerance, _TRUSTED.get(type(one.kind), 0.0))
+        for functional in one.functionals:
+            error = quality.leave_one_out.get(functional.text(), 0.0)
+            # If no points are left to check it by, the error is infinite, and fresh simulations decide.
+            if not np.isinf(error) and not error <= worst * most:
+                worst = error / most
+                sentence = (
+                    f"it misses {functional.text()} by {error:.2g} of its standard deviation, where {one.text()} asks "
+                    f"for {most:.2g} at most"
+                )
+    return sentence
+
+
+def doubts(quality: ExpansionQuality, opinion: SecondOpinion | None) -> list[str]:
+    """Why the statistics of an expansion cannot be trusted, a sentence each; empty if they can."""
+    sentences = []
+    if not quality.is_conditioned:
+        sentences.append(
+            f"The collocation matrix has condition number {quality.condition_number:.1e} (limit "
+            f"{ILL_CONDITIONED:.0e}), so coefficients lose digits. Use more points, a lower order, or "
+            "al.points.ChristoffelPoints()"
+        )
+    if not quality.can_be_checked:
+        sentences.append(
+            f"{quality.points} points for {quality.terms} terms leave nothing to check the expansion of order "
+            f"{quality.order} by, so whether means and spreads can be trusted is not known. Use more points"
+        )
+    elif quality.unresolved:
+        bad = [f"{text} ({quality.leave_one_out[text]:.2g}){quality.since(text)}" for text in quality.unresolved]
+        sentences.append(
+            f"The expansion of order {quality.order} does not resolve {', '.join(bad)}: its relative leave-one-out "
+            f"error exceeds {quality.tolerance:g}, so means and spreads cannot be trusted. Raise the order"
+        )
+    if opinion is not None and not opinion.agrees:
+        # Without predictions to compare there is a system that has no result, at any order.
+        remedy = "Raise the order" if opinion.misses else "Mend the model there, or bound the distributions"
+        sentences.append(f"{opinion.sentence()}. {remedy}")
+    return sentences
+
+
+def moved_correlations(problem: Problem, decisions: Float[np.ndarray, " n"]) -> str:
+    """Which correlations differ from those declared, in a sentence; empty if none does."""
+    places = problem.placements
+    if not any(one.dependence is not None and one.shape_is_decided for one in places.distributions.values()):
+        return ""
+    declared, now = (correlations_at(places, one) for one in (places.vector("initial"), decisions))
+    moved = [pair for pair in declared if not abs(now[pair] - declared[pair]) <= _TOLERATED]
+    if not moved:
+        return ""
+    texts = ", ".join(
+        f"{now[pair]:.3g} between {' and '.join(pair)} in the place of {declared[pair]:.3g}" for pair in moved
+    )
+    return (
+        f"at this design correlations are {texts}: a decision sets a shape, and a copula keeps to the shapes in which "
+        "it was made. Make it with this design as the initial values of its decisions, and solve again"
+    )
+
+
+def diagnose(transcribed: AbstractTranscribed, decisions: Float[np.ndarray, " n"]) -> str:
+    """A message on the first point, output and instant whose value is not finite: the reason, then a few numbers."""
+    outputs = {name: np.asarray(values) for name, values in transcribed.outputs(decisions).items()}
+    times = grid_at(transcribed.problem, jnp.asarray(decisions)).times
+    broken = first_broken(outputs)
+    numbers = dict(zip(transcribed.places.entry_names(), decisions.tolist(), strict=True))
+    if broken is None:
+        return (
+            "Where the solver stopped, every simulation is finite, but the objective, a constraint or its derivative "
+            "is not: look for a root or logarithm of zero, or a division by zero, in outputs or cost curves. The "
+            f"decisions are {_few(numbers, _MOST_NUMBERS)}."
+        )
+    name, point, instant = broken
+    uncertain = inputs_at(transcribed.places, transcribed.points[point], jnp.asarray(decisions))
+    # The realisation's numbers take precedence: one of many failed, while all have the same decisions.
+    realised = min(len(uncertain), _MOST_NUMBERS - min(len(numbers), 2))
+    count = len(transcribed.collocation.points)
+    place = f"collocation point {point + 1} of {count}" if point < count else "a scenario of the worst case"
+    who = f"{place} ({_few(uncertain, realised)})" if uncertain else ""
+    where = f"The decisions are {_few(numbers, _MOST_NUMBERS - realised)}."
+    germ = jnp.asarray(transcribed.points[point])
+    if reason := unsolved(transcribed.problem, germ, jnp.asarray(decisions)):
+        return f"{reason.rstrip('.')}.{who and f' This is {who}.'} {where}"
+    what = f"The simulation{who and ' of ' + who} is not finite: output '{name}'"
+    if not isinstance(transcribed.problem.grid, Grid):
+        return f"{what}. Look for a root or logarithm of zero, or a division by zero. {where}"
+    remedy = (
+        "Shorten the time step, tighten the decisions' bounds or use an implicit integrator (al.integrators.Kvaerno5)."
+    )
+    return f"{what} from t = {times[instant]:.4g} s on. {remedy} {where}"
+
+
+def _few(numbers: dict[str, float], most: int) -> str:
+    """The first of some numbers, and how many more there are."""
+    shown = listed(dict(list(numbers.items())[:most]))
+    return f"{shown} and {len(numbers) - most} more" if len(numbers) > most else shown

@@ -1,21 +1,48 @@
-"""Limits on the worst case of the model itself, found by a search over its realisations, not by its expansion."""
+"""Limits on the worst case of the model itself, found by a derivative-free search over its realisations, not by its
+expansion.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeAlias, TypeVar
+from typing import NamedTuple, TypeAlias, TypeVar, final
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+import scipy
+from jaxtyping import Array, Bool, Float
 
-from aleator.certification._oracle import Oracle, worst_case_limits
-from aleator.certification._search import Points, candidates, search
-from aleator.design import AbstractFunctional, Constraint, functionals_of, is_worst_case
-from aleator.ensemble import inputs_at
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.compilation import Compiled
+from aleator.design import (
+    Constraint,
+    OneSystem,
+    Problem,
+    functionals_of,
+    grid_at,
+    is_worst_case,
+    responses,
+    step_at,
+)
+from aleator.ensemble import in_batches, inputs_at
 from aleator.nlp import HELD, Outcome, Status
 from aleator.solution import WorstCase, WorstRealisation
-from aleator.transcription import AbstractTranscribed, Scenarios
+from aleator.transcription import AbstractTranscribed, Scenarios, germ_box
+from aleator.uncertainty import named_numbers
 
+Points: TypeAlias = Float[np.ndarray, "points variables"]
+"""Points of the box, scaled to between 0 and 1 in each variable."""
+
+ExcessAt: TypeAlias = Callable[[Points], Float[np.ndarray, "points limits"]]
+"""The model's excess over each limit at some points; NaN where it has no value."""
+
+# Points spread over the box in each search, and the most corners that are tried.
+_SPREAD, _MOST_CORNERS = 128, 128
+# From how many points the search continues for each limit, and their least distance.
+_STARTS, _APART = 3, 0.15
+# The first and the last step, the number of points in other directions than the axes, and the most axes tried.
+_FIRST_STEP, _LAST_STEP, _BESIDE, _MOST_AXES = 0.5, 1e-5, 6, 12
+_MOST_SWEEPS = 60
 # How often scenarios are added and the program is solved again at most.
 _MOST_ROUNDS = 20
 # The most new scenarios per limit and round, and the least excess of a new one, relative to the worst.
@@ -29,6 +56,186 @@ T = TypeVar("T")
 
 Attempt: TypeAlias = Callable[[AbstractTranscribed, np.ndarray | None, np.ndarray | None], tuple[Outcome, T]]
 """Solves a transcribed problem from a start with multipliers, if they fit; returns the outcome and further results."""
+
+
+class WorstPoints(NamedTuple):
+    """The worst points of each limit, the worst first, and their excess over it: one array per limit."""
+
+    points: tuple[Points, ...]
+    beyond: tuple[Float[np.ndarray, " points"], ...]
+
+
+def candidates(variables: int, seed: int, rank: Callable[[Points], np.ndarray]) -> Points:
+    """Initial points of the search: the middle, corners, ends of each variable, and some points inside.
+
+    - `rank`: gives the indices of the worst of many points by a cheap model, the expansion.
+    """
+    generator = np.random.default_rng(seed)
+    middle = np.full((1, variables), 0.5)
+    ends = np.repeat(middle, 2 * variables, axis=0)
+    ends[np.arange(2 * variables), np.repeat(np.arange(variables), 2)] = np.tile([0.0, 1.0], variables)
+    if 2**variables <= _MOST_CORNERS:
+        corners = np.indices((2,) * variables).reshape(variables, -1).T.astype(float)
+    else:
+        corners = generator.integers(0, 2, (_MOST_CORNERS, variables)).astype(float)
+    inside = scipy.stats.qmc.Sobol(variables, rng=generator).random(16 * _SPREAD)
+    many = np.concatenate([inside, np.round(inside), np.round(generator.random(inside.shape))])
+    return np.concatenate([middle, ends, corners, inside[:_SPREAD], many[rank(many)]])
+
+
+def search(excess_at: ExcessAt, tried: Points, beyond: Float[np.ndarray, "points limits"], seed: int) -> WorstPoints:
+    """Search from the worst of the points tried to a local worst point near each, for every limit.
+
+    It tries points along the axes and in random directions, with steps that shrink if nothing worse is found. It needs
+    no derivatives, tolerates kinks, and stops at faces and corners of the box.
+    """
+    generator = np.random.default_rng(seed)
+    starts = [_apart(tried, column) for column in np.nan_to_num(beyond, nan=np.inf).T]
+    limit = np.repeat(np.arange(len(starts)), [len(one) for one in starts])
+    which = np.concatenate(starts)
+    at, best = tried[which], np.nan_to_num(beyond[which, limit], nan=np.inf)
+    step = np.full(len(at), _FIRST_STEP)
+    for _ in range(_MOST_SWEEPS):
+        going = np.flatnonzero((step > _LAST_STEP) & np.isfinite(best))
+        if not going.size:
+            break
+        places = _beside(at[going], step[going], generator)
+        values = _values(excess_at, places, limit[going])
+        leap = _leaps(at[going], step[going], best[going], places, values)
+        places = np.concatenate([places, leap[:, None]], axis=1)
+        values = np.concatenate([values, _values(excess_at, leap[:, None], limit[going])], axis=1)
+        k = np.argmax(values, axis=1)
+        reached, where = values[np.arange(len(going)), k], places[np.arange(len(going)), k]
+        better = reached > best[going]
+        moved = np.max(np.abs(where - at[going]), axis=1)
+        # If the worse point was close, the maximum is presumed near; if it was far, possibly far.
+        step[going] = np.where(better, np.clip(2 * moved, step[going] / 8, step[going]), step[going] / 4)
+        at[going] = np.where(better[:, None], where, at[going])
+        best[going] = np.maximum(best[going], reached)
+    order = [np.flatnonzero(limit == i)[np.argsort(-best[limit == i])] for i in range(len(starts))]
+    return WorstPoints(tuple(at[one] for one in order), tuple(best[one] for one in order))
+
+
+def _apart(points: Points, beyond: Float[np.ndarray, " points"]) -> np.ndarray:
+    """The indices of the worst points that are not close to a worse one."""
+    chosen: list[int] = []
+    for i in np.argsort(-beyond, kind="stable"):
+        if all(np.max(np.abs(points[i] - points[j])) >= _APART for j in chosen):
+            chosen.append(int(i))
+        if len(chosen) == _STARTS:
+            break
+    return np.array(chosen)
+
+
+def _beside(at: Points, step: Float[np.ndarray, " starts"], generator: np.random.Generator) -> np.ndarray:
+    """Points near each: one step up and down along (some of) the axes, and some in other directions."""
+    starts, variables = at.shape
+    axes = generator.permutation(variables)[:_MOST_AXES]
+    moves = np.zeros((starts, 2 * len(axes) + _BESIDE, variables))
+    for i, axis in enumerate(axes):
+        moves[:, 2 * i, axis], moves[:, 2 * i + 1, axis] = 1.0, -1.0
+    if variables > 1:
+        moves[:, 2 * len(axes) :] = generator.normal(size=(starts, _BESIDE, variables)) / np.sqrt(variables)
+    else:
+        moves[:, 2:, 0] = np.linspace(-0.75, 0.75, _BESIDE)
+    return np.clip(at[:, None] + step[:, None, None] * moves, 0.0, 1.0)
+
+
+def _values(excess_at: ExcessAt, places: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """The excess of each start's points over its own limit; infinite where there is no value."""
+    excess = excess_at(places.reshape(-1, places.shape[-1])).reshape(*places.shape[:2], -1)
+    own = np.take_along_axis(excess, limit[:, None, None], axis=2)[..., 0]
+    return np.nan_to_num(own, nan=np.inf)
+
+
+def _leaps(
+    at: Points, step: np.ndarray, best: np.ndarray, places: np.ndarray, values: np.ndarray
+) -> Float[np.ndarray, "starts variables"]:
+    """Leaps to the vertices of the parabolas along all axes at once; a full step uphill along straight ones."""
+    leap = at.copy()
+    for start in range(len(at)):
+        for i in range(0, places.shape[1] - _BESIDE, 2):
+            up, down = places[start, i], places[start, i + 1]
+            axis = int(np.argmax(np.abs(up - at[start]) + np.abs(down - at[start])))
+            a, b = up[axis] - at[start, axis], at[start, axis] - down[axis]
+            rise, fall = values[start, i] - best[start], values[start, i + 1] - best[start]
+            if not (np.isfinite(rise) and np.isfinite(fall)):
+                continue
+            if a > 0 and b > 0 and (rise / a + fall / b) < 0:
+                bend, slope = (rise / a + fall / b) / (a + b), (rise * b / a - fall * a / b) / (a + b)
+                leap[start, axis] += np.clip(-slope / (2 * bend), -2 * step[start], 2 * step[start])
+            elif max(rise, fall) > 0:
+                leap[start, axis] = up[axis] if rise >= fall else down[axis]
+    return np.clip(leap, 0.0, 1.0)
+
+
+def worst_case_limits(problem: Problem) -> tuple[Constraint, ...]:
+    """The limits on the worst case among a problem's constraints."""
+    return tuple(one for one in problem.constraints if is_worst_case(one))
+
+
+class Reached(NamedTuple):
+    """Limits on the worst case at some realisations, each where it is closest to its bound or furthest beyond it.
+
+    - `beyond`: the excess over the bound, negative inside; `value`: of the functional; `time`: when (s), NaN if the
+      limit is not over time.
+    """
+
+    beyond: Float[np.ndarray, "points limits"]
+    value: Float[np.ndarray, "points limits"]
+    time: Float[np.ndarray, "points limits"]
+
+
+def _reached(
+    problem: Problem, germ: Float[Array, "points variables"], decisions: Float[Array, " n"]
+) -> tuple[Array, Array, Array]:
+    """The parts of `Reached`."""
+    limits = worst_case_limits(problem)
+    functionals = functionals_of(tuple(one.expression for one in limits))
+    times, step = grid_at(problem, decisions).times, step_at(problem, decisions)
+    numbers = named_numbers(problem.simulation, decisions)
+
+    def one(values: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+        scope = OneSystem(dict(zip(functionals, values, strict=True)), numbers, step)
+        reached = []
+        for limit in limits:
+            value = jnp.asarray(limit.expression.evaluate(scope))
+            beyond = jnp.ravel(jnp.maximum(value - limit.upper, limit.lower - value))
+            # The first NaN counts as the largest.
+            worst = jnp.argmax(beyond)
+            time = times[worst * len(times) // beyond.size] if limit.is_path else jnp.nan
+            reached.append((beyond[worst], jnp.ravel(value)[worst], time))
+        return tuple(jnp.stack(part) for part in zip(*reached, strict=True))  # type: ignore[return-value]
+
+    return jax.vmap(one)(responses(problem, functionals, germ, decisions))
+
+
+REACHED = Compiled(_reached)
+
+
+@final
+class Oracle:
+    """The model of a problem at realisations, in batches, on a grid with `factor` times as many steps as its own.
+
+    `simulated`: the number of realisations so far.
+    """
+
+    def __init__(self, problem: Problem, factor: int):
+        self._traced = numbers_to_arrays(problem.on_grid(problem.grid.finer(factor)))
+        self.low, self.high = germ_box(problem).T
+        self.simulated = 0
+
+    def __call__(self, germ: Float[np.ndarray, "points variables"], decisions: np.ndarray) -> Reached:
+        self.simulated += len(germ)
+        return Reached(*in_batches(REACHED, self._traced, germ, jnp.asarray(decisions)))
+
+    def germ(self, points: Points) -> Float[np.ndarray, "points variables"]:
+        """Map points of the unit box into the germ's box."""
+        return self.low + points * (self.high - self.low)
+
+    def unit(self, germ: Float[np.ndarray, "points variables"]) -> Points:
+        """The inverse of `germ`."""
+        return (germ - self.low) / (self.high - self.low)
 
 
 def held_at_worst(
@@ -51,7 +258,7 @@ def held_at_worst(
     the latter is None if no limit is on the worst case, or nothing is uncertain.
     """
     problem = transcribed.problem
-    if not any(map(is_worst_case, problem.constraints)) or not problem.placements.germs:
+    if not worst_case_limits(problem) or not problem.placements.germs:
         return transcribed, *attempt(transcribed, start, multipliers), None
     oracle = Oracle(problem, factor)
     transcribed = transcribed.at_scenarios(_first(transcribed, oracle, start, known))
@@ -71,7 +278,7 @@ def held_at_worst(
         outcome, beside = again(transcribed, begun, before.multipliers)
         outcome = outcome.with_effort_of(before)
         rounds += 1
-    return transcribed, outcome, beside, _told(transcribed, outcome, oracle, worst, rounds)
+    return transcribed, outcome, beside, _reported(transcribed, outcome, oracle, worst, rounds)
 
 
 def _first(
@@ -111,19 +318,15 @@ def _expansions(transcribed: AbstractTranscribed, point: np.ndarray) -> list[Flo
     """The coefficients of how far each limit on the worst case is exceeded, at some of its instants."""
     functionals = functionals_of(transcribed.problem.expressions)
     samples = transcribed.at(point).samples
-    found = []
+    expansions = []
     for limit in worst_case_limits(transcribed.problem):
-        values = samples[functionals.index(_functional(limit))]
+        (functional,) = functionals_of((limit.expression,))
+        values = samples[functionals.index(functional)]
         if limit.is_path:
             values = values[:, :: max(1, values.shape[1] // _RANKED_INSTANTS)]
         side = 1.0 if np.isfinite(float(limit.upper)) else -1.0
-        found.append(side * np.asarray(transcribed.collocation.coefficients(jnp.asarray(values))))
-    return found
-
-
-def _functional(limit: Constraint) -> AbstractFunctional:
-    (functional,) = functionals_of((limit.expression,))
-    return functional
+        expansions.append(side * np.asarray(transcribed.collocation.coefficients(jnp.asarray(values))))
+    return expansions
 
 
 def _searched(
@@ -134,19 +337,19 @@ def _searched(
     decisions = transcribed.decisions(outcome.point)
     points = _candidates(transcribed, oracle, outcome.point, seed)
     beyond = oracle(oracle.germ(points), decisions).beyond
-    found = search(lambda places: oracle(oracle.germ(places), decisions).beyond, points, beyond, seed)
+    worst_points = search(lambda places: oracle(oracle.germ(places), decisions).beyond, points, beyond, seed)
     # Present scenarios may exceed a limit between instants too: margins have to enforce it there.
     at_hand = beyond[: len(transcribed.scenarios.held)].max(axis=0)
     allowed = np.maximum(at_hand, 0.0) + HELD / 2 * _sizes(transcribed, outcome)
     new = [
         some[(excess > allowance) & (excess >= _WORTH * excess[0])][:_NEW]
-        for some, excess, allowance in zip(*found, allowed, strict=True)
+        for some, excess, allowance in zip(*worst_points, allowed, strict=True)
     ]
-    worst = np.stack([some[0] for some in found.points])
+    worst = np.stack([some[0] for some in worst_points.points])
     return oracle.germ(np.unique(np.concatenate(new), axis=0)), oracle.germ(worst)
 
 
-def _told(
+def _reported(
     transcribed: AbstractTranscribed, outcome: Outcome, oracle: Oracle, worst: np.ndarray, rounds: int
 ) -> WorstCase:
     """The worst realisations to report: those of the last search, or scenarios that are worse."""
@@ -168,7 +371,7 @@ def _told(
                 numbers=inputs_at(transcribed.places, germ[k], jnp.asarray(decisions)),
             )
         )
-    return WorstCase(tuple(realisations), transcribed.scenarios.found, rounds, oracle.asked)
+    return WorstCase(tuple(realisations), transcribed.scenarios.found, rounds, oracle.simulated)
 
 
 def _sizes(transcribed: AbstractTranscribed, outcome: Outcome) -> Float[np.ndarray, " limits"]:

@@ -1,55 +1,57 @@
 """Checks of a problem before anything is compiled; each refusal says what was expected and what was received."""
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from typing import Any
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr
+from jaxtyping import Float
 
-from aleator._core.arrays import jax_array, numbers_to_arrays
-from aleator._core.border import meant, traceable
-from aleator._core.equations import Digest, digest_of, joint_digest, refuse_unsteady
-from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.identity import code_digest, is_library
-from aleator.design._cost import CostCurve
-from aleator.design._declaration import AbstractProblem
+from aleator._core.arrays import jax_array
+from aleator._core.border import meant
+from aleator._core.errors import ProblemError
 from aleator.design._expression import Expression
-from aleator.design._extreme import Extreme
-from aleator.design._functionals import AbstractIntegral
-from aleator.design._realisations import refuse_diagnosed
-from aleator.design._response import grid_at
-from aleator.design._scope import AbstractComposite, AbstractScope, Value
+from aleator.design._functionals import Path
+from aleator.design._objectives import CostCurve
+from aleator.design._response import AbstractProblem
+from aleator.design._scope import AbstractComposite, Value
 from aleator.design._statistic import (
-    AbstractFunctional,
-    Taken,
+    Extreme,
+    Statistic,
     functionals_of,
-    joined,
     statistics_in,
 )
-from aleator.design._units import refuse_clashes
+from aleator.design._text import refuse_clashes
 from aleator.dynamics import (
     AbstractIntegrator,
     AbstractSystem,
     AlgebraicSystem,
-    Equations,
     Grid,
     Instant,
+    Simulation,
     System,
-    called,
     check_signals,
 )
 from aleator.expansion import Expansion
-from aleator.statistics import AbstractStatistic, Sobol, TotalSobol, refuse_correlated
+from aleator.mechanics import AbstractFormulation
+from aleator.statistics import Mean, Sobol, TotalSobol, refuse_correlated
 from aleator.trajectories import piecewise_in
-from aleator.uncertainty import named_numbers, realise, refuse_nonpositive, uncertain_again
+from aleator.uncertainty import (
+    AbstractGerm,
+    at_means,
+    named_numbers,
+    placements,
+    realise,
+    refuse_nonpositive,
+    uncertain_numbers,
+)
+
+# Quantile at which unbounded variables are tried, on either side: one realisation in a billion lies beyond.
+_TAIL = 1e-9
 
 
-def check(problem: AbstractProblem) -> "Declared":
-    """Raise `ProblemError` for the first fault found, from the outside inwards; else trace the equations."""
+def check(problem: AbstractProblem) -> None:
+    """Raise `ProblemError` for the first fault, from the outside inwards."""
     _check_types(problem)
     _check_inputs(problem)
     _check_time(problem)
@@ -58,8 +60,7 @@ def check(problem: AbstractProblem) -> "Declared":
     _check_values(problem)
     _check_germs(problem)
     refuse_clashes(problem)
-    refuse_diagnosed(problem)
-    return declared(problem)
+    _refuse_diagnosed(problem)
 
 
 def _check_types(problem: AbstractProblem) -> None:
@@ -144,7 +145,7 @@ def _check_values(problem: AbstractProblem) -> None:
     for expression in problem.expressions:
         for atom in expression.leaves:
             if isinstance(atom, Value | CostCurve) and atom.name not in numbers:
-                raise ProblemError(_unknown("number of the model", atom.name, list(numbers)))
+                raise ProblemError(unknown("number of the model", atom.name, list(numbers)))
 
 
 def _check_germs(problem: AbstractProblem) -> None:
@@ -156,126 +157,121 @@ def _check_germs(problem: AbstractProblem) -> None:
         named = kind.variables if isinstance(kind, Sobol) else (kind.variable,) if isinstance(kind, TotalSobol) else ()
         for name in named:
             if name not in known:
-                raise ProblemError(_unknown("germ variable", name, known))
+                raise ProblemError(unknown("germ variable", name, known))
 
 
-def _unknown(kind: str, name: str, known: list[str]) -> str:
+def unknown(kind: str, name: str, known: list[str]) -> str:
     return f"There is no {kind} '{name}'; expected one of {known}.{meant(name, known)}"
 
 
-class Declared(NamedTuple):
-    """A problem's equations, and the digest of all that is computed: of these and of its expressions."""
+def _refuse_diagnosed(problem: AbstractProblem) -> None:
+    """Raise `ProblemError` for any fault that a system diagnoses, or if its torques cannot hold its start.
 
-    equations: Equations
-    digest: Digest
-
-
-def declared(problem: AbstractProblem) -> Declared:
-    """Trace the equations of a problem; for a deterministic one, of the uncertain one that it stands for.
-
-    Raises `ProblemError` if two traces differ, or if outputs and expressions do not match.
+    Systems are diagnosed at the means; then with each uncertain number at either end of its distribution and the others
+    at their medians; and with each decided number of the system itself (not of a prescribed motion) at either bound.
     """
-    whole = eqx.tree_at(lambda one: one.simulation, problem, uncertain_again(problem.simulation))
-    equations, realisation = _traced(whole)
-    refuse_unsteady(type(problem.system).__name__, equations.digest, lambda: _traced(whole)[0].digest)
-    instants = len(whole.grid.fractions) if isinstance(whole.grid, Grid) else 1
-    outputs = {name: np.zeros((instants, *shape)) for name, shape in equations.output_shapes().items()}
-    _check_outputs(whole, outputs)
-    expressions = digest_of(_check_shapes(whole, outputs))
-    parts = {"realisation": realisation, "equations": equations.digest, "expressions": expressions}
-    # A user's own statistics and integrators are in no equations.
-    kinds = (type(whole.integrator), *(type(one.kind) for one in statistics_in(whole.expressions)))
-    own = {one.__qualname__: Digest(code_digest(one), False) for one in kinds if not is_library(one.__module__)}
-    return Declared(equations, joint_digest(parts | own))
+    if type(problem.system).diagnose is AbstractSystem.diagnose:
+        return
+    start = jax_array(problem.placements.vector("initial"))
+    _refuse(_at_means(problem, start), "")
+    for germ in _extremes(list(problem.placements.germs.values())):
+        numbers = uncertain_numbers(problem.placements, jax_array(germ), start)
+        where = ", ".join(f"{name} = {float(number):.4g}" for name, number in numbers.items())
+        _refuse(realise(problem.simulation, jax_array(germ), start), f" In the system with {where}.")
+    for name, decisions in _bounds(problem):
+        _refuse(_at_means(problem, decisions), f" In the system with {name}.")
+    _refuse_unheld(problem)
 
 
-def _traced(problem: AbstractProblem) -> tuple[Equations, Digest]:
-    """The equations of a realised system, and the digest of how its numbers and signals follow from the problem's."""
-    places, found = problem.placements, list[Equations]()
-    numbers, static = eqx.partition(numbers_to_arrays(problem.simulation), eqx.is_array)
-
-    def realised(numbers: Any, germ: jax.Array, decisions: jax.Array) -> Any:
-        simulation = realise(eqx.combine(numbers, static), germ, decisions)
-        found.append(simulation.traced_equations())
-        return eqx.filter(numbers_to_arrays((simulation, simulation.start())), eqx.is_array)
-
-    germ, decisions = (jax.ShapeDtypeStruct((size,), float) for size in (len(places.germ_names), places.size))
-    closed = jax.make_jaxpr(realised)(numbers, germ, decisions)
-    return found[0], digest_of(closed)
+def _at_means(problem: AbstractProblem, decisions: Any) -> Simulation:
+    return realise(at_means(problem.simulation), jax_array(np.zeros(0)), jax_array(decisions))
 
 
-def _check_outputs(problem: AbstractProblem, outputs: Mapping[str, np.ndarray]) -> None:
-    for functional in functionals_of(problem.expressions):
-        for name in functional.outputs:
-            if name not in outputs:
-                raise ProblemError(_unknown(f"output of {type(problem.system).__name__}", name, list(outputs)))
-
-
-def _check_shapes(problem: AbstractProblem, outputs: Mapping[str, np.ndarray]) -> ClosedJaxpr:
-    """Check that terms of expressions match, and that the objective is one number. Returns the expressions, traced."""
-    zeros = {name: jax_array(values) for name, values in outputs.items()}
-
-    def values(traced: AbstractProblem) -> list[jax.Array]:
-        scope = _ShapeScope(traced, zeros)
-        return [
-            _evaluated(one, scope, written)
-            for one, written in zip(traced.expressions, problem.expressions, strict=True)
-        ]
-
-    numbers, static = eqx.partition(numbers_to_arrays(problem), eqx.is_array)
-    traced, shaped = jax.make_jaxpr(lambda numbers: values(eqx.combine(numbers, static)), return_shape=True)(numbers)
-    if shaped[0].shape != ():
-        raise ProblemError(
-            f"The objective must be one number, but '{problem.objective}' has shape {shaped[0].shape}: use integral, "
-            "rms, peak or terminal instead of path, and an output or one number of a model in the place of an array."
-        )
-    return traced
-
-
-def _evaluated(expression: Expression, scope: AbstractScope, written: Expression) -> jax.Array:
-    """The value of a traced expression; `written` is the same expression in a form that can be printed."""
+def _refuse(simulation: Simulation, who: str) -> None:
     try:
-        return jnp.asarray(expression.evaluate(scope))
-    except AleatorError:
-        raise
-    except (TypeError, ValueError) as error:
-        raise ProblemError(f"The terms of '{written}' have incompatible shapes: {error}") from error
+        diagnosis = simulation.system.diagnose(simulation.grid)
+    except ProblemError as error:
+        diagnosis = str(error)
+    if diagnosis:
+        raise ProblemError(diagnosis + who)
 
 
-class _ShapeScope(AbstractScope):
-    """Statistics of the right shapes, with arbitrary values."""
+def _extremes(germs: list[AbstractGerm]) -> Iterator[Float[np.ndarray, " variables"]]:
+    """Germ points with one variable at an end of its distribution, the others at their medians."""
+    middle = np.array([float(germ.quantile(np.array(0.5))) for germ in germs])
+    for i, germ in enumerate(germs):
+        for end, level in zip(germ.support(), (_TAIL, 1 - _TAIL), strict=True):
+            point = middle.copy()
+            point[i] = end if np.isfinite(end) else float(germ.quantile(np.array(level)))
+            yield point
 
-    def __init__(self, problem: AbstractProblem, outputs: dict[str, jax.Array]):
-        self._problem, self._outputs = problem, outputs
-        self._grid = grid_at(problem, jnp.zeros(problem.placements.size))
 
-    def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> jax.Array:
-        # A statistic has the shape of its functional, without the axis of jointly taken ones.
-        del kind
-        values = joined([self._evaluated(one) for one in functionals])
-        return values if len(functionals) == 1 else values[..., 0]
+def _bounds(problem: AbstractProblem) -> Iterator[tuple[str, Float[np.ndarray, " n"]]]:
+    """Decisions with one number of the system at a finite bound and the others at their start, with its name.
 
-    def _evaluated(self, functional: AbstractFunctional) -> jax.Array:
-        integrals: dict[AbstractFunctional, jax.Array] = {}
-        if isinstance(functional, AbstractIntegral):
-            now = {name: one[0] for name, one in self._outputs.items()}
-            integrals[functional] = traceable(
-                f"{type(functional).__name__}.integrand", called(functional, functional.integrand, now)
+    Entries of an array are moved together: the moments of a body, for example, may be impossible one at a time.
+    """
+    system, places = problem.system, problem.placements
+    own = placements(system.model if isinstance(system, AbstractFormulation) else system).decisions
+    start, names = places.vector("initial"), places.entry_names()
+    single = [place.where for name, place in places.decisions.items() if name in own]
+    for i in (where.start for where in single if where.stop - where.start == 1):
+        for bound in (places.vector("lower")[i], places.vector("upper")[i]):
+            if np.isfinite(bound) and bound != start[i]:
+                decisions = start.copy()
+                decisions[i] = bound
+                yield f"{names[i]} = {bound:.4g}", decisions
+
+
+def _refuse_unheld(problem: AbstractProblem) -> None:
+    """Refuse limits below the holding torques, where the system starts at rest whatever the decisions are."""
+    held = _held(problem)
+    for constraint in problem.constraints:
+        least, most = _range(constraint.expression, held)
+        if least > float(constraint.upper) + 1e-9 or most < float(constraint.lower) - 1e-9:
+            torques = dict.fromkeys(name for atom in constraint.expression.atoms for name in atom.subjects)
+            needed = ", ".join(f"{name} = {held[name]:.4g}" for name in torques)
+            raise ProblemError(
+                f"Constraint '{constraint.name}' ({constraint}) cannot hold the system still at the start, which needs "
+                f"{needed} at the means. Raise the limit, lighten the load, start in another posture, or do not "
+                "prescribe the acceleration at the start."
             )
-        taken = Taken(self._outputs, integrals)
-        who = f"{type(functional).__name__}.evaluate"
-        value = traceable(who, called(functional, functional.evaluate, taken, self._grid))
-        instants = len(self._outputs[functional.output])
-        if functional.is_path and value.shape[:1] != (instants,):
-            raise ProblemError(f"{who}: expected one number per instant, {instants} in all; received {value.shape}.")
-        return value
 
-    def time_integral(self, expression: Expression) -> jax.Array:
-        return expression.evaluate(self)[0]
 
-    def realised(self, functional: AbstractFunctional) -> jax.Array:
-        return self._evaluated(functional)
+def _range(expression: Expression, held: dict[str, float]) -> tuple[float, float]:
+    """The range of an expression of means and spreads of torques at the start; unbounded for other expressions."""
+    value, least, most = float(expression.constant), 0.0, 0.0
+    for factor, atom in zip(expression.factors, expression.atoms, strict=True):
+        path = isinstance(atom, Statistic) and isinstance(atom.functionals[0], Path) and atom.functionals[0].output
+        if path not in held or not (atom.is_spread or isinstance(atom.kind, Mean)):  # type: ignore[attr-defined]
+            return -np.inf, np.inf
+        if not atom.is_spread:
+            value += float(factor) * held[path]
+        elif factor != 0:
+            # The spread of torques is not known here, except that it is not negative.
+            least, most = (least, np.inf) if factor > 0 else (-np.inf, most)
+    return value + least, value + most
 
-    def value(self, name: str) -> jax.Array:
-        numbers = named_numbers(self._problem.simulation, jnp.zeros(self._problem.placements.size))
-        return jnp.ones(jnp.shape(numbers[name]) if name in numbers else ())
+
+def _held(problem: AbstractProblem) -> dict[str, float]:
+    """The holding torques at the means, as far as they are the same at other, distant decisions."""
+    start, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))
+    along = np.linspace(0.25, 0.45, len(start))
+    between = np.isfinite(lower) & np.isfinite(upper)
+    held = _holding(problem, start)
+    for part, step in ((along, 1 + along), (1 - along, -1 - along)):
+        inside = np.where(between, lower, 0.0) + part * np.where(between, upper - lower, 0.0)
+        decisions = np.where(between, inside, np.clip(start + step, lower, upper))
+        other = _holding(problem, decisions) if held else {}
+        held = {name: one for name, one in held.items() if np.isclose(one, other.get(name, np.nan), rtol=1e-9)}
+    return held
+
+
+def _holding(problem: AbstractProblem, decisions: Float[np.ndarray, " n"]) -> dict[str, float]:
+    simulation = _at_means(problem, decisions)
+    try:
+        held = simulation.system.holding(simulation.grid)
+    except ProblemError:
+        # A system that cannot be built there needs no torque.
+        return {}
+    return {name: float(one) for name, one in held.items()}

@@ -101,9 +101,9 @@ def _is_control(node: Any) -> bool:
     return isinstance(node, Control)
 
 
-def _numbers(name: str, given: Any) -> Float[np.ndarray, "..."]:
+def _numbers(name: str, values: Any) -> Float[np.ndarray, "..."]:
     expected = "one number or one for each value on the grid"
-    numbers = real_array(f"Control: {name}", given, expected)
+    numbers = real_array(f"Control: {name}", values, expected)
     if numbers.ndim > 1 or numbers.size == 0:
         raise ProblemError(f"Control: {name}: expected {expected}; received shape {numbers.shape}.")
     return numbers

@@ -15,9 +15,17 @@ from aleator._core.arrays import Scalar, in_library, jax_array, quietly
 from aleator._core.border import a_name
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
-from aleator.design._numbers import number_given, ordered
 from aleator.design._rules import AbstractRule, Norm, Power, Product, Quotient
-from aleator.design._scope import AbstractAtom, AbstractComposite, AbstractRandom, AbstractScope, Units, Value
+from aleator.design._scope import (
+    AbstractAtom,
+    AbstractComposite,
+    AbstractRandom,
+    AbstractScope,
+    Units,
+    Value,
+    a_number,
+    ordered,
+)
 from aleator.statistics import common
 
 
@@ -55,7 +63,7 @@ class Expression(Module):
     def __mul__(self, other: Any) -> "Expression":
         if isinstance(other, Expression) and other.atoms:
             return composed(Product(), self, other) if self.atoms else other * self.constant
-        number = number_given(_plain(other), "multiply an expression by")
+        number = a_number(_plain(other), "multiply an expression by")
         return Expression(tuple(number * factor for factor in self.factors), self.atoms, number * self.constant)
 
     __rmul__ = __mul__
@@ -63,7 +71,7 @@ class Expression(Module):
     def __truediv__(self, other: Any) -> "Expression":
         if isinstance(other, Expression) and other.atoms:
             return composed(Quotient(), self, other)
-        number = number_given(_plain(other), "divide an expression by")
+        number = a_number(_plain(other), "divide an expression by")
         if number == 0:
             raise ProblemError(f"'{self}' cannot be divided by zero; received {number}.")
         return self * (1 / number)
@@ -72,7 +80,7 @@ class Expression(Module):
         return as_expression(other) / self
 
     def __pow__(self, exponent: Any) -> "Expression":
-        return composed(Power(number_given(exponent, "be an exponent")), self)
+        return composed(Power(a_number(exponent, "be an exponent")), self)
 
     def __abs__(self) -> "Expression":
         return composed(Norm(), self)
@@ -299,7 +307,7 @@ def as_expression(value: Any) -> Expression:
         return value
     if isinstance(value, AbstractRandom):
         return value.refuse()
-    return Expression((), (), number_given(value, "be added to or compared with an expression"))
+    return Expression((), (), a_number(value, "be added to or compared with an expression"))
 
 
 def _plain(value: Any) -> Any:

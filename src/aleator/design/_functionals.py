@@ -1,9 +1,10 @@
-"""The functionals: integral, rms, terminal, path and peak of an output; an output without time."""
+"""The functionals: integrals of an output, rms, terminal, path and peak; an output without time."""
 
 import abc
 from collections.abc import Mapping
 from typing import Any, final
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 from typing_extensions import override
@@ -11,7 +12,7 @@ from typing_extensions import override
 from aleator.design._expression import Constraint, Expression
 from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, statistics_in
 from aleator.dynamics import AbstractGrid, Grid
-from aleator.statistics import integrated, root
+from aleator.statistics import integrated, product, root, squared
 
 # The order of what the integrator carries, at the instants of its grid.
 INTEGRATED = 4
@@ -192,3 +193,44 @@ def is_over_time(constraint: Constraint) -> bool:
 def expanded_functionals(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctional, ...]:
     """The functionals in the expressions that need an expansion: those with a statistic, not only a worst case."""
     return tuple(dict.fromkeys(one for atom in statistics_in(expressions) for one in atom.functionals))
+
+
+@final
+class SquareIntegral(AbstractIntegral):
+    """The time integral of an output's square."""
+
+    @override
+    def integrand(self, now: Mapping[str, Array]) -> Array:
+        return now[self.output] ** 2
+
+    @override
+    def text(self) -> str:
+        return f"∫{self.output}² dt"
+
+    @override
+    def unit(self, outputs: Mapping[str, str]) -> str:
+        return integrated(squared(outputs.get(self.output, "")))
+
+
+@final
+class Work(AbstractIntegral):
+    """The time integral of the magnitude of a product, such as torque times rate: the energy exchanged.
+
+    With a `smoothing` `s`, the magnitude is `sqrt(x² + s²) - s`: smooth, and at most `s` below `|x|`.
+    """
+
+    smoothing: float = eqx.field(static=True, default=0.0)
+
+    @override
+    def integrand(self, now: Mapping[str, Array]) -> Array:
+        force, rate = (now[name] for name in self.outputs)
+        exchanged, s = force * rate, self.smoothing
+        return jnp.sqrt(exchanged**2 + s**2) - s if s else jnp.abs(exchanged)
+
+    @override
+    def text(self) -> str:
+        return f"∫|{' '.join(self.outputs)}| dt"
+
+    @override
+    def unit(self, outputs: Mapping[str, str]) -> str:
+        return integrated(product(*(outputs.get(name, "") for name in self.outputs)))

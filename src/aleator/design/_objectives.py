@@ -1,66 +1,31 @@
-"""Objectives of motion planning: time, effort, power, rate of torque (75)-(84); terminal errors (85), (86)."""
+"""The terms of objectives beside statistics: functions of expressions, integrals over time, costs of small spreads.
 
-from collections.abc import Mapping, Sequence
+Motion planning: time, effort, power, rate of torque (75)-(84); terminal errors (85), (86). Cost-uncertainty curves:
+equation (125) and the curves listed in [107].
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias, final
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.arrays import Scalar
+from aleator._core.border import a_name, refusal
 from aleator._core.errors import ProblemError
 from aleator.design._expression import Expression, as_expression, composed, value
-from aleator.design._functionals import AbstractIntegral, path, terminal
-from aleator.design._numbers import smoothing_given
-from aleator.design._rules import Norm
-from aleator.design._scope import AbstractAtom, AbstractComposite, AbstractScope, Units
-from aleator.design._statistic import name_given, statistic
-from aleator.statistics import CoefficientProduct, integrated, product, squared
+from aleator.design._functionals import SquareIntegral, Work, path, terminal
+from aleator.design._rules import Extremum, Norm, Own, PositivePart, Pure
+from aleator.design._scope import AbstractAtom, AbstractComposite, AbstractScope, Units, a_number, a_smoothing
+from aleator.design._statistic import an_output, statistic
+from aleator.statistics import CoefficientProduct, integrated
 
+Curve = Callable[..., Float[Array, ""]]
 Weights: TypeAlias = float | Sequence[float] | Array | None
 """One factor per term, in order; a number for a single term. `None` means ones."""
-
-
-@final
-class SquareIntegral(AbstractIntegral):
-    """The time integral of an output's square."""
-
-    @override
-    def integrand(self, now: Mapping[str, Array]) -> Array:
-        return now[self.output] ** 2
-
-    @override
-    def text(self) -> str:
-        return f"∫{self.output}² dt"
-
-    @override
-    def unit(self, outputs: Mapping[str, str]) -> str:
-        return integrated(squared(outputs.get(self.output, "")))
-
-
-@final
-class Work(AbstractIntegral):
-    """The time integral of the magnitude of a product, such as torque times rate: the energy exchanged.
-
-    With a `smoothing` `s`, the magnitude is `sqrt(x² + s²) - s`: smooth, and at most `s` below `|x|`.
-    """
-
-    smoothing: float = eqx.field(static=True, default=0.0)
-
-    @override
-    def integrand(self, now: Mapping[str, Array]) -> Array:
-        force, rate = (now[name] for name in self.outputs)
-        exchanged, s = force * rate, self.smoothing
-        return jnp.sqrt(exchanged**2 + s**2) - s if s else jnp.abs(exchanged)
-
-    @override
-    def text(self) -> str:
-        return f"∫|{' '.join(self.outputs)}| dt"
-
-    @override
-    def unit(self, outputs: Mapping[str, str]) -> str:
-        return integrated(product(*(outputs.get(name, "") for name in self.outputs)))
 
 
 @final
@@ -100,16 +65,16 @@ class TimeIntegral(AbstractComposite):
 def time_integrals(expression: Expression) -> tuple[Expression, ...]:
     """The expressions that are integrated over time within another one, in the order of evaluation."""
     return tuple(
-        found
+        inner
         for atom in expression.atoms
         for one in atom.inner
-        for found in ((one,) if isinstance(atom, TimeIntegral) else time_integrals(one))
+        for inner in ((one,) if isinstance(atom, TimeIntegral) else time_integrals(one))
     )
 
 
 def beside_integrals(expression: Expression) -> Expression:
     """The sum of the statistics and values of an expression that stand outside of its time integrals."""
-    found = tuple(
+    outside = tuple(
         part
         for atom in expression.atoms
         if not isinstance(atom, TimeIntegral)
@@ -117,7 +82,7 @@ def beside_integrals(expression: Expression) -> Expression:
             tuple(leaf for one in atom.inner for leaf in beside_integrals(one).atoms) if atom.inner else atom.parts
         )
     )
-    return Expression((1.0,) * len(found), found)
+    return Expression((1.0,) * len(outside), outside)
 
 
 def final_time() -> Expression:
@@ -134,7 +99,7 @@ def torque_rate(*torques: str, weights: Weights = None) -> Expression:
     """The expected rate of torques, `sum of w_i E[∫ τ̇_i² dt]`: `J_D4` (78) and `J_S3` (84), called jerk there. It uses
     the outputs `<torque>_rate`.
     """
-    return _weighted([SquareIntegral((f"{name_given(name)}_rate",)).mean for name in torques], weights, "torque_rate")
+    return _weighted([SquareIntegral((f"{an_output(name)}_rate",)).mean for name in torques], weights, "torque_rate")
 
 
 def power(pairs: Mapping[str, str], *, weights: Weights = None, smoothing: float = 0.0) -> Expression:
@@ -146,8 +111,8 @@ def power(pairs: Mapping[str, str], *, weights: Weights = None, smoothing: float
     stall: `smoothing`, W, rounds the kink, and lowers the integrand by at most that much. `coefficient_power` is the
     sum printed in the dissertation.
     """
-    smoothing, given = smoothing_given("power", smoothing), _pairs("power", pairs)
-    return _weighted([Work(pair, smoothing).mean for pair in given], weights, "power")
+    smoothing, products = a_smoothing("power", smoothing), _pairs("power", pairs)
+    return _weighted([Work(pair, smoothing).mean for pair in products], weights, "power")
 
 
 def coefficient_power(pairs: Mapping[str, str], *, weights: Weights = None, smoothing: float = 0.0) -> Expression:
@@ -157,7 +122,7 @@ def coefficient_power(pairs: Mapping[str, str], *, weights: Weights = None, smoo
     Where the rates are certain, as for a prescribed joint, it is the energy exchanged by the expected torque,
     `∫ |E[τ] q̇| dt`.
     """
-    kind = CoefficientProduct(smoothing_given("coefficient_power", smoothing))
+    kind = CoefficientProduct(a_smoothing("coefficient_power", smoothing))
     paths = ((path(torque), path(rate)) for torque, rate in _pairs("coefficient_power", pairs))
     terms = [Expression((1.0,), (TimeIntegral(statistic(kind, *pair)),)) for pair in paths]
     return _weighted(terms, weights, "coefficient_power")
@@ -175,7 +140,7 @@ def terminal_mean_error(references: Mapping[str, float], *, smoothing: float = 0
             f"received {type(references).__name__} {references!r}."
         )
     errors = (terminal(name).mean - reference for name, reference in references.items())
-    return norm(*errors, smoothing=smoothing_given("terminal_mean_error", smoothing))
+    return norm(*errors, smoothing=a_smoothing("terminal_mean_error", smoothing))
 
 
 def terminal_variance(*outputs: str) -> Expression:
@@ -192,7 +157,7 @@ def norm(*expressions: Expression, smoothing: float = 0.0) -> Expression:
     """
     if not expressions:
         raise ProblemError("norm: expected at least one expression, such as al.terminal('x').variance; received none.")
-    return composed(Norm(smoothing_given("norm", smoothing)), *expressions)
+    return composed(Norm(a_smoothing("norm", smoothing)), *expressions)
 
 
 def time_integral(expression: Expression) -> Expression:
@@ -224,3 +189,126 @@ def _weighted(terms: Sequence[Expression], weights: Any, name: str) -> Expressio
         raise ProblemError(f"{name}: expected {len(terms)} weights, one per term; received {len(factors)}.")
     first, *rest = (factor * term for factor, term in zip(factors, terms, strict=True))
     return sum(rest, start=first)
+
+
+def maximum(*expressions: Any, smoothing: float = 0.0) -> Expression:
+    """The largest of expressions and numbers, at every instant if one is a path.
+
+    - `smoothing`: rounds the kinks where the largest changes, in the unit of the expressions: `s log(exp(x/s) + …)`,
+      which is at most `s log n` above the largest of `n`.
+
+    Raises `ProblemError` for fewer than two.
+    """
+    return _extremum("maximum", 1, expressions, smoothing)
+
+
+def minimum(*expressions: Any, smoothing: float = 0.0) -> Expression:
+    """The smallest of expressions and numbers: see `maximum`; smoothed, at most `s log n` below."""
+    return _extremum("minimum", -1, expressions, smoothing)
+
+
+def positive_part(expression: Any, *, smoothing: float = 0.0) -> Expression:
+    """An expression where it is positive, else zero: what exceeds a limit, `positive_part(x.mean - limit)`.
+
+    - `smoothing`: rounds the kink at zero, in the unit of the expression: `(x + sqrt(x² + s²)) / 2`, which is at most
+      `s/2` above.
+    """
+    return composed(PositivePart(a_smoothing("positive_part", smoothing)), expression)
+
+
+def function(of: Callable[..., Any], *expressions: Any) -> Expression:
+    """Your own function of expressions and numbers, written with `jax.numpy` so that it can be differentiated.
+
+    It is given one number of each expression and returns one number. For a path it is called for each instant by
+    itself: what joins instants is an integral (`al.time_integral`), a peak or an rms. A function that differs, though
+    it computes the same, is compiled again: define it once, outside of loops.
+
+    Raises `ProblemError` if `of` is no function, or no expression is given; and, once it is used in a problem, if it
+    raises, or returns anything but one real number.
+    """
+    if not callable(of):
+        raise refusal("function", "a function of the values of expressions", of)
+    if not expressions:
+        raise ProblemError("function: expected the expressions that it is a function of; received none.")
+    return composed(Own(of), *expressions)
+
+
+def pure(expression: Any) -> Expression:
+    """An expression for a sum in which its factor carries a unit, as weights of penalties and of wishes do."""
+    return composed(Pure(), expression)
+
+
+def _extremum(who: str, side: int, expressions: tuple[Any, ...], smoothing: float) -> Expression:
+    if len(expressions) < 2:
+        raise ProblemError(f"{who}: expected at least two expressions or numbers; received {len(expressions)}.")
+    return composed(Extremum(side=side, smoothing=a_smoothing(who, smoothing)), *expressions)
+
+
+@final
+class CostCurve(AbstractAtom):
+    """`curve(spread, *coefficients)` of the number called `name`."""
+
+    name: str = eqx.field(static=True)
+    curve: Curve = eqx.field(static=True)
+    shown: str = eqx.field(static=True)
+    coefficients: tuple[Scalar, ...] = ()
+
+    @override
+    def evaluate(self, scope: AbstractScope) -> Array:
+        return self.curve(scope.value(self.name), *self.coefficients)
+
+    @override
+    def text(self) -> str:
+        numbers = (f"{float(number):g}" for number in self.coefficients)
+        return self.shown.format(*numbers, spread=self.name).replace("(0 + ", "(")
+
+    @override
+    def unit(self, units: Units) -> str:
+        """Unknown: a curve has no declared unit."""
+        del units
+        return ""
+
+    @property
+    @override
+    def subjects(self) -> tuple[str, ...]:
+        return (self.name,)
+
+
+def _reciprocal_power(spread: Array, bias: Array, scale: Array, power: Array) -> Array:
+    return bias + scale / spread**power
+
+
+def _exponential(spread: Array, bias: Array, scale: Array, rate: Array) -> Array:
+    return bias + scale * jnp.exp(-rate * spread)
+
+
+def _expression(name: str, curve: Curve, shown: str, *coefficients: float) -> Expression:
+    numbers = tuple(a_number(number, "be a coefficient of a cost curve") for number in coefficients)
+    return Expression((1.0,), (CostCurve(a_name("A cost curve", name), curve, shown, numbers),))
+
+
+def reciprocal_power(name: str, *, bias: float, scale: float, power: float) -> Expression:
+    """Cost `bias + scale / spread**power` of the number called `name`, such as `"k_s.half_width"` (equation 125)."""
+    return _expression(name, _reciprocal_power, "({0} + {1}/{spread}^{2})", bias, scale, power)
+
+
+def reciprocal(name: str, *, bias: float, scale: float) -> Expression:
+    """Cost `bias + scale / spread`."""
+    return _expression(name, _reciprocal_power, "({0} + {1}/{spread})", bias, scale, 1.0)
+
+
+def reciprocal_squared(name: str, *, bias: float, scale: float) -> Expression:
+    """Cost `bias + scale / spread**2`."""
+    return _expression(name, _reciprocal_power, "({0} + {1}/{spread}²)", bias, scale, 2.0)
+
+
+def exponential(name: str, *, bias: float, scale: float, rate: float) -> Expression:
+    """Cost `bias + scale * exp(-rate * spread)`."""
+    return _expression(name, _exponential, "({0} + {1} exp(−{2} {spread}))", bias, scale, rate)
+
+
+def cost_curve(name: str, curve: Curve) -> Expression:
+    """Cost `curve(spread)` by your own function, written with `jax.numpy` so that it can be differentiated."""
+    if not callable(curve):
+        raise refusal("cost_curve", "a function of the number", curve)
+    return _expression(name, curve, f"{getattr(curve, '__name__', 'curve')}({{spread}})")

@@ -1,23 +1,95 @@
-"""The response of a problem's system, realisation by realisation, and the numbers of its model."""
+"""The parts of a problem, and the response of its system: realisation by realisation, one system, its own numbers."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple, final
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.arrays import NUMBER, numbers_to_arrays, refuse_beyond_memory
+from aleator._core.compilation import Compiled, Use
+from aleator._core.equations import Digest
 from aleator._core.errors import ProblemError
-from aleator.design._declaration import AbstractProblem
-from aleator.design._expression import Expression
-from aleator.design._functionals import AbstractIntegral
-from aleator.design._scope import AbstractScope, AbstractScopeOfInstants
-from aleator.design._statistic import AbstractFunctional, Statistic, Taken, numbers_of
-from aleator.dynamics import AbstractGrid, Asked, History
+from aleator._core.leaves import Module, Printed
+from aleator.design._expression import Constraint, Expression
+from aleator.design._functionals import AbstractIntegral, Integral
+from aleator.design._scope import AbstractScope, AbstractScopeOfInstants, Value
+from aleator.design._statistic import AbstractFunctional, Statistic, Taken, functionals_of, numbers_of
+from aleator.dynamics import AbstractGrid, AbstractIntegrator, AbstractSystem, Asked, History, Simulation
+from aleator.expansion import Expansion
 from aleator.statistics import AbstractStatistic
-from aleator.uncertainty import at_means, named_numbers, realise
+from aleator.trajectories import AbstractSignal
+from aleator.uncertainty import Placements, at_means, named_numbers, placements, realise
+
+
+class AbstractProblem(Module, Printed):
+    """The parts of a problem and what follows from them; implemented by `Problem` alone.
+
+    `physics` is the digest of its traced equations, with those of its expressions. All programs are built from the
+    equations as they were declared: to change code, declare again.
+    """
+
+    simulation: Simulation
+    objective: Expression
+    constraints: tuple[Constraint, ...]
+    expansion: Expansion
+    physics: Digest = eqx.field(static=True)
+
+    @property
+    def is_declared(self) -> bool:
+        """Whether its digest tells all code in it: not that of its own statistics, or behind `jax.pure_callback`."""
+        return self.physics.is_whole
+
+    @property
+    def system(self) -> AbstractSystem:
+        """The system."""
+        return self.simulation.system
+
+    @property
+    def inputs(self) -> dict[str, AbstractSignal]:
+        """A signal for each input of the system, by name."""
+        return self.simulation.inputs
+
+    @property
+    def grid(self) -> AbstractGrid:
+        """The instants."""
+        return self.simulation.grid
+
+    @property
+    def integrator(self) -> AbstractIntegrator:
+        """How states are advanced in time."""
+        return self.simulation.integrator
+
+    @property
+    def is_integrated(self) -> bool:
+        """Whether its system has states, which are integrated over time."""
+        return self.system.is_integrated
+
+    @property
+    def placements(self) -> Placements:
+        """Its distributions and decisions."""
+        return placements(self.simulation)
+
+    @property
+    def expressions(self) -> tuple[Expression, ...]:
+        """The objective, then the constraints' expressions."""
+        return (self.objective, *(constraint.expression for constraint in self.constraints))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the constraints, each once."""
+        return tuple(dict.fromkeys(constraint.name for constraint in self.constraints))
+
+    def named(self, name: str) -> tuple[Constraint, ...]:
+        """The constraints of one name. Raises `ProblemError` if there are none."""
+        constraints = tuple(constraint for constraint in self.constraints if constraint.name == name)
+        if not constraints:
+            raise ProblemError(f"There is no constraint '{name}'; expected one of {list(self.names)}.")
+        return constraints
 
 
 def history(problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> History:
@@ -73,9 +145,9 @@ def sampled(
 
     def one(point: Float[Array, " variables"]) -> Sampled:
         realised = realise(problem.simulation, point, decisions)
-        found = realised.record(asked)
-        taken = Taken(found.history, dict(zip(integrals, found.integrals, strict=True)))
-        between = Taken(found.nodes, {})
+        record = realised.record(asked)
+        taken = Taken(record.history, dict(zip(integrals, record.integrals, strict=True)))
+        between = Taken(record.nodes, {})
         return Sampled(
             numbers_of(functionals, taken, realised.grid),
             numbers_of(paths, between, realised.grid),
@@ -98,13 +170,13 @@ class Broken(NamedTuple):
 
 def first_broken(outputs: Mapping[str, Float[np.ndarray, "points instants ..."]]) -> Broken | None:
     """The earliest value of some realisations that is not finite; None if all are."""
-    found = []
+    broken = []
     for name, values in outputs.items():
         bad = np.asarray(~np.isfinite(values.reshape(*values.shape[:2], -1)).all(axis=2))
         if bad.any():
             instant = int(np.argmax(bad.any(axis=0)))
-            found.append(Broken(name, int(np.argmax(bad[:, instant])), instant))
-    return min(found, key=lambda one: one.instant, default=None)
+            broken.append(Broken(name, int(np.argmax(bad[:, instant])), instant))
+    return min(broken, key=lambda one: one.instant, default=None)
 
 
 def unsolved(problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> str:
@@ -159,3 +231,95 @@ class _Numbers(AbstractScope):
 def value_at(expression: Expression, problem: AbstractProblem, decisions: Any) -> float:
     """The value at given decisions of an expression of the model's own numbers alone, such as a cost."""
     return float(expression.evaluate(_Numbers(problem, decisions)))
+
+
+def sizes(
+    problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]
+) -> tuple[Float[Array, ""], ...]:
+    """The magnitude behind each functional on one realisation: the largest of its output over time.
+
+    For example, the rate at the end of a motion that comes to rest is small only by cancellation.
+    """
+    return _SIZES(numbers_to_arrays(problem), germ, decisions)
+
+
+def _sizes(
+    problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]
+) -> tuple[Float[Array, ""], ...]:
+    outputs, times = history(problem, germ, decisions), grid_at(problem, decisions).times
+    duration = times[-1] - times[0]
+    return tuple(
+        jnp.max(jnp.abs(outputs[one.output])) * (duration if isinstance(one, Integral) else 1.0)
+        for one in functionals_of(problem.expressions)
+    )
+
+
+_SIZES = Compiled(_sizes, use=Use.ONCE)
+
+
+def refuse_large_histories(problem: AbstractProblem, systems: int, derivatives: int, advice: str) -> None:
+    """Raise `ProblemError` if the outputs of `systems` systems would not fit into memory together.
+
+    Outputs are stored at every instant where a functional needs them there, each with its `derivatives`.
+    """
+    histories = [one for one in functionals_of(problem.expressions) if not isinstance(one, AbstractIntegral)]
+    outputs = len({name for one in histories for name in one.outputs})
+    instants = problem.grid.steps + 1
+    what = f"{systems} systems with {outputs} outputs at {instants} instants"
+    what += f" and their derivatives by {derivatives} decisions" if derivatives else ""
+    refuse_beyond_memory(what, NUMBER * systems * outputs * instants * (1 + derivatives), advice)
+
+
+class Estimated(NamedTuple):
+    """An estimate with its error, such as a standard error: numbers, or one number per instant."""
+
+    value: Float[np.ndarray, "*shape"]
+    error: Float[np.ndarray, "*shape"]
+
+
+def estimated(
+    problem: AbstractProblem,
+    expression: Expression,
+    statistics: Mapping[str, Estimated],
+    decisions: Float[np.ndarray, " n"],
+    doubt: float = 0.0,
+) -> Estimated | None:
+    """An expression at given decisions, its `statistics` being known by their texts; None where one is missing.
+
+    - `doubt`: the relative error of the model's own numbers in the expression.
+
+    Its error is the sum of what the error of each would change: the worst case, for their dependence is not known.
+    """
+    at = jnp.asarray(decisions)
+    numbers, step = named_numbers(problem.simulation, at), step_at(problem, at)
+    used = {leaf.name for leaf in expression.leaves if isinstance(leaf, Value)}
+    needed = {leaf.text() for leaf in expression.leaves if isinstance(leaf, Statistic)}
+    if not needed <= set(statistics):
+        return None
+    known = {name: np.asarray(numbers[name]) for name in used}
+    known = {name: Estimated(value, doubt * np.abs(value)) for name, value in known.items()}
+    known |= {text: statistics[text] for text in needed}
+
+    def evaluated(moved: str | None = None) -> np.ndarray:
+        return np.asarray(expression.evaluate(_Estimates(known, step, moved)))
+
+    value = evaluated()
+    moving = (name for name, one in known.items() if np.any(one.error))
+    return Estimated(value, sum((np.abs(evaluated(one) - value) for one in moving), start=np.zeros(value.shape)))
+
+
+@final
+class _Estimates(AbstractScopeOfInstants):
+    """Statistics and numbers by their texts, the one that is `moved`, if any, shifted by its error."""
+
+    def __init__(self, known: Mapping[str, Estimated], step: Array, moved: str | None):
+        self._known, self.step, self._moved = known, step, moved
+
+    @override
+    def statistic(self, functionals: tuple[Any, ...], kind: AbstractStatistic) -> Array:
+        return self.value(Statistic(functionals, kind).text())
+
+    @override
+    def value(self, name: str) -> Array:
+        one = self._known[name]
+        return jnp.asarray(one.value + one.error if name == self._moved else one.value)

@@ -235,13 +235,13 @@ class Own(AbstractRule):
 
     def _of_numbers(self, *numbers: Array) -> Array:
         who = f"The function '{self._name}'"
-        found = traceable(f"{who} of expressions", returned(who, self.function, *numbers))
-        if found.shape != ():
+        number = traceable(f"{who} of expressions", returned(who, self.function, *numbers))
+        if number.shape != ():
             raise ProblemError(
                 f"{who} of expressions: expected one number from one number of each expression; received an array of "
-                f"shape {found.shape}. It is called for one instant at a time; al.time_integral joins instants."
+                f"shape {number.shape}. It is called for one instant at a time; al.time_integral joins instants."
             )
-        return found
+        return number
 
     @property
     def _name(self) -> str:

@@ -1,4 +1,4 @@
-"""`AbstractFunctional`, the base class of functionals, and `Statistic`, an atom of expressions."""
+"""`AbstractFunctional`, the base class of functionals, and its atoms in expressions: `Statistic` and `Extreme`."""
 
 import abc
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,11 +13,54 @@ from typing_extensions import override
 from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
 from aleator.design._expression import Constraint, Expression, Range
-from aleator.design._extreme import Extreme
-from aleator.design._numbers import number_given, ordered
-from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Units
+from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Units, a_number, ordered
 from aleator.dynamics import AbstractGrid, History
 from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance, Std, a_statistic
+
+
+@final
+class Extreme(AbstractAtom):
+    """The largest (`side = 1`) or smallest (`side = -1`) value of a functional over realisations of the model.
+
+    These are all that its distributions allow, or those at the collocation points alone (`at_points`). It evaluates to
+    the functional on each realisation available: a bound on it is a bound on each of them.
+    """
+
+    functional: Any
+    side: int = eqx.field(static=True)
+    at_points: bool = eqx.field(static=True, default=False)
+
+    @override
+    def evaluate(self, scope: AbstractScope) -> Array:
+        return scope.realised(self.functional)
+
+    @override
+    def text(self) -> str:
+        return f"{'max' if self.side > 0 else 'min'}{'_k' if self.at_points else ''}[{self.functional.text()}]"
+
+    @override
+    def unit(self, units: Units) -> str:
+        return self.functional.unit(units.outputs)
+
+    @property
+    @override
+    def subjects(self) -> tuple[str, ...]:
+        return self.functional.outputs
+
+    @property
+    def functionals(self) -> tuple[Any, ...]:
+        """The functional, in a tuple as for statistics."""
+        return (self.functional,)
+
+    @property
+    @override
+    def measures(self) -> tuple[str, ...]:
+        return (self.functional.text(),)
+
+    @property
+    @override
+    def is_path(self) -> bool:
+        return self.functional.is_path
 
 
 class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
@@ -36,11 +79,11 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
                 f"received {self.outputs!r}."
             )
         for name in self.outputs:
-            name_given(name)
-        if found := [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(self)]:
+            an_output(name)
+        if numbers := [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(self)]:
             raise ProblemError(
                 f"{type(self).__name__}: expected its numbers as static fields, such as `target: float = "
-                f"eqx.field(static=True)`; received {', '.join(found)} without it."
+                f"eqx.field(static=True)`; received {', '.join(numbers)} without it."
             )
 
     @property
@@ -156,18 +199,18 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
     ) -> Expression:
         """The upper (`side = 1`) or lower (`side = -1`) end of its distribution."""
         multiple = _multiple(self, sigmas)
-        for name, given in (("worst_case", worst_case), ("at_points", at_points)):
-            if not isinstance(given, bool):
-                raise refusal(f"'{self.text()}': {name}", "True or False", given)
-        asked = {
+        for name, choice in (("worst_case", worst_case), ("at_points", at_points)):
+            if not isinstance(choice, bool):
+                raise refusal(f"'{self.text()}': {name}", "True or False", choice)
+        chosen = {
             "sigmas": multiple > 0,
             "probability": probability is not None,
             "worst_case": worst_case,
             "at_points": at_points,
         }
-        if sum(asked.values()) > 1:
-            names = [name for name, is_asked in asked.items() if is_asked]
-            raise ProblemError(f"'{self.text()}': expected one of {', '.join(asked)}; received {names}.")
+        if sum(chosen.values()) > 1:
+            names = [name for name, is_chosen in chosen.items() if is_chosen]
+            raise ProblemError(f"'{self.text()}': expected one of {', '.join(chosen)}; received {names}.")
         if worst_case or at_points:
             return Expression((1.0,), (Extreme(self, side, at_points),))
         if probability is not None:
@@ -222,7 +265,7 @@ class Statistic(AbstractAtom):
         return isinstance(self.kind, Std)
 
 
-def name_given(name: Any) -> str:
+def an_output(name: Any) -> str:
     """The name of an output, unchanged. Raises `ProblemError` for anything but a name."""
     if isinstance(name, str) and name:
         return name
@@ -288,7 +331,23 @@ def numbers_of(
 
 def _multiple(functional: AbstractFunctional, sigmas: Any) -> float:
     """A multiple of a standard deviation as a float. Raises `ProblemError` if it is negative."""
-    number = number_given(sigmas, "multiply a standard deviation")
+    number = a_number(sigmas, "multiply a standard deviation")
     if number < 0:
         raise ProblemError(f"'{functional.text()}': sigmas must not be negative; received {sigmas}.")
     return number
+
+
+def is_worst_case(constraint: Constraint) -> bool:
+    """Whether a constraint bounds the worst realisation of the model."""
+    return any(isinstance(atom, Extreme) and not atom.at_points for atom in constraint.expression.leaves)
+
+
+def is_at_points(constraint: Constraint) -> bool:
+    """Whether a constraint bounds the realisations at the collocation points."""
+    return any(isinstance(atom, Extreme) and atom.at_points for atom in constraint.expression.leaves)
+
+
+def extreme_functionals(expressions: tuple[Expression, ...]) -> tuple[Any, ...]:
+    """The functionals whose worst case appears in the expressions, each once."""
+    leaves = (leaf for one in expressions for leaf in one.leaves)
+    return tuple(dict.fromkeys(leaf.functional for leaf in leaves if isinstance(leaf, Extreme)))

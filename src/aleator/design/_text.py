@@ -1,16 +1,163 @@
-"""A problem as readable mathematics."""
+"""A problem as readable mathematics, and its units as far as known: sums and comparisons must agree in them."""
 
 import itertools
 from collections.abc import Iterator, Mapping
+from typing import Any
 
+import equinox as eqx
+import jax
 import numpy as np
 
-from aleator.design._declaration import AbstractProblem
-from aleator.design._statistic import statistics_in
+from aleator._core.border import refusal
+from aleator._core.errors import ProblemError
+from aleator._core.leaves import is_leaf
+from aleator.design._expression import Expression
+from aleator.design._functionals import SquareIntegral, Work
+from aleator.design._response import AbstractProblem
+from aleator.design._scope import AbstractAtom, Units
+from aleator.design._statistic import Statistic, statistics_in
 from aleator.dynamics import Grid, System
 from aleator.mechanics import AbstractFormulation
-from aleator.statistics import Mean
-from aleator.uncertainty import AbstractDistribution, AbstractGerm, Decision, Placements, correlations_at
+from aleator.statistics import PURE, Mean, is_same, measure, rate
+from aleator.uncertainty import AbstractDistribution, AbstractGerm, Decision, Placements, correlations_at, fields_of
+from aleator.uncertainty._placements import free
+
+# The parameters of distributions that have the unit of the uncertain number itself.
+_LIKE_THE_NUMBER = (
+    *("mean", "std", "half_width", "lower", "upper", "mode", "median", "location", "scale"),
+    *("nominal", "tolerance", "plus", "minus"),
+)
+
+# Gram or gravity, coulomb or Celsius, farad or Fahrenheit, picohenry or acidity; decibels have no size.
+_TWO_READINGS = {"g", "C", "F", "pH", "dB"}
+_TIMES = {"t_start": "s", "t_final": "s"}
+
+
+def units_of(expression: Expression, problem: AbstractProblem) -> Units:
+    """The units of the outputs and numbers in an expression, as far as a problem's model declares them."""
+    return _units_in(expression, output_units(problem), _field_units(problem))
+
+
+def number_unit(name: str, problem: AbstractProblem) -> str:
+    """The unit of a number of the model, by the decision's name."""
+    return _unit_of_number(name, _field_units(problem))
+
+
+def output_units(problem: AbstractProblem) -> dict[str, str]:
+    """The units that a system declares, and those of the standard rates of mechanical systems.
+
+    Raises `ProblemError` if `units` is not a dict.
+    """
+    declared = problem.system.units
+    if not isinstance(declared, Mapping):
+        raise refusal(
+            f"{type(problem.system).__name__}.units", "units of outputs by name, such as {'x': 'm'}", declared
+        )
+    units = {name: unit for name, unit in declared.items() if isinstance(unit, str)}
+    if isinstance(problem.system, AbstractFormulation):
+        model = problem.system.model
+        for name in model.coordinates:
+            speed = units.setdefault(f"{name}_rate", rate(units.get(name, "")))
+            units.setdefault(f"{name}_acceleration", rate(speed))
+        for name in (*model.speeds, *model.actuators):
+            units.setdefault(f"{name}_rate", rate(units.get(name, "")))
+    return units
+
+
+def _field_units(problem: AbstractProblem) -> dict[str, str]:
+    units = {name: field.metadata.get("unit", "") for name, field, _ in fields_of(problem.system)}
+    return _TIMES | {name: unit for name, unit in units.items() if isinstance(unit, str)}
+
+
+def _unit_of_number(name: str, fields: Mapping[str, str]) -> str:
+    owner, _, parameter = name.rpartition(".")
+    return fields.get(name.split("[")[0], "") or (fields.get(owner, "") if parameter in _LIKE_THE_NUMBER else "")
+
+
+def _units_in(expression: Expression, outputs: Mapping[str, str], fields: Mapping[str, str]) -> Units:
+    names = (name for atom in expression.leaves for name in atom.subjects)
+    return Units(outputs, {name: _unit_of_number(name, fields) for name in names})
+
+
+def refuse_clashes(problem: AbstractProblem) -> None:
+    """Raise `ProblemError` where quantities of different known units are added, compared or shared.
+
+    Two terms of a sum clash where neither factor can be a unit conversion: where the factors are equal in size or, in a
+    constraint, where one is the multiple of a standard deviation, a margin. Efforts, energies and norms never clash,
+    since their weights of one may stand for weights with units.
+    """
+    _refuse_shared(problem)
+    outputs, fields = output_units(problem), _field_units(problem)
+    limits = [(f"Constraint '{one.name}'", one.expression, True) for one in problem.constraints]
+    for where, expression, is_limit in [("The objective", problem.objective, False), *limits]:
+        _refuse_sum(where, expression, _units_in(expression, outputs, fields), is_limit=is_limit)
+
+
+def _refuse_sum(where: str, expression: Expression, units: Units, *, is_limit: bool) -> None:
+    terms = [term for term in zip(expression.factors, expression.atoms, strict=True) if float(term[0]) != 0]
+    for (factor, one), (other_factor, other) in itertools.combinations(terms, 2):
+        is_margin = is_limit and (one.is_spread or other.is_spread)
+        if is_margin or abs(float(factor)) == abs(float(other_factor)):
+            first, second = (_unit(atom, units) for atom in (one, other))
+            clash = _clash(first, second)
+            if clash:
+                raise ProblemError(
+                    f"{where}: '{one.text()}' is in {first} and '{other.text()}' in {second}, {clash}: convert both to "
+                    "one unit, or multiply one by a conversion factor."
+                )
+    for inner in (inner for _, atom in terms for inner in atom.inner):
+        _refuse_sum(where, inner, units, is_limit=is_limit)
+
+
+def _unit(atom: AbstractAtom, units: Units) -> str:
+    """The unit of a term; empty for terms whose weights carry units."""
+    weighted = isinstance(atom, Statistic) and any(isinstance(one, SquareIntegral | Work) for one in atom.functionals)
+    return "" if weighted else atom.unit(units)
+
+
+def _refuse_shared(problem: AbstractProblem) -> None:
+    """Refuse one number, shared by name, in fields of different units."""
+    seen: dict[str, tuple[str, str]] = {}
+    for place, unit, name in _shared(problem.system):
+        first_place, first = seen.setdefault(name, (place, unit))
+        clash = _clash(first, unit)
+        if clash:
+            raise ProblemError(
+                f"'{name}' is shared by '{first_place}', in {first}, and '{place}', in {unit}, {clash}: give both "
+                "fields one unit, or compute one of them from the other."
+            )
+
+
+def _shared(model: Any) -> Iterator[tuple[str, str, str]]:
+    """The shared numbers in fields with a unit: place, unit and shared name."""
+    for place, field, value in fields_of(model):
+        unit = field.metadata.get("unit", "")
+        if not (isinstance(unit, str) and unit) or (isinstance(value, eqx.Module) and not is_leaf(value)):
+            continue
+        for leaf in map(free, filter(is_leaf, jax.tree.leaves(value, is_leaf=is_leaf))):
+            if leaf.shared_name:
+                yield place, unit, leaf.shared_name
+            if isinstance(leaf, AbstractDistribution):
+                for parameter, decision in leaf.decisions.items():
+                    if decision.shared_name and parameter in _LIKE_THE_NUMBER:
+                        yield f"{place}.{parameter}", unit, decision.shared_name
+
+
+def _clash(first: str, second: str) -> str:
+    """How two units differ, as the end of a sentence; empty where they agree or one is unknown."""
+    if first == second or not (first and second) or {first, second} & _TWO_READINGS:
+        return ""
+    one, other = measure(first), measure(second)
+    if one is None or other is None or is_same(first, second):
+        return ""
+    if one.powers != other.powers:
+        return "which measure different things"
+    ratio = other.per(one)
+    return "" if ratio is None else f"which differ in size: 1 {_counted(second)} is {ratio:.6g} {_counted(first)}"
+
+
+def _counted(unit: str) -> str:
+    return f"({unit})" if unit == PURE else unit
 
 
 def problem_text(problem: AbstractProblem, mesh: str = "") -> str:
@@ -88,10 +235,7 @@ def _physics_row(problem: AbstractProblem, advanced: str) -> tuple[str, str]:
 
 
 def _expansion_text(problem: AbstractProblem, germs: Mapping[str, AbstractGerm]) -> str:
-    if not germs:
-        return "none: nothing is uncertain, every σ is 0" if _has_std(problem) else "none: nothing is uncertain"
-    return problem.expansion.text(germs)
-
-
-def _has_std(problem: AbstractProblem) -> bool:
-    return any(not isinstance(atom.kind, Mean) for atom in statistics_in(problem.expressions))
+    if germs:
+        return problem.expansion.text(germs)
+    has_spread = any(not isinstance(atom.kind, Mean) for atom in statistics_in(problem.expressions))
+    return "none: nothing is uncertain, every σ is 0" if has_spread else "none: nothing is uncertain"

@@ -3,7 +3,6 @@
 from aleator.dynamics._adaptive import Kvaerno5 as Kvaerno5
 from aleator.dynamics._adaptive import Tsit5 as Tsit5
 from aleator.dynamics._algebraic import AlgebraicSystem as AlgebraicSystem
-from aleator.dynamics._algebraic import Solved as Solved
 from aleator.dynamics._algebraic import explain_failure as explain_failure
 from aleator.dynamics._algebraic import solve_algebraic as solve_algebraic
 from aleator.dynamics._assembly import Assembly as Assembly
@@ -27,12 +26,10 @@ from aleator.dynamics._integrators import ObservedStates as ObservedStates
 from aleator.dynamics._integrators import RungeKutta4 as RungeKutta4
 from aleator.dynamics._multiple_shooting import MultipleShooting as MultipleShooting
 from aleator.dynamics._multiple_shooting import SegmentRate as SegmentRate
-from aleator.dynamics._newton import Root as Root
 from aleator.dynamics._newton import newton as newton
 from aleator.dynamics._record import Asked as Asked
 from aleator.dynamics._record import History as History
 from aleator.dynamics._record import Known as Known
-from aleator.dynamics._record import Record as Record
 from aleator.dynamics._record import known_at as known_at
 from aleator.dynamics._record import observed_at as observed_at
 from aleator.dynamics._schemes import MOST_STAGES as MOST_STAGES
@@ -50,5 +47,4 @@ from aleator.dynamics._system import AbstractSystem as AbstractSystem
 from aleator.dynamics._system import System as System
 from aleator.dynamics._system import called as called
 from aleator.dynamics._system import check_inputs as check_inputs
-from aleator.dynamics._system import input_names as input_names
 from aleator.dynamics._system import returned as returned

@@ -74,8 +74,8 @@ class AbstractAdaptive(AbstractIntegrator):
         solution = self._solved(rates, carried, grid, jumps_of(inputs), saved, self.max_steps)
         arrived = solution.result == diffrax.RESULTS.successful
         values_at = [jnp.where(arrived, values, jnp.nan) for values in solution.ys or []]
-        found = jax.tree.structure(jax.eval_shape(lambda: observed(first, carried)))
-        history, nodes, integrals = jax.tree.unflatten(found, values_at)
+        structure_at = jax.tree.structure(jax.eval_shape(lambda: observed(first, carried)))
+        history, nodes, integrals = jax.tree.unflatten(structure_at, values_at)
         if asked.nodes:
             history = {name: values[::2] for name, values in history.items()}
         return Record(history, nodes, tuple(one[-1] for one in integrals))
@@ -101,8 +101,8 @@ class AbstractAdaptive(AbstractIntegrator):
             )
         name, first, reached = type(self).__name__, float(grid.t_start), float(solution.ts[-1])
         arrived = jax.tree.map(lambda one: one[-1], solution.ys)
-        if system.algebraic and (found := explain_from(system, reached, arrived, float(grid.step), now)):
-            return found
+        if system.algebraic and (failure := explain_from(system, reached, arrived, float(grid.step), now)):
+            return failure
         halfway = float(tried(max(self.max_steps // 2, 1)).ts[-1])
         if bool(solution.result == diffrax.RESULTS.max_steps_reached) and reached - halfway > _STUCK * (
             reached - first

@@ -133,8 +133,8 @@ def algebraic_outputs(system: AlgebraicSystem) -> dict[str, Float[Array, "..."]]
 
 def outputs_at(system: AlgebraicSystem, rho: Any = None) -> dict[str, Float[Array, "..."]]:
     """`system.outputs` at given unknowns as arrays by name, checked to be a dict."""
-    given = (rho,) if system.is_implicit else ()
-    return as_outputs(system, called(system, system.outputs, *given))
+    unknowns = (rho,) if system.is_implicit else ()
+    return as_outputs(system, called(system, system.outputs, *unknowns))
 
 
 def explain_failure(system: AlgebraicSystem) -> str:
@@ -182,13 +182,13 @@ def _root(system: AlgebraicSystem, guess: Any) -> tuple[Root, Named]:
 
 def first_guess(system: AlgebraicSystem) -> Any:
     """The guess as a named tuple of arrays."""
-    given = system.guess()
-    if not isinstance(given, Mapping) or set(given) != set(system.unknowns):
+    values = system.guess()
+    if not isinstance(values, Mapping) or set(values) != set(system.unknowns):
         raise ProblemError(
             f"{system.title}.guess returns a dict with a number for each of the unknowns {system.unknowns}; "
-            f"received {given!r}."
+            f"received {values!r}."
         )
-    return state_type(system.unknowns)(*starting(f"{system.title}.guess", system.unknowns, given))
+    return state_type(system.unknowns)(*starting(f"{system.title}.guess", system.unknowns, values))
 
 
 def equations(system: AlgebraicSystem, rho: Any, expected: int) -> Float[Array, " n"]:

@@ -41,7 +41,7 @@ _FUNCTIONS: dict[str, Callable[[Any], Any]] = {
     "atan": lambda ratio: jnp.rad2deg(jnp.arctan(ratio)),
     "sqrt": jnp.sqrt,
 }
-PREVIOUS = "previous"
+_PREVIOUS = "previous"
 """The word that stands for the direction of the preceding vector."""
 
 
@@ -52,40 +52,35 @@ class _Expression(NamedTuple):
     value: Callable[[Mapping[str, Any]], Any]
 
 
-def read_formula(given: Any, known: Collection[str], where: str) -> Formula:
+def _read_formula(formula: Any, known: Collection[str], where: str) -> Formula:
     """A formula in parsed form, checked to use only `known` names."""
-    if callable(given):
-        return given
-    if isinstance(given, int | float | np.number) and not isinstance(given, bool) and math.isfinite(given):
-        return float(given)
-    if not isinstance(given, str):
+    if callable(formula):
+        return formula
+    if isinstance(formula, int | float | np.number) and not isinstance(formula, bool) and math.isfinite(formula):
+        return float(formula)
+    if not isinstance(formula, str):
         raise ProblemError(
             f"{where}: expected a name, a finite number, an expression such as 'e - c', or a function of the named "
-            f"values; received {given!r}. Put uncertain or decided numbers among the dimensions, under a name."
+            f"values; received {formula!r}. Put uncertain or decided numbers among the dimensions, under a name."
         )
     try:
-        names = _expression(given).names
+        names = _expression(formula).names
     except ProblemError as error:
         raise ProblemError(f"{where}: {error}") from error
     for name in sorted(names.difference(known)):
         raise ProblemError(f"{where}: there is no '{name}'; expected one of {sorted(known)}.{meant(name, known)}")
-    return given
+    return formula
 
 
-def read_equation(given: Any, known: Collection[str], where: str) -> tuple[Formula, Formula]:
+def _read_equation(equation: Any, known: Collection[str], where: str) -> tuple[Formula, Formula]:
     """The two sides of an equation `left = right`; for a formula alone, the formula and zero."""
-    left, *rest = given.split("=") if isinstance(given, str) else (given,)
+    left, *rest = equation.split("=") if isinstance(equation, str) else (equation,)
     if len(rest) > 1:
-        raise ProblemError(f"{where}: expected 'left = right'; received {given!r}.")
-    return read_formula(left, known, where), read_formula(rest[0] if rest else 0.0, known, where)
+        raise ProblemError(f"{where}: expected 'left = right'; received {equation!r}.")
+    return _read_formula(left, known, where), _read_formula(rest[0] if rest else 0.0, known, where)
 
 
-def names_in(formula: Formula) -> frozenset[str]:
-    """The names of values that a formula uses; none for a function, whose names are not known."""
-    return _expression(formula).names if isinstance(formula, str) else frozenset()
-
-
-def evaluate(formula: Formula, values: Mapping[str, Any]) -> Float[Array, ""]:
+def _evaluate(formula: Formula, values: Mapping[str, Any]) -> Float[Array, ""]:
     """The value of a formula."""
     if isinstance(formula, str):
         number = _expression(formula).value(values)
@@ -132,9 +127,9 @@ def _applied(function: Callable[..., Any], *nodes: ast.expr) -> _Expression:
     return _Expression(names, lambda values: function(*(one.value(values) for one in arguments)))
 
 
-def check_name(name: Any, kind: str) -> None:
+def _check_name(name: Any, kind: str) -> None:
     """Refuse a name that no expression could use."""
-    taken = {*_FUNCTIONS, "pi", PREVIOUS}
+    taken = {*_FUNCTIONS, "pi", _PREVIOUS}
     usable = isinstance(name, str) and name.isidentifier() and not (keyword.iskeyword(name) or name.startswith("_"))
     # Python normalises names: the micro sign becomes the Greek letter.
     if not usable or name in taken or unicodedata.normalize("NFKC", name) != name:
@@ -172,39 +167,42 @@ class Chain(NamedTuple):
         before: tuple[Any, ...] = ()
         for vector in self.vectors:
             angles = tuple(
-                evaluate(formula, {**values, PREVIOUS: previous} if before else values)
+                _evaluate(formula, {**values, _PREVIOUS: previous} if before else values)
                 for formula, previous in zip((*vector.direction, 0.0)[:2], before or (0.0, 0.0), strict=True)
             )
             azimuth, elevation = map(jnp.deg2rad, angles)
             along = jnp.cos(elevation)
             unit = jnp.stack([along * jnp.cos(azimuth), along * jnp.sin(azimuth), jnp.sin(elevation)])
-            total, before = total + evaluate(vector.length, values) * unit, angles
+            total, before = total + _evaluate(vector.length, values) * unit, angles
         return total[: self.components]
 
 
-def is_chain(given: Any) -> bool:
+def _is_chain(description: Any) -> bool:
     """Whether a description is a list of vectors rather than a formula."""
-    return isinstance(given, list | tuple)
+    return isinstance(description, list | tuple)
 
 
-def read_chain(given: Any, known: Collection[str], where: str) -> Chain:
+def _read_chain(description: Any, known: Collection[str], where: str) -> Chain:
     """A chain from its description `[(length, direction), ...]`."""
-    if not is_chain(given) or len(given) < 2:
-        raise ProblemError(f"{where}: expected two or more vectors, [(length, direction), ...]; received {given!r}.")
-    return Chain(tuple(_read_vector(one, known, f"{where}, vector {i + 1}", i == 0) for i, one in enumerate(given)))
+    if not _is_chain(description) or len(description) < 2:
+        raise ProblemError(
+            f"{where}: expected two or more vectors, [(length, direction), ...]; received {description!r}."
+        )
+    vectors = enumerate(description)
+    return Chain(tuple(_read_vector(one, known, f"{where}, vector {i + 1}", i == 0) for i, one in vectors))
 
 
-def _read_vector(given: Any, known: Collection[str], where: str, is_first: bool) -> Vector:
-    if not (is_chain(given) and len(given) == 2):
-        raise ProblemError(f"{where}: expected (length, direction), such as ('a', 90); received {given!r}.")
-    length, direction = given
-    angles = tuple(direction) if is_chain(direction) else (direction,)
+def _read_vector(vector: Any, known: Collection[str], where: str, is_first: bool) -> Vector:
+    if not (_is_chain(vector) and len(vector) == 2):
+        raise ProblemError(f"{where}: expected (length, direction), such as ('a', 90); received {vector!r}.")
+    length, direction = vector
+    angles = tuple(direction) if _is_chain(direction) else (direction,)
     if len(angles) not in (1, 2):
         raise ProblemError(
             f"{where}: expected a direction in degrees or, in space, (azimuth, elevation); received {direction!r}."
         )
-    turning = known if is_first else {*known, PREVIOUS}
-    return Vector(read_formula(length, known, where), tuple(read_formula(one, turning, where) for one in angles))
+    turning = known if is_first else {*known, _PREVIOUS}
+    return Vector(_read_formula(length, known, where), tuple(_read_formula(one, turning, where) for one in angles))
 
 
 class _Description(NamedTuple):
@@ -268,14 +266,17 @@ class Assembly(AlgebraicSystem):
                 for name, value in unknowns.items()
             ),
             loops=tuple(
-                read_chain(loop, known, f"Assembly, loop {i + 1}")
+                _read_chain(loop, known, f"Assembly, loop {i + 1}")
                 for i, loop in enumerate(members("Assembly: loops", loops, object))
             ),
             equations=tuple(
-                read_equation(one, known, f"Assembly, equation {i + 1}")
+                _read_equation(one, known, f"Assembly, equation {i + 1}")
                 for i, one in enumerate(members("Assembly: equations", equations, object))
             ),
-            features=tuple((name, _read_feature(name, one, known)) for name, one in features.items()),
+            features=tuple(
+                (name, (_read_chain if _is_chain(part) else _read_formula)(part, known, f"Assembly, feature '{name}'"))
+                for name, part in features.items()
+            ),
             units=tuple(units.items()),
         )
         _check_equations(self.description)
@@ -298,13 +299,15 @@ class Assembly(AlgebraicSystem):
         """The resultant of each closed loop, then the residual of each further equation."""
         values = self._values(rho)
         closed = [loop.resultant(values) for loop in self.description.loops]
-        return closed + [evaluate(left, values) - evaluate(right, values) for left, right in self.description.equations]
+        return closed + [
+            _evaluate(left, values) - _evaluate(right, values) for left, right in self.description.equations
+        ]
 
     def outputs(self, rho: Any) -> dict[str, Float[Array, "..."]]:
         """The unknowns and the features."""
         values = self._values(rho)
         features = {
-            name: one.resultant(values) if isinstance(one, Chain) else evaluate(one, values)
+            name: one.resultant(values) if isinstance(one, Chain) else _evaluate(one, values)
             for name, one in self.description.features
         }
         return rho._asdict() | features
@@ -321,12 +324,12 @@ def _check_names(
 ) -> None:
     seen: dict[str, str] = {}
     by_name = {"dimension": dimensions, "unknown": unknowns, "feature": features}
-    for kind, given in {**by_name, "unit": units}.items():
-        if not isinstance(given, Mapping):
-            raise ProblemError(f"Assembly: expected each {kind} by name, in a dict; received {given!r}.")
-    for kind, given in by_name.items():
-        for name in given:
-            check_name(name, kind)
+    for kind, named in {**by_name, "unit": units}.items():
+        if not isinstance(named, Mapping):
+            raise ProblemError(f"Assembly: expected each {kind} by name, in a dict; received {named!r}.")
+    for kind, named in by_name.items():
+        for name in named:
+            _check_name(name, kind)
             if name in seen:
                 raise ProblemError(f"Assembly: '{name}' names a {seen[name]} and a {kind}. Rename one of them.")
             seen[name] = kind
@@ -348,11 +351,6 @@ def _number(value: Any, what: str, expected: str) -> float:
     raise ProblemError(f"Assembly: expected {expected} as {what}; received {value!r}.")
 
 
-def _read_feature(name: str, given: Any, known: Collection[str]) -> Formula | Chain:
-    where = f"Assembly, feature '{name}'"
-    return read_chain(given, known, where) if is_chain(given) else read_formula(given, known, where)
-
-
 def _check_equations(description: _Description) -> None:
     """Refuse a wrong number of equations, and unknowns that no equation contains."""
     unknowns = [name for name, _ in description.guesses]
@@ -368,7 +366,7 @@ def _check_equations(description: _Description) -> None:
     formulas += [side for equation in description.equations for side in equation]
     if any(callable(formula) for formula in formulas):
         return  # the names that a function uses are not known
-    used = frozenset[str]().union(*map(names_in, formulas))
+    used = frozenset[str]().union(*(_expression(formula).names for formula in formulas if isinstance(formula, str)))
     for name in unknowns:
         if name not in used:
             raise ProblemError(f"Assembly: unknown '{name}' is in no loop and no equation. Drop it, or use it.")

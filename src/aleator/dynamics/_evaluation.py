@@ -31,13 +31,13 @@ _LOOKED_AT = 16
 
 def initial_state(system: System, t: Any = None, inputs: Mapping[str, Any] | None = None) -> Any:
     """The initial state as a named tuple of arrays: at the time `t`, with the inputs there, if these are given."""
-    given = system.initial() if inputs is None else system.starting(t, inputs)
-    if not isinstance(given, Mapping):
+    values = system.initial() if inputs is None else system.starting(t, inputs)
+    if not isinstance(values, Mapping):
         raise ProblemError(
             f"{system.title}.initial returns a dict of initial values by state; "
-            f"received {type(given).__name__} {given!r}."
+            f"received {type(values).__name__} {values!r}."
         )
-    unknown = set(given) - set(system.states)
+    unknown = set(values) - set(system.states)
     if unknown & set(system.algebraic):
         raise ProblemError(
             f"{system.title}.initial names {sorted(unknown & set(system.algebraic))}, which follow from the "
@@ -47,7 +47,7 @@ def initial_state(system: System, t: Any = None, inputs: Mapping[str, Any] | Non
         raise ProblemError(
             f"{system.title}.initial names {sorted(unknown)}, which are not states; expected some of {system.states}."
         )
-    return state_type(system.states)(*starting(f"{system.title}.initial", system.states, given))
+    return state_type(system.states)(*starting(f"{system.title}.initial", system.states, values))
 
 
 def derivative(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> Any:
@@ -107,12 +107,12 @@ def _signals_told(system: System) -> Iterator[None]:
         raise
 
 
-def starting(what: str, names: tuple[str, ...], given: Mapping[str, Any]) -> list[Array]:
+def starting(what: str, names: tuple[str, ...], numbers: Mapping[str, Any]) -> list[Array]:
     """Initial values or guesses by name as arrays, zero where not given; known ones are checked to be finite."""
-    values = [traceable(f"{what}, '{name}'", given.get(name, 0.0)) for name in names]
+    values = [traceable(f"{what}, '{name}'", numbers.get(name, 0.0)) for name in names]
     for name, value in zip(names, values, strict=True):
         if not isinstance(value, Tracer) and not np.isfinite(value).all():
-            raise ProblemError(f"{what}, '{name}': expected finite numbers; received {given[name]}.")
+            raise ProblemError(f"{what}, '{name}': expected finite numbers; received {numbers[name]}.")
     return values
 
 
@@ -123,17 +123,17 @@ def as_outputs(system: AbstractSystem, values: Any) -> dict[str, Array]:
             f"{system.title}.outputs returns a dict of arrays by name; received {type(values).__name__}."
         )
     who = f"{system.title}.outputs"
-    found = {}
+    arrays = {}
     for name, value in values.items():
         if not isinstance(name, str):
             raise ProblemError(f"{who}: expected names of outputs; received {name!r}.")
-        found[name] = traceable(f"{who}, '{name}'", value)
-        if found[name].size == 0:
+        arrays[name] = traceable(f"{who}, '{name}'", value)
+        if arrays[name].size == 0:
             raise ProblemError(
-                f"{who}, '{name}': expected at least one number; received an array of shape {found[name].shape}, on "
+                f"{who}, '{name}': expected at least one number; received an array of shape {arrays[name].shape}, on "
                 "which every constraint would hold. Drop the output."
             )
-    return found
+    return arrays
 
 
 def as_equations(
@@ -159,13 +159,13 @@ def as_equations(
 def guessed_algebraic(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> Any:
     """The guess of the algebraic variables as a named tuple of arrays: their number and shapes, too."""
     who = f"{system.title}.algebraic_guess"
-    given = evaluated(system, system.algebraic_guess, t, z, inputs)
-    if not isinstance(given, Mapping) or not set(given) <= set(system.algebraic):
+    values = evaluated(system, system.algebraic_guess, t, z, inputs)
+    if not isinstance(values, Mapping) or not set(values) <= set(system.algebraic):
         raise ProblemError(
             f"{who} returns a dict of values near the solution, by the names of some of the algebraic variables "
-            f"{system.algebraic}; received {given!r}."
+            f"{system.algebraic}; received {values!r}."
         )
-    return state_type(system.algebraic)(*starting(who, system.algebraic, given))
+    return state_type(system.algebraic)(*starting(who, system.algebraic, values))
 
 
 def algebraic_residuals(system: System, t: Any, whole: Any, inputs: dict[str, Array]) -> Float[Array, " algebraic"]:
@@ -213,10 +213,10 @@ def explain_algebraic(
 
     @jax.jit
     @jax.vmap
-    def found(t: Array, row: Array) -> Array:
+    def solvable(t: Array, row: Array) -> Array:
         return jnp.isfinite(row).all() & solved_algebraic(system, t, named(row), now(t))[0].converged
 
-    good = np.asarray(found(jnp.asarray(times), jnp.asarray(course)))
+    good = np.asarray(solvable(jnp.asarray(times), jnp.asarray(course)))
     if good.all():
         return ""
     last = max(int(np.argmin(good)) - 1, 0)
@@ -240,11 +240,11 @@ def explain_from(system: System, t: float, z: Any, step: float, now: Callable[[A
         root = solved_algebraic(*at)[0]
         return root, place, guessed_algebraic(*at), root.converged
 
-    *found, converged = onward(jnp.asarray(shares))
+    *places, converged = onward(jnp.asarray(shares))
     if np.all(converged):
         return ""
     first = int(np.argmin(converged))
-    root, place, guess = jax.tree.map(lambda one: one[first], found)
+    root, place, guess = jax.tree.map(lambda one: one[first], places)
     numbers = listed({**place._asdict(), **numbers_in(system)})
     return (
         f"{system.title}: its algebraic variables have no solution at about t = "

@@ -80,9 +80,9 @@ class Grid(AbstractGrid):
 
     def divided(self, steps: int) -> "Grid":
         """The same time span with `steps` steps."""
-        found = copy(self)  # its times may be traced, and were checked
-        object.__setattr__(found, "steps", whole("Grid: steps", steps))
-        return found
+        grid = copy(self)  # its times may be traced, and were checked
+        object.__setattr__(grid, "steps", whole("Grid: steps", steps))
+        return grid
 
     @property
     @override

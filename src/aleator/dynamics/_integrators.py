@@ -103,14 +103,14 @@ class AbstractFixedStep(AbstractIntegrator):
                 growths.append(stage[1])
             end = _moved(z, h, weights, slopes)
             # Outputs are taken inside the loop, so that states need not be stored.
-            folded, found = asked.folded(folded, asked.at_instant(system, t + h, end, after))
+            folded, outputs = asked.folded(folded, asked.at_instant(system, t + h, end, after))
             halfway = {}
             if asked.nodes:
                 arrived = derivative(system, t + h, end, last)
                 # Cubic Hermite interpolation between both ends, as accurate as these are.
                 centre = jax.tree.map(lambda a, b, da, db: (a + b) / 2 + h / 8 * (da - db), z, end, slopes[0], arrived)
                 halfway = asked.at_node(system, t + h / 2, centre, signals[0.5])
-            return (end, _moved(integrals, h, weights, growths), folded), (found, halfway)
+            return (end, _moved(integrals, h, weights, growths), folded), (outputs, halfway)
 
         shapes = jax.eval_shape(lambda: asked.rates(system, grid.times[0], start, now))
         zeros = jax.tree.map(lambda one: jnp.zeros(one.shape), shapes)
@@ -147,12 +147,12 @@ def _moved(z: Pytree, h: Any, weights: tuple[float, ...], slopes: list[Pytree]) 
 
 def _interleaved(history: dict[str, Array], middles: dict[str, Array]) -> dict[str, Array]:
     """Values at the instants and at the midpoints of the steps, in order of time."""
-    found = {}
+    nodes = {}
     for name, inside in middles.items():
         ends = history[name]
         pairs = jnp.stack([ends[:-1], inside], axis=1).reshape(2 * len(inside), *inside.shape[1:])
-        found[name] = jnp.concatenate([pairs, ends[-1:]])
-    return found
+        nodes[name] = jnp.concatenate([pairs, ends[-1:]])
+    return nodes
 
 
 @final

@@ -47,9 +47,9 @@ class SegmentRate(AbstractMeanRate):
     @property
     def quadrature(self) -> Float[np.ndarray, " told"]:
         """The weights of what is told in a mean over the segment."""
-        found = np.zeros(len(self.told))
-        np.add.at(found, self._places, np.tile(_WEIGHTS, self.count) / self.count)
-        return found
+        weights = np.zeros(len(self.told))
+        np.add.at(weights, self._places, np.tile(_WEIGHTS, self.count) / self.count)
+        return weights
 
     @override
     def __call__(

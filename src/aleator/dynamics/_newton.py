@@ -224,19 +224,19 @@ def named_root(
 ) -> tuple[Root, Named]:
     """Solve `equations(numbers, unknowns) = 0` from a guess, a named tuple of arrays: see `newton`."""
     start, named = ravel_pytree(guess)
-    terms = constant_terms(lambda given: equations(given, guess), numbers)
+    terms = constant_terms(lambda values: equations(values, guess), numbers)
     return newton(lambda vector: equations(numbers, named(vector)), start, terms), named
 
 
-def constant_terms(equations: Callable[[Pytree], Float[Array, " n"]], given: Pytree) -> Float[Array, " n"]:
+def constant_terms(equations: Callable[[Pytree], Float[Array, " n"]], known: Pytree) -> Float[Array, " n"]:
     """The magnitudes of the terms that known numbers add to each equation: their rounding limits the unknowns.
 
     Computed by derivatives along all numbers at once, with weights under which terms of opposite sign do not cancel.
     """
-    dynamic, static = eqx.partition(numbers_to_arrays(given), eqx.is_inexact_array)
+    dynamic, static = eqx.partition(numbers_to_arrays(known), eqx.is_inexact_array)
     numbers, combined = ravel_pytree(dynamic)
     if not numbers.size:
-        return jnp.zeros_like(equations(given))
+        return jnp.zeros_like(equations(known))
     order = np.arange(1, numbers.size + 1)
     weights = np.stack([0.5 + order * _GOLDEN % 1, (-1.0) ** order * (0.5 + order * _GOLDEN**2 % 1)])
 

@@ -47,9 +47,9 @@ class Asked(NamedTuple):
     integrated: frozenset[str] = frozenset()
     fold: Fold | None = None
 
-    def folded(self, carried: Any, found: dict[str, Array]) -> tuple[Any, dict[str, Array]]:
+    def folded(self, carried: Any, outputs: dict[str, Array]) -> tuple[Any, dict[str, Array]]:
         """What is carried on from an instant, and what is recorded of the outputs there: without a fold, all."""
-        return ((), found) if self.fold is None else self.fold(carried, found)
+        return ((), outputs) if self.fold is None else self.fold(carried, outputs)
 
     def at_instant(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> dict[str, Array]:
         """What is recorded at an instant of the grid."""
@@ -95,16 +95,16 @@ class Record(NamedTuple):
         return Record(history, {name: values[every] for name, values in self.nodes.items()}, self.integrals)
 
 
-def chosen(system: Any, found: dict[str, Array], only: Collection[str] | None) -> dict[str, Array]:
+def chosen(system: Any, outputs: dict[str, Array], only: Collection[str] | None) -> dict[str, Array]:
     """The outputs that are asked for. Raises `ProblemError` for any that the system does not have."""
     if only is None:
-        return found
-    if not set(only) <= set(found):
+        return outputs
+    if not set(only) <= set(outputs):
         raise ProblemError(
-            f"{system.title}: expected in `only` a list of some of the outputs {list(found)}; "
+            f"{system.title}: expected in `only` a list of some of the outputs {list(outputs)}; "
             f"received {sorted(only)!r}."
         )
-    return {name: value for name, value in found.items() if name in only}
+    return {name: value for name, value in outputs.items() if name in only}
 
 
 class Known(NamedTuple):
@@ -118,12 +118,12 @@ class Known(NamedTuple):
 
     def unpack(self, row: Float[Array, " numbers"]) -> tuple[Array, dict[str, Array]]:
         """The time and the inputs of one row."""
-        found, start = {}, 1
+        values, start = {}, 1
         for name, shape in self.inputs.items():
             size = math.prod(shape)
-            found[name] = row[start : start + size].reshape(shape)
+            values[name] = row[start : start + size].reshape(shape)
             start += size
-        return row[0], found
+        return row[0], values
 
 
 def known_at(inputs: Inputs, grid: Grid, fractions: Fractions | None = None) -> Known:
@@ -181,25 +181,25 @@ def at_each_instant(
     """
     numbers, rest = eqx.partition(parameters, eqx.is_inexact_array)
 
-    def one(given: Pytree, row: Array) -> Pytree:
-        return function(eqx.combine(given, rest), row)
+    def one(point: Pytree, row: Array) -> Pytree:
+        return function(eqx.combine(point, rest), row)
 
     every = jax.vmap(one, in_axes=(None, 0))
 
     @jax.custom_jvp
-    def evaluated(given: Pytree, rows: Array) -> Pytree:
-        return every(given, rows)
+    def evaluated(point: Pytree, rows: Array) -> Pytree:
+        return every(point, rows)
 
     def tangent(primals: tuple[Pytree, Array], tangents: tuple[Pytree, Any]) -> tuple[Pytree, Pytree]:
-        given, rows = primals
-        given_dot, rows_dot = tangents
-        values = every(given, rows)
-        slopes = jax.vmap(jax.jacfwd(one, argnums=1), in_axes=(None, 0))(given, rows)
+        point, rows = primals
+        point_dot, rows_dot = tangents
+        values = every(point, rows)
+        slopes = jax.vmap(jax.jacfwd(one, argnums=1), in_axes=(None, 0))(point, rows)
         moved = jnp.zeros_like(rows) if _is_zero(rows_dot) else rows_dot
         change = jax.tree.map(lambda slope: jnp.einsum("t...k,tk->t...", slope, moved), slopes)
-        if any(not _is_zero(leaf) for leaf in jax.tree.leaves(given_dot, is_leaf=_is_zero)):
-            along = jax.tree.map(_materialised, given, given_dot)
-            direct = jax.jvp(lambda where: every(where, rows), (given,), (along,))[1]
+        if any(not _is_zero(leaf) for leaf in jax.tree.leaves(point_dot, is_leaf=_is_zero)):
+            along = jax.tree.map(_materialised, point, point_dot)
+            direct = jax.jvp(lambda where: every(where, rows), (point,), (along,))[1]
             change = jax.tree.map(jnp.add, change, direct)
         return values, change
 

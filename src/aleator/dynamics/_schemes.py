@@ -180,9 +180,9 @@ class AbstractCollocation(AbstractScheme):
     @property
     @override
     def quadrature(self) -> Float[np.ndarray, " told"]:
-        found = np.zeros(len(self.told))
-        found[self.asked] = self.weights[-1]
-        return found
+        weights = np.zeros(len(self.told))
+        weights[self.asked] = self.weights[-1]
+        return weights
 
     @property
     @override

@@ -237,14 +237,14 @@ def refuse_unrealised(**parts: Any) -> None:
     """Raise `ProblemError` if a distribution or a decision is left in the parts to simulate; traced numbers pass."""
     for name, leaf in named_leaves(parts):
         refuse_missing(name, leaf)
-    found = [
+    leaves = [
         f"'{jax.tree_util.keystr(path, simple=True, separator='.')}' is a {type(leaf).__name__}"
         for path, leaf in jax.tree_util.tree_leaves_with_path(parts, is_leaf=is_leaf)
         if is_leaf(leaf)
     ]
-    if found:
+    if leaves:
         raise ProblemError(
-            f"simulate: expected one realised system, with plain numbers throughout; received {', '.join(found)}. "
+            f"simulate: expected one realised system, with plain numbers throughout; received {', '.join(leaves)}. "
             "Replace these by numbers, declare an al.Problem, or pass a function that simulates to al.expand or "
             "al.references.monte_carlo, which realise the system."
         )

@@ -257,19 +257,19 @@ def check_variables(system: System) -> None:
         )
 
 
-def check_inputs(system: System, given: Collection[str]) -> None:
+def check_inputs(system: System, inputs: Collection[str]) -> None:
     """Refuse inputs that a system does not take, and systems that lack an input."""
     name, methods = system.title, [_inputs_of(one) for one in _methods(system)]
     needed = {name for method in methods for name in method.needed}.union(system.further_inputs or ())
-    missing = sorted(needed - set(given) - set(system.signals()))
-    if given and system.signal_fields and not needed - set(system.signals()):
+    missing = sorted(needed - set(inputs) - set(system.signals()))
+    if inputs and system.signal_fields and not needed - set(system.signals()):
         # Its further arguments are for signals that it makes of its own fields.
         fields = " and ".join(f"`{one}`" for one in system.signal_fields)
         raise ProblemError(
             f"{name} takes no inputs: its signals are given where it is made, as its {fields}; received the inputs "
-            f"{sorted(given)}. Write {name}(..., {system.signal_fields[0]}=...)."
+            f"{sorted(inputs)}. Write {name}(..., {system.signal_fields[0]}=...)."
         )
     is_open = any(one.takes_all for one in methods) and system.further_inputs is None
-    unknown = [] if is_open else sorted(set(given) - set(input_names(system)))
+    unknown = [] if is_open else sorted(set(inputs) - set(input_names(system)))
     if missing or unknown:
-        raise ProblemError(f"{name} takes the inputs {sorted(input_names(system))}; received {sorted(given)}.")
+        raise ProblemError(f"{name} takes the inputs {sorted(input_names(system))}; received {sorted(inputs)}.")

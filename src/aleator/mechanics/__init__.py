@@ -1,23 +1,23 @@
 """Mechanical systems and their forward, inverse and hybrid dynamics. Knows no randomness."""
 
 from aleator.mechanics._bodies import Body as Body
-from aleator.mechanics._body_load import BodyLoad as BodyLoad
-from aleator.mechanics._closure import Closure as Closure
 from aleator.mechanics._equations import Accelerations as Accelerations
 from aleator.mechanics._equations import Lagrangian as Lagrangian
 from aleator.mechanics._equations import Mechanical as Mechanical
 from aleator.mechanics._formulation import AbstractFormulation as AbstractFormulation
 from aleator.mechanics._forward import ForwardDynamics as ForwardDynamics
 from aleator.mechanics._hybrid import HybridDynamics as HybridDynamics
+from aleator.mechanics._inverse import Actuation as Actuation
 from aleator.mechanics._inverse import InverseDynamics as InverseDynamics
+from aleator.mechanics._inverse import actuation_of as actuation_of
 from aleator.mechanics._joints import AbstractJoint as AbstractJoint
 from aleator.mechanics._joints import Ball as Ball
 from aleator.mechanics._joints import Fixed as Fixed
 from aleator.mechanics._joints import Free as Free
 from aleator.mechanics._joints import Prismatic as Prismatic
 from aleator.mechanics._joints import Revolute as Revolute
-from aleator.mechanics._maps import Actuation as Actuation
-from aleator.mechanics._maps import actuation_of as actuation_of
+from aleator.mechanics._loops_and_loads import BodyLoad as BodyLoad
+from aleator.mechanics._loops_and_loads import Closure as Closure
 from aleator.mechanics._mechanical import AbstractMechanical as AbstractMechanical
 from aleator.mechanics._mechanical import Motion as Motion
 from aleator.mechanics._multibody import Multibody as Multibody

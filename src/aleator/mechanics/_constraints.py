@@ -2,20 +2,24 @@
 
 The index is reduced by two differentiations (dissertation, equation 6). What integration then loses of the constraints
 themselves is put back wherever the equations are evaluated, so that no gain is to be chosen: the motion obeys them at
-all times, whatever carries it forward, and an integrator keeps its order.
+all times, whatever carries it forward, and an integrator keeps its order. Where a system begins, coordinates and
+velocities that its constraints allow are found from those given.
 """
 
+import functools
+from collections.abc import Collection
 from typing import NamedTuple, final
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from aleator.dynamics import newton
 from aleator.mechanics._instant import along_time
-from aleator.mechanics._maps import rates
 from aleator.mechanics._matrices import (
     block,
     inverse,
+    merged,
     positive_solver,
     product,
     solve_any,
@@ -23,7 +27,7 @@ from aleator.mechanics._matrices import (
     spread,
     taken,
 )
-from aleator.mechanics._mechanical import AbstractMechanical, constraint_of, jacobian_of, rate_map
+from aleator.mechanics._mechanical import AbstractMechanical, constraint_of, jacobian_of, rate_map, rates
 
 # Corrections of the coordinates with one Jacobian: each multiplies what is missing by what was missing at first.
 _CORRECTIONS = 3
@@ -133,3 +137,61 @@ def put_back(
         step = jnp.abs(correction).max()
     q = model.normalised(q)
     return q, step <= _CLOSE * (1 + jnp.abs(q).max())
+
+
+def loose_beside(
+    model: AbstractMechanical, start: Collection[str], prescribed: tuple[int, ...] = (), driven: tuple[int, ...] = ()
+) -> Loose:
+    """What follows the constraints at a start: all that is neither prescribed nor named by `start`."""
+    return Loose(
+        tuple(i for i, name in enumerate(model.coordinates) if i not in prescribed and name not in start),
+        tuple(i for i, name in enumerate(model.speeds) if i not in driven and name not in start),
+    )
+
+
+def consistent_start(
+    model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], loose: Loose
+) -> tuple[Float[Array, " coordinates"], Float[Array, " speeds"]]:
+    """Coordinates and velocities beside those given, moved where they are loose, that the constraints allow."""
+    q = consistent_coordinates(model, q, loose.coordinates)
+    return q, consistent_velocities(model, q, v, loose.speeds)
+
+
+def consistent_coordinates(
+    model: AbstractMechanical, near: Float[Array, " coordinates"], moving: tuple[int, ...]
+) -> Float[Array, " coordinates"]:
+    """The posture nearest to the one given that the constraints allow, by some of the coordinates; or not a number.
+
+    Near is meant by the coordinates as they are, rad and m alike. Differentiable, by the implicit function theorem.
+    """
+    count, given = len(moving), taken(near, moving)
+    # Rounding of angles and lengths of about 1, for a start may obey the constraints with coordinates of zero.
+    sizes = 1 + jnp.abs(near)
+    terms = jnp.abs(jax.jacfwd(functools.partial(constraint_of, model))(near)) @ sizes
+    fixed = [i for i in range(len(near)) if i not in moving]
+
+    def posture(at: Array) -> Array:
+        return model.normalised(merged(at, moving, taken(near, fixed), fixed))
+
+    def bound(at: Array) -> Array:
+        return constraint_of(model, posture(at))
+
+    def nearest(unknowns: Array) -> Array:
+        at, multipliers = unknowns[:count], unknowns[count:]
+        missing, pulled = jax.vjp(bound, at)
+        return jnp.concatenate([at - given + pulled(multipliers)[0], missing])
+
+    if count == len(model.constraints):
+        root = newton(bound, given, terms)
+    else:
+        unknowns = jnp.concatenate([given, jnp.zeros(len(model.constraints))])
+        root = newton(nearest, unknowns, jnp.concatenate([taken(sizes, moving), terms]))
+    return posture(jnp.where(root.converged, root.point[:count], jnp.nan))
+
+
+def consistent_velocities(
+    model: AbstractMechanical, q: Array, near: Float[Array, " speeds"], moving: tuple[int, ...]
+) -> Float[Array, " speeds"]:
+    """The velocities nearest to those given that the constraints allow, by some of them; not a number where none."""
+    G = taken(jacobian_of(model, q).T, moving).T
+    return near - spread(solve_any(G, constraint_rate(model, q, near)), moving, len(near))

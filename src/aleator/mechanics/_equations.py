@@ -52,14 +52,12 @@ class AbstractNamed(AbstractMechanical):
     @property
     @override
     def speeds(self) -> tuple[str, ...]:
-        given = self.velocity_names
-        return tuple(f"{name}_rate" for name in self.names) if given is None else tuple(given)
+        return super().speeds if self.velocity_names is None else tuple(self.velocity_names)
 
     @property
     @override
     def actuators(self) -> tuple[str, ...]:
-        given = self.actuator_names
-        return tuple(f"{name.removesuffix('_rate')}_torque" for name in self.speeds) if given is None else tuple(given)
+        return super().actuators if self.actuator_names is None else tuple(self.actuator_names)
 
     @property
     @override

@@ -1,13 +1,13 @@
-"""The base class of forward, inverse and hybrid dynamics: systems made from a mechanical model, and their diagnosis.
+"""The base class of forward, inverse and hybrid dynamics: systems made from a mechanical model, and their outputs.
 
-Diagnosis names singular matrices and rules that a model breaks, with posture and time. All that it asks of a model is
-one program; prescribed motions of bodies on simple joints need none.
+All that diagnosis asks of a model is one program; prescribed motions of bodies on simple joints need none.
 """
 
 import abc
 import contextlib
+from collections import Counter
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -19,56 +19,27 @@ from typing_extensions import override
 from aleator._core.arrays import in_library, numbers_to_arrays
 from aleator._core.border import one_of
 from aleator._core.compilation import Compiled, Use
+from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_traced, transparent
 from aleator.dynamics import Grid, RungeKutta4, System, simulate
-from aleator.mechanics._consistent import constraint_diagnosis_along, lost_rank, posture_text, start_diagnosis
-from aleator.mechanics._constraints import Loose, all_loose
+from aleator.mechanics._constraints import Bound, Loose, all_loose
+from aleator.mechanics._diagnosis import (
+    Examination,
+    Posture,
+    constraint_diagnosis_along,
+    effect_diagnosis,
+    first_diagnosis,
+    posture_diagnosis,
+    quaternion_diagnosis,
+    rows_of,
+    start_diagnosis,
+    unobeyed,
+)
 from aleator.mechanics._instant import at, instants_of, is_timed
-from aleator.mechanics._mechanical import AbstractMechanical, jacobian_of, mass_of, rate_map
-
-# Reciprocal condition numbers below this count as zero: results would have no correct digit left.
-_SINGULAR = 1e-12
-
-# A quaternion shorter than this has no meaningful direction.
-_VANISHING = 1e-3
+from aleator.mechanics._mechanical import AbstractMechanical, Motion, constraint_of, jacobian_of, mass_of, rate_map
 
 # Coordinates this many times as large as at the start are no longer a meaningful posture.
 _ABSURD = 1e4
-
-
-class Posture(NamedTuple):
-    """What diagnosis asks of a model at each instant, along the first axis; `None` for what needs no check.
-
-    - `mass`: `M`; `rates`: `H`; `jacobian`: `G` of what follows the constraints;
-    - `effects`: how the torques to be found act on the motions that they must realise: of full row rank;
-    - `stated`: what the model states in two ways, see `AbstractMechanical.stated_twice`.
-    """
-
-    q: Any
-    mass: Any
-    rates: Any
-    jacobian: Any
-    effects: Any
-    stated: Any
-
-
-class Examination(NamedTuple):
-    """What diagnosis asks of a formulation on a grid.
-
-    - `row`: the first instant, see `Instants.row`; `near`: the coordinates there as they are given; `own`: what the
-      formulation itself checks there;
-    - `motion`: coordinates and velocities at each instant, not finite where they could not be integrated; `postures`:
-      there, or at the last posture before; at the first instant alone if nothing can change later;
-    - `given`, `valid`: the prescribed coordinates, and the same made valid, if these may differ.
-    """
-
-    row: Any
-    near: Any
-    own: Any
-    motion: Any
-    postures: Posture
-    given: Any
-    valid: Any
 
 
 @transparent("model")
@@ -79,6 +50,11 @@ class AbstractFormulation(System):
     """
 
     model: eqx.AbstractVar[AbstractMechanical]
+
+    @property
+    def units(self) -> Mapping[str, str]:  # type: ignore[override]
+        """The units that the model declares, and the standard units of its kind."""
+        return {**self.model.standard_units, **self.model.units}
 
     @override
     def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -138,9 +114,9 @@ class AbstractFormulation(System):
     @override
     def diagnose(self, grid: Grid) -> str:
         times = np.asarray(grid.times)
-        found = self._diagnosis(times, examined(self, grid))
+        fault = self._diagnosis(times, examined(self, grid))
         # A program of code that has changed since may let a fault pass, but must not refuse what is right.
-        return found and self._diagnosis(times, examined(self, grid, eqx.filter_jit(lambda *given: _examined(*given))))
+        return fault and self._diagnosis(times, examined(self, grid, eqx.filter_jit(lambda *given: _examined(*given))))
 
     def _diagnosis(self, times: np.ndarray, seen: Examination) -> str:
         """What is wrong at the start, in the first bad posture, or where the motion ends; empty if nothing.
@@ -156,17 +132,17 @@ class AbstractFormulation(System):
         moderate = np.isfinite(q).all(axis=1) & (np.abs(q) <= _ABSURD * (1 + np.abs(q[0]).max())).all(axis=1)
         good = len(q) if moderate.all() or not self.states else max(int(np.argmin(moderate)), 1)
         ends = good < len(q) and not np.isfinite(q[good]).all()
-        postures = _rows(seen.postures, slice(good))
+        postures = rows_of(seen.postures, slice(good))
         # What is prescribed is known where the rest ends, and shows whether torques still act there.
-        effects = _rows(seen.postures.effects, slice(good + 1 if ends else good))
+        effects = rows_of(seen.postures.effects, slice(good + 1 if ends else good))
         return (
-            _posture_diagnosis(model, _rows(postures, 0), "at the start")
-            or self.diagnose_start(_rows(effects, 0), seen.own)
-            or _quaternion_diagnosis(model, times, seen)
+            posture_diagnosis(model, rows_of(postures, 0), "at the start")
+            or self.diagnose_start(rows_of(effects, 0), seen.own)
+            or quaternion_diagnosis(model, times, seen)
             or constraint_diagnosis_along(model, self.loose, times, q, postures.jacobian)
-            or _first_diagnosis(model, times, postures)
-            or _effect_diagnosis(model, times, seen.postures.q, effects)
-            or (_unobeyed(model, times[good - 1], q[good - 1]) if model.constraints and ends else "")
+            or first_diagnosis(model, times, postures)
+            or effect_diagnosis(model, times, seen.postures.q, effects)
+            or (unobeyed(model, times[good - 1], q[good - 1]) if model.constraints and ends else "")
         )
 
     @property
@@ -176,7 +152,7 @@ class AbstractFormulation(System):
         return bool(self.states) or is_timed(model) or not (model.moves_directly and model.acts_directly)
 
 
-def model_given(who: str, model: Any) -> AbstractMechanical:
+def a_model(who: str, model: Any) -> AbstractMechanical:
     """The model, unchanged. Raises `ProblemError` for anything but a mechanical system."""
     return one_of(f"{who}: model", model, AbstractMechanical, "al.Lagrangian or al.Multibody")
 
@@ -209,8 +185,8 @@ def _examined(system: AbstractFormulation, grid: Grid) -> Examination:
 def _integrated(system: AbstractFormulation, grid: Grid) -> Any:
     """Coordinates and velocities at each instant."""
     parts = system.model.coordinates, system.model.speeds
-    found = simulate(system, grid, {}, RungeKutta4(), only=[name for names in parts for name in names])
-    return tuple(jnp.stack([found[name] for name in names], axis=1) for names in parts)
+    history = simulate(system, grid, {}, RungeKutta4(), only=[name for names in parts for name in names])
+    return tuple(jnp.stack([history[name] for name in names], axis=1) for names in parts)
 
 
 def _started(system: AbstractFormulation, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -226,133 +202,67 @@ def _known(tree: Any) -> Any:
     return jax.tree.map(lambda leaf: np.asarray(leaf) if eqx.is_array(leaf) else leaf, tree)
 
 
-def _rows(tree: Any, which: Any) -> Any:
-    """The rows of some instants, or the row of one."""
-    return jax.tree.map(lambda rows: rows[which], tree)
+def standard_outputs(
+    model: AbstractMechanical, motion: Motion, torque_rate: Array | None = None, bound: Bound | None = None
+) -> dict[str, Any]:
+    """Coordinates, rates, accelerations, torques and their rates by name, and the model's own outputs.
 
+    `bound`: the constraints at this posture, if the model has any.
 
-def _posture_diagnosis(model: AbstractMechanical, posture: Posture, when: str) -> str:
-    """What is wrong in one posture: a mass matrix that is not positive definite, or a singular velocity map."""
-    return (
-        _contradiction(model, posture) or _mass_diagnosis(model, posture, when) or _map_diagnosis(model, posture, when)
-    )
-
-
-def _contradiction(model: AbstractMechanical, posture: Posture) -> str:
-    first, second = posture.stated or (np.zeros(0), np.zeros(0))
-    slack = 1e-9 * np.abs(second).max(initial=0.0)
-    agree = np.allclose(first, second, rtol=1e-6, atol=slack, equal_nan=True)
-    return "" if agree else f"{type(model).__name__}.{model._rule}"
-
-
-def _mass_diagnosis(model: AbstractMechanical, at: Posture, when: str) -> str:
-    M, posture = at.mass, posture_text(model, at.q)
-    if not np.isfinite(M).all():
-        return f"The mass matrix of {type(model).__name__} is not finite {when} ({posture})."
-    if not np.allclose(M, M.T, rtol=1e-8, atol=1e-12 * np.abs(M).max(initial=1.0)):
-        return f"The mass matrix of {type(model).__name__} is not symmetric {when} ({posture})."
-    # Scaled by the diagonal entries, since metres and kilograms are not comparable with radians and grams.
-    size = np.sqrt(np.abs(np.diagonal(M)))
-    size = np.where(size > 0, size, 1.0)
-    values, vectors = np.linalg.eigh(M / np.outer(size, size))
-    if values.size and values[0] <= _SINGULAR * max(values[-1], 0.0):
-        worst = model.speeds[int(np.argmax(np.abs(vectors[:, 0])))]
-        kind = "singular" if abs(values[0]) <= _SINGULAR * max(values[-1], 0.0) else "not positive definite"
-        return (
-            f"The mass matrix of {type(model).__name__} is {kind} {when} ({posture}): nothing resists '{worst}'. Give "
-            "mass or inertia to the bodies that move with it, and check the signs of masses."
-        )
-    return ""
-
-
-def _map_diagnosis(model: AbstractMechanical, at: Posture, when: str) -> str:
-    if at.rates is None:
-        return ""
-    H = at.rates
-    if _are_regular(H):
-        return _name_diagnosis(model, H, when)
-    worst = model.coordinates[int(np.argmax(np.where(np.isfinite(H), np.abs(H), np.inf).max(axis=1)))]
-    return (
-        f"The velocity map H of {type(model).__name__} is singular {when} ({posture_text(model, at.q)}): the rate of "
-        f"'{worst}' is not determined (gimbal lock). Avoid this posture, or choose other coordinates, such as "
-        "quaternions."
-    )
-
-
-def _are_regular(maps: np.ndarray) -> Any:
-    """Whether velocity maps, in the last two axes, determine the rates of all coordinates."""
-    finite: Any = np.isfinite(maps).all(axis=(-2, -1))
-    maps = np.where(finite[..., None, None], maps, 0.0)
-    # Scaled row by row, since nanometres and radians are not comparable.
-    scaled = maps / _sizes(maps, -1)
-    scaled = scaled / _sizes(scaled, -2)
-    values, alike = (np.linalg.svd(one, compute_uv=False) for one in (maps, scaled))
-    return finite & (values[..., -1] > 1e-14 * values[..., 0]) & (alike[..., -1] > 1e-8 * alike[..., 0])
-
-
-def _sizes(maps: np.ndarray, axis: int) -> np.ndarray:
-    sizes = np.abs(maps).max(axis=axis, keepdims=True)
-    return np.where(sizes > 0, sizes, 1.0)
-
-
-def _name_diagnosis(model: AbstractMechanical, H: np.ndarray, when: str) -> str:
-    """A velocity named as the rate of a coordinate that is not: the output of that name would be wrong."""
+    Raises `ProblemError` where two of them have the same name, or one of the model's own has a name already taken.
+    """
+    listed: list[tuple[str, Any]] = []
     for i, name in enumerate(model.coordinates):
-        if f"{name}_rate" not in model.speeds:
-            continue
-        alone = np.arange(len(model.speeds)) == model.speeds.index(f"{name}_rate")
-        if not np.allclose(H[i], alone, rtol=0, atol=1e-12):
-            return (
-                f"{type(model).__name__}: the velocity '{name}_rate' is named as the rate of '{name}', but by "
-                f"velocity_map(q) it is not {when}. Name the velocities in velocity_names."
-            )
-    return ""
+        along = (motion.q[i], motion.q_dot[i], motion.q_ddot[i])
+        listed += zip((name, f"{name}_rate", f"{name}_acceleration"), along, strict=True)
+    rates = {f"{name}_rate" for name in model.coordinates}
+    for i, name in enumerate(model.speeds):
+        if name not in rates:
+            listed += [(name, motion.v[i]), (f"{name}_rate", motion.v_dot[i])]
+    for i, name in enumerate(model.actuators):
+        listed.append((name, motion.torque[i]))
+        if torque_rate is not None:
+            listed.append((f"{name}_rate", torque_rate[i]))
+    if bound is not None and model.constraints:
+        listed += _of_constraints(model, motion, bound)
+    standard = dict(listed)
+    if len(standard) < len(listed):
+        twice = sorted(name for name, count in Counter(name for name, _ in listed).items() if count > 1)
+        raise ProblemError(
+            f"{type(model).__name__}: {twice} name two outputs each; rename its coordinates, velocities or actuators."
+        )
+    own = model.outputs(motion)
+    if not isinstance(own, Mapping):
+        raise ProblemError(
+            f"{type(model).__name__}.outputs returns a dict of arrays by name; received {type(own).__name__}."
+        )
+    if taken := sorted(set(standard) & set(own)):
+        raise ProblemError(
+            f"{type(model).__name__}.outputs: {taken} are standard outputs of every mechanical system; rename yours."
+        )
+    return {**standard, **own}
 
 
-def _quaternion_diagnosis(model: AbstractMechanical, times: np.ndarray, seen: Examination) -> str:
-    """Where prescribed coordinates pass near a zero quaternion, which has no direction."""
-    if seen.valid is None:
-        return ""
-    vanished = np.abs(seen.valid) > np.abs(seen.given) / _VANISHING
-    if not vanished.any():
-        return ""
-    instant, coordinate = np.argwhere(vanished)[0]
-    return (
-        f"{type(model).__name__}: the quaternion of '{model.coordinates[coordinate]}' is zero at t = "
-        f"{times[instant]:.4g} s ({posture_text(model, seen.given[instant])}), and so has no direction. Prescribe "
-        "quaternions that stay away from zero."
-    )
+def constrained_outputs(
+    model: AbstractMechanical, outputs: dict[str, Any], integrated: Array, obeyed: Any
+) -> dict[str, Any]:
+    """The outputs of a system with constraints: not a number where these were not obeyed, and how far they had drifted.
+
+    `integrated` are the coordinates before they were put back.
+    """
+    if not model.constraints:
+        return outputs
+    drift = {"constraint_drift": jnp.abs(constraint_of(model, model.normalised(integrated))).max()}
+    return {name: jnp.where(obeyed, value, jnp.nan) for name, value in {**drift, **outputs}.items()}
 
 
-def _first_diagnosis(model: AbstractMechanical, times: np.ndarray, postures: Posture) -> str:
-    """What is wrong in the first posture whose mass matrix or velocity map is singular."""
-    finite: Any = np.isfinite(postures.mass).all(axis=(1, 2))
-    masses = np.where(finite[:, None, None], postures.mass, 0.0)
-    bad = ~finite | (np.linalg.eigvalsh(masses).min(axis=1, initial=np.inf) <= 0)
-    if postures.rates is not None:
-        bad |= ~_are_regular(postures.rates)
-    first = int(np.argmax(bad))
-    return _posture_diagnosis(model, _rows(postures, first), f"at t = {times[first]:.4g} s") if bad.any() else ""
-
-
-def _effect_diagnosis(model: AbstractMechanical, times: np.ndarray, q: np.ndarray, effects: np.ndarray | None) -> str:
-    """Where torques lose their effect: at an instant, or between two where the determinant changes sign."""
-    found = None if effects is None else lost_rank(times, effects)
-    if found is None:
-        return ""
-    when, first = found
-    return (
-        f"The torques of {type(model).__name__} lose their effect {when} ({posture_text(model, q[first])}): the matrix "
-        "by which they act on the motion they must realise is singular there. Start from a motion that avoids this "
-        "posture, or add a torque."
-    )
-
-
-def _unobeyed(model: AbstractMechanical, time: float, q: np.ndarray) -> str:
-    """Constraints that the motion cannot obey any further."""
-    return (
-        f"The constraints of {type(model).__name__} cannot be obeyed beyond about t = {time:.4g} s "
-        f"({posture_text(model, q)}): a dead centre, lengths that do not reach, or accelerations that are not finite. "
-        "Change lengths, start or motion so that it keeps away from there, check forces and energies, or take shorter "
-        "steps."
-    )
+def _of_constraints(model: AbstractMechanical, motion: Motion, bound: Bound) -> list[tuple[str, Any]]:
+    listed: list[tuple[str, Any]] = [
+        ("constraint_error", jnp.abs(constraint_of(model, motion.q)).max()),
+        ("constraint_rate_error", jnp.abs(bound.rate(motion.v)).max()),
+    ]
+    listed += [(f"{name}_multiplier", value) for name, value in zip(model.constraints, motion.multipliers, strict=True)]
+    forces = bound.reactions(motion.multipliers)
+    return listed + [
+        (f"{name.removesuffix('_rate')}_reaction", force) for name, force in zip(model.speeds, forces, strict=True)
+    ]

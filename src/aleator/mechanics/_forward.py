@@ -10,28 +10,30 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
-from aleator.mechanics._consistent import checked_guess, consistent_start, kept_of, start_unknown
-from aleator.mechanics._constraints import (
-    Bound,
-    Loose,
-    Saddle,
-    all_loose,
-    put_back,
-)
-from aleator.mechanics._formulation import AbstractFormulation, model_given
-from aleator.mechanics._given import (
-    Given,
+from aleator.mechanics._arguments import (
+    Signals,
+    checked_guess,
     checked_start,
     combined,
     coordinates_at,
-    course_of,
     signals_for,
+    start_unknown,
     vector,
 )
-from aleator.mechanics._instant import at, is_timed
-from aleator.mechanics._maps import accelerations, rates
-from aleator.mechanics._mechanical import AbstractMechanical, Motion, actuation_map, bias_of, driven, load_on, mass_of
-from aleator.mechanics._outputs import constrained_outputs, standard_outputs
+from aleator.mechanics._constraints import Bound, Loose, Saddle, all_loose, consistent_start, loose_beside, put_back
+from aleator.mechanics._formulation import AbstractFormulation, a_model, constrained_outputs, standard_outputs
+from aleator.mechanics._instant import at, course, is_timed
+from aleator.mechanics._mechanical import (
+    AbstractMechanical,
+    Motion,
+    accelerations,
+    actuation_map,
+    bias_of,
+    driven,
+    load_on,
+    mass_of,
+    rates,
+)
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 
@@ -55,7 +57,7 @@ class ForwardDynamics(AbstractFormulation):
     """
 
     model: AbstractMechanical
-    torque: Given
+    torque: Signals
     start: dict[str, Any]
     guess: dict[str, Any]
 
@@ -70,25 +72,20 @@ class ForwardDynamics(AbstractFormulation):
         start: Mapping[str, Any] | None = None,
         guess: Mapping[str, Any] | None = None,
     ):
-        self.model = model_given("ForwardDynamics", model)
+        self.model = a_model("ForwardDynamics", model)
         self.torque = signals_for(model.actuators, {} if torque is None else torque, "ForwardDynamics, torque")
         self.start = checked_start(model, (*model.coordinates, *model.speeds), start, "ForwardDynamics")
         self.guess = checked_guess("ForwardDynamics", model, model.coordinates, self.start, guess, 0)
 
-    @property
-    def units(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The units that the model declares, and the standard units of its kind."""
-        return {**self.model.standard_units, **self.model.units}
-
     @override
     def signals(self) -> Mapping[str, AbstractSignal]:
-        found = course_of(self.model)
+        parameters = course(self.model)
         if not self.model.actuators:
-            return found
+            return parameters
         torque = combined(self.model.actuators, self.torque)
         curve = torque if isinstance(torque, AbstractTrajectory) and torque.derivatives > 0 else None
         rate = {"torque_rate": curve.derivative()} if curve is not None else {}
-        return {"torque": torque, **rate, **found}
+        return {"torque": torque, **rate, **parameters}
 
     @override
     def initial(self) -> Mapping[str, Any]:
@@ -125,8 +122,8 @@ class ForwardDynamics(AbstractFormulation):
         self, t: Any, z: Any, torque: Any = None, torque_rate: Any = None, parameters: Any = None
     ) -> tuple[tuple[Array, Array], dict[str, Any]]:
         model, torque = at(self.model, t, parameters), self._given(torque)
-        found = _moving(model, z.q, z.v, torque)
-        return _rates_of(model, found), _outputs_of(model, t, z, torque, torque_rate, found)
+        moving = _moving(model, z.q, z.v, torque)
+        return _rates_of(model, moving), _outputs_of(model, t, z, torque, torque_rate, moving)
 
     @override
     def beginning(self, model: AbstractMechanical, grid: Grid) -> tuple[Any, Any]:
@@ -136,7 +133,7 @@ class ForwardDynamics(AbstractFormulation):
     @property
     @override
     def loose_at_start(self) -> Loose:
-        return kept_of(self.model, self.start).loose(self.model)
+        return loose_beside(self.model, self.start)
 
     def _given(self, torque: Any) -> Array:
         n = len(self.model.actuators)
@@ -158,7 +155,7 @@ class _Moving(NamedTuple):
     v: Array
     v_dot: Array
     multipliers: Array
-    kept: Any
+    obeyed: Any
     bound: Bound
 
 
@@ -167,26 +164,26 @@ def _moving(model: AbstractMechanical, q: Array, v: Array, torque: Array) -> _Mo
         q = model.normalised(q)
         return _Moving(q, v, driven(model, q, v, _force(model, q, torque)), jnp.zeros(0), True, Bound(model, q))
     loose = all_loose(model)
-    q, kept = put_back(model, q, loose)
+    q, obeyed = put_back(model, q, loose)
     bound = Bound(model, q)
     saddle = Saddle(mass_of(model, q), bound.G)
     # By the least kinetic energy of a change.
     v = v - saddle.least(bound.rate(v))
     force = _force(model, q, torque) + load_on(model, q, v) - bias_of(model, q, v)
     v_dot, multipliers = saddle.solve(force, bound.acceleration(v))
-    return _Moving(q, v, v_dot, multipliers, kept, bound)
+    return _Moving(q, v, v_dot, multipliers, obeyed, bound)
 
 
-def _rates_of(model: AbstractMechanical, found: _Moving) -> tuple[Array, Array]:
-    return rates(model, found.q, found.v), found.v_dot
+def _rates_of(model: AbstractMechanical, moving: _Moving) -> tuple[Array, Array]:
+    return rates(model, moving.q, moving.v), moving.v_dot
 
 
 def _outputs_of(
-    model: AbstractMechanical, t: Any, z: Any, torque: Array, torque_rate: Any, found: _Moving
+    model: AbstractMechanical, t: Any, z: Any, torque: Array, torque_rate: Any, moving: _Moving
 ) -> dict[str, Any]:
-    q, v, v_dot, multipliers, kept, bound = found
+    q, v, v_dot, multipliers, obeyed, bound = moving
     motion = Motion(t, q, rates(model, q, v), accelerations(model, q, v, v_dot), v, v_dot, torque, multipliers)
-    return constrained_outputs(model, standard_outputs(model, motion, torque_rate, bound), z.q, kept)
+    return constrained_outputs(model, standard_outputs(model, motion, torque_rate, bound), z.q, obeyed)
 
 
 def _force(model: AbstractMechanical, q: Array, torque: Array) -> Array:

@@ -1,6 +1,6 @@
 """`HybridDynamics`: some coordinates are prescribed, others integrated, and torques follow (equations 70 and 71)."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar, final
 
 import equinox as eqx
@@ -13,27 +13,24 @@ from typing_extensions import override
 from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
-from aleator.mechanics._consistent import checked_guess, consistent_start, kept_of, start_unknown
-from aleator.mechanics._constraints import Loose
-from aleator.mechanics._formulation import AbstractFormulation, model_given
-from aleator.mechanics._given import (
-    Given,
-    asks_torque_rates,
+from aleator.mechanics._arguments import (
+    Signals,
+    checked_guess,
     checked_start,
     combined,
     combined_motion,
     coordinates_at,
-    course_of,
     followed,
     motions_for,
     signals_for,
+    start_unknown,
     vector,
 )
-from aleator.mechanics._instant import along_time, at
-from aleator.mechanics._maps import accelerations, rates
+from aleator.mechanics._constraints import Loose, consistent_start, loose_beside
+from aleator.mechanics._formulation import AbstractFormulation, a_model, constrained_outputs, standard_outputs
+from aleator.mechanics._instant import along_time, at, course
 from aleator.mechanics._matrices import taken
-from aleator.mechanics._mechanical import AbstractMechanical, Motion, rate_map
-from aleator.mechanics._outputs import constrained_outputs, standard_outputs
+from aleator.mechanics._mechanical import AbstractMechanical, Motion, accelerations, rate_map, rates
 from aleator.mechanics._partial import Partition, Prescribed, Solved, effect_of_torques, prescribed_velocities, solved
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
@@ -59,8 +56,8 @@ class HybridDynamics(AbstractFormulation):
     """
 
     model: AbstractMechanical
-    motion: Given
-    torque: Given
+    motion: Signals
+    torque: Signals
     start: dict[str, Any]
     guess: dict[str, Any]
     prescribed: tuple[int, ...] = eqx.field(static=True)
@@ -80,7 +77,7 @@ class HybridDynamics(AbstractFormulation):
         guess: Mapping[str, Any] | None = None,
         torque_rates: bool = True,
     ):
-        self.model = model_given("HybridDynamics", model)
+        self.model = a_model("HybridDynamics", model)
         self.torque_rates = torque_rates
         _check_names(model, motion, torque or {})
         self.prescribed = tuple(i for i, name in enumerate(model.coordinates) if name in motion)
@@ -98,29 +95,15 @@ class HybridDynamics(AbstractFormulation):
         """Coordinates and velocities that are not prescribed; no velocities where constraints determine all of them."""
         return ("q",) if 0 < len(self._parts.undriven) == len(self.model.constraints) else ("q", "v")
 
-    @property
-    def units(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The units that the model declares, and the standard units of its kind."""
-        return {**self.model.standard_units, **self.model.units}
-
     @override
     def signals(self) -> Mapping[str, AbstractSignal]:
-        found = followed(combined_motion(self._followed(), self.motion), self.torque_rates)
-        found |= course_of(self.model, self.torque_rates)
+        signals = followed(combined_motion(self._followed(), self.motion), self.torque_rates)
+        signals |= course(self.model, self.torque_rates)
         if self.known:
-            found["known"] = known = combined(self._commanded(), self.torque)
+            signals["known"] = known = combined(self._commanded(), self.torque)
             if isinstance(known, AbstractTrajectory):
-                found["known_rate"] = known.derivative()
-        return found
-
-    @override
-    def focused(self, only: Collection[str]) -> "HybridDynamics":
-        """Without torque rates where they are not asked for: they need one more derivative of everything."""
-        asked = asks_torque_rates(self.model, only)
-        given = {"motion": self.motion, "torque": self.torque, "start": self.start}
-        if self.model.constraints:
-            given["guess"] = self.guess
-        return HybridDynamics(self.model, **given, torque_rates=asked)  # type: ignore[arg-type]
+                signals["known_rate"] = known.derivative()
+        return signals
 
     @override
     def initial(self) -> Mapping[str, Any]:
@@ -151,9 +134,9 @@ class HybridDynamics(AbstractFormulation):
         given, model = Prescribed(position, velocity, acceleration, self._known(known)), at(self.model, t, parameters)
         return self._rates_of(model, solved(model, self._parts, given, z.q, self._velocities(z)))
 
-    def _rates_of(self, model: AbstractMechanical, found: Solved) -> tuple[Array, ...]:
-        q_dot = taken(rates(model, found.q, found.v), self._parts.others)
-        return tuple(self._stated(q_dot, taken(found.v_dot, self._parts.undriven)).values())
+    def _rates_of(self, model: AbstractMechanical, motion: Solved) -> tuple[Array, ...]:
+        q_dot = taken(rates(model, motion.q, motion.v), self._parts.others)
+        return tuple(self._stated(q_dot, taken(motion.v_dot, self._parts.undriven)).values())
 
     @override
     def outputs(
@@ -187,20 +170,20 @@ class HybridDynamics(AbstractFormulation):
     ) -> tuple[tuple[Array, ...], dict[str, Any]]:
         given, model = Prescribed(position, velocity, acceleration, self._known(known)), at(self.model, t, parameters)
         parts, v_u = self._parts, self._velocities(z)
-        found = solved(model, parts, given, z.q, v_u)
-        q_dot = rates(model, found.q, found.v)
+        whole = solved(model, parts, given, z.q, v_u)
+        q_dot = rates(model, whole.q, whole.v)
         torque_rate = None
         if jerk is not None and (known is None or known_rate is not None):
             change = Prescribed(velocity, acceleration, jerk, self._known(known_rate))
-            along = (change, taken(q_dot, parts.others), taken(found.v_dot, parts.undriven))
+            along = (change, taken(q_dot, parts.others), taken(whole.v_dot, parts.undriven))
             torque_rate = along_time(
                 lambda now, *where: solved(now, parts, *where).torque, model, (given, z.q, v_u), along
             )[1]
-        q_ddot = accelerations(model, found.q, found.v, found.v_dot)
-        motion = Motion(t, found.q, q_dot, q_ddot, found.v, found.v_dot, found.torque, found.multipliers)
-        outputs = standard_outputs(model, motion, torque_rate, found.bound)
-        outputs = constrained_outputs(model, outputs, parts.merged(position, z.q), found.kept)
-        return self._rates_of(model, found), outputs
+        q_ddot = accelerations(model, whole.q, whole.v, whole.v_dot)
+        motion = Motion(t, whole.q, q_dot, q_ddot, whole.v, whole.v_dot, whole.torque, whole.multipliers)
+        outputs = standard_outputs(model, motion, torque_rate, whole.bound)
+        outputs = constrained_outputs(model, outputs, parts.merged(position, z.q), whole.obeyed)
+        return self._rates_of(model, whole), outputs
 
     @override
     def beginning(self, model: AbstractMechanical, grid: Grid) -> tuple[Any, Any]:
@@ -216,7 +199,7 @@ class HybridDynamics(AbstractFormulation):
     @property
     @override
     def loose_at_start(self) -> Loose:
-        return kept_of(self.model, self.start, self.prescribed, self.driven).loose(self.model)
+        return loose_beside(self.model, self.start, self.prescribed, self.driven)
 
     @override
     def prescribed_path(self, grid: Grid) -> Array:
@@ -244,11 +227,11 @@ class HybridDynamics(AbstractFormulation):
 
     def _unrealisable(self) -> str:
         names = ", ".join(self._followed())
-        found = ", ".join(self.model.actuators[i] for i in self._parts.unknown) or "none"
+        unknown = ", ".join(self.model.actuators[i] for i in self._parts.unknown) or "none"
         return (
-            f"HybridDynamics of {type(self.model).__name__}: the unknown torques ({found}) cannot realise a prescribed "
-            f"motion of {names}: expected at least {len(self.driven)} that act on it. Prescribe no more velocities "
-            "than there are unknown torques."
+            f"HybridDynamics of {type(self.model).__name__}: the unknown torques ({unknown}) cannot realise a "
+            f"prescribed motion of {names}: expected at least {len(self.driven)} that act on it. Prescribe no more "
+            "velocities than there are unknown torques."
         )
 
     @property

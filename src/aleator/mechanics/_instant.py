@@ -144,14 +144,22 @@ class Rate(AbstractSignal):
         return self.signal.span()
 
 
-def course(model: eqx.Module, orders: int) -> dict[str, AbstractSignal]:
-    """The signals in a model's fields with `orders` derivatives, as an input of dynamics; empty if there are none."""
+def course(model: Any, torque_rates: bool = False) -> dict[str, AbstractSignal]:
+    """The signals in a model's fields with as many derivatives as dynamics take, as an input; empty if there are none.
+
+    Constraints and rates of torques take one more each.
+    """
     parts = [leaf for leaf in _leaves(model) if isinstance(leaf, AbstractSignal)]
     if not parts:
         return {}
     rows = [tuple(parts)]
-    for order in range(1, orders):
-        rows.append(tuple(_derivative(part, before, order) for part, before in zip(parts, rows[-1], strict=True)))
+    for order in range(1, 2 + torque_rates + bool(model.constraints)):
+        rows.append(
+            tuple(
+                part.derivative(order) if isinstance(part, AbstractTrajectory) else Rate(before)
+                for part, before in zip(parts, rows[-1], strict=True)
+            )
+        )
     return {"parameters": Course(tuple(rows))}
 
 
@@ -227,9 +235,8 @@ class Instants(NamedTuple):
 
 def instants_of(model: eqx.Module, grid: Grid) -> Instants:
     """A realised model at the instants of a grid."""
-    orders = 2 + bool(model.constraints)  # type: ignore[attr-defined]
-    found = [one.sampled(grid.fractions, grid.t_start, grid.t_final) for one in course(model, orders).values()]
-    return Instants(model, grid.times, found[0] if found else None)
+    rows = [signal.sampled(grid.fractions, grid.t_start, grid.t_final) for signal in course(model).values()]
+    return Instants(model, grid.times, rows[0] if rows else None)
 
 
 def _is_signal(node: Any) -> bool:
@@ -238,10 +245,6 @@ def _is_signal(node: Any) -> bool:
 
 def _leaves(model: eqx.Module) -> list[Any]:
     return jax.tree.leaves(model, is_leaf=_is_signal)
-
-
-def _derivative(signal: AbstractSignal, before: AbstractSignal, order: int) -> AbstractSignal:
-    return signal.derivative(order) if isinstance(signal, AbstractTrajectory) else Rate(before)
 
 
 def _split(row: Any, signals: Sequence[AbstractSignal]) -> tuple[Any, ...]:
@@ -254,13 +257,13 @@ def _split(row: Any, signals: Sequence[AbstractSignal]) -> tuple[Any, ...]:
 
 def _taylor(orders: Sequence[Array], s: Any) -> Array:
     """The value after a time `s`, by the Taylor polynomial of a value and its derivatives."""
-    found = orders[-1]
+    total = orders[-1]
     for k in range(len(orders) - 1, 0, -1):
-        found = orders[k - 1] + s / k * found
-    return found
+        total = orders[k - 1] + s / k * total
+    return total
 
 
 def _remembering(model: Model, when: When | None) -> Model:
-    found = copy(model)
-    object.__setattr__(found, "_when", when)  # a fresh copy, not shared yet
-    return found
+    instant = copy(model)
+    object.__setattr__(instant, "_when", when)  # a fresh copy, not shared yet
+    return instant

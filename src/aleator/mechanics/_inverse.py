@@ -1,24 +1,81 @@
-"""`InverseDynamics`: the motion is given, torques follow algebraically (equation 69). Nothing is integrated."""
+"""`InverseDynamics`: the motion is given, torques follow algebraically (equation 69); the actuation that this needs."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
+from enum import Enum
 from typing import Any, ClassVar, final
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.border import one_of, real_array, refusal
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
-from aleator.mechanics._consistent import checked_guess
-from aleator.mechanics._formulation import AbstractFormulation, examined, model_given
-from aleator.mechanics._given import Given, asks_torque_rates, combined_motion, followed, motions_for
+from aleator.mechanics._arguments import Signals, checked_guess, combined_motion, followed, motions_for
+from aleator.mechanics._formulation import AbstractFormulation, a_model, examined, standard_outputs
 from aleator.mechanics._hybrid import HybridDynamics
 from aleator.mechanics._instant import along_time, at, course
-from aleator.mechanics._maps import Actuation, Followed, follow, scheme, torques
-from aleator.mechanics._mechanical import AbstractMechanical, Motion, actuation_map, required_force
-from aleator.mechanics._outputs import standard_outputs
+from aleator.mechanics._matrices import solve_any
+from aleator.mechanics._mechanical import (
+    AbstractMechanical,
+    Followed,
+    Motion,
+    actuation_map,
+    follow,
+    jacobian_of,
+    required_force,
+)
+from aleator.mechanics._spatial import Numbers
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
+
+
+class Actuation(Enum):
+    """The actuation schemes of figure 2.2."""
+
+    PASSIVE = "passive"
+    FULL = "fully actuated"
+    UNDER = "under-actuated"
+    OVER = "over-actuated"
+    UNDER_OVER = "under-over-actuated"
+
+
+def actuation_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Actuation:
+    """The actuation scheme of a realised system in a posture, from the rank of `B(q)` and the number of torques.
+
+    For a system with constraints, `B` is taken on the motions that these leave free, in a posture that satisfies them.
+    """
+    one_of("actuation_of", model, AbstractMechanical, "an al.Multibody")
+    posture = real_array("actuation_of: q", q)
+    if posture.shape != (len(model.coordinates),) or not np.isfinite(posture).all():
+        raise refusal("actuation_of: q", f"finite numbers for {list(model.coordinates)}", q)
+    q = jnp.asarray(posture)
+    B = np.asarray(actuation_map(model, q))
+    if model.constraints:
+        G = np.asarray(jacobian_of(model, q))
+        B = np.linalg.svd(G)[2][len(G) :] @ B
+    return scheme(B)
+
+
+def scheme(B: Float[np.ndarray, "speeds actuators"]) -> Actuation:
+    """The scheme of an actuation map."""
+    rank = int(np.linalg.matrix_rank(B)) if B.size else 0
+    speeds, actuators = B.shape
+    if rank == 0:
+        return Actuation.PASSIVE
+    if rank == speeds:
+        return Actuation.FULL if actuators == speeds else Actuation.OVER
+    return Actuation.UNDER if actuators == rank else Actuation.UNDER_OVER
+
+
+def torques(
+    model: AbstractMechanical, q: Float[Numbers, " coordinates"], force: Float[Array, " speeds"]
+) -> Float[Array, " actuators"]:
+    """The torques that produce a generalised force; those of least norm where there are many."""
+    if model.acts_directly:
+        return force
+    return solve_any(actuation_map(model, q), force)
 
 
 @final
@@ -42,7 +99,7 @@ class InverseDynamics(AbstractFormulation):
     """
 
     model: AbstractMechanical
-    motion: Given
+    motion: Signals
     guess: dict[str, Any]
     torque_rates: bool = eqx.field(static=True)
 
@@ -56,7 +113,7 @@ class InverseDynamics(AbstractFormulation):
         guess: Mapping[str, Any] | None = None,
         torque_rates: bool = True,
     ):
-        self.model = model_given("InverseDynamics", model)
+        self.model = a_model("InverseDynamics", model)
         self.torque_rates = torque_rates
         prescribed = _driving(model, motion) if model.constraints else model.coordinates
         self.motion = motions_for(prescribed, motion, "InverseDynamics, motion")
@@ -64,11 +121,6 @@ class InverseDynamics(AbstractFormulation):
         self.guess = checked_guess("InverseDynamics", model, followed, (), guess, len(model.speeds_along(prescribed)))
         if len(model.actuators) < len(model.speeds) - len(model.constraints):
             raise ProblemError(self._unrealisable("under-actuated"))
-
-    @property
-    def units(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The units that the model declares, and the standard units of its kind."""
-        return {**self.model.standard_units, **self.model.units}
 
     @property
     def states(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -79,14 +131,7 @@ class InverseDynamics(AbstractFormulation):
     def signals(self) -> Mapping[str, AbstractSignal]:
         if self.model.constraints:
             return self._driven().signals()
-        return {**followed(self._motion(), self.torque_rates), **course(self.model, 2 + self.torque_rates)}
-
-    @override
-    def focused(self, only: Collection[str]) -> "InverseDynamics":
-        """Without torque rates where they are not asked for: they need one more derivative of everything."""
-        asked = asks_torque_rates(self.model, only)
-        guess = self.guess if self.model.constraints else None
-        return InverseDynamics(self.model, motion=self.motion, guess=guess, torque_rates=asked)
+        return {**followed(self._motion(), self.torque_rates), **course(self.model, self.torque_rates)}
 
     @override
     def initial(self) -> Mapping[str, Any]:

@@ -68,11 +68,11 @@ def positive_solver(M: Float[Array, "n n"]) -> Callable[[Float[Array, "n ..."]],
         forward: list[Array] = []
         for i in range(n):
             forward.append(b[i] - sum((lower[i][k] * forward[k] for k in range(i)), start=jnp.zeros_like(b[i])))
-        found: list[Array] = [jnp.zeros(())] * n
+        x: list[Array] = [jnp.zeros(())] * n
         for i in reversed(range(n)):
-            known = sum((lower[k][i] * found[k] for k in range(i + 1, n)), start=jnp.zeros_like(b[i]))
-            found[i] = forward[i] / pivots[i] - known
-        return jnp.stack(found)
+            known = sum((lower[k][i] * x[k] for k in range(i + 1, n)), start=jnp.zeros_like(b[i]))
+            x[i] = forward[i] / pivots[i] - known
+        return jnp.stack(x)
 
     return solve
 
@@ -136,8 +136,8 @@ def merged(
 
 def _runs(places: Sequence[int]) -> Iterator[tuple[Any, Any]]:
     """Ranges of places that follow one another, from the first to before the last."""
-    found = [int(place) for place in places]
-    while found:
-        count = next((i for i in range(1, len(found)) if found[i] != found[0] + i), len(found))
-        yield found[0], found[0] + count
-        found = found[count:]
+    left = [int(place) for place in places]
+    while left:
+        count = next((i for i in range(1, len(left)) if left[i] != left[0] + i), len(left))
+        yield left[0], left[0] + count
+        left = left[count:]

@@ -1,4 +1,4 @@
-"""`AbstractMechanical`: the interface of mechanical systems to their dynamics; and `Motion`, their state."""
+"""`AbstractMechanical`: the interface of mechanical systems to their dynamics; their kinematics, and their `Motion`."""
 
 import abc
 from collections.abc import Collection, Mapping
@@ -15,8 +15,8 @@ from aleator._core.border import traceable
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, Printed
 from aleator.dynamics import called
-from aleator.mechanics._instant import at, call_of, course, is_timed, timed_methods
-from aleator.mechanics._matrices import solve_positive
+from aleator.mechanics._instant import along_time, at, call_of, course, is_timed, timed_methods
+from aleator.mechanics._matrices import solve_any, solve_positive
 from aleator.mechanics._spatial import Numbers
 
 
@@ -73,8 +73,8 @@ class AbstractMechanical(Module, Printed):
     def at(self, t: Any) -> Self:
         """The realised model at the time `t`, s: signals are replaced by values. Trajectories last one second."""
         now = jnp.asarray(t, dtype=float)
-        found = [signal(now) for signal in course(self, 2 + bool(self.constraints)).values()]
-        return at(self, now, found[0] if found else None)
+        rows = [signal(now) for signal in course(self).values()]
+        return at(self, now, rows[0] if rows else None)
 
     @property
     @abc.abstractmethod
@@ -282,10 +282,10 @@ def shaped(
 ) -> Float[Array, "..."]:
     """The value of a user's method as an array. Raises `ProblemError` for what is none, or has another shape."""
     who = f"{type(model).__name__}.{call_of(name)}"
-    found = traceable(who, evaluated(model, name, *arguments))
-    if found.shape != shape:
-        raise ProblemError(f"{who}: expected shape {shape}; received {found.shape}.")
-    return found
+    array = traceable(who, evaluated(model, name, *arguments))
+    if array.shape != shape:
+        raise ProblemError(f"{who}: expected shape {shape}; received {array.shape}.")
+    return array
 
 
 def evaluated(model: AbstractMechanical, name: str, *arguments: Any) -> Any:
@@ -299,3 +299,48 @@ def evaluated(model: AbstractMechanical, name: str, *arguments: Any) -> Any:
         )
     time = {"t": model._when.t} if model._when is not None and name in timed_methods(type(model)) else {}
     return called(model, getattr(model, name), *arguments, **time)
+
+
+class Followed(NamedTuple):
+    """A prescribed motion at one instant: coordinates, velocities and their rates."""
+
+    q: Float[Array, " coordinates"]
+    q_dot: Float[Array, " coordinates"]
+    q_ddot: Float[Array, " coordinates"]
+    v: Float[Array, " speeds"]
+    v_dot: Float[Array, " speeds"]
+
+
+def rates(model: AbstractMechanical, q: Array, v: Array) -> Float[Array, " coordinates"]:
+    """`q̇ = H(q) v`, equation (4)."""
+    return v if model.moves_directly else rate_map(model, q) @ v
+
+
+def accelerations(model: AbstractMechanical, q: Array, v: Array, v_dot: Array) -> Float[Array, " coordinates"]:
+    """`q̈ = H v̇ + Ḣ v`, equation (65), with the total derivative `Ḣ` along the motion as a directional derivative."""
+    if model.moves_directly:
+        return v_dot
+    return along_time(rates, model, (q, v), (rates(model, q, v), v_dot))[1]
+
+
+def follow(model: AbstractMechanical, position: Array, velocity: Array, acceleration: Array) -> Followed:
+    """The motion prescribed by a curve of coordinates, equations (66) and (67)."""
+    q, q_dot, q_ddot = on_manifold(model, position, velocity, acceleration)
+    if model.moves_directly:
+        return Followed(q, q_dot, q_ddot, q_dot, q_ddot)
+    H = rate_map(model, q)
+    v = solve_any(H, q_dot)
+    change = along_time(lambda now, at: rate_map(now, at) @ v, model, (q,), (q_dot,))[1]
+    return Followed(q, q_dot, q_ddot, v, solve_any(H, q_ddot - change))
+
+
+def on_manifold(model: AbstractMechanical, position: Array, velocity: Array, acceleration: Array) -> Any:
+    """The curve projected to valid coordinates (unit quaternions), with its time derivatives."""
+    if model.moves_directly:
+        return position, velocity, acceleration
+
+    def first(at: Array, along: Array) -> tuple[Array, Array]:
+        return jax.jvp(model.normalised, (at,), (along,))
+
+    (q, q_dot), (_, q_ddot) = jax.jvp(first, (position, velocity), (velocity, acceleration))
+    return q, q_dot, q_ddot

@@ -1,8 +1,9 @@
 """`Multibody`: a mechanical system from its bodies and joints."""
 
 import abc
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+import weakref
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -11,12 +12,17 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
-from aleator._core.once import once_for_each
 from aleator.mechanics._bodies import GROUND, Body, Tree, build_tree, sorted_bodies, with_numbers, without_numbers
-from aleator.mechanics._body_load import BodyLoad, refuse_moving_places, wrenches_of
-from aleator.mechanics._closure import Closure, checked_closures, residuals
 from aleator.mechanics._instant import is_timed, later
 from aleator.mechanics._joints import AbstractJoint
+from aleator.mechanics._loops_and_loads import (
+    BodyLoad,
+    Closure,
+    checked_closures,
+    refuse_moving_places,
+    residuals,
+    wrenches_of,
+)
 from aleator.mechanics._mechanical import AbstractMechanical, evaluated
 from aleator.mechanics._recursions import (
     forward_dynamics,
@@ -27,6 +33,8 @@ from aleator.mechanics._recursions import (
     world_poses,
 )
 from aleator.mechanics._spatial import Block, Numbers, Pose, as_array, composed, cross, library, momentum, plus, power
+
+Result = TypeVar("Result")
 
 
 class Multibody(AbstractMechanical):
@@ -94,17 +102,17 @@ class Multibody(AbstractMechanical):
     @override
     def standard_units(self) -> Mapping[str, str]:
         """The units of the joints. Those of torques are by the torques' names."""
-        found = {}
+        units = {}
         for name, joint in self._joints():
-            found |= {name + end: unit for end, unit in zip(joint.coordinates, joint.units, strict=False)}
+            units |= {name + end: unit for end, unit in zip(joint.coordinates, joint.units, strict=False)}
             for end, unit in zip(joint.speeds, joint.speed_units, strict=True):
                 speed = name + end
-                found[speed] = unit
+                units[speed] = unit
                 for force in ("torque", "reaction"):
-                    found[f"{speed.removesuffix('_rate')}_{force}"] = "N" if unit == "m/s" else "N·m"
+                    units[f"{speed.removesuffix('_rate')}_{force}"] = "N" if unit == "m/s" else "N·m"
         for closure in self._loops():
-            found |= {f"{name}_multiplier": unit for name, unit in zip(closure.names, closure.units, strict=True)}
-        return found
+            units |= {f"{name}_multiplier": unit for name, unit in zip(closure.names, closure.units, strict=True)}
+        return units
 
     @property
     @override
@@ -203,7 +211,7 @@ class Multibody(AbstractMechanical):
     @override
     def speeds_along(self, coordinates: Collection[str]) -> tuple[int, ...]:
         """The velocities of the joints concerned, each of which needs all its coordinates."""
-        found: list[int] = []
+        places: list[int] = []
         first = 0
         for name, joint in self._joints():
             own = [name + end for end in joint.coordinates]
@@ -213,9 +221,9 @@ class Multibody(AbstractMechanical):
                     f"{type(self).__name__}: the coordinates {own} of the joint of '{name}' belong together; received "
                     f"only {given}. Prescribe all of them, or none."
                 )
-            found += range(first, first + len(joint.speeds)) if given else ()
+            places += range(first, first + len(joint.speeds)) if given else ()
             first += len(joint.speeds)
-        return tuple(found)
+        return tuple(places)
 
     def kinetic_energy(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, ""]:
         """The kinetic energy of the bodies and of the joints' rotors, J."""
@@ -289,6 +297,28 @@ class Multibody(AbstractMechanical):
         return as_array(self.gravity, f"{type(self).__name__}.gravity", (3,))
 
 
+def once_for_each(function: Callable[[Any], Result]) -> Callable[[Any], Result]:
+    """A function of a model, told by its identity: called again only for another one.
+
+    Its results outlive traces: they must hold no array that is being traced.
+    """
+    known: dict[int, tuple[Any, Result]] = {}
+
+    def forget(key: int, dead: Any) -> None:
+        if known.get(key, (None,))[0] is dead:
+            del known[key]
+
+    def remembered(model: Any) -> Result:
+        key = id(model)
+        reference, result = known.get(key, (lambda: None, None))
+        if reference() is not model:
+            result = function(model)
+            known[key] = weakref.ref(model, lambda dead: forget(key, dead)), result
+        return result  # type: ignore[return-value]
+
+    return remembered
+
+
 @once_for_each
 def _joints_of(model: Multibody) -> list[tuple[str, AbstractJoint]]:
     """The moving bodies of a model with their joints; cached, since building bodies is slow."""
@@ -304,14 +334,13 @@ def _closures_of(model: Multibody) -> list[Closure]:
 
 def _poses(tree: Tree, q: Array) -> dict[str, Pose]:
     carriers = world_poses(tree, q)
-    return {name: _placed(place, carriers) for name, place in tree.places.items()}
-
-
-def _placed(place: tuple[int, Pose | None], carriers: Sequence[Pose]) -> Pose:
-    index, within = place
-    if within is None:
-        return carriers[index]
-    return within if index == GROUND else composed(carriers[index], within)
+    poses: dict[str, Pose] = {}
+    for name, (index, within) in tree.places.items():
+        if within is None:
+            poses[name] = carriers[index]
+        else:
+            poses[name] = within if index == GROUND else composed(carriers[index], within)
+    return poses
 
 
 def _local(given: Any) -> Block:

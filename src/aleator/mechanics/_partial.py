@@ -8,17 +8,20 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from aleator.mechanics._constraints import (
-    Bound,
-    Loose,
-    Saddle,
-    jacobian_of,
-    put_back,
-)
+from aleator.mechanics._constraints import Bound, Loose, Saddle, put_back
 from aleator.mechanics._instant import along_time
-from aleator.mechanics._maps import on_manifold, rates
 from aleator.mechanics._matrices import block, merged, product, solve_any, taken
-from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, bias_of, load_on, mass_of, rate_map
+from aleator.mechanics._mechanical import (
+    AbstractMechanical,
+    actuation_map,
+    bias_of,
+    jacobian_of,
+    load_on,
+    mass_of,
+    on_manifold,
+    rate_map,
+    rates,
+)
 
 
 class Prescribed(NamedTuple):
@@ -38,7 +41,7 @@ class Solved(NamedTuple):
     v_dot: Array
     torque: Array
     multipliers: Array
-    kept: Any
+    obeyed: Any
     bound: Bound
 
 
@@ -87,9 +90,9 @@ class Partition(NamedTuple):
         """Velocities in their order."""
         return merged(driven, self.driven, others, self.undriven)
 
-    def applied(self, found: Array, known: Array) -> Float[Array, " actuators"]:
+    def applied(self, unknown: Array, known: Array) -> Float[Array, " actuators"]:
         """Torques in their order."""
-        return merged(found, self.unknown, known, self.known)
+        return merged(unknown, self.unknown, known, self.known)
 
 
 def _without(places: tuple[int, ...], count: int) -> tuple[int, ...]:
@@ -99,7 +102,7 @@ def _without(places: tuple[int, ...], count: int) -> tuple[int, ...]:
 def solved(model: AbstractMechanical, parts: Partition, given: Prescribed, q_u: Array, v_u: Array) -> Solved:
     """Coordinates, velocities, accelerations and torques, from what is given and what is integrated."""
     a, u, free = parts.driven, parts.undriven, parts.unknown
-    q_u, kept = _put_back(model, parts, given, q_u)
+    q_u, obeyed = _put_back(model, parts, given, q_u)
     q, v_a, v_dot_a = prescribed_velocities(model, parts, given, q_u, v_u)
     M, B = mass_of(model, q), actuation_map(model, q)
     bound = Bound(model, q)
@@ -119,10 +122,10 @@ def solved(model: AbstractMechanical, parts: Partition, given: Prescribed, q_u: 
     )
     moved, borne = saddle.solve(force, gammas)
     needed = product(block(M, a, a), v_dot_a) + rest_a + product(M_ua.T, moved[:, 0]) + product(G_a.T, borne[:, 0])
-    found = solve_any(B_a - product(M_ua.T, moved[:, 1:]) - product(G_a.T, borne[:, 1:]), needed)
-    v_dot = parts.joined(v_dot_a, moved[:, 0] + product(moved[:, 1:], found))
-    multipliers = borne[:, 0] + product(borne[:, 1:], found)
-    return Solved(q, v, v_dot, parts.applied(found, given.known), multipliers, kept, bound)
+    torque = solve_any(B_a - product(M_ua.T, moved[:, 1:]) - product(G_a.T, borne[:, 1:]), needed)
+    v_dot = parts.joined(v_dot_a, moved[:, 0] + product(moved[:, 1:], torque))
+    multipliers = borne[:, 0] + product(borne[:, 1:], torque)
+    return Solved(q, v, v_dot, parts.applied(torque, given.known), multipliers, obeyed, bound)
 
 
 def effect_of_torques(
@@ -159,5 +162,5 @@ def _put_back(model: AbstractMechanical, parts: Partition, given: Prescribed, q_
     """The integrated coordinates on the constraints, and whether they could be put there."""
     if not model.constraints:
         return q_u, True
-    q, kept = put_back(model, parts.merged(given.position, q_u), parts.loose)
-    return taken(q, parts.others), kept
+    q, obeyed = put_back(model, parts.merged(given.position, q_u), parts.loose)
+    return taken(q, parts.others), obeyed

@@ -86,13 +86,13 @@ def discretised(problem: Problem) -> Discretised:
     outputs = _Outputs.of(problem) if chooses and germs else None
     # A user's own preparation may compute something else than in an earlier problem.
     code = "" if problem.is_declared else problem.physics.text
-    found = _discretised(germs, expansion, preparations, outputs, code)
+    result = _discretised(germs, expansion, preparations, outputs, code)
     # Outputs of one instant are differentiated at that instant, by the few numbers known there.
     decided = problem.placements.vector("initial").size if problem.is_integrated else 0
     refuse_large_histories(
-        problem, len(found.collocation.points), decided, "Take fewer steps, fewer points or a lower order."
+        problem, len(result.collocation.points), decided, "Take fewer steps, fewer points or a lower order."
     )
-    return found
+    return result
 
 
 Germs = tuple[tuple[str, AbstractGerm], ...]
@@ -189,11 +189,11 @@ class ExpansionScope(AbstractScope):
         return tuple(blocks), tuple(taken)
 
     def take_together(self, expressions: tuple[Expression, ...]) -> None:
-        """Take those statistics of expressions now that share a loop, to be found where they are evaluated."""
+        """Take those statistics of expressions now that share a loop, for where they are evaluated."""
         atoms = [atom for one in expressions for atom in one.atoms if isinstance(atom, Statistic)]
-        found = together([(one.kind, self._terms(one.functionals)) for one in atoms], self._constants)
+        statistics = together([(one.kind, self._terms(one.functionals)) for one in atoms], self._constants)
         # By identity, because the numbers in a statistic are traced.
-        pairs = zip(atoms, found, strict=True)
+        pairs = zip(atoms, statistics, strict=True)
         self._together = {(one.functionals, id(one.kind)): values for one, values in pairs if values is not None}
 
     def _terms(self, functionals: tuple[AbstractFunctional, ...]) -> Float[Array, "terms ..."]:
@@ -201,17 +201,17 @@ class ExpansionScope(AbstractScope):
 
     @override
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
-        terms, found = self._terms(functionals), self._together.get((functionals, id(kind)))
-        found = jnp.asarray(kind.of(terms, self._constants.of(kind)) if found is None else found)
+        terms, result = self._terms(functionals), self._together.get((functionals, id(kind)))
+        result = jnp.asarray(kind.of(terms, self._constants.of(kind)) if result is None else result)
         # Joint statistics take their functionals along a last axis.
         expected = terms.shape[1:] if len(functionals) == 1 else terms.shape[1:-1]
-        if found.shape != expected:
+        if result.shape != expected:
             raise ProblemError(
                 f"{type(kind).__name__}.of: expected shape {expected} from coefficients of shape {terms.shape}, the "
-                f"first axis being that of the terms; received shape {found.shape}."
+                f"first axis being that of the terms; received shape {result.shape}."
             )
-        self.taken.append(found)
-        return found
+        self.taken.append(result)
+        return result
 
     @override
     def time_integral(self, expression: Expression) -> Float[Array, ""]:
@@ -290,12 +290,12 @@ def simulated(
     if not functionals:
         return (), Terms((), (), ())
     count, every = len(points), points if scenarios is None else jnp.concatenate([points, scenarios])
-    found = sampled(problem, functionals, _integrated(problem, functionals), every, decisions)
-    samples = tuple(values[:count] for values in found.values)
+    sampling = sampled(problem, functionals, _integrated(problem, functionals), every, decisions)
+    samples = tuple(values[:count] for values in sampling.values)
     return samples, Terms(
         coefficients=tuple(jnp.tensordot(fit, values, axes=1) for values in samples),
-        nodes=tuple(jnp.tensordot(fit, values[:count], axes=1) for values in found.nodes),
-        realised=() if scenarios is None else tuple(values[count:] for values in found.values),
+        nodes=tuple(jnp.tensordot(fit, values[:count], axes=1) for values in sampling.nodes),
+        realised=() if scenarios is None else tuple(values[count:] for values in sampling.values),
     )
 
 

@@ -102,5 +102,5 @@ def first_scenarios(problem: Problem, points: Float[np.ndarray, "points variable
     box = germ_box(problem) if worst else np.zeros((0, 2))
     if not collocated:
         return Scenarios.of(box.T) if len(box) else Scenarios(np.zeros((1, 0)), np.ones(1, dtype=bool))
-    found = Scenarios(points, np.ones(len(points), dtype=bool), len(points))
-    return found.beginning(box.T) if len(box) else found
+    scenarios = Scenarios(points, np.ones(len(points), dtype=bool), len(points))
+    return scenarios.beginning(box.T) if len(box) else scenarios

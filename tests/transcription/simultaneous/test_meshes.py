@@ -8,8 +8,7 @@ from collocated_problems import Swing, VanDerPol
 import aleator as al
 from aleator.trajectories import piecewise_in
 from aleator.transcription import transcribe
-from aleator.transcription.simultaneous._mesh_error import Drift
-from aleator.transcription.simultaneous._refinement import Goal, refinement
+from aleator.transcription.simultaneous._refinement import Drift, Goal, refinement
 from aleator.transcription.simultaneous._tiles import EVALUATE
 from zoo import optimum
 

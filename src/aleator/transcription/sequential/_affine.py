@@ -84,11 +84,11 @@ def affine_features(
     Values that the function closes over are known, and may be traced by an outer transformation.
     """
     closed = jax.make_jaxpr(lambda *both: tuple(function(*both)))(germ, moved)
-    given = [_Entry(_Kind.GERM, germ), _Entry(_Kind.MOVED)]
-    affine = tuple(entry.kind is not _Kind.OTHER for entry in _walked(closed, given, [], closed.jaxpr.outvars))
-    kept = [variable for variable, yes in zip(closed.jaxpr.outvars, affine, strict=True) if yes]
+    arguments = [_Entry(_Kind.GERM, germ), _Entry(_Kind.MOVED)]
+    affine = tuple(entry.kind is not _Kind.OTHER for entry in _walked(closed, arguments, [], closed.jaxpr.outvars))
+    outputs = [variable for variable, yes in zip(closed.jaxpr.outvars, affine, strict=True) if yes]
     features: list[Array] = []
-    features += [entry.value for entry in _walked(closed, given, features, kept) if entry.kind is _Kind.GERM]
+    features += [entry.value for entry in _walked(closed, arguments, features, outputs) if entry.kind is _Kind.GERM]
     return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(one) for one in features)]), affine
 
 
@@ -126,20 +126,20 @@ def _walked(
         return _Entry(_Kind.KNOWN, variable.val) if isinstance(variable, Literal) else entries[variable]
 
     for equation in _needed(jaxpr, wanted):
-        found = _followed(equation, [read(variable) for variable in equation.invars], features)
-        entries.update(zip(equation.outvars, found, strict=True))
+        results = _followed(equation, [read(variable) for variable in equation.invars], features)
+        entries.update(zip(equation.outvars, results, strict=True))
     return [read(variable) for variable in wanted]
 
 
 def _needed(jaxpr: Any, wanted: Sequence[Any]) -> list[Any]:
     """The equations that some variables depend on, in order."""
     alive = {variable for variable in wanted if not isinstance(variable, Literal)}
-    found = []
+    needed = []
     for equation in reversed(jaxpr.eqns):
         if not alive.isdisjoint(equation.outvars):
-            found.append(equation)
+            needed.append(equation)
             alive.update(variable for variable in equation.invars if not isinstance(variable, Literal))
-    return found[::-1]
+    return needed[::-1]
 
 
 def _followed(equation: Any, operands: list[_Entry], features: list[Array]) -> list[_Entry]:
@@ -180,5 +180,5 @@ def _is_affine(equation: Any, uncertain: list[bool]) -> bool:
 
 
 def _computed(equation: Any, values: list[Any]) -> Sequence[Any]:
-    found = equation.primitive.bind(*values, **equation.primitive.get_bind_params(equation.params))
-    return found if equation.primitive.multiple_results else [found]
+    results = equation.primitive.bind(*values, **equation.primitive.get_bind_params(equation.params))
+    return results if equation.primitive.multiple_results else [results]

@@ -203,12 +203,12 @@ def _evaluate(
     parts = combined(problem, expressions, constants, share.terms, share.slopes, decisions)
     tangents = dict(zip(functionals, share.tangents, strict=True))
     samples = dict(zip(functionals, share.samples, strict=True))
-    found = dict(zip(rest, zip(*parts, strict=True), strict=True))
+    by_expression = dict(zip(rest, zip(*parts, strict=True), strict=True))
     if which:
         rows = instantaneous_rows(problem, which, collocation, constants, anchors, decisions)
-        found |= dict(zip(which, zip(rows.values, rows.derivatives, rows.statistics, strict=True), strict=True))
+        by_expression |= dict(zip(which, zip(rows.values, rows.derivatives, rows.statistics, strict=True), strict=True))
         samples |= rows.samples
-    parts = Combined(*zip(*(found[i] for i in range(len(problem.expressions))), strict=True))
+    parts = Combined(*zip(*(by_expression[i] for i in range(len(problem.expressions))), strict=True))
     ordered = tuple(samples[one] for one in functionals_of(problem.expressions))
     finite = jnp.array([jnp.isfinite(one).all() for one in ordered]).all()
     ordered_tangents = tuple(tangents.get(one) for one in functionals_of(problem.expressions))
@@ -258,67 +258,28 @@ COMBINE = Compiled(_combine, use=Use.ROWS)
 
 
 @final
-class _AtOnce:
-    """A whole problem in one program, for small problems, whose time is mostly overhead per call."""
-
-    def __init__(self, traced: Problem, collocation: Collocation, constants: Constants, anchors: Anchors | None):
-        self._evaluate, self._points = EVALUATE.bound(traced, collocation, constants, anchors), len(collocation.points)
-
-    def is_known(self, decisions: Float[np.ndarray, " n"]) -> bool:
-        """Whether a problem of the same structure has been compiled before."""
-        return self._evaluate.is_known(decisions)
-
-    def __call__(self, decisions: Float[np.ndarray, " n"]) -> Blocks:
-        """The problem at a point."""
-        return Blocks._make((*self._evaluate(decisions), self._points))
-
-
-@final
-class _InParts:
-    """A problem whose points are simulated in parts, on all cores and devices."""
-
-    def __init__(self, traced: Problem, constants: Constants, parts: tuple[Part, ...], points: int):
-        self._parts = [CONTRIBUTE.bound(traced, *map(jnp.asarray, one), packed=False) for one in parts]
-        self._combine, self._points = COMBINE.bound(traced, constants), points
-
-    def is_known(self, decisions: Float[np.ndarray, " n"]) -> bool:
-        """Whether a problem of the same structure has been compiled before."""
-        return self._parts[0].is_known(decisions)
-
-    def __call__(self, decisions: Float[np.ndarray, " n"]) -> Blocks:
-        """The problem at a point."""
-        # The calling thread traces a user's code before other threads start.
-        for part in self._parts:
-            part.prepare(decisions)
-        shares: tuple[Share, ...] = tuple(over_devices(lambda part: part(decisions), self._parts))
-        terms, slopes, finite = (
-            tuple(each) for each in zip(*((one.terms, one.slopes, one.finite) for one in shares), strict=True)
-        )
-        sums = self._combine(_Shares(terms, slopes, finite, jnp.asarray(decisions)))
-        samples, tangents = (tuple(each) for each in zip(*((one.samples, one.tangents) for one in shares), strict=True))
-        return Blocks._make((*sums, samples, tangents, self._points))
-
-
-@final
 class Evaluator:
     """A compiled problem that remembers its two latest points.
 
-    So neither the start, which sets the scales, nor the solution, which needs moments, is computed twice.
+    So neither the start, which sets the scales, nor the solution, which needs moments, is computed twice. A small
+    problem, whose time is mostly overhead per call, is one program; the points of a large one are simulated in parts,
+    on all cores and devices.
     """
 
     def __init__(self, traced: Problem, collocation: Collocation, constants: Constants, anchors: Anchors | None):
         self._made_of = traced, collocation, anchors
-        parts = parts_of(traced, collocation, constants)
-        self._evaluate = (
-            _InParts(traced, constants, parts, len(collocation.points))
-            if len(parts) > 1
-            else _AtOnce(traced, collocation, constants, anchors)
+        self._points, parts = len(collocation.points), parts_of(traced, collocation, constants)
+        self._combine = None if len(parts) == 1 else COMBINE.bound(traced, constants)
+        self._programs = (
+            [EVALUATE.bound(traced, collocation, constants, anchors)]
+            if self._combine is None
+            else [CONTRIBUTE.bound(traced, *map(jnp.asarray, part), packed=False) for part in parts]
         )
         self._remembered: Remembered[Blocks] = Remembered(self._evaluate)
 
     def is_known(self, decisions: Float[np.ndarray, " n"]) -> bool:
         """Whether a problem of the same structure has been compiled before."""
-        return self._evaluate.is_known(decisions)
+        return self._programs[0].is_known(decisions)
 
     def with_constants(self, constants: Constants) -> "Evaluator":
         """The same problem with other constants, such as other scenarios."""
@@ -327,6 +288,17 @@ class Evaluator:
 
     def __call__(self, decisions: Float[np.ndarray, " n"]) -> Blocks:
         return self._remembered(decisions)
+
+    def _evaluate(self, decisions: Float[np.ndarray, " n"]) -> Blocks:
+        if self._combine is None:
+            return Blocks._make((*self._programs[0](decisions), self._points))
+        # The calling thread traces a user's code before other threads start.
+        for program in self._programs:
+            program.prepare(decisions)
+        shares: tuple[Share, ...] = tuple(over_devices(lambda program: program(decisions), self._programs))
+        samples, finite, tangents, terms, slopes = zip(*shares, strict=True)
+        sums = self._combine(_Shares(terms, slopes, finite, jnp.asarray(decisions)))
+        return Blocks._make((*sums, samples, tangents, self._points))
 
 
 def evaluation_of(blocks: Blocks) -> Evaluation:

@@ -86,9 +86,9 @@ def instantaneous_rows(
         realised = instant.realised(held, constants.scenarios, numbers)
         named = named_numbers(problem.simulation, decisions)
         scope = ExpansionScope(samples, coefficients, constants, named, realised=realised)
-        found, taken = scope.evaluated(expressions)
-        sizes[:] = [one.size for one in found]
-        values = jnp.concatenate(found)
+        blocks, taken = scope.evaluated(expressions)
+        sizes[:] = [one.size for one in blocks]
+        values = jnp.concatenate(blocks)
         return values, (values, tuple(samples.values()), taken)
 
     numbers = instant.numbers(decisions)
@@ -112,9 +112,9 @@ def _differentiated(
     Intermediate values that the derivatives need, such as sines, are kept behind barriers; otherwise the compiler would
     compute them again for every derivative.
     """
-    _, along, found = jax.linearize(function, at, has_aux=True)
+    _, along, auxiliary = jax.linearize(function, at, has_aux=True)
     along = jax.tree.map(_kept, along)
-    return jax.vmap(along, out_axes=-1)(jnp.eye(at.size)), found
+    return jax.vmap(along, out_axes=-1)(jnp.eye(at.size)), auxiliary
 
 
 def _kept(leaf: Array) -> Array:
@@ -140,12 +140,12 @@ def _features(
     instant = _Instant.of(problem, tuple(problem.expressions[i] for i in which), decisions)
     numbers, affine = instant.numbers(decisions)[0], []
 
-    def found(point: Array) -> Array:
-        features, yes = affine_features(lambda *at: instant.at(instant.functionals, *at), point, numbers)
+    def at(point: Array) -> Array:
+        features, yes = affine_features(lambda *both: instant.at(instant.functionals, *both), point, numbers)
         affine[:] = yes
         return features
 
-    return jax.vmap(found)(points), jnp.array(affine)
+    return jax.vmap(at)(points), jnp.array(affine)
 
 
 FEATURES = Compiled(_features, use=Use.ONCE)
@@ -213,8 +213,8 @@ class _Instant:
 
         def solve(which: bool, points: Array, spread: Callable[[Array], Array], fit: Array) -> None:
             some = [one for one, yes in zip(self.functionals, affine, strict=True) if yes is which]
-            found = jax.vmap(lambda point: self.at(some, point, numbers))(points) if some else ()
-            for one, values in zip(some, found, strict=True):
+            results = jax.vmap(lambda point: self.at(some, point, numbers))(points) if some else ()
+            for one, values in zip(some, results, strict=True):
                 samples[one], coefficients[one] = spread(values), fit @ values
 
         solve(False, collocation.points, lambda values: values, collocation.pseudo_inverse)

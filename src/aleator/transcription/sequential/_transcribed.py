@@ -12,8 +12,8 @@ from typing import Any, ClassVar, NamedTuple, final
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Bool, Float, Int
-from scipy import sparse
 from typing_extensions import override
 
 from aleator._core.arrays import numbers_to_arrays
@@ -101,7 +101,7 @@ def _hessian(traced: Problem, discretised: Discretised, size: int) -> Hessian:
     """Second derivatives for solvers of a problem with `size` decisions."""
     evaluate = CURVATURE.bound(traced, discretised.collocation, discretised.constants)
     rows, columns = np.tril_indices(size)
-    triangle = sparse.csr_array((np.ones(rows.size), (rows, columns)), shape=(size, size))
+    triangle = scipy.sparse.csr_array((np.ones(rows.size), (rows, columns)), shape=(size, size))
 
     def lower(x: np.ndarray, weight: float, multipliers: np.ndarray) -> Any:
         whole = np.asarray(evaluate(_At(jnp.asarray(x), jnp.asarray(float(weight)), jnp.asarray(multipliers))))
@@ -190,14 +190,14 @@ class Sequential(AbstractTranscription):
 
     @override
     def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SequentiallyTranscribed:
-        found, traced = discretised(problem), numbers_to_arrays(problem)
-        scenarios = first_scenarios(problem, np.asarray(found.collocation.points))
-        found = found.at_scenarios(scenarios)
+        discretisation, traced = discretised(problem), numbers_to_arrays(problem)
+        scenarios = first_scenarios(problem, np.asarray(discretisation.collocation.points))
+        discretisation = discretisation.at_scenarios(scenarios)
         start, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))
-        anchors = anchors_of(traced, found.collocation, start)
-        evaluator = Evaluator(traced, found.collocation, found.constants, anchors)
+        anchors = anchors_of(traced, discretisation.collocation, start)
+        evaluator = Evaluator(traced, discretisation.collocation, discretisation.constants, anchors)
         if not evaluator.is_known(start):
-            meanwhile(problem, found)
+            meanwhile(problem, discretisation)
         decision_scale = decision_scales(start, lower, upper)
         around = _nearby(start, lower, upper, decision_scale)
         beside = [evaluator(one) for one in around] if instantaneous(problem) else []
@@ -216,7 +216,7 @@ class Sequential(AbstractTranscription):
             derivatives,
             [one.size for one in sizes],
             lambda: at_start.times,
-            lambda: [(found := evaluator(one)).by_constraint(found.values) for one in elsewhere(start, lower, upper)],
+            lambda: [(blocks := evaluator(one)).by_constraint(blocks.values) for one in elsewhere(start, lower, upper)],
         )
         paths = [where for where, one in zip(rows, problem.constraints, strict=True) if one.is_path]
         nonzero = [one.derivatives[1:] != 0 for one in (at_start, *beside)]
@@ -233,13 +233,13 @@ class Sequential(AbstractTranscription):
             sparsity=_sparsity(np.any(nonzero, axis=0), paths, len(at_start.times)) if beside else None,
             magnitudes=sizing.at,
             least=least_objective(problem),
-            values=Population(traced, found.collocation, found.constants),
-            hessian=_hessian(traced, found, start.size) if self.second_derivatives else None,
+            values=Population(traced, discretisation.collocation, discretisation.constants),
+            hessian=_hessian(traced, discretisation, start.size) if self.second_derivatives else None,
         )
         return SequentiallyTranscribed(
             problem,
             traced,
-            found,
+            discretisation,
             program,
             rows,
             tuple(one.size for one in sizes),

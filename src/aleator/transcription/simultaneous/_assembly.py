@@ -1,20 +1,24 @@
-"""Assembly: from blocks to the sparse Jacobian and Hessian of a program, whose patterns are known by construction.
+"""Assembly: from blocks to a program's rows and their sparse derivatives, whose patterns are known by construction.
 
-The constraints of a simultaneous program are `L z + C r(z)`: constant matrices, and the rows `r` of its blocks. So the
-entries of the Jacobian are linear in those of the blocks' Jacobians, and the entries of the Hessian are sums of those
-of the blocks' Hessians, by constant matrices that are put together once.
+The constraints of a simultaneous program are `L z + C r(z)`: constant matrices, and the rows `r` of its blocks. They
+are the problem's own, then those that tie lifted variables to what they stand for. So the entries of the Jacobian are
+linear in those of the blocks' Jacobians, and the entries of the Hessian are sums of those of the blocks' Hessians, by
+constant matrices that are put together once.
 """
 
 import math
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 import scipy
 from jaxtyping import Float, Int
 
-from aleator.nlp import SparseMatrix, with_entries
+from aleator.nlp import SparseMatrix, Ties, with_entries
 from aleator.transcription.simultaneous._blocks import Family
+from aleator.transcription.simultaneous._layout import Layout
+from aleator.transcription.simultaneous._pointwise import Pointwise
+from aleator.uncertainty import placements
 
 
 @final
@@ -68,9 +72,9 @@ class Pattern:
     def full(self, entries: Float[np.ndarray, " entries"]) -> Float[np.ndarray, "outer inner rows columns"]:
         """The Jacobians of all blocks, from their entries."""
         shape = *self.rows.shape, self.columns.shape[2]
-        found = np.zeros((*shape[:2], shape[2] * shape[3]))
-        found[..., self.slopes] = entries.reshape(self.slopes_shape)
-        return found.reshape(shape)
+        every = np.zeros((*shape[:2], shape[2] * shape[3]))
+        every[..., self.slopes] = entries.reshape(self.slopes_shape)
+        return every.reshape(shape)
 
 
 @final
@@ -135,7 +139,7 @@ class Curvature:
         return with_entries(self.sparsity, self.gather @ entries)
 
 
-def matrix(entries: list[tuple[Any, Any, Any]], shape: tuple[int, int]) -> SparseMatrix:
+def _matrix(entries: list[tuple[Any, Any, Any]], shape: tuple[int, int]) -> SparseMatrix:
     """A sparse matrix from the rows, columns and numbers of its entries: arrays that are broadcast, several times."""
     parts = [tuple(np.ravel(one) for one in np.broadcast_arrays(*some)) for some in entries]
     rows, columns, numbers = (np.concatenate([np.zeros(0), *some]) for some in zip(*parts, strict=True))
@@ -145,6 +149,125 @@ def matrix(entries: list[tuple[Any, Any, Any]], shape: tuple[int, int]) -> Spars
 def _pattern(keys: Int[np.ndarray, " entries"], shape: tuple[int, int]) -> SparseMatrix:
     rows, columns = np.divmod(keys, shape[1])
     starts = np.searchsorted(rows, np.arange(shape[0] + 1))
-    found = scipy.sparse.csr_array((np.ones(keys.size, dtype=bool), columns, starts), shape=shape)
-    found.has_canonical_format = True
-    return found
+    pattern = scipy.sparse.csr_array((np.ones(keys.size, dtype=bool), columns, starts), shape=shape)
+    pattern.has_canonical_format = True
+    return pattern
+
+
+class Fixed(NamedTuple):
+    """What is the same at all decisions, and so no variables of the program: the signals, the duration."""
+
+    signals: bool
+    duration: bool
+
+    @classmethod
+    def of(cls, pointwise: Pointwise) -> "Fixed":
+        """That of a problem. Conditions on derivatives of signals depend on the duration."""
+        return cls(not pointwise.decides_signals, not placements(pointwise.problem.grid).decisions)
+
+
+@final
+@dataclass(frozen=True)
+class Rows:
+    """The constraints `L z + C r(z)` of a program: `linear`, `combined`.
+
+    - `own`: the rows of each of the problem's constraints; `ties`: the others, each with the variable that stands for
+      something else (of the two states of an interval, the later one; of the equations of algebraic variables, each
+      one in turn).
+    """
+
+    linear: SparseMatrix
+    combined: SparseMatrix
+    own: tuple[slice, ...]
+    ties: Ties
+
+
+def rows_of(
+    layout: Layout,
+    blocks: list[Int[np.ndarray, "..."]],
+    fit: Float[np.ndarray, "terms points"],
+    slopes: SparseMatrix,
+    fixed: Fixed,
+) -> Rows:
+    """The rows of a program.
+
+    - `blocks`: the number of each row of each family's blocks, in the order of `Families.every`;
+    - `fit`: see `Collocation.pseudo_inverse`;
+    - `slopes`: how the decisions act on signals and duration beside their blocks.
+    """
+    known, initial, rates, equations, paths, ends, composed, nodes, _, *others = blocks
+    constraints = len(layout.pointwise.problem.constraints)
+    limits, integrands = others[:constraints], others[constraints:]
+    variables, mesh = layout.numbers, layout.plan.mesh
+    linear, combined, stands_for, own = [], [], [], []
+    count = 0
+
+    def take(shape: tuple[int, ...]) -> Int[np.ndarray, "..."]:
+        """The numbers of the next rows, in an array of a shape."""
+        nonlocal count
+        first, count = count, count + math.prod(shape)
+        return np.arange(first, count).reshape(shape)
+
+    for one in limits:
+        rows = take((one.size,))
+        combined.append((rows, one.ravel(), 1.0))
+        own.append(slice(int(rows[0]), int(rows[-1]) + 1) if one.size else slice(count, count))
+
+    def tied(these: Any, to: Any) -> None:
+        """Variables that are rows of blocks."""
+        rows = take(np.shape(these))
+        linear.append((rows, these, 1.0))
+        combined.append((rows, np.reshape(to, np.shape(these)), -1.0))
+        stands_for.append(np.ravel(these))
+
+    decided = np.append(np.full(variables.signals.size, not fixed.signals), not fixed.duration)
+    acting, first = slopes[decided].tocoo(), count
+    tied(np.append(variables.signals.ravel(), variables.duration)[decided], known.ravel()[decided])
+    linear.append((first + acting.row, variables.decisions[acting.col], -acting.data))
+    tied(variables.states[:, 0], initial[:, 0])
+    states = variables.states.shape[2]
+    lengths, scheme = mesh.lengths, mesh.scheme
+    ends_of = variables.states[:, mesh.points]
+    rows = take(ends_of[:, :, 1:].shape)
+    linear += [(rows, ends_of[:, :, 1:], 1.0), (rows, ends_of[:, :, :1], -1.0)]
+    stands_for.append(ends_of[:, :, 1:].ravel())
+    stages = rates[:, mesh.stages]
+    for i in range(stages.shape[2]):
+        shares = lengths[:, None] * scheme.weights[:, i]
+        combined.append((rows, stages[:, :, i : i + 1, :states], -shares[None, :, :, None]))
+    rows = take(variables.algebraic.shape)
+    combined.append((rows, equations, 1.0))
+    stands_for.append(variables.algebraic.ravel())
+    rows = take(variables.integrals.shape)
+    linear += [(rows, variables.integrals, 1.0), (rows[:, 1:], variables.integrals[:, :-1], -1.0)]
+    shares = lengths[:, None] * scheme.weights[-1]
+    combined.append((rows[:, :, None], stages[..., states:], -shares[None, :, :, None]))
+    stands_for.append(variables.integrals.ravel())
+    tied(variables.paths, paths)
+    tied(variables.ends, ends)
+    tied(variables.composed, composed)
+    tied(variables.nodes, nodes)
+    samples, between = layout.samples(variables), layout.integrated(variables)
+    expanded = [(samples[one], terms) for one, terms in layout.coefficients(variables).items()]
+    expanded += [(between[one], terms) for one, terms in layout.between(variables).items()]
+    for every, terms in expanded:
+        rows = take(terms.shape)
+        at = every[: layout.plan.points]
+        linear.append((rows, terms, 1.0))
+        shares = -fit.reshape(*fit.shape, *(1,) * (at.ndim - 1))
+        linear.append((rows[:, None], at[None], shares))
+        stands_for.append(terms.ravel())
+    rows = take(variables.totals.shape)
+    linear.append((rows, variables.totals, 1.0))
+    for row, integrand in zip(rows, integrands, strict=True):
+        combined.append((row, integrand.ravel(), -layout.pointwise.grid.fraction_weights))
+    stands_for.append(variables.totals)
+    first = own[-1].stop if own else 0
+    tied_variables = np.concatenate(stands_for).astype(int)
+    ties = Ties(np.arange(first, count), tied_variables, layout.owners[tied_variables])
+    return Rows(
+        _matrix(linear, (count, layout.count)),
+        _matrix(combined, (count, sum(rows.size for rows in blocks))),
+        tuple(own),
+        ties,
+    )

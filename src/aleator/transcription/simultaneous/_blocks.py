@@ -2,23 +2,64 @@
 
 All that is nonlinear in a simultaneous program is a family of equal blocks: the rates at a mesh point of a realisation,
 an output at an instant, a limit at an instant. A family is differentiated by `vmap` over its blocks, whatever their
-number; which variables a block is given is known by construction, and which of them each row depends on follows from
-its equations.
+number; which variables a block is given is known by construction.
+
+Which of them each row depends on, and which pairs of them bend it, follows from the block's traced equations, never
+from values: few derivatives of a larger model's rates by its states and signals can differ from zero; the others would
+be entries of the program all the same. Equations that are not known below count as bent by all that they are given, so
+that patterns may be too wide, but never too narrow.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias
+import math
+from collections.abc import Callable, Sequence
+from functools import reduce
+from typing import Any, NamedTuple, TypeAlias, final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Num
+import scipy
+from jax.extend.core import Literal
+from jax.interpreters.partial_eval import dce_jaxpr
+from jaxtyping import Array, Bool, Float, Int, Num
 
 from aleator._core.arrays import Pytree
-from aleator.transcription.simultaneous._dependence import Dependence, dependence
 
 Block: TypeAlias = Callable[[Pytree, Pytree, Array, Array], Float[Array, " rows"]]
 """Of the data of the outer and of the inner index, of the shared and of the block's own variables."""
+
+# Of one number each: linear in all operands together; bent.
+_LINEAR = {"add", "add_any", "sub", "neg", "copy", "real", "convert_element_type", "reduce_precision", "select_n"}
+_BENT = {
+    *("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "atan2"),
+    *("exp", "exp2", "expm1", "log", "log1p", "logistic", "erf", "erfc", "erf_inv", "lgamma", "digamma"),
+    *("mul", "div", "pow", "integer_pow", "square", "sqrt", "rsqrt", "cbrt", "abs", "max", "min", "clamp"),
+}
+# Results that are operands' numbers in other places, or fixed ones.
+_MOVING = {
+    *("reshape", "transpose", "broadcast_in_dim", "squeeze", "expand_dims", "slice", "split", "concatenate", "stack"),
+    *("rev", "pad", "gather", "dynamic_slice"),
+}
+# Primitives that contain other equations.
+_NESTED = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr"}
+# No table of dependences is larger than this: blocks of more numbers are full.
+_MOST = 10_000_000
+# Tables of more variables are multiplied as sparse ones.
+_FEW = 100
+
+_Table: TypeAlias = Bool[np.ndarray, "numbers variables"]
+_Known: TypeAlias = _Table | None
+"""On which variables each number of an array depends, one after another; None for what depends on no variable."""
+
+
+class Dependence(NamedTuple):
+    """Where a block's derivatives may differ from zero.
+
+    - `first`: of each row by each variable; `second`: by each pair of variables, of any row.
+    """
+
+    first: Bool[np.ndarray, "rows variables"]
+    second: Bool[np.ndarray, "variables variables"]
 
 
 class Family(NamedTuple):
@@ -38,8 +79,8 @@ class Family(NamedTuple):
     outer: Pytree = ()
     inner: Pytree = ()
 
-    def mapped(self, operate: Callable[..., Any], *given: Array) -> Any:
-        """`operate(block, shared, own, *given)` on every block: `given` has both axes of the family."""
+    def mapped(self, operate: Callable[..., Any], *arrays: Array) -> Any:
+        """`operate(block, shared, own, *arrays)` on every block: the arrays have both axes of the family."""
 
         def one(outer: Pytree, inner: Pytree, own: Array, *each: Array) -> Any:
             return operate(lambda s, o: self.function(outer, inner, s, o), self.shared, own, *each)
@@ -47,7 +88,7 @@ class Family(NamedTuple):
         def row(outer: Pytree, own: Any, *each: Array) -> Any:
             return jax.vmap(lambda inner, o, *rest: one(outer, inner, o, *rest))(self.inner, own, *each)
 
-        return jax.vmap(row)(self.outer, self.own, *given)
+        return jax.vmap(row)(self.outer, self.own, *arrays)
 
     @property
     def dependence(self) -> Dependence:
@@ -105,3 +146,167 @@ def _second(function: Callable[..., Array], gradient: Callable[..., Any], shared
     slopes = gradient(function, argnums=(0, 1))
     bends = jax.jacfwd(lambda s, o: jnp.concatenate(slopes(s, o)), argnums=(0, 1))(shared, own)
     return jnp.concatenate(bends, axis=1)
+
+
+def dependence(function: Callable[..., Array], data: Sequence[Any], variables: Sequence[Any]) -> Dependence:
+    """That of the rows of `function(*data, *variables)` on the variables, side by side. Nothing is computed.
+
+    - `data`: trees of arrays, or of their shapes; `variables`: arrays or their shapes.
+    """
+    closed, shape = jax.make_jaxpr(function, return_shape=True)(*data, *variables)
+    sizes = [int(np.prod(one.shape)) for one in variables]
+    count, rows = sum(sizes), int(np.prod(shape.shape))
+    if max(_largest(closed.jaxpr), count) * count > _MOST:
+        return Dependence(np.ones((rows, count), dtype=bool), np.ones((count, count), dtype=bool))
+    jaxpr, _ = dce_jaxpr(closed.jaxpr, [True], instantiate=True)
+    certain = len(jaxpr.invars) - len(variables)
+    alone = np.split(np.eye(count, dtype=bool), np.cumsum(sizes)[:-1])
+    following = _Following(count)
+    (first,) = following.results(jaxpr, [*[None] * certain, *alone])
+    return Dependence(np.zeros((rows, count), dtype=bool) if first is None else first, following.bent)
+
+
+def _largest(jaxpr: Any) -> int:
+    """The size of the largest array in some equations."""
+    size = 0
+    for equation in jaxpr.eqns:
+        inner = equation.params.get(_NESTED.get(equation.primitive.name, ""))
+        size = max(size, *(one.aval.size for one in equation.outvars), _largest(inner.jaxpr) if inner else 0)
+    return size
+
+
+@final
+class _Following:
+    """Follows dependences through equations, and notes the pairs of variables that bend some number, in `bent`."""
+
+    def __init__(self, count: int):
+        self.bent = np.zeros((count, count), dtype=bool)
+
+    def results(self, jaxpr: Any, arguments: Sequence[_Known]) -> list[_Known]:
+        """The dependences of the results of some equations."""
+        tables: dict[Any, _Known] = dict(zip(jaxpr.invars, arguments, strict=True))
+
+        def read(variable: Any) -> _Known:
+            return None if isinstance(variable, Literal) else tables.get(variable)
+
+        for equation in jaxpr.eqns:
+            operands = [read(one) for one in equation.invars]
+            if any(one is not None for one in operands) and any(map(_is_smooth, equation.outvars)):
+                pairs = zip(equation.outvars, self._followed(equation, operands), strict=True)
+                tables.update((variable, table if _is_smooth(variable) else None) for variable, table in pairs)
+        return [read(one) for one in jaxpr.outvars]
+
+    def _followed(self, equation: Any, operands: list[_Known]) -> Sequence[_Known]:
+        name = equation.primitive.name
+        if name in _NESTED:
+            return self.results(equation.params[_NESTED[name]].jaxpr, operands)
+        if name in _MOVING and _moves_by_known_places(equation):
+            return _moved(equation, operands)
+        if name == "reduce_sum" or name == "cumsum":
+            return [_summed(equation, operands[0])]
+        if name == "dot_general":
+            return [self._contracted(equation, *operands)]
+        if name in _LINEAR or name in _BENT:
+            return [self._by_number(name, _spread(equation, operands))]
+        every = np.logical_or.reduce(np.concatenate([one for one in operands if one is not None]))[None]
+        self._bend(every, every)
+        return [np.repeat(every, one.aval.size, axis=0) for one in equation.outvars]
+
+    def _by_number(self, name: str, operands: list[_Known]) -> _Table:
+        """Of an equation of one number each, for all numbers of an array."""
+        united = reduce(np.logical_or, [one for one in operands if one is not None])
+        if name == "mul":
+            self._bend(*operands)
+        elif name == "div":
+            self._bend(united, operands[1])
+        elif name in _BENT:
+            self._bend(united, united)
+        return united
+
+    def _contracted(self, equation: Any, one: _Known, other: _Known) -> _Table:
+        """Of a product of matrices: batch by batch, rows of one by rows of the other."""
+        summed, kept = equation.params["dimension_numbers"]
+        count = len(self.bent)
+        each = zip((one, other), equation.invars, summed, kept, strict=True)
+        left, right = (_arranged(table, count, operand.aval.shape, *axes) for table, operand, *axes in each)
+        self._bend(*(_one_after_another(np.logical_or.reduce(side, axis=1)) for side in (left, right)))
+        before, after = (np.logical_or.reduce(side, axis=2) for side in (left, right))
+        return _one_after_another(np.logical_or(before[:, :, None], after[:, None]))
+
+    def _bend(self, one: _Known, other: _Known) -> None:
+        """Numbers of one are multiplied by those of the other."""
+        if one is None or other is None:
+            return
+        if len(self.bent) > _FEW:
+            crossed = (scipy.sparse.csr_array(one).T @ scipy.sparse.csr_array(other)).nonzero()
+        else:
+            crossed = np.nonzero(one.T.astype(np.float32) @ other)
+        self.bent[crossed] = self.bent[crossed[::-1]] = True
+
+
+def _spread(equation: Any, operands: list[_Known]) -> list[_Known]:
+    """Of all numbers of the result, as arrays are broadcast."""
+    shape = equation.outvars[0].aval.shape
+    shapes = [one.aval.shape for one in equation.invars]
+    return [
+        one
+        if one is None or own == shape
+        else _one_after_another(np.broadcast_to(one.reshape(*own, one.shape[1]), (*shape, one.shape[1])))
+        for one, own in zip(operands, shapes, strict=True)
+    ]
+
+
+def _one_after_another(table: Bool[np.ndarray, "... variables"]) -> _Table:
+    """An array's numbers along one axis. There may be none of them."""
+    return table.reshape(math.prod(table.shape[:-1]), table.shape[-1])
+
+
+def _is_smooth(variable: Any) -> bool:
+    """Whether an array may have derivatives: complex numbers do, and keys of random numbers do not."""
+    return jnp.issubdtype(variable.aval.dtype, jnp.inexact)
+
+
+def _moves_by_known_places(equation: Any) -> bool:
+    return all(_is_smooth(one) or isinstance(one, Literal) for one in equation.invars)
+
+
+def _moved(equation: Any, operands: list[_Known]) -> list[_Known]:
+    """What has moved where follows from moving numbers of places. 0 is that of nothing, such as what is padded with."""
+    sizes = [one.aval.size if _is_smooth(one) else 0 for one in equation.invars]
+    places = [
+        np.arange(last - size, last, dtype=float).reshape(one.aval.shape) if _is_smooth(one) else one.val
+        for one, size, last in zip(equation.invars, sizes, 1 + np.cumsum(sizes), strict=True)
+    ]
+    moved = equation.primitive.bind(*places, **equation.primitive.get_bind_params(equation.params))
+    nothing = np.zeros((1, next(one for one in operands if one is not None).shape[1]), dtype=bool)
+    tables = [
+        np.repeat(nothing, size, axis=0) if one is None else one for one, size in zip(operands, sizes, strict=True)
+    ]
+    every = np.concatenate([nothing, *tables])
+    # What lies outside of an array may be told as no number at all.
+    results = moved if equation.primitive.multiple_results else [moved]
+    return [every[np.nan_to_num(np.asarray(one)).astype(int).ravel()] for one in results]
+
+
+def _summed(equation: Any, operand: _Known) -> _Known:
+    if operand is None:
+        return None
+    count, params = operand.shape[1], equation.params
+    table = operand.reshape(*equation.invars[0].aval.shape, count)
+    if equation.primitive.name == "reduce_sum":
+        united = np.logical_or.reduce(table, axis=tuple(params["axes"]))
+    else:
+        axis, turn = params["axis"], np.flip if params["reverse"] else lambda one, _: one
+        united = turn(np.logical_or.accumulate(turn(table, axis), axis=axis), axis)
+    return _one_after_another(united)
+
+
+def _arranged(
+    table: _Known, count: int, shape: tuple[int, ...], summed: Any, kept: Any
+) -> Bool[np.ndarray, "kept own summed variables"]:
+    """A factor's table by three axes of its array: those kept, those of its own, those summed."""
+    own = [axis for axis in range(len(shape)) if axis not in (*summed, *kept)]
+    sizes = [int(np.prod([shape[axis] for axis in axes])) for axes in (kept, own, summed)]
+    if table is None:
+        return np.zeros((*sizes, count), dtype=bool)
+    return table.reshape(*shape, count).transpose(*kept, *own, *summed, -1).reshape(*sizes, count)

@@ -55,7 +55,7 @@ def adjoint(
         before = before - np.einsum("rkm,rkms->rks", weights[:, :, -1], by_states[:, mesh.stages[:, -1]])
     states = np.concatenate([-defects[:, :1], before], axis=1)
 
-    told = np.zeros((len(mesh.places), shapes.signals))
+    by_side = np.zeros((len(mesh.places), shapes.signals))
     each = np.einsum("rkjm,rkjmts->kjts", weights, by_signals[:, mesh.stages])
-    np.add.at(told, sides[mesh.stages], each)
-    return Adjoint(states, told[mesh.weighed] / (duration * mesh.weights[mesh.weighed, None]))
+    np.add.at(by_side, sides[mesh.stages], each)
+    return Adjoint(states, by_side[mesh.weighed] / (duration * mesh.weights[mesh.weighed, None]))

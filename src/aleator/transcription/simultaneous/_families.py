@@ -22,10 +22,8 @@ from aleator.dynamics import AbstractMeanRate
 from aleator.statistics import Constants
 from aleator.transcription._expansions import ExpansionScope
 from aleator.transcription.simultaneous._blocks import Block, Family
-from aleator.transcription.simultaneous._layout import Layout, Plan, Variables, found_integrals
-from aleator.transcription.simultaneous._pointwise import Pointwise
-from aleator.transcription.simultaneous._shapes import apart
-from aleator.transcription.simultaneous._signals import known_numbers
+from aleator.transcription.simultaneous._layout import Layout, Plan, Variables, integrals_over_time, known_numbers
+from aleator.transcription.simultaneous._pointwise import Pointwise, apart
 from aleator.uncertainty import named_numbers
 
 
@@ -76,10 +74,11 @@ def families(
 
     - `points`: the germ points of the realisations.
     """
-    asked, mesh = layout.asked, layout.plan.mesh
-    instants, sides = mesh.instants(asked.grid.fractions), mesh.instant_sides(asked.grid.fractions)
+    pointwise, mesh, grid = layout.pointwise, layout.plan.mesh, layout.pointwise.grid
+    instants, sides = mesh.instants(grid.fractions), mesh.instant_sides(grid.fractions)
+    nodes, node_sides = mesh.instants(grid.node_fractions), mesh.instant_sides(grid.node_fractions)
     places, every = mesh.places, np.arange(len(mesh.sides))
-    model = np.concatenate([variables.decisions[asked.direct], variables.duration])
+    model = np.concatenate([variables.decisions[pointwise.direct], variables.duration])
     none = variables.decisions[None, None, :0]
     integrals = variables.integrals.shape[2]
     histories = variables.paths.reshape(len(variables.paths), -1)
@@ -92,37 +91,38 @@ def families(
         return np.concatenate([signals_at(sides), variables.states[:, which], variables.algebraic[:, first]], axis=2)
 
     def signals_at(sides: np.ndarray) -> np.ndarray:
-        told = variables.signals[sides].reshape(len(sides), -1)
-        return np.broadcast_to(told, (len(points), *told.shape))
+        signals = variables.signals[sides].reshape(len(sides), -1)
+        return np.broadcast_to(signals, (len(points), *signals.shape))
 
     def observed(names: tuple[str, ...], which: np.ndarray, sides: np.ndarray) -> Family:
-        return Family(partial(asked.outputs, names), model, at(which, sides), points, places[sides])
+        return Family(partial(pointwise.outputs, names), model, at(which, sides), points, places[sides])
 
     def known(outer: Any, inner: Any, shared: Array, own: Array) -> Array:
         del outer, inner, own
-        return known_numbers(asked, mesh, shared if shared.size else jnp.zeros(layout.sizes.decisions))
+        return known_numbers(pointwise, mesh, shared if shared.size else jnp.zeros(layout.sizes.decisions))
 
     def composed(outer: Any, inner: Any, shared: Array, own: Array) -> Array:
         del outer, inner
-        return asked.composites(layout.shapes, shared[0], own[:integrals], own[integrals:])
+        return pointwise.composites(layout.shapes, shared[0], own[:integrals], own[integrals:])
 
+    residuals = pointwise.residuals if layout.shapes.algebraic else _nothing
     return Families(
         Family(known, variables.decisions[: 0 if layout.plan.is_affine else None], none),
-        Family(asked.initial, model, signals_at(every[:1]), points, places[:1]),
+        Family(pointwise.initial, model, signals_at(every[:1]), points, places[:1]),
         Family(
-            partial(asked.mean_rates, mesh.scheme.rate),
+            partial(pointwise.mean_rates, mesh.scheme.rate),
             model,
             at(mesh.asked, mesh.asked_sides),
             points,
             places[mesh.asked_sides],
         ),
-        Family(asked.residuals if layout.shapes.algebraic else _nothing, model, at(mesh.sides, every), points, places),
-        observed(asked.paths, instants, sides),
-        observed(asked.ends, instants[-1:], sides[-1:]),
+        Family(residuals, model, at(mesh.sides, every), points, places),
+        observed(pointwise.paths, instants, sides),
+        observed(pointwise.ends, instants[-1:], sides[-1:]),
         Family(composed, variables.duration, recorded[:, None]),
-        observed(asked.nodes, mesh.instants(asked.grid.node_fractions), mesh.instant_sides(asked.grid.node_fractions)),
+        observed(pointwise.nodes, nodes, node_sides),
         tuple(_limits(layout, problem, constants, variables)),
-        tuple(_integrand(layout, problem, constants, one, variables) for one in found_integrals(problem)),
+        tuple(_integrand(layout, problem, constants, one, variables) for one in integrals_over_time(problem)),
     )
 
 
@@ -131,11 +131,11 @@ def functions(problem: Problem, constants: Constants | None, plan: Plan | Abstra
     mesh.
     """
     if isinstance(plan, AbstractMeanRate):
-        asked = Pointwise.of(problem)
+        pointwise = Pointwise.of(problem)
         return {
-            RATES: partial(asked.mean_rates, plan),
-            EQUATIONS: asked.residuals,
-            PATHS: partial(asked.outputs, asked.paths),
+            RATES: partial(pointwise.mean_rates, plan),
+            EQUATIONS: pointwise.residuals,
+            PATHS: partial(pointwise.outputs, pointwise.paths),
         }
     assert constants is not None
     layout = Layout.of(problem, plan)
@@ -171,11 +171,11 @@ def _integrand(
 ) -> Family:
     """The integrand of an integral over time: one block a node."""
     coefficients = {**layout.coefficients(variables), **layout.between(variables)}
-    found = _limit(layout, problem, constants, expression, variables, coefficients, variables.totals[:0])
-    block = found.function
-    return found._replace(
+    family = _limit(layout, problem, constants, expression, variables, coefficients, variables.totals[:0])
+    block = family.function
+    return family._replace(
         function=lambda outer, inner, s, o: s[0] * block(outer, inner, s[1:], o),
-        shared=np.concatenate([variables.duration, found.shared]),
+        shared=np.concatenate([variables.duration, family.shared]),
     )
 
 
@@ -194,10 +194,10 @@ def _limit(
     """
     samples, beside = layout.samples(variables), beside_integrals(expression)
     decisions = variables.decisions if _speaks_of_numbers(beside) else variables.decisions[:0]
-    given = [(one, True, coefficients[one]) for one in expanded_functionals((beside,))]
-    given += [(one, False, samples[one][layout.plan.points :]) for one in extreme_functionals((beside,))]
+    parts = [(one, True, coefficients[one]) for one in expanded_functionals((beside,))]
+    parts += [(one, False, samples[one][layout.plan.points :]) for one in extreme_functionals((beside,))]
     moving, still = [], []
-    for functional, is_expanded, numbers in given:
+    for functional, is_expanded, numbers in parts:
         is_own = expression.is_path and functional.is_path
         # One part an instant, the first axis.
         numbers = np.moveaxis(numbers, 1, 0) if is_own else numbers
@@ -222,9 +222,9 @@ def _expression(
 ) -> Float[Array, " rows"]:
     decisions, totals, others = jnp.split(shared, np.cumsum(sizes))
     numbers = named_numbers(problem.simulation, decisions) if decisions.size else {}
-    found = [*_taken(parts[0], others), *_taken(parts[1], own)]
-    coefficients = {one.functional: values for one, values in found if one.is_expanded}
-    realised = {one.functional: values for one, values in found if not one.is_expanded}
+    pairs = [*_taken(parts[0], others), *_taken(parts[1], own)]
+    coefficients = {one.functional: values for one, values in pairs if one.is_expanded}
+    realised = {one.functional: values for one, values in pairs if not one.is_expanded}
     scope = ExpansionScope({}, coefficients, constants, numbers, realised=realised, totals=iter(totals))
     return jnp.ravel(expression.evaluate(scope))
 

@@ -1,8 +1,12 @@
-"""The variables of a simultaneous program: what they are, and where they stand.
+"""The variables of a simultaneous program: what they are, where they stand, and how signals depend on decisions.
 
 Beside the decisions they are the duration, the signals, the states and algebraic variables at the mesh points of each
 realisation, what is recorded of it, and the coefficients of the expansions. Realisations are coupled through the last
 alone: every block depends on few variables, and no entry of the Hessian on two realisations.
+
+Signals are nearly always affine in the decisions, as splines are in their control points: at an instant each depends on
+few decisions, by constant derivatives. So long signals stay sparse. Whether they are affine follows from the traced
+equations, never from values.
 """
 
 import math
@@ -12,9 +16,13 @@ from functools import cached_property
 from typing import Any, NamedTuple, final
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+import scipy
+from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float
 
+from aleator._core.compilation import Compiled, Use
 from aleator.design import (
     AbstractFunctional,
     AbstractIntegral,
@@ -28,9 +36,12 @@ from aleator.design import (
     time_integrals,
 )
 from aleator.dynamics import AbstractScheme
+from aleator.nlp import SparseMatrix
 from aleator.transcription.simultaneous._mesh import Mesh
-from aleator.transcription.simultaneous._pointwise import Pointwise
-from aleator.transcription.simultaneous._shapes import Shapes, apart
+from aleator.transcription.simultaneous._pointwise import Pointwise, Shapes, apart
+
+# Decisions by which signals are differentiated at once: all of them would take a dense matrix.
+_AT_ONCE = 64
 
 
 class Variables(NamedTuple):
@@ -100,7 +111,7 @@ class Layout:
     """Where the variables of a program stand, and what is recorded of its problem."""
 
     plan: Plan
-    asked: Pointwise
+    pointwise: Pointwise
     shapes: Shapes
     composed: tuple[tuple[int, ...], ...]
     sizes: Variables
@@ -108,12 +119,12 @@ class Layout:
     @classmethod
     def of(cls, problem: Problem, plan: Plan) -> "Layout":
         """That of a problem."""
-        asked = Pointwise.of(problem)
-        shapes = asked.shapes()
+        pointwise = Pointwise.of(problem)
+        shapes = pointwise.shapes()
         if not plan.mesh.scheme.has_algebraic_variables:
             shapes = replace(shapes, algebraic=0)
-        composed = tuple(_shape(one, asked, shapes) for one in asked.composed)
-        every, points, instants = plan.realisations, len(plan.mesh.fractions), asked.grid.steps + 1
+        composed = tuple(_shape(one, pointwise, shapes) for one in pointwise.composed)
+        every, points, instants = plan.realisations, len(plan.mesh.fractions), pointwise.grid.steps + 1
         sizes = Variables(
             decisions=(problem.placements.size,),
             duration=(1,),
@@ -121,29 +132,29 @@ class Layout:
             states=(every, points, shapes.states),
             algebraic=(every, len(plan.mesh.sides), shapes.algebraic),
             integrals=(every, len(plan.mesh.lengths), sum(map(math.prod, shapes.integrals))),
-            paths=(every, instants, shapes.size(asked.paths)),
-            ends=(every, shapes.size(asked.ends)),
+            paths=(every, instants, shapes.size(pointwise.paths)),
+            ends=(every, shapes.size(pointwise.ends)),
             composed=(every, sum(map(math.prod, composed))),
-            nodes=(every, 2 * instants - 1, shapes.size(asked.nodes)),
-            totals=(len(found_integrals(problem)),),
+            nodes=(every, 2 * instants - 1, shapes.size(pointwise.nodes)),
+            totals=(len(integrals_over_time(problem)),),
             coefficients=(),
             between=(),
         )
-        found = cls(plan, asked, shapes, composed, sizes)
-        samples = found.samples(found.numbers)
-        terms = tuple((plan.terms, *samples[one].shape[1:]) for one in found.expanded)
-        between = tuple((plan.terms, *one.shape[1:]) for one in found.integrated(found.numbers).values())
-        return cls(plan, asked, shapes, composed, sizes._replace(coefficients=terms, between=between))
+        layout = cls(plan, pointwise, shapes, composed, sizes)
+        samples = layout.samples(layout.numbers)
+        terms = tuple((plan.terms, *samples[one].shape[1:]) for one in layout.expanded)
+        between = tuple((plan.terms, *one.shape[1:]) for one in layout.integrated(layout.numbers).values())
+        return cls(plan, pointwise, shapes, composed, sizes._replace(coefficients=terms, between=between))
 
     @property
     def needs_histories(self) -> bool:
         """Whether some functional is taken of a whole history."""
-        return any(not isinstance(one, AbstractIntegral) for one in self.asked.composed)
+        return any(not isinstance(one, AbstractIntegral) for one in self.pointwise.composed)
 
     @property
     def expanded(self) -> tuple[AbstractFunctional, ...]:
         """The functionals whose coefficients are variables."""
-        return expanded_functionals(self.asked.problem.expressions)
+        return expanded_functionals(self.pointwise.problem.expressions)
 
     @property
     def count(self) -> int:
@@ -165,11 +176,11 @@ class Layout:
     @cached_property
     def owners(self) -> np.ndarray:
         """The realisation to which each variable belongs, -1 for none, shape (n,)."""
-        found = np.full(self.count, -1)
+        owners = np.full(self.count, -1)
         owned: tuple[Any, ...] = self.numbers[_FIRST_OWNED:_LAST_OWNED]
         for some in owned:
-            found[some] = np.arange(len(some)).reshape(-1, *(1,) * (some.ndim - 1))
-        return found
+            owners[some] = np.arange(len(some)).reshape(-1, *(1,) * (some.ndim - 1))
+        return owners
 
     @cached_property
     def stages(self) -> tuple[np.ndarray, ...]:
@@ -188,30 +199,30 @@ class Layout:
 
     def samples(self, variables: Variables) -> dict[AbstractFunctional, Any]:
         """Each functional on every realisation, shape (realisations, ...)."""
-        asked, shapes = self.asked, self.shapes
-        found: dict[AbstractFunctional, Any] = dict(
-            zip(asked.composed, apart(variables.composed, self.composed), strict=True)
+        pointwise, shapes = self.pointwise, self.shapes
+        samples: dict[AbstractFunctional, Any] = dict(
+            zip(pointwise.composed, apart(variables.composed, self.composed), strict=True)
         )
-        for one in functionals_of(asked.problem.expressions):
-            if one not in found:
+        for one in functionals_of(pointwise.problem.expressions):
+            if one not in samples:
                 is_path = isinstance(one, Path)
-                names, table = (asked.paths, variables.paths) if is_path else (asked.ends, variables.ends)
+                names, table = (pointwise.paths, variables.paths) if is_path else (pointwise.ends, variables.ends)
                 chosen = table[..., shapes.columns(names, one.output)]
-                found[one] = chosen.reshape(*table.shape[:-1], *shapes.outputs[one.output])
-        return found
+                samples[one] = chosen.reshape(*table.shape[:-1], *shapes.outputs[one.output])
+        return samples
 
     def integrated(self, variables: Variables) -> dict[AbstractFunctional, Any]:
         """The paths whose statistics are integrated over time: their values, shape (realisations, nodes, ...)."""
-        found: dict[AbstractFunctional, Any] = {}
-        for one in integrated_paths(self.asked.problem.expressions):
+        paths: dict[AbstractFunctional, Any] = {}
+        for one in integrated_paths(self.pointwise.problem.expressions):
             assert isinstance(one, Path)
-            chosen = variables.nodes[..., self.shapes.columns(self.asked.nodes, one.output)]
-            found[one] = chosen.reshape(*variables.nodes.shape[:-1], *self.shapes.outputs[one.output])
-        return found
+            chosen = variables.nodes[..., self.shapes.columns(self.pointwise.nodes, one.output)]
+            paths[one] = chosen.reshape(*variables.nodes.shape[:-1], *self.shapes.outputs[one.output])
+        return paths
 
     def between(self, variables: Variables) -> dict[AbstractFunctional, Any]:
         """The coefficients of these paths, shape (terms, nodes, ...)."""
-        return dict(zip(integrated_paths(self.asked.problem.expressions), variables.between, strict=True))
+        return dict(zip(integrated_paths(self.pointwise.problem.expressions), variables.between, strict=True))
 
     def coefficients(self, variables: Variables) -> dict[AbstractFunctional, Any]:
         """The coefficients of each functional that is expanded, shape (terms, ...)."""
@@ -222,19 +233,66 @@ def _shapes_of(sizes: Variables) -> Sequence[tuple[int, ...]]:
     return [*sizes[:_ALONE], *sizes.coefficients, *sizes.between]
 
 
-def found_integrals(problem: Problem) -> tuple[Expression, ...]:
+def integrals_over_time(problem: Problem) -> tuple[Expression, ...]:
     """The expressions that are integrated over time in a problem's, in the order of evaluation."""
     return tuple(inner for one in problem.expressions for inner in time_integrals(one))
 
 
-def _shape(functional: AbstractFunctional, asked: Pointwise, shapes: Shapes) -> tuple[int, ...]:
+def _shape(functional: AbstractFunctional, pointwise: Pointwise, shapes: Shapes) -> tuple[int, ...]:
     """The shape of a functional that is composed of others."""
     if isinstance(functional, AbstractIntegral):
-        return shapes.integrals[asked.integrals.index(functional)]
-    instants = asked.grid.steps + 1
+        return shapes.integrals[pointwise.integrals.index(functional)]
+    instants = pointwise.grid.steps + 1
 
     def evaluated(history: dict[str, Float[Array, "instants ..."]]) -> Array:
-        return functional.evaluate(Taken(history, {}), asked.grid)
+        return functional.evaluate(Taken(history, {}), pointwise.grid)
 
-    given = {name: jax.ShapeDtypeStruct((instants, *shapes.outputs[name]), float) for name in functional.outputs}
-    return jax.eval_shape(evaluated, given).shape
+    histories = {name: jax.ShapeDtypeStruct((instants, *shapes.outputs[name]), float) for name in functional.outputs}
+    return jax.eval_shape(evaluated, histories).shape
+
+
+def known_numbers(pointwise: Pointwise, mesh: Mesh, decisions: Float[Array, " n"]) -> Float[Array, " known"]:
+    """The signals at all places of a mesh, one by one, then the duration."""
+    fractions, is_before = mesh.places.T
+    signals = pointwise.known(fractions, decisions, is_before > 0)
+    return jnp.append(signals.ravel(), pointwise.duration(decisions))
+
+
+def are_affine(pointwise: Pointwise, mesh: Mesh) -> bool:
+    """Whether the derivatives of signals and duration are the same at all decisions: no equation of theirs needs these
+    any more.
+    """
+    one = jnp.zeros(pointwise.problem.placements.size)
+    closed = jax.make_jaxpr(lambda x, along: jax.jvp(lambda at: known_numbers(pointwise, mesh, at), (x,), (along,))[1])(
+        one, one
+    )
+    _, is_needed = dce_jaxpr(closed.jaxpr, [True])
+    return not is_needed[0]
+
+
+def _along(problem: Problem, mesh: Mesh, directions: Float[Array, "some n"]) -> Float[Array, "some known"]:
+    pointwise = Pointwise.of(problem)
+
+    def change(direction: Array) -> Array:
+        return jax.jvp(lambda at: known_numbers(pointwise, mesh, at), (jnp.zeros_like(direction),), (direction,))[1]
+
+    return jax.vmap(change)(directions)
+
+
+ALONG = Compiled(_along, use=Use.ONCE)
+
+
+def constant_slopes(traced: Problem, layout: Layout) -> SparseMatrix:
+    """The derivatives of signals and duration by the decisions if they are constant, else nothing.
+
+    Shape (signals at all mesh points and the duration, decisions).
+    """
+    (decisions,), known = layout.sizes.decisions, layout.numbers.signals.size + 1
+    if not layout.plan.is_affine:
+        return scipy.sparse.csr_array((known, decisions))
+    parts = [scipy.sparse.csr_array((known, 0))]
+    for first in range(0, decisions, _AT_ONCE):
+        directions = np.eye(_AT_ONCE, decisions, first)
+        slopes = np.asarray(ALONG(traced, layout.plan.mesh, directions)).T
+        parts.append(scipy.sparse.csr_array(slopes[:, : decisions - first]))
+    return scipy.sparse.hstack(parts, format="csr")

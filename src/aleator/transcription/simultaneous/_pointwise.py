@@ -1,10 +1,11 @@
-"""What a problem's equations say at one mesh point of one realisation: rates, integrands, outputs.
+"""What a problem's equations say at one mesh point of one realisation: rates, integrands, outputs, and their shapes.
 
 Time runs by the fraction of the grid's duration: multiplied by the duration, rates and integrands are those by the
 fraction, so that a free final time stands in them and the scheme stays linear.
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, final
@@ -13,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from aleator.design import (
@@ -45,8 +47,59 @@ from aleator.dynamics import (
 )
 from aleator.trajectories import before_jumps, has_jumps
 from aleator.transcription._frozen import frozen, has_random_signals
-from aleator.transcription.simultaneous._shapes import Shapes, apart, flat, taken_by
 from aleator.uncertainty import placements, realise
+
+
+@final
+@dataclass(frozen=True)
+class Shapes:
+    """How many states, algebraic variables and signals there are, and the shapes of integrals and of outputs at one
+    instant.
+    """
+
+    states: int
+    algebraic: int
+    signals: int
+    integrals: tuple[tuple[int, ...], ...]
+    outputs: dict[str, tuple[int, ...]]
+
+    def size(self, names: Sequence[str]) -> int:
+        """How many numbers some outputs are."""
+        return sum(math.prod(self.outputs[name]) for name in names)
+
+    def columns(self, names: Sequence[str], name: str) -> slice:
+        """Where an output stands among some that are side by side."""
+        before = names[: list(names).index(name)]
+        return slice(self.size(before), self.size(before) + self.size([name]))
+
+    def histories(self, names: Sequence[str], rows: Float[Array, " numbers"]) -> dict[str, Array]:
+        """Histories of some outputs by name, from all of their numbers, instant by instant."""
+        if not names:
+            return {}
+        table = rows.reshape(-1, self.size(names))
+        return {name: table[:, self.columns(names, name)].reshape(-1, *self.outputs[name]) for name in names}
+
+
+def apart(numbers: Any, shapes: Sequence[tuple[int, ...]]) -> list[Any]:
+    """Arrays of some shapes, from their numbers side by side along the last axis; axes before it are kept."""
+    parts, first = [], 0
+    for shape in shapes:
+        last = first + math.prod(shape)
+        parts.append(numbers[..., first:last].reshape(*numbers.shape[:-1], *shape))
+        first = last
+    return parts
+
+
+def taken_by(make: Callable[[], Any], numbers: Array) -> tuple[Any, Array]:
+    """The first of some numbers in the shapes of what `make` gives, which is not computed, and those after them."""
+    like, unravel = ravel_pytree(jax.tree.map(lambda one: jnp.zeros(one.shape), jax.eval_shape(make)))
+    return unravel(numbers[: like.size]), numbers[like.size :]
+
+
+def flat(tree: Any) -> Float[Array, " numbers"]:
+    """All numbers of a tree side by side."""
+    leaves = [jnp.ravel(one) for one in jax.tree.leaves(tree)]
+    return jnp.concatenate([jnp.zeros(0), *leaves])
 
 
 @final
@@ -93,26 +146,26 @@ class Pointwise:
     def decides_signals(self) -> bool:
         """Whether signals or the duration may depend on decisions: those of the system's own are not asked."""
         decided = bool(placements((self.problem.inputs, self.problem.grid)).decisions)
-        return decided or self._tells(lambda system, _: bool(system.signals()))
+        return decided or self._holds(lambda system, _: bool(system.signals()))
 
     @property
     def has_jumps(self) -> bool:
         """Whether signals may jump at instants of the mesh."""
-        return self._tells(lambda system, inputs: has_jumps({**system.signals(), **inputs}))
+        return self._holds(lambda system, inputs: has_jumps({**system.signals(), **inputs}))
 
     @cached_property
     def signal_shapes(self) -> dict[str, tuple[int, ...]]:
         """The shape of each signal by name, in the order of `known`; none where they are uncertain."""
-        found: dict[str, tuple[int, ...]] = {}
+        shapes: dict[str, tuple[int, ...]] = {}
 
-        def told(decisions: Array) -> Array:
+        def traced(decisions: Array) -> Array:
             system, grid, inputs = self._known_parts(decisions)
-            found.update(known_at({**system.signals(), **inputs}, grid, np.zeros(1)).inputs)
+            shapes.update(known_at({**system.signals(), **inputs}, grid, np.zeros(1)).inputs)
             return decisions
 
         if not self.is_random:
-            jax.eval_shape(told, _numbers(self.problem.placements.size))
-        return found
+            jax.eval_shape(traced, _numbers(self.problem.placements.size))
+        return shapes
 
     @property
     def signal_count(self) -> int:
@@ -120,17 +173,17 @@ class Pointwise:
         decisions = _numbers(self.problem.placements.size)
         return jax.eval_shape(lambda x: self.known(np.zeros(1), x), decisions).shape[1]
 
-    def _tells(self, told: Callable[[System, Inputs], bool]) -> bool:
+    def _holds(self, condition: Callable[[System, Inputs], bool]) -> bool:
         """Whether something holds for the signals of a realisation; nothing is computed."""
-        found: list[bool] = []
+        answers: list[bool] = []
 
         def realised(decisions: Array) -> Array:
             system, _, inputs = self._known_parts(decisions)
-            found.append(told(system, inputs))
+            answers.append(condition(system, inputs))
             return decisions
 
         jax.eval_shape(realised, _numbers(self.problem.placements.size))
-        return any(found)
+        return any(answers)
 
     @property
     def grid(self) -> Grid:
@@ -152,10 +205,10 @@ class Pointwise:
             return jnp.zeros((len(fractions), 0))
         system, grid, inputs = self._known_parts(decisions)
         every = {**system.signals(), **inputs}
-        found = known_at(every, grid, fractions).rows[:, 1:]
+        signals = known_at(every, grid, fractions).rows[:, 1:]
         if is_before is None or not is_before.any():
-            return found
-        return jnp.where(is_before[:, None], known_at(before_jumps(every), grid, fractions).rows[:, 1:], found)
+            return signals
+        return jnp.where(is_before[:, None], known_at(before_jumps(every), grid, fractions).rows[:, 1:], signals)
 
     def duration(self, decisions: Float[Array, " n"]) -> Float[Array, ""]:
         """From the first instant to the last, s."""
@@ -176,10 +229,10 @@ class Pointwise:
         """
         system, t, z, now = self._at(germ, place, shared, own)
         z = completed(system, t, z, now)
-        asked = self._integrated
+        integrated = self._integrated
         if not system.states:
-            return shared[-1] * flat(asked.rates(system, t, z, now))
-        return shared[-1] * flat(asked.slopes(system, t, z, now))
+            return shared[-1] * flat(integrated.rates(system, t, z, now))
+        return shared[-1] * flat(integrated.slopes(system, t, z, now))
 
     def mean_rates(
         self, rate: AbstractMeanRate, germ: Array, places: Array, shared: Array, own: Array
@@ -211,8 +264,8 @@ class Pointwise:
     def outputs(self, names: tuple[str, ...], germ: Array, place: Array, shared: Array, own: Array) -> Array:
         """Some outputs, side by side."""
         system, t, z, now = self._at(germ, place, shared, own)
-        found = observation(system, t, z, now)
-        return flat([found[name] for name in names])
+        outputs = observation(system, t, z, now)
+        return flat([outputs[name] for name in names])
 
     def everywhere(
         self,
@@ -247,7 +300,7 @@ class Pointwise:
         shared, first = _numbers(self.direct.size + 1), _numbers(signals)
         states = jax.eval_shape(self.initial, germ, place, shared, first).size
 
-        def found(germ: Array, place: Array, shared: Array, own: Array) -> tuple[Any, ...]:
+        def recorded(germ: Array, place: Array, shared: Array, own: Array) -> tuple[Any, ...]:
             system, t, z, now = self._at(germ, place, shared, own)
             outputs = observation(system, t, z, now)
             names = (*self.paths, *self.ends)
@@ -255,7 +308,7 @@ class Pointwise:
             return algebraic, self._integrated.rates(system, t, z, now), {name: outputs[name] for name in names}
 
         own = _numbers(signals + states)
-        algebraic, integrals, outputs = jax.eval_shape(found, germ, place, shared, own)
+        algebraic, integrals, outputs = jax.eval_shape(recorded, germ, place, shared, own)
         return Shapes(
             states,
             sum(one.size for one in algebraic),

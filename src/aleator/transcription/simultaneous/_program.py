@@ -1,25 +1,37 @@
-"""The blocks of a simultaneous program, and the sparse program that they make."""
+"""The sparse program that the blocks of a simultaneous transcription make, as solvers see it.
+
+By the typical magnitudes of its variables a solver scales, and violations are judged: so they are those of the point
+itself, not of a start that may be wild. What is zero there has the magnitude that typical changes of what it is tied to
+would give it.
+"""
 
 import math
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import final
 
+import jax
 import numpy as np
 from jaxtyping import Float, Int
 
 from aleator.design import Problem
-from aleator.nlp import Evaluation, Hessian, SparseMatrix
+from aleator.nlp import Evaluation, Hessian, Magnitudes, NonlinearProgram, SparseMatrix, Ties
 from aleator.statistics import Constants
 from aleator.transcription._abstract import Remembered
-from aleator.transcription.simultaneous._assembly import Curvature, Jacobian, Pattern
+from aleator.transcription._constraints import Sizing, decision_scales, least_objective, row_bounds, spread
+from aleator.transcription._scenarios import Scenarios
+from aleator.transcription.simultaneous._assembly import Curvature, Fixed, Jacobian, Pattern, Rows, rows_of
 from aleator.transcription.simultaneous._blocks import Family
 from aleator.transcription.simultaneous._families import EQUATIONS, KNOWN, OBJECTIVE, PATHS, RATES, families
-from aleator.transcription.simultaneous._layout import Layout
-from aleator.transcription.simultaneous._rows import Given, Rows, rows_of
-from aleator.transcription.simultaneous._signals import constant_slopes
+from aleator.transcription.simultaneous._layout import Layout, constant_slopes
 from aleator.transcription.simultaneous._tiles import Call, begin, calls_of, results, tile_size, tiles_of
 
+# A magnitude below this is rounding.
+_NOTHING = 1e-12
+# Along a chain of so many states, each the rate of the next, forces reach a state that is zero.
+_CHAIN = 4
+# For such a part of the time: all the way, a push of typical magnitude would turn and carry most things beyond reason.
+_PUSHED = 0.1
 # The families that grow with the mesh.
 _MOVING = RATES, EQUATIONS, PATHS
 
@@ -35,7 +47,7 @@ def _calls(
     """The calls that evaluate all families: those that grow with the mesh are in tiles, and what is compiled of them
     serves every mesh; but signals, which differ at each of their points.
     """
-    nodes, scheme = tuple(layout.asked.grid.fractions.tolist()), layout.plan.scheme
+    nodes, scheme = tuple(layout.pointwise.grid.fractions.tolist()), layout.plan.scheme
     first = replace(layout.plan, mesh=replace(layout.plan.mesh, nodes=nodes, scheme=scheme))
     sizes = [(len(one.own), one.own.shape[1]) for one in every]
     sizes[RATES] = tile_size(sizes[RATES][0], len(first.mesh.asked))
@@ -129,7 +141,7 @@ class Assembled:
         constants: Constants,
         points: Float[np.ndarray, "realisations germs"],
         fit: Float[np.ndarray, "terms points"],
-        given: Given,
+        fixed: Fixed,
     ) -> "Assembled":
         """That of a problem.
 
@@ -141,7 +153,7 @@ class Assembled:
             patterns.append(Pattern.of(one, first))
             first += patterns[-1].rows.size
         slopes = constant_slopes(traced, layout)
-        rows = rows_of(layout, [one.rows for one in patterns], fit, slopes, given)
+        rows = rows_of(layout, [one.rows for one in patterns], fit, slopes, fixed)
         evaluated = Blocks(_calls(traced, equations, constants, layout, every, patterns), patterns)
         evaluated.begin(np.zeros(layout.count), first)
         objective = patterns[OBJECTIVE]
@@ -192,8 +204,7 @@ class Assembled:
         row, where, columns = self.objective
         gradient = np.zeros(variables.size)
         np.add.at(gradient, columns, entries[where])
-        constraints = self.rows.linear @ variables + self.rows.combined @ values
-        return Evaluation(float(values[row]), gradient, constraints, self.jacobian.at(entries))
+        return Evaluation(float(values[row]), gradient, self.constraints(variables), self.jacobian.at(entries))
 
     @property
     def hessian(self) -> Hessian:
@@ -207,3 +218,146 @@ class Assembled:
             return self.curvature.at(self.evaluated.curved(variables, weights))
 
         return Hessian(evaluate, self.curvature.sparsity)
+
+
+def scales(
+    layout: Layout,
+    ties: Ties,
+    point: Float[np.ndarray, " variables"],
+    evaluation: Evaluation,
+    decisions: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " variables"]:
+    """A typical magnitude of each variable: the largest of its kind, or what it would be if all that it is tied to
+    changed by a typical magnitude.
+
+    - `decisions`: typical magnitudes of the decisions.
+    """
+    numbers, slopes = layout.numbers, abs(evaluation.jacobian[ties.rows])
+    scale = _by_kind(layout, np.abs(point))
+    scale[numbers.decisions] = decisions
+    signals, *later = layout.stages
+    scale = _reached(layout, ties, slopes, scale, signals)
+    intervals = _PUSHED * len(layout.plan.mesh.lengths)
+    for _ in range(_CHAIN):
+        still = numbers.states[scale[numbers.states] <= _NOTHING]
+        if not still.size:
+            break
+        scale = _reached(layout, ties, intervals * slopes, scale, still)
+    still = numbers.integrals[scale[numbers.integrals] <= _NOTHING]
+    scale = _reached(layout, ties, intervals * slopes, scale, still)
+    for some in later:
+        scale = _reached(layout, ties, slopes, scale, some)
+    return np.where(scale > _NOTHING, scale, 1.0)
+
+
+def _tie_sizes(
+    layout: Layout, ties: Ties, evaluation: Evaluation, scale: Float[np.ndarray, " variables"]
+) -> Float[np.ndarray, " ties"]:
+    """A typical magnitude of each tie: that of the variable that stands in it; of an equation of algebraic variables,
+    which has a unit of its own, what it would change by if all of these changed by theirs.
+    """
+    sizes, algebraic = scale[ties.variables], layout.numbers.algebraic.ravel()
+    equations = np.isin(ties.variables, algebraic)
+    moving = np.zeros_like(scale)
+    moving[algebraic] = scale[algebraic]
+    change = abs(evaluation.jacobian[ties.rows[equations]]) @ moving
+    sizes[equations] = np.where(np.isfinite(change) & (change > 0), change, 1.0)
+    return sizes
+
+
+def _reached(
+    layout: Layout, ties: Ties, slopes: np.ndarray, scale: Float[np.ndarray, " variables"], which: np.ndarray
+) -> Float[np.ndarray, " variables"]:
+    """Magnitudes, those of some variables being no less than what they are tied to may change them by."""
+    change, these = slopes @ scale, np.isin(ties.variables, which)
+    own = ties.variables[these]
+    larger = scale.copy()
+    larger[own] = np.maximum(scale[own], np.nan_to_num(change[these] - scale[own], posinf=0.0))
+    return np.where(np.isin(np.arange(layout.count), which), _by_kind(layout, larger), scale)
+
+
+def _by_kind(layout: Layout, sizes: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " variables"]:
+    """The largest of each kind of variables: one state at all points, one output at all instants."""
+
+    def largest(part: np.ndarray, keep: int) -> np.ndarray:
+        over = tuple(range(part.ndim - keep))
+        finite = np.where(np.isfinite(part), part, 0.0)
+        return np.broadcast_to(finite.max(axis=over, initial=0.0), part.shape)
+
+    result, values = np.zeros(layout.count), layout.view(sizes)
+    each = jax.tree.map(lambda one: largest(one, 1), values._replace(coefficients=(), between=()))
+    coefficients, between = (tuple(largest(one, 0) for one in some) for some in (values.coefficients, values.between))
+    each = each._replace(coefficients=coefficients, between=between)
+    for where, scale in zip(jax.tree.leaves(layout.numbers), jax.tree.leaves(each), strict=True):
+        result[where] = scale
+    return result
+
+
+@final
+@dataclass(frozen=True)
+class _Judge:
+    """Judges rows by their magnitudes at a point.
+
+    - `typical`: magnitudes of the decisions; `sizing`: of the problem's own rows.
+    """
+
+    layout: Layout
+    ties: Ties
+    typical: Float[np.ndarray, " n"]
+    sizing: Sizing
+
+    def __call__(self, point: Float[np.ndarray, " variables"], evaluation: Evaluation) -> Magnitudes:
+        """Of all rows."""
+        scale = scales(self.layout, self.ties, point, evaluation, self.typical)
+        size, by = replace(self.sizing, decision_scale=scale).at(point, evaluation)
+        tied = _tie_sizes(self.layout, self.ties, evaluation, scale)
+        return Magnitudes(np.append(size, tied), np.append(by, tied))
+
+
+def program_of(
+    problem: Problem,
+    scenarios: Scenarios | None,
+    layout: Layout,
+    assembled: Assembled,
+    fixed: Fixed,
+    start: Float[np.ndarray, " variables"],
+) -> tuple[NonlinearProgram, tuple[float, ...]]:
+    """The program, and the sizes of each of the problem's constraints at its start."""
+    rows, evaluation = assembled.rows, assembled(start)
+    typical = decision_scales(*(problem.placements.vector(name) for name in ("initial", "lower", "upper")))
+    sizing = Sizing(problem.constraints, rows.own, np.ones(layout.count), [0.0] * len(rows.own))
+    scale = scales(layout, rows.ties, start, evaluation, typical)
+    values, slopes = ([part[one] for one in rows.own] for part in (evaluation.constraints, evaluation.jacobian))
+    sizes = replace(sizing, decision_scale=scale).each(start, values, slopes)
+    lowest, highest = _bounds(problem, layout, fixed, start)
+    own_lower, own_upper = row_bounds(problem.constraints, rows.own, scenarios)
+    tied = np.zeros(len(rows.ties.variables))
+    program = NonlinearProgram(
+        evaluate=assembled,
+        start=start,
+        lower=lowest,
+        upper=highest,
+        constraint_lower=np.append(own_lower, tied),
+        constraint_upper=np.append(own_upper, tied),
+        constraint_scale=np.append(
+            spread(rows.own, [one.scale for one in sizes]), _tie_sizes(layout, rows.ties, evaluation, scale)
+        ),
+        variable_scale=scale,
+        sparsity=assembled.jacobian.sparsity,
+        hessian=assembled.hessian,
+        magnitudes=_Judge(layout, rows.ties, typical, sizing),
+        least=least_objective(problem),
+        ties=rows.ties,
+    )
+    return program, tuple(one.size for one in sizes)
+
+
+def _bounds(problem: Problem, layout: Layout, fixed: Fixed, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of all variables: those of the decisions, and the values of what is the same at all decisions."""
+    lowest, highest = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
+    numbers = layout.numbers
+    lowest[numbers.decisions], highest[numbers.decisions] = map(problem.placements.vector, ("lower", "upper"))
+    for is_fixed, some in zip(fixed, (numbers.signals, numbers.duration), strict=True):
+        if is_fixed:
+            lowest[some] = highest[some] = start[some]
+    return lowest, highest

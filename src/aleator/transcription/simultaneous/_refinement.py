@@ -1,19 +1,206 @@
-"""How a mesh is refined: its intervals are divided, or all are given more stages, whichever takes fewer points.
+"""The error of a mesh, and how it is refined: its intervals are divided, or all are given more stages, whichever takes
+fewer points.
 
-Where states are smooth, errors fall geometrically with the number of stages; where they are not, only shorter intervals
-help (Patterson, Hager and Rao, Optimal Control Applications and Methods 36 (2015) 398).
+- Over an interval of a collocation scheme states are polynomials. The integral of the magnitude by which their rates
+  miss those of the dynamics is an estimate of the error that the interval adds (Betts, Practical Methods for Optimal
+  Control, 4.6).
+- Segments are integrated. The same rule with twice the steps tells the states between their nodes and the error, which
+  is less by two to the power of the order.
+- Where states are smooth, errors fall geometrically with the number of stages; where they are not, only shorter
+  intervals help (Patterson, Hager and Rao, Optimal Control Applications and Methods 36 (2015) 398).
 """
 
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
+from numpy.polynomial import legendre
 
-from aleator.dynamics import AbstractScheme
-from aleator.transcription.simultaneous._mesh_error import Drift
+from aleator._core.arrays import jax_array
+from aleator._core.compilation import Compiled, Use
+from aleator.design import Problem
+from aleator.dynamics import AbstractCollocation, AbstractScheme, MultipleShooting, SegmentRate
+from aleator.transcription.simultaneous._layout import Layout
+from aleator.transcription.simultaneous._mesh import Mesh
+from aleator.transcription.simultaneous._pointwise import Pointwise
 
 # Between two meshes an interval is divided into at most so many parts; each is to be this much better than asked.
 _MOST_PARTS, _AHEAD = 8, 2.0
+# Rates fall by no less than this from one Legendre polynomial to the next: more is chance.
+_LEAST_RATIO = 0.05
+# How many of the last polynomials tell how fast.
+_LAST = 3
+
+
+def _between(
+    problem: Problem, points: Float[Array, "realisations germs"], fractions: tuple[float, ...], at: tuple[Array, ...]
+) -> Float[Array, "realisations asked rates"]:
+    """The rates of all states at some fractions of the duration, from decisions, duration and the states there."""
+    decisions, duration, states = at
+    pointwise = Pointwise.of(problem)
+    signals, shared = pointwise.known(np.array(fractions), decisions), jnp.append(decisions[pointwise.direct], duration)
+    places = jnp.stack([jnp.asarray(fractions), jnp.zeros(len(fractions))], axis=1)
+    return pointwise.everywhere(pointwise.rates, points, places, shared, signals, states)[..., : states.shape[2]]
+
+
+BETWEEN = Compiled(_between, use=Use.ONCE)
+
+
+class Drift(NamedTuple):
+    """How far states drift from their equations within each interval, relative to their magnitudes.
+
+    - `errors`: shape (realisations, intervals, states);
+    - `ratios`: by what an error would be multiplied if the scheme had one stage more, at most 1.
+    """
+
+    errors: Float[np.ndarray, "realisations intervals states"]
+    ratios: Float[np.ndarray, "realisations intervals states"]
+
+    def with_more(self, stages: int) -> Float[np.ndarray, " intervals"]:
+        """The largest error of each interval to be expected of a scheme with so many stages more."""
+        return np.max(self.errors * self.ratios**stages, axis=(0, 2), initial=0.0)
+
+
+def drift_of(
+    traced: Problem,
+    layout: Layout,
+    points: Float[np.ndarray, "realisations germs"],
+    rates: Float[np.ndarray, "realisations asked rates"],
+    variables: Float[np.ndarray, " n"],
+    scales: Float[np.ndarray, " n"],
+) -> Drift:
+    """The drift of all states, with how fast it would fall with the number of stages.
+
+    - `rates`: of the states at the points where the scheme asks for them.
+    """
+    mesh, values = layout.plan.mesh, layout.view(variables)
+    assert isinstance(mesh.scheme, AbstractCollocation)
+    count = values.states.shape[2]
+    if not count:
+        return Drift(*2 * (np.zeros((len(points), len(mesh.lengths), 0)),))
+    nodes, weights = legendre.leggauss(len(mesh.scheme.nodes) + 2)
+    inner, weights = (1 + nodes) / 2, weights / 2
+    fractions = (np.array(mesh.nodes)[:-1, None] + mesh.lengths[:, None] * inner).ravel()
+    states = states_on(mesh, fractions, values.states, rates)
+    at = jax_array(values.decisions), jax_array(values.duration[0]), jax_array(states)
+    true_rates = np.asarray(BETWEEN(traced, jax_array(points), tuple(fractions.tolist()), at))
+    stage_rates = rates[:, mesh.stages, :count]
+    polynomial = np.einsum("qi,pkis->pkqs", mesh.scheme.interpolated(inner), stage_rates)
+    missed = np.abs(polynomial - true_rates.reshape(polynomial.shape))
+    average = np.einsum("q,pkqs->pks", weights, missed)
+    size = layout.view(scales).states[:, :1]
+    return Drift(mesh.lengths[:, None] * average / size, _ratios(mesh.scheme, stage_rates, average))
+
+
+def _ratios(
+    scheme: AbstractCollocation,
+    rates: Float[np.ndarray, "realisations intervals stages states"],
+    missed: Float[np.ndarray, "realisations intervals states"],
+) -> Float[np.ndarray, "realisations intervals states"]:
+    """By what rates fall from one Legendre polynomial to the next, from the last ones to what is missed.
+
+    Those of a smooth state fall geometrically, those of one with a kink ever more slowly (Liu, Hager and Rao, IEEE
+    Transactions on Control Systems Technology 26 (2018) 1475).
+    """
+    stages = len(scheme.nodes)
+    first = max(min(1, stages - 1), stages - _LAST)
+    # Every second polynomial may be missing by symmetry.
+    last = np.abs(np.einsum("ji,pkis->pkjs", scheme.spectrum[first:], rates)).max(axis=2)
+    share = np.divide(missed, last, out=np.ones_like(missed), where=last > 0)
+    return np.clip(share ** (1 / (stages - first)), _LEAST_RATIO, 1.0)
+
+
+def states_on(
+    mesh: Mesh,
+    fractions: Float[np.ndarray, " n"],
+    states: Float[np.ndarray, "realisations points states"],
+    rates: Float[np.ndarray, "realisations asked rates"],
+) -> Float[np.ndarray, "realisations n states"]:
+    """The states at some fractions of the duration, by the polynomials of a mesh."""
+    assert isinstance(mesh.scheme, AbstractCollocation)
+    which = np.clip(np.searchsorted(mesh.nodes, fractions, side="right") - 1, 0, len(mesh.lengths) - 1)
+    inside = (fractions - np.array(mesh.nodes)[which]) / mesh.lengths[which]
+    slopes = rates[:, mesh.stages, : states.shape[2]][:, which]
+    moved = np.einsum("mi,pmis->pms", mesh.scheme.integrals(inside), slopes)
+    return states[:, mesh.points[which, 0]] + mesh.lengths[which][None, :, None] * moved
+
+
+def _flown(
+    problem: Problem,
+    points: Float[Array, "realisations germs"],
+    pieces: tuple[tuple[float, float], ...],
+    rate: SegmentRate,
+    at: tuple[Array, ...],
+) -> Float[Array, "realisations pieces states"]:
+    """The states at the ends of pieces of the duration, from decisions, duration and the states at their beginnings.
+
+    - `pieces`: fractions of the duration.
+    """
+    decisions, duration, states = at
+    pointwise = Pointwise.of(problem)
+    shared = jnp.append(decisions[pointwise.direct], duration)
+    first, last = np.array(pieces).T
+    places = np.stack(np.broadcast_arrays(np.linspace(first, last, len(rate.told), axis=1), 0.0), axis=2)
+    # A piece sees its own side of a jump.
+    places[:, -1, 1] = 1.0
+    every = places.reshape(-1, 2)
+    signals = pointwise.known(every[:, 0], decisions, every[:, 1] > 0).reshape(len(places), -1)
+
+    def moved(germ: Array, place: Array, signal: Array, state: Array) -> Array:
+        mean = pointwise.mean_rates(rate, germ, place, shared, jnp.concatenate([signal, state]))
+        return state + (place[-1, 0] - place[0, 0]) * mean[: state.size]
+
+    inner = jax.vmap(moved, in_axes=(None, 0, 0, 0))
+    return jax.vmap(inner, in_axes=(0, None, None, 0))(points, jnp.asarray(places), signals, states)
+
+
+FLOWN = Compiled(_flown, use=Use.ONCE)
+
+
+def segment_states(
+    traced: Problem,
+    layout: Layout,
+    points: Float[np.ndarray, "realisations germs"],
+    variables: Float[np.ndarray, " n"],
+    pieces: Float[np.ndarray, "pieces 2"],
+) -> Float[np.ndarray, "realisations pieces states"]:
+    """The states at the ends of pieces that begin at nodes: fractions of the duration."""
+    mesh, values = layout.plan.mesh, layout.view(variables)
+    assert isinstance(mesh.scheme, MultipleShooting)
+    begun = values.states[:, np.searchsorted(mesh.nodes, pieces[:, 0])]
+    at = jnp.asarray(values.decisions), jnp.asarray(values.duration[0]), jnp.asarray(begun)
+    rate = SegmentRate(2 * mesh.scheme.steps)
+    return np.asarray(FLOWN(traced, jnp.asarray(points), tuple(map(tuple, pieces.tolist())), rate, at))
+
+
+def segment_drift(
+    traced: Problem,
+    layout: Layout,
+    points: Float[np.ndarray, "realisations germs"],
+    variables: Float[np.ndarray, " n"],
+    scales: Float[np.ndarray, " n"],
+) -> Drift:
+    """The error of each segment, relative to the magnitudes of the states. Its order cannot be raised."""
+    mesh, values = layout.plan.mesh, layout.view(variables)
+    nodes = np.array(mesh.nodes)
+    finer = segment_states(traced, layout, points, variables, np.stack([nodes[:-1], nodes[1:]], axis=1))
+    errors = np.abs(values.states[:, 1:] - finer) / (1 - 0.5**mesh.scheme.order) / layout.view(scales).states[:, :1]
+    return Drift(errors, np.ones_like(errors))
+
+
+def segment_states_on(
+    traced: Problem,
+    layout: Layout,
+    points: Float[np.ndarray, "realisations germs"],
+    variables: Float[np.ndarray, " n"],
+    fractions: Float[np.ndarray, " places"],
+) -> Float[np.ndarray, "realisations places states"]:
+    """The states at some fractions of the duration, each from the node before it."""
+    nodes = np.array(layout.plan.mesh.nodes)
+    before = nodes[np.clip(np.searchsorted(nodes, fractions, side="right") - 1, 0, len(nodes) - 2)]
+    return segment_states(traced, layout, points, variables, np.stack([before, fractions], axis=1))
 
 
 class Goal(NamedTuple):
@@ -41,11 +228,11 @@ def refinement(
     return best, np.minimum(parts, _MOST_PARTS)
 
 
-def parts_of(errors: Float[np.ndarray, " intervals"], asked: float, order: int) -> Int[np.ndarray, " intervals"]:
-    """In how many parts each interval of a mesh is to be divided, for its error to be what is asked.
+def parts_of(errors: Float[np.ndarray, " intervals"], tolerance: float, order: int) -> Int[np.ndarray, " intervals"]:
+    """In how many parts each interval of a mesh is to be divided, for its error to be a tolerance.
 
     - `order`: by one more, the power of its length by which an interval's states are estimated to err. Between the
       stages of a collocation scheme rates are interpolated, and err by the power of their number.
     """
-    needed = np.ceil((_AHEAD * errors / asked) ** (1 / (order + 1))).astype(int)
-    return np.where(errors > asked, np.maximum(needed, 2), 1)
+    needed = np.ceil((_AHEAD * errors / tolerance) ** (1 / (order + 1))).astype(int)
+    return np.where(errors > tolerance, np.maximum(needed, 2), 1)

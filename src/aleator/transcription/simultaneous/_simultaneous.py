@@ -18,18 +18,13 @@ from aleator.solution import Solution
 from aleator.transcription._abstract import AbstractTranscription, Meanwhile
 from aleator.transcription._expansions import discretised
 from aleator.transcription._scenarios import first_scenarios
-from aleator.transcription.simultaneous._controls import first_nodes
-from aleator.transcription.simultaneous._first_point import ALGEBRAIC
-from aleator.transcription.simultaneous._guess import Guess, start_of
-from aleator.transcription.simultaneous._mesh import Mesh
-from aleator.transcription.simultaneous._mesh_error import BETWEEN
+from aleator.transcription.simultaneous._layout import ALONG
+from aleator.transcription.simultaneous._mesh import Mesh, first_nodes
 from aleator.transcription.simultaneous._pointwise import Pointwise
-from aleator.transcription.simultaneous._refinement import Goal
-from aleator.transcription.simultaneous._segments import FLOWN
-from aleator.transcription.simultaneous._signals import ALONG
-from aleator.transcription.simultaneous._start import SIMULATED, AbstractStart
+from aleator.transcription.simultaneous._refinement import BETWEEN, FLOWN, Goal
+from aleator.transcription.simultaneous._starts import ALGEBRAIC, SIMULATED, AbstractStart, Guess, start_of
 from aleator.transcription.simultaneous._tiles import CURVE, EVALUATE
-from aleator.transcription.simultaneous._transcribed import TOLD, SimultaneouslyTranscribed, Way
+from aleator.transcription.simultaneous._transcribed import TAKEN, Recipe, SimultaneouslyTranscribed
 
 # The least error of a mesh that may be asked for.
 _LEAST_ERROR = 1e-12
@@ -70,7 +65,16 @@ class Simultaneous(AbstractTranscription):
     guess: Guess | None = field(default=None, compare=False, repr=False)
     _start: AbstractStart = field(init=False, repr=False)
 
-    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CURVE, SIMULATED, ALGEBRAIC, ALONG, TOLD, BETWEEN, FLOWN)
+    programs: ClassVar[tuple[Compiled, ...]] = (
+        EVALUATE,
+        CURVE,
+        SIMULATED,
+        ALGEBRAIC,
+        ALONG,
+        TAKEN,
+        BETWEEN,
+        FLOWN,
+    )
 
     def __post_init__(self) -> None:
         one_of("Simultaneous: scheme", self.scheme, AbstractScheme, "al.schemes.HermiteSimpson()")
@@ -114,14 +118,14 @@ class Simultaneous(AbstractTranscription):
     @override
     def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SimultaneouslyTranscribed:
         _refuse(problem)
-        found, traced = discretised(problem), numbers_to_arrays(problem)
-        scenarios = first_scenarios(problem, np.asarray(found.collocation.points))
-        found = found.at_scenarios(scenarios)
-        meanwhile(problem, found)
+        discretisation, traced = discretised(problem), numbers_to_arrays(problem)
+        scenarios = first_scenarios(problem, np.asarray(discretisation.collocation.points))
+        discretisation = discretisation.at_scenarios(scenarios)
+        meanwhile(problem, discretisation)
         mesh = Mesh(first_nodes(problem), self.scheme, Pointwise.of(problem).has_jumps)
         raised = () if self.most_stages is None else self.scheme.raised(self.most_stages)
         goal = Goal(np.inf if self.error is None else float(self.error), (self.scheme, *raised))
-        return Way(problem, traced, traced, found, scenarios, goal, self._start).transcribed(mesh)
+        return Recipe(problem, traced, traced, discretisation, scenarios, goal, self._start).on(mesh)
 
 
 def _check_stages(scheme: AbstractScheme, error: float | None, most: int) -> None:

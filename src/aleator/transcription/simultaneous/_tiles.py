@@ -22,7 +22,7 @@ from aleator.transcription.simultaneous._assembly import Pattern
 from aleator.transcription.simultaneous._blocks import Family
 from aleator.transcription.simultaneous._families import functions
 from aleator.transcription.simultaneous._layout import Plan
-from aleator.transcription.simultaneous._shapes import apart
+from aleator.transcription.simultaneous._pointwise import apart
 
 # Blocks of a tile, the least and the most, and the most along the first axis, where their number is a multiple of the
 # last: enough for a call to take longer than its preparation, and few enough for both cores and their caches.
@@ -50,7 +50,7 @@ Source: TypeAlias = tuple[Problem, Constants | None, Plan | AbstractMeanRate, tu
 """What some blocks follow from, beside numbers: see `functions`; their forms."""
 
 
-def _given(source: Source, numbers: Array) -> list[Family]:
+def _families(source: Source, numbers: Array) -> list[Family]:
     """Blocks with what they are given: the variables of all, then the data of all, side by side."""
     problem, constants, plan, forms = source
     every = functions(problem, constants, plan)
@@ -64,8 +64,8 @@ def _given(source: Source, numbers: Array) -> list[Family]:
 def _evaluate(
     source: Source, numbers: Float[Array, " n"]
 ) -> list[tuple[Float[Array, "outer inner rows"], Float[Array, "outer inner slopes"]]]:
-    asked = [np.frombuffer(form.slopes, dtype=int) for form in source[-1]]
-    return [one.differentiated(entries) for one, entries in zip(_given(source, numbers), asked, strict=True)]
+    entries = [np.frombuffer(form.slopes, dtype=int) for form in source[-1]]
+    return [one.differentiated(some) for one, some in zip(_families(source, numbers), entries, strict=True)]
 
 
 def _curve(
@@ -73,9 +73,9 @@ def _curve(
 ) -> list[Float[Array, "outer inner bends"]]:
     numbers, weights = at
     each = apart(weights, [form.rows for form in source[-1]])
-    asked = [np.frombuffer(form.bends, dtype=int) for form in source[-1]]
-    given = zip(_given(source, numbers), each, asked, strict=True)
-    return [one.curved(weighted, entries) for one, weighted, entries in given]
+    entries = [np.frombuffer(form.bends, dtype=int) for form in source[-1]]
+    parts = zip(_families(source, numbers), each, entries, strict=True)
+    return [one.curved(weighted, some) for one, weighted, some in parts]
 
 
 EVALUATE = Compiled(_evaluate, use=Use.ROWS)
@@ -98,10 +98,10 @@ class Tile:
     data: Float[np.ndarray, " data"]
     rows: Int[np.ndarray, " rows"]
 
-    def write(self, found: np.ndarray, into: list[np.ndarray]) -> None:
+    def write(self, results: np.ndarray, into: list[np.ndarray]) -> None:
         """Results of the blocks among those of all, family by family."""
         target = into[self.form.family][self.place]
-        target[...] = found[: target.shape[0], : target.shape[1]]
+        target[...] = results[: target.shape[0], : target.shape[1]]
 
 
 def tiles_of(number: int, family: Family, pattern: Pattern, size: tuple[int, int]) -> list[Tile]:
@@ -110,13 +110,13 @@ def tiles_of(number: int, family: Family, pattern: Pattern, size: tuple[int, int
     data = [None if isinstance(one, tuple) else np.asarray(one) for one in (family.outer, family.inner)]
     outer, inner = own.shape[:2]
     height, width = size
-    found = []
+    tiles = []
     for i, j in product(range(0, outer, height), range(0, inner, width)):
         # Beyond the last block it is repeated.
         which = np.minimum(np.arange(i, i + height), outer - 1), np.minimum(np.arange(j, j + width), inner - 1)
         at = np.ix_(*which)
         of_outer, of_inner = (None if one is None else one[some] for one, some in zip(data, which, strict=True))
-        found.append(
+        tiles.append(
             Tile(
                 Form(
                     number,
@@ -134,7 +134,7 @@ def tiles_of(number: int, family: Family, pattern: Pattern, size: tuple[int, int
                 pattern.rows[at].ravel(),
             )
         )
-    return found
+    return tiles
 
 
 def _shape(data: np.ndarray | None) -> tuple[int, ...] | None:
@@ -176,10 +176,10 @@ class Task(NamedTuple):
 
     tiles: tuple[Tile, ...]
     function: Bound
-    given: Callable[[], Any]
+    argument: Callable[[], Any]
 
     def __call__(self) -> Any:
-        return self.function(self.given())
+        return self.function(self.argument())
 
 
 def calls_of(
@@ -192,18 +192,18 @@ def calls_of(
 
 
 def results(tasks: list[Task]) -> Iterator[tuple[Tile, Any]]:
-    """Each tile and what was found of it."""
+    """Each tile and its results."""
     # The calling thread traces a user's code before other threads start.
     for task in _one_of_each(tasks):
-        task.function.prepare(task.given())
-    for task, found in zip(tasks, in_order(lambda task: task(), tasks), strict=True):
-        yield from zip(task.tiles, found, strict=True)
+        task.function.prepare(task.argument())
+    for task, values in zip(tasks, in_order(lambda task: task(), tasks), strict=True):
+        yield from zip(task.tiles, values, strict=True)
 
 
 def begin(tasks: list[Task]) -> None:
     """Begin to compile what some tasks need, on other cores."""
     for task in _one_of_each(tasks):
-        task.function.begin(task.given())
+        task.function.begin(task.argument())
 
 
 def _one_of_each(tasks: list[Task]) -> list[Task]:

@@ -31,23 +31,22 @@ from aleator.statistics import Constants
 from aleator.transcription._abstract import AbstractTranscribed, Meaning, Remembered, Texts
 from aleator.transcription._expansions import Between, Discretised, ExpansionScope
 from aleator.transcription._scenarios import Scenarios
-from aleator.transcription.simultaneous._controls import followed, whole_parts
+from aleator.transcription.simultaneous._assembly import Fixed
 from aleator.transcription.simultaneous._costates import adjoint
-from aleator.transcription.simultaneous._first_point import started
-from aleator.transcription.simultaneous._guess import state_shapes
-from aleator.transcription.simultaneous._layout import Layout, Plan
-from aleator.transcription.simultaneous._mesh import Mesh
-from aleator.transcription.simultaneous._mesh_error import Drift, drift_of, states_on
-from aleator.transcription.simultaneous._nonlinear import program_of
-from aleator.transcription.simultaneous._pointwise import Pointwise
-from aleator.transcription.simultaneous._program import Assembled
-from aleator.transcription.simultaneous._refinement import Goal, refinement
-from aleator.transcription.simultaneous._rows import Given
-from aleator.transcription.simultaneous._scales import scales
-from aleator.transcription.simultaneous._segments import segment_drift, segment_states_on
-from aleator.transcription.simultaneous._shapes import apart
-from aleator.transcription.simultaneous._signals import are_affine
-from aleator.transcription.simultaneous._start import AbstractStart
+from aleator.transcription.simultaneous._layout import Layout, Plan, are_affine
+from aleator.transcription.simultaneous._mesh import Mesh, followed, whole_parts
+from aleator.transcription.simultaneous._pointwise import Pointwise, apart
+from aleator.transcription.simultaneous._program import Assembled, program_of, scales
+from aleator.transcription.simultaneous._refinement import (
+    Drift,
+    Goal,
+    drift_of,
+    refinement,
+    segment_drift,
+    segment_states_on,
+    states_on,
+)
+from aleator.transcription.simultaneous._starts import AbstractStart, started, state_shapes
 from aleator.uncertainty import named_numbers
 
 # Steps of a simulation for each step in an interval of a mesh, if it has no more points inside.
@@ -56,7 +55,7 @@ _FINER = 2
 _MOST_MESHES, _MOST_VARIABLES = 8, 1_000_000
 
 
-def _told(problem: Problem, constants: Constants, at: tuple[Any, ...]) -> tuple[jax.Array, ...]:
+def _taken(problem: Problem, constants: Constants, at: tuple[Any, ...]) -> tuple[jax.Array, ...]:
     """Every statistic that stands in a problem, from decisions, coefficients, and values on the scenarios."""
     decisions, coefficients, realised = at
     scope = ExpansionScope(
@@ -72,7 +71,55 @@ def _told(problem: Problem, constants: Constants, at: tuple[Any, ...]) -> tuple[
     return tuple(one for some in taken for one in some)
 
 
-TOLD = Compiled(_told, use=Use.ONCE)
+TAKEN = Compiled(_taken, use=Use.ONCE)
+
+
+class Recipe(NamedTuple):
+    """What a program is made from, beside a mesh.
+
+    - `traced`: the problem with its numbers as arrays; `equations`: the same as it is on the first mesh, with its rates
+      and outputs, which are compiled once;
+    - `goal`: what is asked of meshes; `begins`: where programs of the problem start.
+    """
+
+    problem: Problem
+    traced: Problem
+    equations: Problem
+    discretised: Discretised
+    scenarios: Scenarios | None
+    goal: Goal
+    begins: AbstractStart
+
+    def on(self, mesh: Mesh, start: tuple[np.ndarray, np.ndarray] | None = None) -> "SimultaneouslyTranscribed":
+        """The program on a mesh, starting at some decisions and states, or where all programs of the problem do."""
+        problem, scenarios = self.problem, self.scenarios
+        _, collocation, constants = self.discretised
+        points, fit = np.asarray(collocation.points), np.asarray(collocation.pseudo_inverse)
+        every = points if scenarios is None else np.concatenate([points, scenarios.points])
+        pointwise = Pointwise.of(problem)
+        plan = Plan(
+            mesh, self.goal.schemes[0], len(points), len(every) - len(points), len(fit), are_affine(pointwise, mesh)
+        )
+        layout, fixed = Layout.of(problem, plan), Fixed.of(pointwise)
+        assembled = Assembled.of(layout, self.traced, self.equations, constants, every, fit, fixed)
+        if start is None:
+            decisions = self.begins.decisions(problem)
+            start = decisions, self.begins.states(problem, mesh.fractions, every, decisions)
+        first = started(self.traced, layout, assembled, every, *start)
+        program, sizes = program_of(problem, scenarios, layout, assembled, fixed, first)
+        return SimultaneouslyTranscribed(
+            problem,
+            self.traced,
+            self.discretised,
+            program,
+            assembled.rows.own,
+            sizes,
+            Texts.of(problem),
+            scenarios,
+            layout=layout,
+            assembled=assembled,
+            recipe=self,
+        )
 
 
 @final
@@ -80,16 +127,12 @@ TOLD = Compiled(_told, use=Use.ONCE)
 class SimultaneouslyTranscribed(AbstractTranscribed):
     """A problem as a sparse program in its decisions and in the states of all realisations at the points of a mesh.
 
-    - `goal`: what is asked of meshes; `meshes`: those before;
-    - `begins`: where programs of the problem start;
-    - `equations`: the problem, traced, as it is on the first mesh: with its rates and outputs, which are compiled once.
+    - `recipe`: what it is made from on any mesh; `meshes`: those before.
     """
 
     layout: Layout
     assembled: Assembled
-    goal: Goal
-    begins: AbstractStart
-    equations: Problem
+    recipe: Recipe
     meshes: tuple[MeshError, ...] = ()
 
     @property
@@ -99,7 +142,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
 
     @override
     def point(self, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " variables"]:
-        states = self.begins.states(self.problem, self.layout.plan.mesh.fractions, self.points, decisions)
+        states = self.recipe.begins.states(self.problem, self.layout.plan.mesh.fractions, self.points, decisions)
         return started(self.traced, self.layout, self.assembled, self.points, decisions, states)
 
     @override
@@ -121,7 +164,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
             for one in expanded_functionals(expressions)
         ]
         realised = [jnp.asarray(samples[one][count:]) for one in extreme_functionals(expressions)]
-        taken = TOLD(self.traced, self.constants, (jnp.asarray(variables.decisions), fitted, realised))
+        taken = TAKEN(self.traced, self.constants, (jnp.asarray(variables.decisions), fitted, realised))
         functionals, grid = functionals_of(expressions), self.problem.grid
         assert isinstance(grid, Grid)
         return Meaning(
@@ -143,9 +186,9 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
 
     @override
     def at_scenarios(self, scenarios: Scenarios) -> "SimultaneouslyTranscribed":
-        found = self.discretised.at_scenarios(scenarios)
-        way = self._way._replace(found=found, scenarios=scenarios)
-        return replace(way.transcribed(self.layout.plan.mesh), meshes=self.meshes)
+        discretised = self.discretised.at_scenarios(scenarios)
+        recipe = self.recipe._replace(discretised=discretised, scenarios=scenarios)
+        return replace(recipe.on(self.layout.plan.mesh), meshes=self.meshes)
 
     @property
     @override
@@ -166,7 +209,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         error = self._reported(drift, point)
         if error.is_met or len(self.meshes) + 1 == _MOST_MESHES:
             return None
-        scheme, parts = refinement(self.goal, mesh.scheme, drift)
+        scheme, parts = refinement(self.recipe.goal, mesh.scheme, drift)
         finer = mesh.refined(scheme, whole_parts(self.problem, parts))
         if self.layout.count * len(finer.fractions) > _MOST_VARIABLES * len(mesh.fractions):
             return None
@@ -174,10 +217,10 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         states = self._states_on(point, finer.fractions)
         problem, decisions = followed(self.problem, values.decisions, finer.nodes)
         traced = numbers_to_arrays(problem)
-        equations = self.equations if _has_same_equations(problem, self.layout.asked) else traced
-        way = self._way._replace(problem=problem, traced=traced, equations=equations)
-        found = way.transcribed(finer, (decisions, states))
-        return replace(found, meshes=(*self.meshes, error)), found.program.start
+        equations = self.recipe.equations if _has_same_equations(problem, self.layout.pointwise) else traced
+        recipe = self.recipe._replace(problem=problem, traced=traced, equations=equations)
+        transcribed = recipe.on(finer, (decisions, states))
+        return replace(transcribed, meshes=(*self.meshes, error)), transcribed.program.start
 
     @override
     def states_at(self, point: Float[np.ndarray, " variables"]) -> States:
@@ -190,24 +233,20 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     def costates_at(
         self, point: Float[np.ndarray, " variables"], multipliers: Float[np.ndarray, " rows"]
     ) -> tuple[Costates, Switching] | tuple[None, None]:
-        found, mesh = adjoint(self.layout, self.assembled, point, multipliers), self.layout.plan.mesh
-        states, signals = state_shapes(self.problem), self.layout.asked.signal_shapes
-        nodes, asked = self._instants(point, np.array(mesh.nodes)), self._instants(point, mesh.places[mesh.weighed, 0])
-        by_state = dict(zip(states, apart(found.states, list(states.values())), strict=True))
+        duals, mesh = adjoint(self.layout, self.assembled, point, multipliers), self.layout.plan.mesh
+        states, signals = state_shapes(self.problem), self.layout.pointwise.signal_shapes
+        nodes, weighed = (self._instants(point, at) for at in (np.array(mesh.nodes), mesh.places[mesh.weighed, 0]))
+        by_state = dict(zip(states, apart(duals.states, list(states.values())), strict=True))
         # What an integral over time of a statistic adds stands in no rate.
         is_whole = not integrated_paths(self.problem.expressions)
-        by_signal = dict(zip(signals, apart(found.signals, list(signals.values())), strict=True)) if is_whole else {}
-        return Costates(nodes, self.points, by_state), Switching(asked, by_signal)
-
-    @property
-    def _way(self) -> "Way":
-        return Way(self.problem, self.traced, self.equations, self.discretised, self.scenarios, self.goal, self.begins)
+        by_signal = dict(zip(signals, apart(duals.signals, list(signals.values())), strict=True)) if is_whole else {}
+        return Costates(nodes, self.points, by_state), Switching(weighed, by_signal)
 
     def _instants(
         self, point: Float[np.ndarray, " variables"], fractions: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, " n"]:
         """Fractions of the duration as times, s."""
-        return float(self.layout.asked.grid.t_start) + fractions * float(self.layout.view(point).duration[0])
+        return float(self.layout.pointwise.grid.t_start) + fractions * float(self.layout.view(point).duration[0])
 
     def _rates(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, "realisations asked rates"]:
         return self.assembled.blocks(point)[0][self.assembled.rates]
@@ -238,61 +277,13 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         return segment_drift(self.traced, layout, self.points, point, sizes)
 
     def _reported(self, drift: Drift, point: Float[np.ndarray, " variables"]) -> MeshError:
-        drifts, mesh = drift.errors.max(axis=2, initial=0.0), self.layout.plan.mesh
+        drifts, mesh, goal = drift.errors.max(axis=2, initial=0.0), self.layout.plan.mesh, self.recipe.goal.error
         worst, _ = np.unravel_index(np.argmax(drifts), drifts.shape)
         numbers = inputs_at(self.places, self.points[worst], jnp.asarray(self.decisions(point)))
-        return MeshError(self._instants(point, np.array(mesh.nodes)), mesh.scheme, drifts, self.goal.error, numbers)
+        return MeshError(self._instants(point, np.array(mesh.nodes)), mesh.scheme, drifts, goal, numbers)
 
 
 def _has_same_equations(problem: Problem, before: Pointwise) -> bool:
     """Whether a problem with other controls has the rates and outputs of the one before, of signals as told."""
-    asked = Pointwise.of(problem)
-    return not asked.is_random and asked.direct.size == before.direct.size
-
-
-class Way(NamedTuple):
-    """What a program is made from, beside a mesh."""
-
-    problem: Problem
-    traced: Problem
-    equations: Problem
-    found: Discretised
-    scenarios: Scenarios | None
-    goal: Goal
-    begins: AbstractStart
-
-    def transcribed(self, mesh: Mesh, begun: tuple[np.ndarray, np.ndarray] | None = None) -> SimultaneouslyTranscribed:
-        """The program on a mesh. It begins at given decisions and states, or where all begin."""
-        problem, traced, found, scenarios = self.problem, self.traced, self.found, self.scenarios
-        collocation, constants = found.collocation, found.constants
-        points = np.asarray(collocation.points)
-        every = points if scenarios is None else np.concatenate([points, scenarios.points])
-        fit = np.asarray(collocation.pseudo_inverse)
-        asked = Pointwise.of(problem)
-        plan = Plan(
-            mesh, self.goal.schemes[0], len(points), len(every) - len(points), len(fit), are_affine(asked, mesh)
-        )
-        layout, given = Layout.of(problem, plan), Given.of(asked)
-        assembled = Assembled.of(layout, traced, self.equations, constants, every, fit, given)
-        decisions, states = begun or self._first(mesh, every)
-        start = started(traced, layout, assembled, every, decisions, states)
-        program, sizes = program_of(problem, scenarios, layout, assembled, given, start)
-        return SimultaneouslyTranscribed(
-            problem,
-            traced,
-            found,
-            program,
-            assembled.rows.own,
-            sizes,
-            Texts.of(problem),
-            scenarios,
-            layout=layout,
-            assembled=assembled,
-            goal=self.goal,
-            begins=self.begins,
-            equations=self.equations,
-        )
-
-    def _first(self, mesh: Mesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        decisions = self.begins.decisions(self.problem)
-        return decisions, self.begins.states(self.problem, mesh.fractions, points, decisions)
+    pointwise = Pointwise.of(problem)
+    return not pointwise.is_random and pointwise.direct.size == before.direct.size

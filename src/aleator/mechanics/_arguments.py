@@ -1,4 +1,4 @@
-"""The arguments of dynamics: motions and torques, by name or as one trajectory, and a start."""
+"""The arguments of dynamics: motions and torques, by name or as one trajectory, a start and a guess."""
 
 from collections.abc import Collection, Mapping
 from typing import Any, final
@@ -11,7 +11,6 @@ from typing_extensions import override
 from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import realised_shape, stored_numbers
-from aleator.mechanics._instant import course
 from aleator.mechanics._mechanical import AbstractMechanical
 from aleator.trajectories import AbstractSignal, AbstractTrajectory, PowerSeries, Stack
 
@@ -41,11 +40,11 @@ class Columns(AbstractSignal):
         return max(first), min(last)
 
 
-Given = AbstractSignal | dict[str, AbstractSignal]
+Signals = AbstractSignal | dict[str, AbstractSignal]
 """Signals as given: one for all names, or one for each name, after which its decisions are named."""
 
 
-def signals_for(names: tuple[str, ...], given: Any, what: str) -> Given:
+def signals_for(names: tuple[str, ...], given: Any, what: str) -> Signals:
     """Signals for all names, as given; names missing from a mapping get zero.
 
     Raises `ProblemError` for unknown names, for values that are not signals, and for a signal of another size.
@@ -66,21 +65,21 @@ def signals_for(names: tuple[str, ...], given: Any, what: str) -> Given:
     return {name: _single(given.get(name, 0.0), f"{what} of '{name}'") for name in names}
 
 
-def motions_for(names: tuple[str, ...], given: Any, what: str) -> Given:
+def motions_for(names: tuple[str, ...], given: Any, what: str) -> Signals:
     """Trajectories for all names. Raises `ProblemError` for a missing one, or a signal without derivatives."""
     if isinstance(given, Mapping) and (missing := [name for name in names if name not in given]):
         raise ProblemError(f"{what}: expected a trajectory for each of {list(names)}; received none for {missing}.")
-    found = signals_for(names, given, what)
-    motion = combined(names, found)
+    signals = signals_for(names, given, what)
+    motion = combined(names, signals)
     if not isinstance(motion, AbstractTrajectory) or motion.derivatives < 2:
         raise ProblemError(
             f"{what}: a prescribed motion needs velocity and acceleration: expected trajectories, such as al.BSpline "
             f"or al.PowerSeries; received {given!r}."
         )
-    return found
+    return signals
 
 
-def combined(names: tuple[str, ...], given: Given) -> AbstractSignal:
+def combined(names: tuple[str, ...], given: Signals) -> AbstractSignal:
     """One signal of all names in order; it is a trajectory if each of them is one."""
     if not isinstance(given, Mapping):
         return given
@@ -89,27 +88,17 @@ def combined(names: tuple[str, ...], given: Given) -> AbstractSignal:
     return Stack(trajectories) if len(trajectories) == len(parts) else Columns(parts)
 
 
-def combined_motion(names: tuple[str, ...], given: Given) -> AbstractTrajectory:
+def combined_motion(names: tuple[str, ...], given: Signals) -> AbstractTrajectory:
     """One trajectory of all names in order, from checked motions."""
-    found = combined(names, given)
-    assert isinstance(found, AbstractTrajectory)
-    return found
+    motion = combined(names, given)
+    assert isinstance(motion, AbstractTrajectory)
+    return motion
 
 
 def followed(motion: AbstractTrajectory, torque_rates: bool) -> dict[str, AbstractSignal]:
     """A motion with the derivatives that dynamics need: one more where torques are differentiated too."""
     names = ("velocity", "acceleration", "jerk")[: 3 if torque_rates else 2]
     return {"position": motion, **{name: motion.derivative(k) for k, name in enumerate(names, 1)}}
-
-
-def course_of(model: AbstractMechanical, torque_rates: bool = False) -> dict[str, AbstractSignal]:
-    """The signals in a model's fields with as many derivatives as dynamics take: constraints take one more."""
-    return course(model, 2 + torque_rates + bool(model.constraints))
-
-
-def asks_torque_rates(model: AbstractMechanical, only: Collection[str]) -> bool:
-    """Whether the outputs `only` include the rate of a torque."""
-    return any(f"{name}_rate" in only for name in model.actuators)
 
 
 def _single(given: Any, where: str) -> AbstractSignal:
@@ -155,3 +144,45 @@ def vector(names: tuple[str, ...], start: Mapping[str, Any]) -> Float[Array, " n
 def _stacked(values: list[Any]) -> Any:
     xp, values = in_library(values)
     return xp.stack([xp.asarray(value, dtype=float) for value in values]) if values else np.zeros(0)
+
+
+def checked_guess(
+    kind: str, model: AbstractMechanical, names: tuple[str, ...], start: Collection[str], guess: Any, driven: int
+) -> dict[str, Any]:
+    """A guess by name, for coordinates that the start leaves open; `driven` is the number of prescribed velocities.
+
+    Raises `ProblemError` for a guess where no constraints need one, or of what the start keeps, for more constraints
+    than velocities are left to them, and for a start that keeps more than can be chosen.
+    """
+    what, m = f"{kind} of {type(model).__name__}", len(model.constraints)
+    if not m:
+        if guess is not None:
+            raise ProblemError(f"{what}: expected no guess, for it has no constraints; received {guess!r}.")
+        return {}
+    twice = [name for name in model.constraints if model.constraints.count(name) > 1]
+    if twice:
+        raise ProblemError(f"{what}: expected a name of its own for each constraint; received '{twice[0]}' twice.")
+    if m > len(model.speeds) - driven:
+        prescribed = f", of which {driven} are prescribed," if driven else ""
+        raise ProblemError(
+            f"{what}: expected at most as many constraints as velocities that can follow them; received {m} "
+            f"constraints ({', '.join(model.constraints)}) on {len(model.speeds)} velocities{prescribed} which leave "
+            f"{len(model.speeds) - driven}. Leave out constraints that others imply, or prescribe less."
+        )
+    chosen = [name for name in start if name in model.coordinates], [name for name in start if name in model.speeds]
+    freedoms = len(model.speeds) - driven - m
+    for given, count in ((chosen[0], len(model.speeds_along(chosen[0]))), (chosen[1], len(chosen[1]))):
+        if count > freedoms:
+            raise ProblemError(
+                f"{what}: expected a start of at most {freedoms}, for the rest follows from its {m} constraints; "
+                f"received {given}. Put those that are only near in guess."
+            )
+    return checked_start(model, tuple(name for name in names if name not in start), guess, f"{kind}, guess")
+
+
+def start_unknown(kind: str, model: AbstractMechanical) -> str:
+    """Why the start of a constrained system is not known without its first instant."""
+    return (
+        f"{kind} of {type(model).__name__}: the start follows from its constraints and what is prescribed at the first "
+        "instant, which is known only where it is integrated. Simulate it."
+    )

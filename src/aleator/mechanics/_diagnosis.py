@@ -1,10 +1,9 @@
-"""Where a constrained system begins: coordinates and velocities that its constraints allow, found from those given.
+"""What can be wrong with a mechanical system, in words, with posture and time.
 
-And what can be wrong, in words: a start that contradicts them, redundancy, singular postures.
+Singular matrices and rules that a model breaks; constraints that a start contradicts, that are redundant or singular.
 """
 
-import functools
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -12,137 +11,197 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.errors import ProblemError
-from aleator.dynamics import newton
-from aleator.mechanics._constraints import Loose, constraint_rate, jacobian_of
-from aleator.mechanics._given import checked_start
-from aleator.mechanics._matrices import merged, solve_any, spread, taken
-from aleator.mechanics._mechanical import AbstractMechanical, constraint_of
+from aleator.mechanics._constraints import Loose
+from aleator.mechanics._mechanical import AbstractMechanical, constraint_of, jacobian_of
+
+# Reciprocal condition numbers below this count as zero: results would have no correct digit left.
+_SINGULAR_MASS = 1e-12
+
+# A quaternion shorter than this has no meaningful direction.
+_VANISHING = 1e-3
 
 
-class Kept(NamedTuple):
-    """The places of coordinates and velocities that stay as they are given; the others follow from the constraints."""
+class Posture(NamedTuple):
+    """What diagnosis asks of a model at each instant, along the first axis; `None` for what needs no check.
 
-    coordinates: tuple[int, ...]
-    speeds: tuple[int, ...]
-
-    def loose(self, model: AbstractMechanical) -> Loose:
-        """The places of all others."""
-        return Loose(
-            tuple(i for i in range(len(model.coordinates)) if i not in self.coordinates),
-            tuple(i for i in range(len(model.speeds)) if i not in self.speeds),
-        )
-
-
-def kept_of(
-    model: AbstractMechanical, start: Collection[str], prescribed: tuple[int, ...] = (), driven: tuple[int, ...] = ()
-) -> Kept:
-    """What is kept of a start: what is prescribed, and what `start` names."""
-    coordinates = {*prescribed, *(i for i, name in enumerate(model.coordinates) if name in start)}
-    speeds = {*driven, *(i for i, name in enumerate(model.speeds) if name in start)}
-    return Kept(tuple(sorted(coordinates)), tuple(sorted(speeds)))
-
-
-def checked_guess(
-    kind: str, model: AbstractMechanical, names: tuple[str, ...], start: Collection[str], guess: Any, driven: int
-) -> dict[str, Any]:
-    """A guess by name, for coordinates that the start leaves open; `driven` is the number of prescribed velocities.
-
-    Raises `ProblemError` for a guess where no constraints need one, or of what the start keeps, for more constraints
-    than velocities are left to them, and for a start that keeps more than can be chosen.
+    - `mass`: `M`; `rates`: `H`; `jacobian`: `G` of what follows the constraints;
+    - `effects`: how the torques to be found act on the motions that they must realise: of full row rank;
+    - `stated`: what the model states in two ways, see `AbstractMechanical.stated_twice`.
     """
-    what, m = f"{kind} of {type(model).__name__}", len(model.constraints)
-    if not m:
-        if guess is not None:
-            raise ProblemError(f"{what}: expected no guess, for it has no constraints; received {guess!r}.")
-        return {}
-    twice = [name for name in model.constraints if model.constraints.count(name) > 1]
-    if twice:
-        raise ProblemError(f"{what}: expected a name of its own for each constraint; received '{twice[0]}' twice.")
-    if m > len(model.speeds) - driven:
-        prescribed = f", of which {driven} are prescribed," if driven else ""
-        raise ProblemError(
-            f"{what}: expected at most as many constraints as velocities that can follow them; received {m} "
-            f"constraints ({', '.join(model.constraints)}) on {len(model.speeds)} velocities{prescribed} which leave "
-            f"{len(model.speeds) - driven}. Leave out constraints that others imply, or prescribe less."
-        )
-    chosen = [name for name in start if name in model.coordinates], [name for name in start if name in model.speeds]
-    freedoms = len(model.speeds) - driven - m
-    for given, count in ((chosen[0], len(model.speeds_along(chosen[0]))), (chosen[1], len(chosen[1]))):
-        if count > freedoms:
-            raise ProblemError(
-                f"{what}: expected a start of at most {freedoms}, for the rest follows from its {m} constraints; "
-                f"received {given}. Put those that are only near in guess."
-            )
-    return checked_start(model, tuple(name for name in names if name not in start), guess, f"{kind}, guess")
+
+    q: Any
+    mass: Any
+    rates: Any
+    jacobian: Any
+    effects: Any
+    stated: Any
 
 
-def start_unknown(kind: str, model: AbstractMechanical) -> str:
-    """Why the start of a constrained system is not known without its first instant."""
+class Examination(NamedTuple):
+    """What diagnosis asks of a formulation on a grid.
+
+    - `row`: the first instant, see `Instants.row`; `near`: the coordinates there as they are given; `own`: what the
+      formulation itself checks there;
+    - `motion`: coordinates and velocities at each instant, not finite where they could not be integrated; `postures`:
+      there, or at the last posture before; at the first instant alone if nothing can change later;
+    - `prescribed`, `valid`: the prescribed coordinates, and the same made valid, if these may differ.
+    """
+
+    row: Any
+    near: Any
+    own: Any
+    motion: Any
+    postures: Posture
+    prescribed: Any
+    valid: Any
+
+
+def rows_of(tree: Any, which: Any) -> Any:
+    """The rows of some instants, or the row of one."""
+    return jax.tree.map(lambda rows: rows[which], tree)
+
+
+def posture_diagnosis(model: AbstractMechanical, posture: Posture, when: str) -> str:
+    """What is wrong in one posture: a mass matrix that is not positive definite, or a singular velocity map."""
     return (
-        f"{kind} of {type(model).__name__}: the start follows from its constraints and what is prescribed at the first "
-        "instant, which is known only where it is integrated. Simulate it."
+        _contradiction(model, posture) or _mass_diagnosis(model, posture, when) or _map_diagnosis(model, posture, when)
     )
 
 
-def consistent_start(
-    model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], loose: Loose
-) -> tuple[Float[Array, " coordinates"], Float[Array, " speeds"]]:
-    """Coordinates and velocities beside those given, moved where they are loose, that the constraints allow."""
-    q = consistent_coordinates(model, q, loose.coordinates)
-    return q, consistent_velocities(model, q, v, loose.speeds)
+def _contradiction(model: AbstractMechanical, posture: Posture) -> str:
+    first, second = posture.stated or (np.zeros(0), np.zeros(0))
+    slack = 1e-9 * np.abs(second).max(initial=0.0)
+    agree = np.allclose(first, second, rtol=1e-6, atol=slack, equal_nan=True)
+    return "" if agree else f"{type(model).__name__}.{model._rule}"
 
 
-def consistent_coordinates(
-    model: AbstractMechanical, near: Float[Array, " coordinates"], moving: tuple[int, ...]
-) -> Float[Array, " coordinates"]:
-    """The posture nearest to the one given that the constraints allow, by some of the coordinates; or not a number.
-
-    Near is meant by the coordinates as they are, rad and m alike. Differentiable, by the implicit function theorem.
-    """
-    count, given = len(moving), taken(near, moving)
-    # Rounding of angles and lengths of about 1, for a start may obey the constraints with coordinates of zero.
-    sizes = 1 + jnp.abs(near)
-    terms = jnp.abs(jax.jacfwd(functools.partial(constraint_of, model))(near)) @ sizes
-    kept = [i for i in range(len(near)) if i not in moving]
-
-    def posture(at: Array) -> Array:
-        return model.normalised(merged(at, moving, taken(near, kept), kept))
-
-    def bound(at: Array) -> Array:
-        return constraint_of(model, posture(at))
-
-    def nearest(unknowns: Array) -> Array:
-        at, multipliers = unknowns[:count], unknowns[count:]
-        missing, pulled = jax.vjp(bound, at)
-        return jnp.concatenate([at - given + pulled(multipliers)[0], missing])
-
-    if count == len(model.constraints):
-        root = newton(bound, given, terms)
-    else:
-        unknowns = jnp.concatenate([given, jnp.zeros(len(model.constraints))])
-        root = newton(nearest, unknowns, jnp.concatenate([taken(sizes, moving), terms]))
-    return posture(jnp.where(root.converged, root.point[:count], jnp.nan))
+def _mass_diagnosis(model: AbstractMechanical, at: Posture, when: str) -> str:
+    M, posture = at.mass, posture_text(model, at.q)
+    if not np.isfinite(M).all():
+        return f"The mass matrix of {type(model).__name__} is not finite {when} ({posture})."
+    if not np.allclose(M, M.T, rtol=1e-8, atol=1e-12 * np.abs(M).max(initial=1.0)):
+        return f"The mass matrix of {type(model).__name__} is not symmetric {when} ({posture})."
+    # Scaled by the diagonal entries, since metres and kilograms are not comparable with radians and grams.
+    size = np.sqrt(np.abs(np.diagonal(M)))
+    size = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(M / np.outer(size, size))
+    if values.size and values[0] <= _SINGULAR_MASS * max(values[-1], 0.0):
+        worst = model.speeds[int(np.argmax(np.abs(vectors[:, 0])))]
+        kind = "singular" if abs(values[0]) <= _SINGULAR_MASS * max(values[-1], 0.0) else "not positive definite"
+        return (
+            f"The mass matrix of {type(model).__name__} is {kind} {when} ({posture}): nothing resists '{worst}'. Give "
+            "mass or inertia to the bodies that move with it, and check the signs of masses."
+        )
+    return ""
 
 
-def consistent_velocities(
-    model: AbstractMechanical, q: Array, near: Float[Array, " speeds"], moving: tuple[int, ...]
-) -> Float[Array, " speeds"]:
-    """The velocities nearest to those given that the constraints allow, by some of them; not a number where none."""
-    G = taken(jacobian_of(model, q).T, moving).T
-    return near - spread(solve_any(G, constraint_rate(model, q, near)), moving, len(near))
+def _map_diagnosis(model: AbstractMechanical, at: Posture, when: str) -> str:
+    if at.rates is None:
+        return ""
+    H = at.rates
+    if _are_regular(H):
+        return _name_diagnosis(model, H, when)
+    worst = model.coordinates[int(np.argmax(np.where(np.isfinite(H), np.abs(H), np.inf).max(axis=1)))]
+    return (
+        f"The velocity map H of {type(model).__name__} is singular {when} ({posture_text(model, at.q)}): the rate of "
+        f"'{worst}' is not determined (gimbal lock). Avoid this posture, or choose other coordinates, such as "
+        "quaternions."
+    )
+
+
+def _are_regular(maps: np.ndarray) -> Any:
+    """Whether velocity maps, in the last two axes, determine the rates of all coordinates."""
+    finite: Any = np.isfinite(maps).all(axis=(-2, -1))
+    maps = np.where(finite[..., None, None], maps, 0.0)
+    # Scaled row by row, since nanometres and radians are not comparable.
+    scaled = maps / _sizes(maps, -1)
+    scaled = scaled / _sizes(scaled, -2)
+    values, alike = (np.linalg.svd(one, compute_uv=False) for one in (maps, scaled))
+    return finite & (values[..., -1] > 1e-14 * values[..., 0]) & (alike[..., -1] > 1e-8 * alike[..., 0])
+
+
+def _sizes(maps: np.ndarray, axis: int) -> np.ndarray:
+    sizes = np.abs(maps).max(axis=axis, keepdims=True)
+    return np.where(sizes > 0, sizes, 1.0)
+
+
+def _name_diagnosis(model: AbstractMechanical, H: np.ndarray, when: str) -> str:
+    """A velocity named as the rate of a coordinate that is not: the output of that name would be wrong."""
+    for i, name in enumerate(model.coordinates):
+        if f"{name}_rate" not in model.speeds:
+            continue
+        alone = np.arange(len(model.speeds)) == model.speeds.index(f"{name}_rate")
+        if not np.allclose(H[i], alone, rtol=0, atol=1e-12):
+            return (
+                f"{type(model).__name__}: the velocity '{name}_rate' is named as the rate of '{name}', but by "
+                f"velocity_map(q) it is not {when}. Name the velocities in velocity_names."
+            )
+    return ""
+
+
+def quaternion_diagnosis(model: AbstractMechanical, times: np.ndarray, seen: Examination) -> str:
+    """Where prescribed coordinates pass near a zero quaternion, which has no direction."""
+    if seen.valid is None:
+        return ""
+    vanished = np.abs(seen.valid) > np.abs(seen.prescribed) / _VANISHING
+    if not vanished.any():
+        return ""
+    instant, coordinate = np.argwhere(vanished)[0]
+    return (
+        f"{type(model).__name__}: the quaternion of '{model.coordinates[coordinate]}' is zero at t = "
+        f"{times[instant]:.4g} s ({posture_text(model, seen.prescribed[instant])}), and so has no direction. Prescribe "
+        "quaternions that stay away from zero."
+    )
+
+
+def first_diagnosis(model: AbstractMechanical, times: np.ndarray, postures: Posture) -> str:
+    """What is wrong in the first posture whose mass matrix or velocity map is singular."""
+    finite: Any = np.isfinite(postures.mass).all(axis=(1, 2))
+    masses = np.where(finite[:, None, None], postures.mass, 0.0)
+    bad = ~finite | (np.linalg.eigvalsh(masses).min(axis=1, initial=np.inf) <= 0)
+    if postures.rates is not None:
+        bad |= ~_are_regular(postures.rates)
+    first = int(np.argmax(bad))
+    return posture_diagnosis(model, rows_of(postures, first), f"at t = {times[first]:.4g} s") if bad.any() else ""
+
+
+def effect_diagnosis(model: AbstractMechanical, times: np.ndarray, q: np.ndarray, effects: np.ndarray | None) -> str:
+    """Where torques lose their effect: at an instant, or between two where the determinant changes sign."""
+    lost = None if effects is None else lost_rank(times, effects)
+    if lost is None:
+        return ""
+    when, first = lost
+    return (
+        f"The torques of {type(model).__name__} lose their effect {when} ({posture_text(model, q[first])}): the matrix "
+        "by which they act on the motion they must realise is singular there. Start from a motion that avoids this "
+        "posture, or add a torque."
+    )
+
+
+def unobeyed(model: AbstractMechanical, time: float, q: np.ndarray) -> str:
+    """Constraints that the motion cannot obey any further."""
+    return (
+        f"The constraints of {type(model).__name__} cannot be obeyed beyond about t = {time:.4g} s "
+        f"({posture_text(model, q)}): a dead centre, lengths that do not reach, or accelerations that are not finite. "
+        "Change lengths, start or motion so that it keeps away from there, check forces and energies, or take shorter "
+        "steps."
+    )
 
 
 # Singular values smaller than this beside the largest, in sizes of their own, are rounding of zero.
 _SINGULAR = 1e-9
 
+
 # What may be left of a constraint, beside its slope times the coordinates.
 _LEFT = 1e-8
 
+
 _MOST_STEPS = 50
+
 
 Linearised: TypeAlias = Callable[[np.ndarray], tuple[np.ndarray, ...]]
 """What is left of the constraints at given coordinates, its slope by these, and the Jacobian `G`."""
+
 
 _ELSEWHERE = "Coordinates near a posture that it can take, from which its start is found, are given by guess=."
 

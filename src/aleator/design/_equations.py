@@ -1,0 +1,147 @@
+"""The equations of a declared problem: traced once, with its expressions, whose outputs and shapes they must match."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import ClosedJaxpr
+
+from aleator._core.arrays import jax_array, numbers_to_arrays
+from aleator._core.border import traceable
+from aleator._core.equations import Digest, digest_of, joint_digest, refuse_unsteady
+from aleator._core.errors import AleatorError, ProblemError
+from aleator._core.identity import code_digest, is_library
+from aleator.design._check import unknown
+from aleator.design._expression import Expression
+from aleator.design._functionals import AbstractIntegral
+from aleator.design._response import AbstractProblem, grid_at
+from aleator.design._scope import AbstractScope
+from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, joined, statistics_in
+from aleator.dynamics import (
+    Equations,
+    Grid,
+    called,
+)
+from aleator.statistics import AbstractStatistic
+from aleator.uncertainty import named_numbers, realise, uncertain_again
+
+
+class Declared(NamedTuple):
+    """A problem's equations, and the digest of all that is computed: of these and of its expressions."""
+
+    equations: Equations
+    digest: Digest
+
+
+def declared(problem: AbstractProblem) -> Declared:
+    """Trace the equations of a problem; for a deterministic one, of the uncertain one that it stands for.
+
+    Raises `ProblemError` if two traces differ, or if outputs and expressions do not match.
+    """
+    whole = eqx.tree_at(lambda one: one.simulation, problem, uncertain_again(problem.simulation))
+    equations, realisation = _traced(whole)
+    refuse_unsteady(type(problem.system).__name__, equations.digest, lambda: _traced(whole)[0].digest)
+    instants = len(whole.grid.fractions) if isinstance(whole.grid, Grid) else 1
+    outputs = {name: np.zeros((instants, *shape)) for name, shape in equations.output_shapes().items()}
+    _check_outputs(whole, outputs)
+    expressions = digest_of(_check_shapes(whole, outputs))
+    parts = {"realisation": realisation, "equations": equations.digest, "expressions": expressions}
+    # A user's own statistics and integrators are in no equations.
+    kinds = (type(whole.integrator), *(type(one.kind) for one in statistics_in(whole.expressions)))
+    own = {one.__qualname__: Digest(code_digest(one), False) for one in kinds if not is_library(one.__module__)}
+    return Declared(equations, joint_digest(parts | own))
+
+
+def _traced(problem: AbstractProblem) -> tuple[Equations, Digest]:
+    """The equations of a realised system, and the digest of how its numbers and signals follow from the problem's."""
+    places, equations = problem.placements, list[Equations]()
+    numbers, static = eqx.partition(numbers_to_arrays(problem.simulation), eqx.is_array)
+
+    def realised(numbers: Any, germ: jax.Array, decisions: jax.Array) -> Any:
+        simulation = realise(eqx.combine(numbers, static), germ, decisions)
+        equations.append(simulation.traced_equations())
+        return eqx.filter(numbers_to_arrays((simulation, simulation.start())), eqx.is_array)
+
+    germ, decisions = (jax.ShapeDtypeStruct((size,), float) for size in (len(places.germ_names), places.size))
+    closed = jax.make_jaxpr(realised)(numbers, germ, decisions)
+    return equations[0], digest_of(closed)
+
+
+def _check_outputs(problem: AbstractProblem, outputs: Mapping[str, np.ndarray]) -> None:
+    for functional in functionals_of(problem.expressions):
+        for name in functional.outputs:
+            if name not in outputs:
+                raise ProblemError(unknown(f"output of {type(problem.system).__name__}", name, list(outputs)))
+
+
+def _check_shapes(problem: AbstractProblem, outputs: Mapping[str, np.ndarray]) -> ClosedJaxpr:
+    """Check that terms of expressions match, and that the objective is one number. Returns the expressions, traced."""
+    zeros = {name: jax_array(values) for name, values in outputs.items()}
+
+    def values(traced: AbstractProblem) -> list[jax.Array]:
+        scope = _ShapeScope(traced, zeros)
+        return [
+            _evaluated(one, scope, written)
+            for one, written in zip(traced.expressions, problem.expressions, strict=True)
+        ]
+
+    numbers, static = eqx.partition(numbers_to_arrays(problem), eqx.is_array)
+    traced, shaped = jax.make_jaxpr(lambda numbers: values(eqx.combine(numbers, static)), return_shape=True)(numbers)
+    if shaped[0].shape != ():
+        raise ProblemError(
+            f"The objective must be one number, but '{problem.objective}' has shape {shaped[0].shape}: use integral, "
+            "rms, peak or terminal instead of path, and an output or one number of a model in the place of an array."
+        )
+    return traced
+
+
+def _evaluated(expression: Expression, scope: AbstractScope, written: Expression) -> jax.Array:
+    """The value of a traced expression; `written` is the same expression in a form that can be printed."""
+    try:
+        return jnp.asarray(expression.evaluate(scope))
+    except AleatorError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise ProblemError(f"The terms of '{written}' have incompatible shapes: {error}") from error
+
+
+class _ShapeScope(AbstractScope):
+    """Statistics of the right shapes, with arbitrary values."""
+
+    def __init__(self, problem: AbstractProblem, outputs: dict[str, jax.Array]):
+        self._problem, self._outputs = problem, outputs
+        self._grid = grid_at(problem, jnp.zeros(problem.placements.size))
+
+    def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> jax.Array:
+        # A statistic has the shape of its functional, without the axis of jointly taken ones.
+        del kind
+        values = joined([self._evaluated(one) for one in functionals])
+        return values if len(functionals) == 1 else values[..., 0]
+
+    def _evaluated(self, functional: AbstractFunctional) -> jax.Array:
+        integrals: dict[AbstractFunctional, jax.Array] = {}
+        if isinstance(functional, AbstractIntegral):
+            now = {name: one[0] for name, one in self._outputs.items()}
+            integrals[functional] = traceable(
+                f"{type(functional).__name__}.integrand", called(functional, functional.integrand, now)
+            )
+        taken = Taken(self._outputs, integrals)
+        who = f"{type(functional).__name__}.evaluate"
+        value = traceable(who, called(functional, functional.evaluate, taken, self._grid))
+        instants = len(self._outputs[functional.output])
+        if functional.is_path and value.shape[:1] != (instants,):
+            raise ProblemError(f"{who}: expected one number per instant, {instants} in all; received {value.shape}.")
+        return value
+
+    def time_integral(self, expression: Expression) -> jax.Array:
+        return expression.evaluate(self)[0]
+
+    def realised(self, functional: AbstractFunctional) -> jax.Array:
+        return self._evaluated(functional)
+
+    def value(self, name: str) -> jax.Array:
+        numbers = named_numbers(self._problem.simulation, jnp.zeros(self._problem.placements.size))
+        return jnp.ones(jnp.shape(numbers[name]) if name in numbers else ())

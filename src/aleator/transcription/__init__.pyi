@@ -1,0 +1,21 @@
+"""What other parts use of transcriptions; see `__init__.py`. Modules are loaded at their first use."""
+
+from ._abstract import AbstractTranscribed as AbstractTranscribed
+from ._abstract import AbstractTranscription as AbstractTranscription
+from ._abstract import Meaning as Meaning
+from ._constraints import as_read as as_read
+from ._constraints import blind_decisions as blind_decisions
+from ._constraints import bound_size as bound_size
+from ._constraints import refuse_blind as refuse_blind
+from ._expansions import RESPOND as RESPOND
+from ._expansions import Discretised as Discretised
+from ._expansions import Resolved as Resolved
+from ._expansions import scope_of as scope_of
+from ._scenarios import Scenarios as Scenarios
+from ._scenarios import germ_box as germ_box
+from ._transcribe import DEFAULT as DEFAULT
+from ._transcribe import transcribe as transcribe
+from ._warm_start import started_from as started_from
+from .sequential import Sequential as Sequential
+from .sequential import valued_by as valued_by
+from .simultaneous import Simultaneous as Simultaneous
