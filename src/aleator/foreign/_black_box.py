@@ -25,9 +25,10 @@ def identity(function: Callable[..., Any], version: str) -> str:
         return identity(function.function, version)
     if not isinstance(function, Command):
         return code_digest(function, version)
-    files = [hashlib.sha256(Path(one).read_bytes()).hexdigest() for one in function.arguments if Path(one).is_file()]
-    told = [list(function.arguments), function.input_file, function.output_file, files, version]
-    return hashlib.sha256(repr(told).encode()).hexdigest()
+    paths = [Path(argument) for argument in function.arguments]
+    files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths if path.is_file()]
+    described = [list(function.arguments), function.input_file, function.output_file, files, version]
+    return hashlib.sha256(repr(described).encode()).hexdigest()
 
 
 def followed(function: Callable[..., Any]) -> Any:
@@ -124,7 +125,7 @@ class BlackBox(AbstractBox):
             runs.cancel()
             if not isinstance(error, Exception):
                 end_running()
-            campaign.take(one for one in runs.close() if one.error is None)
+            campaign.take(run for run in runs.close() if run.error is None)
             if not isinstance(error, AleatorError):
                 raise
             raise type(error)(f"{str(error).rstrip('.')}.{self._kept(campaign, error)}") from error.__cause__

@@ -58,7 +58,7 @@ def sound(given: Any, name: str, first: tuple[Realisation, Pytree] | None) -> Py
             bad = leaf[~np.isfinite(leaf)].flat[0]
             raise SimulationError(f"{f'output {output!r}' if output else 'its output'} is {bad}")
     if first is not None and not same_shapes(outputs, first[1]):
-        before, now = (_shapes(one) for one in (first[1], outputs))
+        before, now = (_shapes(found) for found in (first[1], outputs))
         raise SimulationError(f"it returned {now}, where sample {first[0].number} had {before}")
     return outputs
 
@@ -87,7 +87,7 @@ def warn_of_dropped(name: str, realisations: Sequence[Realisation], failures: Ma
 def _whereabouts(realisations: Sequence[Realisation], dropped: Sequence[int]) -> str:
     """In words: whether the dropped samples lie together, and how many others lie among them."""
     names = list(realisations[0].inputs)
-    values = np.array([list(one.inputs.values()) for one in realisations])
+    values = np.array([list(realisation.inputs.values()) for realisation in realisations])
     low, high = values[dropped].min(axis=0), values[dropped].max(axis=0)
     width = (high - low) / np.maximum(np.ptp(values, axis=0), np.finfo(float).tiny)
     narrow = [i for i in np.argsort(width, kind="stable")[:_MOST_NAMED].tolist() if width[i] <= _NARROW]
@@ -215,7 +215,7 @@ class Campaign:
 
     def __init__(self, name: str, realisations: Sequence[Realisation], journal: Journal, retries: int):
         self.name, self.realisations, self._journal, self._retries = name, realisations, journal, retries
-        self.keys = [journal.key(one) for one in realisations]
+        self.keys = [journal.key(realisation) for realisation in realisations]
         self.failures: dict[int, str] = {}
         self._failed: Counter[int] = Counter()
         self._first: tuple[Realisation, Pytree] | None = None

@@ -61,7 +61,8 @@ class Command:
         if self.time_limit is not None:
             object.__setattr__(self, "time_limit", border.positive("Command: time_limit", self.time_limit))
         own = {self.input_file, self.output_file}
-        object.__setattr__(self, "arguments", tuple(one if one in own else _absolute(one) for one in arguments))
+        absolute = tuple(name if name in own else _absolute(name) for name in arguments)
+        object.__setattr__(self, "arguments", absolute)
         if self.input_file is None and not self._placeholders:
             raise ProblemError(
                 f"Command: no input reaches {self.__name__}. Write {{name}} in the place of an argument, or give an "
@@ -71,12 +72,12 @@ class Command:
     @property
     def __name__(self) -> str:
         """The program, and the first file among its arguments, for messages."""
-        files = [Path(one).name for one in self.arguments[1:] if Path(one).is_file()]
+        files = [Path(argument).name for argument in self.arguments[1:] if Path(argument).is_file()]
         return " ".join([Path(self.arguments[0]).name, *files[:1]])
 
     @property
     def _placeholders(self) -> set[str]:
-        return {name for one in self.arguments for name in _PLACEHOLDER.findall(one)}
+        return {name for argument in self.arguments for name in _PLACEHOLDER.findall(argument)}
 
     def __call__(self, inputs: Mapping[str, Any]) -> Pytree:
         """The outputs of one run."""
@@ -87,7 +88,7 @@ class Command:
             folder = Path(name)
             if self.input_file is not None:
                 (folder / self.input_file).write_text(json.dumps(_as_json(inputs)), encoding="utf-8")
-            self._run([_filled(one, inputs) for one in self.arguments], folder, output)
+            self._run([_filled(argument, inputs) for argument in self.arguments], folder, output)
             return _numbers(self._text(folder, output), self.output_file or "its standard output")
 
     def _refuse_unfit(self, inputs: Any) -> None:
@@ -149,7 +150,7 @@ def _as_text(name: str, value: Any) -> str:
 
 def _as_json(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {name: _as_json(one) for name, one in value.items()}
+        return {name: _as_json(part) for name, part in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, bool | int | float | str):

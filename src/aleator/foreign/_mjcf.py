@@ -78,7 +78,8 @@ def effects_of(model: Model, unheld: Bool[np.ndarray, " equations"]) -> dict[str
 def _nonzero(model: Model, *fields: str) -> Any:
     """Where one of some fields is not zero; fields that an older MuJoCo does not have are."""
     values = [np.asarray(getattr(model, field)) for field in fields if hasattr(model, field)]
-    return np.logical_or.reduce([(one != 0).any(axis=tuple(range(1, one.ndim))) for one in values]) if values else False
+    rows = [(value != 0).any(axis=tuple(range(1, value.ndim))) for value in values]
+    return np.logical_or.reduce(rows) if rows else False
 
 
 def _joints(model: Model, joints: Iterable[Any]) -> list[str]:

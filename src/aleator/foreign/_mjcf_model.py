@@ -47,7 +47,7 @@ def compiled(path: str | Path, left_out: Collection[str]) -> tuple[Model, tuple[
         except ValueError as error:
             raise _refused(path, error) from error
     _refuse_no_numbers(path, model)
-    return model, (*notes, *(f"MuJoCo: {one.message}." for one in heard))
+    return model, (*notes, *(f"MuJoCo: {warning.message}." for warning in heard))
 
 
 def _refuse_no_numbers(path: str | Path, model: Model) -> None:
@@ -90,7 +90,7 @@ def _without_files(path: str | Path, specification: Any) -> Iterator[str]:
     if shapes:
         yield f"Meshes and height fields are not read ({len(shapes)})."
         names = {geom.name for geom in shapes if geom.name}
-        _delete(specification, [one for one in specification.pairs if {one.geomname1, one.geomname2} & names])
+        _delete(specification, [pair for pair in specification.pairs if {pair.geomname1, pair.geomname2} & names])
         _delete(specification, shapes)
     for owner in (*specification.geoms, *specification.sites, *specification.tendons):
         owner.material = ""

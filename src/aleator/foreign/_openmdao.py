@@ -52,10 +52,10 @@ def openmdao_component(problem: Problem, *, declared: bool = True) -> Any:
     one_of(who, problem, Problem)
     if not isinstance(declared, bool):
         raise ProblemError(f"{who}: expected True or False as `declared`; received {shown(declared)}.")
-    for one in problem.constraints:
-        if is_worst_case(one) or is_at_points(one):
+    for constraint in problem.constraints:
+        if is_worst_case(constraint) or is_at_points(constraint):
             raise ProblemError(
-                f"{who}: expected limits on statistics; received '{one.name}' on single realisations, which are "
+                f"{who}: expected limits on statistics; received '{constraint.name}' on single realisations, which are "
                 "searched for. Use al.solve, or a limit with sigmas or a probability."
             )
     return _component()(problem, declared)
@@ -74,11 +74,12 @@ def _component() -> Any:
             self._transcribed, self._declared = transcribe(problem), declared
             places, constraints = self._transcribed.places, self._transcribed.problem.constraints
             self._decisions = dict(zip(_names(places.decisions), places.decisions.values(), strict=True))
-            limits = _names((one.name for one in constraints), taken=self._decisions)
+            limits = _names((constraint.name for constraint in constraints), taken=self._decisions)
             self._rows: dict[str, slice] = dict(zip(limits, self._transcribed.rows, strict=True))
             units = [number_unit(name, problem) for name in places.decisions]
             units += [
-                one.unit(units_of(one, problem)) for one in (problem.objective, *(c.expression for c in constraints))
+                expression.unit(units_of(expression, problem))
+                for expression in (problem.objective, *(constraint.expression for constraint in constraints))
             ]
             names = (*self._decisions, _OBJECTIVE, *self._rows)
             self._units = dict(zip(names, map(as_in_openmdao, units), strict=True))

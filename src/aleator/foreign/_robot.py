@@ -165,7 +165,7 @@ def carriers(joints: Mapping[Key, str], links: Collection[str]) -> dict[Key, str
     for joint, name in joints.items():
         taken = {*links, *joints.values(), *found.values()}
         others = chain((f"{name}_joint",), (f"{name}_joint_{i}" for i in count(2)))
-        found[joint] = name if name not in links else next(one for one in others if one not in taken)
+        found[joint] = name if name not in links else next(other for other in others if other not in taken)
     return found
 
 

@@ -52,8 +52,8 @@ class Runs:
             refused = self._submit()
             done = wait(self._flying, return_when=FIRST_COMPLETED).done if self._flying else set()
             ended = [Ended(self._flying.pop(future), *_outcome(future)) for future in list(done)]
-            broken = [one for one in ended if isinstance(one.error, BrokenExecutor)]
-            yield [one for one in ended if not isinstance(one.error, BrokenExecutor)]
+            broken = [run for run in ended if isinstance(run.error, BrokenExecutor)]
+            yield [run for run in ended if not isinstance(run.error, BrokenExecutor)]
             if broken or refused:
                 raise refused or _broken(broken[0].error)
 

@@ -191,7 +191,7 @@ def from_kane(
     rates = kane.kindiffdict()
     mass, forcing = _formed(who, kane, "kanes_equations")
     q, v = list(kane.q), list(kane.u)
-    kinematics = sympy.Matrix([rates[one.diff(time_symbol())] for one in q])
+    kinematics = sympy.Matrix([rates[coordinate.diff(time_symbol())] for coordinate in q])
     given = _Equations(who, q, v, mass.xreplace(rates), forcing.xreplace(rates), kinematics, [], [])
     return _mechanical(given, numbers, outputs, units)
 
@@ -225,7 +225,7 @@ def from_lagrange(
         )
     mass, forcing = _formed(who, lagrange, "form_lagranges_equations")
     q = list(lagrange.q)
-    v = [one.diff(time_symbol()) for one in q]
+    v = [coordinate.diff(time_symbol()) for coordinate in q]
     given = _Equations(who, q, v, mass[:, : len(q)], forcing, sympy.Matrix(v), constraints, list(lagrange.lam_vec))
     return _mechanical(given, numbers, outputs, units)
 
@@ -250,9 +250,9 @@ def _mechanical(given: _Equations, numbers: Any, outputs: Any, units: Any) -> Sy
             "give this in numbers as a signal."
         )
     _refuse_derivatives(who, moving, (*q, *v))
-    free = [one for one in moving.functions if one not in (*q, *v)]
-    torques = [one for one in free if one not in numbers]
-    parameters = [one for one in free if one in numbers]
+    free = [symbol for symbol in moving.functions if symbol not in (*q, *v)]
+    torques = [symbol for symbol in free if symbol not in numbers]
+    parameters = [symbol for symbol in free if symbol in numbers]
     parameters += sorted({*moving.symbols, *of_outputs.symbols}, key=str)
 
     effect = given.forcing.jacobian(torques) if torques else sympy.zeros(len(v), 0)
@@ -263,19 +263,19 @@ def _mechanical(given: _Equations, numbers: Any, outputs: Any, units: Any) -> Sy
     direct = len(q) == len(v) and forms == sympy.eye(len(q))
 
     meanings = named(who, (*q, *v, *torques, *parameters))
-    for one in (*q, *v, *torques):
-        refuse_stepping(who, one, meanings[one])
-    posture = {one: meanings[one] for one in (*q, *parameters)}
-    speeds = {one: meanings[one] for one in v}
-    multipliers = {one: f"\0{name_of(one)}" for one in given.multipliers}
+    for symbol in (*q, *v, *torques):
+        refuse_stepping(who, symbol, meanings[symbol])
+    posture = {symbol: meanings[symbol] for symbol in (*q, *parameters)}
+    speeds = {symbol: meanings[symbol] for symbol in v}
+    multipliers = {symbol: f"\0{name_of(symbol)}" for symbol in given.multipliers}
     known = {**_rates(q, speeds), **multipliers, **meanings}
     _refuse_unknown_outputs(who, of_outputs, known)
     return SymPyMechanical(
         numbers_for(who, parameters, numbers),
         Mechanics(
-            coordinates=tuple(meanings[one] for one in q),
+            coordinates=tuple(meanings[coordinate] for coordinate in q),
             speeds=tuple(speeds.values()),
-            actuators=tuple(meanings[one] for one in torques),
+            actuators=tuple(meanings[symbol] for symbol in torques),
             constraints=tuple(f"constraint_{i}" for i in range(1, len(given.constraints) + 1)),
             multipliers=tuple(multipliers.values()),
             mass=written(who, list(given.mass), posture),
@@ -293,37 +293,37 @@ def _mechanical(given: _Equations, numbers: Any, outputs: Any, units: Any) -> Sy
 def _rates(q: Sequence[Any], speeds: Mapping[Any, str]) -> dict[Any, str]:
     """The names under which outputs read rates and accelerations."""
     time = time_symbol()
-    found = {one.diff(time): rate_of(name) for one, name in speeds.items()}
+    found = {speed.diff(time): rate_of(name) for speed, name in speeds.items()}
     # Of Lagrange's method the rates of speeds are these accelerations.
-    found |= {one.diff(time, 2): acceleration_of(name_of(one)) for one in q}
-    return found | {one.diff(time): rate_of(name_of(one)) for one in q}
+    found |= {coordinate.diff(time, 2): acceleration_of(name_of(coordinate)) for coordinate in q}
+    return found | {coordinate.diff(time): rate_of(name_of(coordinate)) for coordinate in q}
 
 
 def _standard(q: Sequence[Any], v: Sequence[Any], torques: Sequence[Any]) -> list[str]:
     """The names of the outputs that every mechanical system has."""
-    motion = [f"{name_of(one)}{end}" for one in q for end in ("", "_rate", "_acceleration")]
-    return motion + [f"{name_of(one)}{end}" for one in (*v, *torques) for end in ("", "_rate")]
+    motion = [f"{name_of(symbol)}{end}" for symbol in q for end in ("", "_rate", "_acceleration")]
+    return motion + [f"{name_of(symbol)}{end}" for symbol in (*v, *torques) for end in ("", "_rate")]
 
 
 def _refuse_derivatives(who: str, moving: Contents, motion: Collection[Any]) -> None:
     """Refuse derivatives of anything but the motion: prescribed motions."""
-    for one in moving.derivatives:
-        if one not in motion:
+    for derivative in moving.derivatives:
+        if derivative not in motion:
             raise ProblemError(
-                f"{who}: the equations of motion contain {one}. Make {one.expr} a coordinate, and prescribe its motion "
-                "by al.HybridDynamics."
+                f"{who}: the equations of motion contain {derivative}. Make {derivative.expr} a coordinate, and "
+                "prescribe its motion by al.HybridDynamics."
             )
 
 
 def _refuse_nonlinear(given: _Equations, effect: Any, torques: Sequence[Any]) -> None:
     """Refuse functions of time that are neither given nor torques."""
     elsewhere = contents_of(given.who, [*given.mass, *given.kinematics, *given.constraints]).functions
-    for i, one in enumerate(torques):
+    for i, torque in enumerate(torques):
         factors = contents_of(given.who, effect[:, i])
-        if one in elsewhere or {*factors.functions, *factors.derivatives} & {*torques, *given.v}:
+        if torque in elsewhere or {*factors.functions, *factors.derivatives} & {*torques, *given.v}:
             raise ProblemError(
                 f"{given.who}: an actuator enters linearly, by factors that depend on the coordinates alone; received "
-                f"{one}, which does not. Give it in numbers, as a number or a signal."
+                f"{torque}, which does not. Give it in numbers, as a number or a signal."
             )
 
 
@@ -331,7 +331,7 @@ def _refuse_driven(given: _Equations, forms: Any) -> None:
     """Refuse rates of coordinates that are not linear in the speeds."""
     at_rest = given.kinematics.xreplace(dict.fromkeys(given.v, 0))
     inside = contents_of(given.who, forms)
-    if any(not one.equals(0) for one in at_rest) or {*given.v} & {*inside.functions, *inside.derivatives}:
+    if any(not rate.equals(0) for rate in at_rest) or {*given.v} & {*inside.functions, *inside.derivatives}:
         raise ProblemError(
             f"{given.who}: expected rates of coordinates that are linear in the speeds, without further terms; "
             f"received {list(given.kinematics)}. Choose other speeds."
@@ -340,10 +340,10 @@ def _refuse_driven(given: _Equations, forms: Any) -> None:
 
 def _refuse_unknown_outputs(who: str, of_outputs: Contents, known: Mapping[Any, str]) -> None:
     """Refuse what outputs contain, but no equation of motion."""
-    names = {str(one): one for one in known}
-    for one in (*of_outputs.functions, *of_outputs.derivatives):
-        if one not in known:
+    names = {str(symbol): symbol for symbol in known}
+    for symbol in (*of_outputs.functions, *of_outputs.derivatives):
+        if symbol not in known:
             raise ProblemError(
-                f"{who}: outputs: the equations of motion do not contain {one}.{meant(str(one), names)} Expected "
+                f"{who}: outputs: the equations of motion do not contain {symbol}.{meant(str(symbol), names)} Expected "
                 "coordinates, speeds, their rates, actuators and what is given in numbers."
             )

@@ -36,7 +36,7 @@ class Program(NamedTuple):
     def __call__(self, values: Mapping[str, Any]) -> list[Array]:
         """The value of each expression, scalars; `values` may have more names than the program reads."""
         found = _function(self.text)(*(values[name] for name in self.arguments))
-        return [jnp.asarray(one, dtype=float) for one in found]
+        return [jnp.asarray(value, dtype=float) for value in found]
 
 
 def load_sympy(who: str) -> Any:
@@ -59,8 +59,8 @@ def written(who: str, expressions: Sequence[Any], meanings: Mapping[Any, str]) -
     sympy = load_sympy(who)
     # Real, so that `re(x)` and the derivative of `Abs(x)` become what they are for numbers.
     real = {symbol: sympy.Symbol(f"v{i}", real=True) for i, symbol in enumerate(meanings)}
-    plain = [_evaluated(sympy, one.xreplace(real)) for one in expressions]
-    used = set[Any]().union(*(one.free_symbols for one in plain))
+    plain = [_evaluated(sympy, expression.xreplace(real)) for expression in expressions]
+    used = set[Any]().union(*(expression.free_symbols for expression in plain))
     for ours, theirs in zip(plain, expressions, strict=True):
         if ours.has(sympy.I, sympy.zoo, sympy.nan):
             raise ProblemError(f"{who}: expected real and finite expressions; received {_brief(theirs)}.")
@@ -68,9 +68,9 @@ def written(who: str, expressions: Sequence[Any], meanings: Mapping[Any, str]) -
             raise ProblemError(f"{who}: expected numbers below 1e308; received {_brief(theirs)}.")
     common, reduced = sympy.cse(plain, symbols=sympy.numbered_symbols("x"))
     printer = _printer()
-    lines = [f"    {symbol} = {_printed(who, printer, one)}" for symbol, one in common]
-    values = ", ".join(_printed(who, printer, one) for one in reduced)
-    read = {one: symbol for symbol, one in real.items() if one in used}
+    lines = [f"    {symbol} = {_printed(who, printer, part)}" for symbol, part in common]
+    values = ", ".join(_printed(who, printer, part) for part in reduced)
+    read = {own: symbol for symbol, own in real.items() if own in used}
     text = "\n".join([f"def value({', '.join(map(str, read))}):", *lines, f"    return [{values}]"])
     return Program(tuple(meanings[symbol] for symbol in read.values()), text)
 
@@ -121,7 +121,7 @@ def _printed(who: str, printer: Any, expression: Any) -> str:
     from sympy import postorder_traversal
 
     # Of nested functions the innermost is the one that is not known.
-    unknown = next(one for one in postorder_traversal(expression) if _text(printer, one) is None)
+    unknown = next(part for part in postorder_traversal(expression) if _text(printer, part) is None)
     raise ProblemError(
         f"{who}: JAX has no function for {type(unknown).__name__}; rewrite it by elementary ones "
         "(expression.rewrite(...), .doit()), or write the model as an al.System."
@@ -139,7 +139,7 @@ def _text(printer: Any, expression: Any) -> str | None:
         return None
     imports = printer.module_imports
     known = set(imports) <= _MODULES and all(hasattr(jnp, name) for name in imports.get("jax.numpy", ()))
-    return text if known and _is_traceable(text, {str(one) for one in expression.free_symbols}) else None
+    return text if known and _is_traceable(text, {str(symbol) for symbol in expression.free_symbols}) else None
 
 
 def _is_traceable(text: str, symbols: set[str]) -> bool:

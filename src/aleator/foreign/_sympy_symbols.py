@@ -97,8 +97,8 @@ def expression(what: str, given: Any) -> Any:
         found = sympy.sympify(given, strict=True)
     if not isinstance(found, sympy.Expr) or isinstance(found, sympy.MatrixExpr):
         raise refusal(what, "one SymPy expression", given)
-    nested = any(not isinstance(one.expr, sympy.core.function.AppliedUndef) for one in found.atoms(sympy.Derivative))
-    return found.doit() if nested else found
+    of = [derivative.expr for derivative in found.atoms(sympy.Derivative)]
+    return found if all(isinstance(inner, sympy.core.function.AppliedUndef) for inner in of) else found.doit()
 
 
 def expressions_by_name(what: str, given: Any) -> dict[str, Any]:
@@ -108,7 +108,7 @@ def expressions_by_name(what: str, given: Any) -> dict[str, Any]:
     for name in given:
         if not isinstance(name, str) or not name:
             raise refusal(what, "a text as the name of each expression", name)
-    return {name: expression(f"{what}, '{name}'", one) for name, one in given.items()}
+    return {name: expression(f"{what}, '{name}'", formula) for name, formula in given.items()}
 
 
 def contents_of(who: str, expressions: Iterable[Any]) -> Contents:
@@ -117,14 +117,14 @@ def contents_of(who: str, expressions: Iterable[Any]) -> Contents:
     whole, time = sympy.Tuple(*expressions), time_symbol()
     derivatives = whole.atoms(sympy.Derivative)
     functions = whole.atoms(sympy.core.function.AppliedUndef)
-    for one in functions:
-        if one.args != (time,):
+    for function in functions:
+        if function.args != (time,):
             raise ProblemError(
                 f"{who}: expected functions of the time {time} alone (sympy.physics.mechanics.dynamicsymbols); "
-                f"received {one}."
+                f"received {function}."
             )
-    plain = whole.xreplace({one: sympy.Dummy() for one in derivatives | functions})
-    symbols = (one for one in plain.free_symbols if not isinstance(one, sympy.Dummy))
+    plain = whole.xreplace({part: sympy.Dummy() for part in derivatives | functions})
+    symbols = (symbol for symbol in plain.free_symbols if not isinstance(symbol, sympy.Dummy))
     return Contents(*(tuple(sorted(part, key=str)) for part in (functions, derivatives, symbols)))
 
 
@@ -173,16 +173,16 @@ def numbers_for(who: str, symbols: Collection[Any], given: Mapping[Any, Any]) ->
     Raises `ProblemError` for a parameter without one, for numbers of symbols that nothing contains, and for numbers
     that contradict their symbol's assumptions, by which SymPy has simplified.
     """
-    names = [name_of(one) for one in symbols]
-    for one in given:
-        if one not in symbols:
-            raise ProblemError(f"{who}: numbers has '{name_of(one)}', {_stray(name_of(one), names)}")
-    if missing := sorted(name_of(one) for one in symbols if one not in given):
+    names = [name_of(symbol) for symbol in symbols]
+    for symbol in given:
+        if symbol not in symbols:
+            raise ProblemError(f"{who}: numbers has '{name_of(symbol)}', {_stray(name_of(symbol), names)}")
+    if missing := sorted(name_of(symbol) for symbol in symbols if symbol not in given):
         raise ProblemError(
             f"{who}: expected a number, a distribution or a decision for each parameter in numbers; received none for "
             f"{missing}."
         )
-    return {name_of(one): _number(who, one, given[one]) for one in symbols}
+    return {name_of(symbol): _number(who, symbol, given[symbol]) for symbol in symbols}
 
 
 def _stray(name: str, names: Collection[str]) -> str:
@@ -219,21 +219,21 @@ def _signal(who: str, symbol: Any, given: AbstractSignal) -> AbstractSignal:
 def refuse_unknown(what: str, symbols: Iterable[Any], known: Iterable[Any], remedy: str) -> None:
     """Raise `ProblemError` for the first of `symbols` that is not `known`."""
     known = list(known)
-    for one in symbols:
-        if one not in known:
+    for symbol in symbols:
+        if symbol not in known:
             names = [name_of(other) for other in known]
-            if name_of(one) in names:
+            if name_of(symbol) in names:
                 raise ProblemError(
-                    f"{what}: '{one}' is another symbol than the model's of this name: one is a function of time, or "
-                    "their assumptions differ. Use the very same symbol."
+                    f"{what}: '{symbol}' is another symbol than the model's of this name: one is a function of time, "
+                    "or their assumptions differ. Use the very same symbol."
                 )
-            raise ProblemError(f"{what}: '{one}' is not known.{meant(name_of(one), names)} {remedy}")
+            raise ProblemError(f"{what}: '{symbol}' is not known.{meant(name_of(symbol), names)} {remedy}")
 
 
 def units_for(who: str, units: Any, outputs: Collection[str]) -> tuple[tuple[str, str], ...]:
     """Units of outputs. Raises `ProblemError` for units of anything else."""
     given = {} if units is None else units
-    if not isinstance(given, Mapping) or not all(isinstance(one, str) for one in (*given, *given.values())):
+    if not isinstance(given, Mapping) or not all(isinstance(text, str) for text in (*given, *given.values())):
         raise refusal(f"{who}: units", "units as texts by output, in a dict", units)
     for name in given:
         if name not in outputs:

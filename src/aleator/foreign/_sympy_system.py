@@ -147,8 +147,8 @@ def from_sympy(
     """
     sympy = load_sympy(_WHO)
     rates = {
-        state: expression(f"{_WHO}: the rate of '{state}'", one)
-        for state, one in symbols_given(f"{_WHO}: rates", rates).items()
+        state: expression(f"{_WHO}: the rate of '{state}'", rate)
+        for state, rate in symbols_given(f"{_WHO}: rates", rates).items()
     }
     given = symbols_given(f"{_WHO}: numbers", numbers)
     states = tuple(rates)
@@ -156,7 +156,7 @@ def from_sympy(
         raise ProblemError(f"{_WHO}: expected the rate of one state at least; received none.")
     mass = _mass_matrix(sympy, mass_matrix, len(states))
     formulas = expressions_by_name(
-        f"{_WHO}: outputs", {name_of(one): one for one in states} if outputs is None else outputs
+        f"{_WHO}: outputs", {name_of(state): state for state in states} if outputs is None else outputs
     )
     values, follow = _started(start, states)
 
@@ -167,33 +167,33 @@ def from_sympy(
             "the rates (sympy.solve), or give their matrix as mass_matrix."
         )
     of_outputs = contents_of(f"{_WHO}: outputs", formulas.values())
-    inputs = [one for one in moving.functions if one not in states]
-    inputs += [one for one in of_outputs.functions if one not in (*states, *inputs)]
-    if signalled := [one for one in inputs if one in given]:
+    inputs = [symbol for symbol in moving.functions if symbol not in states]
+    inputs += [symbol for symbol in of_outputs.functions if symbol not in (*states, *inputs)]
+    if signalled := [symbol for symbol in inputs if symbol in given]:
         raise ProblemError(
             f"{_WHO}: {signalled[0]} is an input, not one of numbers; give it as a signal: al.Problem(..., "
             f"inputs={{'{name_of(signalled[0])}': ...}})."
         )
     parameters = _parameters(states, moving, of_outputs, contents_of(f"{_WHO}: start", follow.values()))
     meanings = named(_WHO, (*states, *inputs, *parameters)) | {time_symbol(): _TIME}
-    for one in (*states, *inputs):
-        refuse_stepping(_WHO, one, meanings[one])
+    for symbol in (*states, *inputs):
+        refuse_stepping(_WHO, symbol, meanings[symbol])
     slopes = _slopes(of_outputs, rates, mass_matrix is None)
-    state_type(tuple(meanings[one] for one in states))
+    state_type(tuple(meanings[state] for state in states))
     equations = _Equations(
-        states=tuple(meanings[one] for one in states),
-        inputs=tuple(meanings[one] for one in inputs),
+        states=tuple(meanings[state] for state in states),
+        inputs=tuple(meanings[symbol] for symbol in inputs),
         rates=written(_WHO, list(rates.values()), meanings),
         mass=written(_WHO, mass, meanings) if mass else None,
         names=tuple(formulas),
         outputs=written(f"{_WHO}: outputs", list(formulas.values()), slopes | meanings),
-        started=tuple(meanings[one] for one in follow),
+        started=tuple(meanings[state] for state in follow),
         start=written(f"{_WHO}: start", list(follow.values()), meanings),
         units=units_for(_WHO, units, formulas),
     )
     return SymPySystem(
         numbers_for(_WHO, parameters, given),
-        {meanings[one]: value for one, value in values.items()},
+        {meanings[state]: value for state, value in values.items()},
         equations,
     )
 
@@ -204,7 +204,7 @@ def _mass_matrix(sympy: Any, given: Any, size: int) -> list[Any]:
         return []
     if not isinstance(given, sympy.MatrixBase) or given.shape != (size, size):
         raise refusal(f"{_WHO}: mass_matrix", f"a SymPy matrix of shape ({size}, {size}), for as many rates", given)
-    return [expression(f"{_WHO}: mass_matrix", one) for one in given]
+    return [expression(f"{_WHO}: mass_matrix", entry) for entry in given]
 
 
 def _started(given: Any, states: Sequence[Any]) -> tuple[dict[Any, Any], dict[Any, Any]]:
@@ -213,7 +213,7 @@ def _started(given: Any, states: Sequence[Any]) -> tuple[dict[Any, Any], dict[An
     start = symbols_given(what, {} if given is None else given)
     refuse_unknown(what, start, states, "Expected initial values of states.")
     sympy = load_sympy(_WHO)
-    follow = {one: expression(what, value) for one, value in start.items() if isinstance(value, sympy.Basic)}
+    follow = {state: expression(what, value) for state, value in start.items() if isinstance(value, sympy.Basic)}
     values: dict[Any, Any] = {}
     for state, value in start.items():
         if state in follow:
@@ -227,10 +227,10 @@ def _started(given: Any, states: Sequence[Any]) -> tuple[dict[Any, Any], dict[An
 
 def _parameters(states: Sequence[Any], moving: Contents, of_outputs: Contents, of_start: Contents) -> list[Any]:
     """The symbols whose numbers are given: neither states nor the time."""
-    if of_start.functions or of_start.derivatives or any(one in states for one in of_start.symbols):
+    if of_start.functions or of_start.derivatives or any(symbol in states for symbol in of_start.symbols):
         raise ProblemError(f"{_WHO}: start: expected numbers, or expressions of the parameters alone.")
     symbols = dict.fromkeys((*moving.symbols, *of_outputs.symbols, *of_start.symbols))
-    return sorted((one for one in symbols if one not in states and one != time_symbol()), key=str)
+    return sorted((symbol for symbol in symbols if symbol not in states and symbol != time_symbol()), key=str)
 
 
 def _slopes(of_outputs: Contents, rates: Mapping[Any, Any], explicit: bool) -> dict[Any, str]:
@@ -241,11 +241,11 @@ def _slopes(of_outputs: Contents, rates: Mapping[Any, Any], explicit: bool) -> d
         known[state.diff(time)] = _rate_of(name_of(state))
         if explicit and rate in rates:
             known[state.diff(time, 2)] = _rate_of(name_of(rate))
-    for one in of_outputs.derivatives:
-        if one not in known:
+    for derivative in of_outputs.derivatives:
+        if derivative not in known:
             raise ProblemError(
-                f"{_WHO}: outputs: expected rates of states at most; received {one}. Give an input's derivative as an "
-                "input of its own."
+                f"{_WHO}: outputs: expected rates of states at most; received {derivative}. Give an input's derivative "
+                "as an input of its own."
             )
     return known
 

@@ -97,7 +97,7 @@ def offers_slopes(folder: Path, kind: str) -> bool:
 def kind_of(name: str, description: Any, kind: Any) -> str:
     """How an FMU is run: as it is asked for, or the first of model exchange and co-simulation that it offers."""
     offered = {MODEL_EXCHANGE: description.modelExchange, CO_SIMULATION: description.coSimulation}
-    offered = {one: interface for one, interface in offered.items() if interface is not None}
+    offered = {offer: interface for offer, interface in offered.items() if interface is not None}
     if not offered:
         raise ProblemError(
             f"FMU '{name}': expected {MODEL_EXCHANGE} or {CO_SIMULATION}; it offers scheduled execution alone."
@@ -158,16 +158,18 @@ class Variables:
 
     def __init__(self, name: str, description: Any):
         self._who = f"FMU '{name}'"
-        self.all: dict[str, Variable] = {one.name: one for one in description.modelVariables}
-        rates = [one.variable for one in description.derivatives]
+        self.all: dict[str, Variable] = {variable.name: variable for variable in description.modelVariables}
+        rates = [derivative.variable for derivative in description.derivatives]
         self.rates: list[Variable] = rates
-        self.states: list[Variable] = [one.derivative for one in rates]
-        self.outputs = [name for name, one in self.all.items() if one.causality == "output" and _is_number(one)]
+        self.states: list[Variable] = [rate.derivative for rate in rates]
+        self.outputs = self._names("output")
 
     def refuse_odd_states(self) -> None:
         """Raise `ProblemError` unless each state is one real number with a rate."""
         odd = [
-            rate.name for rate, one in zip(self.rates, self.states, strict=True) if one is None or not _is_number(one)
+            rate.name
+            for rate, state in zip(self.rates, self.states, strict=True)
+            if state is None or not _is_number(state)
         ]
         if odd:
             raise ProblemError(
@@ -177,11 +179,14 @@ class Variables:
 
     def parameters(self) -> list[str]:
         """The real parameters, the names for which a number may be uncertain first of all."""
-        return [name for name, one in self.all.items() if one.causality == "parameter" and _is_number(one)]
+        return self._names("parameter")
 
     def inputs(self) -> list[str]:
         """The real inputs."""
-        return [name for name, one in self.all.items() if one.causality == "input" and _is_number(one)]
+        return self._names("input")
+
+    def _names(self, causality: str) -> list[str]:
+        return [name for name, variable in self.all.items() if variable.causality == causality and _is_number(variable)]
 
     def settable(self, names: Iterable[Any]) -> list[Variable]:
         """The variables of these names. Raises `ProblemError` for one that is no real number set before the start."""
@@ -203,24 +208,24 @@ class Variables:
         """The inputs of these names. Raises `ProblemError` for one that is none."""
         found = []
         for name in names:
-            one = self._known(name, self.inputs())
-            if one.causality != "input":
+            variable = self._known(name, self.inputs())
+            if variable.causality != "input":
                 raise ProblemError(
                     f"{self._who}: expected an input, {_listed(self.inputs())}; received '{name}', whose causality is "
-                    f"'{one.causality}'."
+                    f"'{variable.causality}'."
                 )
-            found.append(self._real(one, name))
+            found.append(self._real(variable, name))
         return found
 
     def setting(self, name: Any, value: Any) -> tuple[Variable, Any]:
         """A variable of any type and its value, checked, for every run."""
-        one = self._settable(name)
-        if one.shape:
-            raise ProblemError(f"{self._who}: expected a setting of one value; '{name}' has the shape {one.shape}.")
-        kind, fits = _kind_of(one.type)
+        variable = self._settable(name)
+        if variable.shape:
+            raise ProblemError(f"{self._who}: expected a setting of one value; '{name}' has shape {variable.shape}.")
+        kind, fits = _kind_of(variable.type)
         if not fits(value):
             raise ProblemError(f"{self._who}: expected {kind} for '{name}'; received {shown(value)}.")
-        return one, value
+        return variable, value
 
     def _known(self, name: Any, near: Sequence[str]) -> Variable:
         if not isinstance(name, str):
@@ -231,33 +236,34 @@ class Variables:
         return self.all[name]
 
     def _settable(self, name: Any) -> Variable:
-        one = self._known(name, self.parameters())
-        if one.causality == "input" or (one.variability != "constant" and one.initial == "exact"):
-            return one
-        if one.causality == "structuralParameter":
-            return one
+        variable = self._known(name, self.parameters())
+        if variable.causality == "input" or (variable.variability != "constant" and variable.initial == "exact"):
+            return variable
+        if variable.causality == "structuralParameter":
+            return variable
         why = {
             "calculatedParameter": "which the FMU computes from other parameters",
             "independent": "which is the time",
-        }.get(one.causality, "which is constant" if one.variability == "constant" else "which the FMU computes")
+        }.get(variable.causality)
+        why = why or ("which is constant" if variable.variability == "constant" else "which the FMU computes")
         raise ProblemError(
             f"{self._who}: expected a parameter, an input or an initial value, such as {_listed(self.parameters())}; "
-            f"received '{name}', {why} (causality '{one.causality}', variability '{one.variability}')."
+            f"received '{name}', {why} (causality '{variable.causality}', variability '{variable.variability}')."
         )
 
-    def _real(self, one: Variable, name: str) -> Variable:
-        if one.type not in REAL:
+    def _real(self, variable: Variable, name: str) -> Variable:
+        if variable.type not in REAL:
             raise ProblemError(
-                f"{self._who}: expected a real variable; received '{name}' of type {one.type}. Give values of other "
-                "types once for all in Fmu(settings={...})."
+                f"{self._who}: expected a real variable; received '{name}' of type {variable.type}. Give values of "
+                "other types once for all in Fmu(settings={...})."
             )
-        if one.shape:
-            raise ProblemError(f"{self._who}: expected variables of one number; '{name}' has the shape {one.shape}.")
-        return one
+        if variable.shape:
+            raise ProblemError(f"{self._who}: expected variables of one number; '{name}' has shape {variable.shape}.")
+        return variable
 
 
-def _is_number(one: Variable) -> bool:
-    return one.type in REAL and not one.shape
+def _is_number(variable: Variable) -> bool:
+    return variable.type in REAL and not variable.shape
 
 
 def _kind_of(kind: str) -> tuple[str, Any]:
@@ -273,17 +279,17 @@ def _kind_of(kind: str) -> tuple[str, Any]:
 
 def _listed(names: Sequence[str]) -> str:
     more = ", …" if len(names) > _LISTED else ""
-    return (", ".join(f"'{one}'" for one in names[:_LISTED]) + more) or "none"
+    return (", ".join(f"'{name}'" for name in names[:_LISTED]) + more) or "none"
 
 
 def nominals_of(variables: Iterable[Variable]) -> np.ndarray:
     """The usual sizes that variables declare; 1 for others."""
-    return np.array([abs(float(one.nominal or 1.0)) or 1.0 for one in variables])
+    return np.array([abs(float(variable.nominal or 1.0)) or 1.0 for variable in variables])
 
 
 def units_of(variables: Iterable[Variable]) -> Mapping[str, str]:
     """The units that variables declare, by name."""
-    declared = {one.name: one.unit or getattr(one.declaredType, "unit", None) for one in variables}
+    declared = {variable.name: variable.unit or getattr(variable.declaredType, "unit", None) for variable in variables}
     return {name: unit.replace(".", " ") for name, unit in declared.items() if unit}
 
 
@@ -319,7 +325,7 @@ class Described:
     @property
     def states(self) -> list[str]:
         """Its continuous states, in its own order; none of co-simulation, which keeps them to itself."""
-        return [one.name for one in self.variables.states] if self.is_exchange else []
+        return [variable.name for variable in self.variables.states] if self.is_exchange else []
 
     def _settings(self, given: Any) -> dict[Variable, Any]:
         if not isinstance(given, Mapping | None):

@@ -319,7 +319,7 @@ def _tried(function: Callable[[tuple[Any, ...]], Any], message: tuple[Any, ...])
             raised = (type(error).__name__, str(error))
         except Exception as error:
             raised = (type(error).__name__, " ".join(str(error).split()))
-    return returned, raised, [str(one.message) for one in heard]
+    return returned, raised, [str(warning.message) for warning in heard]
 
 
 def _end_with_parent() -> None:

@@ -61,13 +61,13 @@ class Equations:
         self.fmu, self.parameters, self.inputs, self.outputs = fmu, parameters, inputs, outputs
         self._t, self.tolerance, self._first = t, tolerance, dict(first)
         self.n = len(fmu.variables.states)
-        self._of = [one.valueReference for one in (*fmu.variables.rates, *outputs)]
-        self._by = [one.valueReference for one in (*fmu.variables.states, *inputs, *parameters)]
-        self._input_references = [one.valueReference for one in inputs]
-        self._output_references = [one.valueReference for one in outputs]
+        self._of = [variable.valueReference for variable in (*fmu.variables.rates, *outputs)]
+        self._by = [variable.valueReference for variable in (*fmu.variables.states, *inputs, *parameters)]
+        self._input_references = [variable.valueReference for variable in inputs]
+        self._output_references = [variable.valueReference for variable in outputs]
         # An initial value of a state acts through the state alone.
-        states = {one.valueReference for one in fmu.variables.states}
-        self._only_start = np.array([one.valueReference in states for one in parameters], dtype=bool)
+        states = {variable.valueReference for variable in fmu.variables.states}
+        self._only_start = np.array([variable.valueReference in states for variable in parameters], dtype=bool)
         self._instances: OrderedDict[bytes, Instance] = OrderedDict()
         weakref.finalize(self, _free_all, self._instances)
         self.trusted: Bool[np.ndarray, " variables"] | None = None
@@ -131,7 +131,7 @@ class Equations:
     def judge(self, places: list[Place]) -> None:
         """Trust those derivatives of the FMU that agree with differences at all of some places where it has values."""
         size = len(self._by)
-        asked = [one.causality in ("parameter", "input") for one in self.parameters]
+        asked = [variable.causality in ("parameter", "input") for variable in self.parameters]
         candidates = np.array([True] * (size - len(asked)) + asked, dtype=bool) & self.fmu.offers_slopes
         self.trusted = np.zeros(size, bool)
         places = [place for place in places if self.has_values(place)]
@@ -296,9 +296,9 @@ class Field:
         fmu, equations = self._fmu, self._equations
         with fmu.started({}, 0.0, _TOLERANCE) as instance:
             refuse_events(fmu, instance)
-            u = instance.get([one.valueReference for one in equations.inputs])
-            own = instance.get([one.valueReference for one in equations.parameters])
-        p = np.array([its if one is None else one for one, its in zip(numbers, own, strict=True)])
+            u = instance.get([variable.valueReference for variable in equations.inputs])
+            own = instance.get([variable.valueReference for variable in equations.parameters])
+        p = np.array([its if number is None else number for number, its in zip(numbers, own, strict=True)])
         x, sizes = equations.instance(p).initial, equations.nominals(p)
         signs = np.cos(np.arange(len(x)))
         places = [Place(0.0, x + away * signs * sizes, u, p) for away in _AWAY]

@@ -182,7 +182,7 @@ class Instance:
         if len(references):
             with self._explained():
                 setter = self._fmu.setReal if self._library.version == 2 else self._fmu.setFloat64
-                setter(references, [float(one) for one in values])
+                setter(references, [float(value) for value in values])
 
     def get(self, references: Sequence[int]) -> Float[np.ndarray, " n"]:
         """Values of real variables."""
@@ -222,7 +222,7 @@ class Instance:
     def slopes(self, of: Sequence[int], by: Sequence[int], seed: Sequence[float]) -> Float[np.ndarray, " m"]:
         """The derivative of variables along a direction of others."""
         with self._explained():
-            return np.array(self._fmu.getDirectionalDerivative(of, by, [float(one) for one in seed]), dtype=float)
+            return np.array(self._fmu.getDirectionalDerivative(of, by, [float(part) for part in seed]), dtype=float)
 
     def step_is_over(self) -> bool:
         """Tell the FMU that a step is accepted, if it wants to know. Returns whether it asks for an event."""
@@ -274,11 +274,11 @@ class Instance:
         return np.array(buffer, dtype=float)
 
     def _set_all(self, values: Mapping[Variable, Any]) -> None:
-        for one, value in values.items():
-            name = "Integer" if one.type == "Enumeration" and self._library.version == 2 else one.type
+        for variable, value in values.items():
+            name = "Integer" if variable.type == "Enumeration" and self._library.version == 2 else variable.type
             name = "Int64" if name == "Enumeration" else name
-            kind = float if one.type in (*REAL, "Float32") else lambda given: given
-            getattr(self._fmu, f"set{name}")([one.valueReference], [kind(value)])
+            kind = float if variable.type in (*REAL, "Float32") else lambda given: given
+            getattr(self._fmu, f"set{name}")([variable.valueReference], [kind(value)])
 
     def _updated(self) -> Update:
         jumped = False

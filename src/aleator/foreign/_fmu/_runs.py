@@ -45,7 +45,7 @@ class Inputs(NamedTuple):
     @property
     def references(self) -> list[int]:
         """By which the FMU knows them."""
-        return [one.valueReference for one in self.variables]
+        return [variable.valueReference for variable in self.variables]
 
     def at(self, t: float) -> Float[np.ndarray, " inputs"]:
         """The values at a time."""
@@ -271,7 +271,7 @@ def sensitivities(
     if equations.trusted is None:
         path = integrated(instance, motion(of_states, lambda _, y: y, tolerance * sizes), x, inputs.times)
         chosen = np.unique(np.linspace(0, len(path) - 1, _JUDGED).astype(int))
-        equations.judge([place(float(inputs.times[one]), path[one]) for one in chosen])
+        equations.judge([place(float(inputs.times[instant]), path[instant]) for instant in chosen])
     start = difference_jacobian(initial, p, STEP * steps).value
     atol = tolerance * np.concatenate([sizes, (sizes / steps[:, None]).ravel()])
     full = motion(
@@ -297,7 +297,7 @@ class Runs:
 
     def outputs(self, p: Float[np.ndarray, " k"]) -> Float[np.ndarray, "instants outputs"]:
         """The outputs at all instants. Raises `SimulationError` if a run fails or an output is not finite."""
-        references = [one.valueReference for one in self._outputs]
+        references = [variable.valueReference for variable in self._outputs]
         inputs = self._inputs
         start = {**inputs.first, **dict(zip(self._parameters, p.tolist(), strict=True))}
         with self._explained(p), self._fmu.started(start, float(inputs.times[0]), self._tolerance) as instance:
@@ -343,7 +343,7 @@ class Runs:
             yield
         except SimulationError as error:
             text = str(error) if str(error).startswith("FMU ") else f"FMU '{self._fmu.name}': {error}."
-            values = with_numbers([one.name for one in self._parameters], p)
+            values = with_numbers([variable.name for variable in self._parameters], p)
             raise SimulationError(f"{text.removesuffix('.')}{values}.") from error
 
     def _refuse_missing(self, found: np.ndarray) -> None:

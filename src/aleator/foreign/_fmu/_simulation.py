@@ -94,7 +94,7 @@ class FmuSimulation:
     ):
         self._fmu, self._grid = fmu_given("FmuSimulation", fmu), _known_grid(grid)
         self.__name__ = fmu.name  # in messages
-        self._outputs = [one.name for one in fmu.variables.readable(outputs)]
+        self._outputs = [variable.name for variable in fmu.variables.readable(outputs)]
         self._tolerance = positive("FmuSimulation: tolerance", tolerance, below=1.0)
         self._inputs = sampled_inputs(fmu, grid, inputs)
         self._signals = dict(inputs or {})
@@ -112,7 +112,7 @@ class FmuSimulation:
         fixed = np.array(list(known.values()), dtype=float)
         if not traced:
             return self._by_name(self._run(names, "outputs", fixed))
-        numbers = jnp.stack([jnp.asarray(one, dtype=float) for one in traced.values()])
+        numbers = jnp.stack([jnp.asarray(value, dtype=float) for value in traced.values()])
         return self._by_name(self._differentiable(names, fixed, len(traced))(numbers).reshape(len(self.times), -1))
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -64,7 +64,7 @@ class FmuSystem(System):
         self.parameters = {name: _checked(fmu, name, value) for name, value in (parameters or {}).items()}
         variables = fmu.variables
         variables.settable(self.parameters)
-        read = [one.name for one in variables.readable(outputs)]
+        read = [variable.name for variable in variables.readable(outputs)]
         numbers = {name: value if isinstance(value, float) else None for name, value in self.parameters.items()}
         free = [one.name for one in variables.of_inputs(one for one in fmu.inputs if one not in numbers)]
         self._equations = ServedField(fmu, numbers, free, read)
@@ -73,7 +73,7 @@ class FmuSystem(System):
     @property
     def states(self) -> tuple[str, ...]:  # type: ignore[override]
         """The FMU's states, as names of Python."""
-        names = [re.sub(r"\W", "_", one).strip("_") for one in self._equations.fmu.states]
+        names = [re.sub(r"\W", "_", name).strip("_") for name in self._equations.fmu.states]
         return tuple(name if name.isidentifier() else f"x_{name}" for name in names)
 
     @property
@@ -110,7 +110,7 @@ class FmuSystem(System):
     def _numbers(self) -> Array:
         # By name: trees of JAX sort what is in a dict.
         values = [self.parameters[name] for name in self._equations.parameters]
-        return jnp.array([_number(one) for one in values], dtype=float)
+        return jnp.array([_number(value) for value in values], dtype=float)
 
     def _inputs(self, given: Mapping[str, Any]) -> Array:
         """All inputs that are no parameters: as they are given, or as the FMU has them."""
