@@ -246,8 +246,9 @@ def load(name: str | None, inputs: list[Any]) -> tuple[Any, Any] | None:
             digest, content = file.read(_DIGEST), file.read()
         if _digest(name, content) != digest:
             raise ValueError(path)
-        _prepare_lapack()
-        payload, layout, count = pickle.loads(content)
+        payload, layout, count, calls_lapack = pickle.loads(content)
+        if calls_lapack:
+            _prepare_lapack()
         trees = jax.tree.structure((tuple(inputs), {})), jax.tree.structure([0] * count)
         return serialize_executable.deserialize_and_load(payload, *trees), layout
     except FileNotFoundError:
@@ -265,11 +266,12 @@ def keep(name: str, lowered: jax.stages.Lowered, executable: jax.stages.Compiled
     exist in another run.
     """
     path = _path(name)
-    if path is None or not all(one.startswith(_LAPACK) for one in _CALLED.findall(lowered.as_text())):
+    called = set(_CALLED.findall(lowered.as_text()))
+    if path is None or not all(one.startswith(_LAPACK) for one in called):
         return
     try:
         payload, _, results = serialize_executable.serialize(executable)
-        content = pickle.dumps((payload, layout, results.num_leaves))
+        content = pickle.dumps((payload, layout, results.num_leaves, bool(called)))
     except Exception:  # XLA, JAX and pickle have no common one
         return
     # Of a run that is ended here, the name lets it be counted and deleted as the others are.
@@ -313,7 +315,7 @@ def _digest(name: str, content: bytes) -> bytes:
 def _prepare_lapack() -> None:
     """Make JAX look up LAPACK's functions, which it does otherwise only when it lowers a call of one.
 
-    A loaded program that calls one before crashes the process.
+    A loaded program that calls one before crashes the process; SciPy's, which it takes, cost half an import of JAX.
     """
     jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), float))
 

@@ -33,7 +33,6 @@ from aleator.dynamics import (
     check_signals,
 )
 from aleator.expansion import Expansion
-from aleator.mechanics import AbstractFormulation
 from aleator.statistics import Mean, Sobol, TotalSobol, refuse_correlated
 from aleator.trajectories import piecewise_in
 from aleator.uncertainty import (
@@ -212,7 +211,7 @@ def _bounds(problem: AbstractProblem) -> Iterator[tuple[str, Float[np.ndarray, "
     Entries of an array are moved together: the moments of a body, for example, may be impossible one at a time.
     """
     system, places = problem.system, problem.placements
-    own = placements(system.model if isinstance(system, AbstractFormulation) else system).decisions
+    own = placements(system.formulated).decisions
     start, names = places.vector("initial"), places.entry_names()
     single = [place.where for name, place in places.decisions.items() if name in own]
     for i in (where.start for where in single if where.stop - where.start == 1):

@@ -17,7 +17,6 @@ from aleator.design._response import AbstractProblem
 from aleator.design._scope import AbstractAtom, Units
 from aleator.design._statistic import Statistic, statistics_in
 from aleator.dynamics import Grid, System
-from aleator.mechanics import AbstractFormulation
 from aleator.statistics import PURE, Mean, is_same, measure, rate
 from aleator.uncertainty import AbstractDistribution, AbstractGerm, Decision, Placements, correlations_at, fields_of
 from aleator.uncertainty._placements import free
@@ -54,13 +53,8 @@ def output_units(problem: AbstractProblem) -> dict[str, str]:
             f"{type(problem.system).__name__}.units", "units of outputs by name, such as {'x': 'm'}", declared
         )
     units = {name: unit for name, unit in declared.items() if isinstance(unit, str)}
-    if isinstance(problem.system, AbstractFormulation):
-        model = problem.system.model
-        for name in model.coordinates:
-            speed = units.setdefault(f"{name}_rate", rate(units.get(name, "")))
-            units.setdefault(f"{name}_acceleration", rate(speed))
-        for name in (*model.speeds, *model.actuators):
-            units.setdefault(f"{name}_rate", rate(units.get(name, "")))
+    for name, origin in problem.system.rates_of.items():
+        units.setdefault(name, rate(units.get(origin, "")))
     return units
 
 
@@ -228,7 +222,7 @@ def _physics_row(problem: AbstractProblem, advanced: str) -> tuple[str, str]:
         return "equations", solved if unknowns else f"{name}, in closed form"
     free = isinstance(grid.t_final, Decision)
     steps = f"{grid.steps} steps to t_final" if free else f"{grid.steps} steps of {float(grid.step):g} s"
-    who = f"{name} of {type(system.model).__name__}" if isinstance(system, AbstractFormulation) else name
+    who = name if system.formulated is system else f"{name} of {type(system.formulated).__name__}"
     if not system.states:
         return "dynamics", f"{who}, {steps}, nothing is integrated"
     return "dynamics", f"{who}({', '.join(system.states)}), {steps}, {advanced}"

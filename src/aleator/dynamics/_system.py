@@ -27,11 +27,18 @@ _IMPLICIT = ("residual", "algebraic_guess")
 class AbstractSystem(Module, Printed):
     """What can be simulated: a `System`, which evolves in time, or an `AlgebraicSystem`, which has no time.
 
-    - `has_time`: whether it evolves in time; `units`: the units of its outputs as far as they are known, for reports.
+    - `has_time`: whether it evolves in time; `units`: the units of its outputs as far as they are known, for reports;
+      `rates_of`: outputs that are rates of others, by name, whose units follow from those.
     """
 
     has_time: ClassVar[bool]
     units: ClassVar[Mapping[str, str]] = {}
+    rates_of: ClassVar[Mapping[str, str]] = {}
+
+    @property
+    def formulated(self) -> Module:
+        """The model that its equations are about: itself, or that of which it is a formulation."""
+        return self
 
     @property
     def title(self) -> str:

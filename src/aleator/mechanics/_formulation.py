@@ -67,6 +67,19 @@ class AbstractFormulation(System):
         """The units that the model declares, and the standard units of its kind."""
         return {**self.model.standard_units, **self.model.units}
 
+    @property
+    def rates_of(self) -> Mapping[str, str]:  # type: ignore[override]
+        """Outputs that are rates of others, by name."""
+        model, rates = self.model, dict[str, str]()
+        for name in model.coordinates:
+            rates |= {f"{name}_rate": name, f"{name}_acceleration": f"{name}_rate"}
+        return rates | {f"{name}_rate": name for name in (*model.speeds, *model.actuators)}
+
+    @property
+    @override
+    def formulated(self) -> AbstractMechanical:
+        return self.model
+
     @override
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
         return self.rates_and_outputs(*args, **kwargs)[1]
