@@ -181,7 +181,15 @@ class Compiled:
             def function(*inputs: Any) -> Any:
                 return self._function(*read(list(inputs)))
 
-            return functools.partial(self._timed, self._traced(function, inputs, use, name, packed=packed))
+            trace = functools.partial(self._traced, function, inputs, use, name, packed=packed)
+            if not programs.is_kept(name):
+                return functools.partial(self._timed, trace())
+
+            def loaded() -> Executable:
+                earlier = programs.load(name, inputs)
+                return trace()() if earlier is None else _ready(*earlier)
+
+            return functools.partial(self._timed, loaded)
 
         program = PROGRAMS[key]
         program.trace(build)
@@ -199,11 +207,8 @@ class Compiled:
     def _traced(
         self, function: Callable[..., Any], inputs: list[Any], use: Use, name: str | None, *, packed: bool
     ) -> Callable[[], Executable]:
-        """Load what an earlier run has kept, or trace a function: what is returned compiles it."""
+        """Trace a function: what is returned compiles it."""
         started = time.perf_counter()
-        earlier = programs.load(name, inputs)
-        if earlier is not None:
-            return lambda: _ready(*earlier)
         layouts: list[Layout] = []
 
         def flat(*inputs: Any) -> list[Array]:

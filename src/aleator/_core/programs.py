@@ -232,6 +232,11 @@ def keeps(name: str | None) -> bool:
     return name is not None and _folder is not None
 
 
+def is_kept(name: str | None) -> bool:
+    """Whether an earlier run has kept a program of this name."""
+    return name is not None and (path := _path(name)) is not None and path.exists()
+
+
 def load(name: str | None, inputs: list[Any]) -> tuple[Any, Any] | None:
     """The executable that an earlier run has kept under a name, and the layout of its results; None if there is none.
 
