@@ -198,7 +198,8 @@ class _Texts:
         declared = declared or (isinstance(it, Module) and it.is_declared)
         yield from self._code(type(it), declared)
         if isinstance(it, eqx.Module):
-            parts: Iterable[tuple[Any, Any]] = vars(it).items()
+            # In one order, whether it was made or changed as a tree.
+            parts: Iterable[tuple[Any, Any]] = sorted(vars(it).items())
         elif type(it).__reduce__ is not object.__reduce__ and not isinstance(it, dict | tuple | list):
             parts = [("made by", it.__reduce__())]
         elif isinstance(it, TracedFunction):
@@ -208,7 +209,7 @@ class _Texts:
         elif dataclasses.is_dataclass(it):
             parts = [(one.name, getattr(it, one.name)) for one in dataclasses.fields(it) if one.compare]
         elif isinstance(it, dict):
-            parts = it.items()
+            parts = sorted(it.items(), key=lambda item: repr(item[0]))
         elif isinstance(it, tuple | list):
             parts = enumerate(it)
         elif is_library(type(it).__module__) and getattr(it, "__dict__", None) == {}:
