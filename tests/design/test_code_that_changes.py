@@ -2,6 +2,7 @@
 
 import random
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -137,6 +138,45 @@ def test_no_method_of_a_model_is_called_once_it_is_declared():
     al.solve(one, transcription=al.Simultaneous())
     assert not calls
     assert solution.decisions["rate.mean"] == pytest.approx(-np.log(0.2), rel=0.05)
+
+
+WEIGHT = 1.0
+
+
+@pytest.mark.parametrize(
+    "objective",
+    [
+        lambda: al.expressions.function(lambda mean: WEIGHT * mean, al.output("x").mean),
+        lambda: al.output("x").mean + al.cost.cost_curve("a.mean", lambda a: 0.0 * a + WEIGHT),
+    ],
+)
+def test_functions_of_ones_own_in_expressions_are_refused_once_they_have_changed(objective, monkeypatch):
+    one, _ = through_global()
+    one = al.Problem(one.system, minimize=objective())
+    solution = al.solve(one)
+    monkeypatch.setattr(f"{__name__}.WEIGHT", 2.0)
+    with pytest.raises(al.ProblemError, match="is not what it was when the problem was declared"):
+        al.solve(one)
+    with pytest.raises(al.ProblemError, match="declare it again"):
+        al.validate(solution, 100)
+    assert al.solve(al.Problem(one.system, minimize=objective())).objective > 1.5 * solution.objective
+
+
+@pytest.mark.parametrize(("name", "value"), [("power", 3), ("kind", "odd"), ("is_squared", False)])
+def test_a_problem_changed_as_a_tree_where_it_has_no_number_is_refused(name, value):
+    class Kind(al.AlgebraicSystem):
+        a: al.Number = al.Uniform(al.Decision(1.0, 0.5, 9.0), half_width=0.1)
+        power: int = 2
+        kind: str = "even"
+        is_squared: bool = True
+
+        def outputs(self):
+            return {"x": self.a**self.power}
+
+    one = al.Problem(Kind(), minimize=al.output("x").mean)
+    changed = eqx.tree_at(lambda problem: getattr(problem.system, name), one, value)
+    with pytest.raises(al.ProblemError, match="has another structure than the one whose equations were traced"):
+        al.solve(changed)
 
 
 def test_arrays_of_a_model_are_those_of_its_declaration():

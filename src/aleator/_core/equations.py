@@ -130,8 +130,9 @@ def _forward_rule(equation: Any) -> Iterator[Any]:
 class TracedFunction:
     """A function of trees of arrays as its equations; equal to another one if these are, whatever their constants.
 
-    - `closed`: the equations; `structure`: that of the arguments' numbers; `results`: that of the result's numbers;
-    - `rest`: the parts of the result that are no numbers.
+    - `closed`: the equations; `structure`: that of the arguments' numbers; `fixed`: their other parts, such as whole
+      numbers;
+    - `results`: the structure of the result's numbers; `rest`: its parts that are no numbers.
     """
 
     def __init__(self, function: Callable[..., Pytree], *arguments: Pytree):
@@ -146,6 +147,7 @@ class TracedFunction:
 
         self.closed, shapes = jax.make_jaxpr(arrays, return_shape=True)(numbers)
         self.structure, self.results = jax.tree.structure(numbers), jax.tree.structure(shapes)
+        self.fixed = jax.tree.leaves(fixed)
         (self.rest,) = rest
 
     @cached_property
@@ -172,9 +174,11 @@ class TracedFunction:
 
     def leaves(self, arguments: tuple[Pytree, ...]) -> list[Any]:
         """The numbers of arguments, in order. Raises `ProblemError` if they do not go with the equations."""
-        leaves, structure = jax.tree.flatten(eqx.filter(numbers_to_arrays(arguments), eqx.is_array))
+        numbers, fixed = eqx.partition(numbers_to_arrays(arguments), eqx.is_array)
+        leaves, structure = jax.tree.flatten(numbers)
         shapes = [one.shape for one in self.closed.in_avals]
-        if structure != self.structure or [jnp.shape(leaf) for leaf in leaves] != shapes:
+        is_alike = structure == self.structure and [jnp.shape(leaf) for leaf in leaves] == shapes
+        if not (is_alike and all(map(_is_same, self.fixed, jax.tree.leaves(fixed)))):
             raise ProblemError(
                 "The model has another structure than the one whose equations were traced: a whole number, a shape or "
                 "a class is not what it was. Declare an al.Problem of the changed model."
@@ -188,3 +192,7 @@ class TracedFunction:
 
     def __hash__(self) -> int:
         return hash(self.digest)
+
+
+def _is_same(first: Any, second: Any) -> bool:
+    return first is second or (type(first) is type(second) and bool(np.array_equal(first, second)))

@@ -95,6 +95,16 @@ def code_digest(function: Callable[..., Any], version: str = "") -> str:
     return joined([function.__module__, name, version or uuid.uuid4().hex])
 
 
+def own_code(tree: Any) -> str:
+    """A digest of a user's functions and classes in a tree; empty if there are none, or if they cannot be written."""
+    texts = _Texts()
+    try:
+        list(texts(tree))
+    except Exception:  # besides doubts: a user's object may raise any if it is looked at
+        return ""
+    return joined(texts.own) if texts.own else ""
+
+
 def joined(texts: Iterable[str]) -> str:
     """A digest of texts."""
     return hashlib.sha256("\0".join(texts).encode(errors="surrogatepass")).hexdigest()
@@ -166,6 +176,7 @@ class _Texts:
     def __init__(self, *, whole: bool = True):
         self._whole = whole
         self._known = set[Any]()  # functions and classes that have been written
+        self.own = list[str]()  # a user's code among the texts
 
     def __call__(self, it: Any, *, declared: bool = False) -> Iterator[str]:
         """The texts of an object; `declared`: within a problem, the digest of whose equations covers its code."""
@@ -188,9 +199,11 @@ class _Texts:
             yield f"{type(it).__name__} {sorted(' '.join(self(one, declared=declared)) for one in it)}"
         elif isinstance(it, types.ModuleType):
             yield f"module {it.__name__}"
+            if not is_library(it.__name__) and (file := getattr(it, "__file__", None)):
+                yield hashlib.sha256(Path(file).read_bytes()).hexdigest()
         elif callable(getattr(it, "__wrapped__", None)) and is_library(type(it).__module__):
-            wrapped: Any = it.__wrapped__  # type: ignore[union-attr]  # of `jax.jit` or `lru_cache`
-            yield from (_name_of(type(it)), *self(wrapped, declared=declared))
+            # Of `jax.jit`, `lru_cache`, or `jax.custom_jvp` with its rule.
+            yield from (_name_of(type(it)), *self({"__wrapped__": it.__wrapped__, **vars(it)}, declared=declared))  # type: ignore[union-attr]
         else:
             yield from self._compound(it, declared)
 
@@ -232,26 +245,34 @@ class _Texts:
             raise DoubtError(f"{_name_of(it)} is known to one run alone")
         self._known.add(it)
         if isinstance(it, types.FunctionType):
-            yield from self._source(it)
+            code = list(self._source(it))
         elif isinstance(it, type):
-            yield from self(it.__bases__)
-            for name, value in vars(it).items():
-                function = getattr(value, "fget", None) or getattr(value, "__func__", value)
-                if isinstance(function, types.FunctionType) and not is_library(function.__module__):
-                    yield from (name, *self(function))
+            code = list(self._attributes(it))
         else:
             raise DoubtError(f"{_name_of(it)} has no source")
+        self.own += code
+        yield from code
+
+    def _attributes(self, it: type) -> Iterator[str]:
+        """What a class defines, and its bases."""
+        yield from self(it.__bases__)
+        for name, value in vars(it).items():
+            function = getattr(value, "fget", None) or getattr(value, "__func__", value)
+            if isinstance(function, types.FunctionType):
+                yield from (name, *(() if is_library(function.__module__) else self(function)))
+            elif not name.startswith(("__", "_abc_")) and not isinstance(value, types.MemberDescriptorType):
+                yield from (name, *self(value))
 
     def _source(self, it: types.FunctionType) -> Iterator[str]:
         """A function's source, and what it takes from outside: defaults, closures and globals that it names."""
         try:
-            yield inspect.getsource(it)
+            yield inspect.getsource(it.__code__)
         except (OSError, TypeError) as error:
             raise DoubtError(f"the source of {_name_of(it)} cannot be read") from error
         cells = zip(it.__code__.co_freevars, it.__closure__ or (), strict=True)
         outside = {name: cell.cell_contents for name, cell in cells}
         outside |= {name: it.__globals__[name] for name in _names(it.__code__) if name in it.__globals__}
-        yield from self((it.__defaults__, it.__kwdefaults__))
+        yield from self((it.__defaults__, it.__kwdefaults__, vars(it)))
         for name, value in sorted(outside.items()):
             yield name
             try:

@@ -1,6 +1,7 @@
 """The declared problem: functionals of outputs, statistics of them, bounds, cost curves."""
 
 from aleator.design._control import Control as Control
+from aleator.design._equations import refuse_changed_code as refuse_changed_code
 from aleator.design._expression import Composed as Composed
 from aleator.design._expression import Constraint as Constraint
 from aleator.design._expression import Expression as Expression

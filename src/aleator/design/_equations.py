@@ -13,7 +13,8 @@ from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.border import traceable
 from aleator._core.equations import Digest, digest_of, joint_digest, refuse_unsteady
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.identity import code_digest, is_library
+from aleator._core.identity import code_digest, is_library, own_code
+from aleator._core.leaves import is_leaf
 from aleator.design._check import unknown
 from aleator.design._expression import Expression
 from aleator.design._functionals import AbstractIntegral
@@ -26,14 +27,16 @@ from aleator.dynamics import (
     called,
 )
 from aleator.statistics import AbstractStatistic
+from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import named_numbers, realise, uncertain_again
 
 
 class Declared(NamedTuple):
-    """A problem's equations, and the digest of all that is computed: of these and of its expressions."""
+    """What a problem is: its equations, the digest of all that is computed, and of a user's code outside equations."""
 
     equations: Equations
     digest: Digest
+    code: str
 
 
 def declared(problem: AbstractProblem) -> Declared:
@@ -52,7 +55,28 @@ def declared(problem: AbstractProblem) -> Declared:
     # A user's own statistics and integrators are in no equations.
     kinds = (type(whole.integrator), *(type(one.kind) for one in statistics_in(whole.expressions)))
     own = {one.__qualname__: Digest(code_digest(one), False) for one in kinds if not is_library(one.__module__)}
-    return Declared(equations, joint_digest(parts | own))
+    return Declared(equations, joint_digest(parts | own), _code_of(whole))
+
+
+def refuse_changed_code(problem: AbstractProblem) -> None:
+    """Raise `ProblemError` if a user's code in a problem is not what it was, where programs call it as it stands.
+
+    It is that of expressions, statistics, distributions, signals and integrators; that of systems is never called.
+    """
+    if problem.code and _code_of(problem) != problem.code:
+        raise ProblemError(
+            "The code of your own functions, statistics, distributions or signals in the problem, or a number that "
+            "they name, is not what it was when the problem was declared: declare it again, or undo the change."
+        )
+
+
+def _code_of(problem: AbstractProblem) -> str:
+    def stands_apart(node: Any) -> bool:
+        return is_leaf(node) or isinstance(node, AbstractSignal)
+
+    simulation = uncertain_again(problem.simulation)
+    inside = jax.tree.leaves((simulation.system, simulation.grid), is_leaf=stands_apart)
+    return own_code((inside, simulation.inputs, simulation.integrator, problem.objective, problem.constraints))
 
 
 def _traced(problem: AbstractProblem) -> tuple[Equations, Digest]:

@@ -68,9 +68,9 @@ class Problem(AbstractProblem):
         self.objective = as_expression(minimize)
         self.constraints = _told_apart(tuple(_flatten(subject_to)))
         self.expansion = Expansion() if expansion is None else expansion
-        self.physics = Digest("", False)
+        self.physics, self.code = Digest("", False), ""
         check(self)
-        equations, self.physics = declared(self)
+        equations, self.physics, self.code = declared(self)
         self.simulation = replace(self.simulation, equations=equations)
 
     def on_grid(self, grid: AbstractGrid, integrator: AbstractIntegrator | None = None) -> "Problem":

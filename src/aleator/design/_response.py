@@ -30,7 +30,8 @@ class AbstractProblem(Module, Printed):
     """The parts of a problem and what follows from them; implemented by `Problem` alone.
 
     `physics` is the digest of its traced equations, with those of its expressions. All programs are built from the
-    equations as they were declared: to change code, declare again.
+    equations as they were declared: to change code, declare again. `code` is the digest of a user's code that is in no
+    equations, such as that of statistics; empty if there is none.
     """
 
     simulation: Simulation
@@ -38,6 +39,7 @@ class AbstractProblem(Module, Printed):
     constraints: tuple[Constraint, ...]
     expansion: Expansion
     physics: Digest = eqx.field(static=True)
+    code: str = eqx.field(static=True)
 
     @property
     def is_declared(self) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
 from aleator._core.identity import is_library
-from aleator.design import Problem
+from aleator.design import Problem, refuse_changed_code
 from aleator.nlp import Evaluation, NonlinearProgram
 from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning, Meanwhile
 from aleator.transcription.sequential import Sequential
@@ -36,8 +36,9 @@ def transcribe(
     `meanwhile` is called just before compilation, to begin work in parallel.
 
     A problem that was transcribed recently, such as for a solve from another start, is reused. Raises `ProblemError`
-    if the problem has no decisions.
+    if the problem has no decisions, or if functions of one's own in it have changed since it was declared.
     """
+    refuse_changed_code(problem)
     numbers = jax.tree.leaves(problem)
     with _LOCK:
         recent = list(_RECENT)

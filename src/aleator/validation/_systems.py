@@ -32,6 +32,7 @@ from aleator.design import (
     history,
     is_over_time,
     numbers_of,
+    refuse_changed_code,
     responses,
     step_at,
     uncertain,
@@ -254,6 +255,7 @@ class Systems:
     """
 
     def __init__(self, solution: Solution, who: str):
+        refuse_changed_code(solution.problem)
         self.problem = uncertain(solution.problem)
         self.germs = tuple(self.problem.placements.germs.values())
         if not self.germs:
