@@ -289,3 +289,27 @@ def test_equations_that_change_without_the_code_are_another_result(tmp_path: Pat
         problem = al.Problem(Mapped(al.Decision(4.0, 0.1, 10.0)), minimize=al.output("mass").mean)
         keys.add(Keys().identity("solve", {"problem": problem}).key)
     assert len(keys) == 2
+
+
+def test_models_of_equal_equations_are_told_apart_by_the_names_of_their_outputs_and_states(tmp_path: Path):
+    def declared(first: str, second: str) -> al.Problem:
+        class Model(al.System):
+            states = (first, second)
+            rate: al.Number = al.Decision(1.0, 0.5, 2.0)
+
+            def initial(self):
+                return dict.fromkeys(self.states, 1.0)
+
+            def rhs(self, t, z):
+                return (-self.rate * z[0], -10.0 * self.rate * z[1])
+
+            def outputs(self, t, z):
+                return dict(zip(self.states, z, strict=True))
+
+        return al.Problem(Model(), grid=al.Grid(1.0, 40), minimize=al.terminal("x").mean)
+
+    one, other = declared("x", "y"), declared("y", "x")
+    assert one.simulation.equations != other.simulation.equations
+    with al.journal(tmp_path):
+        assert al.solve(one).objective == pytest.approx(np.exp(-2.0), rel=1e-6)
+        assert al.solve(other).objective == pytest.approx(np.exp(-20.0), rel=0.1)

@@ -45,12 +45,15 @@ class Equations:
     def of(cls, system: AbstractSystem, start: "Start | None") -> "Equations":
         """Those of a realised system, which evolves in time from a start, or has no time."""
         if isinstance(system, AlgebraicSystem):
-            functions = _algebraic(system)
+            functions, names = _algebraic(system), [system.unknowns]
         else:
             assert isinstance(system, System)
             assert start is not None
-            functions = _dynamical(system, start)
-        return cls(joint_digest({name: digest_of(one.closed) for name, one in functions.items()}), functions)
+            functions, names = _dynamical(system, start), [system.states, system.algebraic, tuple(start.inputs)]
+        outputs = functions["outputs" if "outputs" in functions else "instant"].rest.names
+        # Equations speak of numbers by their order alone.
+        parts = {name: digest_of(one.closed) for name, one in functions.items()}
+        return cls(joint_digest(parts | {f"of {[*names, outputs]}": Digest("", True)}), functions)
 
     def applied(self, system: AbstractSystem, start: "Callable[[], Start | None]") -> AbstractSystem:
         """A realised system as programs evaluate it: by these equations.
