@@ -43,6 +43,22 @@ def test_a_number_that_code_branches_on_is_taken_as_it_is():
     np.testing.assert_array_equal(al.simulate(Branching(-2.0), GRID)["x"], np.ones(21))
 
 
+PUSH = 1.0
+
+
+class Pushed(Branching):
+    """`x' = PUSH`, which the code reads from a global name."""
+
+    def rhs(self, t, z):
+        return (PUSH + 0.0 * z.x,)
+
+
+def test_what_the_code_reads_may_change(monkeypatch):
+    assert float(al.simulate(Pushed(0.0), GRID)["x"][-1]) == pytest.approx(2.0)
+    monkeypatch.setattr("test_simulations.PUSH", 3.0)
+    assert float(al.simulate(Pushed(0.0), GRID)["x"][-1]) == pytest.approx(4.0)
+
+
 def test_impossible_numbers_are_refused_though_the_program_is_there():
     assert np.isfinite(al.simulate(Decay(1.0, 0.5), GRID)["x"]).all()
     with pytest.raises(al.ProblemError, match=r"'system.start': expected numbers; received nan"):

@@ -1,7 +1,7 @@
 """Digests, valid in every process, of what a compiled program or a result follows from.
 
 A declared problem is told by the digest of its equations, this package and the libraries by their versions, and a
-user's function by its source, with the values that it takes from outside. What cannot be written out is a doubt: then
+user's function by its code, with the values that it takes from outside. What cannot be written out is a doubt: then
 a program is traced, and a result computed, anew.
 """
 
@@ -9,7 +9,6 @@ import dataclasses
 import enum
 import functools
 import hashlib
-import inspect
 import os
 import platform
 import sys
@@ -82,7 +81,7 @@ def lasting_digest(it: Any, *, declared: bool = False) -> str:
 
 
 def code_digest(function: Callable[..., Any], version: str = "") -> str:
-    """A digest of a user's function or class: of its source and what this names, or of a version instead.
+    """A digest of a user's function or class: of its code and what this names, or of a version instead.
 
     It is like no other if there is neither.
     """
@@ -169,8 +168,8 @@ def _texts(it: Any) -> Iterator[str]:
 class _Texts:
     """A tree as texts.
 
-    - `whole`: whether numbers of JAX are written too, which programs take as arguments, and by its source a user's code
-      outside a declared problem, which is a doubt otherwise.
+    - `whole`: whether numbers of JAX are written too, which programs take as arguments, and a user's code outside a
+      declared problem, which is a doubt otherwise.
     """
 
     def __init__(self, *, whole: bool = True):
@@ -203,7 +202,9 @@ class _Texts:
                 yield hashlib.sha256(Path(file).read_bytes()).hexdigest()
         elif callable(getattr(it, "__wrapped__", None)) and is_library(type(it).__module__):
             # Of `jax.jit`, `lru_cache`, or `jax.custom_jvp` with its rule.
-            yield from (_name_of(type(it)), *self({"__wrapped__": it.__wrapped__, **vars(it)}, declared=declared))  # type: ignore[union-attr]
+            parts = {name: value for name, value in vars(it).items() if not name.startswith("__")}
+            wrapped: Any = it.__wrapped__  # type: ignore[union-attr]
+            yield from (_name_of(type(it)), *self(wrapped, declared=declared), *self(parts, declared=declared))
         else:
             yield from self._compound(it, declared)
 
@@ -245,11 +246,11 @@ class _Texts:
             raise DoubtError(f"{_name_of(it)} is known to one run alone")
         self._known.add(it)
         if isinstance(it, types.FunctionType):
-            code = list(self._source(it))
+            code = list(self._function(it))
         elif isinstance(it, type):
             code = list(self._attributes(it))
         else:
-            raise DoubtError(f"{_name_of(it)} has no source")
+            raise DoubtError(f"{_name_of(it)} is not written in Python")
         self.own += code
         yield from code
 
@@ -263,12 +264,9 @@ class _Texts:
             elif not name.startswith(("__", "_abc_")) and not isinstance(value, types.MemberDescriptorType):
                 yield from (name, *self(value))
 
-    def _source(self, it: types.FunctionType) -> Iterator[str]:
-        """A function's source, and what it takes from outside: defaults, closures and globals that it names."""
-        try:
-            yield inspect.getsource(it.__code__)
-        except (OSError, TypeError) as error:
-            raise DoubtError(f"the source of {_name_of(it)} cannot be read") from error
+    def _function(self, it: types.FunctionType) -> Iterator[str]:
+        """A function's code, and what it takes from outside: defaults, closures and globals that it names."""
+        yield from self._compiled(it.__code__)
         cells = zip(it.__code__.co_freevars, it.__closure__ or (), strict=True)
         outside = {name: cell.cell_contents for name, cell in cells}
         outside |= {name: it.__globals__[name] for name in _names(it.__code__) if name in it.__globals__}
@@ -279,6 +277,14 @@ class _Texts:
                 yield from self(value)
             except DoubtError as error:
                 raise DoubtError(f"'{name}', which {_name_of(it)} names, cannot be written out: {error}") from None
+
+    def _compiled(self, code: types.CodeType) -> Iterator[str]:
+        """All of a function's code that affects what it computes: neither its file nor its lines."""
+        yield f"{code.co_code.hex()} {code.co_exceptiontable.hex()} {code.co_flags}"
+        yield f"{code.co_argcount} {code.co_posonlyargcount} {code.co_kwonlyargcount}"
+        yield f"{code.co_names} {code.co_varnames} {code.co_freevars}"
+        for constant in code.co_consts:
+            yield from self._compiled(constant) if isinstance(constant, types.CodeType) else self(constant)
 
 
 def _names(code: types.CodeType) -> set[str]:

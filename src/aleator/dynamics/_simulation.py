@@ -3,6 +3,7 @@
 import math
 import warnings
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, final
 
@@ -100,9 +101,21 @@ class Simulation(Module):
             return self.record(asked).history
         self._refuse_at_start(self.system)
         try:
-            return _HISTORY(numbers_to_arrays(self), asked)
+            return _HISTORY(numbers_to_arrays(self.declared()), asked)
         except Exception:
             return self.record(asked).history
+
+    def declared(self) -> "Simulation":
+        """The same simulation with the equations of its realised system, traced now."""
+        numbers, static = eqx.partition(numbers_to_arrays(self), eqx.is_array)
+        equations = list[Equations]()
+
+        def traced(numbers: Any) -> list[Any]:
+            equations.append(eqx.combine(numbers, static).traced_equations())
+            return []
+
+        jax.eval_shape(traced, numbers)
+        return replace(self, equations=equations[0])
 
     def history(self) -> History:
         """All outputs at every instant, by name, with known numbers: shape (instants, ...)."""
@@ -179,8 +192,8 @@ def simulate(
     one instant and takes no grid, inputs or integrator: `simulate(system)`. A system without states is not integrated
     either: its outputs follow from its inputs at each instant. `only` lists the names of the outputs wanted (default:
     all). Where equations could not be solved, or an adaptive integrator gives up, the outputs are NaN, and a
-    `SimulationWarning` says so. Equations are compiled once for a class of systems, whose methods are pure as JAX
-    has it: the same with other numbers take milliseconds.
+    `SimulationWarning` says so. Equations are traced at each call and compiled once: the same with other numbers take
+    milliseconds.
 
     Raises `ProblemError` if system, grid or inputs contain a distribution or a decision, if grid or inputs do not match
     the system, if a signal is not known on the whole grid (unless traced), or if `only` names an output that the system

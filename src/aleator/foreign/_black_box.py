@@ -12,7 +12,7 @@ from aleator._core import border
 from aleator._core.arrays import Pytree
 from aleator._core.errors import AleatorError, SimulationError, SimulationWarning, warn_outside
 from aleator._core.executors import check_executor, end_running
-from aleator._core.identity import code_digest
+from aleator._core.identity import code_digest, own_code
 from aleator.ensemble import AbstractBox, Realisation, name_of
 from aleator.foreign._campaign import Campaign, Journal, drop_given, most_of, warn_of_dropped
 from aleator.foreign._command import Command
@@ -32,7 +32,7 @@ def identity(function: Callable[..., Any], version: str) -> str:
 
 
 def followed(function: Callable[..., Any]) -> Any:
-    """What the outputs follow from, for the journal of a run: a function, told by its source; None for a command.
+    """What the outputs follow from, for the journal of a run: a function, told by its code; None for a command.
 
     A command may read what nobody sees.
     """
@@ -57,7 +57,7 @@ class BlackBox(AbstractBox):
       Least squares on a fixed index set and plain Monte Carlo can do without some, other methods need all;
     - `journal`: the path of a file that keeps finished samples, one line of JSON for each, for later calls and
       processes. Without one, the box itself remembers them. A sample is found there if all numbers of the model are the
-      same and the box is: the function's source with the globals and closures that it names, or the command with the
+      same and the box is: the function's code with the globals and closures that it names, or the command with the
       files that it names, and the `version`;
     - `version`: stands for all that the function computes: say another one where that changes. Needed where it reads a
       file, or holds what cannot be written out or changes with each call: without it, these are other boxes.
@@ -88,6 +88,7 @@ class BlackBox(AbstractBox):
         self._retries = border.whole("BlackBox: retries", retries, least=0)
         self._drop = drop_given("BlackBox: drop", drop)
         self._version = str(border.one_of("BlackBox: version", version, (str, int)))
+        self._code = own_code(function)
         self._journal = Journal(journal, identity(function, self._version))
         self.__name__ = name_of(function).strip("'")
 
@@ -104,8 +105,9 @@ class BlackBox(AbstractBox):
 
     @override
     def at_all(self, realisations: Sequence[Realisation], *, whole: bool) -> list[Pytree | None]:
-        if isinstance(self._function, Command):  # its files may have changed
-            self._journal.box = identity(self._function, self._version)
+        code = own_code(self._function)
+        if isinstance(self._function, Command) or (code != self._code and not self._version):
+            self._code, self._journal.box = code, identity(self._function, self._version)
         campaign = Campaign(name_of(self), realisations, self._journal, self._retries)
         self._warn_of_others(campaign)
         self._run(campaign, whole=whole)
@@ -157,6 +159,6 @@ class BlackBox(AbstractBox):
         if count:
             warn_outside(
                 f"The journal {self._journal.path} has {count} of these samples by another box, or by this one before "
-                "its source, command or version changed: they are not used, and run again.",
+                "its code, command or version changed: they are not used, and run again.",
                 SimulationWarning,
             )

@@ -27,17 +27,17 @@ def kept(
 
     A journal keeps designs, evidence and fronts by itself (see `al.journal`); with this it keeps any other work too:
     a count, an enumeration, an `al.expand`. The work is the same if the name, the arguments and the version are the
-    same, and the function's source with the globals and closures that it names. What it asks of `al.solve` and the like
+    same, and the function's code with the globals and closures that it names. What it asks of `al.solve` and the like
     is a part of this one result.
 
     - `name`: by which the journal lists the result, as `work` of this name;
     - `function`: gets all that it works with as arguments, and returns what Python can pickle;
-    - `version`: say another one where the work is another although its source is the same, because a file that it reads
-      or a function that it calls by another name has changed;
+    - `version`: say another one where the work is another although its own code is the same, because a file that it
+      reads or a function that it calls by another name has changed;
     - `progress`: given to the function as its own `progress`, if any; the result does not follow from it.
 
-    Work that another run could not recognise is done each time, with a `JournalWarning`: by a function without a
-    source, or one that names what cannot be written out, such as a generator of random numbers. So is work whose
+    Work that another run could not recognise is done each time, with a `JournalWarning`: by a function that
+    names what cannot be written out, such as a generator of random numbers. So is work whose
     result no other process could read. Ctrl-C ends the work, whatever the function makes of it.
 
     Raises `ProblemError` for arguments that the function does not take, and if it returns None.

@@ -6,7 +6,7 @@ All that diagnosis asks of a model is one program; prescribed motions of bodies 
 import abc
 import contextlib
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar, cast
 
 import equinox as eqx
@@ -20,6 +20,7 @@ from aleator._core.arrays import in_library, numbers_to_arrays
 from aleator._core.border import one_of
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError
+from aleator._core.identity import own_code
 from aleator._core.leaves import is_traced, transparent
 from aleator.dynamics import Grid, RungeKutta4, System, simulate
 from aleator.mechanics._constraints import Bound, Loose, Solved, all_loose
@@ -90,7 +91,7 @@ class AbstractFormulation(System):
         if self.model.constraints and not is_traced((self, t, inputs)):
             # No program can be traced of some code, such as of what branches on a number.
             with contextlib.suppress(Exception):
-                return _STARTED(*numbers_to_arrays((self, t, dict(inputs))))
+                return _STARTED(*numbers_to_arrays((self, t, dict(inputs))), own_code(self))
         return self.started(t, inputs)
 
     def started(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -141,10 +142,7 @@ class AbstractFormulation(System):
 
     @override
     def diagnose(self, grid: Grid) -> str:
-        times = np.asarray(grid.times)
-        fault = self._diagnosis(times, examined(self, grid))
-        # A program of code that has changed since may let a fault pass, but must not refuse what is right.
-        return fault and self._diagnosis(times, examined(self, grid, eqx.filter_jit(lambda *given: _examined(*given))))
+        return self._diagnosis(np.asarray(grid.times), examined(self, grid))
 
     def _diagnosis(self, times: np.ndarray, seen: Examination) -> str:
         """What is wrong at the start, in the first bad posture, or where the motion ends; empty if nothing.
@@ -185,15 +183,17 @@ def a_model(who: str, model: Any) -> AbstractMechanical:
     return one_of(f"{who}: model", model, AbstractMechanical, "al.Lagrangian or al.Multibody")
 
 
-def examined(system: AbstractFormulation, grid: Grid, program: Callable[..., Any] | None = None) -> Examination:
-    """What diagnosis asks of a realised system, as arrays of NumPy; by another program than the common one if given."""
+def examined(system: AbstractFormulation, grid: Grid) -> Examination:
+    """What diagnosis asks of a realised system, as arrays of NumPy."""
     system, grid = _known((system, grid))
+    code = own_code(system)
     if system.model.computes_by_numpy and not system.changes:
-        return _known(_examined(system, grid))
-    return _known((program or _EXAMINED)(*numbers_to_arrays((system, grid))))
+        return _known(_examined(system, grid, code))
+    return _known(_EXAMINED(*numbers_to_arrays((system, grid)), code))
 
 
-def _examined(system: AbstractFormulation, grid: Grid) -> Examination:
+def _examined(system: AbstractFormulation, grid: Grid, code: str) -> Examination:
+    del code  # tells programs apart
     model, now = system.model, instants_of(system.model, grid)
     row = now.row(0)
     near, own = system.beginning(at(model, *row), grid)
@@ -217,7 +217,8 @@ def _integrated(system: AbstractFormulation, grid: Grid) -> Any:
     return tuple(jnp.stack([history[name] for name in names], axis=1) for names in parts)
 
 
-def _started(system: AbstractFormulation, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
+def _started(system: AbstractFormulation, t: Any, inputs: Mapping[str, Any], code: str) -> Mapping[str, Any]:
+    del code  # tells programs apart
     return system.started(t, inputs)
 
 
