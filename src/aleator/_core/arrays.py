@@ -1,10 +1,12 @@
-"""Arrays: their types, the conversion of a user's numbers into what JAX traces, and the memory that they take."""
+"""Arrays: their types, how a user's numbers become what JAX traces, how they are passed, and the memory that they take."""
 
 import os
 from functools import lru_cache
+from itertools import accumulate, pairwise
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -132,3 +134,50 @@ def _read(path: Path) -> str:
 
 def _gibibytes(size: int) -> str:
     return f"{size / 2**30:.3g} GiB" if size < _BEYOND else f"more than {_BEYOND / 2**30:.0e} GiB"
+
+
+class Layout(NamedTuple):
+    """The layout of a tree of arrays as they are passed to an executable or from it: one by one, or packed in a vector.
+
+    Every array that is passed costs time at each call, so that real numbers are packed; copying large arrays takes
+    longer.
+
+    - `ends`: of each leaf in the vector, None for those that are passed separately; `shapes`: of the leaves.
+    """
+
+    structure: Any
+    shapes: tuple[tuple[int, ...], ...]
+    ends: tuple[tuple[int, int] | None, ...]
+
+    @classmethod
+    def of(cls, tree: Pytree, *, packed: bool) -> "Layout":
+        leaves, structure = jax.tree.flatten(tree)
+        sizes = [leaf.size if packed and is_real(leaf) else 0 for leaf in leaves]
+        ends = pairwise(accumulate(sizes, initial=0))
+        places = tuple(end if packed and is_real(leaf) else None for leaf, end in zip(leaves, ends, strict=True))
+        return cls(structure, tuple(leaf.shape for leaf in leaves), places)
+
+    @property
+    def is_packed(self) -> bool:
+        return any(end is not None for end in self.ends)
+
+    def arrays(self, tree: Pytree) -> list[Any]:
+        """The arrays that are passed, the vector first if there is one."""
+        leaves = jax.tree.leaves(tree)
+        packed = [leaf for leaf, end in zip(leaves, self.ends, strict=True) if end is not None]
+        library, packed = in_library(packed)
+        vector = [library.concatenate([library.ravel(leaf) for leaf in packed])] if packed else []
+        return vector + [leaf for leaf, end in zip(leaves, self.ends, strict=True) if end is None]
+
+    def read(self, arrays: list[Any]) -> Pytree:
+        """The tree of arrays that were passed."""
+        others = iter(arrays[1:] if self.is_packed else arrays)
+        leaves = [
+            next(others) if end is None else arrays[0][slice(*end)].reshape(shape)
+            for shape, end in zip(self.shapes, self.ends, strict=True)
+        ]
+        return jax.tree.unflatten(self.structure, leaves)
+
+
+def is_real(leaf: Any) -> bool:
+    return eqx.is_array(leaf) and leaf.dtype == float

@@ -4,10 +4,10 @@ import enum
 import functools
 import threading
 import time
+from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
-from itertools import accumulate, pairwise
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import equinox as eqx
 import jax
@@ -17,10 +17,10 @@ from jax.core import Tracer, eval_jaxpr
 from jaxtyping import Array
 
 from aleator._core import programs
-from aleator._core.arrays import Pytree, in_library
-from aleator._core.equations import TracedFunction
+from aleator._core.arrays import Layout, Pytree, is_real
+from aleator._core.equations import TracedFunction, digest_of, refuse_unsteady
 from aleator._core.errors import ProblemError
-from aleator._core.identity import lasting_name
+from aleator._core.identity import identity_of, lasting_name
 from aleator._core.parallel import Device, beside, devices, elsewhere, home, placed, undisturbed
 from aleator._core.programs import PROGRAMS, Executable, Program
 
@@ -59,53 +59,6 @@ class Use(enum.Enum):
     LOOPS = _BARRIERS
     ROWS = _BARRIERS | {"xla_cpu_use_fusion_emitters": False}
     ONCE = ROWS | {"xla_backend_optimization_level": "1"}
-
-
-class Layout(NamedTuple):
-    """The layout of a tree of arrays as they are passed to an executable or from it: one by one, or packed in a vector.
-
-    Every array that is passed costs time at each call, so that real numbers are packed; copying large arrays takes
-    longer.
-
-    - `ends`: of each leaf in the vector, None for those that are passed separately; `shapes`: of the leaves.
-    """
-
-    structure: Any
-    shapes: tuple[tuple[int, ...], ...]
-    ends: tuple[tuple[int, int] | None, ...]
-
-    @classmethod
-    def of(cls, tree: Pytree, *, packed: bool) -> "Layout":
-        leaves, structure = jax.tree.flatten(tree)
-        sizes = [leaf.size if packed and is_real(leaf) else 0 for leaf in leaves]
-        ends = pairwise(accumulate(sizes, initial=0))
-        places = tuple(end if packed and is_real(leaf) else None for leaf, end in zip(leaves, ends, strict=True))
-        return cls(structure, tuple(leaf.shape for leaf in leaves), places)
-
-    @property
-    def is_packed(self) -> bool:
-        return any(end is not None for end in self.ends)
-
-    def arrays(self, tree: Pytree) -> list[Any]:
-        """The arrays that are passed, the vector first if there is one."""
-        leaves = jax.tree.leaves(tree)
-        packed = [leaf for leaf, end in zip(leaves, self.ends, strict=True) if end is not None]
-        library, packed = in_library(packed)
-        vector = [library.concatenate([library.ravel(leaf) for leaf in packed])] if packed else []
-        return vector + [leaf for leaf, end in zip(leaves, self.ends, strict=True) if end is None]
-
-    def read(self, arrays: list[Any]) -> Pytree:
-        """The tree of arrays that were passed."""
-        others = iter(arrays[1:] if self.is_packed else arrays)
-        leaves = [
-            next(others) if end is None else arrays[0][slice(*end)].reshape(shape)
-            for shape, end in zip(self.shapes, self.ends, strict=True)
-        ]
-        return jax.tree.unflatten(self.structure, leaves)
-
-
-def is_real(leaf: Any) -> bool:
-    return eqx.is_array(leaf) and leaf.dtype == float
 
 
 @final
@@ -383,9 +336,48 @@ def _evaluated(function: TracedFunction, constants: list[Any], leaves: list[Any]
 _EVALUATED = {use: Compiled(_evaluated, use=use) for use in Use}
 
 
+# Enough for a session's functions.
+_MOST_TRACES = 64
+_TRACES: OrderedDict[Hashable, TracedFunction] = OrderedDict()
+_TRACES_LOCK = threading.Lock()
+
+
 def evaluate(function: Callable[..., Pytree], *arguments: Pytree, use: Use = Use.LOOPS) -> Pytree:
-    """The value of a function of arrays in compiled form: traced here and now, compiled once for equal equations."""
-    return evaluate_traced(TracedFunction(function, *arguments), *arguments, use=use)
+    """The value of a function of arrays in compiled form: compiled once for equal equations."""
+    return evaluate_traced(traced_once(function, function, *arguments), *arguments, use=use)
+
+
+def traced_once(
+    code: Pytree, function: Callable[..., Pytree], *arguments: Pytree, who: str | None = None
+) -> TracedFunction:
+    """A function traced for arguments like these, unless it has been: `code` tells all that it follows from.
+
+    What cannot be told is traced each time. Raises `ProblemError` in the name of `who`, if one is named, for code that
+    computes something else at each trace.
+    """
+    name = identity_of(code)
+    leaves, structure = jax.tree.flatten(arguments)
+    key = name, structure, tuple(map(_kind_of, leaves))
+    with _TRACES_LOCK:
+        known = None if name is None else _TRACES.get(key)
+    if known is None:
+        known = TracedFunction(function, *arguments)
+        if who is not None:
+            again = functools.partial(TracedFunction, function, *arguments)
+            refuse_unsteady(who, digest_of(known.closed), lambda: digest_of(again().closed))
+        if name is not None and not any(isinstance(one, Tracer) for one in known.closed.consts):
+            with _TRACES_LOCK:
+                _TRACES[key] = known
+                while len(_TRACES) > _MOST_TRACES:
+                    _TRACES.popitem(last=False)
+    return known
+
+
+def _kind_of(leaf: Any) -> Hashable:
+    """What a trace depends on in a leaf of its arguments: not the value of a number."""
+    if hasattr(leaf, "dtype"):
+        return *leaf.shape, str(leaf.dtype)
+    return float if isinstance(leaf, float) else (type(leaf), leaf)
 
 
 def evaluate_traced(function: TracedFunction, *arguments: Pytree, use: Use = Use.LOOPS) -> Pytree:

@@ -94,6 +94,14 @@ def code_digest(function: Callable[..., Any], version: str = "") -> str:
     return joined([function.__module__, name, version or uuid.uuid4().hex])
 
 
+def identity_of(tree: Any) -> str | None:
+    """A digest of a tree with all code and numbers in it; None if it cannot be written out."""
+    try:
+        return joined(_texts(tree))
+    except Exception:  # besides doubts: a user's object may raise any if it is looked at
+        return None
+
+
 def own_code(tree: Any) -> str:
     """A digest of a user's functions and classes in a tree; empty if there are none, or if they cannot be written."""
     texts = _Texts()
@@ -240,7 +248,11 @@ class _Texts:
     def _code(self, it: Any, declared: bool) -> Iterator[str]:
         """A class or function: by its name if its code is known otherwise, else by its source."""
         yield f"{_name_of(it)}("
-        if declared or isinstance(it, np.ufunc) or is_library(it.__module__) or it in self._known:
+        if declared or isinstance(it, np.ufunc) or it in self._known:
+            return
+        if is_library(it.__module__):
+            if isinstance(it, types.FunctionType) and "<locals>" in it.__qualname__:
+                raise DoubtError(f"{_name_of(it)} may hold anything")
             return
         if not self._whole:
             raise DoubtError(f"{_name_of(it)} is known to one run alone")

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Pytree, in_library, jax_array, numbers_to_arrays
-from aleator._core.compilation import Use, evaluate
+from aleator._core.arrays import Pytree, in_library, jax_array
+from aleator._core.compilation import Use, evaluate, evaluate_traced, traced_once
 from aleator._core.errors import ProblemError
 from aleator.analysis._abstract_expanded import (
     AbstractExpanded,
@@ -70,13 +70,14 @@ class Expanded(AbstractExpanded):
     def statistic(self, kind: AbstractStatistic) -> Pytree:
         """Raises `ProblemError` for Sobol indices of correlated inputs."""
         refuse_correlated(self.distributions, a_statistic(kind))
-        numbers, rest = eqx.partition(numbers_to_arrays(kind), eqx.is_array)
-
-        def of(numbers: Pytree, constants: Pytree, terms: Array) -> Array:
-            return eqx.combine(numbers, rest).of(terms, constants)
-
         constants = prepared(kind.preparation, self.basis)
-        return jax.tree.map(lambda terms: evaluate(of, numbers, constants, terms, use=_use(terms)), self.coefficients)
+
+        def of(terms: Array) -> Array:
+            arguments = kind, constants, terms
+            traced = traced_once((type(kind), _statistic_of), _statistic_of, *arguments)
+            return evaluate_traced(traced, *arguments, use=_use(terms))
+
+        return jax.tree.map(of, self.coefficients)
 
     @override
     def cdf(self, values: Float[Array, " n"]) -> Pytree:
@@ -208,6 +209,10 @@ def _part_of_variance(terms: Float[Array, "terms *shape"], matrix: Float[Array, 
     part = jnp.sum(terms * jnp.tensordot(matrix, terms, axes=1), axis=0)
     total, spreads = jnp.sum(terms[1:] ** 2, axis=0), varies(terms)
     return jnp.where(spreads, part / jnp.where(spreads, total, 1.0), 0.0)
+
+
+def _statistic_of(kind: AbstractStatistic, constants: Pytree, terms: Array) -> Array:
+    return kind.of(terms, constants)
 
 
 def _use(terms: Float[Array, "terms *shape"]) -> Use:

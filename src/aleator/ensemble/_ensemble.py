@@ -6,7 +6,6 @@ the same program. They share levels, batches and messages with this package, and
 """
 
 import abc
-import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, ClassVar, NamedTuple, TypeAlias, final
 
@@ -19,8 +18,8 @@ from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree, jax_array
-from aleator._core.compilation import evaluate_traced
-from aleator._core.equations import TracedFunction, digest_of, refuse_unsteady
+from aleator._core.compilation import evaluate_traced, traced_once
+from aleator._core.equations import TracedFunction
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import named_leaves
 from aleator.ensemble._batches import Part, at_levels, each, fill, parts
@@ -207,16 +206,14 @@ class TracedEnsemble(AbstractEnsemble):
             return jax.vmap(lambda point: self._at(model, decisions, point, jnp))(points)
 
         points = np.zeros((size, len(self.places.germs)))
-        trace = functools.partial(TracedFunction, outputs, self._numbers, self._decisions, points)
+        arguments = outputs, self._numbers, self._decisions, points
         try:
-            traced = trace()
+            return traced_once((self._function, self._rest), *arguments, who=self._name)
         except UNTRACEABLE as error:
             raise ProblemError(
                 f"{self._name} cannot be traced by JAX ({str(error).splitlines()[0]}) Write it with jax.numpy, or "
                 "pass traced=False: it is then called with plain numbers, point by point, without derivatives."
             ) from error
-        refuse_unsteady(self._name, digest_of(traced.closed), lambda: digest_of(trace().closed))
-        return traced
 
 
 @final
