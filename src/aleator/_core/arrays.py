@@ -1,4 +1,4 @@
-"""Arrays: their types, how a user's numbers become what JAX traces, how they are passed, and the memory that they take."""
+"""Arrays: their types, how numbers become what JAX traces, how they are passed, and the memory that they take."""
 
 import os
 from functools import lru_cache
