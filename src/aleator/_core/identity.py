@@ -210,7 +210,8 @@ class _Texts:
                 yield hashlib.sha256(Path(file).read_bytes()).hexdigest()
         elif callable(getattr(it, "__wrapped__", None)) and is_library(type(it).__module__):
             # Of `jax.jit`, `lru_cache`, or `jax.custom_jvp` with its rule.
-            parts = {name: value for name, value in vars(it).items() if not name.startswith("__")}
+            aside = {"cache_parameters", *(name for name in vars(it) if name.startswith("__"))}
+            parts = {name: value for name, value in vars(it).items() if name not in aside}
             wrapped: Any = it.__wrapped__  # type: ignore[union-attr]
             yield from (_name_of(type(it)), *self(wrapped, declared=declared), *self(parts, declared=declared))
         else:
