@@ -335,7 +335,6 @@ def _evaluated(function: TracedFunction, constants: list[Any], leaves: list[Any]
 
 _EVALUATED = {use: Compiled(_evaluated, use=use) for use in Use}
 
-
 # Enough for a session's functions.
 _MOST_TRACES = 64
 _TRACES: OrderedDict[Hashable, TracedFunction] = OrderedDict()
@@ -359,7 +358,9 @@ def traced_once(
     leaves, structure = jax.tree.flatten(arguments)
     key = name, structure, tuple(map(_kind_of, leaves))
     with _TRACES_LOCK:
-        known = None if name is None else _TRACES.get(key)
+        known = _TRACES.pop(key, None)
+        if known is not None:
+            _TRACES[key] = known  # the last to go
     if known is None:
         known = TracedFunction(function, *arguments)
         if who is not None:

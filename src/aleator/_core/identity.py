@@ -85,11 +85,8 @@ def code_digest(function: Callable[..., Any], version: str = "") -> str:
 
     It is like no other if there is neither.
     """
-    try:
-        if not version:
-            return joined(_texts(function))
-    except Exception:  # besides doubts: a user's object may raise any if it is looked at
-        pass
+    if not version and (digest := identity_of(function)):
+        return digest
     name = getattr(function, "__qualname__", type(function).__qualname__)
     return joined([function.__module__, name, version or uuid.uuid4().hex])
 
@@ -97,8 +94,8 @@ def code_digest(function: Callable[..., Any], version: str = "") -> str:
 def identity_of(tree: Any) -> str | None:
     """A digest of a tree with all code and numbers in it; None if it cannot be written out."""
     try:
-        return joined(_texts(tree))
-    except Exception:  # besides doubts: a user's object may raise any if it is looked at
+        return lasting_digest(tree)
+    except DoubtError:
         return None
 
 
@@ -247,7 +244,7 @@ class _Texts:
         yield ")"
 
     def _code(self, it: Any, declared: bool) -> Iterator[str]:
-        """A class or function: by its name if its code is known otherwise, else by its source."""
+        """A class or function: by its name if its code is known otherwise, else by all of it."""
         yield f"{_name_of(it)}("
         if declared or isinstance(it, np.ufunc) or it in self._known:
             return

@@ -2,6 +2,7 @@
 
 from aleator.design._control import Control as Control
 from aleator.design._equations import refuse_changed_code as refuse_changed_code
+from aleator.design._equations import refuse_other_code as refuse_other_code
 from aleator.design._expression import Composed as Composed
 from aleator.design._expression import Constraint as Constraint
 from aleator.design._expression import Expression as Expression
@@ -44,7 +45,6 @@ from aleator.design._objectives import torque_rate as torque_rate
 from aleator.design._problem import Problem as Problem
 from aleator.design._problem import declared_anew as declared_anew
 from aleator.design._problem import deterministic as deterministic
-from aleator.design._problem import refuse_other_code as refuse_other_code
 from aleator.design._problem import soft as soft
 from aleator.design._problem import uncertain as uncertain
 from aleator.design._response import Estimated as Estimated

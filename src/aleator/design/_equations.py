@@ -21,11 +21,7 @@ from aleator.design._functionals import AbstractIntegral
 from aleator.design._response import AbstractProblem, grid_at
 from aleator.design._scope import AbstractScope
 from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, joined, statistics_in
-from aleator.dynamics import (
-    Equations,
-    Grid,
-    called,
-)
+from aleator.dynamics import Equations, Grid, called
 from aleator.statistics import AbstractStatistic
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import named_numbers, realise, uncertain_again
@@ -68,6 +64,16 @@ def refuse_changed_code(problem: AbstractProblem) -> None:
             "The code of your own functions, statistics, distributions or signals in the problem, or a number that "
             "they name, is not what it was when the problem was declared: declare it again, or undo the change."
         )
+
+
+def refuse_other_code(problem: AbstractProblem) -> None:
+    """Raise `ProblemError` if a problem came from another process and the code gives other equations here."""
+
+    def applied(germ: jax.Array, decisions: jax.Array) -> jax.Array:
+        _ = realise(problem.simulation, germ, decisions).traced
+        return decisions
+
+    jax.eval_shape(applied, np.zeros(len(problem.placements.germ_names)), np.zeros(problem.placements.size))
 
 
 def _code_of(problem: AbstractProblem) -> str:

@@ -228,15 +228,6 @@ def declared_anew(
     )
 
 
-def refuse_other_code(problem: Problem) -> None:
-    """Raise `ProblemError` if the code of this process gives other equations than those that a problem came with."""
-    if declared(problem).equations != problem.simulation.equations:
-        raise ProblemError(
-            f"executor: a worker has other code of {problem.system.title} than the process that sent the problem. "
-            "Start the workers anew, with the same files."
-        )
-
-
 def deterministic(problem: Problem) -> Problem:
     """The same problem with every distribution held at its mean (dOpt, equations 93 and 113)."""
     return _with_simulation(one_of("deterministic", problem, Problem), at_means(problem.simulation))

@@ -50,10 +50,11 @@ class Equations:
             assert isinstance(system, System)
             assert start is not None
             functions, names = _dynamical(system, start), [system.states, system.algebraic, tuple(start.inputs)]
-        outputs = functions["outputs" if "outputs" in functions else "instant"].rest.names
         # Equations speak of numbers by their order alone.
         parts = {name: digest_of(one.closed) for name, one in functions.items()}
-        return cls(joint_digest(parts | {f"of {[*names, outputs]}": Digest("", True)}), functions)
+        return cls(
+            joint_digest(parts | {f"of {[*names, functions['instant'].rest.names]}": Digest("", True)}), functions
+        )
 
     def applied(self, system: AbstractSystem, start: "Callable[[], Start | None]") -> AbstractSystem:
         """A realised system as programs evaluate it: by these equations.
@@ -75,7 +76,7 @@ class Equations:
 
     def output_shapes(self) -> dict[str, tuple[int, ...]]:
         """The shape of each output at one instant, by name."""
-        function = self["instant" if "instant" in self else "outputs"]
+        function = self["instant"]
         outputs = jax.tree.unflatten(function.results, function.closed.out_avals).outputs
         return {name: one.shape for name, one in zip(function.rest.names, outputs, strict=True)}
 
@@ -129,14 +130,14 @@ def _instant(system: System, t: Any, z: Any, inputs: dict[str, Any]) -> _Instant
 
 def _algebraic(system: AlgebraicSystem) -> dict[str, TracedFunction]:
     if not system.is_implicit:
-        return {"outputs": TracedFunction(_outputs, system)}
+        return {"instant": TracedFunction(_outputs, system)}
     guess = TracedFunction(first_guess, system)
     rho = guess(system)
     size = sum(map(jnp.size, rho))
     return {
         "guess": guess,
         "residual": TracedFunction(lambda system, rho: equations(system, rho, size), system, rho),
-        "outputs": TracedFunction(_outputs, system, rho),
+        "instant": TracedFunction(_outputs, system, rho),
     }
 
 
@@ -251,4 +252,4 @@ class TracedAlgebraic(AlgebraicSystem):
     @override
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
         del kwargs
-        return _evaluated(self.equations["outputs"], (self.system, *args))[1]
+        return _evaluated(self.equations["instant"], (self.system, *args))[1]

@@ -18,7 +18,7 @@ from aleator._core.errors import ProblemError, SimulationWarning
 from aleator._core.leaves import Module, is_leaf, is_traced, named_leaves, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, explain_failure
 from aleator.dynamics._equations import Equations, Start
-from aleator.dynamics._evaluation import derivative, initial_state, observation
+from aleator.dynamics._evaluation import initial_state
 from aleator.dynamics._grid import AbstractGrid, Grid, Inputs, Instant, check_signals, sampled
 from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator, RungeKutta4
 from aleator.dynamics._record import Asked, History, Record, chosen, observed
@@ -136,16 +136,14 @@ class Simulation(Module):
         return Simulation(self.system, self.inputs, grid, integrator, self.numbers, self.equations)
 
     def _refuse_at_start(self, system: System) -> None:
-        """Raise `ProblemError` for what can be told of the start with known numbers, without computing any rate."""
+        """Raise `ProblemError` for what can be told of the start with known numbers, without tracing any rate."""
         refuse_unrealised(system=system, grid=self.grid, inputs=self.inputs)
         grid, start = self._checked_grid(system), self.start()
         assert start is not None
-        t, now = start
         try:
-            z = initial_state(system, t, now)
+            initial_state(system, *start)
         except ProblemError as error:
             raise ProblemError(system.diagnose(grid) or f"{error}") from error
-        jax.eval_shape(lambda: (derivative(system, t, z, now) if system.states else (), observation(system, t, z, now)))
 
     def _checked_grid(self, system: System) -> Grid:
         """The grid, once it is certain that system and inputs go with it."""

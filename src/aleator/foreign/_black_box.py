@@ -20,7 +20,7 @@ from aleator.foreign._runs import Isolated, Runs
 
 
 def identity(function: Callable[..., Any], version: str) -> str:
-    """A digest of a function's source and its version, or of a command with the contents of the files that it names."""
+    """A digest of a function's code or its version, or of a command with the contents of the files that it names."""
     if isinstance(function, Isolated):
         return identity(function.function, version)
     if not isinstance(function, Command):

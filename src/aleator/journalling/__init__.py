@@ -3,12 +3,10 @@
 from aleator.journalling._entry import FILE as FILE
 from aleator.journalling._entry import Entry as Entry
 from aleator.journalling._entry import State as State
-from aleator.journalling._entry import named as named
 from aleator.journalling._journal import Journal as Journal
 from aleator.journalling._journal import journal as journal
 from aleator.journalling._kept import kept as kept
 from aleator.journalling._load import Loaded as Loaded
-from aleator.journalling._load import entries_in as entries_in
 from aleator.journalling._load import examined as examined
 from aleator.journalling._load import listing as listing
 from aleator.journalling._load import load as load

@@ -15,7 +15,6 @@ from typing_extensions import override
 from aleator._core.errors import JournalWarning, ProblemError
 from aleator._core.identity import DoubtError
 from aleator._core.journalled import AbstractEntry, AbstractJournal, AbstractParts, called, journalling
-from aleator.design import Problem
 from aleator.journalling import _results
 from aleator.journalling._entry import FILE, Entry, State, note, read, unfinished
 from aleator.journalling._keys import Keys, done_with
@@ -134,17 +133,6 @@ class Journal(AbstractJournal):
             before = [one for one in self._known.values() if one.name == name and one.key != key]
             if before or self._known[key].name != name:
                 self.append(*(replace(one, name="") for one in before), replace(self._known[key], name=name))
-
-    def entry_of(self, result: Any) -> Entry | None:
-        """The entry of a result that this journal keeps; None for anything else."""
-        return self._known.get(self._keys.of(result))
-
-    def is_about(self, entry: Entry, problem: Problem) -> bool:
-        """Whether a result is of this problem; yes where another run could not tell."""
-        try:
-            return entry.parts.get("problem") == self._keys.problem_digest(problem)
-        except DoubtError:
-            return True
 
     @property
     def entries(self) -> tuple[Entry, ...]:

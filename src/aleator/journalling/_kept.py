@@ -36,9 +36,9 @@ def kept(
       reads or a function that it calls by another name has changed;
     - `progress`: given to the function as its own `progress`, if any; the result does not follow from it.
 
-    Work that another run could not recognise is done each time, with a `JournalWarning`: by a function that
-    names what cannot be written out, such as a generator of random numbers. So is work whose
-    result no other process could read. Ctrl-C ends the work, whatever the function makes of it.
+    Work that another run could not recognise is done each time, with a `JournalWarning`: by a function that names what
+    cannot be written out, such as a lock. So is work whose result no other process could read. Ctrl-C ends the work,
+    whatever the function makes of it.
 
     Raises `ProblemError` for arguments that the function does not take, and if it returns None.
     """

@@ -65,5 +65,5 @@ def _parts_of(problem: Problem) -> tuple[Any, ...]:
 
 
 def _equations(problem: Problem) -> str:
-    """The digest of a problem's code: of its equations, or of its source where they do not show all."""
+    """The digest of a problem's code: of its equations, and all of it where they do not show it."""
     return joined([problem.physics.text, "" if problem.is_declared else lasting_digest(_parts_of(problem))])

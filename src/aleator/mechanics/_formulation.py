@@ -186,10 +186,9 @@ def a_model(who: str, model: Any) -> AbstractMechanical:
 def examined(system: AbstractFormulation, grid: Grid) -> Examination:
     """What diagnosis asks of a realised system, as arrays of NumPy."""
     system, grid = _known((system, grid))
-    code = own_code(system)
     if system.model.computes_by_numpy and not system.changes:
-        return _known(_examined(system, grid, code))
-    return _known(_EXAMINED(*numbers_to_arrays((system, grid)), code))
+        return _known(_examined(system, grid, ""))
+    return _known(_EXAMINED(*numbers_to_arrays((system, grid)), own_code(system)))
 
 
 def _examined(system: AbstractFormulation, grid: Grid, code: str) -> Examination:
