@@ -10,12 +10,11 @@ from jaxtyping import Bool, Float
 from aleator._core.border import refusal
 from aleator._core.errors import SimulationError
 from aleator._core.leaves import Printed
-from aleator.certification import bound_size
 from aleator.design import Expression, Problem, statistics_in
 from aleator.nlp import Searched, Slopes, lost_variables, slopes_at
 from aleator.solution import Solution
 from aleator.statistics import AbstractTail
-from aleator.transcription import DEFAULT, AbstractTranscribed, transcribe
+from aleator.transcription import DEFAULT, AbstractTranscribed, bound_size, transcribe
 
 # A row or a decision whose largest effect is beyond these factors of the others' middle one is badly scaled.
 _WEAK, _STRONG = 1e-6, 1e6

@@ -8,7 +8,7 @@ import pytest
 import scipy.stats
 
 import aleator as al
-from aleator.certification._second_opinion import fresh_systems
+from aleator.certification._check import fresh_systems
 from zoo import LOSS, ONE_STEP, gain_problem
 
 BOUND = 2.0
@@ -64,7 +64,7 @@ def test_a_limit_that_only_the_expansion_meets_is_no_solution():
     assert solution.certificate.expansion.worst < 1e-6
     assert solution.decisions["gain"] == pytest.approx(BOUND, rel=1e-6)
     assert not solution.ok
-    assert "contradict" in solution.status.value
+    assert "contradict" in solution.verdict
     with pytest.raises(al.SolveError, match=r"fresh simulations contradict it: 'mean' is broken by .*Raise the order"):
         al.solve(comb_problem(0.6))
 

@@ -1,16 +1,16 @@
 """Checks of an answer: between the instants, on a finer grid, in the worst case, and on fresh systems."""
 
 from aleator.certification._between import held_between as held_between
+from aleator.certification._check import CHECK as CHECK
+from aleator.certification._check import Check as Check
+from aleator.certification._check import begin_check as begin_check
+from aleator.certification._check import check_factor as check_factor
+from aleator.certification._check import is_checked as is_checked
+from aleator.certification._check import prepare_check as prepare_check
 from aleator.certification._grids import grid_error as grid_error
+from aleator.certification._grids import misled_at as misled_at
 from aleator.certification._grids import refinement as refinement
 from aleator.certification._grids import unconverged as unconverged
-from aleator.certification._probe import probed as probed
-from aleator.certification._probe import whether_misled as whether_misled
-from aleator.certification._reference import Reference as Reference
-from aleator.certification._reference import bound_size as bound_size
-from aleator.certification._reference import reference as reference
-from aleator.certification._reference import reference_factor as reference_factor
-from aleator.certification._second_opinion import prepare_judges as prepare_judges
 from aleator.certification._second_opinion import second_opinion as second_opinion
 from aleator.certification._solution import diagnose as diagnose
 from aleator.certification._solution import doubts as doubts

@@ -11,19 +11,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from aleator.certification._reference import (
-    Reference,
-    bound_size,
+from aleator.certification._check import (
+    Check,
+    begin_check,
+    check_factor,
     follows_trajectories,
-    reference,
-    reference_factor,
+    is_checked,
     splines_in,
 )
 from aleator.design import Constraint, Problem, is_over_time
 from aleator.nlp import HELD, AbstractSolver, NonlinearProgram, Outcome, Status
 from aleator.solution import Between
 from aleator.trajectories import piecewise_in
-from aleator.transcription import AbstractTranscribed
+from aleator.transcription import AbstractTranscribed, bound_size
 from aleator.uncertainty import at_means, realise
 
 # How often limits between instants are tightened at most.
@@ -38,11 +38,11 @@ Margins = tuple[Float[np.ndarray, " instants"] | None, ...]
 
 
 class Held(NamedTuple):
-    """An outcome, its excess between instants (None if not checked), and its numbers on the finer grid, if any."""
+    """An outcome, its excess between instants (None if not checked), and the check at its point, if any."""
 
     outcome: Outcome
     between: Between | None
-    finer: Reference | None
+    check: Check | None
 
 
 def held_between(
@@ -53,13 +53,13 @@ def held_between(
     `between`: see `solve`. An outcome that is not solved is returned unchanged.
     """
     problem = transcribed.problem
-    factor = reference_factor(problem, between)
-    if factor == 1 or outcome.status is not Status.SOLVED:
+    factor = check_factor(problem, between)
+    if outcome.status is not Status.SOLVED or not is_checked(problem):
         return Held(outcome, None, None)
-    finer = reference(transcribed, outcome.point, factor)
-    if between == 1 or not any(map(is_over_time, problem.constraints)):
-        return Held(outcome, None, finer)
-    excess = excess_between(transcribed, outcome.point, finer)
+    check = begin_check(transcribed, outcome.point, factor)()
+    if factor == 1 or between == 1 or not any(map(is_over_time, problem.constraints)):
+        return Held(outcome, None, check)
+    excess = excess_between(transcribed, outcome.point, check)
     margins, done, loosest = no_margins(excess), 0, outcome.evaluation.objective
     while HELD < excess.worst < np.inf and done < _MOST_TIGHTENINGS:
         # Margins may shrink in the first rounds; later they only grow, so that the iteration ends.
@@ -71,11 +71,11 @@ def held_between(
             break
         done += 1
         outcome = again.with_effort_of(outcome)
-        finer = reference(transcribed, outcome.point, factor)
-        excess = excess_between(transcribed, outcome.point, finer)
+        check = begin_check(transcribed, outcome.point, factor)()
+        excess = excess_between(transcribed, outcome.point, check)
     is_strict = between is not None or done > 0 or follows_trajectories(problem)
     cost = _part(outcome.evaluation.objective - loosest, loosest)
-    return Held(outcome, Between(factor, excess.worst, excess.where, excess.when, is_strict, cost), finer)
+    return Held(outcome, Between(factor, excess.worst, excess.where, excess.when, is_strict, cost), check)
 
 
 def _part(rise: float, objective: float) -> float:
@@ -98,9 +98,7 @@ class Excess(NamedTuple):
     when: float
 
 
-def excess_between(
-    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], finer: Reference
-) -> Excess:
+def excess_between(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], finer: Check) -> Excess:
     """How far a problem's limits over time are exceeded on a finer grid."""
     problem, factor = transcribed.problem, finer.factor
     meaning = transcribed.at(point)

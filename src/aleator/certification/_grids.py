@@ -1,7 +1,6 @@
 """The error of a problem's own grid, by comparison with a finer one, and the finer grids to solve it on."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -9,26 +8,30 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from aleator.certification._probe import difference_shown
-from aleator.certification._reference import (
-    OWN_ERROR,
+from aleator.certification._check import (
+    NEGLIGIBLE_SPREAD,
     ROUNDING,
-    Reference,
-    bound_size,
+    Check,
+    begin_check,
     bounded_by,
     pieces,
     rounding_of,
     row_sizes,
+    spread_functionals,
 )
 from aleator.design import Constraint, Expression, Peak, Problem, Statistic, functionals_of, history, is_over_time
 from aleator.dynamics import Grid
 from aleator.nlp import Status
 from aleator.solution import TOLERATED, Deviation, GridError, Solution
 from aleator.statistics import Std, Variance
-from aleator.transcription import AbstractTranscribed, Meaning
+from aleator.transcription import AbstractTranscribed, Meaning, bound_size
 
 # A magnitude below this part of its possible size is zero up to integration error.
-_NEGLIGIBLE_SPREAD, _NEGLIGIBLE_VALUE = 1e-6, 1e-3
+_NEGLIGIBLE_VALUE = 1e-3
+# A spread that stands in the problem counts so many times itself: nobody acts on a hundredth of a standard deviation.
+_OF_A_SPREAD = 10.0
+# Allowance for the error of the finer grid itself, which is much smaller.
+_OWN_ERROR = 1.25
 # Avoids a division of zero by zero.
 _TINY = 1e-30
 # An excess on a finer grid is an error of the grid if the grids differ by at least this part of it.
@@ -36,24 +39,21 @@ _OF_THE_GRID = 0.1
 # A grid that differs from a finer one by more than these parts of a limit's size does not tell whether it holds: by
 # the first if it is no further from its bound than that, by the second wherever it is.
 _NEAR_BOUND, _ANYWHERE = 0.05, 0.25
+# A grid is far off if it makes a quantity this many times too large.
+_FAR_OFF = 10.0
 # The finest grid has at most this many times as many steps as the first.
 _FINEST = 256
 # An error above this part of the last one, with at least twice as many steps, does not converge.
 _FALLS = 0.6
-_SOLVED = (Status.SOLVED, Status.COARSE, Status.NOT_HELD)
 
 
 def grid_error(
     transcribed: AbstractTranscribed,
     point: Float[np.ndarray, " variables"],
-    finer: Reference,
+    finer: Check,
     accuracy: float,
-    shown: Mapping[str, float] = MappingProxyType({}),
 ) -> GridError:
-    """The error of a problem's own grid at a point, by comparison with a finer one.
-
-    `shown`: differences of functionals at instants that the finer one does not have either; of the objective under "".
-    """
+    """The error of a problem's own grid at a point, by comparison with a finer one."""
     problem, resolved = transcribed.problem, transcribed.resolve(point)
     assert isinstance(problem.grid, Grid)
     meaning = transcribed.at(point)
@@ -61,7 +61,7 @@ def grid_error(
     functionals = functionals_of(problem.expressions)
     reaches = dict(zip(functionals, finer.reaches, strict=True))
     sizes_of_rows = row_sizes(transcribed, point)
-    rounding = rounding_of(transcribed, sizes_of_rows)
+    rounding, spreads = rounding_of(transcribed, point, finer.reaches), spread_functionals(problem)
     deviations = {}
     for i, one in enumerate(functionals):
         own = resolved[one.text()]
@@ -69,15 +69,16 @@ def grid_error(
         change = np.maximum(np.abs(np.asarray(own.mean) - mean), np.abs(np.asarray(own.std) - std))
         limits = _limits(problem, one)
         spread, value, reach = float(np.max(std)), float(np.max(np.abs(mean))), reaches[one]
-        magnitudes = [*limits, *([spread] if spread > _NEGLIGIBLE_SPREAD * reach else [])]
+        is_spread = one in spreads and spread > NEGLIGIBLE_SPREAD * reach
+        magnitudes = [*limits, *([_OF_A_SPREAD * spread] if is_spread else [])]
         # A quantity that has to be zero, and is, has no magnitude of its own.
         alone = value if value > _NEGLIGIBLE_VALUE * reach else reach
-        size = max(min(magnitudes, default=alone), max(ROUNDING * reach, rounding.get(one, 0.0), _TINY) / accuracy)
+        size = max(min(magnitudes, default=alone), max(ROUNDING * reach, rounding[one], _TINY) / accuracy)
         when = float(times[int(np.argmax(change.reshape(len(times), -1).max(axis=1)))]) if one.is_path else np.nan
-        largest = max(float(np.max(change)), shown.get(one.text(), 0.0))
-        deviations[one.text()] = Deviation(OWN_ERROR * largest, accuracy * size, when, one.order)
+        largest = float(np.max(change))
+        deviations[one.text()] = Deviation(_OWN_ERROR * largest, accuracy * size, when, one.order)
     objective = meaning.objective
-    away = OWN_ERROR * max(abs(objective - float(finer.values[0])), shown.get("", 0.0))
+    away = _OWN_ERROR * abs(objective - float(finer.values[0]))
     floor = _NEGLIGIBLE_VALUE * reach_of(problem.objective, reaches)
     sizes = limit_sizes(transcribed, reaches, sizes_of_rows)
     return GridError(
@@ -94,12 +95,50 @@ def grid_error(
     )
 
 
+def misled_at(
+    transcribed: AbstractTranscribed,
+    start: Float[np.ndarray, " variables"],
+    end: Float[np.ndarray, " variables"] | None,
+    factor: int,
+) -> str:
+    """A sentence on a functional for which the grid is far off at the start of a search; empty if there is none.
+
+    A step that is too long for a design makes it appear unstable. The search may then avoid it for a design at rest,
+    where the grid appears exact. So the start is checked where some functional is far larger there than at the `end`,
+    or the search has failed (None).
+    """
+    problem = transcribed.problem
+    assert isinstance(problem.grid, Grid)
+    begun = _magnitudes(transcribed, start)
+    if end is not None and all(
+        own <= _FAR_OFF * later for own, later in zip(begun, _magnitudes(transcribed, end), strict=True)
+    ):
+        return ""
+    check = begin_check(transcribed, start, factor)()
+    rounding = rounding_of(transcribed, start, check.reaches)
+    for one, own, mean, std in zip(functionals_of(problem.expressions), begun, check.means, check.stds, strict=True):
+        true = float(np.sqrt(np.max(mean**2 + std**2)))
+        if not (own <= _FAR_OFF * true or own <= rounding[one]):
+            return (
+                f"at the start of the search {problem.grid.steps} steps give {one.text()} as {own:.3g}, where "
+                f"{true:.3g} is right: the search may have avoided good designs"
+            )
+    return ""
+
+
+def _magnitudes(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"]) -> list[float]:
+    """The largest root mean square of each functional over the collocation points."""
+    weights = np.abs(np.asarray(transcribed.collocation.weights))
+    each = (np.asarray(samples).reshape(len(weights), -1) for samples in transcribed.at(point).samples)
+    return [float(np.sqrt(np.max(weights @ samples**2))) for samples in each]
+
+
 def _order(objective: Expression) -> int:
     """The order of convergence of the objective: the lowest among its parts."""
     return min([one.order for one in functionals_of((objective,))], default=Deviation.order)
 
 
-def _at_least_1d(finer: Reference, which: int) -> tuple[np.ndarray, np.ndarray]:
+def _at_least_1d(finer: Check, which: int) -> tuple[np.ndarray, np.ndarray]:
     return np.atleast_1d(finer.means[which]), np.atleast_1d(finer.stds[which])
 
 
@@ -127,7 +166,7 @@ class _Difference(NamedTuple):
 def broken(
     transcribed: AbstractTranscribed,
     own: list[Float[np.ndarray, " rows"]],
-    finer: Reference,
+    finer: Check,
     sizes: list[float],
     accuracy: float,
 ) -> str:
@@ -150,7 +189,7 @@ def broken(
     return sentence
 
 
-def unresolved(transcribed: AbstractTranscribed, meaning: Meaning, finer: Reference, sizes: list[float]) -> str:
+def unresolved(transcribed: AbstractTranscribed, meaning: Meaning, finer: Check, sizes: list[float]) -> str:
     """A sentence on the limit that differs most from a finer grid, so much that nothing is known of whether it holds,
     on whichever side of its bound it is there; empty if there is none.
 
@@ -162,7 +201,7 @@ def unresolved(transcribed: AbstractTranscribed, meaning: Meaning, finer: Refere
             continue
         own, value = np.ravel(meaning.constraints[i]), np.asarray(finer.values[1 + i])
         magnitude = max(size, float(np.abs(own).max()), float(np.abs(value).max()))
-        for difference in _differences(one, own, value, i, finer, meaning):
+        for difference in _differences(one, own, value, finer.factor, meaning.times):
             is_near = difference.away > _NEAR_BOUND * size and difference.away > abs(difference.slack)
             if (is_near or difference.away > _ANYWHERE * magnitude) and difference.away > worst * size:
                 worst = difference.away / size
@@ -175,21 +214,18 @@ def unresolved(transcribed: AbstractTranscribed, meaning: Meaning, finer: Refere
 
 
 def _differences(
-    one: Constraint, own: np.ndarray, value: np.ndarray, which: int, finer: Reference, meaning: Meaning
+    one: Constraint, own: np.ndarray, value: np.ndarray, factor: int, times: Float[np.ndarray, " instants"]
 ) -> Iterator[_Difference]:
-    """The differences between a limit's values on its own grid, shape (rows,), and on others."""
+    """The differences between a limit's values on its own grid, shape (rows,), and on the finer one."""
     if one.is_path:
-        yield from _on_paths(one, own, value, finer.factor, meaning.times)
+        yield from _on_paths(one, own, value, factor, times)
         return
     changed = np.abs(np.ravel(value) - own)
     slacks = np.minimum(float(one.upper) - np.ravel(value), np.ravel(value) - float(one.lower))
     k = int(np.argmax(changed))
     # What a peak exceeds between the instants is held there by margins.
     is_peak = any(isinstance(part, Peak) for part in functionals_of((one.expression,)))
-    yield _Difference(OWN_ERROR * float(changed[k]), np.inf if is_peak else float(slacks[k]), np.nan)
-    if not is_over_time(one):
-        alike, there = finer.alone.expressions[1 + which], finer.elsewhere.expressions[1 + which]
-        yield _Difference(difference_shown(alike, there), float(slacks.min()), np.nan)
+    yield _Difference(_OWN_ERROR * float(changed[k]), np.inf if is_peak else float(slacks[k]), np.nan)
 
 
 def _on_paths(
@@ -202,7 +238,7 @@ def _on_paths(
     rows, fine = own.reshape(len(times), -1), value.reshape(len(value), -1)
     windows = np.arange(len(times))[:, None] * factor + np.arange(-factor, factor + 1)[None, :]
     around = fine[np.clip(windows, 0, len(fine) - 1)]
-    away = OWN_ERROR * np.maximum(rows - around.max(axis=1), around.min(axis=1) - rows)
+    away = _OWN_ERROR * np.maximum(rows - around.max(axis=1), around.min(axis=1) - rows)
     there = fine[::factor]
     slacks = np.minimum(float(one.upper) - there, there - float(one.lower))
     for worst in (away, np.where(away > np.abs(slacks), away, -np.inf)):
@@ -250,8 +286,8 @@ def refinement(solutions: Sequence[Solution]) -> Problem | None:
     last, problem = solutions[-1], solutions[-1].problem
     error = last.certificate.grid_error
     between = last.certificate.between
-    is_enough = last.status is not Status.NOT_HELD and not (between and between.is_costly)
-    if error is None or (error.is_met and is_enough) or last.status not in _SOLVED:
+    is_enough = between is None or (between.worst <= TOLERATED and not between.is_costly)
+    if error is None or (error.is_met and is_enough) or last.status is not Status.SOLVED:
         return None
     grid, begun = problem.grid, solutions[0].problem.grid
     assert isinstance(grid, Grid)
@@ -277,7 +313,7 @@ def _ratio(solution: Solution) -> float:
     error, between = solution.certificate.grid_error, solution.certificate.between
     if error is None:
         return np.inf
-    beyond = between.worst / TOLERATED if solution.status is Status.NOT_HELD and between else 0.0
+    beyond = between.worst / TOLERATED if between and between.worst > TOLERATED else 0.0
     return max(error.ratio, beyond, between.cost_ratio if between else 0.0)
 
 
@@ -285,7 +321,7 @@ def unconverged(solutions: Sequence[Solution]) -> str:
     """Why finer grids do not bring the error down to the tolerance, with the instant; empty if they do."""
     last = solutions[-1]
     error = last.certificate.grid_error
-    if len(solutions) == 1 or error is None or error.is_met or last.status not in _SOLVED:
+    if len(solutions) == 1 or error is None or error.is_met or last.status is not Status.SOLVED:
         return ""
     return (
         f"With up to {error.steps} steps the "

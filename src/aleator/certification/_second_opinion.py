@@ -1,15 +1,12 @@
 """A second opinion on a solution: fresh simulations at the answer, compared with predictions of the expansions.
 
 Optimisers exploit errors of an expansion. Its errors at a few fresh systems correct each statistic (a control variate:
-the expansion's own number plus the mean error), with a standard error by the jackknife.
-
-Half of the systems are drawn at random, half from the tails: an output may owe much of its spread to the one system in
-a hundred that no collocation point and none of a few random systems resembles. Weights undo the choice (multiple
-importance sampling with the balance heuristic of Veach & Guibas, 1995), and no weight exceeds 2.
+the expansion's own number plus the mean error), with a standard error by the jackknife. Both are those of CHECK, so
+that the error of the grid is none of the expansion's.
 """
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple, final
 
 import numpy as np
@@ -17,18 +14,10 @@ import scipy
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import jax_array, numbers_to_arrays
-from aleator.certification._reference import prepare_reference
-from aleator.design import (
-    AbstractScopeOfInstants,
-    Problem,
-    Statistic,
-    expanded_functionals,
-    functionals_of,
-    sizes,
-    statistics_in,
-)
-from aleator.ensemble import at_levels, inputs_at, listed, random_levels
+from aleator._core.arrays import jax_array
+from aleator.certification._check import Check, begin_check, certain
+from aleator.design import AbstractScopeOfInstants, Statistic, expanded_functionals, functionals_of, statistics_in
+from aleator.ensemble import inputs_at, listed
 from aleator.solution import SecondOpinion
 from aleator.statistics import (
     AbstractStatistic,
@@ -42,59 +31,21 @@ from aleator.statistics import (
     Supremum,
     Variance,
 )
-from aleator.transcription import RESPOND, AbstractTranscribed, Discretised, Meaning
-from aleator.uncertainty import AbstractGerm, named_numbers
+from aleator.transcription import AbstractTranscribed, Meaning
+from aleator.uncertainty import named_numbers
 
-# Fresh systems: enough for a standard error, and cheap compared with one evaluation with derivatives.
-_FRESH = 32
 # The two-sided probability of four standard deviations of a normal variable.
 _RARE = math.erfc(4 / math.sqrt(2))
 # Shifts up to the first part of the effect of one standard deviation are negligible; an excess over a bound by more
 # than the second part breaks it.
 _NONE, _BREAKS = 0.01, 0.05
-# Outputs that vary by less than this part of their size are constant up to rounding.
+# Expressions that change by less than this part of their size have not changed.
 _ROUNDING = 1e-11
+# A system that is missed by more standard deviations than this is a rare event, of which a few systems say little: so
+# many times as many are drawn, and two standard errors show a shift.
+_OUTLIER, _MORE, _SHOWN = 10.0, 32, math.erfc(2 / math.sqrt(2))
 
 _FOLLOW_THE_SPREAD = (Quantile, CornishFisher, ConditionalValueAtRisk, Supremum, Infimum)
-# The depths of tails, as parts of all systems: more than 4 standard deviations of a normal germ, and the median.
-_DEEPEST, _SHALLOWEST = 1e-5, 0.5
-
-
-class FreshSystems(NamedTuple):
-    """Germ points, and the weights with which their mean stands for all systems."""
-
-    points: Float[np.ndarray, "fresh variables"]
-    weights: Float[np.ndarray, " fresh"]
-
-
-def fresh_systems(germs: Collection[AbstractGerm], count: int, generator: np.random.Generator) -> FreshSystems:
-    """Half of the systems drawn at random, in the others one germ after the other in its lower or its upper tail.
-
-    Depths within a tail are log-uniform, spread evenly over the systems of that tail.
-    """
-    levels = random_levels(generator, count, len(germs))
-    tails = np.arange(count - count // 2) % (2 * len(germs))
-    which, upper = tails // 2, tails % 2 == 1
-    depths = _depths(tails, generator)
-    levels[count // 2 + np.arange(len(tails)), which] = np.where(upper, 1 - depths, depths)
-    drawn = np.bincount(tails, minlength=2 * len(germs)) / count
-    density = count // 2 / count + _tail_density(levels) @ drawn[::2] + _tail_density(1 - levels) @ drawn[1::2]
-    return FreshSystems(at_levels(germs, levels), 1 / density)
-
-
-def _depths(tails: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    """A depth for each system, one in each of the equal parts of its tail's logarithmic range."""
-    parts = np.empty(len(tails))
-    for tail in np.unique(tails):
-        those = np.flatnonzero(tails == tail)
-        parts[those] = (np.arange(len(those)) + generator.random(len(those))) / len(those)
-    return _DEEPEST * (_SHALLOWEST / _DEEPEST) ** parts
-
-
-def _tail_density(depths: np.ndarray) -> np.ndarray:
-    """The density of a level at a depth below the median, relative to a random one."""
-    inside = (depths >= _DEEPEST) & (depths <= _SHALLOWEST)
-    return np.where(inside, 1 / (np.maximum(depths, _DEEPEST) * np.log(_SHALLOWEST / _DEEPEST)), 0.0)
 
 
 class _Fresh(NamedTuple):
@@ -109,17 +60,18 @@ class _Fresh(NamedTuple):
     mean: Float[np.ndarray, "..."]
     variance: Float[np.ndarray, "..."]
 
+    @property
     def miss(self) -> float:
-        """The rms error of the predictions over the standard deviation, summed over entries; zero for rounding."""
-        total, size = float(np.sum(self.variance)), float(np.sum(self.mean**2 + self.variance))
-        if total <= _ROUNDING**2 * size:
-            return 0.0
+        """The rms error of the predictions over the standard deviation, summed over entries."""
+        total = float(np.sum(self.variance))
         squares = self.weights * (self.values - self.predicted) ** 2
-        return float(np.sqrt(np.sum(squares) / np.sum(self.weights) / total))
+        return float(np.sqrt(np.sum(squares) / np.sum(self.weights) / total)) if total > 0 else np.inf
 
-    def is_rounding(self, size: float) -> bool:
-        """Whether a number spreads by no more than rounding of its terms, which have the magnitude `size`."""
-        return self.values.ndim == 1 and bool(np.sqrt(self.variance) <= _ROUNDING * size)
+    @property
+    def has_outlier(self) -> bool:
+        """Whether some system is missed by many standard deviations."""
+        missed = np.abs(self.values - self.predicted).reshape(len(self.values), -1)
+        return bool((missed > _OUTLIER * float(np.sqrt(np.max(self.variance)))).any())
 
     def corrections(self) -> "_Corrections":
         """The corrections of mean and variance by the fresh systems."""
@@ -161,85 +113,87 @@ class _Replicated(AbstractScopeOfInstants):
         return self._numbers()[name]
 
 
-def second_opinion(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"]) -> SecondOpinion | None:
+def second_opinion(
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check
+) -> SecondOpinion | None:
     """Compare the expansions at a point with fresh simulations; None if nothing is uncertain.
 
-    The fresh systems are the same at every call, so that a solution is repeatable; no solver has seen them.
+    A rare event that none of the collocation points sees may break a limit by the one system in which it occurs, which
+    is no evidence beyond chance. Then more systems are drawn, and the limit counts as broken if two standard errors
+    show it.
     """
-    problem, basis, meaning = transcribed.problem, transcribed.basis, transcribed.at(point)
-    if basis.variables == 0 or not functionals_of(problem.expressions):
+    problem = transcribed.problem
+    if not len(check.systems.points) or not functionals_of(problem.expressions):
         return None
-    systems = fresh_systems(basis.germs.values(), _FRESH, np.random.default_rng(2))
-    decisions = jax_array(meaning.decisions)
-    values = _simulated(transcribed, jax_array(systems.points), decisions)
-    fresh = _fresh(transcribed, systems, values, point)
-    for text, one in fresh.items():
-        broken = ~np.isfinite(one.values.reshape(_FRESH, -1)).all(axis=1)
-        if broken.any():
-            named = listed(inputs_at(transcribed.places, jax_array(systems.points[broken][0]), decisions))
-            share = float(systems.weights[broken].sum() / systems.weights.sum())
-            sentence = f"{text} is not finite in about {100 * share:.2g} % of all systems, such as that with {named}"
-            return SecondOpinion(_FRESH, {}, (sentence,), "")
-    opinion = _opinion(transcribed, fresh, point)
-    if opinion.agrees:
+    if (sentence := _not_finite(transcribed, point, check)) is not None:
+        return SecondOpinion(len(check.systems.points), {}, (sentence,), sentence)
+    fresh = _fresh(transcribed, point, [check])
+    opinion = _opinion(transcribed, fresh, point, check, _RARE)
+    if opinion.broken or not any(one.has_outlier for one in fresh.values()):
         return opinion
-    magnitudes = sizes(problem, jax_array(systems.points[0]), decisions)
-    allowed_for = {
-        text: one._replace(values=one.predicted) if one.is_rounding(float(size)) else one
-        for (text, one), size in zip(fresh.items(), magnitudes, strict=True)
-    }
-    return _opinion(transcribed, allowed_for, point)
+    suspected = _opinion(transcribed, fresh, point, check, np.inf)
+    if not suspected.broken:
+        return opinion
+    waiting = [begin_check(transcribed, point, check.factor, draw) for draw in range(1, _MORE)]
+    checks = [check, *(one() for one in waiting)]
+    for one in checks:
+        if (sentence := _not_finite(transcribed, point, one)) is not None:
+            return SecondOpinion(len(one.systems.points), {}, (sentence,), sentence)
+    return _opinion(transcribed, _fresh(transcribed, point, checks), point, check, _SHOWN)
 
 
-def _simulated(
-    transcribed: AbstractTranscribed, points: Float[Array, "fresh variables"], decisions: Float[Array, " n"]
-) -> list[np.ndarray]:
-    """Each functional of the fresh systems, on steps as fine as the answer's own; paths at the problem's instants."""
-    problem, factor = transcribed.problem, transcribed.fineness
-    traced = transcribed.traced if factor == 1 else numbers_to_arrays(problem.on_grid(problem.grid.finer(factor)))
-    values = RESPOND(traced, points, decisions)
-    each = zip(functionals_of(problem.expressions), map(np.asarray, values), strict=True)
-    return [one[:, ::factor] if functional.is_path else one for functional, one in each]
-
-
-def prepare_opinion(problem: Problem) -> None:
-    """Begin to compile what `second_opinion` will need."""
-    germs = problem.placements.germs
-    if germs and functionals_of(problem.expressions):
-        decisions = jax_array(problem.placements.vector("initial"))
-        RESPOND.prepare(numbers_to_arrays(problem), jax_array(np.zeros((_FRESH, len(germs)))), decisions)
+def _not_finite(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check) -> str | None:
+    """A sentence on the fresh systems that have no value, with the numbers of one; None if all have."""
+    for functional, values in zip(functionals_of(transcribed.problem.expressions), check.fresh, strict=True):
+        broken = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        if broken.any():
+            germ, decisions = check.systems.points[broken][0], transcribed.decisions(point)
+            named = listed(inputs_at(transcribed.places, jax_array(germ), jax_array(decisions)))
+            share = float(check.systems.weights[broken].sum() / check.systems.weights.sum())
+            of_all = f"about {100 * share:.2g} % of all systems, such as that with {named}"
+            return f"{functional.text()} is not finite in {of_all}"
+    return None
 
 
 def _opinion(
-    transcribed: AbstractTranscribed, fresh: Mapping[str, _Fresh], point: Float[np.ndarray, " variables"]
+    transcribed: AbstractTranscribed,
+    fresh: Mapping[str, _Fresh],
+    point: Float[np.ndarray, " variables"],
+    check: Check,
+    chance: float,
 ) -> SecondOpinion:
-    # Functionals that only limits on the worst case use do not rely on their expansion.
-    expanded = {one.text() for one in expanded_functionals(transcribed.problem.expressions)}
-    fresh = {text: one for text, one in fresh.items() if text in expanded}
-    misses = {text: one.miss() for text, one in fresh.items()}
+    """`chance`: with which probability an expression that has not changed may seem to have."""
     missed = [
-        f"the expansion predicts fresh simulations of {text} with an error of {miss:.2g} of their standard deviation"
-        for text, miss in misses.items()
-        if not miss <= 2 * transcribed.problem.expansion.tolerance
+        f"the expansion predicts fresh simulations of {text} with an error of {one.miss:.2g} of their standard "
+        "deviation"
+        for text, one in fresh.items()
+        if not one.miss <= 2 * transcribed.problem.expansion.tolerance
     ]
-    shifts, broken = _judged(transcribed, fresh, point)
-    return SecondOpinion(_FRESH, misses, (*missed, *shifts), broken)
+    if not fresh:
+        return SecondOpinion(len(check.systems.points), {}, (), "")
+    shifts, broken = _judged(transcribed, fresh, point, check, chance)
+    count = len(next(iter(fresh.values())).values)
+    return SecondOpinion(count, {text: one.miss for text, one in fresh.items()}, (*missed, *shifts), broken)
 
 
 def _fresh(
-    transcribed: AbstractTranscribed,
-    systems: FreshSystems,
-    values: list[np.ndarray],
-    point: Float[np.ndarray, " variables"],
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], checks: list[Check]
 ) -> dict[str, _Fresh]:
-    samples, resolved = transcribed.at(point).samples, transcribed.resolve(point)
-    predict = transcribed.basis.matrix(systems.points) @ np.asarray(transcribed.collocation.pseudo_inverse)
+    """The expanded functionals that vary, by their texts; limits on the worst case rely on no expansion."""
+    expressions, first = transcribed.problem.expressions, checks[0]
+    expanded, constant = expanded_functionals(expressions), certain(transcribed, point, first)
     fresh = {}
-    for text, seen, known in zip(transcribed.texts.functionals, values, samples, strict=True):
-        predicted = (predict @ np.asarray(known).reshape(len(known), -1)).reshape(seen.shape)
-        moments = resolved[text]
-        weights = systems.weights.reshape(-1, *[1] * (seen.ndim - 1))
-        fresh[text] = _Fresh(seen, predicted, weights, np.asarray(moments.mean), np.asarray(moments.std) ** 2)
+    for i, one in enumerate(functionals_of(expressions)):
+        if one not in expanded or one in constant:
+            continue
+        step = first.factor if one.is_path else 1
+        values, predicted = (
+            np.concatenate([part[i][:, ::step] if one.is_path else part[i] for part in parts])
+            for parts in ([check.fresh for check in checks], [check.predicted for check in checks])
+        )
+        weights = np.concatenate([check.systems.weights for check in checks]).reshape(-1, *[1] * (values.ndim - 1))
+        mean, std = (part[i][::step] if one.is_path else part[i] for part in (first.means, first.stds))
+        fresh[one.text()] = _Fresh(values, predicted, weights, mean, std**2)
     return fresh
 
 
@@ -273,21 +227,25 @@ def _inside(kind: Probability, values: np.ndarray) -> np.ndarray:
 
 
 def _judged(
-    transcribed: AbstractTranscribed, fresh: Mapping[str, _Fresh], point: Float[np.ndarray, " variables"]
+    transcribed: AbstractTranscribed,
+    fresh: Mapping[str, _Fresh],
+    point: Float[np.ndarray, " variables"],
+    check: Check,
+    chance: float,
 ) -> tuple[list[str], str]:
     """The expressions that change beyond chance, a sentence each, and what the correction breaks, if anything."""
-    problem, meaning, expanded = transcribed.problem, transcribed.at(point), transcribed.statistics(point)
+    problem, meaning = transcribed.problem, transcribed.at(point)
     known, spreads = {}, {}
     corrections = {text: one.corrections() for text, one in fresh.items()}
+    replicates = next(one.mean.shape[-1] for one in corrections.values())
     # Statistics that occur in several expressions are equal in all.
-    atoms = dict(zip(transcribed.texts.statistics, statistics_in(problem.expressions), strict=True))
-    for text, atom in atoms.items():
-        base = np.asarray(expanded[text])
-        if len(atom.functionals) == 1:
-            one = atom.functionals[0].text()
+    for atom, statistic in zip(statistics_in(problem.expressions), check.statistics, strict=True):
+        text, one = atom.text(), atom.functionals[0].text()
+        base = statistic[:: check.factor] if atom.functionals[0].is_path else statistic
+        if len(atom.functionals) == 1 and one in fresh:
             known[text], spreads[text] = _corrected(atom.kind, base, fresh[one], corrections[one])
         else:
-            known[text], spreads[text] = np.repeat(base[..., None], _FRESH + 2, axis=-1), 0 * base
+            known[text], spreads[text] = np.repeat(np.asarray(base)[..., None], replicates, axis=-1), 0 * base
     for i, (text, values) in enumerate(known.items()):
         moved = np.repeat(values[..., :1], len(spreads), axis=-1)
         moved[..., i] += spreads[text]
@@ -299,7 +257,7 @@ def _judged(
     for which, expression in enumerate(problem.expressions):
         if not any(isinstance(leaf, Statistic) for leaf in expression.leaves):
             continue
-        shift = _shift(np.asarray(expression.evaluate(scope)))
+        shift = _shift(np.asarray(expression.evaluate(scope)), replicates, chance)
         if shift is None:
             continue
         sentences.append(f"{expression} differs by {shift.by:+.3g} ± {shift.error:.2g} in fresh simulations")
@@ -316,18 +274,18 @@ class _Shift(NamedTuple):
     where: int
 
 
-def _shift(values: Float[np.ndarray, "... replicates"]) -> _Shift | None:
+def _shift(values: Float[np.ndarray, "... moved"], replicates: int, chance: float) -> _Shift | None:
     """The change of an expression by fresh simulations, if beyond chance and not negligible; else None."""
     rows = values.reshape(-1, values.shape[-1])
-    rest = rows[:, 2 : 2 + _FRESH]
-    by = rows[:, 1] - rows[:, 0]
-    error = np.sqrt((_FRESH - 1) * np.var(rest, axis=1))
-    scale = float(np.max(np.sum(np.abs(rows[:, 2 + _FRESH :] - rows[:, :1]), axis=1)))
-    reach = -scipy.special.stdtrit(_FRESH - 1, _RARE / 2 / len(rows))
+    rest = rows[:, 2:replicates]
+    by, count = rows[:, 1] - rows[:, 0], replicates - 2
+    error = np.sqrt((count - 1) * np.var(rest, axis=1))
+    scale = float(np.max(np.sum(np.abs(rows[:, replicates:] - rows[:, :1]), axis=1)))
+    reach = -scipy.special.stdtrit(count - 1, min(chance / 2 / len(rows), 0.5))
     floor = max(_NONE * scale, _ROUNDING * float(np.max(np.abs(rows))))
     ratio = np.abs(by) / np.maximum(np.maximum(reach * error, floor), np.finfo(float).tiny)
     i = int(np.argmax(ratio))
-    return _Shift(float(by[i]), float(error[i]), scale, i) if ratio[i] > 1 else None
+    return _Shift(float(by[i]), float(error[i]), scale, i) if not ratio[i] <= 1 else None
 
 
 def _break(transcribed: AbstractTranscribed, which: int, shift: _Shift, meaning: Meaning) -> str:
@@ -345,10 +303,3 @@ def _break(transcribed: AbstractTranscribed, which: int, shift: _Shift, meaning:
         return ""
     corrected = f"{shift.by:+.3g} ± {shift.error:.2g}"
     return f"'{limit.name}' is broken by {beyond:.3g} once the expansion is corrected by {corrected}"
-
-
-def prepare_judges(factor: int, problem: Problem, discretised: Discretised) -> None:
-    """Begin to compile the finer grid of `factor` times as many steps, if there is one, and the second opinion."""
-    if factor > 1:
-        prepare_reference(problem, discretised, factor)
-    prepare_opinion(problem)

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator import _core
-from aleator.design import Problem, expanded_functionals, first_broken, grid_at, sizes, statistics_in, unsolved
+from aleator.certification._check import Check, certain
+from aleator.design import Problem, expanded_functionals, first_broken, grid_at, statistics_in, unsolved
 from aleator.dynamics import Grid
 from aleator.ensemble import inputs_at, listed
 from aleator.expansion import ILL_CONDITIONED, unseen
@@ -35,8 +36,6 @@ from aleator.uncertainty import correlations_at
 _UNFINISHED = (Status.INFEASIBLE, Status.ITERATION_LIMIT, Status.EVALUATION_FAILED, Status.FAILED)
 # The relative error of an expansion that is tolerated for moments.
 _TRUSTED = {Mean: 1.0, Std: 1 / 3, Variance: 1 / 3, Covariance: 1 / 3}
-# A spread below this part of the magnitude of a functional's terms is rounding.
-_ROUNDING = 1e-11
 # Differences that no data would show.
 _TOLERATED = 0.01
 # Most numbers in a message.
@@ -50,11 +49,13 @@ def solution_of(
     error: GridError | None,
     worst_case: WorstCase | None,
     misled: str,
+    check: Check | None,
     compiled: float,
 ) -> Solution:
     """The solution of a problem for an outcome of its program.
 
-    `between`, `error`, `worst_case`, `misled`: parts of its `Certificate`; `compiled`: time of its compilations, s.
+    `between`, `error`, `worst_case`, `misled`: parts of its `Certificate`; `check`: at its point, if it is solved;
+    `compiled`: time of its compilations, s.
     """
     problem, places = transcribed.problem, transcribed.places
     meaning, resolved = transcribed.at(outcome.point), transcribed.resolve(outcome.point)
@@ -85,11 +86,12 @@ def solution_of(
             violation=outcome.violation,
             stationarity=outcome.stationarity,
             complementarity=outcome.complementarity,
-            expansion=quality_of(transcribed, expanded, outcome.point),
+            expansion=quality_of(transcribed, expanded, outcome.point, check),
             between=between,
             grid_error=error,
             worst_case=worst_case,
             misled=misled,
+            reaches={} if check is None else dict(zip(transcribed.texts.functionals, check.reaches, strict=True)),
         ),
         effort=Effort(
             solver=outcome.solver,
@@ -143,21 +145,25 @@ def _shaped(rows: np.ndarray, times: np.ndarray | None) -> np.ndarray:
 
 
 def quality_of(
-    transcribed: AbstractTranscribed, resolved: Mapping[str, Resolved], point: Float[np.ndarray, " variables"]
+    transcribed: AbstractTranscribed,
+    resolved: Mapping[str, Resolved],
+    point: Float[np.ndarray, " variables"],
+    check: Check | None,
 ) -> ExpansionQuality:
-    """The quality of the expansions at a point, from `resolved` there."""
+    """The quality of the expansions at a point, from `resolved` there. Errors of what is constant count as zero."""
     basis, collocation = transcribed.basis, transcribed.collocation
     tolerance, meaning = transcribed.problem.expansion.tolerance, transcribed.at(point)
-    errors = {text: float(one.leave_one_out) for text, one in resolved.items()}
+    constant = [] if check is None else [one.text() for one in certain(transcribed, point, check)]
+    varying = {text: one for text, one in resolved.items() if text not in constant}
     return ExpansionQuality(
         order=basis.order,
         terms=basis.terms,
         points=len(collocation.points),
         condition_number=float(collocation.condition_number),
-        leave_one_out=errors | _rounding(transcribed, resolved, errors, meaning.decisions),
+        leave_one_out={text: float(one.leave_one_out) if text in varying else 0.0 for text, one in resolved.items()},
         unresolved_from={
             text: float(meaning.times[int(np.argmax(late))])
-            for text, one in resolved.items()
+            for text, one in varying.items()
             if one.history is not None and (late := ~(np.asarray(one.history) <= tolerance)).any()
         },
         tolerance=tolerance,
@@ -168,28 +174,6 @@ def quality_of(
         },
         unseen=unseen(basis, np.asarray(collocation.points)),
     )
-
-
-def _rounding(
-    transcribed: AbstractTranscribed,
-    resolved: Mapping[str, Resolved],
-    errors: Mapping[str, float],
-    decisions: Float[np.ndarray, " n"],
-) -> dict[str, float]:
-    """Unresolved functionals that are numbers and spread by rounding alone, whose error therefore counts as zero.
-
-    For example, the rate at the end of a motion that comes to rest is zero in every system, up to rounding.
-    """
-    tolerance = transcribed.problem.expansion.tolerance
-    suspects = {text for text, error in errors.items() if not error <= tolerance and np.ndim(resolved[text].std) == 0}
-    if not suspects:
-        return {}
-    magnitudes = sizes(transcribed.problem, transcribed.collocation.points[0], jnp.asarray(decisions))
-    return {
-        text: 0.0
-        for text, size in zip(transcribed.texts.functionals, magnitudes, strict=True)
-        if text in suspects and float(resolved[text].std) <= _ROUNDING * float(size)
-    }
 
 
 def untrusted(problem: Problem, quality: ExpansionQuality) -> str:
@@ -235,9 +219,7 @@ def doubts(quality: ExpansionQuality, opinion: SecondOpinion | None) -> list[str
             f"error exceeds {quality.tolerance:g}, so means and spreads cannot be trusted. Raise the order"
         )
     if opinion is not None and not opinion.agrees:
-        # Without predictions to compare there is a system that has no result, at any order.
-        remedy = "Raise the order" if opinion.misses else "Mend the model there, or bound the distributions"
-        sentences.append(f"{opinion.sentence()}. {remedy}")
+        sentences.append(f"{opinion.sentence()}. {opinion.remedy}")
     return sentences
 
 

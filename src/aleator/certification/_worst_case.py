@@ -263,13 +263,13 @@ def held_at_worst(
     oracle = Oracle(problem, factor)
     transcribed = transcribed.at_scenarios(_first(transcribed, oracle, start, known))
     outcome, beside = attempt(transcribed, start, multipliers)
-    rounds, worst = 1, np.zeros((0, len(oracle.low)))
+    rounds, worst, is_found = 1, np.zeros((0, len(oracle.low))), True
     while outcome.status is Status.SOLVED:
         new, worst = _searched(transcribed, oracle, outcome, rounds)
         if not len(new):
             break
         if rounds == _MOST_ROUNDS:
-            outcome = replace(outcome, status=Status.WORST_CASE_BROKEN)
+            is_found = False
             break
         before, idle = outcome, _idle(transcribed, outcome.point)
         assert transcribed.scenarios is not None
@@ -278,7 +278,12 @@ def held_at_worst(
         outcome, beside = again(transcribed, begun, before.multipliers)
         outcome = outcome.with_effort_of(before)
         rounds += 1
-    return transcribed, outcome, beside, _reported(transcribed, outcome, oracle, worst, rounds)
+    return (
+        transcribed,
+        outcome,
+        beside,
+        replace(_reported(transcribed, outcome, oracle, worst, rounds), is_found=is_found),
+    )
 
 
 def _first(

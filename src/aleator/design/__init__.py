@@ -57,7 +57,6 @@ from aleator.design._response import history as history
 from aleator.design._response import refuse_large_histories as refuse_large_histories
 from aleator.design._response import responses as responses
 from aleator.design._response import sampled as sampled
-from aleator.design._response import sizes as sizes
 from aleator.design._response import step_at as step_at
 from aleator.design._response import unsolved as unsolved
 from aleator.design._response import value_at as value_at

@@ -10,13 +10,12 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import NUMBER, numbers_to_arrays, refuse_beyond_memory
-from aleator._core.compilation import Compiled, Use
+from aleator._core.arrays import NUMBER, refuse_beyond_memory
 from aleator._core.equations import Digest
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, Printed
 from aleator.design._expression import Constraint, Expression
-from aleator.design._functionals import AbstractIntegral, Integral
+from aleator.design._functionals import AbstractIntegral
 from aleator.design._scope import AbstractScope, AbstractScopeOfInstants, Value
 from aleator.design._statistic import AbstractFunctional, Statistic, Taken, functionals_of, numbers_of
 from aleator.dynamics import AbstractGrid, AbstractIntegrator, AbstractSystem, Asked, History, Simulation
@@ -233,30 +232,6 @@ class _Numbers(AbstractScope):
 def value_at(expression: Expression, problem: AbstractProblem, decisions: Any) -> float:
     """The value at given decisions of an expression of the model's own numbers alone, such as a cost."""
     return float(expression.evaluate(_Numbers(problem, decisions)))
-
-
-def sizes(
-    problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]
-) -> tuple[Float[Array, ""], ...]:
-    """The magnitude behind each functional on one realisation: the largest of its output over time.
-
-    For example, the rate at the end of a motion that comes to rest is small only by cancellation.
-    """
-    return _SIZES(numbers_to_arrays(problem), germ, decisions)
-
-
-def _sizes(
-    problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]
-) -> tuple[Float[Array, ""], ...]:
-    outputs, times = history(problem, germ, decisions), grid_at(problem, decisions).times
-    duration = times[-1] - times[0]
-    return tuple(
-        jnp.max(jnp.abs(outputs[one.output])) * (duration if isinstance(one, Integral) else 1.0)
-        for one in functionals_of(problem.expressions)
-    )
-
-
-_SIZES = Compiled(_sizes, use=Use.ONCE)
 
 
 def refuse_large_histories(problem: AbstractProblem, systems: int, derivatives: int, advice: str) -> None:

@@ -4,10 +4,11 @@ It depends on the germ alone, so it is built and factorised once per problem; th
 Traced samples are worked on by JAX, and known ones by NumPy, which compiles nothing.
 """
 
-from typing import final
+from typing import Any, final
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.arrays import in_library, jax_array, quietly
@@ -154,7 +155,9 @@ def leave_one_out_history(
     """
     parts = mean_squares(collocation, samples, coefficients)
     error, variance, square = (part.reshape(samples.shape[1], -1).sum(axis=1) for part in parts)
-    return relative_error(error, jax.lax.cummax(variance), jax.lax.cummax(square))
+    library, error, variance, square = in_library(error, variance, square)
+    largest: Any = np.maximum.accumulate if library is np else jax.lax.cummax
+    return relative_error(error, largest(variance), largest(square))
 
 
 def resolved_instants(

@@ -65,11 +65,6 @@ class Status(enum.Enum):
     """How a solve ended; the value is a phrase for users."""
 
     SOLVED = "solved: feasible and stationary within tolerance"
-    NOT_HELD = "solved at the instants of the grid, but limits break between them"
-    COARSE = "solved on this grid, which is too coarse: a finer one gives another result"
-    CONTRADICTED = "solved for the expansion, but fresh simulations contradict it"
-    UNRESOLVED = "solved for the expansion, which is too coarse for the statistics of the problem"
-    WORST_CASE_BROKEN = "solved for the realisations found so far, but others break a limit on the worst case"
     INFEASIBLE = "infeasible: the constraints cannot all be met near here"
     ITERATION_LIMIT = "stopped at the iteration limit"
     EVALUATION_FAILED = "the model returned numbers that are not finite"

@@ -22,7 +22,7 @@ from aleator.reporting._numbers import (
 )
 from aleator.reporting._paths import components, ends, limits_of, path_figure, paths_of
 from aleator.reporting._style import padded, plain
-from aleator.reporting._tables import STATUS_WORDS, decision_text, objective_text, worst_text
+from aleator.reporting._tables import STATUS_WORDS, decision_text, objective_text, status_words, worst_text
 from aleator.solution import Moments, Solution
 from aleator.sweep import Refused
 from aleator.validation import Evidence
@@ -128,7 +128,7 @@ def _alarms(evidence: Evidence | None) -> str:
 
 
 def _certified(solution: Solution) -> Iterator[tuple[str, str]]:
-    yield "Status", STATUS_WORDS[solution.status]
+    yield "Status", status_words(solution)
     yield "Active", words(list(solution.active), "nothing")
     found = solution.certificate
     residuals = (("violation", found.violation), ("stationarity", found.stationarity))

@@ -26,11 +26,6 @@ from aleator.statistics import Mean, Std
 from aleator.validation import Checked, Evidence
 
 STATUS_WORDS = {
-    Status.NOT_HELD: "limits break between the instants",
-    Status.COARSE: "the grid is too coarse",
-    Status.UNRESOLVED: "the expansion is too coarse for the statistics asked of it",
-    Status.CONTRADICTED: "fresh simulations contradict the expansion",
-    Status.WORST_CASE_BROKEN: "the worst case breaks a limit",
     Status.SOLVED: "solved",
     Status.INFEASIBLE: "infeasible",
     Status.ITERATION_LIMIT: "iteration limit",
@@ -40,6 +35,14 @@ STATUS_WORDS = {
 }
 
 
+def status_words(solution: Solution) -> str:
+    """How a solve ended, or what its certificate says against its answer."""
+    objection = solution.certificate.objection
+    if solution.status is not Status.SOLVED or objection is None:
+        return STATUS_WORDS[solution.status]
+    return objection.phrase
+
+
 def _union(groups: Sequence[Sequence[str]]) -> list[str]:
     return list(dict.fromkeys(name for group in groups for name in group))
 
@@ -47,7 +50,7 @@ def _union(groups: Sequence[Sequence[str]]) -> list[str]:
 def designs_table(solutions: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -> Table:
     """The designs side by side: decisions, objective, constraints, active limits, and violations by Monte Carlo."""
     every = list(solutions.values())
-    rows: list[list[str]] = [["Status", *(STATUS_WORDS[one.status] for one in every)]]
+    rows: list[list[str]] = [["Status", *map(status_words, every)]]
     for name in _union([list(one.decisions) for one in every]):
         rows.append([name, *(_decision(one, name) for one in every)])
     rows.append(["Objective", *(objective_text(one) for one in every)])
@@ -144,7 +147,7 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
     times = [one.times for one in efforts]
     expanded = [one.expansion for one in certificates if _expanded(one)]
     rows = [
-        ["Status", *(STATUS_WORDS[one.status] for one in every)],
+        ["Status", *map(status_words, every)],
         ["Solver", *(one.solver for one in efforts)],
         *([["States", *map(_found, every)]] if any(one.mesh for one in every) else []),
         ["Violation (scaled)", *(residual(one.violation) for one in certificates)],

@@ -5,6 +5,7 @@ from aleator.solution._certificate import Between as Between
 from aleator.solution._certificate import Certificate as Certificate
 from aleator.solution._certificate import ExpansionQuality as ExpansionQuality
 from aleator.solution._certificate import Moments as Moments
+from aleator.solution._certificate import Objection as Objection
 from aleator.solution._certificate import SecondOpinion as SecondOpinion
 from aleator.solution._certificate import Tangent as Tangent
 from aleator.solution._certificate import WorstCase as WorstCase

@@ -221,7 +221,8 @@ class WorstCase(Printed):
 
     - `realisations`: the worst of each limit on the worst case, in the order of the constraints;
     - `scenarios`: the germ points at which the program imposed the limits, shape (scenarios, variables);
-    - `rounds`: how often the program was solved, with more scenarios each time;
+    - `rounds`: how often the program was solved, with more scenarios each time; `is_found`: whether no realisation was
+      found in the end that breaks a limit by more than these;
     - `searched`: the number of realisations that were simulated.
     """
 
@@ -229,6 +230,7 @@ class WorstCase(Printed):
     scenarios: Float[np.ndarray, "scenarios variables"]
     rounds: int
     searched: int
+    is_found: bool = True
 
     def of(self, text: str) -> WorstRealisation | None:
         """The worst realisation of the constraint with this text; None if it is no limit on the worst case."""
@@ -277,6 +279,12 @@ class SecondOpinion(Printed):
         """Whether the fresh simulations agree with the expansions."""
         return not self.contradictions
 
+    @property
+    def remedy(self) -> str:
+        """What to do where they disagree."""
+        # Without predictions to compare there is a system that has no result, at any order.
+        return "Raise the order" if self.misses else "Mend the model there, or bound the distributions"
+
     def sentence(self) -> str:
         """The result in one sentence."""
         if self.agrees:
@@ -286,6 +294,13 @@ class SecondOpinion(Printed):
 
     def __str__(self) -> str:
         return self.sentence()
+
+
+class Objection(NamedTuple):
+    """What the model says against the optimum of a program: in a phrase, and in a sentence with the remedy."""
+
+    phrase: str
+    sentence: str
 
 
 @final
@@ -299,10 +314,12 @@ class Certificate(Printed):
     - `between`: how far limits over time are exceeded between instants; None if that was not checked;
     - `grid_error`: the difference to a finer grid with an integrator of another order; None for models without time;
     - `worst_case`: the worst realisations of limits on the worst case; None if there are no such limits;
-    - `opinion`: fresh simulations at the answer, compared with the expansions; None if nothing is uncertain or nothing
-      was solved;
+    - `opinion`: fresh simulations at the answer, compared with the expansions; None if nothing is uncertain, nothing
+      was solved, or the grid is already too coarse;
+    - `untrusted`: a sentence on the statistic for which an expansion is too coarse; empty if there is none;
     - `misled`: if nothing was solved, a sentence on large errors of the grid at the start of the search, or, of an
       infeasible problem, on a limit that the grid does not resolve at the least violated point; else empty;
+    - `reaches`: how large each functional could be, to which its rounding is relative; empty if nothing was checked;
     - `correlations`: which correlations of uncertain numbers are not those given, for decisions set their shapes.
     """
 
@@ -314,8 +331,47 @@ class Certificate(Printed):
     grid_error: GridError | None = None
     worst_case: WorstCase | None = None
     opinion: SecondOpinion | None = None
+    untrusted: str = ""
     misled: str = ""
+    reaches: Mapping[str, float] = field(default_factory=dict)
     correlations: str = ""
+
+    @property
+    def objection(self) -> Objection | None:
+        """Why the optimum of the program is no answer to the model; None if it is one."""
+        between, error, opinion, worst_case = self.between, self.grid_error, self.opinion, self.worst_case
+        if between is not None and not between.worst <= TOLERATED:
+            return Objection(
+                "limits break between the instants",
+                f"solved at the instants of the grid, but {between.sentence()}, or between=1 to check the instants "
+                "alone",
+            )
+        if error is not None and not error.is_usable:
+            return Objection("the grid is too coarse", f"solved on {error.steps} steps, but {error}")
+        if opinion is not None and opinion.broken:
+            return Objection(
+                "fresh simulations contradict the expansion",
+                f"solved for the expansion, but {opinion.samples} fresh simulations contradict it: {opinion.broken}. "
+                f"{opinion.remedy}",
+            )
+        if self.untrusted:
+            return Objection(
+                "the expansion is too coarse for the statistics asked of it",
+                f"solved for the expansion of order {self.expansion.order}, but {self.untrusted}. Raise the order; or "
+                "say that you accept it, al.Expansion(order, tolerance=...), and trust al.validate alone",
+            )
+        if worst_case is not None and not worst_case.is_found:
+            return Objection(
+                "the worst case breaks a limit",
+                "solved for the realisations found so far, but others break a limit on the worst case. "
+                f"{worst_case.broken()}",
+            )
+        return None
+
+    @property
+    def holds(self) -> bool:
+        """Whether nothing that was checked speaks against the optimum of the program."""
+        return self.objection is None
 
     def rows(self) -> list[tuple[str, str]]:
         """A label and a text for each printed line."""

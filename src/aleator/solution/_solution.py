@@ -198,8 +198,16 @@ class Solution(Drawn):
 
     @property
     def ok(self) -> bool:
-        """Whether it was solved to tolerance, and limits hold between instants too if that was checked."""
-        return self.status is Status.SOLVED
+        """Whether it was solved to tolerance, and the certificate holds: it is an answer to the model too."""
+        return self.status is Status.SOLVED and self.certificate.holds
+
+    @property
+    def verdict(self) -> str:
+        """How it ended, in a phrase: as its program did or, where that is solved, by what its certificate says."""
+        objection = self.certificate.objection
+        if self.status is not Status.SOLVED or objection is None:
+            return self.status.value
+        return f"solved, but {objection.phrase}"
 
     @property
     def mesh(self) -> MeshError | None:
@@ -244,25 +252,8 @@ class Solution(Drawn):
 
     def _reason(self) -> str:
         found = self.certificate
-        if self.status is Status.NOT_HELD and found.between is not None:
-            return (
-                f"solved at the instants of the grid, but {found.between.sentence()}, or between=1 to check the "
-                "instants alone."
-            )
-        if self.status is Status.WORST_CASE_BROKEN and found.worst_case is not None:
-            return f"{self.status.value}. {found.worst_case.broken()}"
-        if self.status is Status.COARSE and found.grid_error is not None:
-            return f"solved on {found.grid_error.steps} steps, but {found.grid_error}. {self.message}".strip()
-        if self.status is Status.CONTRADICTED and found.opinion is not None:
-            return (
-                f"solved for the expansion, but {found.opinion.samples} fresh simulations contradict it: "
-                f"{found.opinion.broken}. Raise the order of the expansion."
-            )
-        if self.status is Status.UNRESOLVED:
-            return (
-                f"solved for the expansion of order {found.expansion.order}, but {self.message}. Raise the order; or "
-                "say that you accept it, al.Expansion(order, tolerance=...), and trust al.validate alone."
-            )
+        if self.status is Status.SOLVED and found.objection is not None:
+            return f"{found.objection.sentence.rstrip('.')}. {self.message}".strip()
         broken = "; ".join(one.sentence() + self._realisation(one) for one in self.violated)
         coarse = f" Perhaps for its grid: {found.misled}. Use more steps." if found.misled else ""
         said = ". ".join(part.rstrip(".") for part in (self.status.value, broken, self.message) if part)
@@ -278,7 +269,7 @@ class Solution(Drawn):
         decisions = (f"{name} = {_shown(value)}{self._at_bound(name)}" for name, value in self.decisions.items())
         return lines(
             [
-                ("status", f"{self.status.value} by {self.effort.solver}"),
+                ("status", f"{self.verdict} by {self.effort.solver}"),
                 ("objective", f"{self.objective:.8g} = {self.problem.objective}"),
                 *(("decision", text) for text in decisions),
                 *(("constraint", str(one)) for one in self.constraints),
@@ -305,4 +296,4 @@ def in_brief(solution: Solution) -> str:
         return f"objective {solution.objective:.6g}, feasible"
     if solution.status is Status.INFEASIBLE:
         return f"infeasible, violation {solution.certificate.violation:.2g}"
-    return solution.status.name.lower().replace("_", " ")
+    return solution.verdict

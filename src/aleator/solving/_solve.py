@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from aleator._core.border import one_of, whole
+from aleator._core.compilation import compile_seconds
 from aleator._core.errors import (
     CorrelationWarning,
     ExpansionWarning,
@@ -21,11 +22,11 @@ from aleator._core.executors import check_executor
 from aleator._core.interruption import heeding
 from aleator._core.journalled import journalled
 from aleator._core.parallel import dropped_on_failure
-from aleator.certification import doubts, moved_correlations, refinement, second_opinion, unconverged, untrusted
+from aleator.certification import doubts, refinement, unconverged
 from aleator.design import Problem, deterministic
 from aleator.nlp import AbstractSearch, AbstractSolver, Status
 from aleator.solution import AtMeans, Solution
-from aleator.solving._stages import UNSOLVED, Answer, Stages, compile_seconds
+from aleator.solving._stages import UNSOLVED, Answer, Stages
 from aleator.transcription import DEFAULT, AbstractTranscription, started_from
 
 # The finest accuracy of a grid that may be asked for.
@@ -231,16 +232,16 @@ def _solved(call: Call) -> Solution:
     solver = call.solver or transcription.solver
     # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
     with heeding() as heed, dropped_on_failure():
-        compiled = compile_seconds(transcription)
-        stages = Stages(transcription, solver, call.between, call.accuracy, compiled, heed, call.executor)
+        stages = Stages(transcription, solver, call.between, call.accuracy, compile_seconds(), heed, call.executor)
         at_means = None
         if call.deterministic_first:
             stages, first, at_means = _from_means(stages, problem, first)
         answer = stages.answer(problem, first, *known)
         if call.refine:
             answer = _refined(stages, answer)
-        solution = _with_opinion(stages, answer)
-        solution = replace(solution, effort=replace(solution.effort, at_means=at_means))
+        solution = answer.with_opinion()
+        times = replace(solution.effort.times, compile_=stages.compiled)
+        solution = replace(solution, effort=replace(solution.effort, at_means=at_means, times=times))
         heed()
     return solution
 
@@ -275,28 +276,6 @@ def _refined(stages: Stages, answer: Answer) -> Answer:
         solutions.append(answer.solution)
     reason = unconverged(solutions)
     return answer._replace(solution=replace(answer.solution, message=reason)) if reason else answer
-
-
-def _with_opinion(stages: Stages, answer: Answer) -> Solution:
-    """The solution with what a few fresh simulations say of its expansions, and failed where they break a limit, or
-    where an expansion is too coarse for what is asked of it.
-    """
-    solution = answer.solution
-    if not solution.ok:
-        return solution
-    opinion = second_opinion(answer.transcribed, answer.point)
-    moved = moved_correlations(solution.problem, np.asarray(answer.transcribed.at(answer.point).decisions))
-    coarse = untrusted(solution.problem, solution.certificate.expansion)
-    status = Status.UNRESOLVED if coarse else solution.status
-    if opinion is not None and opinion.broken:
-        status = Status.CONTRADICTED
-    return replace(
-        solution,
-        status=status,
-        message=coarse or solution.message,
-        certificate=replace(solution.certificate, opinion=opinion, correlations=moved),
-        effort=replace(solution.effort, times=replace(solution.effort.times, compile_=stages.compiled)),
-    )
 
 
 def _warn_of_doubts(solution: Solution) -> None:

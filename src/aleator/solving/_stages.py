@@ -8,23 +8,25 @@ from typing import NamedTuple
 
 import numpy as np
 
+from aleator._core.compilation import compile_seconds
 from aleator.certification import (
-    REACHED,
-    Reference,
+    Check,
+    begin_check,
+    check_factor,
     diagnose,
     grid_error,
     held_at_worst,
     held_between,
-    prepare_judges,
-    probed,
-    reference,
-    reference_factor,
+    misled_at,
+    moved_correlations,
+    prepare_check,
+    second_opinion,
     solution_of,
-    whether_misled,
+    untrusted,
 )
 from aleator.design import Problem, is_over_time
 from aleator.nlp import AbstractSearch, AbstractSolver, Outcome, Status, feasible_elsewhere, moved_on
-from aleator.solution import TOLERATED, Between, Solution, WorstCase
+from aleator.solution import Between, Solution, WorstCase
 from aleator.transcription import (
     AbstractTranscribed,
     AbstractTranscription,
@@ -39,11 +41,25 @@ UNSOLVED = (Status.INFEASIBLE, Status.FAILED, Status.ITERATION_LIMIT)
 
 
 class Answer(NamedTuple):
-    """A solution, the program that it was found by, and the point of that program that it stands for."""
+    """A solution, the program that it was found by, the point of that program that it stands for, and its check."""
 
     solution: Solution
     transcribed: AbstractTranscribed
     point: np.ndarray
+    check: Check | None
+
+    def with_opinion(self) -> Solution:
+        """The solution with what fresh systems say of its expansions, unless its grid is no good already."""
+        solution, problem = self.solution, self.solution.problem
+        if not solution.ok:
+            return solution
+        certificate = replace(
+            solution.certificate,
+            opinion=None if self.check is None else second_opinion(self.transcribed, self.point, self.check),
+            untrusted=untrusted(problem, solution.certificate.expansion),
+            correlations=moved_correlations(problem, solution.vector),
+        )
+        return replace(solution, certificate=certificate)
 
 
 class _Meshed(NamedTuple):
@@ -68,7 +84,7 @@ class Stages(NamedTuple):
     @property
     def compiled(self) -> float:
         """How long compilations have taken since the first stage, s."""
-        return compile_seconds(self.transcription) - self.compiled_before
+        return compile_seconds() - self.compiled_before
 
     def answer(
         self,
@@ -82,16 +98,17 @@ class Stages(NamedTuple):
         `start`: decisions, None for their own initial values.
         """
         is_between = self.between != 1 and any(map(is_over_time, problem.constraints))
-        factor = reference_factor(problem, self.between)
-        transcribed = transcribe(problem, self.transcription, functools.partial(prepare_judges, factor))
+        prepare = functools.partial(prepare_check, check_factor(problem, self.between))
+        transcribed = transcribe(problem, self.transcription, prepare)
         self.heed()
         begun = None if start is None else transcribed.point(start)
         meshed = self._meshed(transcribed, begun) if self.transcription.refines else _Meshed(transcribed, begun, None)
         transcribed, begun, _ = meshed
-        factor = reference_factor(transcribed.problem, self.between)
-        is_judged = multipliers is None and not self.transcription.is_guessed
-        astray = self._astray(transcribed, begun, factor) if is_judged else lambda: ""
-        transcribed, outcome, (between, finer), worst_case = held_at_worst(
+        factor = check_factor(transcribed.problem, self.between)
+        is_judged = multipliers is None and not self.transcription.is_guessed and factor > 1
+        is_judged = is_judged and transcribed.problem.is_integrated
+        first = transcribed.program.start if begun is None else begun
+        transcribed, outcome, (between, check), worst_case = held_at_worst(
             transcribed,
             functools.partial(self._attempt, self.solver, meshed),
             functools.partial(self._attempt, self.solver.local, meshed),
@@ -104,24 +121,17 @@ class Stages(NamedTuple):
             raise KeyboardInterrupt
         if outcome.failed_at is not None:
             outcome = replace(outcome, message=diagnose(transcribed, transcribed.decisions(outcome.failed_at)))
-        error = None
-        at_start = astray() if finer is not None or outcome.status in UNSOLVED else ""
-        if finer is not None:
-            elsewhere = probed(transcribed, outcome.point, finer)
-            error = grid_error(transcribed, outcome.point, finer, self.accuracy, elsewhere.numbers)
-            error = replace(error, at_start=at_start)
-            if between is not None and elsewhere.worst > between.worst:
-                between = replace(between, worst=elsewhere.worst, name=elsewhere.where, time=elsewhere.when)
-        if error is not None and not error.is_usable:
-            outcome = replace(outcome, status=Status.COARSE)
-        if between is not None and between.worst > TOLERATED:
-            outcome = replace(outcome, status=Status.NOT_HELD)
-        misled = at_start if outcome.status in UNSOLVED else ""
-        if outcome.status is Status.INFEASIBLE and is_judged and factor > 1 and not misled:
-            finer = reference(transcribed, outcome.point, factor)
-            misled = grid_error(transcribed, outcome.point, finer, self.accuracy).unresolved
-        found = solution_of(transcribed, outcome, between, error, worst_case, misled, self.compiled)
-        return Answer(found, transcribed, outcome.point)
+        error, misled = None, ""
+        if check is not None and factor > 1:
+            at_start = misled_at(transcribed, first, outcome.point, factor) if is_judged else ""
+            error = replace(grid_error(transcribed, outcome.point, check, self.accuracy), at_start=at_start)
+        if is_judged and outcome.status in UNSOLVED:
+            misled = misled_at(transcribed, first, None, factor)
+        if outcome.status is Status.INFEASIBLE and is_judged and not misled:
+            least = begin_check(transcribed, outcome.point, factor)()
+            misled = grid_error(transcribed, outcome.point, least, self.accuracy).unresolved
+        found = solution_of(transcribed, outcome, between, error, worst_case, misled, check, self.compiled)
+        return Answer(found, transcribed, outcome.point, check)
 
     def _meshed(self, transcribed: AbstractTranscribed, begun: np.ndarray | None) -> _Meshed:
         """The problem on a mesh that is fine enough, and its outcome; where one fails, it stays."""
@@ -135,13 +145,6 @@ class Stages(NamedTuple):
                 return _Meshed(transcribed, outcome.point if outcome.status is Status.SOLVED else begun, outcome)
             transcribed, begun = finer
 
-    @staticmethod
-    def _astray(transcribed: AbstractTranscribed, start: np.ndarray | None, factor: int) -> Callable[[], str]:
-        """Whether the search begins where the grid is far off, found out while it runs."""
-        begun = transcribed.program.start if start is None else start
-        transcribed.prepare_resolution(begun)
-        return whether_misled(transcribed, begun, factor)
-
     def _attempt(
         self,
         solver: AbstractSolver,
@@ -149,15 +152,15 @@ class Stages(NamedTuple):
         transcribed: AbstractTranscribed,
         start: np.ndarray | None,
         multipliers: np.ndarray | None,
-    ) -> tuple[Outcome, tuple[Between | None, Reference | None]]:
+    ) -> tuple[Outcome, tuple[Between | None, Check | None]]:
         self.heed()
         known = meshed.outcome if transcribed is meshed.transcribed else None
         outcome = self._optimise(transcribed, solver, start, multipliers) if known is None else known
         if multipliers is None and outcome.status is not Status.INTERRUPTED:
             outcome = _looked_around(transcribed, solver.local, outcome, start)
         self.heed()
-        outcome, between, finer = held_between(transcribed, solver.local, outcome, self.between)
-        return outcome, (between, finer)
+        outcome, between, check = held_between(transcribed, solver.local, outcome, self.between)
+        return outcome, (between, check)
 
     def _optimise(
         self,
@@ -172,11 +175,6 @@ class Stages(NamedTuple):
         executor = self.executor if isinstance(solver, AbstractSearch) else None
         program = valued_by(executor, transcribed.program, "solve")
         return solver.solve(program, start=start, multipliers=known)
-
-
-def compile_seconds(transcription: AbstractTranscription) -> float:
-    """How long all compilations that a solution waits for have taken so far, s."""
-    return transcription.compile_seconds() + REACHED.seconds
 
 
 def _looked_around(

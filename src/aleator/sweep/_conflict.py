@@ -13,12 +13,12 @@ from aleator._core.border import Progress, check_progress, one_of, silent
 from aleator._core.errors import SimulationError
 from aleator._core.interruption import heeding
 from aleator._core.leaves import Printed
-from aleator.certification import bound_size, diagnose
+from aleator.certification import diagnose
 from aleator.design import Problem, is_at_points, is_worst_case
 from aleator.ensemble import inputs_at
 from aleator.nlp import HELD, AbstractSolver, Elastic, Excess, Ipopt, NonlinearProgram, variable_range
 from aleator.solution import system_text
-from aleator.transcription import DEFAULT, AbstractTranscribed, germ_box, transcribe
+from aleator.transcription import DEFAULT, AbstractTranscribed, bound_size, germ_box, transcribe
 
 # Added where a claim rests on searches that were stopped.
 _NOT_SHOWN = "not shown: some searches were stopped, as where the model is not finite; a design may exist all the same"

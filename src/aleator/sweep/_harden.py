@@ -9,13 +9,12 @@ import numpy as np
 from aleator._core.border import Progress, a_name, check_progress, one_of, positive, refusal, silent, whole
 from aleator._core.errors import ProblemError, warned_of
 from aleator._core.leaves import Drawn
-from aleator.certification import bound_size
 from aleator.design import Problem, soft
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.solving import solve
 from aleator.sweep._each import until_interrupted
-from aleator.transcription import DEFAULT, AbstractTranscribed, AbstractTranscription, transcribe
+from aleator.transcription import DEFAULT, AbstractTranscribed, AbstractTranscription, bound_size, transcribe
 
 # Beyond this weight, a penalty leaves no digit of the objective, and its square overflows.
 _LARGEST = 1e100

@@ -7,10 +7,10 @@ from ._constraints import as_read as as_read
 from ._constraints import blind_decisions as blind_decisions
 from ._constraints import bound_size as bound_size
 from ._constraints import refuse_blind as refuse_blind
-from ._expansions import RESPOND as RESPOND
 from ._expansions import Discretised as Discretised
 from ._expansions import Resolved as Resolved
-from ._expansions import scope_of as scope_of
+from ._expansions import scope_from as scope_from
+from ._expansions import simulated as simulated
 from ._scenarios import Scenarios as Scenarios
 from ._scenarios import germ_box as germ_box
 from ._transcribe import DEFAULT as DEFAULT

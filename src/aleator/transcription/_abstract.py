@@ -5,7 +5,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Generic, NamedTuple, Self, TypeVar, final
+from typing import Generic, NamedTuple, Self, TypeVar, final
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ from aleator.expansion import Basis, Collocation
 from aleator.nlp import AbstractSolver, NonlinearProgram, default_solver
 from aleator.solution import Costates, MeshError, Solution, States, Switching
 from aleator.statistics import Constants
-from aleator.transcription._expansions import RESOLVE, RESPOND, Discretised, Resolved
+from aleator.transcription._expansions import Discretised, Resolved, resolved
 from aleator.transcription._scenarios import Scenarios
 from aleator.uncertainty import Placements
 
@@ -213,15 +213,13 @@ class AbstractTranscribed(abc.ABC):
 
     @cached_property
     def _resolved(self) -> Remembered[tuple[Resolved, ...]]:
-        return Remembered(lambda point: RESOLVE(*self._resolution(point)))
+        functionals = functionals_of(self.problem.expressions)
 
-    def prepare_resolution(self, point: Float[np.ndarray, " variables"]) -> None:
-        """Begin to compile what `resolve` will need, in parallel with the next steps."""
-        RESOLVE.prepare(*self._resolution(point))
+        def at(point: Float[np.ndarray, " variables"]) -> tuple[Resolved, ...]:
+            parts = zip(functionals, self.at(point).samples, self.at(point).tangents, strict=True)
+            return tuple(resolved(one, self.collocation, samples, tangents) for one, samples, tangents in parts)
 
-    def _resolution(self, point: Float[np.ndarray, " variables"]) -> tuple:
-        meaning = self.at(point)
-        return functionals_of(self.traced.expressions), self.collocation, meaning.samples, meaning.tangents
+        return Remembered(at)
 
 
 Meanwhile = Callable[[Problem, Discretised], object]
@@ -230,12 +228,7 @@ Meanwhile = Callable[[Problem, Discretised], object]
 
 @dataclass(frozen=True)
 class AbstractTranscription(abc.ABC):
-    """A method of transcribing a problem to a nonlinear program. Equal transcriptions give the same program.
-
-    `programs`: the compiled functions whose compilation its user waits for.
-    """
-
-    programs: ClassVar[tuple[Compiled, ...]] = ()
+    """A method of transcribing a problem to a nonlinear program. Equal transcriptions give the same program."""
 
     @abc.abstractmethod
     def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> AbstractTranscribed:
@@ -272,7 +265,3 @@ class AbstractTranscription(abc.ABC):
     def solver(self) -> AbstractSolver:
         """The solver that its programs suit, where none is given."""
         return default_solver()
-
-    def compile_seconds(self) -> float:
-        """The total time so far, in s, that users of it have waited for compilations."""
-        return sum(program.seconds for program in (RESOLVE, RESPOND, *self.programs))

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import numbers_to_arrays
+from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError
 from aleator.design import (
@@ -279,22 +279,21 @@ def simulated(
     problem: Problem,
     functionals: tuple[AbstractFunctional, ...],
     points: Float[Array, "points variables"],
-    fit: Float[Array, "terms points"],
+    fit: Float[Array, "terms fitted"],
     scenarios: Float[Array, "scenarios variables"] | None,
     decisions: Float[Array, " n"],
 ) -> tuple[tuple[Float[Array, "points ..."], ...], Terms]:
-    """Functionals at some collocation points, and the contribution of these points to the coefficients.
+    """Functionals at some points, and the contribution of the collocation points among these to the coefficients.
 
-    - `fit`: the columns of the collocation's `pseudo_inverse` that belong to the points.
+    - `fit`: the columns of the collocation's `pseudo_inverse` that belong to the first points; others have none.
     """
     if not functionals:
         return (), Terms((), (), ())
     count, every = len(points), points if scenarios is None else jnp.concatenate([points, scenarios])
-    sampling = sampled(problem, functionals, _integrated(problem, functionals), every, decisions)
-    samples = tuple(values[:count] for values in sampling.values)
-    return samples, Terms(
-        coefficients=tuple(jnp.tensordot(fit, values, axes=1) for values in samples),
-        nodes=tuple(jnp.tensordot(fit, values[:count], axes=1) for values in sampling.nodes),
+    sampling, fitted = sampled(problem, functionals, _integrated(problem, functionals), every, decisions), fit.shape[1]
+    return tuple(values[:count] for values in sampling.values), Terms(
+        coefficients=tuple(jnp.tensordot(fit, values[:fitted], axes=1) for values in sampling.values),
+        nodes=tuple(jnp.tensordot(fit, values[:fitted], axes=1) for values in sampling.nodes),
         realised=() if scenarios is None else tuple(values[count:] for values in sampling.values),
     )
 
@@ -332,11 +331,11 @@ class Resolved(NamedTuple):
       derivatives of statistics follow from these. None if unknown.
     """
 
-    mean: Float[Array, "*shape"]
-    std: Float[Array, "*shape"]
-    leave_one_out: Float[Array, ""]
-    history: Float[Array, " instants"] | None
-    tangents: Float[Array, " parameters"] | None
+    mean: Float[np.ndarray, "*shape"]
+    std: Float[np.ndarray, "*shape"]
+    leave_one_out: float
+    history: Float[np.ndarray, " instants"] | None
+    tangents: Float[np.ndarray, " parameters"] | None
 
 
 # Evenly spread instants of a path at which its derivatives are checked: enough to show how well they are resolved.
@@ -348,41 +347,30 @@ def seen(samples: Float[Array, "points *shape"], is_path: bool) -> Float[Array, 
     return samples[:, :: -max(1, samples.shape[1] // _SEEN)] if is_path else samples
 
 
-def _resolve(
-    functionals: tuple[AbstractFunctional, ...],
-    collocation: Collocation,
-    samples: tuple[Float[Array, "points ..."], ...],
-    tangents: tuple[Float[Array, "points ... parameters"] | None, ...],
-) -> tuple[Resolved, ...]:
-    parts = zip(functionals, samples, tangents, strict=True)
-    return tuple(_resolved(one, collocation, values, slopes) for one, values, slopes in parts)
-
-
-def _resolved(
+def resolved(
     functional: AbstractFunctional,
     collocation: Collocation,
-    samples: Float[Array, "points ..."],
-    tangents: Float[Array, "points ... parameters"] | None,
+    samples: Float[np.ndarray, "points ..."],
+    tangents: Float[np.ndarray, "points ... parameters"] | None,
 ) -> Resolved:
-    terms = collocation.coefficients(samples)
+    """The moments and the quality of a functional's expansion from its samples, by NumPy."""
+    known = jax_array(samples)
+    terms = collocation.coefficients(known)
     return Resolved(
-        mean=Mean().of(terms, ()),
-        std=Std().of(terms, ()),
-        leave_one_out=leave_one_out(collocation, samples, terms),
-        history=leave_one_out_history(collocation, samples, terms) if functional.is_path else None,
+        mean=np.asarray(Mean().of(terms, ())),
+        std=np.asarray(Std().of(terms, ())),
+        leave_one_out=float(leave_one_out(collocation, known, terms)),
+        history=np.asarray(leave_one_out_history(collocation, known, terms)) if functional.is_path else None,
         tangents=None if tangents is None else _errors_of(collocation, tangents),
     )
 
 
 def _errors_of(
-    collocation: Collocation, tangents: Float[Array, "points ... parameters"]
-) -> Float[Array, " parameters"]:
+    collocation: Collocation, tangents: Float[np.ndarray, "points ... parameters"]
+) -> Float[np.ndarray, " parameters"]:
     """The leave-one-out error of each tangent's own expansion.
 
     A fit is linear, so that the derivatives of its coefficients are the coefficients of the derivative.
     """
-    each = jnp.moveaxis(tangents, -1, 0)
-    return jax.vmap(lambda one: leave_one_out(collocation, one, collocation.coefficients(one)))(each)
-
-
-RESOLVE = Compiled(_resolve, use=Use.ONCE)
+    each = map(jax_array, np.moveaxis(tangents, -1, 0))
+    return np.array([leave_one_out(collocation, one, collocation.coefficients(one)) for one in each])

@@ -4,13 +4,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, final
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Drawn, Printed
-from aleator.design import Problem, Statistic, expanded_functionals, functionals_of, is_worst_case, sizes
+from aleator.design import Problem, Statistic, expanded_functionals, is_worst_case
 from aleator.references._estimate import group_count, pair
 from aleator.solution import Solution, ends
 from aleator.statistics import (
@@ -315,10 +314,7 @@ def _limits(sample: Sample) -> Iterator[Disagreement]:
 
 def _is_rounding(one: Disagreement, sample: Sample) -> bool:
     """Whether a disagreement is mere rounding, such as of a rate that is zero at the end of every motion."""
-    functionals = functionals_of(sample.problem.expressions)
-    centre = jnp.asarray([germ.quantile(np.array(0.5)) for germ in sample.problem.placements.germs.values()])
-    magnitudes = sizes(sample.problem, centre, jnp.asarray(sample.solution.vector))
-    for functional, size in zip(functionals, magnitudes, strict=True):
-        if one.text in (f"μ[{functional.text()}]", f"σ[{functional.text()}]"):
-            return abs(one.estimate - one.expected) <= _ROUNDING * float(size)
+    for text, reach in sample.solution.certificate.reaches.items():
+        if one.text in (f"μ[{text}]", f"σ[{text}]"):
+            return abs(one.estimate - one.expected) <= _ROUNDING * reach
     return False

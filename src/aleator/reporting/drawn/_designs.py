@@ -24,7 +24,7 @@ from aleator.reporting._numbers import (
     words,
 )
 from aleator.reporting._paths import components, histories_figure, limits_of, limits_text, path_figure, paths_of
-from aleator.reporting._tables import STATUS_WORDS, decision_text, limit_rows, objective_text
+from aleator.reporting._tables import decision_text, limit_rows, objective_text, status_words
 from aleator.reporting.drawn._facts import AbstractPlots, Backend, Facts, chosen, drawn_by, facts_of, plots_of, unknown
 from aleator.solution import Costates, MeshError, Solution, States, Switching
 
@@ -242,7 +242,7 @@ class SolutionPlots(AbstractPlots[Solution]):
 
     def _told(self) -> str:
         """What a reader must know of a design that is not solved."""
-        return "" if self._result.ok else f"Not a design: {STATUS_WORDS[self._result.status]}"
+        return "" if self._result.ok else f"Not a design: {status_words(self._result)}"
 
 
 plots_of.register(Solution, SolutionPlots)
@@ -261,7 +261,7 @@ plots_of.register(MeshError, MeshPlots)
 
 @facts_of.register(Solution)
 def _(solution: Solution) -> Facts:
-    heading = f"Solution: {STATUS_WORDS[solution.status]}"
+    heading = f"Solution: {status_words(solution)}"
     rows = [("objective", f"{objective_text(solution)} = {solution.problem.objective}")]
     rows += [(name, decision_text(solution, name)) for name in solution.decisions]
     limits = [(f"limit {name}", text) for name, text in limit_rows(solution)]

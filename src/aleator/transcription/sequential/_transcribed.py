@@ -7,7 +7,7 @@ decisions are few, from another one. Rows of splines depend on few decisions eac
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -38,9 +38,9 @@ from aleator.transcription._constraints import (
 )
 from aleator.transcription._expansions import Discretised, discretised, scope_of
 from aleator.transcription._scenarios import Scenarios, first_scenarios
-from aleator.transcription.sequential._evaluator import COMBINE, CONTRIBUTE, EVALUATE, Evaluator, evaluation_of, use_of
-from aleator.transcription.sequential._instantaneous import FEATURES, anchors_of, instantaneous
-from aleator.transcription.sequential._population import VALUES, Population
+from aleator.transcription.sequential._evaluator import Evaluator, evaluation_of, use_of
+from aleator.transcription.sequential._instantaneous import anchors_of, instantaneous
+from aleator.transcription.sequential._population import Population
 
 # How many points near the start show which derivatives are zero everywhere, and how far away they are.
 _NEARBY, _DISTANCE = 3, 0.1
@@ -181,8 +181,6 @@ class Sequential(AbstractTranscription):
     """
 
     second_derivatives: bool = False
-
-    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CONTRIBUTE, COMBINE, FEATURES, VALUES, CURVATURE)
 
     def __post_init__(self) -> None:
         if not isinstance(self.second_derivatives, bool):

@@ -1,7 +1,7 @@
 """`Simultaneous`: direct collocation, from a declared problem to its sparse program."""
 
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
@@ -9,7 +9,6 @@ from typing_extensions import override
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.border import one_of, positive, refusal, whole
-from aleator._core.compilation import Compiled
 from aleator._core.errors import ProblemError
 from aleator.design import Problem
 from aleator.dynamics import MOST_STAGES, AbstractScheme, Grid, HermiteSimpson
@@ -18,13 +17,11 @@ from aleator.solution import Solution
 from aleator.transcription._abstract import AbstractTranscription, Meanwhile
 from aleator.transcription._expansions import discretised
 from aleator.transcription._scenarios import first_scenarios
-from aleator.transcription.simultaneous._layout import ALONG
 from aleator.transcription.simultaneous._mesh import Mesh, first_nodes
 from aleator.transcription.simultaneous._pointwise import Pointwise
-from aleator.transcription.simultaneous._refinement import BETWEEN, FLOWN, Goal
-from aleator.transcription.simultaneous._starts import ALGEBRAIC, SIMULATED, AbstractStart, Guess, start_of
-from aleator.transcription.simultaneous._tiles import CURVE, EVALUATE
-from aleator.transcription.simultaneous._transcribed import TAKEN, Recipe, SimultaneouslyTranscribed
+from aleator.transcription.simultaneous._refinement import Goal
+from aleator.transcription.simultaneous._starts import AbstractStart, Guess, start_of
+from aleator.transcription.simultaneous._transcribed import Recipe, SimultaneouslyTranscribed
 
 # The least error of a mesh that may be asked for.
 _LEAST_ERROR = 1e-12
@@ -64,17 +61,6 @@ class Simultaneous(AbstractTranscription):
     most_stages: int | None = None
     guess: Guess | None = field(default=None, compare=False, repr=False)
     _start: AbstractStart = field(init=False, repr=False)
-
-    programs: ClassVar[tuple[Compiled, ...]] = (
-        EVALUATE,
-        CURVE,
-        SIMULATED,
-        ALGEBRAIC,
-        ALONG,
-        TAKEN,
-        BETWEEN,
-        FLOWN,
-    )
 
     def __post_init__(self) -> None:
         one_of("Simultaneous: scheme", self.scheme, AbstractScheme, "al.schemes.HermiteSimpson()")

@@ -1,0 +1,313 @@
+"""CHECK: a problem at one point, by other means than those that found it.
+
+One compiled program simulates the collocation points and fresh systems, which no solver has seen, on a finer grid and
+with an integrator of another order. The finer grid has an odd prime number of times as many steps, so that its instants
+are in no phase with those of the problem's: what is constant at these, such as a ripple of their period, shows there.
+"""
+
+from collections.abc import Callable, Collection, Iterable, Iterator
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import jax_array, numbers_to_arrays
+from aleator._core.compilation import Compiled, Use
+from aleator.design import (
+    AbstractFunctional,
+    Constraint,
+    Peak,
+    Problem,
+    Statistic,
+    functionals_of,
+    grid_at,
+    statistics_in,
+)
+from aleator.dynamics import AbstractIntegrator, Grid, Kvaerno5
+from aleator.ensemble import at_levels, random_levels
+from aleator.expansion import Collocation
+from aleator.statistics import Constants, Mean, Std
+from aleator.trajectories import AbstractTrajectory, BSpline, least_steps, piecewise_in
+from aleator.transcription import AbstractTranscribed, Discretised, scope_from, simulated
+from aleator.uncertainty import AbstractGerm
+
+FRESH = 32
+"""Fresh systems in one check: enough for a standard error, and cheap beside one evaluation with derivatives."""
+
+# Factor of steps for systems that follow trajectories, whose limits are enforced between instants, and for others;
+# then the least number of steps in all, and between two knots.
+_FOLLOWING, _PLAIN, _FEWEST, _BY_PIECE = 11, 3, 1000, 4
+# Rounding as a part of the magnitude of an output and of a constraint, and integration error as a part of an output's.
+_ROUNDING, ROUNDING, NEGLIGIBLE_SPREAD = 1e-12, 1e-9, 1e-6
+# The depths of tails, as parts of all systems: more than 4 standard deviations of a normal germ, and the median.
+_DEEPEST, _SHALLOWEST = 1e-5, 0.5
+
+
+class FreshSystems(NamedTuple):
+    """Germ points, and the weights with which their mean stands for all systems."""
+
+    points: Float[np.ndarray, "fresh variables"]
+    weights: Float[np.ndarray, " fresh"]
+
+
+def fresh_systems(germs: Collection[AbstractGerm], count: int, generator: np.random.Generator) -> FreshSystems:
+    """Half of the systems drawn at random, in the others one germ after the other in its lower or its upper tail.
+
+    An output may owe much of its spread to the one system in a hundred that no collocation point and none of a few
+    random systems resembles. Depths within a tail are log-uniform, spread evenly over the systems of that tail. Weights
+    undo the choice (multiple importance sampling with the balance heuristic of Veach and Guibas, 1995); none exceeds 2.
+    """
+    levels = random_levels(generator, count, len(germs))
+    tails = np.arange(count - count // 2) % (2 * len(germs))
+    which, upper = tails // 2, tails % 2 == 1
+    depths = _depths(tails, generator)
+    levels[count // 2 + np.arange(len(tails)), which] = np.where(upper, 1 - depths, depths)
+    drawn = np.bincount(tails, minlength=2 * len(germs)) / count
+    density = count // 2 / count + _tail_density(levels) @ drawn[::2] + _tail_density(1 - levels) @ drawn[1::2]
+    return FreshSystems(at_levels(germs, levels), 1 / density)
+
+
+def _depths(tails: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """A depth for each system, one in each of the equal parts of its tail's logarithmic range."""
+    parts = np.empty(len(tails))
+    for tail in np.unique(tails):
+        those = np.flatnonzero(tails == tail)
+        parts[those] = (np.arange(len(those)) + generator.random(len(those))) / len(those)
+    return _DEEPEST * (_SHALLOWEST / _DEEPEST) ** parts
+
+
+def _tail_density(depths: np.ndarray) -> np.ndarray:
+    """The density of a level at a depth below the median, relative to a random one."""
+    inside = (depths >= _DEEPEST) & (depths <= _SHALLOWEST)
+    return np.where(inside, 1 / (np.maximum(depths, _DEEPEST) * np.log(_SHALLOWEST / _DEEPEST)), 0.0)
+
+
+class Check(NamedTuple):
+    """A problem's numbers at one point by CHECK.
+
+    - `values`: the objective, then the constraints, those of paths at every instant of the finer grid;
+    - `statistics`, `means`, `stds`: each statistic in the expressions; the moments of each functional;
+    - `reaches`: how large each functional could be, see `AbstractFunctional.reach`;
+    - `fresh`: each functional at the fresh systems; `predicted`: what its expansion predicts there;
+    - `systems`: the fresh systems; `factor`: how many times as many steps the finer grid has; `integrator`: its name.
+
+    Statistics, moments and functionals of paths are at every instant of the finer grid.
+    """
+
+    values: tuple[Float[np.ndarray, "..."], ...]
+    statistics: tuple[Float[np.ndarray, "..."], ...]
+    means: tuple[Float[np.ndarray, "..."], ...]
+    stds: tuple[Float[np.ndarray, "..."], ...]
+    reaches: tuple[float, ...]
+    fresh: tuple[Float[np.ndarray, "fresh ..."], ...]
+    predicted: tuple[Float[np.ndarray, "fresh ..."], ...]
+    systems: FreshSystems
+    factor: int
+    integrator: str
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether the moments of every functional are numbers."""
+        return all(np.isfinite(one).all() for one in (*self.means, *self.stds))
+
+
+def _check(
+    problem: Problem,
+    collocation: Collocation,
+    constants: Constants,
+    systems: Float[Array, "fresh variables"],
+    predict: Float[Array, "fresh terms"],
+    decisions: Float[Array, " n"],
+) -> tuple[Any, ...]:
+    """The first parts of `Check`."""
+    functionals = functionals_of(problem.expressions)
+    names = dict.fromkeys(name for one in functionals for name in one.outputs)
+    peaks = tuple(Peak((name,)) for name in names)
+    every = tuple(dict.fromkeys((*functionals, *peaks)))
+    points = jnp.concatenate([collocation.points, systems])
+    samples, terms = simulated(problem, every, points, collocation.pseudo_inverse, constants.scenarios, decisions)
+    scope = scope_from(problem, every, samples, terms, constants, decisions)
+    scope.take_together(problem.expressions)
+    values = tuple(jnp.asarray(one.evaluate(scope)) for one in problem.expressions)
+    coefficients = dict(zip(every, terms.coefficients, strict=True))
+    by_functional = dict(zip(every, samples, strict=True))
+    means, stds = (tuple(kind.of(coefficients[one], ()) for one in functionals) for kind in (Mean(), Std()))
+    count, grid = len(collocation.points), grid_at(problem, decisions)
+    highest = {name: jnp.max(by_functional[peak][:count]) for name, peak in zip(names, peaks, strict=True)}
+    reaches = tuple(jnp.max(one.reach(highest, grid)) for one in functionals)
+    fresh = tuple(by_functional[one][count:] for one in functionals)
+    predicted = tuple(jnp.tensordot(predict, coefficients[one], axes=1) for one in functionals)
+    return values, tuple(scope.taken), means, stds, reaches, fresh, predicted
+
+
+CHECK = Compiled(_check, use=Use.ONCE)
+
+
+def begin_check(
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], factor: int, draw: int = 0
+) -> Callable[[], Check]:
+    """Begin to check a problem at a point, on another core; the function returned waits for the result.
+
+    `factor`: see `check_factor`; `draw`: which fresh systems, the same at every call, so that answers are repeatable.
+
+    Where states are variables, a stiff model has an answer that no explicit method confirms: what is not finite is
+    simulated again by an implicit one.
+    """
+    problem, decisions = transcribed.problem, transcribed.decisions(point)
+    systems = _systems(problem, draw)
+
+    def begun(integrator: AbstractIntegrator) -> Callable[[], Check]:
+        finer = _finer(problem, factor, integrator)
+        named = type(integrator).__name__ if problem.is_integrated else "Simpson's rule"
+        wait = CHECK.begin(*_arguments(finer, transcribed.discretised, systems, decisions))
+
+        def result() -> Check:
+            values, statistics, means, stds, reaches, fresh, predicted = jax.tree.map(np.asarray, wait())
+            largest = tuple(map(float, reaches))
+            return Check(values, statistics, means, stds, largest, fresh, predicted, systems, factor, named)
+
+        return result
+
+    explicit = begun(problem.integrator.reference())
+
+    def checked() -> Check:
+        check = explicit()
+        if check.is_finite or transcribed.fineness == 1 or not problem.is_integrated:
+            return check
+        return begun(Kvaerno5())()
+
+    return checked
+
+
+def prepare_check(factor: int, problem: Problem, discretised: Discretised) -> None:
+    """Begin to compile what `begin_check` will need."""
+    if is_checked(problem):
+        finer = _finer(problem, factor, problem.integrator.reference())
+        start = problem.placements.vector("initial")
+        CHECK.prepare(*_arguments(finer, discretised, _systems(problem, 0), start))
+
+
+def is_checked(problem: Problem) -> bool:
+    """Whether a problem simulates something that has a grid, or that is uncertain."""
+    has_parts = isinstance(problem.grid, Grid) or bool(problem.placements.germs)
+    return has_parts and bool(functionals_of(problem.expressions))
+
+
+def _systems(problem: Problem, draw: int) -> FreshSystems:
+    germs = problem.placements.germs.values()
+    if not germs:
+        return FreshSystems(np.zeros((0, 0)), np.zeros(0))
+    return fresh_systems(germs, FRESH, np.random.default_rng(2 + draw))
+
+
+def _finer(problem: Problem, factor: int, integrator: AbstractIntegrator) -> Problem:
+    return problem.on_grid(problem.grid.finer(factor), integrator) if isinstance(problem.grid, Grid) else problem
+
+
+def _arguments(
+    problem: Problem, discretised: Discretised, systems: FreshSystems, decisions: Float[np.ndarray, " n"]
+) -> tuple[Any, ...]:
+    basis, collocation, constants = discretised
+    predict = basis.matrix(systems.points)
+    parts = map(jax_array, (systems.points, predict, decisions))
+    return numbers_to_arrays(problem), collocation, constants, *parts
+
+
+def check_factor(problem: Problem, between: int | None) -> int:
+    """How many times as many steps the finer grid of a problem has, an odd prime number; 1 without time.
+
+    `between`: the least number, see `solve`.
+    """
+    grid = problem.grid
+    if not (isinstance(grid, Grid) and functionals_of(problem.expressions)):
+        return 1
+    parts = pieces(problem)
+    chosen = between if between is not None else _FOLLOWING if parts else _PLAIN
+    return _odd_prime_from(max(chosen, -(-_FEWEST // grid.steps), -(-_BY_PIECE * parts // grid.steps)))
+
+
+def _odd_prime_from(number: int) -> int:
+    candidates = range(max(number, 3), 2 * max(number, 3))
+    return next(one for one in candidates if all(one % k for k in range(2, int(one**0.5) + 1)))
+
+
+def rounding_of(
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], reaches: Iterable[float]
+) -> dict[AbstractFunctional, float]:
+    """The rounding of functionals, by how large they could be, or as far as constraints on them show it.
+
+    A functional with a bound of zero is a difference of numbers of its constraint's magnitude.
+    """
+    problem, sizes = transcribed.problem, row_sizes(transcribed, point)
+    rounding = {one: _ROUNDING * reach for one, reach in zip(functionals_of(problem.expressions), reaches, strict=True)}
+    for one, rows in zip(problem.constraints, transcribed.rows, strict=True):
+        size = float(np.max(sizes[rows], initial=0.0))
+        for functional, factor in bounded_by(one):
+            rounding[functional] = max(rounding[functional], ROUNDING * size / factor)
+    return rounding
+
+
+def row_sizes(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " rows"]:
+    """The magnitude of each row of the constraints around a point."""
+    program = transcribed.program
+    if program.magnitudes is None:
+        return np.ones(len(program.constraint_lower)) * program.constraint_scale
+    return program.magnitudes(point, program.evaluate(point)).size
+
+
+def bounded_by(constraint: Constraint) -> Iterator[tuple[Any, float]]:
+    """The functionals that a constraint bounds in their own unit, and the magnitudes of their factors."""
+    for factor, atom in zip(constraint.expression.factors, constraint.expression.atoms, strict=True):
+        if isinstance(atom, Statistic) and atom.kind.speaks_of_one_system and float(factor) != 0:
+            yield from ((one, abs(float(factor))) for one in atom.functionals)
+
+
+def spread_functionals(problem: Problem) -> tuple[AbstractFunctional, ...]:
+    """The functionals of which a statistic other than the mean stands in a problem."""
+    atoms = [atom for atom in statistics_in(problem.expressions) if not isinstance(atom.kind, Mean)]
+    return tuple(dict.fromkeys(one for atom in atoms for one in atom.functionals))
+
+
+def certain(
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check
+) -> tuple[AbstractFunctional, ...]:
+    """The functionals whose spread is rounding or, where none stands in the problem, the error of an integrator.
+
+    For example, the rate at the end of a motion that comes to rest is zero in every system, up to rounding.
+    """
+    rounding = rounding_of(transcribed, point, check.reaches)
+    judged = spread_functionals(transcribed.problem)
+    each = zip(functionals_of(transcribed.problem.expressions), check.stds, check.reaches, strict=True)
+    return tuple(
+        one
+        for one, std, reach in each
+        if np.max(std) <= max(rounding[one], 0.0 if one in judged else NEGLIGIBLE_SPREAD * reach)
+    )
+
+
+def follows_trajectories(problem: Problem) -> bool:
+    """Whether a problem's system follows trajectories, which are arbitrary between two instants."""
+    return pieces(problem) > 0
+
+
+def pieces(problem: Problem) -> int:
+    """The largest number of polynomial pieces of the trajectories that a problem's system follows; 0 for none."""
+
+    def is_trajectory(node: Any) -> bool:
+        return isinstance(node, AbstractTrajectory)
+
+    parts = problem.system, problem.inputs
+    followed = any(map(is_trajectory, jax.tree.leaves(parts, is_leaf=is_trajectory)))
+    whole = least_steps(parts) if piecewise_in(parts) else 0
+    return max([followed, whole, *(one.count - one.degree for one in splines_in(parts))])
+
+
+def splines_in(tree: Any) -> list[BSpline]:
+    """All splines in a model or a part of it, including those inside other trajectories."""
+
+    def is_spline(node: Any) -> bool:
+        return isinstance(node, BSpline)
+
+    return [one for one in jax.tree.leaves(tree, is_leaf=is_spline) if is_spline(one)]
