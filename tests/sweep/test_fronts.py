@@ -114,24 +114,25 @@ def test_a_trade_off_is_counted_against_the_problems_own_limits_alone(strong):
 
 
 class Root(al.AlgebraicSystem):
-    """An output that some systems do not have where `a` is small."""
+    """An output that the systems in a corner do not have where `a` is small: too few for a handful of fresh ones."""
 
     a: al.Number
     off: al.Number
+    beside: al.Number
 
     def outputs(self):
-        return {"x": jnp.sqrt(self.a - self.off)}
+        return {"x": jnp.sqrt(self.a - 10 * jnp.maximum(self.off, 0.0) * jnp.maximum(self.beside, 0.0))}
 
 
 def least(bound):
     """The smallest `a` above a bound; two points of collocation are too few to see the end of the model."""
-    root = Root(al.Decision(3.0, bound, 9.0), al.Normal(0.0, 0.2))
+    root = Root(al.Decision(8.5, bound, 9.0), al.Normal(0.0, 0.2), al.Normal(0.0, 0.2))
     with warnings.catch_warnings(action="ignore"):
-        return al.solve(al.Problem(root, minimize=al.output("x").mean, expansion=al.Expansion(order=1)))
+        return al.solve(al.Problem(root, minimize=al.output("x").mean, expansion=al.Expansion(order=1)), throw=False)
 
 
 def test_designs_that_cannot_be_simulated_are_told_and_others_kept():
-    found = al.validate_all([least(2.5), least(0.5)], 5000)
+    found = al.validate_all([least(8.0), least(1.0)], 5000)
     assert [one is None for one in found.evidence] == [False, True]
     assert "not finite" in found.refused[1]
     assert not found.agrees

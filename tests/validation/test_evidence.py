@@ -203,7 +203,7 @@ def fragile(large, until):
         expansion=al.Expansion(1),
     )
     with pytest.warns(al.ExpansionWarning, match=r"is not finite in about \d\S* % of all systems, .*theta=1\.29"):
-        return al.solve(problem)
+        return al.solve(problem, throw=False)
 
 
 @pytest.mark.parametrize(

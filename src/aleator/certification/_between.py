@@ -21,7 +21,7 @@ from aleator.certification._check import (
 )
 from aleator.design import Constraint, Problem, is_over_time
 from aleator.nlp import HELD, AbstractSolver, NonlinearProgram, Outcome, Status
-from aleator.solution import Between
+from aleator.solution import TOLERATED, Between
 from aleator.trajectories import piecewise_in
 from aleator.transcription import AbstractTranscribed, bound_size
 from aleator.uncertainty import at_means, realise
@@ -60,7 +60,7 @@ def held_between(
     if factor == 1 or between == 1 or not any(map(is_over_time, problem.constraints)):
         return Held(outcome, None, check)
     excess = excess_between(transcribed, outcome.point, check)
-    margins, done, loosest = no_margins(excess), 0, outcome.evaluation.objective
+    margins, done, loosest, best = no_margins(excess), 0, outcome.evaluation.objective, (excess, outcome, check)
     while HELD < excess.worst < np.inf and done < _MOST_TIGHTENINGS:
         # Margins may shrink in the first rounds; later they only grow, so that the iteration ends.
         margins = margins_for(margins, excess, relax=done < _MOST_TIGHTENINGS // 2)
@@ -73,6 +73,12 @@ def held_between(
         outcome = again.with_effort_of(outcome)
         check = begin_check(transcribed, outcome.point, factor)()
         excess = excess_between(transcribed, outcome.point, check)
+        if excess.worst <= best[0].worst:
+            best = excess, outcome, check
+        elif best[0].worst <= TOLERATED:
+            break  # Tighter bounds may make the plan bulge more between them.
+    spent = {name: getattr(outcome, name) for name in ("searched", "visited", "iterations", "evaluations", "seconds")}
+    excess, outcome, check = best[0], replace(best[1], **spent), best[2]
     is_strict = between is not None or done > 0 or follows_trajectories(problem)
     cost = _part(outcome.evaluation.objective - loosest, loosest)
     return Held(outcome, Between(factor, excess.worst, excess.where, excess.when, is_strict, cost), check)

@@ -35,7 +35,7 @@ from aleator.uncertainty import correlations_at
 
 _UNFINISHED = (Status.INFEASIBLE, Status.ITERATION_LIMIT, Status.EVALUATION_FAILED, Status.FAILED)
 # The relative error of an expansion that is tolerated for moments.
-_TRUSTED = {Mean: 1.0, Std: 1 / 3, Variance: 1 / 3, Covariance: 1 / 3}
+_TRUSTED = {Mean: 1 / 3, Std: 1 / 3, Variance: 1 / 3, Covariance: 1 / 3}
 # Differences that no data would show.
 _TOLERATED = 0.01
 # Most numbers in a message.

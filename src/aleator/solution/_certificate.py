@@ -152,8 +152,8 @@ class Between(Printed):
 
     @property
     def holds(self) -> bool:
-        """Whether all limits hold there, to tolerance."""
-        return self.worst <= HELD
+        """Whether all limits hold there, to the tolerance with which a design counts as a solution."""
+        return self.worst <= TOLERATED
 
     @property
     def is_costly(self) -> bool:
@@ -170,7 +170,8 @@ class Between(Printed):
         if self.holds:
             cost = f"{self.cost:.2g} of the objective: use more steps, or refine=True" if self.is_costly else ""
             tightened = f", by bounds tightened at the instants, which may cost up to {cost}" if cost else ""
-            return f"limits over time hold on {self.factor} times as many steps too{tightened}"
+            nearly = f" to {self.worst:.1g} of their bounds" if self.worst > HELD else ""
+            return f"limits over time hold{nearly} on {self.factor} times as many steps too{tightened}"
         when = "" if np.isnan(self.time) else f" after t = {self.time:.4g} s"
         if np.isinf(self.worst):
             return f"between the instants of the grid '{self.name}' is not a number{when}: use more steps"
@@ -340,7 +341,7 @@ class Certificate(Printed):
     def objection(self) -> Objection | None:
         """Why the optimum of the program is no answer to the model; None if it is one."""
         between, error, opinion, worst_case = self.between, self.grid_error, self.opinion, self.worst_case
-        if between is not None and not between.worst <= TOLERATED:
+        if between is not None and not between.holds:
             return Objection(
                 "limits break between the instants",
                 f"solved at the instants of the grid, but {between.sentence()}, or between=1 to check the instants "

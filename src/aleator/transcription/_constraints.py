@@ -1,7 +1,7 @@
 """The constraints of a program: their rows and bounds, their magnitudes, and those that no decision can meet."""
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias, final
 
@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from aleator._core.errors import ProblemError
 from aleator.design import (
     AbstractAtom,
+    AbstractFunctional,
     Composed,
     Constraint,
     Peak,
@@ -32,6 +33,8 @@ Values: TypeAlias = Sequence[Float[np.ndarray, "..."]]
 _TRIED = 8
 # The largest size over bounds, the largest scale over sizes, and the largest size over values seen elsewhere.
 _MOST_BOUNDS, _MOST_SIZES, _BEYOND = 1e3, 1e2, 10.0
+# The largest size over the spread of what is limited.
+_MOST_SPREADS = 1e4
 # The effect of rounding of the decisions on a constraint, in rounding errors of its own terms.
 _ROUNDINGS = 4.0
 # A constraint with zero bounds whose values are nowhere larger than this is zero up to rounding.
@@ -54,6 +57,7 @@ def constraint_size(
     decisions: Float[np.ndarray, " n"],
     decision_scale: Float[np.ndarray, " n"],
     away: float,
+    spread: float,
 ) -> Size:
     """The magnitude of a constraint at some decisions, in its own unit, from its bound and all its rows.
 
@@ -62,6 +66,8 @@ def constraint_size(
     - So is a bound of zero. Then the size is the largest value or, for values near zero too, the change over a typical
       change of the decisions, whichever is larger. As a derivative may be extreme, the change is limited to ten times
       `away`, the largest value seen elsewhere (at the start and near it).
+    - It is at most ten thousand times the `spread` of what is limited, if one stands in the limit (else infinite), so
+      that the tolerance is at most a hundredth of a standard deviation, though not below rounding.
     - Changes due to rounding of the decisions are no violation. For a bound of zero, neither are values that are
       nowhere more than 1e-13, such as a difference of two equal numbers.
 
@@ -77,6 +83,7 @@ def constraint_size(
     else:
         size = max(largest, min(change, _BEYOND * away) if away > 0 else change)
         size = size if max(size, change, away) > _NOISE else _NOISE / HELD
+    size = min(size, max(_MOST_SPREADS * spread, _ROUNDINGS * np.finfo(float).eps / HELD * largest))
     rounded = _ROUNDINGS * np.finfo(float).eps / HELD * rounding
     # One extremely steep row must not loosen the tolerance of the others.
     size = max(size, min(rounded, _MOST_BOUNDS * bound) if bound else rounded) or 1.0
@@ -90,20 +97,22 @@ class Sizing:
 
     - `rows`: those of each constraint in the program's constraint vector;
     - `decision_scale`: see `decision_scales`, shape (n,);
-    - `away`: the largest value of each constraint at some other decisions.
+    - `away`: the largest value of each constraint at some other decisions;
+    - `spreads`: of each constraint at the start, see `spreads_of`.
     """
 
     constraints: tuple[Constraint, ...]
     rows: tuple[slice, ...]
     decision_scale: Float[np.ndarray, " n"]
     away: list[float]
+    spreads: list[float]
 
     def each(self, decisions: Float[np.ndarray, " n"], values: Values, derivatives: Sequence[Matrix]) -> list[Size]:
         """The size of each constraint, from its rows and their derivatives at some decisions."""
-        parts = zip(self.constraints, values, derivatives, self.away, strict=True)
+        parts = zip(self.constraints, values, derivatives, self.away, self.spreads, strict=True)
         return [
-            constraint_size(one, value, slopes, decisions, self.decision_scale, away)
-            for one, value, slopes, away in parts
+            constraint_size(one, value, slopes, decisions, self.decision_scale, away, spread)
+            for one, value, slopes, away, spread in parts
         ]
 
     def at(self, decisions: Float[np.ndarray, " n"], evaluation: Evaluation) -> Magnitudes:
@@ -114,6 +123,28 @@ class Sizing:
         sizes = self.each(decisions, values, derivatives)
         size, scale = (spread(self.rows, [one[i] for one in sizes]) for i in (0, 1))
         return Magnitudes(size, scale)
+
+
+def spreads_of(
+    constraints: Sequence[Constraint], stds: Mapping[AbstractFunctional, Float[np.ndarray, "..."]]
+) -> list[float]:
+    """How much what is limited spreads, of each constraint in which a spread stands; infinite of others, and of none.
+
+    `stds`: the standard deviation of each functional.
+    """
+    return [
+        min(
+            (
+                largest
+                for factor, atom in zip(one.expression.factors, one.expression.atoms, strict=True)
+                if isinstance(atom, Statistic) and not isinstance(atom.kind, Mean) and float(factor) != 0
+                for functional in atom.functionals
+                if (largest := float(np.max(stds[functional]))) > 0
+            ),
+            default=np.inf,
+        )
+        for one in constraints
+    ]
 
 
 def spread(rows: tuple[slice, ...], numbers: list[float]) -> Float[np.ndarray, " m"]:

@@ -16,13 +16,13 @@ import scipy
 from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
-from aleator._core.arrays import numbers_to_arrays
+from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.border import refusal
 from aleator._core.compilation import Compiled
 from aleator.design import Problem, functionals_of
 from aleator.expansion import Collocation
 from aleator.nlp import Hessian, NonlinearProgram, with_entries
-from aleator.statistics import Constants
+from aleator.statistics import Constants, Std
 from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning, Meanwhile, Texts
 from aleator.transcription._constraints import (
     Sizing,
@@ -35,6 +35,7 @@ from aleator.transcription._constraints import (
     row_bounds,
     rows_of,
     spread,
+    spreads_of,
 )
 from aleator.transcription._expansions import Discretised, discretised, scope_of
 from aleator.transcription._scenarios import Scenarios, first_scenarios
@@ -206,7 +207,10 @@ class Sequential(AbstractTranscription):
         unknown = not beside and needs_more(problem.constraints, values, derivatives, decision_scale)
         seen = [at_start, *beside, *([evaluator(around[0])] if unknown else [])]
         away = largest_of([one.by_constraint(one.values) for one in seen])
-        sizing = Sizing(problem.constraints, rows, decision_scale, away)
+        collocation = discretisation.collocation
+        stds = [np.asarray(Std().of(collocation.coefficients(jax_array(one)), ())) for one in at_start.samples]
+        spreads = spreads_of(problem.constraints, dict(zip(functionals_of(problem.expressions), stds, strict=True)))
+        sizing = Sizing(problem.constraints, rows, decision_scale, away, spreads)
         sizes = sizing.each(start, values, derivatives)
         refuse_unsatisfiable(
             problem,

@@ -325,7 +325,9 @@ def program_of(
     """The program, and the sizes of each of the problem's constraints at its start."""
     rows, evaluation = assembled.rows, assembled(start)
     typical = decision_scales(*(problem.placements.vector(name) for name in ("initial", "lower", "upper")))
-    sizing = Sizing(problem.constraints, rows.own, np.ones(layout.count), [0.0] * len(rows.own))
+    sizing = Sizing(
+        problem.constraints, rows.own, np.ones(layout.count), [0.0] * len(rows.own), [np.inf] * len(rows.own)
+    )
     scale = scales(layout, rows.ties, start, evaluation, typical)
     values, slopes = ([part[one] for one in rows.own] for part in (evaluation.constraints, evaluation.jacobian))
     sizes = replace(sizing, decision_scale=scale).each(start, values, slopes)
