@@ -121,7 +121,8 @@ class Root(al.AlgebraicSystem):
     beside: al.Number
 
     def outputs(self):
-        return {"x": jnp.sqrt(self.a - 10 * jnp.maximum(self.off, 0.0) * jnp.maximum(self.beside, 0.0))}
+        corner = (self.off > 0.35) & (self.beside > 0.35) & (self.a < 5.0)
+        return {"x": jnp.where(corner, jnp.nan, self.a + self.off)}
 
 
 def least(bound):
