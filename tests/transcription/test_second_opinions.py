@@ -108,3 +108,107 @@ def test_weights_of_fresh_systems_give_the_moments_of_all(germs):
     # Each of them has systems at which random ones hardly ever arrive.
     beyond = scipy.stats.norm.ppf(0.999) if len(germs) == 2 else 0.998
     assert all((one.points[:, 0] > beyond).any() and (one.points[:, 0] < -beyond).any() for one in several)
+
+
+class Spiked(al.AlgebraicSystem):
+    """A line of slope 0.1, and a spike that no collocation point sees."""
+
+    k: al.Number
+    a: al.Number
+    centre: float
+    height: float
+
+    def outputs(self):
+        spike = self.height * jnp.exp(-(((self.a - self.centre) / 0.003) ** 2))
+        return {"g": self.k * (1 + 0.1 * self.a + spike)}
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(("centre", "height", "sigmas"), [(0.6, 100.0, 0.0), (0.2345, 20.0, 1.0)])
+def test_a_rare_event_that_breaks_a_limit_is_drawn_more_often_before_the_design_is_accepted(centre, height, sigmas):
+    problem = al.Problem(
+        Spiked(al.Decision(1.0, 0.0, 10.0), al.Uniform.bounds(0.0, 1.0), centre, height),
+        minimize=-al.value("k"),
+        subject_to=[al.output("g").at_most(5.0, sigmas=sigmas)],
+        expansion=al.Expansion(order=3),
+    )
+    solution = al.solve(problem, throw=False)
+    levels = (np.arange(10**5) + 0.5) / 1e5
+    spikes = height * np.exp(-(((levels - centre) / 0.003) ** 2))
+    true = float(solution.decisions["k"]) * (1 + 0.1 * levels + spikes)
+    assert true.mean() + sigmas * true.std() > 1.2 * 5.0
+    assert not solution.ok
+    assert "fresh simulations contradict" in solution.why()
+
+
+def test_a_limit_is_held_to_a_part_of_its_spread_however_large_its_bound_is():
+    class Offset(al.AlgebraicSystem):
+        k: al.Number
+        a: al.Number
+
+        def outputs(self):
+            return {"g": 1e9 + self.k + 0.1 * self.a}
+
+    problem = al.Problem(
+        Offset(al.Decision(1.0, 0.0, 10.0), al.Normal(0.0, 1.0)),
+        minimize=-al.value("k"),
+        subject_to=[al.output("g").at_most(1e9 + 2.0, sigmas=1.0)],
+        expansion=al.Expansion(order=2),
+    )
+    # One standard deviation of 0.1 below 2; a hundredth of it is tolerated.
+    assert al.solve(problem).decisions["k"] == pytest.approx(1.9, abs=1e-3)
+
+
+class Lag(al.System):
+    """A stiff state that follows a set point, which no explicit method of a hundred steps can follow."""
+
+    states = ("x",)
+    k: al.Number
+    to: al.Number
+
+    def initial(self):
+        return {"x": 1.0}
+
+    def rhs(self, t, z):
+        return (-self.k * (z.x - self.to),)
+
+    def outputs(self, t, z):
+        return {"x2": z.x**2}
+
+
+def test_a_stiff_model_is_checked_by_a_method_that_can():
+    x2 = al.terminal("x2")
+    problem = al.Problem(
+        Lag(al.Uniform(2e4, half_width=1e3), al.Decision(0.5, 0.0, 2.0)),
+        grid=al.Grid(1.0, 20),
+        minimize=(x2.mean - 0.25) ** 2 + x2.variance,
+        expansion=al.Expansion(2),
+    )
+    solution = al.solve(problem, transcription=al.Simultaneous(al.schemes.Radau(2)))
+    assert solution.decisions["to"] == pytest.approx(0.5, rel=1e-6)
+    assert solution.certificate.grid_error.integrator == "Kvaerno5"
+    assert solution.certificate.opinion.agrees
+
+
+def test_an_integral_that_nothing_uncertain_enters_is_no_contradiction():
+    class Effort(al.System):
+        states = ("x",)
+        k: al.Number
+
+        def rhs(self, t, z, u):
+            return (self.k * (u - z.x),)
+
+        def outputs(self, t, z, u):
+            return {"x": z.x, "u2": u**2}
+
+    problem = al.Problem(
+        Effort(al.Uniform(5.0, half_width=1.0)),
+        grid=al.Grid(1.0, 20),
+        integrator=al.integrators.Tsit5(),
+        inputs={"u": al.BSpline(al.Decision(np.full(6, 0.5), 0.0, 2.0))},
+        minimize=(al.terminal("x").mean - 0.5) ** 2 + 1e-3 * al.integral("u2").mean,
+        expansion=al.Expansion(3),
+    )
+    solution = al.solve(problem)
+    assert solution.certificate.opinion.agrees
+    assert solution.certificate.expansion.unresolved == ()
