@@ -2,7 +2,6 @@
 
 from aleator.nlp._answer import HELD as HELD
 from aleator.nlp._answer import Answer as Answer
-from aleator.nlp._condensing import Condensing as Condensing
 from aleator.nlp._feasibility import UNBOUNDED as UNBOUNDED
 from aleator.nlp._feasibility import Elastic as Elastic
 from aleator.nlp._feasibility import Excess as Excess
@@ -21,7 +20,6 @@ from aleator.nlp._program import Evaluation as Evaluation
 from aleator.nlp._program import Hessian as Hessian
 from aleator.nlp._program import Magnitudes as Magnitudes
 from aleator.nlp._program import NonlinearProgram as NonlinearProgram
-from aleator.nlp._program import Ties as Ties
 from aleator.nlp._scaling import Multipliers as Multipliers
 from aleator.nlp._scaling import ScaledProgram as ScaledProgram
 from aleator.nlp._slsqp import Slsqp as Slsqp

@@ -71,7 +71,6 @@ class ScaledProgram:
       Jacobians are; `curved`: those of the Hessian's lower triangle, None if there is no Hessian
       (`take_differences` makes one);
     - `straightness`: whether all slopes seen so far were the same;
-    - `ties`: those of the useful rows and free variables, None if none are known;
     - `start`: scaled start, clipped to the bounds, shape (n_free,);
     - `lower`, `upper`: scaled bounds, shape (n_free,);
     - `constraint_lower`, `constraint_upper`: scaled bounds, shape (m_useful,);
@@ -107,7 +106,6 @@ class ScaledProgram:
             self._hessian_block = Block(program.hessian.sparsity, self._free, self._free)
             self._hessian_factor = self._hessian_block.factors(self._variable_scale, self._variable_scale)
         self.curved = None if self._hessian_block is None else self._hessian_block.sparsity
-        self.ties = None if program.ties is None else program.ties.kept(self._useful, self._free)
         self.lower = program.lower[self._free] / self._variable_scale
         self.upper = program.upper[self._free] / self._variable_scale
         self.start = np.clip(self._fixed_variables[self._free] / self._variable_scale, self.lower, self.upper)
