@@ -15,13 +15,36 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from many_scenarios import Crane
 from typing_extensions import override
 
 import aleator as al
 
 ERRORS = (1e-6, 1e-9)
 MOST_STAGES = 10
+
+
+class Crane(al.System):
+    """A cart with a pendulum, pushed by a force."""
+
+    states = ("x", "v", "angle", "rate")
+
+    length: Any = 1.0
+    mass: Any = 0.3
+
+    @override
+    def rhs(self, t: Any, z: Any, force: Any) -> Any:
+        """Newton's law along the rail and about the pivot."""
+        del t
+        sine, cosine = jnp.sin(z.angle), jnp.cos(z.angle)
+        push = force + self.mass * sine * (self.length * z.rate**2 + 9.81 * cosine)
+        acceleration = push / (1.0 + self.mass * sine**2)
+        return z.v, acceleration, z.rate, -(acceleration * cosine + 9.81 * sine) / self.length
+
+    @override
+    def outputs(self, t: Any, z: Any, force: Any) -> Any:
+        """What the problem speaks of."""
+        del t
+        return {"x": z.x, "v": z.v, "angle": z.angle, "rate": z.rate, "effort": force**2}
 
 
 class Damped(al.System):

@@ -1,12 +1,11 @@
 """Solvers of nonlinear programs: `al.solve(problem, al.solvers.Ipopt())`.
 
-By derivatives: `FilterSQP`, `Ipopt`, `Slsqp`, `InteriorPoint`, `Condensing`. Without, and then polished by them:
+By derivatives: `FilterSQP`, `Ipopt`, `Slsqp`, `InteriorPoint`. Without, and then polished by them:
 `NelderMead`, `Direct`, `DifferentialEvolution`, `DualAnnealing`, `CmaEs`.
 """
 
 from aleator.nlp import AbstractSolver as AbstractSolver
 from aleator.nlp import CmaEs as CmaEs
-from aleator.nlp import Condensing as Condensing
 from aleator.nlp import DifferentialEvolution as DifferentialEvolution
 from aleator.nlp import Direct as Direct
 from aleator.nlp import DualAnnealing as DualAnnealing

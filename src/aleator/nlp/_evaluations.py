@@ -167,10 +167,10 @@ class Evaluations:
         return Evaluation(float(evaluation[0]), *arrays)
 
 
-# Most variables for which second derivatives are taken from differences of first ones, one evaluation for each.
+# Most variables for which second derivatives are taken from differences of first ones, two evaluations for each.
 MOST_DIFFERENCED = 30
-# Size of a step in typical magnitudes of the variable.
-_STEP = 1e-5
+# Length of a step in sizes of the variables.
+_STEP = 1e-4
 # So many points, one of them so many typical magnitudes away from the first, show that nothing curves.
 _POINTS, _AWAY = 10, 1e-2
 # Slopes that differ by less than this part of themselves, or of the largest, are the same.
@@ -215,40 +215,28 @@ def lower_triangle(size: int) -> SparseMatrix:
     return scipy.sparse.csr_array(np.tril(np.ones((size, size))))
 
 
-def differenced(
-    evaluate: Callable[[np.ndarray], Evaluation],
+def changes_of(
+    slope: Callable[[np.ndarray], np.ndarray],
     z: np.ndarray,
     bounds: tuple[np.ndarray, np.ndarray],
-    weight: float,
-    multipliers: np.ndarray,
+    directions: np.ndarray,
 ) -> np.ndarray:
-    """The entries of the lower triangle of the second derivatives of `weight f + multipliersᵀ c`, row by row.
+    """The derivatives of slopes along directions, by central differences, by one-sided ones beside bounds.
 
-    `z`: shape (n_free,), with its `bounds`. Raises `NotFiniteError` where the model has no value on either side.
+    `z`: shape (n,), with its `bounds`; `directions`: shape (n, k), of about the size of the variables; returns shape
+    (n, k). Raises `NotFiniteError` where the model has no value on either side.
     """
-
-    def slope(point: np.ndarray) -> np.ndarray:
-        found = evaluate(point)
-        return weight * found.gradient + multipliers @ found.jacobian
-
-    here = slope(z)
-    columns = np.zeros((z.size, z.size))
-    for which in range(z.size):
-        there = _neighbour(z, which, *bounds, sign=1.0)
-        try:
-            change = slope(there) - here
-        except NotFiniteError:
-            there = _neighbour(z, which, *bounds, sign=-1.0)
-            change = slope(there) - here
-        length = there[which] - z[which]
-        columns[which] = change / length if length else 0.0
-    return ((columns + columns.T) / 2)[np.tril_indices(z.size)]
-
-
-def _neighbour(z: np.ndarray, which: int, lower: np.ndarray, upper: np.ndarray, sign: float) -> np.ndarray:
-    """A point beside `z` within the bounds: on the other side if there is no room on that of `sign`."""
-    step = _STEP * max(1.0, abs(float(z[which])))
-    room = upper[which] - z[which] if sign > 0 else z[which] - lower[which]
-    moved = z.copy()
-    moved[which] += sign * step if room >= step else -sign * step
-    return np.clip(moved, lower, upper)
+    size = np.maximum(1.0, np.abs(z))
+    columns = np.zeros(directions.shape)
+    for i, direction in enumerate(directions.T):
+        ends = []
+        for sign in (1, -1):
+            moved = np.clip(z + sign * _STEP * direction, *bounds)
+            with contextlib.suppress(NotFiniteError):
+                ends.append((moved, slope(moved)))
+        if not ends:
+            raise NotFiniteError
+        (above, first), (below, second) = ends if len(ends) == 2 else (*ends, (z, slope(z)))
+        length = float(((above - below) / size) @ (direction / size)) / float((direction / size) @ (direction / size))
+        columns[:, i] = (first - second) / length if length else 0.0
+    return columns

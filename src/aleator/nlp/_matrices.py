@@ -9,7 +9,6 @@ from typing import Any, TypeAlias, final
 
 import numpy as np
 import scipy
-from jaxtyping import Float, Int
 
 from aleator._core.errors import ProblemError
 
@@ -51,15 +50,6 @@ def largest_term(weights: np.ndarray, matrix: Matrix) -> float:
 def column_is_zero(matrix: Matrix, column: int) -> bool:
     """Whether a column is zero."""
     return not entries(matrix[:, [column]]).any()
-
-
-def alone_in_a_row(matrix: Matrix) -> np.ndarray:
-    """Whether a column is the only one in some row, shape (columns,)."""
-    if isinstance(matrix, np.ndarray):
-        return np.any((matrix != 0) & (np.count_nonzero(matrix, axis=1) == 1)[:, None], axis=0)
-    found = np.zeros(matrix.shape[1], dtype=bool)
-    found[matrix.indices[np.diff(matrix.indptr)[rows_of_entries(matrix)] == 1]] = True
-    return found
 
 
 def dense_rows(matrix: Matrix, rows: np.ndarray) -> np.ndarray:
@@ -233,48 +223,19 @@ def pattern_of(sparsity: Matrix) -> AnyPattern:
 
 # Rows that depend on one another are told apart by so much of their size.
 _DEPENDENT = 1e-10
-# Of more rows than this, elimination takes too long: unit steps serve.
-_MOST_ROWS = 100_000
-# A direction of which less than this part is left is held by the rows.
-_HELD = 1e-6
 
 
-def tangents(
-    jacobian: Matrix, held: np.ndarray, scale: np.ndarray, moved: Int[np.ndarray, " k"]
-) -> Float[np.ndarray, "k n"]:
-    """Steps that move some variables and keep some rows to first order: unit steps, projected on their null space.
-
-    - `jacobian`: of the rows to be kept, shape (rows, n); `held`: variables that may not move, shape (n,);
-    - `scale`: typical magnitudes of the variables, shape (n,), in which the projection is orthogonal.
-
-    The largest entry of each step is one typical magnitude; a step that rows do not admit is zero.
-    Where there are very many rows, steps are not projected.
-    """
-    units = (moved[:, None] == np.arange(scale.size)).astype(float)
-    if jacobian.shape[0] == 0 or jacobian.shape[0] > _MOST_ROWS:
-        return units * scale * ~held
-    weights = np.where(held, 0.0, scale)
-    project = _by_least_squares if isinstance(jacobian, np.ndarray) else _by_elimination
-    projected = project(jacobian * weights, units)
-    projected = projected * ~held
-    largest = np.abs(projected).max(axis=1, keepdims=True)
-    return np.where(largest > _HELD, projected / np.maximum(largest, _HELD), 0.0) * scale
-
-
-def _by_least_squares(jacobian: np.ndarray, units: np.ndarray) -> np.ndarray:
-    return units - np.linalg.lstsq(jacobian, jacobian @ units.T, rcond=None)[0].T
-
-
-def _by_elimination(jacobian: SparseMatrix, units: np.ndarray) -> np.ndarray:
-    """The same for a sparse matrix, by the equations `[I, A'; A, -d I] [step; pushes] = [unit; 0]`."""
-    jacobian = jacobian.tocsr()
-    sizes = np.zeros(jacobian.shape[0])
-    np.maximum.at(sizes, rows_of_entries(jacobian), np.abs(jacobian.data))
-    rows = scipy.sparse.diags_array(1 / np.where(sizes > 0, sizes, 1.0)) @ jacobian
-    count, size = rows.shape
+def projected(rows: Matrix, units: np.ndarray) -> np.ndarray:
+    """Directions, shape (n, k), without what changes some rows, shape (m, n)."""
+    if isinstance(rows, np.ndarray):
+        return units - np.linalg.lstsq(rows, rows @ units, rcond=None)[0]
+    # By the equations `[I, A'; A, -d I] [step; pushes] = [unit; 0]`.
+    sizes = abs(rows).max(axis=1).toarray().ravel()
+    scaled = scipy.sparse.diags_array(1 / np.where(sizes > 0, sizes, 1.0)) @ rows
+    count, size = scaled.shape
     small = scipy.sparse.diags_array(np.full(count, -_DEPENDENT))
-    every = scipy.sparse.block_array([[scipy.sparse.eye_array(size), rows.T], [rows, small]], format="csc")
-    right = np.concatenate([units, np.zeros((len(units), count))], axis=1)
+    every = scipy.sparse.block_array([[scipy.sparse.eye_array(size), scaled.T], [scaled, small]], format="csc")
     # Quasi-definite: any order of the diagonal serves as pivots.
     order = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-    return scipy.sparse.linalg.splu(every, **order).solve(np.ascontiguousarray(right.T))[:size].T
+    right = np.concatenate([units, np.zeros((count, units.shape[1]))])
+    return scipy.sparse.linalg.splu(every, **order).solve(right)[:size]

@@ -1,4 +1,4 @@
-"""The nonlinear program: objective, constraints, bounds, derivatives, typical magnitudes and ties."""
+"""The nonlinear program: objective, constraints, bounds, derivatives and typical magnitudes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,46 +9,6 @@ import numpy as np
 from aleator._core.border import shown
 from aleator._core.errors import ProblemError
 from aleator.nlp._matrices import Matrix, SparseMatrix, check_sparsity, entries, rows_of_entries
-
-
-class Ties(NamedTuple):
-    """Equalities that together determine as many variables from all others.
-
-    - `rows`: of the constraints, shape (ties,); `variables`: those that they determine, shape (ties,). Which row
-      belongs to which variable matters little, but a block of rows must determine the block of their variables;
-    - `owners`: the realisation to which each belongs, -1 for none, shape (ties,): for messages alone.
-    """
-
-    rows: np.ndarray
-    variables: np.ndarray
-    owners: np.ndarray
-
-    def kept(self, rows: np.ndarray, variables: np.ndarray) -> "Ties":
-        """Those that are left where only some rows and variables are, in the numbers that these have then.
-
-        - `rows`, `variables`: truth values, shapes (m,) and (n,).
-        """
-        kept = rows[self.rows] & variables[self.variables]
-        numbers, others = np.cumsum(rows) - 1, np.cumsum(variables) - 1
-        return Ties(numbers[self.rows[kept]], others[self.variables[kept]], self.owners[kept])
-
-
-def check_ties(ties: Ties, is_equality: np.ndarray, variables: int) -> None:
-    """Refuse ties of rows that are no equalities, and rows or variables that are tied twice or do not exist."""
-    counts = {"rows": is_equality.size, "variables": variables, "owners": np.iinfo(np.int64).max}
-    for (name, count), numbers in zip(counts.items(), ties, strict=True):
-        is_whole = isinstance(numbers, np.ndarray) and numbers.dtype.kind == "i" and numbers.shape == ties.rows.shape
-        least = -1 if name == "owners" else 0
-        if not is_whole or numbers.ndim != 1 or np.any((numbers < least) | (numbers >= count)):
-            raise ProblemError(
-                f"Expected `ties.{name}` as whole numbers, {len(ties.rows)} from {least} to {count - 1}. "
-                f"Received {numbers}."
-            )
-        if name != "owners" and np.bincount(numbers, minlength=1).max() > 1:
-            raise ProblemError(f"Expected every number of `ties.{name}` once. Received some twice.")
-    if not is_equality[ties.rows].all():
-        first = int(ties.rows[~is_equality[ties.rows]][0])
-        raise ProblemError(f"Expected equalities as `ties.rows`. Received row {first}, whose bounds differ.")
 
 
 class Evaluation(NamedTuple):
@@ -114,7 +74,6 @@ class NonlinearProgram:
       values is a guess: solvers that use it detect entries outside it. A `scipy.sparse.csr_array` is the sparsity of
       every Jacobian, which then is sparse too: no dense array of size m x n is ever made;
     - `hessian`: second derivatives, if known; all solvers but `Slsqp` use them;
-    - `ties`: equalities that determine variables from the others, if known; `Condensing` uses them;
     - `magnitudes`: gives those of the constraints at a point `x` with its evaluation. Feasibility is judged by them,
       not by the solver's scale. By default `constraint_scale`, as size and as scale, at every point;
     - `values`: the objective, shape (k,), and the constraints, shape (k, m), at points of shape (k, n), without
@@ -137,7 +96,6 @@ class NonlinearProgram:
     hessian: Hessian | None = None
     magnitudes: Callable[[np.ndarray, Evaluation], Magnitudes] | None = None
     least: float = -np.inf
-    ties: Ties | None = None
     values: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None
 
     def __post_init__(self) -> None:
@@ -155,8 +113,6 @@ class NonlinearProgram:
             _check_lower_triangle(self.hessian, self.start.size)
         _check_bounds("lower", "upper", self.lower, self.upper)
         _check_bounds("constraint_lower", "constraint_upper", self.constraint_lower, self.constraint_upper)
-        if self.ties is not None:
-            check_ties(self.ties, self.constraint_lower == self.constraint_upper, self.start.size)
         _check_positive("variable_scale", self.variable_scale)
         _check_positive("constraint_scale", self.constraint_scale)
         if not np.isfinite(self.start).all():

@@ -10,7 +10,7 @@ from aleator.nlp._evaluations import (
     Evaluations,
     NotFiniteError,
     Straightness,
-    differenced,
+    changes_of,
     lower_triangle,
 )
 from aleator.nlp._matrices import Block, Matrix, checked_sparse
@@ -66,12 +66,11 @@ class ScaledProgram:
     It has only free variables and useful rows: points `z` have shape (n_free,), constraints shape (m_useful,). The
     model is never evaluated outside the bounds.
 
-    - `size`, `rows`: n_free and m_useful;
+    - `size`, `rows`: n_free and m_useful; `useful`: which of the constraints these are, shape (m,);
     - `sparsity`: the entries of the Jacobian that may be nonzero, shape (m_useful, n_free), dense or sparse as the
       Jacobians are; `curved`: those of the Hessian's lower triangle, None if there is no Hessian
       (`take_differences` makes one);
     - `straightness`: whether all slopes seen so far were the same;
-    - `ties`: those of the useful rows and free variables, None if none are known;
     - `start`: scaled start, clipped to the bounds, shape (n_free,);
     - `lower`, `upper`: scaled bounds, shape (n_free,);
     - `constraint_lower`, `constraint_upper`: scaled bounds, shape (m_useful,);
@@ -86,28 +85,27 @@ class ScaledProgram:
     def __init__(self, program: NonlinearProgram, start: np.ndarray):
         self._program = program
         self._free = program.lower < program.upper
-        self._useful = np.isfinite(program.constraint_lower) | np.isfinite(program.constraint_upper)
+        self.useful = np.isfinite(program.constraint_lower) | np.isfinite(program.constraint_upper)
         self._variable_scale = program.variable_scale[self._free]
-        self._is_whole = bool(self._free.all() and self._useful.all())
+        self._is_whole = bool(self._free.all() and self.useful.all())
         self._fixed_variables = np.clip(start, program.lower, program.upper)
         self._last: tuple[bytes, Evaluation] | None = None
         self._best_rank = (np.inf, np.inf)
 
         self.evaluations = Evaluations(program.evaluate, start.size, program.constraint_lower.size, program.sparsity)
-        self.size, self.rows = int(self._free.sum()), int(self._useful.sum())
+        self.size, self.rows = int(self._free.sum()), int(self.useful.sum())
         self._block = self._hessian_block = None
         if program.sparsity is None or isinstance(program.sparsity, np.ndarray):
-            every = np.ones((self._useful.size, self._free.size), dtype=bool)
+            every = np.ones((self.useful.size, self._free.size), dtype=bool)
             sparsity = every if program.sparsity is None else program.sparsity
-            self.sparsity: Matrix = sparsity[np.ix_(self._useful, self._free)]
+            self.sparsity: Matrix = sparsity[np.ix_(self.useful, self._free)]
         else:
-            self._block = Block(program.sparsity, self._useful, self._free)
+            self._block = Block(program.sparsity, self.useful, self._free)
             self.sparsity = self._block.sparsity
         if program.hessian is not None:
             self._hessian_block = Block(program.hessian.sparsity, self._free, self._free)
             self._hessian_factor = self._hessian_block.factors(self._variable_scale, self._variable_scale)
         self.curved = None if self._hessian_block is None else self._hessian_block.sparsity
-        self.ties = None if program.ties is None else program.ties.kept(self._useful, self._free)
         self.lower = program.lower[self._free] / self._variable_scale
         self.upper = program.upper[self._free] / self._variable_scale
         self.start = np.clip(self._fixed_variables[self._free] / self._variable_scale, self.lower, self.upper)
@@ -117,7 +115,7 @@ class ScaledProgram:
         self._by_differences = False
         self.objective_scale = 1.0
         self._objective_origin = 0.0
-        self._scale_constraints(program.constraint_scale[self._useful])
+        self._scale_constraints(program.constraint_scale[self.useful])
 
     def begin(self) -> None:
         """Evaluate the start and set `objective_scale` from it.
@@ -135,6 +133,10 @@ class ScaledProgram:
     def start_objective(self) -> float:
         """The size of the objective at the first start, scaled."""
         return abs(self._objective_origin) / self.objective_scale
+
+    def objective_size(self, here: Evaluation) -> float:
+        """The size of the objective at a scaled evaluation, without the offset that it has there."""
+        return abs(here.objective + self._objective_origin / self.objective_scale)
 
     @property
     def scales(self) -> Scales:
@@ -158,21 +160,21 @@ class ScaledProgram:
             self._jacobian_factor = self._variable_scale / scale[:, None]
         else:
             self._jacobian_factor = self._block.factors(1 / scale, self._variable_scale)
-        self.constraint_lower = self._program.constraint_lower[self._useful] / scale
-        self.constraint_upper = self._program.constraint_upper[self._useful] / scale
+        self.constraint_lower = self._program.constraint_lower[self.useful] / scale
+        self.constraint_upper = self._program.constraint_upper[self.useful] / scale
 
     def magnitudes(self, user: Evaluation, z: np.ndarray) -> Magnitudes:
         """Magnitudes of the useful constraints at `z` with its evaluation in user units, shape (m_useful,) each."""
         if self._program.magnitudes is None:
-            scale = self._program.constraint_scale[self._useful]
+            scale = self._program.constraint_scale[self.useful]
             return Magnitudes(scale, scale)
         size, scale = self._program.magnitudes(self.unscaled(z), user)
-        return Magnitudes(size[self._useful], scale[self._useful])
+        return Magnitudes(size[self.useful], scale[self.useful])
 
     def sizes(self, useful: np.ndarray) -> np.ndarray:
         """Sizes of all constraints, shape (m,), from those of the useful ones."""
         sizes = self._program.constraint_scale.copy()
-        sizes[self._useful] = useful
+        sizes[self.useful] = useful
         return sizes
 
     def above_least(self, user: Evaluation) -> float:
@@ -218,14 +220,14 @@ class ScaledProgram:
         return Evaluation(
             (user.objective - self._objective_origin) / self.objective_scale,
             user.gradient[self._free] * self._variable_scale / self.objective_scale,
-            user.constraints[self._useful] / self._constraint_scale,
+            user.constraints[self.useful] / self._constraint_scale,
             self._scaled_jacobian(user.jacobian),
         )
 
     def _scaled_jacobian(self, jacobian: Matrix) -> Matrix:
         if self._block is not None:
             return self._block.of(jacobian, self._jacobian_factor)
-        return (jacobian if self._is_whole else jacobian[np.ix_(self._useful, self._free)]) * self._jacobian_factor
+        return (jacobian if self._is_whole else jacobian[np.ix_(self.useful, self._free)]) * self._jacobian_factor
 
     def hessian(self, z: np.ndarray, weight: float, multipliers: np.ndarray) -> np.ndarray:
         """The entries of the scaled Hessian's lower triangle in the order of `curved`, shape (entries,).
@@ -238,8 +240,8 @@ class ScaledProgram:
         program = self._program
         assert program.hessian is not None
         assert self._hessian_block is not None
-        rows = np.zeros(self._useful.size)
-        rows[self._useful] = multipliers / self._constraint_scale
+        rows = np.zeros(self.useful.size)
+        rows[self.useful] = multipliers / self._constraint_scale
         given = self.unscaled(z), weight / self.objective_scale, rows
         found = self.evaluations.asked(lambda: program.hessian.evaluate(*given))  # type: ignore[union-attr]
         whole = checked_sparse("Hessian", found, program.hessian.sparsity)
@@ -267,7 +269,15 @@ class ScaledProgram:
         assert self.curved is not None
         if self.straightness.is_shown or self.size > MOST_DIFFERENCED:
             return np.zeros(self.curved.nnz)
-        return differenced(self.evaluate, np.array(z, dtype=float), (self.lower, self.upper), weight, multipliers)
+
+        def slope(point: np.ndarray) -> np.ndarray:
+            found = self.evaluate(point)
+            return weight * found.gradient + multipliers @ found.jacobian
+
+        z = np.array(z, dtype=float)
+        size = np.maximum(1.0, np.abs(z))
+        columns = changes_of(slope, z, (self.lower, self.upper), np.diag(size)) / size
+        return ((columns + columns.T) / 2)[np.tril_indices(self.size)]
 
     def terms(self, evaluation: Evaluation, multipliers: Multipliers) -> float:
         """The scaled magnitude of the terms of the Lagrangian, to which its rounding is relative."""
@@ -285,9 +295,9 @@ class ScaledProgram:
 
         `rows` and `bounds` are the scaled multipliers at `z`.
         """
-        constraints = user.constraints[self._useful] / self._constraint_scale
-        all_rows, all_bounds = np.zeros(self._useful.size, dtype=bool), np.ones(self._free.size, dtype=bool)
-        all_rows[self._useful] = _holding(constraints, self.constraint_lower, self.constraint_upper, rows)
+        constraints = user.constraints[self.useful] / self._constraint_scale
+        all_rows, all_bounds = np.zeros(self.useful.size, dtype=bool), np.ones(self._free.size, dtype=bool)
+        all_rows[self.useful] = _holding(constraints, self.constraint_lower, self.constraint_upper, rows)
         all_bounds[self._free] = _holding(z, self.lower, self.upper, bounds)
         return all_rows, all_bounds
 
@@ -297,13 +307,13 @@ class ScaledProgram:
 
     def multipliers_to_user(self, multipliers: np.ndarray) -> np.ndarray:
         """Multipliers of all rows in user units, shape (m,), from scaled ones of the useful rows."""
-        user = np.zeros(self._useful.size)
-        user[self._useful] = multipliers * self.objective_scale / self._constraint_scale
+        user = np.zeros(self.useful.size)
+        user[self.useful] = multipliers * self.objective_scale / self._constraint_scale
         return user
 
     def multipliers_to_scaled(self, multipliers: np.ndarray) -> np.ndarray:
         """Invert `multipliers_to_user`, shape (m_useful,)."""
-        return multipliers[self._useful] * self._constraint_scale / self.objective_scale
+        return multipliers[self.useful] * self._constraint_scale / self.objective_scale
 
     def bound_multipliers_to_user(
         self, bound_multipliers: np.ndarray, multipliers: np.ndarray, user: Evaluation

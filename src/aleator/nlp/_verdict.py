@@ -11,7 +11,7 @@ from aleator.nlp._certificate import (
     is_least_violated,
     lagrangian_gradient,
 )
-from aleator.nlp._curvature import Descent, descent_in_valley, hidden_descent
+from aleator.nlp._curvature import Descent, descent
 from aleator.nlp._evaluations import NotFiniteError
 from aleator.nlp._program import Evaluation
 from aleator.nlp._scaling import Multipliers, ScaledProgram, Scales
@@ -162,16 +162,19 @@ def settle(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Ans
         return answer, True
     moves = 0
     while True:
-        answer, status, descent = _settled(scaled, answer, tolerance)
-        if descent is None:
+        answer, status, further = _settled(scaled, answer, tolerance)
+        if further is None:
             return answer, status in (Status.SOLVED, Status.INFEASIBLE)
-        if descent.point is None or moves == _MOST_MOVES:
+        if further.point is None or not further.holds or moves == _MOST_MOVES:
             break
-        answer, moves = answer._replace(point=descent.point), moves + 1
-    said = f"{descent.where}, along which the objective would fall by about {descent.fall:.2g}"
+        answer, moves = answer._replace(point=further.point), moves + 1
+    said = (
+        "it is on the floor of a steep valley, or beside larger slopes, and the objective would fall by about "
+        f"{further.fall:.2g}"
+    )
     # The next round needs a scale in which this slope is not small.
-    further = scaled.scales._replace(objective=scaled.scales.objective * descent.slope)
-    return _rescaled(scaled, answer._replace(unfinished=said, is_doubtful=descent.is_doubtful), further), False
+    scales = scaled.scales._replace(objective=scaled.scales.objective * further.slope)
+    return _rescaled(scaled, answer._replace(unfinished=said, is_doubtful=further.is_doubtful), scales), False
 
 
 def _settled(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Answer, Status, Descent | None]:
@@ -188,8 +191,7 @@ def _settled(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[A
     if status is not Status.SOLVED:
         return answer, status, None
     kept = complementary(scaled, answer.point, scaled.evaluate(answer.point), verdict.multipliers, tolerance)
-    descent = descent_in_valley(scaled, answer.point, kept) or hidden_descent(scaled, answer.point, kept)
-    return answer, status, descent
+    return answer, status, descent(scaled, answer.point, kept)
 
 
 def _size_of_gradient(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers, tolerance: float) -> float:

@@ -25,7 +25,7 @@ from aleator.certification import (
     untrusted,
 )
 from aleator.design import Problem, is_over_time
-from aleator.nlp import AbstractSearch, AbstractSolver, Outcome, Status, feasible_elsewhere, moved_on
+from aleator.nlp import AbstractSearch, AbstractSolver, Outcome, Status, restart_of
 from aleator.solution import Between, Solution, WorstCase
 from aleator.transcription import (
     AbstractTranscribed,
@@ -38,6 +38,9 @@ from aleator.transcription import (
 
 UNSOLVED = (Status.INFEASIBLE, Status.FAILED, Status.ITERATION_LIMIT)
 """Ends of a search that a grid which is far off may have led astray."""
+
+# How often an answer is left for a better one at most.
+_MOST_RESTARTS = 8
 
 
 class Answer(NamedTuple):
@@ -183,8 +186,17 @@ def _looked_around(
     """The outcome of a start of which nothing is known, or a better one found by points elsewhere."""
     program, found = transcribed.program, outcome
     begun = program.start if start is None else start
-    outcome = feasible_elsewhere(program, outcome, begun, lambda other, first: solver.solve(other, start=first))
-    outcome = moved_on(program, outcome, begun, lambda first: solver.solve(program, start=first))
+    for _ in range(_MOST_RESTARTS):
+        restart = restart_of(program, outcome, begun)
+        outcome = replace(outcome, idle=restart.idle, blind=restart.blind)
+        if restart.start is None:
+            break
+        further = solver.solve(restart.program, start=restart.start)
+        if not restart.is_better(outcome, further):
+            outcome = outcome.with_effort_of(further)
+            break
+        # Led away from a saddle, all of its variables may have ended on another one.
+        outcome, begun = further.with_effort_of(outcome), further.point
     if outcome.searched is None:
         refuse_blind(outcome, transcribed)
         return outcome

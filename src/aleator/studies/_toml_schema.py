@@ -79,7 +79,6 @@ class SolverTable(BaseModel):
         "Ipopt",
         "Slsqp",
         "InteriorPoint",
-        "Condensing",
         "NelderMead",
         "Direct",
         "DifferentialEvolution",

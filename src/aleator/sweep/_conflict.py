@@ -16,7 +16,7 @@ from aleator._core.leaves import Printed
 from aleator.certification import diagnose
 from aleator.design import Problem, is_at_points, is_worst_case
 from aleator.ensemble import inputs_at
-from aleator.nlp import HELD, AbstractSolver, Elastic, Excess, Ipopt, NonlinearProgram, variable_range
+from aleator.nlp import HELD, AbstractSolver, Elastic, Excess, Ipopt, NonlinearProgram, Status, variable_range
 from aleator.solution import system_text
 from aleator.transcription import DEFAULT, AbstractTranscribed, bound_size, germ_box, transcribe
 
@@ -144,11 +144,10 @@ class _Search:
         self._names = problem.names
         self._of_name = [[i for i, one in enumerate(problem.constraints) if one.name == name] for name in self._names]
         self._sizes = [self._size(own) for own in self._of_name]
-        groups = [
+        self._groups = [
             (np.concatenate([np.arange(program.start.size)[:0], *(_rows(transcribed, i) for i in own)]), size)
             for own, size in zip(self._of_name, self._sizes, strict=True)
         ]
-        self._elastic = Elastic(program, groups)
         self._starts = _finite_starts(program)
         if not self._starts:
             raise SimulationError(
@@ -185,10 +184,25 @@ class _Search:
         )
 
     def _least(self, elastic: Sequence[int], held: Sequence[int] = ()) -> Excess:
+        least = self._least_excess(elastic, held)
+        self._shown = self._shown and least.is_shown
+        return least
+
+    def _least_excess(self, loose: Sequence[int], held: Sequence[int]) -> Excess:
+        """The least total excess of the `loose` groups while those `held` hold, whether shown or not.
+
+        The search ends at the first start from which all hold; of equally good ends, one that is shown is returned.
+        """
         self._heed()
-        found = self._elastic.least(self._solver, held, elastic, self._starts)
-        self._shown = self._shown and found.is_shown
-        return found
+        elastic, ends = Elastic(self._transcribed.program, self._groups, held, loose), []
+        for start in self._starts:
+            outcome = self._solver.solve(elastic.program, start=elastic.start(start))
+            if outcome.status is Status.INTERRUPTED:
+                raise KeyboardInterrupt
+            ends.append(elastic.excess(outcome))
+            if ends[-1].total <= HELD:
+                break
+        return min(ends, key=lambda end: (end.total, not end.is_shown))
 
     def _limit(self, which: int, together: Excess) -> Limit:
         """One limit of the conflict, with what it would have to be relaxed by, alone among all."""
@@ -196,7 +210,7 @@ class _Search:
         own = self._of_name[which]
         pushing = [i for i in own if rows & set(_rows(transcribed, i).tolist())] or own
         others = [one for one in range(len(self._names)) if one != which]
-        alone = self._elastic.least(self._solver, others, (which,), self._starts)
+        alone = self._least_excess((which,), others)
         relaxed = alone.total if np.isfinite(alone.total) or alone.is_shown else np.nan
         times = sorted({time for i in pushing for time in self._times(i, together)})
         texts = tuple(transcribed.texts.constraints[i] for i in pushing)

@@ -104,12 +104,12 @@ def test_ties_determine_the_hydrogen_of_the_exact_solution():
         minimize=al.terminal("hydrogen").mean,
     )
     transcribed = transcribe(problem, al.Simultaneous(al.schemes.Radau(2), guess=lambda t: {"acid": 0.4}))
-    program, point = transcribed.program, transcribed.program.start.copy()
+    program, ties, point = transcribed.program, transcribed.assembled.rows.ties, transcribed.program.start.copy()
     for _ in range(12):
         found = program.evaluate(point)
-        square = found.jacobian[program.ties.rows][:, program.ties.variables]
-        step = spsolve(square.tocsc(), found.constraints[program.ties.rows])
-        point[program.ties.variables] -= step
+        square = found.jacobian[ties.rows][:, ties.variables]
+        step = spsolve(square.tocsc(), found.constraints[ties.rows])
+        point[ties.variables] -= step
     assert np.abs(step).max() < 1e-13
 
     def h(acid):

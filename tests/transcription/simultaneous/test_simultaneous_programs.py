@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from collocated_problems import everything, free_torque, integrated, robustly_fed, turned
+from collocated_problems import everything, free_torque, integrated, robustly_fed
 
 import aleator as al
-from aleator.nlp import Condensing, Ipopt
 from aleator.transcription import transcribe
 from aleator.transcription.simultaneous import _tiles
 
@@ -81,22 +80,3 @@ def test_no_entry_of_the_hessian_couples_two_realisations():
     entries = transcribed.program.hessian.sparsity.tocoo()
     first, second = owner[entries.row], owner[entries.col]
     assert np.all((first == second) | (first < 0) | (second < 0))
-
-
-@pytest.mark.slow
-def test_condensing_has_the_optimum_of_ipopt():
-    problem = turned(8, grid=al.Grid(al.Decision(1.0, 0.8, 1.5), 8))
-    program = transcribe(problem, al.Simultaneous(al.schemes.HermiteSimpson())).program
-    own, other = Condensing().solve(program), Ipopt().solve(program)
-    assert own.message == "solved"
-    assert own.evaluation.objective == pytest.approx(other.evaluation.objective, rel=1e-6)
-    np.testing.assert_allclose(own.point, other.point, rtol=1e-4, atol=1e-5)
-
-
-def test_ties_name_the_realisation_of_each_variable():
-    transcribed = transcribe(everything(), al.Simultaneous())
-    ties, numbers = transcribed.program.ties, transcribed.layout.numbers
-    owners = dict(zip(ties.variables, ties.owners, strict=True))
-    for p, (states, ends) in enumerate(zip(numbers.states, numbers.ends, strict=True)):
-        assert {owners[one] for one in (*states.ravel(), *ends)} == {p}
-    assert {owners[one] for one in numbers.signals.ravel()} == {-1}

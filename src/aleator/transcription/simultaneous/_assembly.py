@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float, Int
 
-from aleator.nlp import SparseMatrix, Ties, with_entries
+from aleator.nlp import SparseMatrix, with_entries
 from aleator.transcription.simultaneous._blocks import Family
 from aleator.transcription.simultaneous._layout import Layout
 from aleator.transcription.simultaneous._pointwise import Pointwise
@@ -166,6 +166,16 @@ class Fixed(NamedTuple):
         return cls(not pointwise.decides_signals, not placements(pointwise.problem.grid).decisions)
 
 
+class Ties(NamedTuple):
+    """Equalities that together determine as many variables from all others: their rows and variables, shape (ties,).
+
+    Which row belongs to which variable matters little, but a block of rows must determine the block of their variables.
+    """
+
+    rows: Int[np.ndarray, " ties"]
+    variables: Int[np.ndarray, " ties"]
+
+
 @final
 @dataclass(frozen=True)
 class Rows:
@@ -263,8 +273,7 @@ def rows_of(
         combined.append((row, integrand.ravel(), -layout.pointwise.grid.fraction_weights))
     stands_for.append(variables.totals)
     first = own[-1].stop if own else 0
-    tied_variables = np.concatenate(stands_for).astype(int)
-    ties = Ties(np.arange(first, count), tied_variables, layout.owners[tied_variables])
+    ties = Ties(np.arange(first, count), np.concatenate(stands_for).astype(int))
     return Rows(
         _matrix(linear, (count, layout.count)),
         _matrix(combined, (count, sum(rows.size for rows in blocks))),

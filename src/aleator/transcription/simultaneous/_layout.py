@@ -77,8 +77,6 @@ class Variables(NamedTuple):
 
 # How many of the fields of `Variables` are one array.
 _ALONE = Variables._fields.index("coefficients")
-# Those between belong to realisations: their first axis.
-_FIRST_OWNED, _LAST_OWNED = Variables._fields.index("states"), Variables._fields.index("totals")
 
 
 @final
@@ -172,15 +170,6 @@ class Layout:
         first, last = _ALONE, _ALONE + len(self.sizes.coefficients)
         alone = dict(zip(Variables._fields, parts[:first], strict=False))
         return Variables(**alone, coefficients=tuple(parts[first:last]), between=tuple(parts[last:]))
-
-    @cached_property
-    def owners(self) -> np.ndarray:
-        """The realisation to which each variable belongs, -1 for none, shape (n,)."""
-        owners = np.full(self.count, -1)
-        owned: tuple[Any, ...] = self.numbers[_FIRST_OWNED:_LAST_OWNED]
-        for some in owned:
-            owners[some] = np.arange(len(some)).reshape(-1, *(1,) * (some.ndim - 1))
-        return owners
 
     @cached_property
     def stages(self) -> tuple[np.ndarray, ...]:

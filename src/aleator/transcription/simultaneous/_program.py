@@ -15,12 +15,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from aleator.design import Problem
-from aleator.nlp import Evaluation, Hessian, Magnitudes, NonlinearProgram, SparseMatrix, Ties
+from aleator.nlp import Evaluation, Hessian, Magnitudes, NonlinearProgram, SparseMatrix
 from aleator.statistics import Constants
 from aleator.transcription._abstract import Remembered
 from aleator.transcription._constraints import Sizing, decision_scales, least_objective, row_bounds, spread
 from aleator.transcription._scenarios import Scenarios
-from aleator.transcription.simultaneous._assembly import Curvature, Fixed, Jacobian, Pattern, Rows, rows_of
+from aleator.transcription.simultaneous._assembly import Curvature, Fixed, Jacobian, Pattern, Rows, Ties, rows_of
 from aleator.transcription.simultaneous._blocks import Family
 from aleator.transcription.simultaneous._families import EQUATIONS, KNOWN, OBJECTIVE, PATHS, RATES, families
 from aleator.transcription.simultaneous._layout import Layout, constant_slopes
@@ -349,7 +349,6 @@ def program_of(
         hessian=assembled.hessian,
         magnitudes=_Judge(layout, rows.ties, typical, sizing),
         least=least_objective(problem),
-        ties=rows.ties,
     )
     return program, tuple(one.size for one in sizes)
 

@@ -1,0 +1,231 @@
+"""Where to search next: beside an answer that may be a maximum or a saddle, and elsewhere where nothing feasible was
+found. And the variables that a model does not depend on, or only without a slope.
+
+First-order conditions hold at maxima, at saddles (a start on a line of symmetry never leaves it), and wherever a model
+is flat. Solvers descend, so that they end there only if they began there: variables that have not moved are checked. A
+search by values may end anywhere that is flat, so that all flat variables of its answer are checked.
+
+Where a solver proves that no small step meets all constraints there may still be a feasible point elsewhere: if a model
+saturates, or if a variable must change by many orders of magnitude from a poor start.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from aleator.nlp._answer import HELD
+from aleator.nlp._curvature import descent
+from aleator.nlp._matrices import column_is_zero
+from aleator.nlp._program import Evaluation, NonlinearProgram
+from aleator.nlp._scaling import Multipliers, ScaledProgram, Scales
+from aleator.nlp._solver import Outcome, Status
+
+# At most this many variables are checked, and named: the first ones.
+_MOST = 12
+# A variable has moved if it differs by more than this part of its typical magnitude.
+_STILL = 1e-9
+# A decrease by less than this part of the objective is rounding, or negligible.
+_LOWER = 1e-7
+# Values that differ by less than this part count as equal.
+_SAME = 1e-12
+
+
+class Restart(NamedTuple):
+    """What was found around an outcome, and from where to search next.
+
+    - `program`, `start`: the program to be solved from `start`, shape (n,), which is None if there is no reason to;
+    - `holds`: whether all constraints hold there, though the outcome says that they cannot;
+    - `idle`, `blind`: variables that change nothing, and those by which values change without a slope.
+    """
+
+    program: NonlinearProgram
+    start: np.ndarray | None = None
+    holds: bool = False
+    idle: tuple[int, ...] = ()
+    blind: tuple[int, ...] = ()
+
+    def is_better(self, outcome: Outcome, further: Outcome) -> bool:
+        """Whether the outcome from this start takes the place of the outcome before."""
+        if further.status is Status.INTERRUPTED:
+            return True
+        gain = outcome.evaluation.objective - further.evaluation.objective
+        if outcome.status is Status.SOLVED:
+            return further.status is Status.SOLVED and gain > _LOWER * abs(outcome.evaluation.objective)
+        if further.status is Status.SOLVED:
+            return True
+        if outcome.strayed:
+            return further.violation <= HELD and gain > 0
+        return self.holds and further.status is not Status.INFEASIBLE
+
+
+def restart_of(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -> Restart:
+    """Where to search next after an outcome of a search that began at `begun`, shape (n,).
+
+    From a solved one: where the Lagrangian is lower nearby, in variables that never moved. From one that is infeasible:
+    from the least violated of some points elsewhere, if it violates less, with variables scaled by their values there.
+    A search that strayed from points that meet all constraints starts from the best of these.
+    """
+    if outcome.status is Status.SOLVED:
+        return _around(program, outcome, begun)
+    if outcome.strayed:
+        return Restart(_scaled_at(program, outcome.point, outcome.point), outcome.point, holds=True)
+    if outcome.status is Status.INFEASIBLE:
+        points = [begun, program.start, *_elsewhere(program, begun)]
+        violations = [_violation(program, outcome, point) for point in points]
+        least = int(np.argmin(violations))
+        if violations[least] < (1 - _LESS) * outcome.violation:
+            scaled = _scaled_at(program, outcome.point, points[least])
+            return Restart(scaled, points[least], holds=violations[least] <= HELD)
+    return Restart(program)
+
+
+# --- Beside an answer -------------------------------------------------------------------------------------------------
+
+
+def _around(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -> Restart:
+    here = outcome.evaluation
+    flat = np.array([here.gradient[i] == 0 and column_is_zero(here.jacobian, i) for i in range(begun.size)], dtype=bool)
+    still = np.abs(outcome.point - begun) <= _STILL * program.variable_scale
+    if outcome.searched is not None:
+        still |= flat
+    still &= program.lower < program.upper
+    idle, blind, lower = [], [], _descended(program, outcome, still & ~flat)
+    for i in np.flatnonzero(still & flat)[:_MOST].tolist():
+        others = [(point, program.evaluate(point)) for point in _across(program, outcome.point, i)]
+        others = [(point, there) for point, there in others if np.isfinite([there.objective, *there.constraints]).all()]
+        if not any(_differs(here, there) for _, there in others):
+            idle.append(i)
+        elif all(there.gradient[i] == 0 and column_is_zero(there.jacobian, i) for _, there in others):
+            blind.append(i)
+        else:
+            lower += [point for point, there in others if _is_lower(outcome, there)]
+    if lower and not blind:
+        start = min(lower, key=lambda point: _lagrangian(outcome, program.evaluate(point)))
+        return Restart(program, start, idle=tuple(idle))
+    lost = lost_variables(program, outcome.point, here)
+    return Restart(program, idle=tuple(idle), blind=tuple(sorted({*blind, *lost})))
+
+
+def _descended(program: NonlinearProgram, outcome: Outcome, still: np.ndarray) -> list[np.ndarray]:
+    """A lower point by variables that may be at a maximum or a saddle, if there is one."""
+    if not still.any():
+        return []
+    scaled = ScaledProgram(program, outcome.point)
+    z, free, useful = scaled.start, program.lower < program.upper, scaled.useful
+    changes = np.abs(outcome.evaluation.gradient) * program.variable_scale
+    objective = max(abs(outcome.evaluation.objective), float(changes.max())) or 1.0
+    scaled.rescale(z, Scales(objective, outcome.sizes[useful]))
+    multipliers = Multipliers(
+        scaled.multipliers_to_scaled(outcome.multipliers),
+        (outcome.bound_multipliers * program.variable_scale)[free] / objective,
+    )
+    further = descent(scaled, z, multipliers, still[free])
+    return [] if further is None or further.point is None else [scaled.unscaled(further.point)]
+
+
+def _across(program: NonlinearProgram, here: np.ndarray, which: int) -> list[np.ndarray]:
+    """Points with one variable moved: a little, much, and all over its range."""
+    lower, upper = program.lower[which], program.upper[which]
+    places = {float(np.clip(here[which] + step * program.variable_scale[which], lower, upper)) for step in _ACROSS}
+    if np.isfinite(lower) and np.isfinite(upper):
+        places |= set(np.linspace(lower, upper, 5).tolist())
+    return [np.where(np.arange(here.size) == which, place, here) for place in sorted(places - {float(here[which])})]
+
+
+# In typical magnitudes of a variable.
+_ACROSS = (-3.0, -1.0, -0.05, 0.05, 1.0, 3.0)
+
+
+def _differs(one: Evaluation, other: Evaluation) -> bool:
+    first, second = (np.append(each.constraints, each.objective) for each in (one, other))
+    return bool(np.any(np.abs(first - second) > _SAME * np.maximum(np.abs(first), np.abs(second))))
+
+
+def _lagrangian(outcome: Outcome, there: Evaluation) -> float:
+    """The Lagrangian with the multipliers of the outcome, beside which it is the objective."""
+    return there.objective + float(outcome.multipliers @ (there.constraints - outcome.evaluation.constraints))
+
+
+def _is_lower(outcome: Outcome, there: Evaluation) -> bool:
+    value = outcome.evaluation.objective
+    return _lagrangian(outcome, there) < value - _LOWER * abs(value)
+
+
+# Steps in typical magnitudes of all suspects together, and then of each alone: a short one, so that the model is likely
+# to be finite, and a long one, across a coarse rounding.
+_BLIND_STEPS = (0.05, -0.4)
+
+
+def lost_variables(program: NonlinearProgram, point: np.ndarray, here: Evaluation) -> tuple[int, ...]:
+    """Variables by which the slope of the objective is zero at a point and wherever else it is tried, although it
+    changes with them.
+
+    Two evaluations if some slope is exactly zero, two more for each of several suspects if the objective changes. In
+    sparse programs, where an objective depends on few variables by construction, none is looked for.
+    """
+    flat = np.flatnonzero((here.gradient == 0) & (program.lower < program.upper))
+    if not flat.size or not isinstance(here.jacobian, np.ndarray) or not np.isfinite(here.objective):
+        return ()
+    if not _are_lost(program, point, here, flat):
+        return ()
+    return tuple(int(i) for i in flat[:_MOST] if flat.size == 1 or _are_lost(program, point, here, np.array([i])))
+
+
+def _are_lost(program: NonlinearProgram, point: np.ndarray, here: Evaluation, which: np.ndarray) -> bool:
+    """Whether some step of these variables changes the objective without a slope at either end."""
+    for there in _steps(program, point, which):
+        size = max(abs(here.objective), abs(there.objective))
+        differs = np.isfinite(there.objective) and abs(there.objective - here.objective) > _SAME * size
+        if differs and not there.gradient[which].any():
+            return True
+    return False
+
+
+def _steps(program: NonlinearProgram, point: np.ndarray, which: np.ndarray) -> Iterator[Evaluation]:
+    """Evaluations with some variables moved by each step, away from a bound that is too close."""
+    size, bounds = program.variable_scale[which], (program.lower[which], program.upper[which])
+    for step in _BLIND_STEPS:
+        places = [np.clip(point[which] + sign * step * size, *bounds) for sign in (1, -1)]
+        first, second = (np.abs(place - point[which]) for place in places)
+        moved = point.copy()
+        moved[which] = np.where(first >= second, *places)
+        yield program.evaluate(moved)
+
+
+# --- Elsewhere --------------------------------------------------------------------------------------------------------
+
+# How many points in the whole range of the variables are evaluated, and how far from the start an unbounded range
+# extends, in typical magnitudes.
+_POINTS, _FAR = 8, 3.0
+UNBOUNDED = 1e15
+"""Bounds that are so many typical magnitudes, or units, away stand for none."""
+# A violation is lower if it is so by more than this part.
+_LESS = 1e-2
+
+
+def variable_range(
+    start: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The least and greatest values of the variables, or three typical magnitudes from the start if unbounded."""
+    far, bounded = _FAR * scale, UNBOUNDED * np.maximum(scale, 1.0)
+    return np.where(lower > -bounded, lower, start - far), np.where(upper < bounded, upper, start + far)
+
+
+def _elsewhere(program: NonlinearProgram, start: np.ndarray) -> list[np.ndarray]:
+    """The corners of least and of greatest values, the middle between them, and points in the whole range."""
+    lower, upper = variable_range(start, program.lower, program.upper, program.variable_scale)
+    generator = np.random.default_rng(0)
+    return [lower, upper, (lower + upper) / 2, *generator.uniform(lower, upper, (_POINTS, len(start)))]
+
+
+def _violation(program: NonlinearProgram, outcome: Outcome, point: np.ndarray) -> float:
+    values = program.evaluate(point).constraints
+    beyond = np.maximum(values - program.constraint_upper, program.constraint_lower - values) / outcome.sizes
+    return float(np.max(beyond, initial=0.0)) if np.isfinite(values).all() else np.inf
+
+
+def _scaled_at(program: NonlinearProgram, *points: np.ndarray) -> NonlinearProgram:
+    """The program with variables scaled by their values at some points, where these are larger."""
+    return replace(program, variable_scale=np.max(np.abs([program.variable_scale, *points]), axis=0))
