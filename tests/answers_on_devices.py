@@ -14,7 +14,7 @@ import aleator as al
 from aleator._core.compilation import Compiled
 from aleator._core.parallel import here, over_devices
 from aleator.transcription.sequential._evaluator import CONTRIBUTE
-from aleator.validation._systems import SIMULATE_BATCH
+from aleator.validation._batches import SIMULATE_BATCH
 from zoo import Oscillator, sine
 
 

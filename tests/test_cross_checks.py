@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator import crosschecking
 from aleator.studies._shared import found_both_ways
+from aleator.sweep import _cross_check
 from zoo import Decay
 
 
@@ -51,8 +51,20 @@ def test_what_is_not_solved_or_differs_does_not_agree_and_what_to_do_is_said(bot
     assert "Both reach the same objective, by other values of rate.mean" in str(flat)
 
 
-def test_prices_of_limits_that_do_not_act_are_equal():
-    assert list(al.cross_check(decay(most=0.9)).multipliers.values()) == [pytest.approx(0.0, abs=1e-4)]
+def test_prices_of_limits_that_do_not_act_are_equal_and_progress_tells_each_solve():
+    told = []
+    found = al.cross_check(decay(most=0.9), progress=lambda *words: told.append(words))
+    assert list(found.multipliers.values()) == [pytest.approx(0.0, abs=1e-4)]
+    assert told == [("cross-check", done, 2) for done in (0, 1, 2)]
+
+
+def test_ctrl_c_after_the_first_solve_is_itself():
+    def stop(task, done, total):
+        if done:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        al.cross_check(decay(most=0.9), progress=stop)
 
 
 def test_a_distance_that_becomes_zero_is_judged_by_what_it_is_made_of():
@@ -62,5 +74,5 @@ def test_a_distance_that_becomes_zero_is_judged_by_what_it_is_made_of():
     assert max(near.first.objective, near.second.objective) < 1e-9
     assert near.agree, near
     off = replace(near.second, objective=1e-3)
-    again = crosschecking._difference(near.first.objective, off.objective, crosschecking._objective_size(off))
+    again = _cross_check._difference(near.first.objective, off.objective, _cross_check._objective_size(off))
     assert again > near.tolerance

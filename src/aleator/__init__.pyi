@@ -35,7 +35,6 @@ from .analysis import MultiElement as MultiElement
 from .analysis import expand as expand
 from .analysis import galerkin as galerkin
 from .analysis import tolerance_analysis as tolerance_analysis
-from .crosschecking import cross_check as cross_check
 from .design import Constraint as Constraint
 from .design import Control as Control
 from .design import Expression as Expression
@@ -82,6 +81,7 @@ from .solving import solve as solve
 from .studies import Study as Study
 from .sweep import calibrate as calibrate
 from .sweep import conflict as conflict
+from .sweep import cross_check as cross_check
 from .sweep import harden as harden
 from .sweep import multistart as multistart
 from .sweep import pareto as pareto

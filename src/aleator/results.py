@@ -5,7 +5,6 @@ from aleator.analysis import ElementExpanded as ElementExpanded
 from aleator.analysis import Expanded as Expanded
 from aleator.analysis import ToleranceAnalysis as ToleranceAnalysis
 from aleator.analysis import Zone as Zone
-from aleator.crosschecking import CrossChecked as CrossChecked
 from aleator.examining import Examination as Examination
 from aleator.expansion import Unseen as Unseen
 from aleator.nlp import Searched as Searched
@@ -30,6 +29,7 @@ from aleator.solution import WorstCase as WorstCase
 from aleator.solution import WorstRealisation as WorstRealisation
 from aleator.sweep import Calibration as Calibration
 from aleator.sweep import Conflict as Conflict
+from aleator.sweep import CrossChecked as CrossChecked
 from aleator.sweep import EvidenceOfAll as EvidenceOfAll
 from aleator.sweep import Front as Front
 from aleator.sweep import Hardened as Hardened

@@ -1,6 +1,7 @@
 """Fronts along a bound against their closed forms, what becomes of points without a design, and evidence along them."""
 
 import warnings
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.stats import norm
 import aleator as al
 from aleator.reporting import front_figure
 from aleator.reporting._datasets import front_dataset
-from aleator.sweep import _each as each_module
+from aleator.sweep import _runner
 from zoo import MASS, SPREAD, STRESS, Bar, Decay, bar_problem
 
 NEEDED = 1.0 + 3.0 * SPREAD
@@ -74,7 +75,7 @@ def test_ctrl_c_ends_a_front_with_the_points_that_are_finished_and_is_itself_whe
             raise KeyboardInterrupt
         return al.solve(*arguments, **options)
 
-    monkeypatch.setattr(each_module, "solve", solve)
+    monkeypatch.setattr(_runner, "solve", solve)
     front = al.pareto(bar_problem(), "stress", [0.5, 0.4, 0.3, 0.2])
     assert front.interrupted
     assert front.values.tolist() == [0.5, 0.4]
@@ -82,6 +83,18 @@ def test_ctrl_c_ends_a_front_with_the_points_that_are_finished_and_is_itself_whe
     allowed = 0
     with pytest.raises(KeyboardInterrupt):
         al.pareto(bar_problem(), "stress", [0.5, 0.4])
+
+
+def test_a_point_that_ctrl_c_has_cut_short_is_not_finished(monkeypatch):
+    def solve(problem, **options):
+        solution = al.solve(problem, **options)
+        is_last = problem == bar_problem().with_bound("stress", 0.4)
+        return replace(solution, status=al.Status.INTERRUPTED) if is_last else solution
+
+    monkeypatch.setattr(_runner, "solve", solve)
+    front = al.pareto(bar_problem(), "stress", [0.5, 0.4])
+    assert front.interrupted
+    assert front.values.tolist() == [0.5]
 
 
 # --- Evidence at every design ----------------------------------------------------------------------------------------

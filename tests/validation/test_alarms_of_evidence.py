@@ -9,8 +9,8 @@ import pytest
 from scipy import stats
 
 import aleator as al
+from aleator.validation._batches import Sums
 from aleator.validation._limits import Compared, reach, worst_disagreement
-from aleator.validation._sums import Sums
 
 X, UNIFORM = al.output("x"), al.Uniform(0.0, half_width=1.0)
 RESPONSES = {

@@ -86,8 +86,7 @@ def margin_drawing(found: al.results.Calibration, heading: str, who: str, margin
 
 def found_both_ways(name: str, problem: al.Problem, progress: Progress) -> al.results.CrossChecked:
     """A design by shooting and by direct collocation."""
-    progress(f"{name} by direct collocation", 0, 1)
-    return al.cross_check(problem)
+    return al.cross_check(problem, progress=lambda task, *done: progress(f"{name}, {task}", *done))
 
 
 def collocated(name: str, found: al.results.CrossChecked | None) -> dict[str, al.Solution]:

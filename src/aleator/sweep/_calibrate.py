@@ -2,24 +2,24 @@
 
 import bisect
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
+from contextlib import AbstractContextManager
 from dataclasses import replace
-from functools import partial
-from typing import Any, final
+from typing import final
 
 import numpy as np
 import scipy
 
-from aleator._core.border import Progress, check_progress, silent
-from aleator._core.errors import CalibrationWarning, ProblemError, warned_of
+from aleator._core.border import Progress, check_progress, members, one_of, positive, refusal, silent, whole
+from aleator._core.errors import CalibrationWarning, ProblemError, SolveError
 from aleator._core.executors import check_executor
 from aleator.design import Problem, uncertain
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.solving import solve
-from aleator.sweep._each import until_interrupted
 from aleator.sweep._margins import Calibration, MarginSearch, Trial
+from aleator.sweep._runner import Runner, finished, running
 from aleator.transcription import DEFAULT, AbstractTranscription
 from aleator.validation import Evidence, Proportion, Share, rare_violation, validate, why_uncounted
 
@@ -75,39 +75,55 @@ def calibrate(
     """
     check_progress("calibrate", progress)
     check_executor("calibrate", executor)
-    names = _checked(problem, names, target, samples, seed, precision, max_trials)
-    sampler = _Sampler(names, float(target), samples, seed, executor)
+    one_of("calibrate: problem", problem, Problem)
+    target, precision = (
+        positive("calibrate: target", target, below=1),
+        positive("calibrate: precision", precision, below=1),
+    )
+    seed, max_trials = whole("calibrate: seed", seed, least=0), whole("calibrate: max_trials", max_trials)
+    fewest = min(int(np.ceil(_COUNTED / target)), _FEWEST_WEIGHTED)
+    if whole("calibrate: samples", samples, least=2) < fewest:
+        raise ProblemError(
+            f"calibrate: expected at least {fewest} samples to resolve a violation of {target:g}; received {samples}."
+        )
+    names = _counted_names(problem, names)
+    sampler = _Sampler(names, target, samples, seed, executor)
     given = {name: max(one.expression.sigmas or 0.0 for one in problem.named(name)) for name in names}
-    solved = partial(solve, solver=solver, transcription=transcription)
+
+    def solved(one: Problem, warm_start: Solution | None = None) -> Solution:
+        try:
+            return solve(one, solver=solver, transcription=transcription, warm_start=warm_start)
+        except SolveError as error:
+            finished(error.solution)
+            raise
+
     search = MarginSearch(problem, given, sampler.trial, sampler.aim, precision, solved)
-    run = _Run(search, sampler, max_trials, progress)
-    with until_interrupted(lambda: search.trials) as steps:
-        run.heed = steps.heed
-        run.finish()
-    missing, trials = "it was interrupted" if steps.interrupted else run.missing, tuple(search.trials)
-    chosen = run.chosen or search.best
-    found = Calibration(names, float(target), trials, chosen, run.fresh, run.evidence, missing, steps.interrupted)
-    if not (found.confirmed or steps.interrupted):
+    with running(lambda: search.trials, progress) as run:
+        course = _Course(search, sampler, max_trials, run)
+        course.finish()
+    missing, trials = "it was interrupted" if run.interrupted else course.missing, tuple(search.trials)
+    chosen = course.chosen or search.best
+    found = Calibration(names, target, trials, chosen, course.fresh, course.evidence, missing, run.interrupted)
+    if not (found.confirmed or run.interrupted):
         said = f"calibrate: sigmas = {found.sigmas:.4g} is {found.sentence()}."
         warnings.warn(said, CalibrationWarning, stacklevel=2)
     return found
 
 
 @final
-class _Run:
+class _Course:
     """Alternating search and confirmation, until a design is confirmed or `missing` says why not.
 
     - `chosen`, `fresh`, `evidence`: the design last checked on fresh systems, and the results.
     """
 
-    def __init__(self, search: MarginSearch, sampler: "_Sampler", max_trials: int, progress: Progress):
-        self._search, self._sampler, self._max_trials, self._progress = search, sampler, max_trials, progress
+    def __init__(self, search: MarginSearch, sampler: "_Sampler", max_trials: int, run: Runner):
+        self._search, self._sampler, self._max_trials, self._run = search, sampler, max_trials, run
         self._tried = 0
         self.chosen: Trial | None = None
         self.fresh: Share | None = None
         self.evidence: Evidence | None = None
         self.missing = ""
-        self.heed: Callable[[], None] = lambda: None
 
     def finish(self) -> None:
         """Search and confirm until a design is confirmed or there is nothing left to try."""
@@ -118,7 +134,7 @@ class _Run:
                 self.missing = f"no margin tried is violated rarely enough, {self._why_no_wider()}"
                 return
             if self._confirm(best):
-                self._progress(self._task, self._max_trials, self._max_trials)
+                self._run.progress(self._task, self._max_trials, self._max_trials)
                 return
             if self._tried < self._max_trials and self.fresh is not None:
                 self._search.tighten(best, self.fresh)
@@ -126,24 +142,25 @@ class _Run:
                 self.missing = "; ".join(filter(None, [self._enough_samples(), self._why_no_wider()]))
                 return
 
+    def _step(self, sigmas: float) -> AbstractContextManager[None]:
+        return self._run.step(self._task, self._tried, self._max_trials, f"calibrate, at sigmas = {sigmas:.4g}")
+
     @property
     def _task(self) -> str:
         return f"calibration of {' or '.join(self._sampler.names)}"
 
     def _seek(self) -> None:
         while self._tried < self._max_trials and not self._search.done:
-            self._progress(self._task, self._tried, self._max_trials)
-            self._search.step()
+            with self._step(self._search.following):
+                self._search.step()
             self._tried += 1
-            self.heed()
 
     def _confirm(self, trial: Trial) -> bool:
         """Whether fresh systems confirm a design; more are drawn while that is likely to confirm it."""
         self.chosen, self.fresh, self.evidence = trial, None, None
         for times in _FRESH:
-            with warned_of(f"calibrate, at sigmas = {trial.sigmas:.4g}"):
+            with self._step(trial.sigmas):
                 self.fresh, self.evidence = self._sampler.fresh(trial.solution, times)
-            self.heed()
             if self.fresh.upper <= self._sampler.target:
                 return True
             if self._sampler.hoped(self.fresh, 2).upper > self._sampler.target:
@@ -236,42 +253,14 @@ def _confidence(look: int) -> float:
     return 1 - 2 * _WRONG / 2**look
 
 
-def _checked(
-    problem: Any,
-    names: Any,
-    target: Any,
-    samples: Any,
-    seed: Any,
-    precision: Any,
-    max_trials: Any,
-) -> tuple[str, ...]:
-    """The names, each once. Raises `ProblemError` for invalid arguments."""
-    if not isinstance(problem, Problem):
-        raise ProblemError(f"calibrate: expected a Problem; received {type(problem).__name__}.")
-    for what, number in (("target", target), ("precision", precision)):
-        if not (_is_real(number) and 0 < number < 1):
-            kind = "a probability between 0 and 1, such as 0.01" if what == "target" else "a number between 0 and 1"
-            raise ProblemError(f"calibrate: expected {what} as {kind}; received {number!r}.")
-    for what, number, least in (("samples", samples, 2), ("seed", seed, 0), ("max_trials", max_trials, 1)):
-        if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < least:
-            raise ProblemError(
-                f"calibrate: expected {what} as a whole number of at least {least}; received {number!r}."
-            )
-    fewest = min(int(np.ceil(_COUNTED / target)), _FEWEST_WEIGHTED)
-    if samples < fewest:
-        raise ProblemError(
-            f"calibrate: expected at least {fewest} samples to resolve a violation of {target:g}; received {samples}."
-        )
-    given = (names,) if isinstance(names, str) else tuple(names) if isinstance(names, Sequence) else ()
-    if not given or not all(isinstance(name, str) for name in given):
-        raise ProblemError(f"calibrate: expected a constraint's name, or several in a tuple; received {names!r}.")
-    for name in given:
+def _counted_names(problem: Problem, names: str | Sequence[str]) -> tuple[str, ...]:
+    """The names, each once. Raises `ProblemError` for those of limits for which no margin can be found."""
+    every = (names,) if isinstance(names, str) else tuple(members("calibrate: names", names, str))
+    if not every:
+        raise refusal("calibrate: names", "a constraint's name, or several in a tuple", names)
+    for name in every:
         _check_margin(problem, name)
-    return tuple(dict.fromkeys(given))
-
-
-def _is_real(number: Any) -> bool:
-    return isinstance(number, int | float | np.number) and not isinstance(number, bool | np.complexfloating)
+    return tuple(dict.fromkeys(every))
 
 
 def _check_margin(problem: Problem, name: str) -> None:

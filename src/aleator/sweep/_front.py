@@ -16,7 +16,7 @@ from aleator._core.leaves import Drawn, Printed
 from aleator.design import Problem
 from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution, in_brief
-from aleator.sweep._each import Steps, each, until_interrupted
+from aleator.sweep._runner import SOLVE, Runner, running
 from aleator.transcription import DEFAULT, AbstractTranscription
 
 # Objectives with a smaller difference, as a part of the largest on the front, are the same: solvers leave that much.
@@ -207,18 +207,20 @@ def pareto(
         raise ProblemError("pareto: expected at least one value of the bound; received none.")
     check_executor("pareto", executor)
     own = {"solver": solver, "transcription": transcription}
-    sweep = _Sweep(bound, {value: problem.with_bound(bound, value) for value in bounds}, own, progress)
-    with until_interrupted(lambda: sweep.solutions) as steps, expected("solve", sweep.named):
-        sweep.solve(executor, steps)
-    return sweep.front(steps.interrupted)
+    sweep = _Sweep(bound, {value: problem.with_bound(bound, value) for value in bounds}, own, executor)
+    with running(lambda: sweep.solutions, progress) as run, expected("solve", sweep.named):
+        sweep.solve(run)
+    return sweep.front(run.interrupted)
 
 
 @final
 class _Sweep:
     """A front in the making: its problems, and what was found, by the values of the bound."""
 
-    def __init__(self, bound: str, problems: Mapping[float, Problem], own: Mapping[str, Any], progress: Progress):
-        self._bound, self._problems, self._own, self._progress = bound, problems, own, progress
+    def __init__(
+        self, bound: str, problems: Mapping[float, Problem], own: Mapping[str, Any], executor: Executor | None
+    ):
+        self._bound, self._problems, self._own, self._executor = bound, problems, own, executor
         self._kept: dict[float, _Kept] = {}
         self._first: ProblemError | None = None
 
@@ -227,16 +229,16 @@ class _Sweep:
         """The problems by the values of their bounds, in words."""
         return {self._place(value): one for value, one in self._problems.items()}
 
-    def solve(self, executor: Executor | None, steps: Steps) -> None:
+    def solve(self, run: Runner) -> None:
         """Solve each point from the problem's own start, then those from a neighbour that this may better.
 
         A point is tried from each design of a neighbour once, until none is bettered any more.
         """
-        self._each([_Try(value) for value in self._problems], executor, steps)
+        self._each([_Try(value) for value in self._problems], run)
         tried, bettered = set[tuple[float, ...]](), True
         while bettered and (again := [one for one in self._doubtful() if one.key not in tried]):
             tried.update(one.key for one in again)
-            bettered = self._each(again, executor, steps)
+            bettered = self._each(again, run)
 
     def front(self, interrupted: bool) -> Front:
         """What was found, in the order of the bounds. Raises the first refusal if every point was refused."""
@@ -261,18 +263,20 @@ class _Sweep:
     def _size(self) -> float:
         return max((abs(one.objective) for one in self.solutions.values() if one.ok), default=0.0)
 
-    def _each(self, tries: Sequence["_Try"], executor: Executor | None, steps: Steps) -> bool:
+    def _each(self, tries: Sequence["_Try"], run: Runner) -> bool:
         """Solve some points; whether one has been bettered."""
         calls = [{"problem": self._problems[one.value], "warm_start": one.design, **self._own} for one in tries]
-        where = [f"pareto, at {self._place(one.value, one.neighbour)}" for one in tries]
-        what, bettered = f"front over {self._bound}" + ", from neighbours" * (tries[0].design is not None), False
-        self._progress(what, 0, len(tries))
-        for done, (i, found) in enumerate(each("solve", calls, where, executor), 1):
-            bettered |= self._keep(tries[i], found)
+        places = [f"pareto, at {self._place(one.value, one.neighbour)}" for one in tries]
+        task = f"front over {self._bound}" + ", from neighbours" * (tries[0].design is not None)
+        bettered = False
+
+        def told(i: int) -> str:
             point = self._kept[tries[i].value].point
             brief = in_brief(point) if isinstance(point, Solution) else "no design"
-            self._progress(f"{what}: {self._place(tries[i].value)}, {brief}", done, len(tries))
-            steps.heed(found.status if isinstance(found, Solution) else None)
+            return f": {self._place(tries[i].value)}, {brief}"
+
+        for i, found in run.each(SOLVE, task, calls, places, self._executor, told):
+            bettered |= self._keep(tries[i], found)
         return bettered
 
     def _place(self, value: float, neighbour: float | None = None) -> str:

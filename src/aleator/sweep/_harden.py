@@ -7,13 +7,13 @@ from typing import final
 import numpy as np
 
 from aleator._core.border import Progress, a_name, check_progress, one_of, positive, refusal, silent, whole
-from aleator._core.errors import ProblemError, warned_of
+from aleator._core.errors import ProblemError
 from aleator._core.leaves import Drawn
 from aleator.design import Problem, soft
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.solving import solve
-from aleator.sweep._each import until_interrupted
+from aleator.sweep._runner import finished, running
 from aleator.transcription import DEFAULT, AbstractTranscribed, AbstractTranscription, bound_size, transcribe
 
 # Beyond this weight, a penalty leaves no digit of the objective, and its square overflows.
@@ -100,24 +100,20 @@ def harden(
     check_progress("harden", progress)
     one_of("harden: transcription", transcription, AbstractTranscription, "al.Sequential()")
     chosen = tuple(dict.fromkeys(a_name("harden: a constraint", name) for name in names)) or problem.names
-    hard = None
     solutions: list[Solution] = []
     excesses: list[Mapping[str, float]] = []
-    with until_interrupted(lambda: solutions) as steps:
+    with running(lambda: solutions, progress) as run:
         for done, each in enumerate(weights):
-            progress("weights", done, most)
             softened = soft(problem, *names, weight=float(each), exact=exact)
             start = solutions[-1].decisions if solutions else None
-            with warned_of(f"harden, weight {each:.4g}"):
-                solution = solve(softened, solver, transcription=transcription, start=start, throw=False)
-            hard = hard or transcribe(problem, DEFAULT)
-            excesses.append(_excesses(hard, chosen, solution))
+            with run.step("weights", done, most, f"harden, weight {each:.4g}"):
+                solution = finished(solve(softened, solver, transcription=transcription, start=start, throw=False))
+            excesses.append(_excesses(transcribe(problem, DEFAULT), chosen, solution))
             solutions.append(solution)
             if solution.ok and max(excesses[-1].values()) <= tolerance:
                 break
-            steps.heed(solution.status)
     used = tuple(float(one) for one in weights[: len(solutions)])
-    return Hardened(tuple(solutions), used, tuple(excesses[: len(solutions)]), tolerance, steps.interrupted)
+    return Hardened(tuple(solutions), used, tuple(excesses[: len(solutions)]), tolerance, run.interrupted)
 
 
 def _excesses(hard: AbstractTranscribed, names: tuple[str, ...], found: Solution) -> dict[str, float]:

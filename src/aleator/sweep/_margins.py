@@ -7,7 +7,7 @@ from typing import final
 import numpy as np
 import scipy
 
-from aleator._core.errors import AleatorError, SolveError, warned_of
+from aleator._core.errors import AleatorError, SolveError
 from aleator._core.leaves import Drawn, Printed
 from aleator.design import Problem
 from aleator.solution import Solution
@@ -111,7 +111,8 @@ class MarginSearch:
     - `aim`: the measured rate at which fresh systems are likely to confirm a design;
     - `solved`: solves a problem, from a solution if one is given as `warm_start`.
 
-    `tighten` lowers that aim after fresh systems did not confirm a design.
+    `following` is the multiple that is tried next. `tighten` lowers that aim after fresh systems did not confirm a
+    design.
     """
 
     def __init__(
@@ -123,8 +124,8 @@ class MarginSearch:
         precision: float,
         solved: Callable[..., Solution],
     ):
-        self._problem, self._next = problem, max(given.values())
-        self._shares = {name: sigmas / self._next for name, sigmas in given.items()}
+        self._problem, self.following = problem, max(given.values())
+        self._shares = {name: sigmas / self.following for name, sigmas in given.items()}
         self._measure, self._aim, self._precision, self._solve = measure, aim, precision, solved
         self._lowered = self._tightened = 1.0
         self.trials: list[Trial] = []
@@ -164,23 +165,22 @@ class MarginSearch:
 
         Raises what the first trial raises.
         """
-        sigmas = self._next
+        sigmas = self.following
         try:
-            with warned_of(f"calibrate, at sigmas = {sigmas:.4g}"):
-                solution = self._solved(sigmas)
-                self.trials.append(Trial(sigmas, solution, self._measure(solution)))
+            solution = self._solved(sigmas)
+            self.trials.append(Trial(sigmas, solution, self._measure(solution)))
         except AleatorError as error:
             if not self.trials:
                 raise
             self.failures[sigmas] = error
-        self._next = self._propose()
+        self.following = self._propose()
 
     def tighten(self, trial: Trial, fresh: Share) -> None:
         """Lower the aim by the factor, and a little more, by which fresh systems violated a trial too often."""
         measured = trial.violation.estimate
         self._tightened *= 0.85
         self._lowered = self._tightened * min(measured / fresh.estimate, 1.0) if fresh.estimate > 0 else self._tightened
-        self._next = self._propose()
+        self.following = self._propose()
 
     def _solved(self, sigmas: float) -> Solution:
         problem = self._problem
@@ -221,7 +221,7 @@ class MarginSearch:
         """The secant through the two trials on either side of the aim, solved for a little below it."""
         meeting = sorted((one for one in self.trials if self._meets(one)), key=lambda one: one.sigmas)
         if not meeting:
-            widest = max((one.sigmas for one in self.trials), default=self._next)
+            widest = max((one.sigmas for one in self.trials), default=self.following)
             return min(widest * 1.5 + 0.1, _LARGEST, (widest + self.ceiling) / 2)
         high = meeting[0]
         missing = [one for one in self.trials if one.sigmas < high.sigmas]

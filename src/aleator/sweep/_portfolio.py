@@ -1,19 +1,18 @@
-"""`portfolio`: a search everywhere and local searches from what it found, each kept by a journal as soon as it ends."""
+"""`multistart` and `portfolio`: one problem from many starts, those of a search everywhere among them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.border import Progress, check_progress, one_of, silent, whole
-from aleator._core.errors import ProblemError, warned_of
-from aleator._core.executors import check_executor, each_done
-from aleator._core.journalled import entry_of, journalled
-from aleator._core.leaves import Drawn, Printed
-from aleator.design import Problem, refuse_other_code
+from aleator._core.border import Progress, check_progress, one_of, positive, silent, whole
+from aleator._core.errors import AleatorError, ProblemError, warned_of
+from aleator._core.executors import check_executor
+from aleator._core.journalled import journalled
+from aleator.design import Problem
 from aleator.nlp import (
     AbstractSearch,
     AbstractSolver,
@@ -26,125 +25,75 @@ from aleator.nlp import (
 )
 from aleator.solution import Solution
 from aleator.solving import check_search, solve
-from aleator.sweep._each import until_interrupted
-from aleator.transcription import DEFAULT, transcribe, valued_by
+from aleator.sweep._runner import SOLVE, Work, finished, running
+from aleator.sweep._starts import Optimum, Portfolio, Starts, alike, at_starts
+from aleator.transcription import DEFAULT, AbstractTranscription, transcribe, valued_by
 
-# Objectives, or decisions, with a smaller relative difference belong to one optimum, and so do objectives whose
-# difference is below this part of those at the starts, since they may be zero.
-_SAME, _NONE = 1e-4, 1e-9
-# With fewer random starts, or with not this many more than optima, nothing can be said of those not seen: there the
-# estimate is a number without meaning (Boender and Rinnooy Kan 1987 need two more for its mean, three for its spread).
-_FEWEST, _MORE = 6, 3
 # Optima that are certified at most, from the best one on, until one stands.
 _CERTIFIED = 5
 
 
-@final
-@dataclass(frozen=True)
-class Optimum(Printed):
-    """A local optimum of the program.
+def multistart(
+    problem: Problem,
+    starts: int | Sequence[Mapping[str, Any]] = 10,
+    *,
+    spread: float = 0.3,
+    seed: int = 0,
+    solver: AbstractSolver | None = None,
+    transcription: AbstractTranscription = DEFAULT,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+) -> Starts:
+    """Solve a problem from several starts, given by decisions' names, or from a number of random ones.
 
-    - `objective`, `decisions`: by name;
-    - `starts`: how many local searches ended there; `random`: how many of these began at a random point, whose share
-      is that of its basin.
+    The first random start is the problem's own; the others, drawn from `seed`, differ from it by up to `spread` of each
+    decision's range (of its magnitude where a bound is infinite). The problem is compiled once. A start that fails is
+    kept with its status; Ctrl-C ends the search and returns the finished solutions. `solver` and `transcription` are
+    those of `al.solve`; an `executor` (see `al.pareto`) solves from several starts at once.
+
+    Raises `ProblemError`, before anything is solved, if there is no start, for unknown decisions, and for values that
+    are not finite or of the wrong shape.
     """
-
-    objective: float
-    decisions: dict[str, Any]
-    starts: int
-    random: int
-
-    def __str__(self) -> str:
-        decided = ", ".join(
-            f"{name} = {np.array2string(np.asarray(one), precision=5)}" for name, one in self.decisions.items()
+    one_of("multistart: problem", problem, Problem)
+    check_progress("multistart", progress)
+    spread, seed = positive("multistart: spread", spread), whole("multistart: seed", seed, least=0)
+    if isinstance(starts, bool | Mapping | str) or not isinstance(starts, int | np.integer | Sequence):
+        raise ProblemError(
+            f"multistart: expected a number of starts, or a list of starts by name; received {starts!r}."
         )
-        return f"{self.objective:.8g} from {self.starts} starts ({self.random} of them random), at {decided}"
+    if not isinstance(starts, Sequence):
+        starts = _random(problem, whole("multistart: the number of starts", starts), spread, seed)
+    given = list(starts)
+    if not given:
+        raise ProblemError("multistart: expected at least one start; received none.")
+    places = problem.placements
+    for start in given:
+        places.moved(places.vector("initial"), start)
+    check_executor("multistart", executor)
+    own = {"problem": problem, "solver": solver, "transcription": transcription}
+    calls = [{**own, "start": start} for start in given]
+    places = [f"multistart, from start {i + 1}" for i in range(len(calls))]
+    solutions: dict[int, Solution] = {}
+    with running(lambda: solutions, progress) as run:
+        for i, result in run.each(SOLVE, "starts", calls, places, executor):
+            if isinstance(result, AleatorError):
+                raise result
+            solutions[i] = result
+    return Starts(tuple(solutions[i] for i in sorted(solutions)), run.interrupted)
 
 
-@final
-@dataclass(frozen=True)
-class Portfolio(Drawn):
-    """What a global search and many local ones found. `print(portfolio)` lists the optima.
+def _random(problem: Problem, count: int, spread: float, seed: int) -> list[dict[str, Any]]:
+    places = problem.placements
+    first, lower, upper = (places.vector(name) for name in ("initial", "lower", "upper"))
+    finite = np.isfinite(upper - lower)
+    reach = spread * np.where(finite, np.where(finite, upper - lower, 0.0), np.maximum(np.abs(first), 1.0))
+    generator = np.random.default_rng(seed)
 
-    - `best`: the best optimum with its certificate; if that fails, the next one whose certificate stands; if there is
-      none, the least violated design, with its status;
-    - `optima`: different local optima of the program, best first;
-    - `starts`, `random`: local searches in all, and from random starts; `solved`: those of the random ones that ended
-      at an optimum;
-    - `searched`: the history of the global search; None if there was none;
-    - `proven`: whether no design can be better, because the objective is at its lower bound;
-    - `interrupted`: whether Ctrl-C ended it; what was found by then is kept, and certified.
-    """
+    def drawn(i: int) -> Float[np.ndarray, " n"]:
+        shift = generator.uniform(-1.0, 1.0, first.size) if i else np.zeros(first.size)
+        return np.clip(first + reach * shift, lower, upper)
 
-    best: Solution
-    optima: tuple[Optimum, ...]
-    starts: int
-    random: int
-    solved: int
-    searched: Searched | None
-    proven: bool = False
-    interrupted: bool = False
-
-    @property
-    def seen_at_random(self) -> int:
-        """How many optima random starts have led to."""
-        return sum(one.random > 0 for one in self.optima)
-
-    @property
-    def unseen(self) -> float:
-        """The expected share of starts that lead to optima not seen yet: `w (w + 1) / (n (n - 1))`.
-
-        For `w` optima seen from `n` uniform random starts (Boender and Rinnooy Kan 1987). 1 for too few starts to say
-        anything: fewer than six, or than three more than optima.
-        """
-        w, n = self.seen_at_random, self.solved
-        return w * (w + 1) / (n * (n - 1)) if self._is_telling else 1.0
-
-    @property
-    def _is_telling(self) -> bool:
-        """Whether there are random starts enough to conclude from."""
-        return self.solved >= max(_FEWEST, self.seen_at_random + _MORE)
-
-    def sure(self) -> str:
-        """How sure one may be that no design is better, in words."""
-        if self.proven:
-            return "No design is better: the objective is at its lower bound."
-        best = self.optima[0] if self.optima else None
-        if best is None or not self._is_telling:
-            return (
-                f"Too few random starts ended at an optimum to say how many others there are: {self.solved}, at "
-                f"{self.seen_at_random} optima. Nothing can be said of designs not seen; take more starts."
-            )
-        found = f"{best.random} of {self.solved} random starts" if best.random else "Only the global search"
-        return (
-            f"{found} led to the best one; a further random start would lead to an optimum not seen yet with a "
-            f"probability of about {self.unseen:.0%} (Boender and Rinnooy Kan 1987)."
-        )
-
-    def __str__(self) -> str:
-        rows = [f"{one.objective:14.8g}  from {one.starts} of {self.starts} starts" for one in self.optima]
-        failed = self.starts - sum(one.starts for one in self.optima)
-        return "\n".join(
-            [
-                "local optima (equal objectives count as one)",
-                *rows,
-                *([f"{failed} starts ended at none"] if failed else []),
-                *([str(self.searched)] if self.searched else []),
-                f"best: {self.best.objective:.8g}, {self.best.status.value}",
-                *(["interrupted by the user"] if self.interrupted else []),
-                self.sure(),
-            ]
-        )
-
-
-class _Start(NamedTuple):
-    point: Float[np.ndarray, " n"]
-    is_random: bool
-
-
-class _End(NamedTuple):
-    outcome: Outcome
-    is_random: bool
+    return [places.named(drawn(i)) for i in range(count)]
 
 
 def portfolio(
@@ -180,110 +129,74 @@ def portfolio(
     if search is not None:
         one_of("portfolio: search", search, AbstractSearch, "al.solvers.DifferentialEvolution(), or None")
         check_search("portfolio", problem, search, "search=None leaves the global search out.")
-    local = solver or DEFAULT.solver
-    one_of("portfolio: solver", local, AbstractSolver, "al.solvers.FilterSQP()")
+    local = one_of("portfolio: solver", solver or DEFAULT.solver, AbstractSolver, "al.solvers.FilterSQP()").local
     program = transcribe(problem, DEFAULT).program
-    ended: dict[int, _End] = {}
-    found: Sequence[Float[np.ndarray, " n"]] = []
+    candidates: Sequence[Float[np.ndarray, " n"]] = []
     searched: Searched | None = None
-    with until_interrupted(lambda: ended or found) as steps:
+    outcomes: dict[int, Outcome] = {}
+    with running(lambda: outcomes or candidates, progress) as run:
         if search is not None:
-            found_by = searched_globally(problem, program, search, max(starts // 2, 1), executor)
-            found, searched = found_by.candidates, found_by.searched
-            steps.heed(found_by.status)
-        begun = list(_starts(program, found, starts, seed))
-        progress("local searches", 0, starts)
-        points = [one.point for one in begun]
-        for i, outcome in each_outcome(problem, program, local.local, points, executor):
-            if outcome.status is Status.INTERRUPTED:
-                raise KeyboardInterrupt
-            ended[i] = _End(outcome, begun[i].is_random)
-            progress("local searches", len(ended), starts)
-            steps.heed()
-    ends = [ended[i] for i in sorted(ended)]
-    optima = _optima(problem, ends)
-    points = _worth_certifying(optima, ends, found)
+            found = _searched_globally(problem, program, search, max(starts // 2, 1), executor)
+            candidates, searched = found.candidates, found.searched
+            finished(found)
+        chosen = [*candidates, program.start][:starts]
+        begun = [*chosen, *_random_points(program, starts - len(chosen), seed)]
+        calls = [{"problem": problem, "solver": local, "start": point} for point in begun]
+        places = [f"portfolio, local search {i + 1}" for i in range(len(calls))]
+        for i, outcome in run.each(LOCAL_SEARCH, "local searches", calls, places, executor):
+            if isinstance(outcome, AleatorError):
+                raise outcome
+            outcomes[i] = outcome
+    ends = [outcomes[i] for i in sorted(outcomes)]
+    random = [i >= len(chosen) for i in sorted(outcomes)]
+    optima, points = _optima(problem, ends, random)
+    # Without any, the least violated design is told, or the best one of the search.
+    if not points and ends:
+        points = [min(ends, key=lambda one: np.nan_to_num(one.violation, nan=np.inf)).point]
+    points = points[:_CERTIFIED] or candidates[:1]
     try:
-        best = _certified(problem, local.local, search, points)
+        best = _certified(problem, local, search, points)
     except KeyboardInterrupt:
         # Here Ctrl-C ends the comparison, not the certificate, without which there would be no result.
-        steps.interrupted = True
-        best = _certified(problem, local.local, search, points[:1])
+        run.interrupted = True
+        best = _certified(problem, local, search, points[:1])
     return Portfolio(
         best=best,
-        optima=tuple(one for one, _ in optima),
+        optima=optima,
         starts=len(ends),
-        random=sum(one.is_random for one in ends),
-        solved=sum(one.is_random and one.outcome.ok for one in ends),
+        random=sum(random),
+        solved=sum(is_random and one.ok for is_random, one in zip(random, ends, strict=True)),
         searched=searched,
         proven=best.ok and _is_least(program, best.objective, local.tolerance),
-        interrupted=steps.interrupted,
+        interrupted=run.interrupted,
     )
 
 
-def _starts(
-    program: NonlinearProgram, found: Sequence[Float[np.ndarray, " n"]], count: int, seed: int
-) -> Iterator[_Start]:
-    """The points that a search found, then the program's own start, then random ones, `count` in all."""
+def _random_points(program: NonlinearProgram, count: int, seed: int) -> Float[np.ndarray, "count n"]:
     lower, upper = variable_range(program.start, program.lower, program.upper, program.variable_scale)
-    generator = np.random.default_rng(seed)
-    own = [*found, program.start][:count]
-    yield from (_Start(one, is_random=False) for one in own)
-    for _ in range(count - len(own)):
-        yield _Start(generator.uniform(lower, upper), is_random=True)
+    return np.random.default_rng(seed).uniform(lower, upper, (count, program.start.size))
 
 
-def _optima(problem: Problem, ends: Sequence[_End]) -> list[tuple[Optimum, Float[np.ndarray, " n"]]]:
-    """The different optima, best first, with their points."""
-    solved = sorted((one for one in ends if one.outcome.ok), key=lambda one: one.outcome.evaluation.objective)
-    size = np.max(np.abs([one.outcome.point for one in solved]), axis=0, initial=1e-12) if solved else np.zeros(0)
-    none = _NONE * _at_starts(ends)
-    groups: list[list[_End]] = []
-    for one in solved:
-        if groups and _is_same(groups[-1][0].outcome, one.outcome, size, none):
-            groups[-1].append(one)
-        else:
-            groups.append([one])
-    optima = []
+def _optima(
+    problem: Problem, ends: Sequence[Outcome], random: Sequence[bool]
+) -> tuple[tuple[Optimum, ...], list[Float[np.ndarray, " n"]]]:
+    """The different optima, best first, and their points. `random`: which ends were begun at random points."""
+    solved = [i for i, one in enumerate(ends) if one.ok]
+    objectives = [ends[i].evaluation.objective for i in solved]
+    groups = alike(objectives, [ends[i].point for i in solved], at_starts([one.visited for one in ends]))
+    optima, points = [], []
     for group in groups:
-        best = group[0].outcome
-        named, random = problem.placements.named(best.point), sum(one.is_random for one in group)
-        optima.append((Optimum(best.evaluation.objective, named, len(group), random), best.point))
-    return optima
-
-
-def _at_starts(ends: Sequence[_End]) -> float:
-    """The middle magnitude of the objective at the starts of local searches."""
-    first = [one.outcome.visited.objectives[:1] for one in ends if one.outcome.visited is not None]
-    known = np.abs(np.concatenate([np.zeros(0), *first]))
-    known = known[np.isfinite(known)]
-    return float(np.median(known)) if known.size else 0.0
-
-
-def _is_same(one: Outcome, other: Outcome, size: Float[np.ndarray, " n"], none: float) -> bool:
-    """Mirrored designs count as one, by their objective, and so do equal designs."""
-    first, second = one.evaluation.objective, other.evaluation.objective
-    close = abs(first - second) <= max(_SAME * max(abs(first), abs(second)), none)
-    return bool(close or np.all(np.abs(one.point - other.point) < _SAME * size))
+        best = ends[solved[group[0]]]
+        named, drawn = problem.placements.named(best.point), sum(random[solved[i]] for i in group)
+        optima.append(Optimum(best.evaluation.objective, named, len(group), drawn))
+        points.append(best.point)
+    return tuple(optima), points
 
 
 def _is_least(program: NonlinearProgram, objective: float, tolerance: float) -> bool:
     """Whether an objective is at its lower bound, as far as can be told beside its fall from the start."""
     above = program.evaluate(program.start).objective - program.least
     return bool(np.isfinite(program.least)) and bool(objective - program.least <= tolerance * above)
-
-
-def _worth_certifying(
-    optima: Sequence[tuple[Optimum, Float[np.ndarray, " n"]]],
-    ends: Sequence[_End],
-    found: Sequence[Float[np.ndarray, " n"]],
-) -> list[Float[np.ndarray, " n"]]:
-    """The best optima; without any, the least violated design, or the best one of the search."""
-    if optima:
-        return [point for _, point in optima[:_CERTIFIED]]
-    if ends:
-        return [min(ends, key=lambda one: np.nan_to_num(one.outcome.violation, nan=np.inf)).outcome.point]
-    return list(found[:1])
 
 
 def _certified(
@@ -311,7 +224,7 @@ def _certified(
 
 @final
 @dataclass(frozen=True)
-class FoundGlobally:
+class _FoundGlobally:
     """What a global search found: points that lie apart, best first, and its history.
 
     - `status`: `Status.INTERRUPTED` if the user ended it.
@@ -322,55 +235,31 @@ class FoundGlobally:
     status: Status
 
 
-def searched_globally(
+def _searched_globally(
     problem: Problem, program: NonlinearProgram, search: AbstractSearch, count: int, executor: Executor | None
-) -> FoundGlobally:
+) -> _FoundGlobally:
     """At most `count` points of a global search; from a journal, if one has them.
 
     An executor finds the values of whole generations, not those of one point after the other.
     """
 
-    def found() -> FoundGlobally:
+    def found() -> _FoundGlobally:
         sought, searched = search.seek(valued_by(executor if search.at_once else None, program, "portfolio"))
         status = Status.SOLVED if sought.halt is None else Status.INTERRUPTED
-        return FoundGlobally(sought.candidates(count), searched, status)
+        return _FoundGlobally(sought.candidates(count), searched, status)
 
     given = {"problem": problem, "search": replace(search, progress=silent), "count": count}
     return journalled("global search", given, found)
 
 
-def each_outcome(
-    problem: Problem,
-    program: NonlinearProgram,
-    solver: AbstractSolver,
-    points: Sequence[Float[np.ndarray, " n"]],
-    executor: Executor | None,
-) -> Iterator[tuple[int, Outcome]]:
-    """The outcome of a local search from each point, with its index; by an executor as soon as it is there."""
-    if executor is not None:
-        yield from _by(executor, problem, solver, points)
-        return
-    for i, point in enumerate(points):
-        yield i, journalled("local search", _given(problem, solver, point), lambda: solver.solve(program, start=point))  # noqa: B023 -- called at once
+def _local_search_from(problem: Problem, solver: AbstractSolver, start: Float[np.ndarray, " n"]) -> dict[str, Any]:
+    return {"problem": problem, "solver": solver, "start": start}
 
 
-def _by(
-    executor: Executor, problem: Problem, solver: AbstractSolver, points: Sequence[Float[np.ndarray, " n"]]
-) -> Iterator[tuple[int, Outcome]]:
-    entries = [entry_of("local search", _given(problem, solver, point)) for point in points]
-    yield from ((i, entry.recalled) for i, entry in enumerate(entries) if entry.recalled is not None)
-    missing = [i for i, entry in enumerate(entries) if entry.recalled is None]
-    calls = [{"problem": problem, "solver": solver, "point": points[i]} for i in missing]
-    places = [f"portfolio, local search {i + 1}" for i in missing]
-    for number, outcome in each_done(executor, _searched_there, calls, places):
-        entries[missing[number]].keep(outcome)
-        yield missing[number], outcome
+def _searched_locally(problem: Problem, solver: AbstractSolver, start: Float[np.ndarray, " n"]) -> Outcome:
+    program = transcribe(problem, DEFAULT).program
+    given = _local_search_from(problem, solver, start)
+    return journalled(LOCAL_SEARCH.name, given, lambda: solver.solve(program, start=start))
 
 
-def _searched_there(problem: Problem, solver: AbstractSolver, point: Float[np.ndarray, " n"]) -> Outcome:
-    refuse_other_code(problem)
-    return solver.solve(transcribe(problem, DEFAULT).program, start=point)
-
-
-def _given(problem: Problem, solver: AbstractSolver, point: Float[np.ndarray, " n"]) -> dict[str, Any]:
-    return {"problem": problem, "solver": solver, "start": point}
+LOCAL_SEARCH = Work("local search", _local_search_from, _searched_locally)

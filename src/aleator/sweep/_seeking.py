@@ -4,13 +4,14 @@ others are as good as they can be without making it worse; and a population from
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from aleator._core.errors import ProblemError, warned_of
+from aleator._core.errors import ProblemError
 from aleator._core.interruption import answering
 from aleator.design import Problem
 from aleator.nlp import (
@@ -25,7 +26,9 @@ from aleator.nlp import (
 )
 from aleator.solution import Solution
 from aleator.solving import solve
-from aleator.sweep._portfolio import Portfolio, portfolio
+from aleator.sweep._portfolio import portfolio
+from aleator.sweep._runner import Runner, finished
+from aleator.sweep._starts import Portfolio
 from aleator.sweep._trade_off import efficient, far_apart
 from aleator.sweep._wishes import LEVEL, Compromise, Design, Found, Wishes, pressed, without_level
 from aleator.transcription import DEFAULT, AbstractTranscription, transcribe, valued_by
@@ -59,8 +62,7 @@ class Seeker:
         """The design of a compromise; or None, and why."""
         solution = self._local(compromise.problem, start)
         if self.starts > 1:
-            with warned_of("trade_off"):
-                other = self._portfolio(compromise.problem, None).best
+            other = self._portfolio(compromise.problem, None).best
             solution = min((one for one in (solution, other)), key=lambda one: (not one.ok, one.objective))
         return (compromise.design(solution), "") if solution.ok else (None, solution.why())
 
@@ -81,15 +83,8 @@ class Seeker:
         for solver, begun in self._ways(start):
             design = begun if isinstance(begun, Solution) else None
             values = None if isinstance(begun, Solution) else begun
-            with warned_of("trade_off"):
-                solution = solve(
-                    problem,
-                    solver,
-                    transcription=self.transcription,
-                    warm_start=design,
-                    start=values,
-                    throw=False,
-                )
+            own = {"transcription": self.transcription, "warm_start": design, "start": values}
+            solution = finished(solve(problem, solver, **own, throw=False))
             if solution.ok:
                 break
         assert solution is not None
@@ -161,22 +156,26 @@ class Anchors:
         """Which wishes differ by rounding alone, beside their values and their sizes at the start."""
         return self.range <= _CONSTANT * np.maximum(np.abs(self.values).max(axis=0), self.sizes)
 
-    def find(self, progress: Callable[[int], None], heed: Callable[[], None]) -> None:
+    def find(self, run: Runner) -> None:
         """Find them all. What is found when this is interrupted is kept."""
         self._measure()
-        for which in range(len(self._wishes.names)):
-            progress(which)
-            self.designs.append(self._alone(which, self._seeker.everywhere(self._wishes.only(which))))
-            self.least[which] = self.designs[which].values[which]
-            heed()
-        self._settle_rivals()
+        count = len(self._wishes.names)
+
+        def step(which: int) -> AbstractContextManager[None]:
+            return run.step("best of each wish", which, count, "trade_off, best of each wish")
+
+        for which in range(count):
+            with step(which):
+                self.designs.append(self._alone(which, self._seeker.everywhere(self._wishes.only(which))))
+                self.least[which] = self.designs[which].values[which]
+        with step(count):
+            self._settle_rivals()
         scales = self.scales
         if self.constant.all():
             return
-        for which in range(len(self._wishes.names)):
-            progress(which)
-            self.designs[which] = self._improved(which, scales)
-            heed()
+        for which in range(count):
+            with step(which):
+                self.designs[which] = self._improved(which, scales)
 
     def _measure(self) -> None:
         """The magnitudes of the wishes around the problem's start. Refuses wishes that nothing changes."""

@@ -10,10 +10,9 @@ from jaxtyping import Float
 from aleator._core.border import Progress, a_name, check_progress, one_of, refusal, silent, whole
 from aleator._core.errors import ProblemError
 from aleator._core.executors import check_executor
-from aleator._core.journalled import calling
 from aleator.design import Expression, Problem
 from aleator.nlp import AbstractSolver
-from aleator.sweep._each import until_interrupted
+from aleator.sweep._runner import running
 from aleator.sweep._seeking import SAME, Anchors, Budget, Member, Seeker, between, check_crowd, crowd
 from aleator.sweep._trade_off import Gap, TradeOff, box, efficient, simplex
 from aleator.sweep._wishes import Compromise, Design, Found, Wishes, refuse_own_names
@@ -262,17 +261,14 @@ def trade_off(
     one_of("trade_off: transcription", transcription, AbstractTranscription, "al.Sequential()")
     _check_problem(problem, wishes)
     front = FrontInTheMaking(Wishes(problem, wishes), Seeker(transcription, solver, starts, executor), points)
-    with until_interrupted(lambda: front.anchors.designs) as steps:
-        with calling("best of each wish"):
-            front.anchors.find(lambda done: progress("best of each wish", done, len(names)), steps.heed)
+    with running(lambda: front.anchors.designs, progress) as run:
+        front.anchors.find(run)
         if method == "population":
-            steps.interrupted = front.spread(budget, lambda done: progress("population", done, evaluations))
+            run.interrupted = front.spread(budget, lambda done: progress("population", done, evaluations))
         for one in front.problems(method):
-            progress("trade-off", front.done, points)
-            with calling(f"trade-off, point {front.done + 1}"):
+            with run.step("trade-off", front.done, points, f"trade_off, point {front.done + 1}"):
                 front.add(one)
-            steps.heed()
-    return front.told(steps.interrupted)
+    return front.told(run.interrupted)
 
 
 def _names(wishes: Mapping[str, Expression]) -> tuple[str, ...]:

@@ -10,9 +10,9 @@ from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.executors import check_executor
 from aleator._core.leaves import Drawn
 from aleator.solution import Solution
-from aleator.sweep._each import each, until_interrupted
 from aleator.sweep._front import Front, point_name
-from aleator.sweep._multistart import Starts
+from aleator.sweep._runner import VALIDATE, running
+from aleator.sweep._starts import Starts
 from aleator.sweep._trade_off import TradeOff
 from aleator.validation import Evidence
 
@@ -88,12 +88,9 @@ def validate_all(
     calls = [{"solution": one, "samples": samples, "seed": seed} for one in chosen]
     where = [f"validate_all, design {i}" for i in range(len(calls))]
     found: dict[int, Evidence | AleatorError] = {}
-    progress("evidence", 0, len(chosen))
-    with until_interrupted(lambda: found) as steps:
-        for i, evidence in each("validate", calls, where, executor):
+    with running(lambda: found, progress) as run:
+        for i, evidence in run.each(VALIDATE, "evidence", calls, where, executor):
             found[i] = evidence
-            progress("evidence", len(found), len(chosen))
-            steps.heed()
     kept = sorted(found)
     results = [found[i] for i in kept]
     return EvidenceOfAll(
@@ -101,7 +98,7 @@ def validate_all(
         tuple(places[i] for i in kept),
         tuple(one if isinstance(one, Evidence) else None for one in results),
         {i: str(one) for i, one in enumerate(results) if isinstance(one, AleatorError)},
-        steps.interrupted,
+        run.interrupted,
     )
 
 

@@ -1,31 +1,22 @@
-"""`Evidence`: a fresh Monte Carlo simulation of a design, and where it contradicts the solution."""
+"""`Evidence`: what a fresh Monte Carlo simulation of a design tells of it."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Drawn, Printed
-from aleator.design import Problem, Statistic, expanded_functionals, is_worst_case
-from aleator.references._estimate import group_count, pair
+from aleator.design import Statistic, uncertain
+from aleator.references._estimate import pair
 from aleator.solution import Solution, ends
 from aleator.statistics import (
-    Correlation,
-    Covariance,
-    Infimum,
-    Kurtosis,
     Mean,
-    Probability,
-    Quantile,
-    Skewness,
     Std,
-    Supremum,
-    Variance,
 )
-from aleator.validation._limits import Compared, Disagreement, Proportion, is_rare, worst_disagreement
+from aleator.validation._limits import Compared, Disagreement, Proportion, uncounted
 
 _NO_LIMITS = "  no constraint is a limit on single systems, so none is counted"
 
@@ -108,11 +99,6 @@ class Trajectories(Printed):
 class Evidence(Drawn):
     """A design re-simulated on fresh random systems, without any expansion. `print(evidence)` shows it.
 
-    - `violations`: by constraint name, the proportion of systems that violate any constraint of that name at any
-      instant;
-    - `joint`: the proportion of systems that violate at least one of them;
-    - `uncounted`: the constraints excluded from both, as mathematics, with the reason: they do not apply to a single
-      system, like a bound on a `std`, or no single system meets them exactly, like an equality;
     - `instants`: the number of instants at which limits over time were counted, None if there are none; more than the
       design's grid has where its limits hold between instants too;
     - `functionals`: sampled mean and standard deviation of each, with the expansion's;
@@ -132,9 +118,6 @@ class Evidence(Drawn):
     solution: Solution
     samples: int
     seed: int
-    violations: Mapping[str, Proportion]
-    joint: Proportion
-    uncounted: Mapping[str, str]
     instants: int | None
     functionals: Mapping[str, Sampled]
     statistics: Mapping[str, Checked]
@@ -144,6 +127,25 @@ class Evidence(Drawn):
     compared: tuple[Compared, ...] = ()
     disagreements: tuple[Disagreement, ...] = ()
     alone: int | None = None
+
+    @property
+    def violations(self) -> dict[str, Proportion]:
+        """By constraint name, the proportion of systems that violate any constraint of that name at any instant."""
+        return {name: self.violation(name) for name in self.broken}
+
+    @property
+    def joint(self) -> Proportion:
+        """The proportion of systems that violate at least one constraint."""
+        return self.violation(*self.broken) if self.broken else Proportion(0, self.samples)
+
+    @property
+    def uncounted(self) -> dict[str, str]:
+        """The constraints excluded from these, as mathematics, with the reason.
+
+        They do not apply to a single system, like a bound on a `std`, or no single system meets them exactly, like an
+        equality.
+        """
+        return uncounted(uncertain(self.solution.problem))
 
     @property
     def agrees(self) -> bool:
@@ -206,115 +208,3 @@ def _row(one: Sampled) -> str:
 
 def _estimated(one: Checked) -> str:
     return f"{one.estimate:.6g}" if np.isnan(one.standard_error) else pair(one.estimate, one.standard_error)
-
-
-# A spread below this fraction of the magnitude behind a functional is rounding.
-_ROUNDING = 1e-11
-
-
-class Sample(NamedTuple):
-    """The samples of a problem, and its solution; see the fields of `Evidence`. `values`: samples of numbers."""
-
-    solution: Solution
-    problem: Problem
-    samples: int
-    functionals: Mapping[str, Sampled]
-    statistics: Mapping[str, Checked]
-    values: Mapping[str, Float[np.ndarray, " samples"]]
-    violations: Mapping[str, Proportion]
-    compared: tuple[Compared, ...]
-
-
-def disagreements(sample: Sample) -> tuple[Disagreement, ...]:
-    """The numbers that samples contradict; none for a deterministic design, which has no expansion."""
-    if not sample.solution.problem.placements.germs:
-        return ()
-    told = [*_moments(sample), *_statistics(sample), *_limits(sample)]
-    return tuple(told) if not told else tuple(one for one in told if not _is_rounding(one, sample))
-
-
-def _moments(sample: Sample) -> Iterator[Disagreement]:
-    times, samples = sample.solution.instants, sample.samples
-    # Functionals with only a worst case do not use the expansion.
-    for text in (one.text() for one in expanded_functionals(sample.problem.expressions)):
-        one = sample.functionals[text]
-        when = times if np.ndim(one.mean) else None
-        size = float(np.max(np.abs(one.mean)))
-        spread = 0.0 if when is None else float(np.max(one.std))
-        told_before = _of_the_grid(sample.solution, text)
-        parts = (
-            (f"μ[{text}]", one.expanded_mean, one.mean, one.standard_error),
-            (f"σ[{text}]", one.expanded_std, one.std, one.std_error),
-        )
-        for part in parts:
-            told = worst_disagreement(
-                *part,
-                samples=samples,
-                freedom=samples - 1,
-                size=size,
-                spread=spread,
-                known=told_before,
-                times=when,
-            )
-            if told is not None:
-                yield told
-
-
-def _of_the_grid(solution: Solution, text: str) -> float:
-    """The known grid error of a functional, by which samples on a finer grid differ."""
-    error = solution.certificate.grid_error
-    deviation = None if error is None else error.functionals.get(text)
-    return 0.0 if deviation is None or np.isnan(deviation.error) else deviation.error
-
-
-def _statistics(sample: Sample) -> Iterator[Disagreement]:
-    for text, one in sample.statistics.items():
-        kind, names = one.statistic.kind, [each.text() for each in one.statistic.functionals]
-        if isinstance(kind, Mean | Std):
-            continue
-        expected, estimate, error = one.expanded, one.estimate, one.standard_error
-        values = sample.values[names[0]]
-        if isinstance(kind, Probability):
-            contradicts = is_rare(round(estimate * sample.samples), sample.samples, min(max(expected, 0.0), 1.0))
-        elif isinstance(kind, Quantile):
-            contradicts = is_rare(int(np.sum(values <= expected)), sample.samples, float(kind.level))
-        elif isinstance(kind, Supremum | Infimum):
-            past = estimate - expected if isinstance(kind, Supremum) else expected - estimate
-            contradicts = past > 0.01 * values.std()
-        else:
-            numbers = np.asarray(expected), np.asarray(estimate), np.asarray(error)
-            freedom = group_count(sample.samples) - 1
-            size = _size(one.statistic, [sample.values[name] for name in names])
-            told = worst_disagreement(text, *numbers, samples=sample.samples, freedom=freedom, size=size)
-            contradicts = told is not None
-        if contradicts:
-            yield Disagreement(text, expected, estimate, error)
-
-
-def _size(statistic: Statistic, values: list[Float[np.ndarray, " samples"]]) -> float:
-    """The magnitude to which rounding of a statistic is relative; zero for dimensionless statistics."""
-    largest = [float(np.max(np.abs(one))) for one in values]
-    if isinstance(statistic.kind, Covariance | Variance):
-        return largest[0] * largest[-1]
-    return 0.0 if isinstance(statistic.kind, Skewness | Kurtosis | Correlation) else largest[0]
-
-
-def _limits(sample: Sample) -> Iterator[Disagreement]:
-    """Limits on statistics that the samples break, and limits for all systems that some samples break."""
-    for one in sample.compared:
-        if one.meets is False:
-            yield Disagreement(one.text, one.bound, one.value, one.standard_error, one.time, "its bound")
-    for limit in sample.problem.constraints:
-        share = sample.violations.get(limit.name)
-        atoms = (atom for atom in limit.expression.atoms if isinstance(atom, Statistic))
-        for_all = is_worst_case(limit) or any(isinstance(atom.kind, Supremum | Infimum) for atom in atoms)
-        if share is not None and share.count and for_all:
-            yield Disagreement(f"The share of systems that break '{limit.name}'", 0.0, share.estimate, np.nan)
-
-
-def _is_rounding(one: Disagreement, sample: Sample) -> bool:
-    """Whether a disagreement is mere rounding, such as of a rate that is zero at the end of every motion."""
-    for text, reach in sample.solution.certificate.reaches.items():
-        if one.text in (f"μ[{text}]", f"σ[{text}]"):
-            return abs(one.estimate - one.expected) <= _ROUNDING * reach
-    return False

@@ -15,13 +15,13 @@ import numpy as np
 import scipy
 from jaxtyping import Float, Int
 
-from aleator._core.border import Progress, check_progress, refusal, silent
+from aleator._core.border import Progress, check_progress, refusal, silent, whole
 from aleator._core.errors import ProblemError
 from aleator._core.journalled import call_by_call, journalled, parts_so_far
 from aleator.ensemble import Part, at_levels, each, fill, parts
 from aleator.solution import Solution
 from aleator.validation._limits import Share, WeightedProportion, is_counted, tolerances
-from aleator.validation._systems import Systems
+from aleator.validation._sample import Systems
 from aleator.validation._validate import validate
 
 Scores: TypeAlias = Callable[[Float[np.ndarray, "systems variables"]], Float[np.ndarray, "limits systems"]]
@@ -172,11 +172,8 @@ def rare_violation(
     """
     if not isinstance(solution, Solution):
         raise ProblemError(f"rare_violation: expected a Solution, from al.solve; received {type(solution).__name__}.")
-    for name, number, least in (("samples", samples, 2), ("batch", batch, 1), ("seed", seed, 0)):
-        if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < least:
-            raise ProblemError(
-                f"rare_violation: expected {name} as a whole number of at least {least}; received {number!r}."
-            )
+    least = {"samples": (samples, 2), "batch": (batch, 1), "seed": (seed, 0)}
+    samples, batch, seed = (whole(f"rare_violation: {name}", one, least=n) for name, (one, n) in least.items())
     check_progress("rare_violation", progress)
     limits = _Limits(solution, names, min(batch, samples))
     given = {"solution": solution, "how": (limits.names, samples, seed, batch)}

@@ -1,16 +1,11 @@
-"""A large sample in stretches: which systems each has, what it finds, how they are put together and become evidence.
+"""Evidence from what systems of a sample gave, and where it contradicts the solution."""
 
-Each system has its own place in one stream of random numbers, so that a stretch can be simulated anywhere, and after a
-crash alone. Sums over a sample are those over its stretches, in order, so that digits do not depend on who simulated
-which.
-"""
-
-import itertools
-from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple, final
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from aleator._core.arrays import jax_array
 from aleator.design import (
@@ -18,199 +13,85 @@ from aleator.design import (
     Estimated,
     Problem,
     Statistic,
+    expanded_functionals,
     functionals_of,
     is_over_time,
+    is_worst_case,
     joined,
     statistics_in,
 )
-from aleator.ensemble import Part, drawn_from, each, fill
 from aleator.references._estimate import estimate, group_count
 from aleator.solution import Solution
-from aleator.statistics import Infimum, Mean, Sobol, Std, Supremum, TotalSobol, Variance
-from aleator.validation._evidence import PERCENTILES, Checked, Evidence, Sample, Sampled, Trajectories, disagreements
-from aleator.validation._limits import Compared, Proportion, compared, finer_by, is_counted, uncounted
-from aleator.validation._sums import Sums
-from aleator.validation._systems import Batch, Systems
-
-# Stretches of a sample at most: a millisecond each is spent on beginning one elsewhere, and as much on keeping one.
-_MOST = 128
-# Systems times instants from which a second compilation, of a program without histories, is worth while.
-_MANY = 2e8
-# Without histories more systems are simulated at a time, because each step of a loop has a cost of its own.
-_TOGETHER = 4
-
-
-@final
-class Plan(NamedTuple):
-    """How a sample is taken: the arguments of `validate`, and how many systems come `before` those that are folded."""
-
-    samples: int
-    seed: int
-    batch: int
-    keep: int
-    before: int
-
-    @classmethod
-    def of(cls, systems: Systems, samples: int, seed: int, batch: int, keep: int) -> "Plan":
-        """The plan for some systems. Trajectories are kept of the first ones, so these are never folded."""
-        batch, keep = min(batch, samples), min(keep, samples)
-        before = samples
-        if systems.folds and samples * systems.instants >= _MANY:
-            before = min(-(-keep // batch) * batch, samples)
-        return cls(samples, seed, batch, keep, before)
-
-    @property
-    def folded_batch(self) -> int:
-        """How many systems are simulated at a time where no histories are stored."""
-        return min(_TOGETHER * self.batch, max(self.samples - self.before, 1))
-
-    @property
-    def stretches(self) -> tuple["Stretch", ...]:
-        """The sample in stretches, the same wherever they are simulated."""
-        ends = (0, self.before, self.batch), (self.before, self.samples, self.folded_batch)
-        return tuple(
-            Stretch(first, min(length, end - first), batch)
-            for begin, end, batch in ends
-            for length in [batch * max(-(-self.samples // (_MOST * batch)), 1)]
-            for first in range(begin, end, length)
-        )
+from aleator.statistics import (
+    Correlation,
+    Covariance,
+    Infimum,
+    Kurtosis,
+    Mean,
+    Probability,
+    Quantile,
+    Skewness,
+    Sobol,
+    Std,
+    Supremum,
+    TotalSobol,
+    Variance,
+)
+from aleator.validation._batches import Batch, Sums
+from aleator.validation._evidence import PERCENTILES, Checked, Evidence, Sampled, Trajectories
+from aleator.validation._limits import (
+    Compared,
+    Disagreement,
+    compared,
+    finer_by,
+    is_counted,
+    is_rare,
+    tolerances,
+    worst_disagreement,
+)
 
 
-class Stretch(NamedTuple):
-    """Systems of a sample, one after another: the first one's number, how many, and how many at a time."""
-
-    first: int
-    systems: int
-    batch: int
-
-    @property
-    def end(self) -> int:
-        """The number of the system after the last one."""
-        return self.first + self.systems
-
-
-class Simulated(NamedTuple):
-    """What a stretch found, with the names of `Batch`.
-
-    - `excess`: shape (constraints, count); `scalars`: shape (count,); `paths`: moments; `values`: of the systems whose
-      trajectories are kept.
-    """
-
-    excess: Float[np.ndarray, "constraints count"]
-    scalars: dict[int, Float[np.ndarray, " count"]]
-    paths: dict[int, Sums]
-    values: dict[int, Float[np.ndarray, "kept ..."]]
-
-    @classmethod
-    def of(cls, batch: Batch, part: Part, keep: int) -> "Simulated":
-        """What one batch found; `keep`: trajectories of the first so many systems of the sample."""
-        count, kept = len(part.points), max(min(keep - part.first, len(part.points)), 0)
-        return cls(
-            np.asarray(batch.excess)[:, :count],
-            {i: np.asarray(values)[:count] for i, values in batch.scalars.items()},
-            {i: Sums(count, *map(np.asarray, sums)) for i, sums in batch.paths.items()},
-            {i: np.array(np.asarray(values)[:kept]) for i, values in batch.values.items()} if kept else {},
-        )
-
-    @classmethod
-    def joined(cls, some: "Sequence[Simulated]") -> "Simulated":
-        """Several, in the order of their systems."""
-        first, *rest = some
-        paths = dict(first.paths)
-        for one in rest:
-            paths = {i: sums.merged(one.paths[i]) for i, sums in paths.items()}
-        return cls(
-            np.concatenate([one.excess for one in some], axis=1),
-            {i: np.concatenate([one.scalars[i] for one in some]) for i in first.scalars},
-            paths,
-            {i: np.concatenate([one.values[i] for one in some if i in one.values]) for i in first.values},
-        )
-
-
-def simulated(systems: Systems, plan: Plan, stretches: Sequence[Stretch]) -> Iterator[tuple[Stretch, Simulated]]:
-    """What each of some stretches finds, in order, on all cores.
-
-    Raises `SimulationError` if a system's results are not finite, naming its parameter values.
-    """
-    for is_folded in sorted({one.first >= plan.before for one in stretches}):
-        systems.prepare(plan.folded_batch if is_folded else plan.batch, is_folded=is_folded)
-
-    def parts() -> Iterator[Part]:
-        for one in stretches:
-            for first in range(one.first, one.end, one.batch):
-                count = min(one.batch, one.end - first)
-                yield Part(first, drawn_from(systems.germs, plan.seed, first, count))
-
-    def batch(part: Part) -> Simulated:
-        is_folded = part.first >= plan.before
-        points = fill(part.points, plan.folded_batch if is_folded else plan.batch)
-        return Simulated.of(systems.simulate(points, len(part.points), is_folded=is_folded), part, plan.keep)
-
-    found = each(batch, parts())
-    for one in stretches:
-        some = [done for _, done in itertools.islice(found, -(-one.systems // one.batch))]
-        yield one, Simulated.joined(some)
+def broken_by(
+    problem: Problem, excess: Float[np.ndarray, "constraints systems"], tolerances: Float[np.ndarray, " constraints"]
+) -> dict[str, Bool[np.ndarray, " systems"]]:
+    """Which systems break any limit of each name against which they are counted."""
+    broken: dict[str, Bool[np.ndarray, " systems"]] = {}
+    for limit, beyond, tolerance in zip(problem.constraints, excess, tolerances, strict=True):
+        if is_counted(limit):
+            broken[limit.name] = broken.get(limit.name, False) | (beyond > tolerance)
+    return broken
 
 
 @final
 class Tally:
-    """The samples so far. Moments of paths are merged stretch by stretch."""
+    """What all systems of a sample gave, beside the solution whose `problem` has its distributions restored."""
 
-    def __init__(self, problem: Problem, tolerances: Float[np.ndarray, " constraints"], samples: int):
-        self._problem = problem
+    def __init__(self, solution: Solution, problem: Problem, whole: Batch):
+        self._solution, self._problem, self._whole = solution, problem, whole
         self._functionals = functionals_of(problem.expressions)
-        self._tolerances = tolerances
-        self._samples = samples
-        self._scalars: dict[int, Float[np.ndarray, " samples"]] = {}
-        self._paths: dict[int, Sums] = {}
-        self._excess = np.empty((len(problem.constraints), samples))
-        self._kept: dict[int, list[np.ndarray]] = {}
+        self._samples = whole.excess.shape[1]
+        self._tolerances = tolerances(solution)
 
-    def add(self, found: Simulated, start: int) -> None:
-        """Add a stretch whose systems are numbered from `start`."""
-        rows = slice(start, start + found.excess.shape[1])
-        self._excess[:, rows] = found.excess
-        for i, values in found.scalars.items():
-            self._scalars.setdefault(i, np.empty(self._samples))[rows] = values
-        for i, values in found.values.items():
-            self._kept.setdefault(i, []).append(values)
-        for i, sums in found.paths.items():
-            self._paths[i] = self._paths[i].merged(sums) if i in self._paths else sums
-
-    def evidence(self, solution: Solution, seed: int, seconds: float) -> Evidence:
+    def evidence(self, seed: int, seconds: float) -> Evidence:
         """Everything sampled, as evidence."""
-        names = dict.fromkeys(one.name for one in self._problem.constraints if is_counted(one))
-        broken = {name: self._breaks(name) for name in names}
-        functionals = {one.text(): self._sampled(i, one, solution) for i, one in enumerate(self._functionals)}
-        statistics = {one.text(): self._checked(one, solution) for one in self._countable_statistics()}
-        shares = {name: Proportion(int(mask.sum()), self._samples) for name, mask in broken.items()}
-        limits = self._compared(solution, functionals, statistics)
-        found = Sample(solution, self._problem, self._samples, functionals, statistics, self._values(), shares, limits)
-        joint = np.any([np.zeros(self._samples, bool), *broken.values()], axis=0)
-        return Evidence(
-            solution=solution,
+        broken = broken_by(self._problem, self._whole.excess, self._tolerances)
+        functionals = {one.text(): self._sampled(i, one) for i, one in enumerate(self._functionals)}
+        statistics = {one.text(): self._checked(one) for one in self._countable_statistics()}
+        found = Evidence(
+            solution=self._solution,
             samples=self._samples,
             seed=seed,
-            violations=shares,
-            joint=Proportion(int(joint.sum()), self._samples),
-            uncounted=uncounted(self._problem),
-            instants=self._instants(solution),
+            instants=self._instants(),
             functionals=functionals,
             statistics=statistics,
-            trajectories=tuple(self._trajectories(i, broken) for i in self._kept),
+            trajectories=tuple(self._trajectories(i, broken) for i in self._whole.values),
             seconds=seconds,
             broken=broken,
-            compared=limits,
-            disagreements=disagreements(found),
+            compared=self._compared(functionals, statistics),
         )
+        return replace(found, disagreements=_disagreements(found))
 
-    def _values(self) -> dict[str, Float[np.ndarray, " samples"]]:
-        """The samples of the functionals that are numbers, by their texts."""
-        return {self._functionals[i].text(): values for i, values in self._scalars.items()}
-
-    def _compared(
-        self, solution: Solution, functionals: Mapping[str, Sampled], statistics: Mapping[str, Checked]
-    ) -> tuple[Compared, ...]:
+    def _compared(self, functionals: Mapping[str, Sampled], statistics: Mapping[str, Checked]) -> tuple[Compared, ...]:
         """The limits against which no system is counted, with sampled statistics, where these are known."""
         known = {
             text: Estimated(np.asarray(one.estimate), np.asarray(one.standard_error))
@@ -223,63 +104,54 @@ class Tally:
         rows = zip(self._problem.constraints, self._tolerances, strict=True)
         freedom = group_count(self._samples) - 1
         found = (
-            compared(self._problem, one, known, solution.vector, float(tolerance), freedom)
+            compared(self._problem, one, known, self._solution.vector, float(tolerance), freedom)
             for one, tolerance in rows
             if not is_counted(one)
         )
         return tuple(one for one in found if one is not None)
 
-    def _instants(self, solution: Solution) -> int | None:
+    def _instants(self) -> int | None:
         """The number of instants at which limits over time were counted; None where there are no such limits."""
         if not any(is_over_time(one) and is_counted(one) for one in self._problem.constraints):
             return None
-        return (len(solution.instants) - 1) * finer_by(solution) + 1
+        return (len(self._solution.instants) - 1) * finer_by(self._solution) + 1
 
     def _countable_statistics(self) -> tuple[Statistic, ...]:
         """The statistics in the problem that can be estimated from the samples of functionals that are numbers."""
-        known = [self._functionals[i] for i in self._scalars]
+        known = [self._functionals[i] for i in self._whole.scalars]
         return tuple(
             atom
             for atom in statistics_in(self._problem.expressions)
             if all(one in known for one in atom.functionals) and not isinstance(atom.kind, Sobol | TotalSobol)
         )
 
-    def _checked(self, statistic: Statistic, solution: Solution) -> Checked:
-        values = joined([jax_array(self._scalars[self._functionals.index(one)]) for one in statistic.functionals])
-        expanded = float(solution.statistics[statistic.text()])
+    def _checked(self, statistic: Statistic) -> Checked:
+        places = map(self._functionals.index, statistic.functionals)
+        values = joined([jax_array(self._whole.scalars[i]) for i in places])
+        expanded = float(self._solution.statistics[statistic.text()])
         if isinstance(statistic.kind, Supremum | Infimum):
             # A sample does not show how far its extremes are from those of the distribution.
             return Checked(statistic, expanded, float(statistic.kind.of_sample(values)), np.nan)
         found = estimate(statistic.kind.of_sample, np.asarray(values), group_count(self._samples))
         return Checked(statistic, expanded, float(found.value), float(found.standard_error))
 
-    def _breaks(self, name: str) -> np.ndarray:
-        rows = [i for i, one in enumerate(self._problem.constraints) if one.name == name and is_counted(one)]
-        return np.any(self._excess[rows] > self._tolerances[rows, None], axis=0)
-
-    def _sampled(self, i: int, functional: AbstractFunctional, solution: Solution) -> Sampled:
-        moments = solution.moments[functional.text()]
-        percentiles = None
-        if i in self._scalars:
-            sums = Sums.of(self._scalars[i])
-            percentiles = np.percentile(self._scalars[i], PERCENTILES)
-        else:
-            sums = self._paths[i]
+    def _sampled(self, i: int, functional: AbstractFunctional) -> Sampled:
+        moments, values = self._solution.moments[functional.text()], self._whole.scalars.get(i)
+        sums = self._whole.paths[i] if values is None else Sums.of(values)
         return Sampled(
             text=functional.text(),
             mean=np.asarray(sums.mean),
             std=sums.std,
             standard_error=np.asarray(sums.std / np.sqrt(self._samples)),
-            percentiles=percentiles,
+            percentiles=None if values is None else np.percentile(values, PERCENTILES),
             expanded_mean=moments.mean,
             expanded_std=moments.std,
             std_error=sums.std_error,
-            values=self._scalars.get(i),
+            values=values,
         )
 
-    def _trajectories(self, i: int, broken: dict[str, np.ndarray]) -> Trajectories:
-        constraint = self._problem.constraints[i]
-        values = np.concatenate(self._kept[i])
+    def _trajectories(self, i: int, broken: Mapping[str, Bool[np.ndarray, " systems"]]) -> Trajectories:
+        constraint, values = self._problem.constraints[i], self._whole.values[i]
         return Trajectories(
             name=constraint.name,
             lower=float(constraint.lower),
@@ -296,3 +168,101 @@ def _of_path(atom: Statistic, one: Sampled) -> Estimated:
     if isinstance(atom.kind, Std):
         return Estimated(one.std, one.std_error)
     return Estimated(np.asarray(one.std**2), np.asarray(2 * one.std * one.std_error))
+
+
+# A spread below this fraction of the magnitude behind a functional is rounding.
+_ROUNDING = 1e-11
+
+
+def _disagreements(evidence: Evidence) -> tuple[Disagreement, ...]:
+    """The numbers that samples contradict; none for a deterministic design, which has no expansion."""
+    problem = evidence.solution.problem
+    if not problem.placements.germs:
+        return ()
+    found = [*_moments(evidence), *_statistics(evidence), *_limits(evidence)]
+    if not found:
+        return ()
+    # Some are mere rounding, such as of a rate that is zero at the end of every motion.
+    reaches = evidence.solution.certificate.reaches
+    rounding = {f"{symbol}[{text}]": _ROUNDING * reach for text, reach in reaches.items() for symbol in "μσ"}
+    return tuple(one for one in found if not abs(one.estimate - one.expected) <= rounding.get(one.text, -1.0))
+
+
+def _moments(evidence: Evidence) -> Iterator[Disagreement]:
+    times, samples = evidence.solution.instants, evidence.samples
+    # Functionals with only a worst case do not use the expansion.
+    for text in (one.text() for one in expanded_functionals(evidence.solution.problem.expressions)):
+        one = evidence.functionals[text]
+        when = times if np.ndim(one.mean) else None
+        size = float(np.max(np.abs(one.mean)))
+        spread = 0.0 if when is None else float(np.max(one.std))
+        told_before = _of_the_grid(evidence.solution, text)
+        parts = (
+            (f"μ[{text}]", one.expanded_mean, one.mean, one.standard_error),
+            (f"σ[{text}]", one.expanded_std, one.std, one.std_error),
+        )
+        for part in parts:
+            told = worst_disagreement(
+                *part,
+                samples=samples,
+                freedom=samples - 1,
+                size=size,
+                spread=spread,
+                known=told_before,
+                times=when,
+            )
+            if told is not None:
+                yield told
+
+
+def _of_the_grid(solution: Solution, text: str) -> float:
+    """The known grid error of a functional, by which samples on a finer grid differ."""
+    error = solution.certificate.grid_error
+    deviation = None if error is None else error.functionals.get(text)
+    return 0.0 if deviation is None or np.isnan(deviation.error) else deviation.error
+
+
+def _statistics(evidence: Evidence) -> Iterator[Disagreement]:
+    for text, one in evidence.statistics.items():
+        kind = one.statistic.kind
+        if isinstance(kind, Mean | Std):
+            continue
+        expected, estimate, error = one.expanded, one.estimate, one.standard_error
+        samples = [np.asarray(evidence.functionals[each.text()].values) for each in one.statistic.functionals]
+        values = samples[0]
+        if isinstance(kind, Probability):
+            contradicts = is_rare(round(estimate * evidence.samples), evidence.samples, min(max(expected, 0.0), 1.0))
+        elif isinstance(kind, Quantile):
+            contradicts = is_rare(int(np.sum(values <= expected)), evidence.samples, float(kind.level))
+        elif isinstance(kind, Supremum | Infimum):
+            past = estimate - expected if isinstance(kind, Supremum) else expected - estimate
+            contradicts = past > 0.01 * values.std()
+        else:
+            numbers = np.asarray(expected), np.asarray(estimate), np.asarray(error)
+            freedom = group_count(evidence.samples) - 1
+            size = _size(one.statistic, samples)
+            told = worst_disagreement(text, *numbers, samples=evidence.samples, freedom=freedom, size=size)
+            contradicts = told is not None
+        if contradicts:
+            yield Disagreement(text, expected, estimate, error)
+
+
+def _size(statistic: Statistic, values: list[Float[np.ndarray, " samples"]]) -> float:
+    """The magnitude to which rounding of a statistic is relative; zero for dimensionless statistics."""
+    largest = [float(np.max(np.abs(one))) for one in values]
+    if isinstance(statistic.kind, Covariance | Variance):
+        return largest[0] * largest[-1]
+    return 0.0 if isinstance(statistic.kind, Skewness | Kurtosis | Correlation) else largest[0]
+
+
+def _limits(evidence: Evidence) -> Iterator[Disagreement]:
+    """Limits on statistics that the samples break, and limits for all systems that some samples break."""
+    for one in evidence.compared:
+        if one.meets is False:
+            yield Disagreement(one.text, one.bound, one.value, one.standard_error, one.time, "its bound")
+    for limit in evidence.solution.problem.constraints:
+        share = evidence.violations.get(limit.name)
+        atoms = (atom for atom in limit.expression.atoms if isinstance(atom, Statistic))
+        for_all = is_worst_case(limit) or any(isinstance(atom.kind, Supremum | Infimum) for atom in atoms)
+        if share is not None and share.count and for_all:
+            yield Disagreement(f"The share of systems that break '{limit.name}'", 0.0, share.estimate, np.nan)

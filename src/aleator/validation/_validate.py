@@ -19,12 +19,13 @@ from aleator._core.parallel import working
 from aleator.design import functionals_of, refuse_large_histories, refuse_other_code, uncertain
 from aleator.nlp import HELD
 from aleator.solution import Solution
+from aleator.validation._batches import SIMULATE_BATCH, Batch
 from aleator.validation._evidence import Evidence, Sampled
-from aleator.validation._limits import Disagreement, Proportion, is_counted, tolerances, uncounted
-from aleator.validation._systems import SIMULATE_BATCH, Systems, refuse_broken
-from aleator.validation._tally import Plan, Simulated, Stretch, Tally, simulated
+from aleator.validation._limits import Disagreement, tolerances
+from aleator.validation._sample import Plan, Stretch, Systems, refuse_broken, simulated
+from aleator.validation._tally import Tally, broken_by
 
-_Simulate: TypeAlias = Callable[[Sequence[Stretch]], Iterator[tuple[Stretch, Simulated]]]
+_Simulate: TypeAlias = Callable[[Sequence[Stretch]], Iterator[tuple[Stretch, Batch]]]
 """What each of some stretches finds, in order."""
 
 
@@ -85,12 +86,13 @@ def _sampled(
     systems = Systems(solution, "validate")
     _refuse_large(systems, samples, min(batch, samples))
     plan = Plan.of(systems, samples, seed, batch, keep)
-    tally = Tally(systems.problem, tolerances(solution), samples)
+    batches: list[Batch] = []
     progress("Monte Carlo", 0, samples)
     for stretch, found in part_by_part(plan.stretches, _by(executor, solution, systems, plan), parts_so_far()):
-        tally.add(found, stretch.first)
+        batches.append(found)
         progress("Monte Carlo", stretch.end, samples)
-    return tally.evidence(solution, seed, time.perf_counter() - started)
+    tally = Tally(solution, systems.problem, Batch.joined(batches))
+    return tally.evidence(seed, time.perf_counter() - started)
 
 
 def _by(executor: Executor | None, solution: Solution, systems: Systems, plan: Plan) -> _Simulate:
@@ -101,7 +103,7 @@ def _by(executor: Executor | None, solution: Solution, systems: Systems, plan: P
     return lambda stretches: each_of(executor, _simulated_there, stretches, given, "validate")
 
 
-def _simulated_there(solution: Solution, plan: Plan, items: Sequence[Stretch]) -> list[Simulated]:
+def _simulated_there(solution: Solution, plan: Plan, items: Sequence[Stretch]) -> list[Batch]:
     refuse_other_code(solution.problem)
     return [found for _, found in simulated(Systems(solution, "validate"), plan, items)]
 
@@ -160,25 +162,16 @@ def alone(solution: Solution, started: float) -> Evidence:
             when = None if not one.is_path else float(solution.instants[where // (away.size // len(solution.instants))])
             numbers = float(expected.flat[where]), float(fine.flat[where])
             told.append(Disagreement(text, *numbers, 0.0, when, "the design's own grid"))
-    beyond = np.asarray(batch.excess)[:, 0] > tolerances(solution)
-    names = dict.fromkeys(one.name for one in problem.constraints if is_counted(one))
-    broken = {
-        name: np.array([any(beyond[i] for i, one in enumerate(problem.constraints) if one.name == name)])
-        for name in names
-    }
     return Evidence(
         solution=solution,
         samples=1,
         seed=0,
-        violations={name: Proportion(int(mask.sum()), 1) for name, mask in broken.items()},
-        joint=Proportion(int(any(mask.any() for mask in broken.values())), 1),
-        uncounted=uncounted(solution.problem),
         instants=None,
         functionals=sampled,
         statistics={},
         trajectories=(),
         seconds=time.perf_counter() - started,
-        broken=broken,
+        broken=broken_by(problem, np.asarray(batch.excess), tolerances(solution)),
         disagreements=tuple(told),
         alone=factor,
     )

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 
 from aleator._core.errors import ProblemError
-from aleator.crosschecking import CrossChecked
 from aleator.nlp import Searched
 from aleator.reporting._blocks import Table
 from aleator.reporting._designs import search_figure
@@ -34,7 +33,7 @@ from aleator.reporting._sweeps import (
 )
 from aleator.reporting.drawn._facts import AbstractPlots, Backend, Facts, chosen, drawn_by, facts_of, plots_of, unknown
 from aleator.solution import Solution
-from aleator.sweep import Calibration, Front, Hardened, Portfolio, Refused, Starts, TradeOff
+from aleator.sweep import Calibration, CrossChecked, Front, Hardened, Portfolio, Refused, Starts, TradeOff
 
 _EMPTY = "expected a solved design; received none"
 

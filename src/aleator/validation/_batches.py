@@ -5,16 +5,16 @@ left of a path are its moments, and of a limit over time the largest excess so f
 where such batches spend their time.
 """
 
-from typing import Any, NamedTuple, final
+from collections.abc import Sequence
+from functools import reduce
+from typing import Any, NamedTuple, Self, final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.compilation import Compiled
-from aleator._core.errors import ProblemError, SimulationError
 from aleator.design import (
     AbstractFunctional,
     AbstractIntegral,
@@ -26,41 +26,107 @@ from aleator.design import (
     Statistic,
     Taken,
     Value,
-    first_broken,
     functionals_of,
-    grid_at,
-    history,
     is_over_time,
     numbers_of,
-    refuse_changed_code,
     responses,
     step_at,
-    uncertain,
-    unsolved,
 )
 from aleator.dynamics import Asked
-from aleator.ensemble import few_at_once, inputs_at, listed
-from aleator.solution import Solution
+from aleator.ensemble import few_at_once
 from aleator.uncertainty import named_numbers, realise
-from aleator.validation._limits import finer_by, is_counted, sampled_by
+
+
+@final
+class Sums(NamedTuple):
+    """The number of samples, their mean, and the sums of the powers 2 to 4 of deviations from it.
+
+    Numbers, or arrays of one shape: of JAX in a program, of NumPy outside. They are merged as by Pébay (Formulas for
+    robust, one-pass parallel computation, 2008).
+    """
+
+    number: Any
+    mean: Any
+    second: Any
+    third: Any
+    fourth: Any
+
+    @classmethod
+    def of(cls, values: Float[np.ndarray, "samples *shape"]) -> Self:
+        """The sums of one batch."""
+        mean = values.mean(axis=0)
+        away = values - mean
+        return cls(len(values), mean, *(np.sum(away**power, axis=0) for power in (2, 3, 4)))
+
+    def merged(self, other: Self) -> Self:
+        """The sums of both batches together."""
+        (n, mean, second, third, fourth), (m, *_) = self, other
+        total, shift = n + m, other.mean - mean
+        return type(self)(
+            total,
+            mean + shift * m / total,
+            second + other.second + shift**2 * n * m / total,
+            third
+            + other.third
+            + shift**3 * n * m * (n - m) / total**2
+            + 3 * shift * (n * other.second - m * second) / total,
+            fourth
+            + other.fourth
+            + shift**4 * n * m * (n**2 - n * m + m**2) / total**3
+            + 6 * shift**2 * (n**2 * other.second + m**2 * second) / total**2
+            + 4 * shift * (n * other.third - m * third) / total,
+        )
+
+    @property
+    def std(self) -> Float[np.ndarray, "*shape"]:
+        """The standard deviation."""
+        return np.asarray(np.sqrt(self.second / (self.number - 1)))
+
+    @property
+    def std_error(self) -> Float[np.ndarray, "*shape"]:
+        """The standard error of the standard deviation, from the fourth moment; zero where nothing varies."""
+        n, variance = self.number, self.second / (self.number - 1)
+        spread = np.maximum(self.fourth / n - variance**2 * (n - 3) / (n - 1), 0.0) / n
+        return np.asarray(np.sqrt(spread) / (2 * np.sqrt(np.where(variance > 0, variance, np.inf))))
 
 
 class Batch(NamedTuple):
-    """The results of one batch of systems.
+    """What some systems give: arrays of JAX, of one batch with padding, or of NumPy, of all systems of a stretch.
 
-    - `scalars`: by functional (those that are numbers), shape (systems,);
-    - `paths`: by functional (those that are paths), the mean and the sums of the second, third and fourth powers of
-      deviations from it, each of shape (instants,);
+    - `scalars`: by functional (those that are numbers), shape (systems,); `paths`: by functional (those that are
+      paths), their moments at each instant;
     - `excess`: by constraint, the largest excess over its bounds, shape (constraints, systems);
-    - `values`: by path constraint, its expression, shape (systems, instants);
+    - `values`: by path constraint, its expression, shape (systems, instants), of those systems of which it is kept;
     - `finite`: whether every functional of a system is finite, shape (systems,).
     """
 
-    scalars: dict[int, Float[Array, " systems"]]
-    paths: dict[int, tuple[Float[Array, "..."], ...]]
-    excess: Float[Array, "constraints systems"]
-    values: dict[int, Float[Array, "systems ..."]]
-    finite: Bool[Array, " systems"]
+    scalars: dict[int, Any]
+    paths: dict[int, Sums]
+    excess: Any
+    values: dict[int, Any]
+    finite: Any
+
+    def first(self, count: int, keep: int) -> "Batch":
+        """As arrays of NumPy, without the padding after `count` systems, and with values of the first `keep`."""
+        return Batch(
+            {i: np.asarray(values)[:count] for i, values in self.scalars.items()},
+            {i: Sums(count, *map(np.asarray, sums[1:])) for i, sums in self.paths.items()},
+            np.asarray(self.excess)[:, :count],
+            {i: np.array(np.asarray(values)[:keep]) for i, values in self.values.items()} if keep else {},
+            np.asarray(self.finite)[:count],
+        )
+
+    @classmethod
+    def joined(cls, some: "Sequence[Batch]") -> "Batch":
+        """Several, in the order of their systems. Moments are merged in that order, so that digits are the same."""
+        head = some[0]
+        return cls(
+            {i: np.concatenate([one.scalars[i] for one in some]) for i in head.scalars},
+            {i: reduce(Sums.merged, [one.paths[i] for one in some]) for i in head.paths},
+            np.concatenate([one.excess for one in some], axis=1),
+            {i: np.concatenate([one.values[i] for one in some if i in one.values]) for i in head.values},
+            np.concatenate([one.finite for one in some]),
+        )
 
 
 def _simulate_batch(
@@ -89,7 +155,7 @@ def _simulate_batch(
     systems = len(germ)
     wanted = jnp.arange(systems) < count
 
-    paths = {i: _sums(one[:, ::finer], wanted) for i, one in enumerate(samples) if one.ndim > 1}
+    paths = {i: Sums(count, *_sums(one[:, ::finer], wanted)) for i, one in enumerate(samples) if one.ndim > 1}
     finite = [jnp.isfinite(one).reshape(systems, -1).all(axis=1) for one in samples]
     return Batch(
         scalars={i: one for i, one in enumerate(samples) if one.ndim == 1},
@@ -221,7 +287,7 @@ def _simulate_folded(
     places = {one: i for i, one in enumerate(functionals)}
     return Batch(
         scalars={places[one]: total for one, total in zip(integrals, totals, strict=True)},
-        paths={places[one]: tuple(part[::finer] for part in moments[one.text()]) for one in paths},
+        paths={places[one]: Sums(count, *(part[::finer] for part in moments[one.text()])) for one in paths},
         excess=jnp.stack(excess) if excess else jnp.zeros((0, len(germ))),
         values={},
         finite=finite,
@@ -241,109 +307,3 @@ def _over_systems(value: Array) -> Array:
 
 
 SIMULATE_FOLDED = Compiled(_simulate_folded)
-
-
-@final
-class Systems:
-    """The uncertain systems of a solution, at its decisions: one for each germ point of a batch.
-
-    - `problem`: the problem with its distributions restored; `germs`: their variables;
-    - `sampled`: the problem on the grid for simulations, whose error is an order of magnitude below the tolerance;
-    - `folds`: whether it can be simulated without storing histories (`is_folded`).
-
-    Raises `ProblemError`, in the name of the caller `who`, where nothing is uncertain or nothing can be sampled.
-    """
-
-    def __init__(self, solution: Solution, who: str):
-        refuse_changed_code(solution.problem)
-        self.problem = uncertain(solution.problem)
-        self.germs = tuple(self.problem.placements.germs.values())
-        if not self.germs:
-            raise ProblemError(f"{who}: nothing in this problem is uncertain, so there is nothing to sample.")
-        if not functionals_of(self.problem.expressions):
-            raise ProblemError(
-                f"{who}: this problem contains no functional of an output, so there is nothing to sample."
-            )
-        self._vector = solution.vector
-        self._decisions, self._factor = jax_array(solution.vector), sampled_by(solution)
-        self.sampled = _on_finer(self.problem, self._factor)
-        self._traced = numbers_to_arrays(self.sampled)
-        self.folds = folds(self.sampled)
-        counted = finer_by(solution)
-        self._finer = None if counted == self._factor else _for_limits(self.problem, counted)
-
-    @property
-    def instants(self) -> int:
-        """The number of instants of each simulation."""
-        return self.sampled.grid.steps + 1
-
-    def prepare(self, batch: int, *, is_folded: bool = False) -> None:
-        """Start compiling for batches of `batch` systems. The user's code is traced here, by one thread alone."""
-        germ = jax_array(np.zeros((batch, len(self.germs))))
-        program = SIMULATE_FOLDED if is_folded else SIMULATE_BATCH
-        program.prepare(self._traced, germ, self._decisions, jax_array(batch), self._factor)
-        if self._finer is not None:
-            EXCESS_OVER_TIME.prepare(self._finer, germ, self._decisions)
-
-    def simulate(self, germ: Float[np.ndarray, "systems variables"], count: int, *, is_folded: bool = False) -> Batch:
-        """Simulate the systems at some germ points. Those after the first `count` are padding and do not count.
-
-        - `is_folded`: without storing histories, and so without the values of path constraints.
-
-        Raises `SimulationError` if a system's results are not finite, naming its parameter values.
-        """
-        program = SIMULATE_FOLDED if is_folded else SIMULATE_BATCH
-        result = program(self._traced, jax_array(germ), self._decisions, jax_array(count), self._factor)
-        refuse_broken(self.sampled, np.asarray(result.finite)[:count], germ[:count], self._vector)
-        if self._finer is None:
-            return result
-        beyond = EXCESS_OVER_TIME(self._finer, jax_array(germ), self._decisions)
-        refuse_broken(self._finer, np.isfinite(beyond).all(axis=0)[:count], germ[:count], self._vector)
-        excess = np.array(result.excess)
-        excess[[i for i, one in enumerate(self.problem.constraints) if is_over_time(one)]] = beyond
-        return result._replace(excess=jax_array(excess))
-
-
-def _on_finer(problem: Problem, factor: int) -> Problem:
-    """The problem on a grid `factor` times finer, where time plays a part."""
-    return problem if factor == 1 else problem.on_grid(problem.grid.finer(factor))
-
-
-def _for_limits(problem: Problem, factor: int) -> Problem | None:
-    """The problem on a grid `factor` times finer; None where no limit over time is counted there."""
-    limits = any(is_over_time(one) and is_counted(one) for one in problem.constraints)
-    return numbers_to_arrays(_on_finer(problem, factor)) if limits else None
-
-
-def refuse_broken(
-    problem: Problem,
-    finite: Bool[np.ndarray, " systems"],
-    germ: Float[np.ndarray, "systems variables"],
-    vector: np.ndarray,
-) -> None:
-    """Raise `SimulationError` for the first system that is not `finite`: its numbers, and what is not from when on.
-
-    `problem`: on the grid on which they were simulated.
-    """
-    if finite.all():
-        return
-    point, decisions = jax_array(germ[np.argmin(finite)]), jax_array(vector)
-    numbers = listed(inputs_at(problem.placements, point, decisions))
-    remedy = "Shorten the time step, use an implicit integrator (al.integrators.Kvaerno5), or bound the distributions."
-    raise SimulationError(
-        f"Monte Carlo: the simulation of the system{numbers and ' with '}{numbers} is not finite"
-        f"{_what(problem, point, decisions)}. {unsolved(problem, point, decisions) or remedy}"
-    )
-
-
-def _what(problem: Problem, point: Float[Array, " variables"], decisions: Float[Array, " n"]) -> str:
-    """Which outputs of one system are not finite, and from when on; empty if simulated alone it is finite."""
-    outputs = {name: np.asarray(values)[None] for name, values in history(problem, point, decisions).items()}
-    if (broken := first_broken(outputs)) is not None:
-        times = np.asarray(grid_at(problem, decisions).times)
-        since = f" from t = {times[broken.instant]:.4g} s on" if problem.system.has_time else ""
-        return f": output '{broken.name}'{since}"
-    functionals = functionals_of(problem.expressions)
-    values = responses(problem, functionals, point[None], decisions)
-    bad = [one.text() for one, value in zip(functionals, values, strict=True) if not np.isfinite(value).all()]
-    return f": {bad[0]}" if bad else ""

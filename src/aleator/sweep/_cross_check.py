@@ -6,12 +6,13 @@ from typing import final
 
 import numpy as np
 
-from aleator._core.border import one_of, positive, refusal
+from aleator._core.border import Progress, check_progress, one_of, positive, refusal, silent
+from aleator._core.errors import AleatorError
 from aleator._core.leaves import Drawn
 from aleator.design import Estimated, Problem, estimated, statistics_in
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
-from aleator.solving import solve
+from aleator.sweep._runner import SOLVE, running
 from aleator.transcription import DEFAULT, AbstractTranscription, Simultaneous
 from aleator.uncertainty import Decision
 
@@ -92,6 +93,7 @@ def cross_check(
     solvers: tuple[AbstractSolver | None, AbstractSolver | None] = (None, None),
     tolerance: float = 1e-4,
     refine: bool = False,
+    progress: Progress = silent,
 ) -> CrossChecked:
     """Solve a problem by two transcriptions and compare objective, decisions, statistics and multipliers.
 
@@ -100,8 +102,8 @@ def cross_check(
     - `tolerance`: the relative difference of objective and statistics that is accepted;
     - `refine`: whether the grid of each is refined until its own error is tolerated.
 
-    Solutions that failed are compared as they are, and do not agree. Raises `ProblemError` for what is no problem,
-    transcription or pair of solvers.
+    Solutions that failed are compared as they are, and do not agree. Ctrl-C ends it without a result.
+    Raises `ProblemError` for what is no problem, transcription or pair of solvers.
     """
     one_of("cross_check: problem", problem, Problem)
     second = Simultaneous() if second is None else second
@@ -110,11 +112,17 @@ def cross_check(
     if not isinstance(solvers, Sequence) or [isinstance(one, AbstractSolver | None) for one in solvers] != [True, True]:
         raise refusal("cross_check: solvers", "two, such as (None, al.solvers.Ipopt())", solvers)
     tolerance = positive("cross_check: tolerance", tolerance)
+    check_progress("cross_check", progress)
     ways = first, second
-    one, other = (
-        solve(problem, solver, transcription=way, refine=refine, throw=False)
-        for way, solver in zip(ways, solvers, strict=True)
-    )
+    own = {"problem": problem, "refine": refine}
+    calls = [{**own, "solver": by, "transcription": way} for way, by in zip(ways, solvers, strict=True)]
+    solutions: list[Solution] = []
+    with running(lambda: len(solutions) == len(ways), progress) as run:
+        for _, result in run.each(SOLVE, "cross-check", calls, [f"cross_check, {way.name}" for way in ways]):
+            if isinstance(result, AleatorError):
+                raise result
+            solutions.append(result)
+    one, other = solutions
     size = max(_objective_size(one), _objective_size(other))
     return CrossChecked(
         first=one,

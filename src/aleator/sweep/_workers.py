@@ -1,151 +1,24 @@
-"""Several solves, or evidence of several designs, until Ctrl-C: one after the other, or at once by an executor; and
-`workers`, processes on this machine, one a core, that outlive the death of any of them.
-"""
+"""`workers`: processes on this machine, one a core, that outlive the death of any of them."""
 
 import contextlib
 import os
-import pickle
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import replace
 from multiprocessing import get_context
 from multiprocessing.queues import Queue
 from pathlib import Path
 from types import FrameType
-from typing import Any, Literal, TypeAlias, TypeVar, cast, final
+from typing import Any, TypeVar, final
 
 from typing_extensions import override
 
 from aleator._core.border import whole
-from aleator._core.errors import AleatorError, SimulationError, warned_of
-from aleator._core.executors import end_with_parent, is_of_this_process, packed, sending
-from aleator._core.interruption import heeding
-from aleator._core.journalled import AbstractEntry, NotKeptError, calling, entry_of
+from aleator._core.executors import end_with_parent
 from aleator._core.parallel import CORES, threads
-from aleator.design import Problem, refuse_other_code
-from aleator.nlp import Status
-from aleator.solution import Solution
-from aleator.solving import Call, follows_from, solve
-from aleator.validation import validate, validated_from
-
-Work: TypeAlias = Literal["solve", "validate"]
-_GIVEN = {"solve": lambda **call: follows_from(Call(**call)), "validate": validated_from}
-
-
-def each(
-    work: Work, calls: Sequence[Mapping[str, Any]], where: Sequence[str], executor: Executor | None
-) -> Iterator[tuple[int, Any]]:
-    """The results of `solve` or `validate` for some arguments, each with its index, as soon as they are there.
-
-    Warnings begin with the words in `where`. A refusal or a failure of a model is a result: the exception. What a
-    journal has is not computed. Where the caller stops, what an executor has not begun is cancelled.
-
-    Raises `ProblemError` for a model that cannot travel, and `SimulationError` if workers keep dying.
-    """
-    return _here(work, calls, where) if executor is None else _elsewhere(work, calls, where, executor)
-
-
-@final
-class Steps:
-    """The steps of a sweep. `interrupted`: whether Ctrl-C ended them early."""
-
-    def __init__(self, heed: Callable[[], None]):
-        self._heed, self.interrupted = heed, False
-
-    def heed(self, ended: Status | None = None) -> None:
-        """Raise `KeyboardInterrupt` if Ctrl-C `ended` the solve of the last step, or was lost in it."""
-        if ended is Status.INTERRUPTED:
-            raise KeyboardInterrupt
-        self._heed()
-
-
-@contextmanager
-def until_interrupted(has_results: Callable[[], object]) -> Iterator[Steps]:
-    """Work in steps that Ctrl-C ends early, if there is any result yet; else it raises `KeyboardInterrupt`."""
-    with heeding() as heed:
-        steps = Steps(heed)
-        try:
-            yield steps
-        except KeyboardInterrupt:
-            if not has_results():
-                raise
-            steps.interrupted = True
-
-
-def _here(work: Work, calls: Sequence[Mapping[str, Any]], where: Sequence[str]) -> Iterator[tuple[int, Any]]:
-    absent = None
-    for i, (call, place) in enumerate(zip(calls, where, strict=True)):
-        try:
-            with warned_of(place), calling(place):
-                found = solve(**call, throw=False) if work == "solve" else validate(**call)
-        except AleatorError as error:
-            found = error
-        except NotKeptError as error:  # the others may be there
-            absent = error
-            continue
-        yield i, found
-    if absent is not None:
-        raise absent
-
-
-def _elsewhere(
-    work: Work, calls: Sequence[Mapping[str, Any]], where: Sequence[str], executor: Executor
-) -> Iterator[tuple[int, Any]]:
-    done = {"solve": _solved, "validate": _validated}[work]
-    entries, absent = dict[int, AbstractEntry](), None
-    for i, (call, place) in enumerate(zip(calls, where, strict=True)):
-        try:
-            entries[i] = _entry(work, call, place)
-        except NotKeptError as error:
-            absent = error
-    packs = {i: packed(executor, done, calls[i]) for i, entry in entries.items() if entry.recalled is None}
-    yield from ((i, entry.recalled) for i, entry in entries.items() if entry.recalled is not None)
-    if absent is not None:
-        raise absent
-    with sending(executor) as sent:
-        for i, pack in packs.items():
-            sent.send(i, pack, where[i])
-        for i, receive in sent.done():
-            try:
-                result = receive()
-            except SimulationError as error:
-                entries[i].failed(error)
-                raise
-            if isinstance(result, AleatorError):
-                entries[i].failed(result)
-            else:
-                result = result if is_of_this_process(executor) else _of_here(result, calls[i])
-                entries[i].keep(result)
-            yield i, result
-
-
-def _entry(work: Work, call: Mapping[str, Any], place: str) -> AbstractEntry:
-    with calling(place):
-        return entry_of(work, _GIVEN[work](**call))
-
-
-def _solved(**call: Any) -> Solution:
-    refuse_other_code(call["problem"])
-    return solve(**call, throw=False)
-
-
-def _validated(**call: Any) -> Any:
-    refuse_other_code(call["solution"].problem)
-    return validate(**call)
-
-
-def _of_here(result: Any, call: Mapping[str, Any]) -> Any:
-    """A result of the objects of this process, where they are the same."""
-    if isinstance(result, Solution):
-        sent = cast(Problem, call["problem"])
-        same = pickle.dumps(result.problem) == pickle.dumps(sent)
-        return replace(result, problem=sent) if same else result
-    return replace(result, solution=call["solution"])
-
 
 _Result = TypeVar("_Result")
 

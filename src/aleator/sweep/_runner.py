@@ -1,0 +1,173 @@
+"""The steps of sweeps, until all are done or Ctrl-C ends them: one after the other, or at once by an executor.
+
+Every step tells its progress, begins its warnings with its place, and is recalled from a journal that has it.
+"""
+
+import pickle
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias, TypeVar, final
+
+from aleator._core.border import Progress
+from aleator._core.errors import AleatorError, SimulationError, warned_of
+from aleator._core.executors import is_of_this_process, packed, sending
+from aleator._core.interruption import heeding
+from aleator._core.journalled import AbstractEntry, NotKeptError, calling, entry_of
+from aleator.design import Problem, refuse_other_code
+from aleator.nlp import Status
+from aleator.solution import Solution
+from aleator.solving import Call, follows_from, solve
+from aleator.validation import Evidence, validate, validated_from
+
+Arguments: TypeAlias = Mapping[str, Any]
+_Result = TypeVar("_Result")
+
+
+@final
+@dataclass(frozen=True)
+class Work:
+    """Work that sweeps repeat, with `problem` or `solution` among its arguments.
+
+    - `name`: what a journal calls it; `follows_from`: all that a result follows from, by the same arguments;
+    - `compute`: a function of a module, which workers find by its name. It opens the entry of a journal itself.
+    """
+
+    name: str
+    follows_from: Callable[..., dict[str, Any]]
+    compute: Callable[..., Any]
+
+
+def _solved(**arguments: Any) -> Solution:
+    return solve(**arguments, throw=False)
+
+
+SOLVE = Work("solve", lambda **arguments: follows_from(Call(**arguments)), _solved)
+VALIDATE = Work("validate", validated_from, validate)
+
+
+def finished(result: _Result) -> _Result:
+    """A result. Raises `KeyboardInterrupt` for one that Ctrl-C has cut short."""
+    if getattr(result, "status", None) is Status.INTERRUPTED:
+        raise KeyboardInterrupt
+    return result
+
+
+@contextmanager
+def running(has_results: Callable[[], object], progress: Progress) -> "Iterator[Runner]":
+    """Run steps that Ctrl-C ends early, if there is any result yet; else it raises `KeyboardInterrupt`."""
+    with heeding() as heed:
+        runner = Runner(heed, progress)
+        try:
+            yield runner
+        except KeyboardInterrupt:
+            if not has_results():
+                raise
+            runner.interrupted = True
+
+
+@final
+class Runner:
+    """Runs the steps of a sweep. `interrupted`: whether Ctrl-C ended them early."""
+
+    def __init__(self, heed: Callable[[], None], progress: Progress):
+        self._heed, self.progress, self.interrupted = heed, progress, False
+
+    @contextmanager
+    def step(self, task: str, done: int, total: int, place: str) -> Iterator[None]:
+        """One step of a `task`, after those done, that follows from these."""
+        self._heed()
+        self.progress(task, done, total)
+        with warned_of(place), calling(place):
+            yield
+
+    def each(
+        self,
+        work: Work,
+        task: str,
+        calls: Sequence[Arguments],
+        places: Sequence[str],
+        executor: Executor | None = None,
+        told: Callable[[int], str] = lambda _: "",
+    ) -> Iterator[tuple[int, Any]]:
+        """The results of independent steps, each with its index, as soon as they are there.
+
+        - `places`: each step in words, with which its warnings begin;
+        - `told`: what progress says of a result beside the `task`, by its index, once the caller has seen it.
+
+        A refusal or a failure of a model is a result: the exception. What Ctrl-C has cut short is none. What a journal
+        has is not computed. Where the caller stops, what an executor has not begun is cancelled.
+
+        Raises `ProblemError` for a model that cannot travel, and `SimulationError` if workers keep dying.
+        """
+        self.progress(task, 0, len(calls))
+        results = _here(work, calls, places) if executor is None else _at_once(work, calls, places, executor)
+        for done, (i, result) in enumerate(results, 1):
+            yield i, finished(result)
+            self.progress(f"{task}{told(i)}", done, len(calls))
+            self._heed()
+
+
+def _here(work: Work, calls: Sequence[Arguments], places: Sequence[str]) -> Iterator[tuple[int, Any]]:
+    absent = None
+    for i, (call, place) in enumerate(zip(calls, places, strict=True)):
+        try:
+            with warned_of(place), calling(place):
+                result = work.compute(**call)
+        except AleatorError as error:
+            result = error
+        except NotKeptError as error:  # the others may be there
+            absent = error
+            continue
+        yield i, result
+    if absent is not None:
+        raise absent
+
+
+def _at_once(
+    work: Work, calls: Sequence[Arguments], places: Sequence[str], executor: Executor
+) -> Iterator[tuple[int, Any]]:
+    entries, absent = dict[int, AbstractEntry](), None
+    for i, (call, place) in enumerate(zip(calls, places, strict=True)):
+        try:
+            with calling(place):
+                entries[i] = entry_of(work.name, work.follows_from(**call))
+        except NotKeptError as error:
+            absent = error
+    missing = [i for i, entry in entries.items() if entry.recalled is None]
+    packs = {i: packed(executor, _computed, {"compute": work.compute, "call": calls[i]}) for i in missing}
+    yield from ((i, entry.recalled) for i, entry in entries.items() if entry.recalled is not None)
+    if absent is not None:
+        raise absent
+    with sending(executor) as sent:
+        for i, pack in packs.items():
+            sent.send(i, pack, places[i])
+        for i, receive in sent.done():
+            try:
+                result = receive()
+            except SimulationError as error:
+                entries[i].failed(error)
+                raise
+            if isinstance(result, AleatorError):
+                entries[i].failed(result)
+            else:
+                result = result if is_of_this_process(executor) else _with_own_objects(result, calls[i])
+                entries[i].keep(result)
+            yield i, result
+
+
+def _computed(compute: Callable[..., Any], call: Arguments) -> Any:
+    """What a worker does."""
+    refuse_other_code(call["problem"] if "problem" in call else call["solution"].problem)
+    return compute(**call)
+
+
+def _with_own_objects(result: Any, call: Arguments) -> Any:
+    """A result that travelled, with the objects of this process in the place of their copies."""
+    if isinstance(result, Evidence):
+        return replace(result, solution=call["solution"])
+    if isinstance(result, Solution):
+        sent: Problem = call["problem"]
+        return replace(result, problem=sent) if pickle.dumps(result.problem) == pickle.dumps(sent) else result
+    return result
