@@ -1,13 +1,10 @@
 """What a solver claims of its answer, what is reported of it, and why it is no solution."""
 
 import itertools
-from numbers import Integral
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from aleator._core.border import real_array
-from aleator._core.errors import ProblemError
 from aleator.nlp._certificate import Certificate, lagrangian_gradient
 from aleator.nlp._evaluations import NotFiniteError
 from aleator.nlp._program import Evaluation
@@ -34,28 +31,6 @@ class Answer(NamedTuple):
     message: str
     unfinished: str = ""
     is_doubtful: bool = False
-
-
-def checked_answer(who: str, answer: Any, scaled: ScaledProgram) -> Answer:
-    """A checked answer to a program. Raises `ProblemError` in the name of `who` for anything else."""
-    if not isinstance(answer, Answer):
-        raise ProblemError(f"{who}: expected an Answer; received {type(answer).__name__} {answer!r}.")
-    point = real_array(f"{who}: point", answer.point)
-    if point.shape != scaled.start.shape:
-        raise ProblemError(
-            f"{who}: expected a point of shape {scaled.start.shape}, that of `scaled.start`; "
-            f"received shape {point.shape}."
-        )
-    expected: tuple[tuple[str, Any, type], ...] = (
-        ("claim", answer.claim, Status),
-        ("multipliers", answer.multipliers, Multipliers | None),  # type: ignore[arg-type]
-        ("iterations", answer.iterations, Integral),
-    )
-    for name, value, kind in expected:
-        if not isinstance(value, kind):
-            what = getattr(kind, "__name__", "Multipliers, or None")
-            raise ProblemError(f"{who}: expected `{name}` as {what}; received {value!r}.")
-    return answer._replace(point=point)
 
 
 class Verdict(NamedTuple):

@@ -109,9 +109,9 @@ def _terms(here: Evaluation) -> float:
 
 def _noticeable(scaled: ScaledProgram, here: Evaluation, multipliers: Multipliers) -> float:
     """The least fall of the scaled objective that counts."""
-    objective, start = scaled.objective_size(here), scaled.start_objective
-    terms = objective + start + float(np.abs(multipliers.rows) @ np.abs(here.constraints))
-    return max(min(_NOTICEABLE * objective, _BESIDE_START * (objective + start)), _ROUNDING * terms)
+    objective = scaled.objective_size(here)
+    least = min(_NOTICEABLE * objective, _BESIDE_START * (objective + scaled.start_objective))
+    return max(least, _ROUNDING * scaled.terms(here, multipliers))
 
 
 def _basis(

@@ -8,11 +8,10 @@ from collections.abc import Callable, Iterator
 from typing import Any, final
 
 import numpy as np
-import scipy
 
 from aleator._core.errors import ProblemError
 from aleator._core.interruption import noting
-from aleator.nlp._matrices import Matrix, SparseMatrix, checked_sparse, entries, with_entries
+from aleator.nlp._matrices import Matrix, checked_sparse, entries, with_entries
 from aleator.nlp._program import Evaluation
 
 
@@ -206,13 +205,6 @@ class Straightness:
     def is_shown(self) -> bool:
         """Whether enough points were seen, and all of them had the same slopes."""
         return not self._curved and self._far and self._points >= _POINTS
-
-
-def lower_triangle(size: int) -> SparseMatrix:
-    """All entries of a lower triangle; those of the diagonal alone where differences would take too long."""
-    if size > MOST_DIFFERENCED:
-        return scipy.sparse.csr_array(scipy.sparse.eye_array(size))
-    return scipy.sparse.csr_array(np.tril(np.ones((size, size))))
 
 
 def changes_of(

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, final
 
 import numpy as np
+import scipy
 
 from aleator.nlp._evaluations import (
     MOST_DIFFERENCED,
@@ -11,7 +12,6 @@ from aleator.nlp._evaluations import (
     NotFiniteError,
     Straightness,
     changes_of,
-    lower_triangle,
 )
 from aleator.nlp._matrices import Block, Matrix, checked_sparse
 from aleator.nlp._program import Evaluation, Magnitudes, NonlinearProgram
@@ -133,10 +133,6 @@ class ScaledProgram:
     def start_objective(self) -> float:
         """The size of the objective at the first start, scaled."""
         return abs(self._objective_origin) / self.objective_scale
-
-    def objective_size(self, here: Evaluation) -> float:
-        """The size of the objective at a scaled evaluation, without the offset that it has there."""
-        return abs(here.objective + self._objective_origin / self.objective_scale)
 
     @property
     def scales(self) -> Scales:
@@ -262,7 +258,11 @@ class ScaledProgram:
         """
         if not self.can_take_differences:
             return False
-        self.curved, self._by_differences = lower_triangle(self.size), True
+        # Where differences would take too long nothing curves: the diagonal, of zeros, will do.
+        few = self.size <= MOST_DIFFERENCED
+        lower = np.tril(np.ones((self.size, self.size))) if few else scipy.sparse.eye_array(self.size)
+        self.curved = scipy.sparse.csr_array(lower)
+        self._by_differences = True
         return True
 
     def _differenced(self, z: np.ndarray, weight: float, multipliers: np.ndarray) -> np.ndarray:
@@ -279,9 +279,13 @@ class ScaledProgram:
         columns = changes_of(slope, z, (self.lower, self.upper), np.diag(size)) / size
         return ((columns + columns.T) / 2)[np.tril_indices(self.size)]
 
+    def objective_size(self, evaluation: Evaluation) -> float:
+        """The scaled magnitude of the objective, with the offset that a scaled evaluation lacks."""
+        return abs(evaluation.objective + self._objective_origin / self.objective_scale)
+
     def terms(self, evaluation: Evaluation, multipliers: Multipliers) -> float:
-        """The scaled magnitude of the terms of the Lagrangian, to which its rounding is relative."""
-        objective = abs(evaluation.objective) + self.start_objective
+        """The scaled magnitude of the terms of the Lagrangian, here and at the start, to which rounding is relative."""
+        objective = self.objective_size(evaluation) + self.start_objective
         return objective + float(np.abs(multipliers.rows) @ np.abs(evaluation.constraints))
 
     def is_finite(self, z: np.ndarray) -> bool:

@@ -49,17 +49,6 @@ class Searched(Drawn):
         return f"{self.method}: {self.evaluations} evaluations{said} in {self.seconds:.2f} s; {self.end}"
 
 
-def joined(histories: Sequence[Searched]) -> Searched | None:
-    """Histories one after the other as one, under the name and the end of the last; None if there is none."""
-    if not histories:
-        return None
-    last = histories[-1]
-    objectives, violations = (
-        np.concatenate([getattr(one, name) for one in histories]) for name in ("objectives", "violations")
-    )
-    return Searched(last.method, objectives, violations, last.end, sum(one.seconds for one in histories))
-
-
 @final
 class Status(enum.Enum):
     """How a solve ended; the value is a phrase for users."""
@@ -143,15 +132,26 @@ class Outcome:
     def with_effort_of(self, *others: "Outcome") -> "Outcome":
         """The same outcome with the effort of other solves on the way to it added."""
         every = (*others, self)
-        searched = [one.searched for one in every if one.searched is not None]
         return replace(
             self,
-            searched=searched[0] if searched else None,
-            visited=joined([one.visited for one in every if one.visited is not None]),
-            iterations=sum(one.iterations for one in every),
-            evaluations=sum(one.evaluations for one in every),
-            seconds=sum(one.seconds for one in every),
+            searched=next((each.searched for each in every if each.searched is not None), None),
+            visited=_joined([each.visited for each in every if each.visited is not None]),
+            iterations=sum(each.iterations for each in every),
+            evaluations=sum(each.evaluations for each in every),
+            seconds=sum(each.seconds for each in every),
         )
+
+
+def _joined(histories: Sequence[Searched]) -> Searched | None:
+    """Histories one after the other, under the name and the end of the last; None if there is none."""
+    if not histories:
+        return None
+    return replace(
+        histories[-1],
+        objectives=np.concatenate([history.objectives for history in histories]),
+        violations=np.concatenate([history.violations for history in histories]),
+        seconds=sum(history.seconds for history in histories),
+    )
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from aleator._core.interruption import take_back
 from aleator.nlp._answer import Answer
 from aleator.nlp._ipopt import Ipopt
 from aleator.nlp._local_solver import AbstractLocalSolver
-from aleator.nlp._matrices import AnyPattern, pattern_of, rows_of_entries
+from aleator.nlp._matrices import Pattern, rows_of_entries
 from aleator.nlp._program import Evaluation
 from aleator.nlp._scaling import Multipliers, ScaledProgram
 from aleator.nlp._solver import Status
@@ -28,7 +28,7 @@ _CLAIMS = {
 }
 
 
-def load_unopy(who: str) -> Any:
+def _unopy(who: str) -> Any:
     """The library, imported late. Raises `MissingExtraError` if it is not installed."""
     try:
         import unopy
@@ -39,35 +39,52 @@ def load_unopy(who: str) -> Any:
     return unopy
 
 
-def run_uno(
+def _minimised(
     preset: str,
     scaled: ScaledProgram,
-    pattern: AnyPattern,
-    start: np.ndarray,
     multipliers: np.ndarray | None,
     *,
     aim: float,
     max_iterations: int,
     options: Mapping[str, Any] = MappingProxyType({}),
 ) -> Answer:
-    """Run one of Uno's presets until it ends, the solve must end, a derivative outside `pattern` is nonzero, or it
-    approximates curvature where there is none.
+    """Run one of Uno's presets, a second time with all entries where a derivative outside the sparsity is nonzero.
 
     - `aim`: the tolerance for Uno; `options`: those of the preset alone.
     """
-    unopy = load_unopy(preset)
-    solver = unopy.UnoSolver()
-    solver.set_preset(preset)
-    common = {
+    settings: dict[str, Any] = {
         "hessian_model": "LBFGS" if scaled.curved is None else "exact",
         "primal_tolerance": aim,
         "dual_tolerance": aim,
         # With the L2 norm of the presets, the accuracy per row would depend on the number of rows.
         "residual_norm": "INF",
-        "max_iterations": max_iterations,
         "logger": "SILENT",
     }
-    for option, value in (common | dict(options)).items():
+    settings |= options
+    pattern = Pattern(scaled.sparsity)
+    answer = _run(preset, settings | {"max_iterations": max_iterations}, scaled, pattern, scaled.start, multipliers)
+    left = max_iterations - answer.iterations
+    if not pattern.outgrown or scaled.evaluations.halt is not None or left <= 0:
+        return answer
+    rows = None if answer.multipliers is None else answer.multipliers.rows
+    pattern = Pattern(np.ones((scaled.rows, scaled.size)))
+    again = _run(preset, settings | {"max_iterations": left}, scaled, pattern, answer.point, rows)
+    return again._replace(iterations=answer.iterations + again.iterations)
+
+
+def _run(
+    preset: str,
+    settings: Mapping[str, Any],
+    scaled: ScaledProgram,
+    pattern: Pattern,
+    start: np.ndarray,
+    multipliers: np.ndarray | None,
+) -> Answer:
+    """Run Uno until it ends, the solve must end, the pattern is outgrown, or it approximates curvature in vain."""
+    unopy = _unopy(preset)
+    solver = unopy.UnoSolver()
+    solver.set_preset(preset)
+    for option, value in settings.items():
         solver.set_option(option, value)
 
     def is_over(*_: Any) -> bool:
@@ -78,13 +95,8 @@ def run_uno(
     return _answer(solver.optimize(_model(unopy, scaled, pattern, start, multipliers)))
 
 
-def uno_version(who: str) -> str:
-    """The version of the library, for the solver called `who`."""
-    return load_unopy(who).current_uno_version()
-
-
 def _model(
-    unopy: Any, scaled: ScaledProgram, pattern: AnyPattern, start: np.ndarray, multipliers: np.ndarray | None
+    unopy: Any, scaled: ScaledProgram, pattern: Pattern, start: np.ndarray, multipliers: np.ndarray | None
 ) -> Any:
     """The scaled program, with second derivatives if it has them."""
     latest: list[bytes] = []
@@ -168,54 +180,28 @@ class FilterSQP(AbstractLocalSolver):
 
     @override
     def require(self) -> None:
-        load_unopy("FilterSQP")
+        _unopy("FilterSQP")
 
     @property
     @override
     def name(self) -> str:
-        return f"filterSQP (Uno {uno_version('FilterSQP')})"
+        return f"filterSQP (Uno {_unopy('FilterSQP').current_uno_version()})"
 
     @override
     def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
-        pattern = pattern_of(scaled.sparsity)
-        answer = self._solved(scaled, pattern, scaled.start, multipliers, self.max_iterations)
-        while pattern.outgrown and scaled.evaluations.halt is None and answer.iterations < self.max_iterations:
-            pattern = pattern.widened()
-            rows = None if answer.multipliers is None else answer.multipliers.rows
-            left = self.max_iterations - answer.iterations
-            again = self._solved(scaled, pattern, answer.point, rows, left)
-            answer = again._replace(iterations=answer.iterations + again.iterations)
-        return answer
-
-    def _solved(
-        self,
-        scaled: ScaledProgram,
-        pattern: AnyPattern,
-        start: np.ndarray,
-        multipliers: np.ndarray | None,
-        iterations: int,
-    ) -> Answer:
         options = {
             "QP_solver": "BQPD",
             "quasi_newton_memory_size": int(np.clip(2 * scaled.size, 6, _LARGEST_MEMORY)),
             "TR_radius": float(self.radius),
         }
-        return run_uno(
-            "filtersqp",
-            scaled,
-            pattern,
-            start,
-            multipliers,
-            aim=self.aim,
-            max_iterations=iterations,
-            options=options,
-        )
+        limits = {"aim": self.aim, "max_iterations": self.max_iterations}
+        return _minimised("filtersqp", scaled, multipliers, **limits, options=options)
 
 
 def default_solver() -> AbstractLocalSolver:
     """`FilterSQP()` if unopy is installed, else `Ipopt()`."""
     try:
-        load_unopy("FilterSQP")
+        _unopy("FilterSQP")
     except MissingExtraError:
         return Ipopt()
     return FilterSQP()
@@ -235,21 +221,13 @@ class InteriorPoint(AbstractLocalSolver):
 
     @override
     def require(self) -> None:
-        load_unopy("InteriorPoint")
+        _unopy("InteriorPoint")
 
     @property
     @override
     def name(self) -> str:
-        return f"interior points (Uno {uno_version('InteriorPoint')})"
+        return f"interior points (Uno {_unopy('InteriorPoint').current_uno_version()})"
 
     @override
     def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
-        return run_uno(
-            "ipopt",
-            scaled,
-            pattern_of(scaled.sparsity),
-            scaled.start,
-            multipliers,
-            aim=self.aim,
-            max_iterations=self.max_iterations,
-        )
+        return _minimised("ipopt", scaled, multipliers, aim=self.aim, max_iterations=self.max_iterations)

@@ -12,15 +12,13 @@ from aleator.nlp._certificate import (
     lagrangian_gradient,
 )
 from aleator.nlp._curvature import Descent, descent
-from aleator.nlp._evaluations import NotFiniteError
+from aleator.nlp._evaluations import NotFiniteError, changes_of
 from aleator.nlp._program import Evaluation
 from aleator.nlp._scaling import Multipliers, ScaledProgram, Scales
 from aleator.nlp._solver import Status
 
 # Rows of a sparse program whose multipliers are fitted where a solver's own do not certify it.
 _MOST_FITTED = 2000
-# Size of a probing step in typical magnitudes, so large that the change of the gradient exceeds its rounding.
-_PROBE = 1e-4
 # How often an answer is left for a lower point close by before the solver is asked again.
 _MOST_MOVES = 4
 
@@ -211,19 +209,15 @@ def _size_of_gradient(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipl
 
 def _change_of_gradient(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers, remainder: np.ndarray) -> float:
     """Change of the Lagrangian's gradient over a typical magnitude against `remainder`; 0 if unknown."""
-    typical = max(1.0, float(np.abs(z).max()))
-    direction = -_PROBE * typical * remainder / np.abs(remainder).max()
-    for sign in (1, -1):
-        moved = np.clip(z + sign * direction, scaled.lower, scaled.upper)
-        distance = float(np.abs(moved - z).max())
-        if distance < _PROBE * typical / 2:
-            continue
-        try:
-            there = lagrangian_gradient(scaled.evaluate(moved), multipliers)
-        except NotFiniteError:
-            continue
-        return float(np.abs(there - remainder).max()) * typical / distance
-    return 0.0
+
+    def slope(point: np.ndarray) -> np.ndarray:
+        return lagrangian_gradient(scaled.evaluate(point), multipliers)
+
+    direction = max(1.0, float(np.abs(z).max())) * remainder / np.abs(remainder).max()
+    try:
+        return float(np.abs(changes_of(slope, z, (scaled.lower, scaled.upper), direction[:, None])).max())
+    except NotFiniteError:
+        return 0.0
 
 
 def _unknown(scaled: ScaledProgram, answer: Answer) -> Verdict:

@@ -1,7 +1,7 @@
 """Searches without derivatives, which know only values, and whose best point is polished by derivatives."""
 
 from aleator.nlp.search._abstract import AbstractSearch as AbstractSearch
-from aleator.nlp.search._direct import Direct as Direct
+from aleator.nlp.search._pointwise import Direct as Direct
 from aleator.nlp.search._pointwise import DualAnnealing as DualAnnealing
 from aleator.nlp.search._pointwise import NelderMead as NelderMead
 from aleator.nlp.search._populations import CmaEs as CmaEs

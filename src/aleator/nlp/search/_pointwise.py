@@ -1,4 +1,4 @@
-"""Searches that go from one point to the next: the simplex of Nelder and Mead, and generalised simulated annealing."""
+"""Searches that go from one point to the next: a simplex, simulated annealing, and division of rectangles."""
 
 from dataclasses import dataclass
 from typing import ClassVar, final
@@ -94,4 +94,39 @@ class DualAnnealing(AbstractSearch):
             maxfun=_ENDLESS,
             no_local_search=True,  # the answer is polished with exact derivatives instead
             rng=generator,
+        )
+
+
+# Rectangles are divided until they are this small, as a part of the box, if the budget lasts.
+_SMALLEST = 1e-5
+
+
+@final
+@dataclass(frozen=True)
+class Direct(AbstractSearch):
+    """Division of rectangles (Jones, Perttunen and Stuckman 1993), in SciPy.
+
+    Deterministic: `seed` changes only the first points. For few variables, up to about ten.
+
+    Arguments: see `AbstractSearch`.
+    """
+
+    at_once: ClassVar[bool] = False
+
+    @property
+    @override
+    def method(self) -> str:
+        return f"DIRECT (SciPy {scipy.__version__})"
+
+    @override
+    def explore(self, sought: Sought, first: Float[np.ndarray, "k size"], generator: np.random.Generator) -> None:
+        del first, generator  # It begins in the middle of the box.
+        most = max(sought.limit - sought.count, 1)
+        scipy.optimize.direct(
+            sought.merit,
+            scipy.optimize.Bounds(sought.lower, sought.upper),
+            maxfun=most,
+            maxiter=most,
+            len_tol=_SMALLEST,
+            locally_biased=False,  # the answer is polished with exact derivatives instead
         )
