@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
-from typing import Any, final
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -132,6 +132,7 @@ def portfolio(
     local = one_of("portfolio: solver", solver or DEFAULT.solver, AbstractSolver, "al.solvers.FilterSQP()").local
     program = transcribe(problem, DEFAULT).program
     candidates: Sequence[Float[np.ndarray, " n"]] = []
+    chosen: Sequence[Float[np.ndarray, " n"]] = []
     searched: Searched | None = None
     outcomes: dict[int, Outcome] = {}
     with running(lambda: outcomes or candidates, progress) as run:
@@ -222,13 +223,8 @@ def _certified(
     return found[0]
 
 
-@final
-@dataclass(frozen=True)
-class _FoundGlobally:
-    """What a global search found: points that lie apart, best first, and its history.
-
-    - `status`: `Status.INTERRUPTED` if the user ended it.
-    """
+class _FoundGlobally(NamedTuple):
+    """Points of a global search that lie apart, best first, and its history; `status` tells if the user ended it."""
 
     candidates: list[Float[np.ndarray, " n"]]
     searched: Searched
