@@ -276,12 +276,12 @@ class _FrontInTheMaking:
         task = f"front over {self._bound}" + ", from neighbours" * (tries[0][1] is not None)
         bettered = False
 
-        def told(i: int) -> str:
+        def detail(i: int) -> str:
             point = self._points[tries[i][0]]
             brief = in_brief(point) if isinstance(point, Solution) else "no design"
             return f": {self._place(tries[i][0])}, {brief}"
 
-        for i, found in run.each(SOLVE, task, calls, places, executor, told):
+        for i, found in run.each(SOLVE, task, calls, places, executor, detail):
             bettered |= self._keep(*tries[i], found)
         return bettered
 

@@ -212,12 +212,12 @@ def _certified(
         start = problem.placements.named(point)
         with warned_of("portfolio"):
             try:
-                found.append(solve(problem, solver, start=start, throw=False))
+                found.append(finished(solve(problem, solver, start=start, throw=False)))
             except ProblemError:
                 if search is None:
                     raise
                 # Derivatives cannot choose, but values have: the point is judged as the answer of a search of one.
-                found.append(solve(problem, replace(search, evaluations=1), start=start, throw=False))
+                found.append(finished(solve(problem, replace(search, evaluations=1), start=start, throw=False)))
         if found[-1].ok:
             return found[-1]
     return found[0]
