@@ -16,7 +16,6 @@ from aleator.reporting import report
 from aleator.reporting._numbers import number
 from aleator.reporting._page import verdict
 from aleator.reporting._tables import certificate_table, designs_table, evidence_table
-from aleator.validation import Proportion
 from aleator.validation._limits import Disagreement
 from zoo import MASS, STRESS, bar_problem
 
@@ -134,12 +133,13 @@ def test_a_page_tells_that_a_front_found_a_better_optimum_than_its_design(tmp_pa
 
 
 def test_where_no_limit_is_counted_the_verdict_says_so_and_why_and_claims_no_share():
-    told = {"σ[x] ≤ 0.3": "a statistic of all systems together"}
-    evidence = replace(given.evidence(), violations={}, uncounted=told)
+    limit = (STRESS.std <= 0.3).named("spread")
+    solution = al.solve(al.Problem(bar_problem().system, minimize=MASS.mean, subject_to=[limit]))
+    evidence = al.validate(solution, 400)
     said = verdict({"design": evidence.solution}, {"design": evidence})
     assert "none was counted" in said.headline
     assert "of systems break" not in said.headline
-    assert any("σ[x] ≤ 0.3: a statistic of all systems together" in one for one in said.sentences)
+    assert any("σ[stress] ≤ 0.3: a statistic of all systems together" in one for one in said.sentences)
     assert not any("violate" in card.label for card in said.cards)
 
 
@@ -162,7 +162,7 @@ def test_evidence_on_another_design_is_refused(tmp_path):
 
 def test_the_verdict_is_on_the_proposed_design_and_tells_the_others_for_comparison():
     often = given.evidence()
-    few = replace(often, violations=dict.fromkeys(often.violations, Proportion(1, 1000)), joint=Proportion(1, 1000))
+    few = replace(often, samples=1000, broken=dict.fromkeys(often.broken, np.arange(1000) < 1))
     designs = {"nominal": often.solution, "robust": often.solution}
     said = verdict(designs, {"nominal": often, "robust": few})
     assert said.word == "Solved and checked"

@@ -41,12 +41,12 @@ def study():
 
 @pytest.fixture(scope="module")
 def sampled(study):
-    share, evidence = given.evidence().joint, given.evidence()
-    counted = dict.fromkeys(("travel", "holding", "ride"), share)
+    evidence = given.evidence()
+    counted = dict.fromkeys(("travel", "holding", "ride"), *evidence.broken.values())
     effort = evidence.functionals["∫effort dt"]
     sampled = {"∫comfort dt": effort, "rms(grip)": effort}
     made = {
-        name: replace(evidence, solution=one, violations=counted, functionals=sampled, trajectories=())
+        name: replace(evidence, solution=one, broken=counted, functionals=sampled, trajectories=())
         for name, one in study.designs.items()
     }
     return replace(study, evidence=made)
@@ -135,8 +135,8 @@ def test_the_cost_is_that_of_the_curves_and_a_box_reaches_the_worst_travel(study
 def counted(sampled, *counts):
     """Evidence of the narrow designs in which so many of 1000 cars leave the travel."""
     one = sampled.evidence["uOpt"]
-    shares = (al.results.Proportion(count, 1000) for count in counts)
-    evidence = (replace(one, violations={**one.violations, "travel": share}) for share in shares)
+    masks = (np.arange(1000) < count for count in counts)
+    evidence = (replace(one, samples=1000, broken={**one.broken, "travel": mask}) for mask in masks)
     return replace(sampled, narrow_evidence=dict(zip(("dOpt", "uOpt, 1 σ", "uOpt, 1.25 σ"), evidence, strict=True)))
 
 

@@ -61,8 +61,9 @@ def test_there_is_no_design_to_build_where_the_interval_reaches_beyond_the_targe
 
 
 def test_limits_that_were_given_no_margin_count_as_well(found, printed):
-    joint = replace(found.evidence.joint, count=round(2 * TARGET * found.evidence.samples))
-    other = replace(found, evidence=replace(found.evidence, joint=joint))
+    samples = found.evidence.samples
+    broken = dict.fromkeys(found.evidence.broken, np.arange(samples) < round(2 * TARGET * samples))
+    other = replace(found, evidence=replace(found.evidence, broken=broken))
     assert other.confirmed
     assert not meets(other)
     said = build_verdict(other, printed, **TOLD)

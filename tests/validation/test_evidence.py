@@ -145,11 +145,17 @@ def test_what_is_certain_is_simulated_on_a_finer_grid_which_finds_out_a_coarse_o
     assert evidence.agrees
     assert evidence.joint.count == 0
     decay = Decay(5.0, al.Decision(2.0, 1.0, 3.0))
-    coarse = al.Problem(decay, grid=al.Grid(1.0, 2), minimize=al.terminal("x").mean)
+    low = al.path("x").at_most(1.5).named("low")
+    coarse = al.Problem(decay, grid=al.Grid(1.0, 2), minimize=al.terminal("x").mean, subject_to=[low])
     solution = al.solve(coarse, throw=False)
     with pytest.warns(al.ExpansionWarning, match="contradict the solution.*Use more steps"):
         evidence = al.validate(solution)
     assert not evidence.agrees
+    start = solution.decisions["start"]
+    np.testing.assert_allclose(
+        evidence.functionals["x(t)"].mean, start * np.exp(-5.0 * np.array([0.0, 0.5, 1.0])), rtol=1e-3
+    )
+    assert evidence.violations == {"low": Proportion(int(start > 1.5), 1)}
 
 
 @pytest.mark.filterwarnings("ignore")

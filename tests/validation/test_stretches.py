@@ -13,7 +13,7 @@ from aleator._core import journalled
 from aleator.ensemble import draw, drawn_from
 from aleator.solution import Solution
 from aleator.uncertainty import HermiteGerm, LegendreGerm
-from aleator.validation import Evidence, _sample, _validate
+from aleator.validation import Evidence, _validate
 from aleator.validation._batches import folds
 from executors import AsProcesses
 
@@ -28,7 +28,7 @@ def solution() -> Solution:
 @pytest.fixture
 def folded(monkeypatch: pytest.MonkeyPatch) -> None:
     """All samples are large enough to be folded."""
-    monkeypatch.setattr(_sample, "_MANY", 0)
+    monkeypatch.setattr(_validate, "_MANY", 0)
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def test_each_system_has_its_own_place_in_one_stream_of_random_numbers():
 
 def test_stretches_are_the_whole_sample_in_order():
     for samples, batch, before in ((1000, 250, 1000), (10**6, 250, 250), (1003, 10, 20), (7, 250, 7)):
-        plan = _sample.Plan(samples, 0, min(batch, samples), 0, before)
+        plan = _validate.Plan(samples, 0, min(batch, samples), 0, before)
         assert len(plan.stretches) < 260
         ends = [one.end for one in plan.stretches]
         assert [0, *ends[:-1]] == [one.first for one in plan.stretches]
@@ -67,7 +67,7 @@ def test_stretches_are_the_whole_sample_in_order():
 
 def test_folded_evidence_is_that_of_stored_histories(solution: Solution, monkeypatch: pytest.MonkeyPatch):
     stored = al.validate(solution, SAMPLES, batch=100, keep=150)
-    monkeypatch.setattr(_sample, "_MANY", 0)
+    monkeypatch.setattr(_validate, "_MANY", 0)
     folded = al.validate(solution, SAMPLES, batch=100, keep=150)
     assert folded.functionals.keys() == stored.functionals.keys()
     for one, other in zip(folded.functionals.values(), stored.functionals.values(), strict=True):
@@ -121,7 +121,7 @@ def test_evidence_that_was_ended_goes_on_from_its_parts(
     assert len(parts) == 21
     parts[0].write_bytes(parts[0].read_bytes()[:-1])
     later = []
-    simulated = _sample.simulated
+    simulated = _validate.simulated
 
     def noted(systems, plan, stretches):
         later.extend(stretches)

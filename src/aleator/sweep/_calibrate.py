@@ -2,7 +2,7 @@
 
 import bisect
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -87,8 +87,8 @@ def calibrate(
             f"calibrate: expected at least {fewest} samples to resolve a violation of {target:g}; received {samples}."
         )
     names = _counted_names(problem, names)
-    sampler = _Sampler(names, target, samples, seed, executor)
-    given = {name: max(one.expression.sigmas or 0.0 for one in problem.named(name)) for name in names}
+    course = _Course(names, target, samples, seed, max_trials, executor)
+    multiples = {name: max(one.expression.sigmas or 0.0 for one in problem.named(name)) for name in names}
 
     def solved(one: Problem, warm_start: Solution | None = None) -> Solution:
         try:
@@ -97,10 +97,9 @@ def calibrate(
             finished(error.solution)
             raise
 
-    search = MarginSearch(problem, given, sampler.trial, sampler.aim, precision, solved)
+    search = MarginSearch(problem, multiples, course.common_share, course.aim, precision, solved)
     with running(lambda: search.trials, progress) as run:
-        course = _Course(search, sampler, max_trials, run)
-        course.finish()
+        course.finish(search, run)
     missing, trials = "it was interrupted" if run.interrupted else course.missing, tuple(search.trials)
     chosen = course.chosen or search.best
     found = Calibration(names, target, trials, chosen, course.fresh, course.evidence, missing, run.interrupted)
@@ -114,106 +113,56 @@ def calibrate(
 class _Course:
     """Alternating search and confirmation, until a design is confirmed or `missing` says why not.
 
+    Designs are compared on one random sample, common to all trials, and confirmed on fresh ones, each used once.
+
     - `chosen`, `fresh`, `evidence`: the design last checked on fresh systems, and the results.
     """
 
-    def __init__(self, search: MarginSearch, sampler: "_Sampler", max_trials: int, run: Runner):
-        self._search, self._sampler, self._max_trials, self._run = search, sampler, max_trials, run
-        self._tried = 0
+    def __init__(
+        self,
+        names: tuple[str, ...],
+        target: float,
+        samples: int,
+        seed: int,
+        max_trials: int,
+        executor: Executor | None,
+    ):
+        self._names, self._target, self._samples, self._seed = names, target, samples, seed
+        self._max_trials, self._executor = max_trials, executor
+        self._tried = self._looks = 0
         self.chosen: Trial | None = None
         self.fresh: Share | None = None
         self.evidence: Evidence | None = None
         self.missing = ""
 
-    def finish(self) -> None:
+    def finish(self, search: MarginSearch, run: Runner) -> None:
         """Search and confirm until a design is confirmed or there is nothing left to try."""
+        task = f"calibration of {' or '.join(self._names)}"
+
+        def step(sigmas: float) -> AbstractContextManager[None]:
+            return run.step(task, self._tried, self._max_trials, f"calibrate, at sigmas = {sigmas:.4g}")
+
         while True:
-            self._seek()
-            best = self._search.best
-            if best.violation.estimate > self._sampler.target:
-                self.missing = f"no margin tried is violated rarely enough, {self._why_no_wider()}"
+            while self._tried < self._max_trials and not search.done:
+                with step(search.following):
+                    search.step()
+                self._tried += 1
+            best = search.best
+            if best.violation.estimate > self._target:
+                self.missing = f"no margin tried is violated rarely enough, {self._why_no_wider(search)}"
                 return
-            if self._confirm(best):
-                self._run.progress(self._task, self._max_trials, self._max_trials)
+            if self._confirm(best, step):
+                run.progress(task, self._max_trials, self._max_trials)
                 return
             if self._tried < self._max_trials and self.fresh is not None:
-                self._search.tighten(best, self.fresh)
-            if self._tried >= self._max_trials or (self._search.done and self._search.best is best):
-                self.missing = "; ".join(filter(None, [self._enough_samples(), self._why_no_wider()]))
+                search.tighten(best, self.fresh)
+            if self._tried >= self._max_trials or (search.done and search.best is best):
+                self.missing = "; ".join(filter(None, [self._enough_samples(), self._why_no_wider(search)]))
                 return
 
-    def _step(self, sigmas: float) -> AbstractContextManager[None]:
-        return self._run.step(self._task, self._tried, self._max_trials, f"calibrate, at sigmas = {sigmas:.4g}")
-
-    @property
-    def _task(self) -> str:
-        return f"calibration of {' or '.join(self._sampler.names)}"
-
-    def _seek(self) -> None:
-        while self._tried < self._max_trials and not self._search.done:
-            with self._step(self._search.following):
-                self._search.step()
-            self._tried += 1
-
-    def _confirm(self, trial: Trial) -> bool:
-        """Whether fresh systems confirm a design; more are drawn while that is likely to confirm it."""
-        self.chosen, self.fresh, self.evidence = trial, None, None
-        for times in _FRESH:
-            with self._step(trial.sigmas):
-                self.fresh, self.evidence = self._sampler.fresh(trial.solution, times)
-            if self.fresh.upper <= self._sampler.target:
-                return True
-            if self._sampler.hoped(self.fresh, 2).upper > self._sampler.target:
-                break
-        return False
-
-    def _enough_samples(self) -> str:
-        """How many fresh systems would confirm the design, if they violated it as often as those before."""
-        if self.fresh is None or self.fresh.estimate >= self._sampler.target:
-            return ""
-        factors = (2.0**power for power in range(1, 30))
-        enough = (one for one in factors if self._sampler.hoped(self.fresh, one).upper <= self._sampler.target)
-        needed = next(enough, None)
-        return "" if needed is None else f"about {needed * self.fresh.samples:.2g} fresh systems would tell"
-
-    def _why_no_wider(self) -> str:
-        search = self._search
-        if np.isfinite(search.ceiling) and search.exhausted:
-            return f"from sigmas = {search.ceiling:.4g} on there is no design ({search.failures[search.ceiling]})"
-        if search.exhausted:
-            return "and no wider margin is tried"
-        return f"and the trials are used up: expected more than max_trials = {self._max_trials}"
-
-
-@final
-class _Sampler:
-    """How often designs are violated: on the common sample of all trials, and on fresh samples, each used once."""
-
-    def __init__(self, names: tuple[str, ...], target: float, samples: int, seed: int, executor: Executor | None):
-        self.names, self.target, self._executor = names, target, executor
-        self._samples, self._seed = samples, seed
-        self._looks = 0
-
-    def trial(self, solution: Solution) -> Share:
-        """On the common sample of all trials."""
+    def common_share(self, solution: Solution) -> Share:
+        """How often a design is violated on the common sample of all trials."""
         return self._drawn(solution, 1, self._stream(1), keep=0)[0]
-
-    def fresh(self, solution: Solution, times: int) -> tuple[Share, Evidence]:
-        """On systems never drawn before, `times` as many as in a trial."""
-        self._looks += 1
-        seed = self._stream(1 + self._looks)
-        share, evidence = self._drawn(solution, times, seed, keep=200)
-        if evidence is None:
-            evidence = validate(solution, self._samples, seed=seed, executor=self._executor)
-        return replace(share, confidence=_confidence(self._looks)), evidence
-
-    def hoped(self, share: Share, times: float) -> Share:
-        """The expected result of the next look, at `times` as many systems, if they violated as often."""
-        samples, confidence = round(times * share.samples), _confidence(self._looks + 1)
-        if isinstance(share, Proportion):
-            return Proportion(round(share.estimate * samples), samples, confidence)
-        variance, largest = share.variance / times, share.largest / times
-        return replace(share, variance=variance, largest=largest, samples=samples, confidence=confidence)
 
     def aim(self, share: Share) -> float:
         """The violation rate of a trial's sample at which the next look is likely to confirm the design.
@@ -225,27 +174,71 @@ class _Sampler:
         if not isinstance(share, Proportion):
             known = scipy.special.ndtri((1 + confidence) / 2)
             errors = known / np.sqrt(_FRESH[0]) + _LIKELY * np.sqrt(1 + 1 / _FRESH[0])
-            return self.target * float(np.exp(-errors / np.sqrt(share.effective)))
+            return self._target * float(np.exp(-errors / np.sqrt(share.effective)))
         samples = _FRESH[0] * share.samples
-        counts = range(int(self.target * samples) + 1)
-        most = bisect.bisect_right(counts, self.target, key=lambda count: Proportion(count, samples, confidence).upper)
+        counts = range(int(self._target * samples) + 1)
+        most = bisect.bisect_right(counts, self._target, key=lambda count: Proportion(count, samples, confidence).upper)
         # The expected count that stays at `most - 1` or below, allowing for its error and that of the trial.
         error = _LIKELY * np.sqrt(1 + _FRESH[0])
         return float((np.sqrt(error**2 + 4 * max(most - 0.5, 0.0)) - error) ** 2 / 4 / samples)
 
+    def _confirm(self, trial: Trial, step: Callable[[float], AbstractContextManager[None]]) -> bool:
+        """Whether fresh systems confirm a design; more are drawn while that is likely to confirm it."""
+        self.chosen, self.fresh, self.evidence = trial, None, None
+        for times in _FRESH:
+            with step(trial.sigmas):
+                self.fresh, self.evidence = self._fresh(trial.solution, times)
+            if self.fresh.upper <= self._target:
+                return True
+            if self._hoped(self.fresh, 2).upper > self._target:
+                break
+        return False
+
+    def _fresh(self, solution: Solution, times: int) -> tuple[Share, Evidence]:
+        """On systems never drawn before, `times` as many as in a trial."""
+        self._looks += 1
+        seed = self._stream(1 + self._looks)
+        share, evidence = self._drawn(solution, times, seed, keep=200)
+        if evidence is None:
+            evidence = validate(solution, self._samples, seed=seed, executor=self._executor)
+        return replace(share, confidence=_confidence(self._looks)), evidence
+
+    def _hoped(self, share: Share, times: float) -> Share:
+        """The expected result of the next look, at `times` as many systems, if they violated as often."""
+        samples, confidence = round(times * share.samples), _confidence(self._looks + 1)
+        if isinstance(share, Proportion):
+            return Proportion(round(share.estimate * samples), samples, confidence)
+        variance, largest = share.variance / times, share.largest / times
+        return replace(share, variance=variance, largest=largest, samples=samples, confidence=confidence)
+
     def _drawn(self, solution: Solution, times: int, seed: int, keep: int) -> tuple[Share, Evidence | None]:
         count = self._samples * times
-        if self.target * self._samples < _COUNTED:
-            found = rare_violation(solution, self.names, count, seed=seed)
+        if self._target * self._samples < _COUNTED:
+            found = rare_violation(solution, self._names, count, seed=seed)
             if not isinstance(found, Proportion):
                 return found, None
-            count = min(times * int(np.ceil(_COUNTED / self.target)), _MOST_COUNTED)
+            count = min(times * int(np.ceil(_COUNTED / self._target)), _MOST_COUNTED)
         evidence = validate(solution, count, seed=seed, keep=keep, executor=self._executor)
-        return evidence.violation(*self.names), evidence
+        return evidence.violation(*self._names), evidence
 
     def _stream(self, number: int) -> int:
         """Seeds of independent streams: evidence that a user gathers with the same seed is still fresh."""
         return int(np.random.SeedSequence([self._seed, number]).generate_state(1)[0])
+
+    def _enough_samples(self) -> str:
+        """How many fresh systems would confirm the design, if they violated it as often as those before."""
+        if self.fresh is None or self.fresh.estimate >= self._target:
+            return ""
+        factors = (2.0**power for power in range(1, 30))
+        needed = next((one for one in factors if self._hoped(self.fresh, one).upper <= self._target), None)
+        return "" if needed is None else f"about {needed * self.fresh.samples:.2g} fresh systems would tell"
+
+    def _why_no_wider(self, search: MarginSearch) -> str:
+        if np.isfinite(search.ceiling) and search.exhausted:
+            return f"from sigmas = {search.ceiling:.4g} on there is no design ({search.failures[search.ceiling]})"
+        if search.exhausted:
+            return "and no wider margin is tried"
+        return f"and the trials are used up: expected more than max_trials = {self._max_trials}"
 
 
 def _confidence(look: int) -> float:

@@ -56,7 +56,7 @@ class CrossChecked(Drawn):
         head = "agree" if self.agree else "do NOT agree" if self._are_solved else "are not both solved, nor agree"
         rows = [f"{self.ways[0]} and {self.ways[1]} {head} to {self.tolerance:.1g}"]
         for way, one in zip(self.ways, (self.first, self.second), strict=True):
-            rows.append(f"  {way:<32} objective {one.objective:.9g}, {one.status.value}")
+            rows.append(f"  {way:<32} objective {one.objective:.9g}, {'solved' if one.ok else 'not solved'}")
         kinds = {"decisions": self.decisions, "statistics": self.statistics, "multipliers": self.multipliers}
         rows.append(f"  {'objective':<32} differs by {self.objective:.1e}")
         for kind, differences in kinds.items():

@@ -168,7 +168,7 @@ class Front(Drawn):
 
 def _row(front: Front, value: float, solution: Solution | Refused) -> str:
     if isinstance(solution, Refused) or not solution.ok:
-        return f"{value:10.5g} {solution.status.name.lower().replace('_', ' '):>12}  {solution.why()}"
+        return f"{value:10.5g} {'no optimum':>12}  {solution.why()}"
     shadow_price = solution.multiplier(front.bound)
     return f"{value:10.5g} {solution.objective:12.6g} {shadow_price:12.4g}  {', '.join(solution.active)}"
 
@@ -207,21 +207,20 @@ def pareto(
         raise ProblemError("pareto: expected at least one value of the bound; received none.")
     check_executor("pareto", executor)
     own = {"solver": solver, "transcription": transcription}
-    sweep = _Sweep(bound, {value: problem.with_bound(bound, value) for value in bounds}, own, executor)
-    with running(lambda: sweep.solutions, progress) as run, expected("solve", sweep.named):
-        sweep.solve(run)
-    return sweep.front(run.interrupted)
+    making = _FrontInTheMaking(bound, {value: problem.with_bound(bound, value) for value in bounds}, own)
+    with running(lambda: making.solutions, progress) as run, expected("solve", making.named):
+        making.solve(run, executor)
+    return making.front(run.interrupted)
 
 
 @final
-class _Sweep:
+class _FrontInTheMaking:
     """A front in the making: its problems, and what was found, by the values of the bound."""
 
-    def __init__(
-        self, bound: str, problems: Mapping[float, Problem], own: Mapping[str, Any], executor: Executor | None
-    ):
-        self._bound, self._problems, self._own, self._executor = bound, problems, own, executor
-        self._kept: dict[float, _Kept] = {}
+    def __init__(self, bound: str, problems: Mapping[float, Problem], own: Mapping[str, Any]):
+        self._bound, self._problems, self._own = bound, problems, own
+        self._points: dict[float, Solution | Refused] = {}
+        self._neighbours: dict[float, float | None] = {}
         self._first: ProblemError | None = None
 
     @property
@@ -229,95 +228,79 @@ class _Sweep:
         """The problems by the values of their bounds, in words."""
         return {self._place(value): one for value, one in self._problems.items()}
 
-    def solve(self, run: Runner) -> None:
+    @property
+    def solutions(self) -> dict[float, Solution]:
+        """What has been solved, by the values of the bound."""
+        return {value: one for value, one in self._points.items() if isinstance(one, Solution)}
+
+    def solve(self, run: Runner, executor: Executor | None) -> None:
         """Solve each point from the problem's own start, then those from a neighbour that this may better.
 
         A point is tried from each design of a neighbour once, until none is bettered any more.
         """
-        self._each([_Try(value) for value in self._problems], run)
+        self._each([(value, None) for value in self._problems], run, executor)
         tried, bettered = set[tuple[float, ...]](), True
-        while bettered and (again := [one for one in self._doubtful() if one.key not in tried]):
-            tried.update(one.key for one in again)
-            bettered = self._each(again, run)
+        while bettered:
+            known = self.solutions
+            again = {(value, near, known[near].objective): (value, near) for value, near in self._doubtful()}
+            pairs = [pair for key, pair in again.items() if key not in tried]
+            tried.update(again)
+            bettered = bool(pairs) and self._each(pairs, run, executor)
 
     def front(self, interrupted: bool) -> Front:
         """What was found, in the order of the bounds. Raises the first refusal if every point was refused."""
         if self._first is not None and not self.solutions:
             raise self._first
-        finished = [value for value in self._problems if value in self._kept]
-        points, neighbours = zip(*(self._kept[value] for value in finished), strict=True)
-        return Front(self._bound, np.array(finished), points, interrupted, neighbours)
+        values = [value for value in self._problems if value in self._points]
+        points = tuple(self._points[value] for value in values)
+        neighbours = tuple(self._neighbours[value] for value in values)
+        return Front(self._bound, np.array(values), points, interrupted, neighbours)
 
-    @property
-    def solutions(self) -> dict[float, Solution]:
-        """What has been solved, by the values of the bound."""
-        return {value: one.point for value, one in self._kept.items() if isinstance(one.point, Solution)}
-
-    def _doubtful(self) -> list["_Try"]:
+    def _doubtful(self) -> Iterator[tuple[float, float]]:
         relaxing = _relaxing(self._problems, self._bound)
         places = [Place(value, *_optimum(one, self._bound, relaxing)) for value, one in self.solutions.items()]
-        pairs = doubtful(places, relaxing, self._size)
-        return [_Try(value, neighbour, self.solutions[neighbour]) for value, neighbour in pairs]
+        return doubtful(places, relaxing, self._size)
 
     @property
     def _size(self) -> float:
         return max((abs(one.objective) for one in self.solutions.values() if one.ok), default=0.0)
 
-    def _each(self, tries: Sequence["_Try"], run: Runner) -> bool:
-        """Solve some points; whether one has been bettered."""
-        calls = [{"problem": self._problems[one.value], "warm_start": one.design, **self._own} for one in tries]
-        places = [f"pareto, at {self._place(one.value, one.neighbour)}" for one in tries]
-        task = f"front over {self._bound}" + ", from neighbours" * (tries[0].design is not None)
+    def _each(self, tries: Sequence[tuple[float, float | None]], run: Runner, executor: Executor | None) -> bool:
+        """Solve some points, each from the design of a neighbour or its own start; whether one has been bettered."""
+        known = self.solutions
+        calls = [
+            {"problem": self._problems[value], "warm_start": None if near is None else known[near], **self._own}
+            for value, near in tries
+        ]
+        places = [f"pareto, at {self._place(*one)}" for one in tries]
+        task = f"front over {self._bound}" + ", from neighbours" * (tries[0][1] is not None)
         bettered = False
 
-        def told(i: int) -> str:
-            point = self._kept[tries[i].value].point
+        def detail(i: int) -> str:
+            point = self._points[tries[i][0]]
             brief = in_brief(point) if isinstance(point, Solution) else "no design"
-            return f": {self._place(tries[i].value)}, {brief}"
+            return f": {self._place(tries[i][0])}, {brief}"
 
-        for i, found in run.each(SOLVE, task, calls, places, self._executor, told):
-            bettered |= self._keep(tries[i], found)
+        for i, found in run.each(SOLVE, task, calls, places, executor, detail):
+            bettered |= self._keep(*tries[i], found)
         return bettered
 
     def _place(self, value: float, neighbour: float | None = None) -> str:
         """A point in words."""
         return point_name(self._bound, value) + (f", from {neighbour:.6g}" if neighbour is not None else "")
 
-    def _keep(self, begun: "_Try", found: Solution | AleatorError) -> bool:
+    def _keep(self, value: float, neighbour: float | None, found: Solution | AleatorError) -> bool:
         """Keep what is better than what was known; whether it is."""
-        known = self.solutions.get(begun.value)
-        if isinstance(found, Solution):
-            if known is not None and not _is_better(found, known, SAME * self._size):
-                return False
-            self._kept[begun.value] = _Kept(found, begun.neighbour)
-            return True
-        if not isinstance(found, ProblemError):
+        if isinstance(found, AleatorError) and not isinstance(found, ProblemError):
             raise found
-        self._first = self._first or found
-        self._kept.setdefault(begun.value, _Kept(Refused(self._problems[begun.value], str(found)), None))
-        return False
-
-
-class _Try(NamedTuple):
-    """A point to be solved: from the design of a neighbour, or from the problem's own start."""
-
-    value: float
-    neighbour: float | None = None
-    design: Solution | None = None
-
-    @property
-    def key(self) -> tuple[float, ...]:
-        """What tells it from other tries from neighbours."""
-        assert self.neighbour is not None
-        assert self.design is not None
-        return self.value, self.neighbour, self.design.objective
-
-
-class _Kept(NamedTuple):
-    """A point of a front, and the neighbour from whose design it was found; None for the problem's own start."""
-
-    point: Solution | Refused
-    neighbour: float | None
+        if isinstance(found, ProblemError):
+            self._first = self._first or found
+        point = Refused(self._problems[value], str(found)) if isinstance(found, ProblemError) else found
+        known = self._points.get(value)
+        if isinstance(known, Solution) and not _is_better(point, known, SAME * self._size):
+            return False
+        self._points[value], self._neighbours[value] = point, neighbour
+        return True
 
 
 def point_name(bound: str, value: float) -> str:
@@ -340,7 +323,9 @@ def _optimum(solution: Solution, bound: str, relaxing: int) -> tuple[float, floa
     return solution.objective, -(relaxing or 1) * solution.multiplier(bound)
 
 
-def _is_better(found: Solution, known: Solution, same: float) -> bool:
+def _is_better(found: Solution | Refused, known: Solution, same: float) -> bool:
+    if isinstance(found, Refused):
+        return False
     if found.ok and known.ok:
         return found.objective < known.objective - same
     return found.ok or (not known.ok and found.certificate.violation < known.certificate.violation)

@@ -52,7 +52,7 @@ class Hardened(Drawn):
         rows = [f"{'weight':>12}{'objective':>16}  largest excess, relative to its limit's magnitude"]
         for weight, one, excesses in zip(self.weights, self.solutions, self.excesses, strict=True):
             name = max(excesses, key=lambda each: np.nan_to_num(excesses[each], nan=np.inf))
-            said = "" if one.ok else f"  {one.status.value}"
+            said = "" if one.ok else f"  {one.why()}"
             rows.append(f"{weight:12.4g}{one.objective:16.8g}  {excesses[name]:.1e} of {name}{said}")
         part = f"to {self.tolerance:.0e} of their magnitudes"
         end = f"all hold, {part}" if self.holds else f"not all hold {part}"

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
-from typing import Any, final
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -132,6 +132,7 @@ def portfolio(
     local = one_of("portfolio: solver", solver or DEFAULT.solver, AbstractSolver, "al.solvers.FilterSQP()").local
     program = transcribe(problem, DEFAULT).program
     candidates: Sequence[Float[np.ndarray, " n"]] = []
+    chosen: Sequence[Float[np.ndarray, " n"]] = []
     searched: Searched | None = None
     outcomes: dict[int, Outcome] = {}
     with running(lambda: outcomes or candidates, progress) as run:
@@ -211,24 +212,19 @@ def _certified(
         start = problem.placements.named(point)
         with warned_of("portfolio"):
             try:
-                found.append(solve(problem, solver, start=start, throw=False))
+                found.append(finished(solve(problem, solver, start=start, throw=False)))
             except ProblemError:
                 if search is None:
                     raise
                 # Derivatives cannot choose, but values have: the point is judged as the answer of a search of one.
-                found.append(solve(problem, replace(search, evaluations=1), start=start, throw=False))
+                found.append(finished(solve(problem, replace(search, evaluations=1), start=start, throw=False)))
         if found[-1].ok:
             return found[-1]
     return found[0]
 
 
-@final
-@dataclass(frozen=True)
-class _FoundGlobally:
-    """What a global search found: points that lie apart, best first, and its history.
-
-    - `status`: `Status.INTERRUPTED` if the user ended it.
-    """
+class _FoundGlobally(NamedTuple):
+    """Points of a global search that lie apart, best first, and its history; `status` tells if the user ended it."""
 
     candidates: list[Float[np.ndarray, " n"]]
     searched: Searched

@@ -89,12 +89,12 @@ class Runner:
         calls: Sequence[Arguments],
         places: Sequence[str],
         executor: Executor | None = None,
-        told: Callable[[int], str] = lambda _: "",
+        detail: Callable[[int], str] = lambda _: "",
     ) -> Iterator[tuple[int, Any]]:
         """The results of independent steps, each with its index, as soon as they are there.
 
         - `places`: each step in words, with which its warnings begin;
-        - `told`: what progress says of a result beside the `task`, by its index, once the caller has seen it.
+        - `detail`: what progress says of a result beside the `task`, by its index, once the caller has seen it.
 
         A refusal or a failure of a model is a result: the exception. What Ctrl-C has cut short is none. What a journal
         has is not computed. Where the caller stops, what an executor has not begun is cancelled.
@@ -105,7 +105,7 @@ class Runner:
         results = _here(work, calls, places) if executor is None else _at_once(work, calls, places, executor)
         for done, (i, result) in enumerate(results, 1):
             yield i, finished(result)
-            self.progress(f"{task}{told(i)}", done, len(calls))
+            self.progress(f"{task}{detail(i)}", done, len(calls))
             self._heed()
 
 

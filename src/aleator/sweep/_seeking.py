@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from aleator._core.errors import ProblemError
 from aleator._core.interruption import answering
@@ -30,7 +30,7 @@ from aleator.sweep._portfolio import portfolio
 from aleator.sweep._runner import Runner, finished
 from aleator.sweep._starts import Portfolio
 from aleator.sweep._trade_off import efficient, far_apart
-from aleator.sweep._wishes import LEVEL, Compromise, Design, Found, Wishes, pressed, without_level
+from aleator.sweep._wishes import LEVEL, Compromise, Design, Wishes, without_level
 from aleator.transcription import DEFAULT, AbstractTranscription, transcribe, valued_by
 
 Start: TypeAlias = Solution | Mapping[str, Any] | None
@@ -48,15 +48,6 @@ class Seeker:
     solver: AbstractSolver | None
     starts: int
     executor: Executor | None
-
-    def add(self, compromise: Compromise, found: Found, start: Start) -> Design | None:
-        """Find the design of a compromise, which is kept with the others, or why there is none."""
-        design, reason = self.sought(compromise, start)
-        if design is None:
-            found.failed.append(reason)
-        else:
-            found.designs.append(design)
-        return design
 
     def sought(self, compromise: Compromise, start: Start) -> tuple[Design | None, str]:
         """The design of a compromise; or None, and why."""
@@ -132,11 +123,6 @@ class Anchors:
         self.least = np.full(len(wishes.names), np.inf)
 
     @property
-    def complete(self) -> bool:
-        """Whether there is one for every wish."""
-        return len(self.designs) == len(self._wishes.names)
-
-    @property
     def values(self) -> Float[np.ndarray, "anchors wishes"]:
         """The wishes there, in their own units."""
         return np.array([one.values for one in self.designs])
@@ -180,10 +166,9 @@ class Anchors:
     def _measure(self) -> None:
         """The magnitudes of the wishes around the problem's start. Refuses wishes that nothing changes."""
         transcribed = transcribe(self._wishes.unscaled().problem, self._seeker.transcription)
-        names = [one.name for one in transcribed.problem.constraints]
-        found = np.array([transcribed.scales[names.index(pressed(name))] for name in self._wishes.names])
+        found = np.array([transcribed.scales[i] for i in self._wishes.places(transcribed.problem)])
         self.sizes = np.where(np.isfinite(found) & (found > 0), found, 1.0)
-        rows = [transcribed.rows[names.index(pressed(name))].start for name in self._wishes.names]
+        rows = self._wishes.rows(transcribed)
         # States that are variables change whatever depends on them.
         if transcribed.program.start.size == transcribed.problem.placements.size:
             _refuse_still(self._wishes.names, transcribed.program, rows, self.sizes)
@@ -227,7 +212,10 @@ class Anchors:
 
 
 def _refuse_still(
-    names: Sequence[str], program: NonlinearProgram, rows: Sequence[int], sizes: Float[np.ndarray, " wishes"]
+    names: Sequence[str],
+    program: NonlinearProgram,
+    rows: Int[np.ndarray, " wishes"],
+    sizes: Float[np.ndarray, " wishes"],
 ) -> None:
     """Refuse wishes whose slopes are zero at the start and at random points."""
     lower, upper = variable_range(program.start, program.lower, program.upper, program.variable_scale)
@@ -241,14 +229,6 @@ def _refuse_still(
 
 # Violations of at most this part of a constraint's magnitude count as none.
 _HELD = 1e-6
-
-
-class Budget(NamedTuple):
-    """Simulations of a population, the seed of its random numbers, and the executor that simulates, if any."""
-
-    evaluations: int
-    seed: int
-    executor: Executor | None
 
 
 class Member(NamedTuple):
@@ -272,72 +252,70 @@ def check_crowd(problem: Problem) -> None:
 
 
 def crowd(
-    wishes: Wishes, anchors: Sequence[Design], points: int, budget: Budget, heed: Callable[[int], None]
+    wishes: Wishes,
+    anchors: Sequence[Design],
+    points: int,
+    evaluations: int,
+    seed: int,
+    executor: Executor | None,
+    progress: Callable[[int], None],
 ) -> tuple[list[Member], bool]:
     """Designs of a population spread over the front, at most `points`, as far from one another as can be; and whether
     Ctrl-C ended it, after which they are the best until then.
 
-    - `anchors`: the best designs of the wishes, of its first generation; `heed`: called with the evaluations done.
+    - `anchors`: the best designs of the wishes, of its first generation; `progress`: called with the evaluations done.
     """
     transcribed = transcribe(wishes.unscaled().problem, DEFAULT)
-    program, places = valued_by(budget.executor, transcribed.program, "trade_off"), transcribed.places
-    is_level = np.array([name == LEVEL for name in places.entry_names()])
-    known = np.array([one.values for one in anchors])
-    constraints = [one.name for one in transcribed.problem.constraints]
-    rows = np.array([transcribed.rows[constraints.index(pressed(name))].start for name in wishes.names])
+    program, places = valued_by(executor, transcribed.program, "trade_off"), transcribed.places
+    is_free = np.array([name != LEVEL for name in places.entry_names()])
+    rows = wishes.rows(transcribed)
+    seen: list[tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k wishes"]]] = []
 
     def whole(free: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "k all"]:
         every = np.repeat(program.start[None], len(free), axis=0)
-        every[:, ~is_level] = free
+        every[:, is_free] = free
         return every
 
     def values(free: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
         assert program.values is not None
         _, constraints = program.values(whole(free))
-        return constraints[:, rows], _violations(program, constraints)
-
-    every = np.array([places.moved(program.start, without_level(one.solution.decisions)) for one in anchors])
-    bounds = program.lower[~is_level], program.upper[~is_level]
-    found, reached, interrupted = _population(values, bounds, every[:, ~is_level], points, budget, heed)
-    # The anchors are on the front already.
-    reached = np.concatenate([known, reached])
-    chosen = [i - len(known) for i in far_apart(reached, points, taken=len(known))]
-    return [Member(reached[len(known) + i], places.named(whole(found[i : i + 1])[0])) for i in chosen], interrupted
-
-
-def _population(
-    values: Callable[[Float[np.ndarray, "k n"]], tuple[np.ndarray, np.ndarray]],
-    bounds: tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]],
-    first: Float[np.ndarray, "some n"],
-    points: int,
-    budget: Budget,
-    heed: Callable[[int], None],
-) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k wishes"], bool]:
-    """The front of a population and its wishes; after Ctrl-C, the best of all designs until then, and True."""
-    seen: list[tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k wishes"]]] = []
-
-    def noted(free: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
-        reached, violations = values(free)
+        reached, violations = constraints[:, rows], _violations(program, constraints)
         held = violations <= _HELD
         seen.append((free[held], reached[held]))
         return reached, violations
 
+    first = np.array([places.moved(program.start, without_level(one.solution.decisions)) for one in anchors])
+    interrupted = False
     try:
         with answering() as answer:
 
-            def heeded(done: int) -> None:
-                heed(done)
+            def heed(done: int) -> None:
+                progress(done)
                 answer()
 
-            own = {"points": points, "evaluations": budget.evaluations, "seed": budget.seed, "heed": heeded}
-            found = population_front(noted, *bounds, first, **own)
-            return found, values(found)[0], False
+            found = population_front(
+                values,
+                program.lower[is_free],
+                program.upper[is_free],
+                first[:, is_free],
+                points=points,
+                evaluations=evaluations,
+                seed=seed,
+                heed=heed,
+            )
+            reached = values(found)[0]
     except KeyboardInterrupt:
         if not seen:
             raise
+        interrupted = True
         found, reached = (np.concatenate(part) for part in zip(*seen, strict=True))
         kept = efficient(reached, np.zeros(reached.shape[1]))
-        return found[kept], reached[kept], True
+        found, reached = found[kept], reached[kept]
+    # The anchors are on the front already.
+    known = np.array([one.values for one in anchors])
+    chosen = far_apart(np.concatenate([known, reached]), points, taken=len(known))
+    members = [Member(reached[i], places.named(whole(found[i : i + 1])[0])) for i in np.array(chosen, int) - len(known)]
+    return members, interrupted
 
 
 def _violations(program: NonlinearProgram, constraints: Float[np.ndarray, "k m"]) -> Float[np.ndarray, " k"]:

@@ -115,7 +115,7 @@ class Portfolio(Drawn):
     """What a global search and many local ones found. `print(portfolio)` lists the optima.
 
     - `best`: the best optimum with its certificate; if that fails, the next one whose certificate stands; if there is
-      none, the least violated design, with its status;
+      none, the least violated design, with the reason;
     - `optima`: different local optima of the program, best first;
     - `starts`, `random`: local searches in all, and from random starts; `solved`: those of the random ones that ended
       at an optimum;
@@ -178,7 +178,7 @@ class Portfolio(Drawn):
                 *rows,
                 *([f"{failed} starts ended at none"] if failed else []),
                 *([str(self.searched)] if self.searched else []),
-                f"best: {self.best.objective:.8g}, {self.best.status.value}",
+                f"best: {self.best.objective:.8g}, {self.best.why()}",
                 *(["interrupted by the user"] if self.interrupted else []),
                 self.sure(),
             ]

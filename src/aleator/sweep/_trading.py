@@ -1,6 +1,6 @@
 """`trade_off`: a front in the making, with the problems that lead to further points and what is told of those found."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from typing import Any, Literal, TypeAlias, assert_never, final, get_args
 
@@ -12,10 +12,10 @@ from aleator._core.errors import ProblemError
 from aleator._core.executors import check_executor
 from aleator.design import Expression, Problem
 from aleator.nlp import AbstractSolver
-from aleator.sweep._runner import running
-from aleator.sweep._seeking import SAME, Anchors, Budget, Member, Seeker, between, check_crowd, crowd
+from aleator.sweep._runner import Runner, running
+from aleator.sweep._seeking import SAME, Anchors, Member, Seeker, between, check_crowd, crowd
 from aleator.sweep._trade_off import Gap, TradeOff, box, efficient, simplex
-from aleator.sweep._wishes import Compromise, Design, Found, Wishes, refuse_own_names
+from aleator.sweep._wishes import Compromise, Design, Wishes, refuse_own_names
 from aleator.transcription import DEFAULT, AbstractTranscription
 
 Method: TypeAlias = Literal["boundary", "limits", "weights", "population"]
@@ -35,23 +35,31 @@ class FrontInTheMaking:
     def __init__(self, wishes: Wishes, seeker: Seeker, points: int):
         self._wishes, self._seeker, self._points = wishes, seeker, points
         self.anchors = Anchors(wishes, seeker)
-        self._further, self._crowd = Found(), list[Member]()
+        self._further, self._crowd = list[Design](), list[Member]()
+        self._failed: list[str] = []
         self._holes: list[tuple[float, float]] = []
         self.done = 0
 
     @property
     def _designs(self) -> list[Design]:
-        return [*self.anchors.designs, *self._further.designs]
+        return [*self.anchors.designs, *self._further]
 
     @property
     def _best(self) -> Float[np.ndarray, " wishes"]:
         return np.minimum(self.anchors.values.min(axis=0), self.anchors.least)
 
-    def spread(self, budget: Budget, progress: Callable[[int], Any]) -> bool:
-        """Let a population spread over the front. Whether Ctrl-C ended it."""
+    def spread(self, evaluations: int, seed: int, executor: Executor | None, run: Runner) -> None:
+        """Let a population spread over the front."""
         anchors = self.anchors.designs
-        self._crowd, interrupted = crowd(self._wishes, anchors, self._points - len(anchors), budget, progress)
-        return interrupted
+        self._crowd, run.interrupted = crowd(
+            self._wishes,
+            anchors,
+            self._points - len(anchors),
+            evaluations,
+            seed,
+            executor,
+            lambda done: run.progress("population", done, evaluations),
+        )
 
     def problems(self, method: Method) -> Iterator[Compromise]:
         """The problems of further points, each chosen by what has been found before."""
@@ -71,19 +79,23 @@ class FrontInTheMaking:
 
     def add(self, compromise: Compromise) -> None:
         """Solve one of these problems, from the nearest design; again from others if it ends at a known one."""
-        known, designs = len(self._further.designs), self._designs
+        designs = self._designs
         values = [*(one.values for one in designs), *(one.values for one in self._crowd)]
         starts = [*(one.solution for one in designs), *(one.decisions for one in self._crowd)]
         start = starts[np.argmin([compromise.distance(one) for one in values])]
-        found = self._seeker.add(compromise, self._further, start)
+        design, reason = self._seeker.sought(compromise, start)
         self.done += 1
-        if found is None or self._seeker.starts > 1 or not self._is_known(found, designs):
+        if design is None:
+            self._failed.append(reason)
+            return
+        self._further.append(design)
+        if self._seeker.starts > 1 or not self._is_known(design, designs):
             return
         # Where a slope vanishes, a known design may be stationary on the way to others.
         for other in self._around(compromise, designs):
             again, _ = self._seeker.sought(compromise, other)
-            if again is not None and again.solution.objective < found.solution.objective - SAME:
-                self._further.designs[known] = again
+            if again is not None and again.solution.objective < design.solution.objective - SAME:
+                self._further[-1] = again
                 return
 
     def _is_known(self, design: Design, others: list[Design]) -> bool:
@@ -134,7 +146,7 @@ class FrontInTheMaking:
                 yield self._wishes.along(self._best + one * self.anchors.range, scales)
 
     def _bisected(self, scales: Float[np.ndarray, " wishes"], count: int) -> Iterator[Compromise]:
-        corners, found = self.anchors.values, self._further.designs
+        corners, found = self.anchors.values, self._further
         gaps = [Gap(0.0, 1.0, *corners)]
         for _ in range(count):
             self._holes += [one.ends for one in gaps if one.width <= _NARROWEST and one.size(scales) > 10 * _NARROWEST]
@@ -182,7 +194,7 @@ class FrontInTheMaking:
             dominated=dominated,
             repeated=len(designs) - len(distinct) - dominated,
             holes=self._told_holes(values[distinct][:, 0]),
-            failed=tuple(self._further.failed),
+            failed=tuple(self._failed),
             interrupted=interrupted,
         )
 
@@ -248,7 +260,7 @@ def trade_off(
     starts = whole("trade_off: starts", starts)
     if method not in get_args(Method):
         raise refusal("trade_off: method", '"boundary", "limits", "weights" or "population"', method)
-    budget = Budget(whole("trade_off: evaluations", evaluations), whole("trade_off: seed", seed, least=0), executor)
+    evaluations, seed = whole("trade_off: evaluations", evaluations), whole("trade_off: seed", seed, least=0)
     check_executor("trade_off", executor)
     if executor is not None and method != "population" and starts == 1:
         raise ProblemError(
@@ -264,7 +276,7 @@ def trade_off(
     with running(lambda: front.anchors.designs, progress) as run:
         front.anchors.find(run)
         if method == "population":
-            run.interrupted = front.spread(budget, lambda done: progress("population", done, evaluations))
+            front.spread(evaluations, seed, executor, run)
         for one in front.problems(method):
             with run.step("trade-off", front.done, points, f"trade_off, point {front.done + 1}"):
                 front.add(one)

@@ -1,16 +1,17 @@
 """One problem for every compromise between several wishes: its numbers choose which."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from aleator._core.errors import ProblemError
 from aleator.design import Constraint, Expression, Problem, as_expression, declared_anew, pure, value
 from aleator.solution import Solution
+from aleator.transcription import AbstractTranscribed
 from aleator.uncertainty import Decision
 
 # The decision to which all wishes are pressed down together, and the name of the constraint on their weighted sum.
@@ -95,19 +96,6 @@ class Design(NamedTuple):
     factors: Float[np.ndarray, " wishes"]
 
 
-@dataclass
-class Found:
-    """What has been found of a front so far: designs, and why others were not found."""
-
-    designs: list[Design] = field(default_factory=list)
-    failed: list[str] = field(default_factory=list)
-
-    @property
-    def values(self) -> Float[np.ndarray, "designs wishes"]:
-        """The wishes of all designs, in their own units."""
-        return np.array([one.values for one in self.designs])
-
-
 @final
 class Wishes:
     """A problem whose objective is replaced by a level `t` above several wishes `f`, in scales `s` of these:
@@ -140,6 +128,15 @@ class Wishes:
         """The wishes as they are, of which none is pressed down."""
         ones = np.ones(len(self.names))
         return self._with(_Numbers(ones, np.inf * ones, 0.0 * ones, 0.0 * ones, np.inf, 0.0))
+
+    def places(self, problem: Problem) -> list[int]:
+        """Which constraints of the problem of a compromise press the wishes down."""
+        names = [one.name for one in problem.constraints]
+        return [names.index(pressed(name)) for name in self.names]
+
+    def rows(self, transcribed: AbstractTranscribed) -> Int[np.ndarray, " wishes"]:
+        """The rows of these in its program."""
+        return np.array([transcribed.rows[i].start for i in self.places(transcribed.problem)])
 
     def told(self, design: Design) -> Solution:
         """A design as the solution of the problem that was given, with the sum of the wishes as its objective.

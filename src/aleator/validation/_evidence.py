@@ -7,7 +7,6 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from aleator._core.errors import ProblemError
 from aleator._core.leaves import Drawn, Printed
 from aleator.design import Statistic, uncertain
 from aleator.references._estimate import pair
@@ -16,7 +15,7 @@ from aleator.statistics import (
     Mean,
     Std,
 )
-from aleator.validation._limits import Compared, Disagreement, Proportion, uncounted
+from aleator.validation._limits import Compared, Disagreement, Proportion, check_counted, uncounted
 
 _NO_LIMITS = "  no constraint is a limit on single systems, so none is counted"
 
@@ -165,12 +164,7 @@ class Evidence(Drawn):
 
         Raises `ProblemError` for no names, and for names against which no system is counted.
         """
-        unknown = [name for name in names if name not in self.broken]
-        if unknown or not names:
-            raise ProblemError(
-                f"violation: expected names of constraints against which systems are counted, {list(self.broken)}; "
-                f"received {unknown}."
-            )
+        check_counted("violation", names, self.broken)
         mask = np.any([self.broken[name] for name in names], axis=0)
         return Proportion(int(mask.sum()), self.samples)
 

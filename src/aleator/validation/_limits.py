@@ -13,7 +13,7 @@ slightly.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias, final
 
@@ -22,6 +22,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from aleator._core.errors import ProblemError
 from aleator._core.leaves import Printed
 from aleator.design import (
     AbstractFunctional,
@@ -149,6 +150,16 @@ def is_counted(constraint: Constraint) -> bool:
 def uncounted(problem: Problem) -> dict[str, str]:
     """The constraints against which no system is counted, as mathematics, with the reasons."""
     return {str(one): reason for one in problem.constraints if (reason := _reason(one))}
+
+
+def check_counted(who: str, names: Sequence[str], counted: Collection[str]) -> None:
+    """Raise `ProblemError` for no names, and for any but those of constraints against which systems are counted."""
+    unknown = [name for name in names if name not in counted]
+    if unknown or not names:
+        raise ProblemError(
+            f"{who}: expected names of constraints against which systems are counted, {list(counted)}; received "
+            f"{unknown}."
+        )
 
 
 def tolerances(solution: Solution) -> Float[np.ndarray, " constraints"]:

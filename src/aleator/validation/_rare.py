@@ -15,14 +15,12 @@ import numpy as np
 import scipy
 from jaxtyping import Float, Int
 
-from aleator._core.border import Progress, check_progress, refusal, silent, whole
-from aleator._core.errors import ProblemError
+from aleator._core.border import Progress, check_progress, one_of, refusal, silent, whole
 from aleator._core.journalled import call_by_call, journalled, parts_so_far
 from aleator.ensemble import Part, at_levels, each, fill, parts
 from aleator.solution import Solution
-from aleator.validation._limits import Share, WeightedProportion, is_counted, tolerances
-from aleator.validation._sample import Systems
-from aleator.validation._validate import validate
+from aleator.validation._limits import Share, WeightedProportion, check_counted, is_counted, tolerances
+from aleator.validation._validate import Systems, validate
 
 Scores: TypeAlias = Callable[[Float[np.ndarray, "systems variables"]], Float[np.ndarray, "limits systems"]]
 """The excess over each limit of systems at given normals: positive where they break it."""
@@ -170,8 +168,7 @@ def rare_violation(
 
     Raises `ProblemError` as `al.validate` does, and for names against which no system is counted.
     """
-    if not isinstance(solution, Solution):
-        raise ProblemError(f"rare_violation: expected a Solution, from al.solve; received {type(solution).__name__}.")
+    one_of("rare_violation", solution, Solution, "that of al.solve")
     least = {"samples": (samples, 2), "batch": (batch, 1), "seed": (seed, 0)}
     samples, batch, seed = (whole(f"rare_violation: {name}", one, least=n) for name, (one, n) in least.items())
     check_progress("rare_violation", progress)
@@ -211,12 +208,7 @@ class _Limits:
             raise refusal("rare_violation: names", "names of constraints", names)
         counted = dict.fromkeys(one.name for one in constraints if is_counted(one))
         self.names = tuple(counted) if names is None else (names,) if isinstance(names, str) else tuple(names)
-        unknown = [name for name in self.names if name not in counted]
-        if unknown or not self.names:
-            raise ProblemError(
-                f"rare_violation: expected names of constraints against which systems are counted, {list(counted)}; "
-                f"received {unknown}."
-            )
+        check_counted("rare_violation", self.names, counted)
         self._rows = [i for i, one in enumerate(constraints) if one.name in self.names and is_counted(one)]
         self._tolerances = tolerances(solution)[self._rows]
         self.systems.prepare(batch)
