@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.arrays import quietly
 from aleator.certification._check import (
     NEGLIGIBLE_SPREAD,
     ROUNDING,
@@ -126,6 +127,7 @@ def misled_at(
     return ""
 
 
+@quietly
 def _magnitudes(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"]) -> list[float]:
     """The largest root mean square of each functional over the collocation points."""
     weights = np.abs(np.asarray(transcribed.collocation.weights))

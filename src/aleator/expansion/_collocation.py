@@ -43,6 +43,7 @@ class Collocation(Module):
     leverage: Float[Array, " points"]
     condition_number: Float[Array, ""]
 
+    @quietly
     def coefficients(self, samples: Float[Array, "points *shape"]) -> Float[Array, "terms *shape"]:
         """Coefficients `rho = A# P` of samples of any shape, such as time histories (equations 29 and 47)."""
         library, inverse, known = in_library(self.pseudo_inverse, samples)
