@@ -134,7 +134,7 @@ def test_a_family_follows_the_plan_and_its_extremes_are_those_of_a_finer_flight(
     np.testing.assert_allclose(family.nominal["q1_torque"], moments.mean, atol=1e-9)
     error = np.abs(torques.mean(axis=0) - moments.mean)
     assert np.all(error <= 4.5 * moments.std / np.sqrt(len(torques)) + 1e-9)
-    finer = fly(plan.problem, plan.vector, SMALL.family, seed=2, finer=10)
+    finer = fly(plan.problem, plan.vector, SMALL.family, seed=2, finer=13)
     for name in ("q2_torque", "gap_2"):
         rows = finer.systems[name]
         np.testing.assert_allclose(family.extremes[name], np.stack([rows.min(axis=1), rows.max(axis=1)], axis=1))
