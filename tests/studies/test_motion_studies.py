@@ -102,7 +102,7 @@ def test_the_plans_are_as_fast_as_those_of_an_independent_program_and_break_limi
         share = study.done.evidence[name].violations["torque"]
         assert share.estimate == pytest.approx(expected, abs=4.5 * np.sqrt(0.25 / share.samples))
     # They are counted between the instants.
-    assert {one.instants for one in study.done.evidence.values()} == {901}
+    assert {one.instants for one in study.done.evidence.values()} == {1171}
     # A uniform distribution leaves 1 - a/√3 outside μ ± aσ, which lies below the target by the error of a count.
     found, error = study.done.calibration, 4.5 * np.sqrt(TOLERATED / SMALL.calibration_samples)
     assert TOLERATED - error < 1 - found.sigmas / np.sqrt(3) < TOLERATED
