@@ -7,7 +7,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import equinox as eqx
 import jax
@@ -62,32 +62,19 @@ class Use(enum.Enum):
 
 
 @final
-class _Time:
-    """The time that has gone into programs in this process, s."""
-
-    def __init__(self) -> None:
-        self.lock = threading.Lock()
-        self.total = 0.0
-
-
-_TIME = _Time()
-
-
-def compile_seconds() -> float:
-    """How long this process has traced, compiled and loaded programs so far, s."""
-    return _TIME.total
-
-
-@final
 class Compiled:
     """A function compiled ahead of time: once for each structure of its arguments, whatever their numbers are.
 
     Arrays in the arguments (also deep inside a problem) are traced; all the rest is structure. Several threads may call
-    it: they wait for a program that one of them is compiling. `compilations` counts these so far. Within a part that
-    runs on another device (`over_devices`), so does the program; it is traced once.
+    it: they wait for a program that one of them is compiling. `compilations` counts these so far; `seconds` is how
+    long this process has traced, compiled and loaded programs of all functions. Within a part that runs on another
+    device (`over_devices`), so does the program; it is traced once.
 
     - `use`: the use of its programs, or a function of the arguments that gives it.
     """
+
+    seconds: ClassVar[float] = 0.0
+    _lock: ClassVar[threading.Lock] = threading.Lock()
 
     def __init__(self, function: Callable[..., Any], *, use: Use | Callable[..., Use] = Use.LOOPS):
         self._function, self._use = function, use
@@ -167,9 +154,9 @@ class Compiled:
         """An executable that is made now, on record."""
         started = time.perf_counter()
         executable = make()
-        with _TIME.lock:
+        with Compiled._lock:
             self.compilations += 1
-            _TIME.total += time.perf_counter() - started
+            Compiled.seconds += time.perf_counter() - started
         return executable
 
     def _traced(
@@ -194,8 +181,8 @@ class Compiled:
         # Asked here, because what JAX is told of devices holds for one thread.
         bound_to = placed(inputs)
         platform, moves = (bound_to or home()).platform, bound_to is None and len(devices()) > 1
-        with _TIME.lock:
-            _TIME.total += time.perf_counter() - started
+        with Compiled._lock:
+            Compiled.seconds += time.perf_counter() - started
 
         def compiled() -> Executable:
             before = programs.found_by_jax()

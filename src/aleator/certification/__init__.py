@@ -1,7 +1,6 @@
 """Checks of an answer: between the instants, on a finer grid, in the worst case, and on fresh systems."""
 
 from aleator.certification._between import held_between as held_between
-from aleator.certification._check import CHECK as CHECK
 from aleator.certification._check import Check as Check
 from aleator.certification._check import begin_check as begin_check
 from aleator.certification._check import check_factor as check_factor

@@ -37,6 +37,14 @@ Margins = tuple[Float[np.ndarray, " instants"] | None, ...]
 """By how much the bounds of each constraint are moved inwards at each instant; None for limits on no path or peak."""
 
 
+class _Round(NamedTuple):
+    """An outcome with its check, and by how much it exceeds limits between the instants."""
+
+    outcome: Outcome
+    check: Check
+    excess: "Excess"
+
+
 class Held(NamedTuple):
     """An outcome, its excess between instants (None if not checked), and the check at its point, if any."""
 
@@ -59,29 +67,30 @@ def held_between(
     check = begin_check(transcribed, outcome.point, factor)()
     if factor == 1 or between == 1 or not any(map(is_over_time, problem.constraints)):
         return Held(outcome, None, check)
-    excess = excess_between(transcribed, outcome.point, check)
-    margins, done, loosest, best = no_margins(excess), 0, outcome.evaluation.objective, (excess, outcome, check)
-    while HELD < excess.worst < np.inf and done < _MOST_TIGHTENINGS:
+    best = last = _Round(outcome, check, excess_between(transcribed, outcome.point, check))
+    margins, rounds = no_margins(last.excess), [last]
+    while HELD < last.excess.worst < np.inf and len(rounds) <= _MOST_TIGHTENINGS:
         # Margins may shrink in the first rounds; later they only grow, so that the iteration ends.
-        margins = margins_for(margins, excess, relax=done < _MOST_TIGHTENINGS // 2)
-        again = solver.solve(tightened(transcribed, margins), start=outcome.point, multipliers=outcome.multipliers)
+        margins = margins_for(margins, last.excess, relax=len(rounds) <= _MOST_TIGHTENINGS // 2)
+        start, multipliers = last.outcome.point, last.outcome.multipliers
+        again = solver.solve(tightened(transcribed, margins), start=start, multipliers=multipliers)
         if again.status is Status.INTERRUPTED:
             return Held(again, None, None)
         if again.status is not Status.SOLVED:
             break
-        done += 1
-        outcome = again.with_effort_of(outcome)
-        check = begin_check(transcribed, outcome.point, factor)()
-        excess = excess_between(transcribed, outcome.point, check)
-        if excess.worst <= best[0].worst:
-            best = excess, outcome, check
-        elif best[0].worst <= TOLERATED:
+        check = begin_check(transcribed, again.point, factor)()
+        last = _Round(again, check, excess_between(transcribed, again.point, check))
+        rounds.append(last)
+        if last.excess.worst <= best.excess.worst:
+            best = last
+        elif best.excess.worst <= TOLERATED:
             break  # Tighter bounds may make the plan bulge more between them.
-    spent = {name: getattr(outcome, name) for name in ("searched", "visited", "iterations", "evaluations", "seconds")}
-    excess, outcome, check = best[0], replace(best[1], **spent), best[2]
-    is_strict = between is not None or done > 0 or follows_trajectories(problem)
-    cost = _part(outcome.evaluation.objective - loosest, loosest)
-    return Held(outcome, Between(factor, excess.worst, excess.where, excess.when, is_strict, cost), check)
+    is_strict = between is not None or len(rounds) > 1 or follows_trajectories(problem)
+    loosest = outcome.evaluation.objective
+    cost = _part(best.outcome.evaluation.objective - loosest, loosest)
+    excess, others = best.excess, [one.outcome for one in rounds if one is not best]
+    found = Between(factor, excess.worst, excess.where, excess.when, is_strict, cost)
+    return Held(best.outcome.with_effort_of(*others), found, best.check)
 
 
 def _part(rise: float, objective: float) -> float:

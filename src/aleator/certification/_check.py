@@ -33,8 +33,8 @@ from aleator.trajectories import AbstractTrajectory, BSpline, least_steps, piece
 from aleator.transcription import AbstractTranscribed, Discretised, scope_from, simulated
 from aleator.uncertainty import AbstractGerm
 
-FRESH = 32
-"""Fresh systems in one check: enough for a standard error, and cheap beside one evaluation with derivatives."""
+# Fresh systems in one check: enough for a standard error, and cheap beside one evaluation with derivatives.
+_FRESH = 32
 
 # Factor of steps for systems that follow trajectories, whose limits are enforced between instants, and for others;
 # then the least number of steps in all, and between two knots.
@@ -199,7 +199,7 @@ def _systems(problem: Problem, draw: int) -> FreshSystems:
     germs = problem.placements.germs.values()
     if not germs:
         return FreshSystems(np.zeros((0, 0)), np.zeros(0))
-    return fresh_systems(germs, FRESH, np.random.default_rng(2 + draw))
+    return fresh_systems(germs, _FRESH, np.random.default_rng(2 + draw))
 
 
 def _finer(problem: Problem, factor: int, integrator: AbstractIntegrator) -> Problem:
@@ -234,13 +234,14 @@ def _odd_prime_from(number: int) -> int:
 
 
 def rounding_of(
-    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], reaches: Iterable[float]
+    transcribed: AbstractTranscribed, sizes: Float[np.ndarray, " rows"], reaches: Iterable[float]
 ) -> dict[AbstractFunctional, float]:
     """The rounding of functionals, by how large they could be, or as far as constraints on them show it.
 
-    A functional with a bound of zero is a difference of numbers of its constraint's magnitude.
+    `sizes`: of the rows of constraints, see `row_sizes`. A functional with a bound of zero is a difference of numbers
+    of its constraint's magnitude.
     """
-    problem, sizes = transcribed.problem, row_sizes(transcribed, point)
+    problem = transcribed.problem
     rounding = {one: _ROUNDING * reach for one, reach in zip(functionals_of(problem.expressions), reaches, strict=True)}
     for one, rows in zip(problem.constraints, transcribed.rows, strict=True):
         size = float(np.max(sizes[rows], initial=0.0))
@@ -277,7 +278,7 @@ def certain(
 
     For example, the rate at the end of a motion that comes to rest is zero in every system, up to rounding.
     """
-    rounding = rounding_of(transcribed, point, check.reaches)
+    rounding = rounding_of(transcribed, row_sizes(transcribed, point), check.reaches)
     judged = spread_functionals(transcribed.problem)
     each = zip(functionals_of(transcribed.problem.expressions), check.stds, check.reaches, strict=True)
     return tuple(

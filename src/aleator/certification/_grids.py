@@ -62,7 +62,7 @@ def grid_error(
     functionals = functionals_of(problem.expressions)
     reaches = dict(zip(functionals, finer.reaches, strict=True))
     sizes_of_rows = row_sizes(transcribed, point)
-    rounding, spreads = rounding_of(transcribed, point, finer.reaches), spread_functionals(problem)
+    rounding, spreads = rounding_of(transcribed, sizes_of_rows, finer.reaches), spread_functionals(problem)
     deviations = {}
     for i, one in enumerate(functionals):
         own = resolved[one.text()]
@@ -116,7 +116,7 @@ def misled_at(
     ):
         return ""
     check = begin_check(transcribed, start, factor)()
-    rounding = rounding_of(transcribed, start, check.reaches)
+    rounding = rounding_of(transcribed, row_sizes(transcribed, start), check.reaches)
     for one, own, mean, std in zip(functionals_of(problem.expressions), begun, check.means, check.stds, strict=True):
         true = float(np.sqrt(np.max(mean**2 + std**2)))
         if not (own <= _FAR_OFF * true or own <= rounding[one]):

@@ -125,8 +125,8 @@ def second_opinion(
     problem = transcribed.problem
     if not len(check.systems.points) or not functionals_of(problem.expressions):
         return None
-    if (sentence := _not_finite(transcribed, point, check)) is not None:
-        return SecondOpinion(len(check.systems.points), {}, (sentence,), sentence)
+    if (without_values := _without_values(transcribed, point, [check])) is not None:
+        return without_values
     fresh = _fresh(transcribed, point, [check])
     opinion = _opinion(transcribed, fresh, point, check, _RARE)
     if opinion.broken or not any(one.has_outlier for one in fresh.values()):
@@ -136,22 +136,25 @@ def second_opinion(
         return opinion
     waiting = [begin_check(transcribed, point, check.factor, draw) for draw in range(1, _MORE)]
     checks = [check, *(one() for one in waiting)]
-    for one in checks:
-        if (sentence := _not_finite(transcribed, point, one)) is not None:
-            return SecondOpinion(len(one.systems.points), {}, (sentence,), sentence)
+    if (without_values := _without_values(transcribed, point, checks)) is not None:
+        return without_values
     return _opinion(transcribed, _fresh(transcribed, point, checks), point, check, _SHOWN)
 
 
-def _not_finite(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check) -> str | None:
-    """A sentence on the fresh systems that have no value, with the numbers of one; None if all have."""
-    for functional, values in zip(functionals_of(transcribed.problem.expressions), check.fresh, strict=True):
-        broken = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
-        if broken.any():
-            germ, decisions = check.systems.points[broken][0], transcribed.decisions(point)
-            named = listed(inputs_at(transcribed.places, jax_array(germ), jax_array(decisions)))
-            share = float(check.systems.weights[broken].sum() / check.systems.weights.sum())
-            of_all = f"about {100 * share:.2g} % of all systems, such as that with {named}"
-            return f"{functional.text()} is not finite in {of_all}"
+def _without_values(
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], checks: list[Check]
+) -> SecondOpinion | None:
+    """The opinion if some fresh systems have no value, with the numbers of one; None if all have."""
+    for check in checks:
+        for functional, values in zip(functionals_of(transcribed.problem.expressions), check.fresh, strict=True):
+            broken = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+            if broken.any():
+                germ, decisions = check.systems.points[broken][0], transcribed.decisions(point)
+                named = listed(inputs_at(transcribed.places, jax_array(germ), jax_array(decisions)))
+                share = float(check.systems.weights[broken].sum() / check.systems.weights.sum())
+                of_all = f"about {100 * share:.2g} % of all systems, such as that with {named}"
+                sentence = f"{functional.text()} is not finite in {of_all}"
+                return SecondOpinion(len(values), {}, (sentence,), sentence)
     return None
 
 
@@ -186,13 +189,13 @@ def _fresh(
     for i, one in enumerate(functionals_of(expressions)):
         if one not in expanded or one in constant:
             continue
-        step = first.factor if one.is_path else 1
+        own = np.s_[:: first.factor] if one.is_path else ...
         values, predicted = (
-            np.concatenate([part[i][:, ::step] if one.is_path else part[i] for part in parts])
+            np.concatenate([part[i] for part in parts])[:, own]
             for parts in ([check.fresh for check in checks], [check.predicted for check in checks])
         )
         weights = np.concatenate([check.systems.weights for check in checks]).reshape(-1, *[1] * (values.ndim - 1))
-        mean, std = (part[i][::step] if one.is_path else part[i] for part in (first.means, first.stds))
+        mean, std = (part[i][own] for part in (first.means, first.stds))
         fresh[one.text()] = _Fresh(values, predicted, weights, mean, std**2)
     return fresh
 

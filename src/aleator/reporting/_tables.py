@@ -37,10 +37,7 @@ STATUS_WORDS = {
 
 def status_words(solution: Solution) -> str:
     """How a solve ended, or what its certificate says against its answer."""
-    objection = solution.certificate.objection
-    if solution.status is not Status.SOLVED or objection is None:
-        return STATUS_WORDS[solution.status]
-    return objection.phrase
+    return STATUS_WORDS[solution.status] if solution.objection is None else solution.objection.phrase
 
 
 def _union(groups: Sequence[Sequence[str]]) -> list[str]:

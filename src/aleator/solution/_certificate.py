@@ -282,8 +282,7 @@ class SecondOpinion(Printed):
 
     @property
     def remedy(self) -> str:
-        """What to do where they disagree."""
-        # Without predictions to compare there is a system that has no result, at any order.
+        """What to do where they disagree; without predictions to compare, some system has no result at any order."""
         return "Raise the order" if self.misses else "Mend the model there, or bound the distributions"
 
     def sentence(self) -> str:

@@ -11,7 +11,7 @@ from aleator._core.arrays import jax_array
 from aleator._core.leaves import Drawn, Printed
 from aleator.design import Problem, grid_at, problem_text
 from aleator.nlp import HELD, Searched, Status
-from aleator.solution._certificate import Certificate, Moments, lines
+from aleator.solution._certificate import Certificate, Moments, Objection, lines
 from aleator.solution._grid import Costates, MeshError, States, Switching
 
 
@@ -199,15 +199,17 @@ class Solution(Drawn):
     @property
     def ok(self) -> bool:
         """Whether it was solved to tolerance, and the certificate holds: it is an answer to the model too."""
-        return self.status is Status.SOLVED and self.certificate.holds
+        return self.status is Status.SOLVED and self.objection is None
+
+    @property
+    def objection(self) -> Objection | None:
+        """What the model says against the optimum of a solved program; None if nothing, or if none was solved."""
+        return self.certificate.objection if self.status is Status.SOLVED else None
 
     @property
     def verdict(self) -> str:
         """How it ended, in a phrase: as its program did or, where that is solved, by what its certificate says."""
-        objection = self.certificate.objection
-        if self.status is not Status.SOLVED or objection is None:
-            return self.status.value
-        return f"solved, but {objection.phrase}"
+        return self.status.value if self.objection is None else f"solved, but {self.objection.phrase}"
 
     @property
     def mesh(self) -> MeshError | None:
@@ -252,8 +254,8 @@ class Solution(Drawn):
 
     def _reason(self) -> str:
         found = self.certificate
-        if self.status is Status.SOLVED and found.objection is not None:
-            return f"{found.objection.sentence.rstrip('.')}. {self.message}".strip()
+        if self.objection is not None:
+            return f"{self.objection.sentence.rstrip('.')}. {self.message}".strip()
         broken = "; ".join(one.sentence() + self._realisation(one) for one in self.violated)
         coarse = f" Perhaps for its grid: {found.misled}. Use more steps." if found.misled else ""
         said = ". ".join(part.rstrip(".") for part in (self.status.value, broken, self.message) if part)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from aleator._core.border import one_of, whole
-from aleator._core.compilation import compile_seconds
+from aleator._core.compilation import Compiled
 from aleator._core.errors import (
     CorrelationWarning,
     ExpansionWarning,
@@ -232,7 +232,7 @@ def _solved(call: Call) -> Solution:
     solver = call.solver or transcription.solver
     # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
     with heeding() as heed, dropped_on_failure():
-        stages = Stages(transcription, solver, call.between, call.accuracy, compile_seconds(), heed, call.executor)
+        stages = Stages(transcription, solver, call.between, call.accuracy, Compiled.seconds, heed, call.executor)
         at_means = None
         if call.deterministic_first:
             stages, first, at_means = _from_means(stages, problem, first)

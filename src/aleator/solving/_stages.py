@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from aleator._core.compilation import compile_seconds
+from aleator._core.compilation import Compiled
 from aleator.certification import (
     Check,
     begin_check,
@@ -87,7 +87,7 @@ class Stages(NamedTuple):
     @property
     def compiled(self) -> float:
         """How long compilations have taken since the first stage, s."""
-        return compile_seconds() - self.compiled_before
+        return Compiled.seconds - self.compiled_before
 
     def answer(
         self,
@@ -108,8 +108,8 @@ class Stages(NamedTuple):
         meshed = self._meshed(transcribed, begun) if self.transcription.refines else _Meshed(transcribed, begun, None)
         transcribed, begun, _ = meshed
         factor = check_factor(transcribed.problem, self.between)
-        is_judged = multipliers is None and not self.transcription.is_guessed and factor > 1
-        is_judged = is_judged and transcribed.problem.is_integrated
+        starts_unknown = multipliers is None and not self.transcription.is_guessed
+        is_judged = starts_unknown and factor > 1 and transcribed.problem.is_integrated
         first = transcribed.program.start if begun is None else begun
         transcribed, outcome, (between, check), worst_case = held_at_worst(
             transcribed,

@@ -1,7 +1,7 @@
 """The constraints of a program: their rows and bounds, their magnitudes, and those that no decision can meet."""
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias, final
 
@@ -126,11 +126,11 @@ class Sizing:
 
 
 def spreads_of(
-    constraints: Sequence[Constraint], stds: Mapping[AbstractFunctional, Float[np.ndarray, "..."]]
+    constraints: Sequence[Constraint], std_of: Callable[[AbstractFunctional], Float[np.ndarray, "..."]]
 ) -> list[float]:
     """How much what is limited spreads, of each constraint in which a spread stands; infinite of others, and of none.
 
-    `stds`: the standard deviation of each functional.
+    `std_of`: gives the standard deviation of a functional.
     """
     return [
         min(
@@ -139,7 +139,7 @@ def spreads_of(
                 for factor, atom in zip(one.expression.factors, one.expression.atoms, strict=True)
                 if isinstance(atom, Statistic) and not isinstance(atom.kind, Mean) and float(factor) != 0
                 for functional in atom.functionals
-                if (largest := float(np.max(stds[functional]))) > 0
+                if (largest := float(np.max(std_of(functional)))) > 0
             ),
             default=np.inf,
         )

@@ -19,7 +19,7 @@ from typing_extensions import override
 from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.border import refusal
 from aleator._core.compilation import Compiled
-from aleator.design import Problem, functionals_of
+from aleator.design import AbstractFunctional, Problem, functionals_of
 from aleator.expansion import Collocation
 from aleator.nlp import Hessian, NonlinearProgram, with_entries
 from aleator.statistics import Constants, Std
@@ -207,9 +207,13 @@ class Sequential(AbstractTranscription):
         unknown = not beside and needs_more(problem.constraints, values, derivatives, decision_scale)
         seen = [at_start, *beside, *([evaluator(around[0])] if unknown else [])]
         away = largest_of([one.by_constraint(one.values) for one in seen])
-        collocation = discretisation.collocation
-        stds = [np.asarray(Std().of(collocation.coefficients(jax_array(one)), ())) for one in at_start.samples]
-        spreads = spreads_of(problem.constraints, dict(zip(functionals_of(problem.expressions), stds, strict=True)))
+        samples = dict(zip(functionals_of(problem.expressions), at_start.samples, strict=True))
+
+        def std_of(functional: AbstractFunctional) -> Float[np.ndarray, "..."]:
+            terms = discretisation.collocation.coefficients(jax_array(samples[functional]))
+            return np.asarray(Std().of(terms, ()))
+
+        spreads = spreads_of(problem.constraints, std_of)
         sizing = Sizing(problem.constraints, rows, decision_scale, away, spreads)
         sizes = sizing.each(start, values, derivatives)
         refuse_unsatisfiable(
