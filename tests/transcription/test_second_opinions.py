@@ -212,3 +212,43 @@ def test_an_integral_that_nothing_uncertain_enters_is_no_contradiction():
     solution = al.solve(problem)
     assert solution.certificate.opinion.agrees
     assert solution.certificate.expansion.unresolved == ()
+
+
+class Spring(al.System):
+    states = ("x", "v")
+    stiffness: al.Number
+
+    def initial(self):
+        return {"x": 1.0}
+
+    def rhs(self, t, z):
+        return z.v, -self.stiffness * z.x
+
+    def outputs(self, t, z):
+        return {"x": z.x}
+
+
+class EndOfSpring(al.AlgebraicSystem):
+    """A model that simulates by itself: `x = cos(duration sqrt(stiffness))`."""
+
+    stiffness: al.Number
+    duration: al.Number = 10.0
+    steps: int = 20
+
+    def outputs(self):
+        history = al.simulate(Spring(self.stiffness), al.Grid(self.duration, self.steps), only=["x"])
+        return {"x": history["x"][-1]}
+
+
+@pytest.mark.parametrize(("steps", "is_right"), [(20, False), (400, True)])
+def test_what_a_model_simulates_by_itself_is_checked_on_more_steps_too(steps, is_right):
+    model = EndOfSpring(al.Decision(9.0, 4.0, 16.0), steps=steps)
+    problem = al.Problem(model, minimize=al.output("x").mean)
+    if not is_right:
+        with pytest.raises(al.SolveError, match="grids inside the model"):
+            al.solve(problem)
+        return
+    solution = al.solve(problem)
+    right = np.cos(10.0 * np.sqrt(float(solution.decisions["stiffness"])))
+    assert solution.ok
+    assert abs(solution.objective - right) < 1e-5

@@ -1,6 +1,7 @@
 """Arrays: their types, how numbers become what JAX traces, how they are passed, and the memory that they take."""
 
 import os
+from collections.abc import Iterator
 from functools import lru_cache
 from itertools import accumulate, pairwise
 from pathlib import Path
@@ -171,12 +172,24 @@ class Layout(NamedTuple):
 
     def read(self, arrays: list[Any]) -> Pytree:
         """The tree of arrays that were passed."""
-        others = iter(arrays[1:] if self.is_packed else arrays)
+        others, parts = iter(arrays[1:] if self.is_packed else arrays), self._parts(arrays)
         leaves = [
-            next(others) if end is None else arrays[0][slice(*end)].reshape(shape)
+            next(others) if end is None else _shaped(next(parts), shape)
             for shape, end in zip(self.shapes, self.ends, strict=True)
         ]
         return jax.tree.unflatten(self.structure, leaves)
+
+    def _parts(self, arrays: list[Any]) -> Iterator[Any]:
+        """The parts of the vector."""
+        ends = [end for end in self.ends if end is not None]
+        if ends and isinstance(arrays[0], Tracer):
+            # One equation.
+            return iter(jax.lax.split(arrays[0], [stop - start for start, stop in ends]))
+        return (arrays[0][slice(*end)] for end in ends)
+
+
+def _shaped(part: Any, shape: tuple[int, ...]) -> Any:
+    return part if part.shape == shape else part.reshape(shape)
 
 
 def is_real(leaf: Any) -> bool:

@@ -14,11 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer, eval_jaxpr
+from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array
 
 from aleator._core import programs
 from aleator._core.arrays import Layout, Pytree, is_real
-from aleator._core.equations import TracedFunction, digest_of, refuse_unsteady
+from aleator._core.equations import TracedFunction, digest_of, ends_by_condition, refuse_unsteady
 from aleator._core.errors import ProblemError
 from aleator._core.identity import identity_of, lasting_name
 from aleator._core.parallel import Device, beside, devices, elsewhere, home, placed, undisturbed
@@ -51,14 +52,21 @@ class Use(enum.Enum):
     - `LOOPS`: many runs of steps in time;
     - `ROWS`: many runs of large equations without loops. Compiled faster without the emitters for fused operations,
       which speed up loops only;
-    - `ONCE`: a few runs in all. Compiled faster with little optimisation. With none at all, and without those emitters,
-      some loops of many realisations that end by a condition never end: JAX evaluates the condition twice in a step, to
-      go on and to change the numbers, and without optimisation the two more often differ in their last bit.
+    - `ONCE`: a few runs in all. Compiled faster with little optimisation;
+    - `BRIEF`: short runs. Compiled four times as fast without any optimisation, and slower by a factor of two or three
+      when run. Where a loop ends by a condition, compiled as `ONCE`: without optimisation and those emitters, some such
+      loops of many realisations never end. JAX evaluates the condition twice in a step, to go on and to change the
+      numbers, and the two may then differ in their last bit.
     """
 
     LOOPS = _BARRIERS
     ROWS = _BARRIERS | {"xla_cpu_use_fusion_emitters": False}
     ONCE = ROWS | {"xla_backend_optimization_level": "1"}
+    BRIEF = ROWS | {"xla_backend_optimization_level": "0"}
+
+    def of(self, closed: ClosedJaxpr) -> "Use":
+        """The use as which some equations are compiled."""
+        return Use.ONCE if self is Use.BRIEF and ends_by_condition(closed.jaxpr) else self
 
 
 @final
@@ -84,11 +92,15 @@ class Compiled:
         program, leaves = self._program(arguments)
         return program()(*leaves)
 
-    def prepare(self, *arguments: Any) -> None:
-        """Begin to compile, on another core, the program for arguments of this structure; it is traced here and now."""
+    def prepare(self, *arguments: Any) -> Program:
+        """Begin to compile, on another core, the program for arguments of this structure; it is traced here and now.
+
+        The caller of what is returned compiles it, unless the other core has begun.
+        """
         program, _ = self._program(arguments)
         if not program.is_ready:
             beside(program)
+        return program
 
     def begin(self, *arguments: Any) -> Callable[[], Any]:
         """Begin a call on another core; the function returned waits for the result. Traced immediately."""
@@ -177,7 +189,7 @@ class Compiled:
             flat.__name__ = f"flat_{name}"
         with _explained():
             traced = jax.jit(flat).trace(*inputs)
-            lowered = traced.lower()
+            use, lowered = use.of(traced.jaxpr), traced.lower()
         # Asked here, because what JAX is told of devices holds for one thread.
         bound_to = placed(inputs)
         platform, moves = (bound_to or home()).platform, bound_to is None and len(devices()) > 1

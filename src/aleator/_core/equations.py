@@ -83,6 +83,15 @@ def derived(rule: FunctionType) -> FunctionType:
     return rule
 
 
+def ends_by_condition(jaxpr: Any) -> bool:
+    """Whether there is a loop whose number of steps follows from what it computes."""
+    return any(
+        equation.primitive.name == "while"
+        or any(ends_by_condition(part) for part in jax.tree.leaves(equation.params) if hasattr(part, "eqns"))
+        for equation in jaxpr.eqns
+    )
+
+
 def _hidden(jaxpr: Any, *, rules: bool = True) -> Iterator[Any]:
     """The parts that printed equations do not show: arrays, and rules of differentiation as texts, in order.
 

@@ -7,10 +7,10 @@ side of a jump only, so that the sides before and after it are judged separately
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.arrays import jax_array
 from aleator.certification._check import (
     Check,
     begin_check,
@@ -200,7 +200,7 @@ class Jump(NamedTuple):
 
 def _knots(problem: Problem, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " knots"]:
     """The interior knots of splines and nodes of controls at some decisions, as fractions of a problem's time."""
-    model = realise(at_means(problem.simulation), jnp.zeros(0), jnp.asarray(decisions))
+    model = realise(at_means(problem.simulation), jax_array(np.zeros(0)), jax_array(decisions))
     parts = model.system, model.inputs
     ends = (one.breaks() for one in (*splines_in(parts), *piecewise_in(parts)))
     fractions = np.concatenate([np.zeros(0), *ends])

@@ -25,7 +25,7 @@ from aleator.design import (
     grid_at,
     statistics_in,
 )
-from aleator.dynamics import AbstractIntegrator, Grid, Kvaerno5
+from aleator.dynamics import FINER, AbstractIntegrator, Grid, Kvaerno5
 from aleator.ensemble import at_levels, random_levels
 from aleator.expansion import Collocation
 from aleator.statistics import Constants, Mean, Std
@@ -39,6 +39,8 @@ _FRESH = 32
 # Factor of steps for systems that follow trajectories, whose limits are enforced between instants, and for others;
 # then the least number of steps in all, and between two knots.
 _FOLLOWING, _PLAIN, _FEWEST, _BY_PIECE = 11, 3, 1000, 4
+# Most steps of all systems together in a check that takes longer to compile well than to run.
+_BRIEF = 500_000
 # Rounding as a part of the magnitude of an output and of a constraint, and integration error as a part of an output's.
 _ROUNDING, ROUNDING, NEGLIGIBLE_SPREAD = 1e-12, 1e-9, 1e-6
 # The depths of tails, as parts of all systems: more than 4 standard deviations of a normal germ, and the median.
@@ -118,10 +120,9 @@ def _check(
     collocation: Collocation,
     constants: Constants,
     systems: Float[Array, "fresh variables"],
-    predict: Float[Array, "fresh terms"],
     decisions: Float[Array, " n"],
 ) -> tuple[Any, ...]:
-    """The first parts of `Check`."""
+    """Values, statistics and reaches as in `Check`; coefficients of each functional, and its fresh samples."""
     functionals = functionals_of(problem.expressions)
     names = dict.fromkeys(name for one in functionals for name in one.outputs)
     peaks = tuple(Peak((name,)) for name in names)
@@ -133,16 +134,19 @@ def _check(
     values = tuple(jnp.asarray(one.evaluate(scope)) for one in problem.expressions)
     coefficients = dict(zip(every, terms.coefficients, strict=True))
     by_functional = dict(zip(every, samples, strict=True))
-    means, stds = (tuple(kind.of(coefficients[one], ()) for one in functionals) for kind in (Mean(), Std()))
     count, grid = len(collocation.points), grid_at(problem, decisions)
     highest = {name: jnp.max(by_functional[peak][:count]) for name, peak in zip(names, peaks, strict=True)}
     reaches = tuple(jnp.max(one.reach(highest, grid)) for one in functionals)
     fresh = tuple(by_functional[one][count:] for one in functionals)
-    predicted = tuple(jnp.tensordot(predict, coefficients[one], axes=1) for one in functionals)
-    return values, tuple(scope.taken), means, stds, reaches, fresh, predicted
+    return values, tuple(scope.taken), reaches, tuple(coefficients[one] for one in functionals), fresh
 
 
-CHECK = Compiled(_check, use=Use.ONCE)
+def _use(problem: Problem, collocation: Collocation, *_: Any) -> Use:
+    steps = problem.grid.steps * (len(collocation.points) + _FRESH)
+    return Use.BRIEF if steps <= _BRIEF else Use.ROWS
+
+
+CHECK = Compiled(_check, use=_use)
 
 
 def begin_check(
@@ -159,12 +163,15 @@ def begin_check(
     systems = _systems(problem, draw)
 
     def begun(integrator: AbstractIntegrator) -> Callable[[], Check]:
-        finer = _finer(problem, factor, integrator)
+        finer = problem.finer(factor, integrator)
         named = type(integrator).__name__ if problem.is_integrated else "Simpson's rule"
         wait = CHECK.begin(*_arguments(finer, transcribed.discretised, systems, decisions))
 
         def result() -> Check:
-            values, statistics, means, stds, reaches, fresh, predicted = jax.tree.map(np.asarray, wait())
+            values, statistics, reaches, coefficients, fresh = jax.tree.map(np.asarray, wait())
+            means, stds = (tuple(np.asarray(kind.of(one, ())) for one in coefficients) for kind in (Mean(), Std()))
+            predict = transcribed.discretised.basis.matrix(systems.points)
+            predicted = tuple(np.tensordot(predict, one, axes=1) for one in coefficients)
             largest = tuple(map(float, reaches))
             return Check(values, statistics, means, stds, largest, fresh, predicted, systems, factor, named)
 
@@ -181,18 +188,25 @@ def begin_check(
     return checked
 
 
-def prepare_check(factor: int, problem: Problem, discretised: Discretised) -> None:
-    """Begin to compile what `begin_check` will need."""
-    if is_checked(problem):
-        finer = _finer(problem, factor, problem.integrator.reference())
-        start = problem.placements.vector("initial")
-        CHECK.prepare(*_arguments(finer, discretised, _systems(problem, 0), start))
+def prepare_check(factor: int, problem: Problem, discretised: Discretised) -> Callable[[], object]:
+    """Begin to compile what `begin_check` will need, on another core; the function returned completes this."""
+    if not is_checked(problem):
+        return lambda: None
+    finer = problem.finer(factor, problem.integrator.reference())
+    start = problem.placements.vector("initial")
+    return CHECK.prepare(*_arguments(finer, discretised, _systems(problem, 0), start))
 
 
 def is_checked(problem: Problem) -> bool:
     """Whether a problem simulates something that has a grid, or that is uncertain."""
-    has_parts = isinstance(problem.grid, Grid) or bool(problem.placements.germs)
+    has_parts = isinstance(problem.grid, Grid) or bool(problem.placements.germs) or simulates_inside(problem)
     return has_parts and bool(functionals_of(problem.expressions))
+
+
+def simulates_inside(problem: Problem) -> bool:
+    """Whether the model itself calls `simulate`."""
+    equations = problem.simulation.equations
+    return equations is not None and equations.finer is not None
 
 
 def _systems(problem: Problem, draw: int) -> FreshSystems:
@@ -202,16 +216,11 @@ def _systems(problem: Problem, draw: int) -> FreshSystems:
     return fresh_systems(germs, _FRESH, np.random.default_rng(2 + draw))
 
 
-def _finer(problem: Problem, factor: int, integrator: AbstractIntegrator) -> Problem:
-    return problem.on_grid(problem.grid.finer(factor), integrator) if isinstance(problem.grid, Grid) else problem
-
-
 def _arguments(
     problem: Problem, discretised: Discretised, systems: FreshSystems, decisions: Float[np.ndarray, " n"]
 ) -> tuple[Any, ...]:
-    basis, collocation, constants = discretised
-    predict = basis.matrix(systems.points)
-    parts = map(jax_array, (systems.points, predict, decisions))
+    _, collocation, constants = discretised
+    parts = map(jax_array, (systems.points, decisions))
     return numbers_to_arrays(problem), collocation, constants, *parts
 
 
@@ -221,8 +230,10 @@ def check_factor(problem: Problem, between: int | None) -> int:
     `between`: the least number, see `solve`.
     """
     grid = problem.grid
-    if not (isinstance(grid, Grid) and functionals_of(problem.expressions)):
+    if not functionals_of(problem.expressions):
         return 1
+    if not isinstance(grid, Grid):
+        return FINER if simulates_inside(problem) else 1
     parts = pieces(problem)
     chosen = between if between is not None else _FOLLOWING if parts else _PLAIN
     return _odd_prime_from(max(chosen, -(-_FEWEST // grid.steps), -(-_BY_PIECE * parts // grid.steps)))

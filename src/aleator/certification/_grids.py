@@ -56,7 +56,6 @@ def grid_error(
 ) -> GridError:
     """The error of a problem's own grid at a point, by comparison with a finer one."""
     problem, resolved = transcribed.problem, transcribed.resolve(point)
-    assert isinstance(problem.grid, Grid)
     meaning = transcribed.at(point)
     times = meaning.times
     functionals = functionals_of(problem.expressions)
@@ -109,7 +108,6 @@ def misled_at(
     or the search has failed (None).
     """
     problem = transcribed.problem
-    assert isinstance(problem.grid, Grid)
     begun = _magnitudes(transcribed, start)
     if end is not None and all(
         own <= _FAR_OFF * later for own, later in zip(begun, _magnitudes(transcribed, end), strict=True)
@@ -292,8 +290,8 @@ def refinement(solutions: Sequence[Solution]) -> Problem | None:
     if error is None or (error.is_met and is_enough) or last.status is not Status.SOLVED:
         return None
     grid, begun = problem.grid, solutions[0].problem.grid
-    assert isinstance(grid, Grid)
-    assert isinstance(begun, Grid)
+    if not (isinstance(grid, Grid) and isinstance(begun, Grid)):
+        return None
     # Limits may be exceeded between the instants even if the error of the grid is tolerated.
     steps = error.with_whole_pieces(2 * grid.steps) if error.is_met else error.steps_needed
     if steps > _FINEST * begun.steps or _does_not_help(solutions):

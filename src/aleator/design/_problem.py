@@ -77,6 +77,10 @@ class Problem(AbstractProblem):
         """The same problem on another grid, with another integrator if one is given. It is not checked again."""
         return _with_simulation(self, self.simulation.on(grid, integrator))
 
+    def finer(self, factor: int, integrator: AbstractIntegrator) -> "Problem":
+        """The same problem with so many times as many steps, by another integrator. It is not checked again."""
+        return _with_simulation(self, self.simulation.finer(factor, integrator))
+
     def with_bound(self, name: str, bound: float | tuple[float, float]) -> Self:
         """The same problem with the bound of the constraints called `name` set to `bound`.
 

@@ -6,6 +6,7 @@ from aleator.dynamics._algebraic import AlgebraicSystem as AlgebraicSystem
 from aleator.dynamics._algebraic import explain_failure as explain_failure
 from aleator.dynamics._algebraic import solve_algebraic as solve_algebraic
 from aleator.dynamics._assembly import Assembly as Assembly
+from aleator.dynamics._equations import FINER as FINER
 from aleator.dynamics._equations import Equations as Equations
 from aleator.dynamics._evaluation import algebraic_residuals as algebraic_residuals
 from aleator.dynamics._evaluation import completed as completed

@@ -5,7 +5,8 @@ problems apart, in this process and in any other.
 """
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
+from contextvars import ContextVar
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
@@ -29,21 +30,58 @@ from aleator.dynamics._evaluation import (
 from aleator.dynamics._system import AbstractSystem, System
 from aleator.trajectories import AbstractSignal
 
+FINER = 3
+"""How many times as many steps simulations inside a model have where it is checked: an odd prime number."""
+
+
+@final
+@dataclass
+class Inside:
+    """The simulations inside a model whose equations are being traced.
+
+    - `factor`: how many times as many steps they have; `is_met`: whether there are any.
+    """
+
+    factor: int
+    is_met: bool = False
+
+
+INSIDE: ContextVar[Inside | None] = ContextVar("inside", default=None)
+
 
 @final
 @dataclass(unsafe_hash=True)
 class Equations:
     """The equations of a system: equal if their digests are.
 
+    - `finer`: the same with more steps, and another integrator, of what is simulated inside the model; None if nothing
+      is.
+
     A pickle has the digest alone: where it is read, the equations are traced again and compared when they are needed.
     """
 
     digest: Digest
     _functions: Mapping[str, TracedFunction] | None = field(compare=False, repr=False)
+    finer: "Equations | None" = field(default=None, compare=False, repr=False)
 
     @classmethod
     def of(cls, system: AbstractSystem, start: "Start | None") -> "Equations":
         """Those of a realised system, which evolves in time from a start, or has no time."""
+        equations, inside = cls._of(system, start, 1)
+        finer = cls._of(system, start, FINER)[0] if inside.is_met else None
+        return replace(equations, finer=finer)
+
+    @classmethod
+    def _of(cls, system: AbstractSystem, start: "Start | None", factor: int) -> tuple["Equations", Inside]:
+        inside = Inside(factor)
+        before = INSIDE.set(inside)
+        try:
+            return cls._traced(system, start), inside
+        finally:
+            INSIDE.reset(before)
+
+    @classmethod
+    def _traced(cls, system: AbstractSystem, start: "Start | None") -> "Equations":
         if isinstance(system, AlgebraicSystem):
             functions, names = _algebraic(system), [system.unknowns]
         else:
@@ -68,7 +106,7 @@ class Equations:
                     f"{system.title}: the code of this process gives other equations than those that the problem was "
                     "declared with in another one. Start workers anew, with the same files; solve stored designs again."
                 )
-            self._functions = again._functions
+            self._functions, self.finer = again._functions, again.finer
         if isinstance(system, AlgebraicSystem):
             return TracedAlgebraic(system, self)
         assert isinstance(system, System)
@@ -89,7 +127,7 @@ class Equations:
         return name in self._functions
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"_functions": None, "digest": self.digest}
+        return {"_functions": None, "finer": None, "digest": self.digest}
 
 
 class Start(NamedTuple):

@@ -61,12 +61,14 @@ class Grid(AbstractGrid):
         earliest: Any = lowest(t_final) if free else t_final
         if free and realised_shape(t_final) != ():
             raise ProblemError(f"Grid: expected one final time; received an array of decisions {t_final!r}.")
-        if not (_is_finite(t_start) and _is_finite(earliest) and earliest > t_start):
+        # Inside a model's own equations its numbers are not known.
+        is_traced = isinstance(t_final, Tracer)
+        if not (_is_finite(t_start) and (is_traced or (_is_finite(earliest) and earliest > t_start))):
             raise ProblemError(
                 f"Grid: t_final must be a finite number after t_start={t_start!r}; received "
                 + (f"a decision that may be {earliest!r}: raise its lower bound." if free else f"t_final={t_final!r}.")
             )
-        self.t_final = t_final if free else float(t_final)
+        self.t_final = t_final if free or is_traced else float(t_final)
         self.t_start = float(t_start)
 
     @property

@@ -5,6 +5,7 @@ evaluated at the same instants.
 """
 
 import abc
+import itertools
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple, final
 
@@ -77,12 +78,15 @@ class AbstractFixedStep(AbstractIntegrator):
     @override
     def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
         nodes, couplings, weights = self.tableau
-        h, at_instants = grid.step, sampled(inputs, grid, grid.fractions)
+        h, inner = grid.step, sorted({node for node in (*nodes, *([0.5] if asked.nodes else [])) if 0 < node < 1})
+        # A table or a spline is looked up once for all stages.
+        inside = [grid.fractions[:-1] + node / grid.steps for node in inner]
+        looked_up = sampled(inputs, grid, np.concatenate([grid.fractions, *inside]))
+        ends = np.cumsum([grid.steps + 1, *(len(one) for one in inside)])[:-1]
+        at_instants, *between = _split(looked_up, ends)
         arriving = sampled(before_jumps(inputs), grid, grid.fractions[1:]) if has_jumps(inputs) else {}
         now = {name: values[0] for name, values in at_instants.items()}
         start = initial_state(system, grid.times[0], now)
-        inner = sorted({node for node in (*nodes, *([0.5] if asked.nodes else [])) if 0 < node < 1})
-        between = [sampled(inputs, grid, grid.fractions[:-1] + node / grid.steps) for node in inner]
 
         # Traced once for all stages.
         @jax.jit
@@ -193,6 +197,11 @@ class DormandPrince5(AbstractFixedStep):
     @override
     def reference(self) -> AbstractIntegrator:
         return RungeKutta4()
+
+
+def _split(signals: dict[str, Array], ends: np.ndarray) -> list[dict[str, Array]]:
+    """Signals in parts, each of which ends before a row, and the rest."""
+    return [_rows(signals, slice(*part)) for part in itertools.pairwise([0, *ends.tolist(), None])]
 
 
 def _rows(signals: dict[str, Array], rows: slice) -> dict[str, Array]:

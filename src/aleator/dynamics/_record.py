@@ -4,7 +4,7 @@ depend only on the inputs there.
 
 import math
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, final
 
 import equinox as eqx
 import jax
@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import Pytree
 from aleator._core.equations import derived
 from aleator._core.errors import ProblemError
+from aleator._core.leaves import Module
 from aleator.dynamics._evaluation import derivative, derivative_and_observation, initial_state, observation
 from aleator.dynamics._grid import Grid, Inputs, sampled
 from aleator.dynamics._system import System
@@ -107,19 +108,20 @@ def chosen(system: Any, outputs: dict[str, Array], only: Collection[str] | None)
     return {name: value for name, value in outputs.items() if name in only}
 
 
-class Known(NamedTuple):
+@final
+class Known(Module):
     """The data at each instant as one row of numbers: the time, then all inputs side by side.
 
-    - `rows`: shape (instants, numbers); `inputs`: the shape of each input by name, in order.
+    - `rows`: shape (instants, numbers); `inputs`: the shape of each input with its name, in order.
     """
 
     rows: Float[Array, "instants numbers"]
-    inputs: Mapping[str, tuple[int, ...]]
+    inputs: tuple[tuple[str, tuple[int, ...]], ...] = eqx.field(static=True)
 
     def unpack(self, row: Float[Array, " numbers"]) -> tuple[Array, dict[str, Array]]:
         """The time and the inputs of one row."""
         values, start = {}, 1
-        for name, shape in self.inputs.items():
+        for name, shape in self.inputs:
             size = math.prod(shape)
             values[name] = row[start : start + size].reshape(shape)
             start += size
@@ -133,7 +135,7 @@ def known_at(inputs: Inputs, grid: Grid, fractions: Fractions | None = None) -> 
     columns = [values.reshape(len(values), -1) for values in at.values()]
     times = instants(fractions, grid.t_start, grid.t_final)
     rows = jnp.concatenate([times[:, None], *columns], axis=1)
-    return Known(rows, {name: values.shape[1:] for name, values in at.items()})
+    return Known(rows, tuple((name, values.shape[1:]) for name, values in at.items()))
 
 
 def observed_at(system: System, known: Known, row: Float[Array, " numbers"]) -> dict[str, Array]:

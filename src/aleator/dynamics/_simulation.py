@@ -17,7 +17,7 @@ from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError, SimulationWarning
 from aleator._core.leaves import Module, is_leaf, is_traced, named_leaves, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, explain_failure
-from aleator.dynamics._equations import Equations, Start
+from aleator.dynamics._equations import INSIDE, Equations, Start
 from aleator.dynamics._evaluation import initial_state
 from aleator.dynamics._grid import AbstractGrid, Grid, Inputs, Instant, check_signals, sampled
 from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator, RungeKutta4
@@ -95,8 +95,15 @@ class Simulation(Module):
     def recorded(self, asked: Asked) -> History:
         """The outputs of `record`, by a program that serves the same equations with any other numbers.
 
-        What no program can be compiled of, such as code that branches on a number, is simulated as it stands.
+        What no program can be compiled of, such as code that branches on a number, is simulated as it stands. Inside a
+        model that is checked, on a finer grid.
         """
+        inside = INSIDE.get()
+        if inside is not None and isinstance(self.grid, Grid):
+            inside.is_met = True
+            if inside.factor > 1:
+                finer = self.on(self.grid.finer(inside.factor), self.integrator.reference())
+                return finer.record(asked).thinned(inside.factor).history
         if is_traced(self) or not isinstance(self.system, System):
             return self.record(asked).history
         self._refuse_at_start(self.system)
@@ -134,6 +141,12 @@ class Simulation(Module):
         """The same simulation on another grid, by another integrator if one is given."""
         integrator = integrator or self.integrator
         return Simulation(self.system, self.inputs, grid, integrator, self.numbers, self.equations)
+
+    def finer(self, factor: int, integrator: AbstractIntegrator) -> "Simulation":
+        """The same on a grid with more steps, by another integrator, as is what is simulated inside the model."""
+        equations = self.equations
+        inside = equations if equations is None or equations.finer is None else equations.finer
+        return replace(self.on(self.grid.finer(factor), integrator), equations=inside)
 
     def _refuse_at_start(self, system: System) -> None:
         """Raise `ProblemError` for what can be told of the start with known numbers, without tracing any rate."""
@@ -173,7 +186,7 @@ def _history(simulation: Simulation, asked: Asked) -> History:
     return simulation.record(asked).history
 
 
-_HISTORY = Compiled(_history, use=Use.ONCE)
+_HISTORY = Compiled(_history, use=Use.BRIEF)
 
 
 def simulate(

@@ -222,7 +222,7 @@ def _started(system: AbstractFormulation, t: Any, inputs: Mapping[str, Any], cod
 
 
 # Compiled once for all systems of a family, each of which is checked.
-_EXAMINED, _STARTED = Compiled(_examined, use=Use.ONCE), Compiled(_started, use=Use.ONCE)
+_EXAMINED, _STARTED = Compiled(_examined, use=Use.BRIEF), Compiled(_started, use=Use.BRIEF)
 
 
 def _known(tree: Any) -> Any:

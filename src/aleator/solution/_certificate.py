@@ -347,7 +347,8 @@ class Certificate(Printed):
                 "alone",
             )
         if error is not None and not error.is_usable:
-            return Objection("the grid is too coarse", f"solved on {error.steps} steps, but {error}")
+            on = f" on {error.steps} steps" if error.steps else ""
+            return Objection("the grid is too coarse", f"solved{on}, but {error}")
         if opinion is not None and opinion.broken:
             return Objection(
                 "fresh simulations contradict the expansion",

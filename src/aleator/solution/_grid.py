@@ -63,7 +63,8 @@ class Deviation(Printed):
 class GridError(Printed):
     """The error of the time grid at a solution, estimated by a finer grid and an integrator of another order.
 
-    - `steps`: of the solution's grid; `factor`: how many times as many the finer one has; `integrator`: the other one;
+    - `steps`: of the solution's grid, 0 where the model itself simulates; `factor`: how many times as many the finer
+      one has; `integrator`: the other one;
     - `accuracy`: the tolerated error, relative to a limit or a spread, whichever is smaller;
     - `objective`: its deviation; the tolerated error is `accuracy` times its magnitude;
     - `functionals`: deviations by the texts of the functionals;
@@ -144,10 +145,14 @@ class GridError(Printed):
         return f"{what} is {one}"
 
     def __str__(self) -> str:
-        where = f"seen on {self.factor} times as many steps"
+        inside = "" if self.steps else " of what the model simulates"
+        where = f"seen on {self.factor} times as many steps{inside}"
         if self.is_met:
             return f"objective off by {self.objective.error:.1e}, {self._worst_text()}; {where}"
         told = "about" if self.ratio > 1 and self._finer <= _MOST else "at least"
+        if inside:
+            times = min(max(_LEAST, self._finer), _MOST)
+            return f"{self.sentence()}; {where}: give the grids inside the model {told} {times:.2g} times as many"
         also = " and smaller tolerances of the integrator" if self.by_tolerances else ""
         return f"{self.sentence()}; {where}: use {told} {self.steps_needed} steps{also}, or refine=True"
 

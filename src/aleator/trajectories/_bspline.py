@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax.core import Tracer
 from jaxtyping import Array, Float
 from typing_extensions import override
@@ -99,8 +100,11 @@ class BSpline(AbstractTrajectory):
     def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
         """As in `AbstractTrajectory.values`; derivatives by the splines of equations (56) and (57)."""
         weights = basis_matrix(fractions, self.all_knots(), self.degree, order)
-        xp, weights, points, duration = in_library(weights, self.control_points(duration), duration)
-        values = xp.tensordot(weights, points, axes=1)
+        # Known knots make one known matrix of both.
+        xp, weights, change = in_library(weights, self._points_by_conditions())
+        weights = jax_array(weights @ change) if xp is jnp else weights @ change
+        xp, weights, numbers, duration = in_library(weights, self._conditions(duration), duration)
+        values = xp.tensordot(weights, numbers, axes=1)
         return jax_array(values / duration**order if order else values)
 
     def all_knots(self) -> tuple[float, ...] | Float[Array, " knots"]:
@@ -119,8 +123,8 @@ class BSpline(AbstractTrajectory):
         """All control points, or those of a time derivative (equation 54), for a duration in s."""
         if order > self.degree:
             return jnp.zeros((1, *self.shape))
-        xp, *parts = in_library(self._eliminated(0, duration), as_array(self.free), self._eliminated(1, duration))
-        points = xp.concatenate(parts)
+        xp, change, numbers = in_library(self._points_by_conditions(), self._conditions(duration))
+        points = xp.tensordot(change, numbers, axes=1)
         if order == 0:
             return jax_array(points)
         knots = self.all_knots()
@@ -133,20 +137,36 @@ class BSpline(AbstractTrajectory):
         points = self.control_points(duration, order)
         return jnp.min(points, axis=0), jnp.max(points, axis=0)
 
-    def _eliminated(self, side: int, duration: Any) -> Any:
-        """The control points that the conditions at one end determine, outermost first."""
-        end, knots = np.array([float(side)]), self.all_knots()
-        prescribed = [as_array(condition) for condition in (self.start, self.end)[side]]
-        rows = [basis_matrix(end, knots, self.degree, order)[0] for order in range(len(prescribed))]
-        xp, prescribed, rows, duration = in_library(prescribed, rows, duration)
+    def _conditions(self, duration: Any) -> Any:
+        """The conditions at the start, the free control points, the conditions at the end: shape (count, ...).
+
+        Velocities are multiplied by the duration, accelerations by its square.
+        """
+        ends = [[as_array(one) for one in end] for end in (self.start, self.end)]
+        xp, ends, free, duration = in_library(ends, as_array(self.free), duration)
+        start, end = (
+            [(one * duration**order if order else one)[None] for order, one in enumerate(conditions)]
+            for conditions in ends
+        )
+        return xp.concatenate([*start, free, *end[::-1]])
+
+    def _points_by_conditions(self) -> Any:
+        """The matrix that gives all control points from `_conditions`."""
+        start, end = (self._eliminated(side) for side in (0, 1))
+        xp, start, free, end = in_library(start, np.eye(realised_shape(self.free)[0]), end[::-1, ::-1])
+        return (scipy if xp is np else jax.scipy).linalg.block_diag(start, free, end)
+
+    def _eliminated(self, side: int) -> Any:
+        """The control points that the conditions at one end determine, by these, outermost first."""
+        end, knots, count = np.array([float(side)]), self.all_knots(), len((self.start, self.end)[side])
+        rows = [basis_matrix(end, knots, self.degree, order)[0][:: -1 if side else 1] for order in range(count)]
+        xp, rows = in_library(rows)
         points: list[Any] = []
-        for order, (condition, weights) in enumerate(zip(prescribed, rows, strict=True)):
+        for condition, weights in zip(np.eye(count), rows, strict=True):
             # At an end, a derivative of order k depends on the outermost k + 1 control points only.
-            weights = weights[::-1] if side else weights
-            known = sum((weights[i] * point for i, point in enumerate(points)), start=xp.zeros(self.shape))
-            points.append((condition * duration**order - known) / weights[order])
-        points = points[::-1] if side else points
-        return xp.stack(points) if points else xp.zeros((0, *self.shape))
+            known = sum((weights[i] * point for i, point in enumerate(points)), start=xp.zeros(count))
+            points.append((condition - known) / weights[len(points)])
+        return xp.stack(points) if points else xp.zeros((0, 0))
 
 
 def fit_control_points(

@@ -222,7 +222,7 @@ class AbstractTranscribed(abc.ABC):
         return Remembered(at)
 
 
-Meanwhile = Callable[[Problem, Discretised], object]
+Meanwhile = Callable[[Problem, Discretised], Callable[[], object]]
 """A function that is called just before a problem is compiled, to begin work in parallel."""
 
 

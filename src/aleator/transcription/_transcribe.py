@@ -29,11 +29,11 @@ _ROUNDING = 1e-9
 
 
 def transcribe(
-    problem: Problem, transcription: AbstractTranscription = DEFAULT, meanwhile: Meanwhile = lambda *_: None
+    problem: Problem, transcription: AbstractTranscription = DEFAULT, meanwhile: Meanwhile = lambda *_: lambda: None
 ) -> AbstractTranscribed:
     """Turn a declared problem into a nonlinear program, compiled unless one of the same structure was before.
 
-    `meanwhile` is called just before compilation, to begin work in parallel.
+    `meanwhile` is called just before compilation, to begin work in parallel; what it returns completes this.
 
     A problem that was transcribed recently, such as for a solve from another start, is reused. Raises `ProblemError`
     if the problem has no decisions, or if functions of one's own in it have changed since it was declared.

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from aleator._core.arrays import jax_array
 from aleator._core.compilation import Compiled, Use
 from aleator._core.parallel import over_devices
 from aleator.design import AbstractFunctional, Expression, Problem, functionals_of, grid_at
@@ -249,12 +250,12 @@ def _points_together(
 
 def use_of(problem: Problem, *_: Any) -> Use:
     """The use of programs that simulate a problem: loops over time, or equations of every instant by itself."""
-    return Use.LOOPS if problem.is_integrated else Use.ROWS
+    return Use.LOOPS if problem.is_integrated else Use.BRIEF
 
 
 EVALUATE = Compiled(_evaluate, use=use_of)
 CONTRIBUTE = Compiled(_contribute)
-COMBINE = Compiled(_combine, use=Use.ROWS)
+COMBINE = Compiled(_combine, use=Use.BRIEF)
 
 
 @final
@@ -273,13 +274,17 @@ class Evaluator:
         self._programs = (
             [EVALUATE.bound(traced, collocation, constants, anchors)]
             if self._combine is None
-            else [CONTRIBUTE.bound(traced, *map(jnp.asarray, part), packed=False) for part in parts]
+            else [CONTRIBUTE.bound(traced, *map(jax_array, part), packed=False) for part in parts]
         )
         self._remembered: Remembered[Blocks] = Remembered(self._evaluate)
 
     def is_known(self, decisions: Float[np.ndarray, " n"]) -> bool:
         """Whether a problem of the same structure has been compiled before."""
         return self._programs[0].is_known(decisions)
+
+    def begin(self, decisions: Float[np.ndarray, " n"]) -> None:
+        """Begin to compile what simulates, on another core; it is traced here and now."""
+        self._programs[0].begin(decisions)
 
     def with_constants(self, constants: Constants) -> "Evaluator":
         """The same problem with other constants, such as other scenarios."""
@@ -297,7 +302,7 @@ class Evaluator:
             program.prepare(decisions)
         shares: tuple[Share, ...] = tuple(over_devices(lambda program: program(decisions), self._programs))
         samples, finite, tangents, terms, slopes = zip(*shares, strict=True)
-        sums = self._combine(_Shares(terms, slopes, finite, jnp.asarray(decisions)))
+        sums = self._combine(_Shares(terms, slopes, finite, jax_array(decisions)))
         return Blocks._make((*sums, samples, tangents, self._points))
 
 

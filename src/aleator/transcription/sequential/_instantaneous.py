@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator._core.arrays import jax_array
 from aleator._core.compilation import Compiled, Use
 from aleator.design import (
     AbstractFunctional,
@@ -76,7 +77,14 @@ def instantaneous_rows(
 ) -> Rows:
     """The expressions `which` of a problem and their derivatives, instant by instant."""
     expressions = tuple(problem.expressions[i] for i in which)
-    instant = _Instant.of(problem, expressions, decisions)
+    fixed, direct = frozen(problem)
+
+    def known(x: Array) -> tuple[Array, Known]:
+        now = _known(problem, direct, x)
+        return now.rows, now
+
+    inner, now = jax.jacfwd(known, has_aux=True)(decisions)
+    instant = _Instant(functionals_of(expressions), fixed, direct, now)
     held = extreme_functionals(expressions)
     sizes: list[int] = []
 
@@ -91,9 +99,7 @@ def instantaneous_rows(
         values = jnp.concatenate(blocks)
         return values, (values, tuple(samples.values()), taken)
 
-    numbers = instant.numbers(decisions)
-    slopes, (values, samples, taken) = jax.vmap(lambda one: _differentiated(row, one))(numbers)
-    inner = jax.jacfwd(lambda x: instant.numbers(x))(decisions)
+    slopes, (values, samples, taken) = jax.vmap(lambda one: _differentiated(row, one))(now.rows)
     derivatives = jnp.einsum("trk,tkn->rtn", slopes, inner)
     ends = np.cumsum(sizes)[:-1]
     return Rows(
@@ -118,7 +124,8 @@ def _differentiated(
 
 
 def _kept(leaf: Array) -> Array:
-    # Matrices are left out: as sums and products of other values, they cost more to keep than to recompute.
+    # Matrices are left out: as sums and products of other values, they cost more to keep than to recompute. One barrier
+    # for all would make each wait for all others: it doubles the time of an evaluation.
     return jax.lax.optimization_barrier(leaf) if jnp.issubdtype(leaf.dtype, jnp.floating) and leaf.ndim <= 1 else leaf
 
 
@@ -127,28 +134,30 @@ def anchors_of(problem: Problem, collocation: Collocation, decisions: Float[np.n
     which = instantaneous(problem)
     if not which or collocation.points.size == 0:
         return None
-    features, affine = FEATURES(problem, which, collocation.points, jnp.asarray(decisions))
+    features, affine = map(np.asarray, FEATURES(problem, which, collocation.points, jax_array(decisions)))
     if not affine.any():
         return None
-    return anchored(np.asarray(collocation.points), np.asarray(features), affine.tolist())
+    return anchored(np.asarray(collocation.points), features, affine.tolist())
 
 
 def _features(
     problem: Problem, which: tuple[int, ...], points: Float[Array, "points variables"], decisions: Float[Array, " n"]
 ) -> tuple[Float[Array, "points features"], Array]:
     """The features, at all points, in which functionals are affine, and which functionals are."""
-    instant = _Instant.of(problem, tuple(problem.expressions[i] for i in which), decisions)
-    numbers, affine = instant.numbers(decisions)[0], []
+    fixed, direct = frozen(problem)
+    now = _known(problem, direct, decisions)
+    instant = _Instant(functionals_of(tuple(problem.expressions[i] for i in which)), fixed, direct, now)
+    affine = []
 
     def at(point: Array) -> Array:
-        features, yes = affine_features(lambda *both: instant.at(instant.functionals, *both), point, numbers)
+        features, yes = affine_features(lambda *both: instant.at(instant.functionals, *both), point, now.rows[0])
         affine[:] = yes
         return features
 
     return jax.vmap(at)(points), jnp.array(affine)
 
 
-FEATURES = Compiled(_features, use=Use.ONCE)
+FEATURES = Compiled(_features, use=Use.BRIEF)
 
 
 @final
@@ -156,37 +165,25 @@ FEATURES = Compiled(_features, use=Use.ONCE)
 class _Instant:
     """The functionals of some expressions at one instant, as functions of a germ point and of a row of numbers.
 
-    - `known`: the numbers known at the instants, one row each; the decisions in the model itself follow in the row,
-      which are those at `direct` among all decisions.
+    - `frozen`, `direct`: see `frozen`; `known`: the numbers known at the instants, one row each, and those of the
+      decisions in the model itself.
     """
 
-    problem: Problem
     functionals: tuple[AbstractFunctional, ...]
     frozen: Problem
     direct: np.ndarray
     known: Known
 
-    @classmethod
-    def of(cls, problem: Problem, expressions: tuple[Expression, ...], decisions: Float[Array, " n"]) -> "_Instant":
-        functionals = functionals_of(expressions)
-        return cls(problem, functionals, *frozen(problem), _known(problem, decisions))
-
-    def numbers(self, decisions: Float[Array, " n"]) -> Float[Array, "instants numbers"]:
-        """The rows of all instants."""
-        rows = _known(self.problem, decisions).rows
-        chosen = jnp.broadcast_to(decisions[self.direct][None], (len(rows), len(self.direct)))
-        return jnp.concatenate([rows, chosen], axis=1)
-
     def at(
         self, functionals: Sequence[AbstractFunctional], point: Float[Array, " variables"], numbers: Array
     ) -> tuple[Array, ...]:
         """Some functionals of one system of the family."""
-        now, chosen = jnp.split(numbers, [self.known.rows.shape[1]])
+        now, chosen = jnp.split(numbers, [numbers.size - len(self.direct)])
         system = realise(self.frozen.simulation, point, chosen).traced
         assert isinstance(system, System)
         system = system.focused(_needed(functionals))
         taken = Taken(observed_at(system, self.known, now), {})
-        return numbers_of(functionals, taken, self.problem.grid)
+        return numbers_of(functionals, taken, self.frozen.grid)
 
     def realised(
         self,
@@ -224,12 +221,15 @@ class _Instant:
         return {one: samples[one] for one in self.functionals}, coefficients
 
 
-def _known(problem: Problem, decisions: Float[Array, " n"]) -> Known:
+def _known(problem: Problem, direct: np.ndarray, decisions: Float[Array, " n"]) -> Known:
+    """What is known at each instant, followed by the decisions in the model itself."""
     simulation = realise(problem.simulation, jnp.zeros(len(problem.placements.germ_names)), decisions)
     system, grid = simulation.traced, simulation.grid
     assert isinstance(system, System)
     assert isinstance(grid, Grid)
-    return known_at({**system.signals(), **simulation.inputs}, grid)
+    known = known_at({**system.signals(), **simulation.inputs}, grid)
+    chosen = jnp.broadcast_to(decisions[direct], (len(known.rows), len(direct)))
+    return Known(jnp.concatenate([known.rows, chosen], axis=1), known.inputs)
 
 
 def _needed(functionals: Sequence[AbstractFunctional]) -> set[str]:

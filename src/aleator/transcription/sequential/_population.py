@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.compilation import Compiled
+from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError
 from aleator._core.executors import Pack, each_of, packed
 from aleator.design import Problem, functionals_of, refuse_other_code
@@ -20,7 +20,6 @@ from aleator.expansion import Collocation
 from aleator.nlp import NonlinearProgram
 from aleator.statistics import Constants
 from aleator.transcription._expansions import scope_of
-from aleator.transcription.sequential._evaluator import use_of
 
 # Systems simulated together: more are slower, because their histories leave the cache.
 _SYSTEMS = 128
@@ -47,7 +46,7 @@ def _values(
     return jax.vmap(one)(several)
 
 
-VALUES = Compiled(_values, use=use_of)
+VALUES = Compiled(_values, use=lambda problem, *_: Use.LOOPS if problem.is_integrated else Use.ROWS)
 
 
 @final

@@ -196,7 +196,9 @@ class Sequential(AbstractTranscription):
         anchors = anchors_of(traced, discretisation.collocation, start)
         evaluator = Evaluator(traced, discretisation.collocation, discretisation.constants, anchors)
         if not evaluator.is_known(start):
-            meanwhile(problem, discretisation)
+            # Compiled on another core, and meanwhile the check on this one.
+            evaluator.begin(start)
+            meanwhile(problem, discretisation)()
         decision_scale = decision_scales(start, lower, upper)
         around = _nearby(start, lower, upper, decision_scale)
         beside = [evaluator(one) for one in around] if instantaneous(problem) else []

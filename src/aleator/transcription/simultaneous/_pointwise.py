@@ -341,7 +341,7 @@ class Pointwise:
         t = jnp.asarray(self.grid.t_start + fraction * duration)
         if not self.is_random:
             # Their values are not needed: a spline would be evaluated in every block.
-            known = Known(jnp.zeros((0, 1)), self.signal_shapes)
+            known = Known(jnp.zeros((0, 1)), tuple(self.signal_shapes.items()))
             return system, t, known.unpack(jnp.concatenate([t[None], signals]))[1]
         each, span = {**system.signals(), **inputs}, (self.grid.t_start, self.grid.t_start + duration)
         now = {name: one.over(*span)(t) for name, one in each.items()}
