@@ -68,7 +68,10 @@ def suspension() -> Peer:
     upper, lower = mean + std, mean - std
     limits = ca.vertcat(TRAVEL - upper[:STEPS], TRAVEL + lower[:STEPS], HOLDING - upper[STEPS + 1])
     program = {"x": decisions, "f": mean[STEPS] + std[STEPS], "g": limits}
-    quiet = {"print_time": False, "ipopt": {"print_level": 0, "hessian_approximation": "limited-memory", "tol": 1e-8}}
+    quiet = {
+        "print_time": False,
+        "ipopt": {"print_level": 0, "sb": "yes", "hessian_approximation": "limited-memory", "tol": 1e-8},
+    }
     solver = ca.nlpsol("solver", "ipopt", program, quiet)
     constructed = time.perf_counter() - started
     started = time.perf_counter()

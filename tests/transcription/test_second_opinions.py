@@ -9,6 +9,7 @@ import scipy.stats
 
 import aleator as al
 from aleator.certification._check import fresh_systems
+from aleator.certification._second_opinion import _quantile
 from zoo import LOSS, ONE_STEP, gain_problem
 
 BOUND = 2.0
@@ -252,3 +253,8 @@ def test_what_a_model_simulates_by_itself_is_checked_on_more_steps_too(steps, is
     right = np.cos(10.0 * np.sqrt(float(solution.decisions["stiffness"])))
     assert solution.ok
     assert abs(solution.objective - right) < 1e-5
+
+
+@pytest.mark.parametrize("chance", [0.4, 1e-2, 1e-5])
+def test_quantiles_of_student_are_those_of_scipy(chance):
+    assert abs(_quantile(29, chance) / -scipy.special.stdtrit(29, chance) - 1) < 1e-4
