@@ -180,6 +180,8 @@ def begin_check(
     explicit = begun(problem.integrator.reference())
 
     def checked() -> Check:
+        # Asked for next; computed here while the check runs on another core.
+        transcribed.resolve(point)
         check = explicit()
         if check.is_finite or transcribed.fineness == 1 or not problem.is_integrated:
             return check

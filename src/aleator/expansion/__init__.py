@@ -9,10 +9,13 @@ from aleator.expansion._basis import TotalDegree as TotalDegree
 from aleator.expansion._collocation import ROUNDING as ROUNDING
 from aleator.expansion._collocation import UNRESOLVED as UNRESOLVED
 from aleator.expansion._collocation import Collocation as Collocation
+from aleator.expansion._collocation import error_history as error_history
 from aleator.expansion._collocation import jackknife as jackknife
 from aleator.expansion._collocation import leave_one_out as leave_one_out
 from aleator.expansion._collocation import leave_one_out_by_entry as leave_one_out_by_entry
 from aleator.expansion._collocation import leave_one_out_history as leave_one_out_history
+from aleator.expansion._collocation import mean_squares as mean_squares
+from aleator.expansion._collocation import relative_error as relative_error
 from aleator.expansion._collocation import resolved_instants as resolved_instants
 from aleator.expansion._expansion import Discretisation as Discretisation
 from aleator.expansion._expansion import Expansion as Expansion

@@ -154,8 +154,14 @@ def leave_one_out_history(
     Relative to the variance at the same instant it would rise wherever all trajectories meet, as those of an oscillator
     do near its turning points. Rounding is judged in the same way, by the largest square up to that instant.
     """
-    parts = mean_squares(collocation, samples, coefficients)
-    error, variance, square = (part.reshape(samples.shape[1], -1).sum(axis=1) for part in parts)
+    return error_history(mean_squares(collocation, samples, coefficients), samples.shape[1])
+
+
+def error_history(
+    parts: tuple[Float[Array, " entries"], Float[Array, " entries"], Float[Array, " entries"]], instants: int
+) -> Float[Array, " instants"]:
+    """`leave_one_out_history` from the `mean_squares` of all entries."""
+    error, variance, square = (part.reshape(instants, -1).sum(axis=1) for part in parts)
     library, error, variance, square = in_library(error, variance, square)
     largest: Any = np.maximum.accumulate if library is np else jax.lax.cummax
     return relative_error(error, largest(variance), largest(square))

@@ -43,8 +43,10 @@ from aleator.expansion import (
     Expansion,
     Sparse,
     collocate,
+    error_history,
     leave_one_out,
-    leave_one_out_history,
+    mean_squares,
+    relative_error,
 )
 from aleator.statistics import AbstractStatistic, Constants, Mean, Preparation, Std, together
 from aleator.transcription._scenarios import Scenarios
@@ -356,11 +358,12 @@ def resolved(
     """The moments and the quality of a functional's expansion from its samples, by NumPy."""
     known = jax_array(samples)
     terms = collocation.coefficients(known)
+    squares = mean_squares(collocation, known, terms)
     return Resolved(
         mean=np.asarray(Mean().of(terms, ())),
         std=np.asarray(Std().of(terms, ())),
-        leave_one_out=float(leave_one_out(collocation, known, terms)),
-        history=np.asarray(leave_one_out_history(collocation, known, terms)) if functional.is_path else None,
+        leave_one_out=float(relative_error(*(part.sum() for part in squares))),
+        history=np.asarray(error_history(squares, known.shape[1])) if functional.is_path else None,
         tangents=None if tangents is None else _errors_of(collocation, tangents),
     )
 
