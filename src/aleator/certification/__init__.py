@@ -1,9 +1,13 @@
 """Checks of an answer: between the instants, on a finer grid, in the worst case, and on fresh systems."""
 
-from aleator.certification._between import held_between as held_between
+from aleator.certification._between import excess_between as excess_between
+from aleator.certification._between import margins_for as margins_for
+from aleator.certification._between import no_margins as no_margins
+from aleator.certification._between import tightened as tightened
 from aleator.certification._check import Check as Check
 from aleator.certification._check import begin_check as begin_check
 from aleator.certification._check import check_factor as check_factor
+from aleator.certification._check import follows_trajectories as follows_trajectories
 from aleator.certification._check import is_checked as is_checked
 from aleator.certification._check import prepare_check as prepare_check
 from aleator.certification._grids import grid_error as grid_error
@@ -17,4 +21,9 @@ from aleator.certification._solution import moved_correlations as moved_correlat
 from aleator.certification._solution import solution_of as solution_of
 from aleator.certification._solution import untrusted as untrusted
 from aleator.certification._worst_case import REACHED as REACHED
-from aleator.certification._worst_case import held_at_worst as held_at_worst
+from aleator.certification._worst_case import Oracle as Oracle
+from aleator.certification._worst_case import broken_at as broken_at
+from aleator.certification._worst_case import idle_scenarios as idle_scenarios
+from aleator.certification._worst_case import scenarios_at_start as scenarios_at_start
+from aleator.certification._worst_case import worst_case_limits as worst_case_limits
+from aleator.certification._worst_case import worst_case_of as worst_case_of

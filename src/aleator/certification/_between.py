@@ -11,23 +11,13 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import jax_array
-from aleator.certification._check import (
-    Check,
-    begin_check,
-    check_factor,
-    follows_trajectories,
-    is_checked,
-    splines_in,
-)
+from aleator.certification._check import Check, splines_in
 from aleator.design import Constraint, Problem, is_over_time
-from aleator.nlp import HELD, AbstractSolver, NonlinearProgram, Outcome, Status
-from aleator.solution import TOLERATED, Between
+from aleator.nlp import NonlinearProgram
 from aleator.trajectories import piecewise_in
 from aleator.transcription import AbstractTranscribed, bound_size
 from aleator.uncertainty import at_means, realise
 
-# How often limits between instants are tightened at most.
-_MOST_TIGHTENINGS = 12
 # A jump exceeds this many changes between neighbouring fine instants, and this part of the values.
 _STEEP, _LEAST = 5.0, 1e-6
 # A knot within this many steps of an instant coincides with it up to rounding.
@@ -35,67 +25,6 @@ _AT = 1e-6
 
 Margins = tuple[Float[np.ndarray, " instants"] | None, ...]
 """By how much the bounds of each constraint are moved inwards at each instant; None for limits on no path or peak."""
-
-
-class _Round(NamedTuple):
-    """An outcome with its check, and by how much it exceeds limits between the instants."""
-
-    outcome: Outcome
-    check: Check
-    excess: "Excess"
-
-
-class Held(NamedTuple):
-    """An outcome, its excess between instants (None if not checked), and the check at its point, if any."""
-
-    outcome: Outcome
-    between: Between | None
-    check: Check | None
-
-
-def held_between(
-    transcribed: AbstractTranscribed, solver: AbstractSolver, outcome: Outcome, between: int | None
-) -> Held:
-    """Tighten the bounds at instants between which limits are exceeded, and solve again, until they hold.
-
-    `between`: see `solve`. An outcome that is not solved is returned unchanged.
-    """
-    problem = transcribed.problem
-    factor = check_factor(problem, between)
-    if outcome.status is not Status.SOLVED or not is_checked(problem):
-        return Held(outcome, None, None)
-    check = begin_check(transcribed, outcome.point, factor)()
-    if factor == 1 or between == 1 or not any(map(is_over_time, problem.constraints)):
-        return Held(outcome, None, check)
-    best = last = _Round(outcome, check, excess_between(transcribed, outcome.point, check))
-    margins, rounds = no_margins(last.excess), [last]
-    while HELD < last.excess.worst < np.inf and len(rounds) <= _MOST_TIGHTENINGS:
-        # Margins may shrink in the first rounds; later they only grow, so that the iteration ends.
-        margins = margins_for(margins, last.excess, relax=len(rounds) <= _MOST_TIGHTENINGS // 2)
-        start, multipliers = last.outcome.point, last.outcome.multipliers
-        again = solver.solve(tightened(transcribed, margins), start=start, multipliers=multipliers)
-        if again.status is Status.INTERRUPTED:
-            return Held(again, None, None)
-        if again.status is not Status.SOLVED:
-            break
-        check = begin_check(transcribed, again.point, factor)()
-        last = _Round(again, check, excess_between(transcribed, again.point, check))
-        rounds.append(last)
-        if last.excess.worst <= best.excess.worst:
-            best = last
-        elif best.excess.worst <= TOLERATED:
-            break  # Tighter bounds may make the plan bulge more between them.
-    is_strict = between is not None or len(rounds) > 1 or follows_trajectories(problem)
-    loosest = outcome.evaluation.objective
-    cost = _part(best.outcome.evaluation.objective - loosest, loosest)
-    excess, others = best.excess, [one.outcome for one in rounds if one is not best]
-    found = Between(factor, excess.worst, excess.where, excess.when, is_strict, cost)
-    return Held(best.outcome.with_effort_of(*others), found, best.check)
-
-
-def _part(rise: float, objective: float) -> float:
-    """A rise of the objective as a part of it."""
-    return max(rise, 0.0) / abs(objective) if rise > 0 and objective else 0.0
 
 
 class Excess(NamedTuple):

@@ -3,8 +3,7 @@ expansion.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
-from typing import NamedTuple, TypeAlias, TypeVar, final
+from typing import NamedTuple, TypeAlias, final
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +24,7 @@ from aleator.design import (
     step_at,
 )
 from aleator.ensemble import in_batches, inputs_at
-from aleator.nlp import HELD, Outcome, Status
+from aleator.nlp import HELD, Outcome
 from aleator.solution import WorstCase, WorstRealisation
 from aleator.transcription import AbstractTranscribed, Scenarios, germ_box
 from aleator.uncertainty import named_numbers
@@ -43,19 +42,12 @@ _STARTS, _APART = 3, 0.15
 # The first and the last step, the number of points in other directions than the axes, and the most axes tried.
 _FIRST_STEP, _LAST_STEP, _BESIDE, _MOST_AXES = 0.5, 1e-5, 6, 12
 _MOST_SWEEPS = 60
-# How often scenarios are added and the program is solved again at most.
-_MOST_ROUNDS = 20
 # The most new scenarios per limit and round, and the least excess of a new one, relative to the worst.
 _NEW, _WORTH = 2, 0.3
 # Slack beyond this part of the scale makes a scenario idle.
 _IDLE = 1e-3
 # Instants at which the expansion ranks realisations, and how many of these it names.
 _RANKED_INSTANTS, _RANKED = 200, 16
-
-T = TypeVar("T")
-
-Attempt: TypeAlias = Callable[[AbstractTranscribed, np.ndarray | None, np.ndarray | None], tuple[Outcome, T]]
-"""Solves a transcribed problem from a start with multipliers, if they fit; returns the outcome and further results."""
 
 
 class WorstPoints(NamedTuple):
@@ -238,55 +230,7 @@ class Oracle:
         return (germ - self.low) / (self.high - self.low)
 
 
-def held_at_worst(
-    transcribed: AbstractTranscribed,
-    attempt: Attempt[T],
-    again: Attempt[T],
-    start: np.ndarray | None,
-    multipliers: np.ndarray | None,
-    *,
-    factor: int,
-    known: WorstCase | None,
-) -> tuple[AbstractTranscribed, Outcome, T, WorstCase | None]:
-    """Solve, search for realisations that break a limit on the worst case, impose the limits there, and solve again.
-
-    - `attempt`: the first solve; `again`: those that continue from an answer;
-    - `factor`: how many times as many steps the grid has on which realisations are judged; `known`: the worst case of
-      an earlier solution, whose scenarios are the first.
-
-    Returns the program that was solved last, its outcome with the further results of `attempt`, and the worst case;
-    the latter is None if no limit is on the worst case, or nothing is uncertain.
-    """
-    problem = transcribed.problem
-    if not worst_case_limits(problem) or not problem.placements.germs:
-        return transcribed, *attempt(transcribed, start, multipliers), None
-    oracle = Oracle(problem, factor)
-    transcribed = transcribed.at_scenarios(_first(transcribed, oracle, start, known))
-    outcome, beside = attempt(transcribed, start, multipliers)
-    rounds, worst, is_found = 1, np.zeros((0, len(oracle.low))), True
-    while outcome.status is Status.SOLVED:
-        new, worst = _searched(transcribed, oracle, outcome, rounds)
-        if not len(new):
-            break
-        if rounds == _MOST_ROUNDS:
-            is_found = False
-            break
-        before, idle = outcome, _idle(transcribed, outcome.point)
-        assert transcribed.scenarios is not None
-        transcribed = transcribed.at_scenarios(transcribed.scenarios.joined(new, idle))
-        begun = transcribed.point(transcribed.decisions(before.point))
-        outcome, beside = again(transcribed, begun, before.multipliers)
-        outcome = outcome.with_effort_of(before)
-        rounds += 1
-    return (
-        transcribed,
-        outcome,
-        beside,
-        replace(_reported(transcribed, outcome, oracle, worst, rounds), is_found=is_found),
-    )
-
-
-def _first(
+def scenarios_at_start(
     transcribed: AbstractTranscribed, oracle: Oracle, start: np.ndarray | None, known: WorstCase | None
 ) -> Scenarios:
     """The initial scenarios: those of an earlier solution, or those that break each limit most at the start."""
@@ -334,7 +278,7 @@ def _expansions(transcribed: AbstractTranscribed, point: np.ndarray) -> list[Flo
     return expansions
 
 
-def _searched(
+def broken_at(
     transcribed: AbstractTranscribed, oracle: Oracle, outcome: Outcome, seed: int
 ) -> tuple[Float[np.ndarray, "new variables"], Float[np.ndarray, "limits variables"]]:
     """Realisations that break a limit on the worst case by more than the present ones, and the worst of each limit."""
@@ -354,8 +298,13 @@ def _searched(
     return oracle.germ(np.unique(np.concatenate(new), axis=0)), oracle.germ(worst)
 
 
-def _reported(
-    transcribed: AbstractTranscribed, outcome: Outcome, oracle: Oracle, worst: np.ndarray, rounds: int
+def worst_case_of(
+    transcribed: AbstractTranscribed,
+    outcome: Outcome,
+    oracle: Oracle,
+    worst: np.ndarray,
+    rounds: int,
+    is_found: bool,
 ) -> WorstCase:
     """The worst realisations to report: those of the last search, or scenarios that are worse."""
     assert transcribed.scenarios is not None
@@ -376,7 +325,7 @@ def _reported(
                 numbers=inputs_at(transcribed.places, germ[k], jnp.asarray(decisions)),
             )
         )
-    return WorstCase(tuple(realisations), transcribed.scenarios.found, rounds, oracle.simulated)
+    return WorstCase(tuple(realisations), transcribed.scenarios.found, rounds, oracle.simulated, is_found)
 
 
 def _sizes(transcribed: AbstractTranscribed, outcome: Outcome) -> Float[np.ndarray, " limits"]:
@@ -385,7 +334,7 @@ def _sizes(transcribed: AbstractTranscribed, outcome: Outcome) -> Float[np.ndarr
     return np.array([outcome.sizes[rows].max() for one, rows in pairs if is_worst_case(one)])
 
 
-def _idle(transcribed: AbstractTranscribed, point: np.ndarray) -> Bool[np.ndarray, " slots"]:
+def idle_scenarios(transcribed: AbstractTranscribed, point: np.ndarray) -> Bool[np.ndarray, " slots"]:
     """The slots whose realisations are far from all limits on the worst case."""
     assert transcribed.scenarios is not None
     close = np.zeros(len(transcribed.scenarios.used), dtype=bool)

@@ -26,6 +26,7 @@ from aleator.certification import doubts, refinement, unconverged
 from aleator.design import Problem, deterministic
 from aleator.nlp import AbstractSearch, AbstractSolver, Status
 from aleator.solution import AtMeans, Solution
+from aleator.solving._rounds import Rounds
 from aleator.solving._stages import UNSOLVED, Answer, Stages
 from aleator.transcription import DEFAULT, AbstractTranscription, started_from
 
@@ -232,7 +233,8 @@ def _solved(call: Call) -> Solution:
     solver = call.solver or transcription.solver
     # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
     with heeding() as heed, dropped_on_failure():
-        stages = Stages(transcription, solver, call.between, call.accuracy, Compiled.seconds, heed, call.executor)
+        rounds = Rounds(solver, call.between, heed, call.executor)
+        stages = Stages(transcription, rounds, call.accuracy, Compiled.seconds)
         at_means = None
         if call.deterministic_first:
             stages, first, at_means = _from_means(stages, problem, first)
@@ -253,7 +255,8 @@ def _from_means(
     if not problem.placements.germs:
         return stages, first, None
     try:
-        mean = stages._replace(between=1).answer(deterministic(problem), first, None).solution
+        at_instants = stages._replace(rounds=stages.rounds._replace(between=1))
+        mean = at_instants.answer(deterministic(problem), first, None).solution
     except ProblemError:
         # Without spreads a limit may be impossible that the problem itself can meet. What is wrong with both is told by
         # the problem itself.
