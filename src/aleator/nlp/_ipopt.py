@@ -1,5 +1,7 @@
 """IPOPT through CasADi's wheel: for many variables, and for platforms without a wheel of unopy."""
 
+import functools
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, final
@@ -14,6 +16,26 @@ from aleator.nlp._scaling import Multipliers, ScaledProgram
 from aleator.nlp._solver import Status
 
 Answered = Callable[[list[np.ndarray]], Sequence[np.ndarray]]
+
+
+# Read when the linear algebra of CasADi's wheel is loaded.
+_THREADS = "OPENBLAS_NUM_THREADS"
+
+
+@functools.cache
+def _load(casadi: Any) -> None:
+    """Load IPOPT with one thread of linear algebra, unless the user's environment says how many.
+
+    Threads that wait for each other at every small product make a solution up to 50 times as long, and digits depend on
+    their number.
+    """
+    given = os.environ.get(_THREADS)
+    os.environ.setdefault(_THREADS, "1")
+    try:
+        casadi.load_nlpsol("ipopt")
+    finally:
+        if given is None:
+            del os.environ[_THREADS]
 
 
 def callbacks_of(casadi: Any, scaled: ScaledProgram) -> dict[str, Any]:
@@ -155,6 +177,7 @@ class Ipopt(AbstractLocalSolver):
             options["jac_g"] = callbacks["jac_g"]
         if "hess_lag" in callbacks:
             options["hess_lag"] = callbacks["hess_lag"]
+        _load(casadi)
         solver = casadi.nlpsol("ipopt", "ipopt", program, options)
         arguments = {"x0": scaled.start, "lbx": scaled.lower, "ubx": scaled.upper}
         if scaled.rows:
