@@ -11,7 +11,6 @@ from aleator.nlp._matrices import SparseMatrix as SparseMatrix
 from aleator.nlp._matrices import with_entries as with_entries
 from aleator.nlp._program import Evaluation as Evaluation
 from aleator.nlp._program import Hessian as Hessian
-from aleator.nlp._program import Magnitudes as Magnitudes
 from aleator.nlp._program import NonlinearProgram as NonlinearProgram
 from aleator.nlp._restarts import UNBOUNDED as UNBOUNDED
 from aleator.nlp._restarts import Restart as Restart

@@ -1,14 +1,14 @@
 """What a solver claims of its answer, what is reported of it, and why it is no solution."""
 
-import itertools
 from typing import NamedTuple
 
 import numpy as np
 
-from aleator.nlp._certificate import Certificate, lagrangian_gradient
+from aleator.nlp._certificate import Certificate
 from aleator.nlp._evaluations import NotFiniteError
-from aleator.nlp._program import Evaluation
+from aleator.nlp._program import Evaluation, NonlinearProgram
 from aleator.nlp._scaling import Multipliers, ScaledProgram
+from aleator.nlp._slopes import slopes_at
 from aleator.nlp._solver import Status
 
 
@@ -36,7 +36,7 @@ class Answer(NamedTuple):
 class Verdict(NamedTuple):
     """The result to report: a point with its evaluation in user units, scaled multipliers and their certificate.
 
-    `sizes`: of the useful constraints at the point, in user units, shape (m_useful,); `strayed`: see `Outcome`.
+    `strayed`: see `Outcome`.
     """
 
     status: Status
@@ -45,66 +45,7 @@ class Verdict(NamedTuple):
     multipliers: Multipliers
     certificate: Certificate
     message: str
-    sizes: np.ndarray
     strayed: bool = False
-
-
-# Lengths of the probing steps, in typical magnitudes of the variables.
-_STEPS = (1e-3, 1e-5, 1e-7)
-# A change below this many rounding errors cannot be distinguished from none.
-_ROUNDINGS = 1e3
-# The error of a first-order prediction falls with the square of the step. Below the first of these powers the function
-# is not differentiable; below the second it jumps.
-_SMOOTH, _JUMP = 1.5, 0.5
-_EXCLUDE = "Exclude those points by the bounds of the decisions"
-
-
-def stall(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers) -> tuple[str, str]:
-    """Why a solver may have got stuck at a point, in words that follow a colon, and the remedy; empty if unknown.
-
-    The Lagrangian is evaluated along its own steepest descent, over steps of different lengths. If it is smooth, the
-    error of the first-order prediction falls with the square of the step; at a kink it falls with the step, at a jump
-    not at all. The result does not depend on the solver.
-    """
-    start = scaled.evaluate(z)
-    remainder = lagrangian_gradient(start, multipliers)
-    largest = float(np.abs(remainder).max(initial=0.0))
-    if largest == 0:
-        return "", ""
-    typical = max(1.0, float(np.abs(z).max()))
-    rounding = _ROUNDINGS * np.finfo(float).eps * scaled.terms(start, multipliers)
-    missed: list[tuple[float, float]] = []
-    seen = False
-    for step in _STEPS:
-        moved = np.clip(z - step * typical * remainder / largest, scaled.lower, scaled.upper)
-        try:
-            there = scaled.evaluate(moved)
-        except NotFiniteError:
-            return "the model is not finite close by, where it would be less", _EXCLUDE
-        predicted = float(remainder @ (moved - z))
-        seen = seen or abs(predicted) > rounding
-        rows = float(multipliers.rows @ (there.constraints - start.constraints))
-        actual = there.objective - start.objective + rows + float(multipliers.bounds @ (moved - z))
-        error = abs(actual - predicted)
-        if error > max(rounding, abs(predicted) / 2):
-            missed.append((step, error))
-    if not seen:
-        why = "the possible gain is below the rounding of the objective, so that no further progress is possible here"
-        return why, "Accept it by a larger tolerance of the solver"
-    if len(missed) < 2:
-        return "", ""
-    power = min(
-        np.log(error / finer) / np.log(step / smaller) for (step, error), (smaller, finer) in itertools.pairwise(missed)
-    )
-    if power > _SMOOTH:
-        return "", ""
-    what = "jumps" if power < _JUMP else "has a kink"
-    why = (
-        f"the objective or an active constraint {what} close by, so that it does not change as its derivative "
-        "predicts, and no derivative-based solver gets further"
-    )
-    remedy = "Make it smooth there (al.examine names it), or replace a largest or absolute value by limits on its parts"
-    return why, remedy
 
 
 HELD = 1e-6
@@ -177,5 +118,56 @@ def _reason(scaled: ScaledProgram, verdict: Verdict, tolerance: float) -> tuple[
             "asked, although small steps would still reduce it"
         ), ""
     residual = max(certificate.stationarity, certificate.complementarity)
-    known, remedy = stall(scaled, verdict.point, verdict.multipliers)
+    known, remedy = _stall(scaled, verdict.point, verdict.multipliers)
     return f"stationarity is {residual:.1e}, where {tolerance:.0e} is asked{known and ': '}{known}", remedy
+
+
+# A possible gain, over the longest of the steps that tell slopes, is seen if it is above so many rounding errors.
+_LONGEST, _ROUNDINGS = 1e-3, 1e3
+
+
+def _stall(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers) -> tuple[str, str]:
+    """Why a solver may have got stuck at a point, in words that follow a colon, and the remedy; empty if unknown.
+
+    The slopes of the Lagrangian are looked at along its own steepest descent. The result does not depend on the solver.
+    """
+    here = scaled.evaluate(z)
+    remainder = multipliers.slope(here)
+    direction = -max(1.0, float(np.abs(z).max())) * remainder / (float(np.abs(remainder).max()) or 1.0)
+    ends = np.where(direction > 0, scaled.upper, scaled.lower) - z
+    direction[np.abs(ends) <= _LONGEST * np.abs(direction)] = 0.0
+    terms = scaled.terms(here, multipliers)
+    if not direction.any():
+        return "", ""
+    if _LONGEST * abs(float(remainder @ direction)) <= _ROUNDINGS * np.finfo(float).eps * terms:
+        why = "the possible gain is below the rounding of the objective, so that no further progress is possible here"
+        return why, "Accept it by a larger tolerance of the solver"
+    is_finite = True
+
+    def along(step: np.ndarray) -> Evaluation:
+        nonlocal is_finite
+        try:
+            there = scaled.evaluate(np.clip(z + step * direction, scaled.lower, scaled.upper))
+        except NotFiniteError:
+            is_finite = is_finite and not 0 < step[0] <= _LONGEST
+            return Evaluation(np.nan, np.full(1, np.nan), np.zeros(0), np.zeros((0, 1)))
+        change = there.objective - here.objective + float(multipliers.rows @ (there.constraints - here.constraints))
+        change += float(multipliers.bounds @ direction) * step[0]
+        return Evaluation(terms + change, multipliers.slope(there)[None] @ direction, np.zeros(0), np.zeros((0, 1)))
+
+    start, nothing = np.zeros(1), np.zeros(0)
+    line = NonlinearProgram(along, start, start - np.inf, start + np.inf, nothing, nothing, nothing, start + 1)
+    slopes = slopes_at(line, start)
+    if not is_finite:
+        return (
+            "the model is not finite close by, where it would be less"
+        ), "Exclude those points by the bounds of the decisions"
+    if not np.any(slopes.kinks | slopes.jumps | slopes.wrong):
+        return "", ""
+    what = "jumps" if slopes.jumps.any() else "has a kink"
+    why = (
+        f"the objective or an active constraint {what} close by, so that it does not change as its derivative "
+        "predicts, and no derivative-based solver gets further"
+    )
+    remedy = "Make it smooth there (al.examine names it), or replace a largest or absolute value by limits on its parts"
+    return why, remedy

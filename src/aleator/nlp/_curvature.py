@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from aleator.nlp._certificate import lagrangian_gradient
 from aleator.nlp._evaluations import MOST_DIFFERENCED, NotFiniteError, changes_of
 from aleator.nlp._matrices import projected
 from aleator.nlp._program import Evaluation
@@ -75,8 +74,9 @@ def descent(
     than `MOST_DIFFERENCED` variables only the first still ones, along the active rows, and the slope.
     """
     here = scaled.evaluate(z)
-    multipliers = _near(scaled, z, here, multipliers)
-    slope = lagrangian_gradient(here, multipliers)
+    # Those of rows and bounds close by.
+    multipliers = multipliers.kept(scaled.sides.excess(np.append(here.constraints, z)) > -_NEAR)
+    slope = multipliers.slope(here)
     size = np.maximum(1.0, np.abs(z))
     free = np.abs(multipliers.bounds) <= _PRESSES * _terms(here)
     free &= np.where(slope > 0, z - scaled.lower, np.where(slope < 0, scaled.upper - z, 1.0)) > 0
@@ -92,15 +92,6 @@ def descent(
         return _tried(scaled, z, multipliers, model, noticeable)
     except NotFiniteError:
         return None
-
-
-def _near(scaled: ScaledProgram, z: np.ndarray, here: Evaluation, multipliers: Multipliers) -> Multipliers:
-    """The multipliers of rows and bounds close by."""
-    beyond = np.maximum(z - scaled.upper, scaled.lower - z)
-    return Multipliers(
-        np.where(scaled.violation(here.constraints) > -_NEAR, multipliers.rows, 0.0),
-        np.where(beyond > -_NEAR, multipliers.bounds, 0.0),
-    )
 
 
 def _terms(here: Evaluation) -> float:
@@ -140,7 +131,7 @@ def _modelled(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers, ba
     """The quadratic model. Raises `NotFiniteError` where the program has no value on either side."""
 
     def slope(point: np.ndarray) -> np.ndarray:
-        return lagrangian_gradient(scaled.evaluate(point), multipliers)
+        return multipliers.slope(scaled.evaluate(point))
 
     curvature = basis.T @ changes_of(slope, z, (scaled.lower, scaled.upper), basis)
     values, mixed = np.linalg.eigh((curvature + curvature.T) / 2)
@@ -186,13 +177,13 @@ def _tried(
             continue
         change = here.objective - there.objective - float(multipliers.bounds @ (moved - z))
         change += float(multipliers.rows @ (here.constraints - there.constraints))
-        inside = bool(scaled.violation(there.constraints).max(initial=0.0) <= _CLOSE)
+        inside = bool(scaled.limits.excess(there.constraints).max(initial=0.0) <= _CLOSE)
         if change >= max(_BROUGHT * predicted(share), noticeable) and (lowest is None or inside):
             lowest, holds = moved, inside
     is_blocked = not holds and _blocks(scaled, here, model.directions @ (newton + leave))
     return Descent(
-        fall=predicted(1.0) * scaled.objective_scale,
-        slope=float(np.abs(lagrangian_gradient(here, multipliers)).max()),
+        fall=predicted(1.0) * scaled.scales.objective,
+        slope=float(np.abs(multipliers.slope(here)).max()),
         point=lowest,
         holds=holds,
         is_doubtful=lowest is None or is_blocked,
@@ -201,7 +192,6 @@ def _tried(
 
 def _blocks(scaled: ScaledProgram, here: Evaluation, step: np.ndarray) -> bool:
     """Whether a row that is at its bound stands in the way of a step."""
-    change = here.jacobian @ step
-    upper = (scaled.constraint_upper - here.constraints <= _CLOSE) & (change > 0)
-    lower = (here.constraints - scaled.constraint_lower <= _CLOSE) & (change < 0)
-    return bool(np.any((upper | lower) & (scaled.constraint_lower < scaled.constraint_upper)))
+    rows, signs, gaps = scaled.limits.within(here.constraints)
+    is_equal = scaled.constraint_lower == scaled.constraint_upper
+    return bool(np.any((gaps <= _CLOSE) & (signs * (here.jacobian @ step)[rows] > 0) & ~is_equal[rows]))

@@ -15,7 +15,7 @@ from aleator.nlp._evaluations import HaltedError, NotFiniteError, NowhereFiniteE
 from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
 from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status, checked
-from aleator.nlp._verdict import better_scales, judge, settle
+from aleator.nlp._verdict import judge, settle
 
 # Rounds from a steep start, each of which lowers the slope of the objective by many orders of magnitude.
 _MOST_ROUNDS = 4
@@ -111,12 +111,11 @@ class AbstractLocalSolver(AbstractSolver):
             return Answer(Status.EVALUATION_FAILED, scaled.start, None, 0, "the model is not finite at the start")
         if scaled.size == 0:
             return Answer(Status.SOLVED, scaled.start, None, 0, "every variable is fixed")
-        warm = None if multipliers is None else scaled.multipliers_to_scaled(multipliers)
-        answer = self._rounds(scaled, warm)
+        answer = self._rounds(scaled, None if multipliers is None else scaled.to_scaled(multipliers))
         if answer.claim is Status.FAILED and not scaled.evaluations.last.is_finite:
             answer = answer._replace(claim=Status.EVALUATION_FAILED)
         # The verdict needs the model at the answer, which may no longer be remembered.
-        scaled.evaluations.at(scaled.unscaled(answer.point))
+        scaled.user(answer.point)
         return answer
 
     def _rounds(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
@@ -131,12 +130,11 @@ class AbstractLocalSolver(AbstractSolver):
             answer = dataclasses.replace(self, max_iterations=share)._claimed(scaled, multipliers)
             spent += answer.iterations
             answer = answer._replace(iterations=spent)
-            if scaled.evaluations.halt is not None or not scaled.is_finite(answer.point):
+            if scaled.evaluations.halt is not None or not scaled.user(answer.point).is_finite:
                 return answer
             answer, stands = settle(scaled, answer, self.tolerance)
             if stands or rounds == _MOST_ROUNDS or spent >= self.max_iterations:
                 return answer
-            judged_in, better = scaled.scales, better_scales(scaled, answer)
             in_vain = bool(answer.unfinished) or answer.claim is Status.ITERATION_LIMIT or scaled.straightness.is_shown
             sharper = (
                 (in_vain or tried)
@@ -144,12 +142,10 @@ class AbstractLocalSolver(AbstractSolver):
                 and scaled.take_differences()
             )
             if not in_vain:
-                if tried and not sharper and better.is_near(ran_in, _SAME_SCALE):
+                if tried and not sharper and scaled.scales.is_near(ran_in, _SAME_SCALE):
                     return answer
                 tried = True
-            scaled.rescale(answer.point, better)
-            known = judged_in.converted(answer.multipliers, better)
-            multipliers = None if known is None else known.rows
+            multipliers = None if answer.multipliers is None else answer.multipliers.rows
 
     def _claimed(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         """The library's answer. Raises `ProblemError` if it is no answer to this program."""
@@ -167,21 +163,16 @@ class AbstractLocalSolver(AbstractSolver):
 
 
 def _outcome(scaled: ScaledProgram, answer: Answer, verdict: Verdict, solver: str, seconds: float) -> Outcome:
-    multipliers = scaled.multipliers_to_user(verdict.multipliers.rows)
-    bounds = scaled.bound_multipliers_to_user(verdict.multipliers.bounds, multipliers, verdict.user)
-    active, active_bounds = scaled.active(
-        verdict.point, verdict.user, verdict.multipliers.rows, verdict.multipliers.bounds
-    )
+    multipliers, bound_multipliers = scaled.to_user(verdict.multipliers, verdict.user)
+    active, active_bounds = scaled.active(verdict.point, verdict.user, verdict.multipliers)
     objectives, violations = np.array(scaled.visited, dtype=float).reshape(-1, 2).T
     return Outcome(
         status=verdict.status,
         point=scaled.unscaled(verdict.point),
         evaluation=verdict.user,
         multipliers=multipliers,
-        bound_multipliers=bounds,
-        violation=verdict.certificate.violation,
-        stationarity=verdict.certificate.stationarity,
-        complementarity=verdict.certificate.complementarity,
+        bound_multipliers=bound_multipliers,
+        **dataclasses.asdict(verdict.certificate),
         iterations=answer.iterations,
         evaluations=scaled.evaluations.count,
         seconds=seconds,
@@ -189,7 +180,7 @@ def _outcome(scaled: ScaledProgram, answer: Answer, verdict: Verdict, solver: st
         message=verdict.message,
         active=active,
         active_bounds=active_bounds,
-        sizes=scaled.sizes(verdict.sizes),
+        sizes=scaled.every_scale,
         failed_at=scaled.evaluations.failed_at if verdict.status is Status.EVALUATION_FAILED else None,
         strayed=verdict.strayed,
         visited=Searched(solver, objectives, violations, answer.message, seconds),

@@ -57,56 +57,27 @@ def dense_rows(matrix: Matrix, rows: np.ndarray) -> np.ndarray:
     return matrix[rows] if isinstance(matrix, np.ndarray) else matrix[rows].toarray()
 
 
-def gradients(matrix: Matrix, rows: np.ndarray, signs: np.ndarray) -> Matrix:
-    """Some rows as columns, each with a sign: shape (n, rows)."""
+def above_identity(matrix: Matrix) -> Matrix:
+    """A matrix of shape (m, n) above the identity: shape (m + n, n), the slopes of rows and variables."""
     if isinstance(matrix, np.ndarray):
-        return matrix[rows].T * signs
-    return (matrix[rows].T * signs).tocsr()
+        return np.concatenate([matrix, np.eye(matrix.shape[1])])
+    return scipy.sparse.vstack([matrix, scipy.sparse.eye_array(matrix.shape[1])], format="csr")
 
 
-def unit_columns(like: Matrix, places: np.ndarray, signs: np.ndarray) -> Matrix:
-    """Signed unit vectors as columns, as long as `like` has columns, and dense or sparse as it is."""
-    size = like.shape[1]
-    if isinstance(like, np.ndarray):
-        return np.eye(size)[:, places] * signs
-    return scipy.sparse.csr_array((signs, (places, np.arange(places.size))), shape=(size, places.size))
+def nonnegative_fit(rows: Matrix, target: np.ndarray) -> np.ndarray:
+    """Weights `w >= 0` for which `w @ rows` is closest to a target; zeros, which prove nothing, if not found.
 
-
-def side_by_side(*columns: Matrix) -> Matrix:
-    """Matrices beside one another, all dense or all sparse."""
-    if isinstance(columns[0], np.ndarray):
-        return np.concatenate(columns, axis=1)
-    return scipy.sparse.hstack(columns, format="csr")
-
-
-def with_last_row(matrix: Matrix, row: np.ndarray) -> Matrix:
-    """A matrix with one more row."""
-    if isinstance(matrix, np.ndarray):
-        return np.vstack([matrix, row])
-    return scipy.sparse.vstack([matrix, scipy.sparse.csr_array(row[None])], format="csr")
-
-
-def bounded_fit(columns: Matrix, target: np.ndarray, ceiling: np.ndarray) -> np.ndarray:
-    """Weights between 0 and a ceiling, shape (columns,), for which `columns @ weights` is closest to a target.
-
-    Of sparse columns the search is cut short: what it has not found proves nothing.
+    For sparse rows the search is cut short.
     """
-    if isinstance(columns, np.ndarray):
-        return scipy.optimize.lsq_linear(columns, target, (np.zeros(ceiling.size), ceiling), method="bvls").x
-    steps = int(np.clip(_MOST_WORK // (_MOST_STEPS * max(columns.nnz, 1)), _LEAST_STEPS, _MOST_STEPS))
-    short = {"max_iter": steps, "lsmr_maxiter": _MOST_STEPS}
-    return scipy.optimize.lsq_linear(columns, target, (np.zeros(ceiling.size), ceiling), method="trf", **short).x
-
-
-def nonnegative_fit(columns: Matrix, target: np.ndarray) -> np.ndarray:
-    """Weights `w >= 0` for which `columns @ w` is closest to a target; zeros, which prove nothing, if not found."""
-    if not isinstance(columns, np.ndarray):
-        return bounded_fit(columns, target, np.full(columns.shape[1], np.inf))
-    try:
-        return scipy.optimize.nnls(columns, target)[0]
-    except RuntimeError:
-        # SciPy raises this when its iterations are used up.
-        return np.zeros(columns.shape[1])
+    if isinstance(rows, np.ndarray):
+        try:
+            return scipy.optimize.nnls(rows.T, target)[0]
+        except RuntimeError:
+            # SciPy raises this when its iterations are used up.
+            return np.zeros(len(rows))
+    steps = int(np.clip(_MOST_WORK // (_MOST_STEPS * max(rows.nnz, 1)), _LEAST_STEPS, _MOST_STEPS))
+    short = {"method": "trf", "max_iter": steps, "lsmr_maxiter": _MOST_STEPS}
+    return scipy.optimize.lsq_linear(rows.T.tocsr(), target, (0.0, np.inf), **short).x
 
 
 @final

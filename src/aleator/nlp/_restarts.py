@@ -113,15 +113,12 @@ def _descended(program: NonlinearProgram, outcome: Outcome, still: np.ndarray) -
     if not still.any():
         return []
     scaled = ScaledProgram(program, outcome.point)
-    z, free, useful = scaled.start, program.lower < program.upper, scaled.useful
+    z, free = scaled.start, program.lower < program.upper
     changes = np.abs(outcome.evaluation.gradient) * program.variable_scale
     objective = max(abs(outcome.evaluation.objective), float(changes.max())) or 1.0
-    scaled.rescale(z, Scales(objective, outcome.sizes[useful]))
-    multipliers = Multipliers(
-        scaled.multipliers_to_scaled(outcome.multipliers),
-        (outcome.bound_multipliers * program.variable_scale)[free] / objective,
-    )
-    further = descent(scaled, z, multipliers, still[free])
+    scaled.rescale(z, Scales(objective, outcome.sizes[scaled.useful]))
+    bounds = (outcome.bound_multipliers * program.variable_scale)[free] / objective
+    further = descent(scaled, z, Multipliers(scaled.to_scaled(outcome.multipliers), bounds), still[free])
     return [] if further is None or further.point is None else [scaled.unscaled(further.point)]
 
 
@@ -222,7 +219,7 @@ def _elsewhere(program: NonlinearProgram, start: np.ndarray) -> list[np.ndarray]
 
 def _violation(program: NonlinearProgram, outcome: Outcome, point: np.ndarray) -> float:
     values = program.evaluate(point).constraints
-    beyond = np.maximum(values - program.constraint_upper, program.constraint_lower - values) / outcome.sizes
+    beyond = program.limits.excess(values) / outcome.sizes
     return float(np.max(beyond, initial=0.0)) if np.isfinite(values).all() else np.inf
 
 

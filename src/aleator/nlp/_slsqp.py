@@ -81,13 +81,13 @@ class Slsqp(AbstractLocalSolver):
             before = point
             point, mode, spent, message = search(scaled, point, rows, self.aim, self.max_iterations - iterations)
             iterations += spent
-            if not scaled.is_finite(point):
+            if not scaled.user(point).is_finite:
                 return Answer(Status.EVALUATION_FAILED, before, None, iterations, message)
             if mode == _ITERATION_LIMIT or iterations >= self.max_iterations:
                 used_up = message if mode == _ITERATION_LIMIT else "iteration limit reached over all rounds"
                 return Answer(Status.ITERATION_LIMIT, point, None, iterations, used_up)
             converged = bool(np.abs(point - before).max() < 0.99 * _REACH) and self._met(scaled, point, rows)
-            violation = scaled.violation(scaled.evaluate(point).constraints)
+            violation = scaled.limits.excess(scaled.evaluate(point).constraints)
             feasible = float(violation.max(initial=0.0)) <= 10 * self.aim
             if search is _least_violation:
                 if converged and not feasible:
@@ -102,14 +102,14 @@ class Slsqp(AbstractLocalSolver):
 
     def _met(self, scaled: ScaledProgram, point: np.ndarray, rows: np.ndarray) -> bool:
         """Whether no row outside `rows` is violated more than those inside, so that another round changes nothing."""
-        outside = scaled.violation(scaled.evaluate(point).constraints)
+        outside = scaled.limits.excess(scaled.evaluate(point).constraints)
         inside = float(outside[rows].max(initial=0.0))
         return float(outside.max(initial=0.0)) <= max(inside, self.aim)
 
 
 def _worst_rows(scaled: ScaledProgram, point: np.ndarray) -> np.ndarray:
     """Find the rows that are worst among their neighbours, the worst first and no more than a few per variable."""
-    outside = scaled.violation(scaled.evaluate(point).constraints)
+    outside = scaled.limits.excess(scaled.evaluate(point).constraints)
     padded = np.concatenate([[-np.inf], outside, [-np.inf]])
     # Of equally bad rows only the first counts, so that a plateau does not crowd out other extrema.
     extrema = np.flatnonzero((outside > padded[:-2]) & (outside >= padded[2:]))

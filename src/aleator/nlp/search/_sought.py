@@ -205,10 +205,9 @@ class Sought:
             self.halt = error
             raise EndedError from error
         known = np.isfinite(objectives) & np.isfinite(constraints).all(axis=1)
-        program = self._program
         with np.errstate(invalid="ignore"):
-            beyond = np.maximum(constraints - program.constraint_upper, program.constraint_lower - constraints)
-            worst = np.max(beyond / program.constraint_scale, axis=1, initial=0.0)
+            beyond = self._program.limits.excess(constraints) / self._program.constraint_scale
+            worst = np.max(beyond, axis=1, initial=0.0)
         found = _Candidates(points, np.where(known, objectives, np.nan), np.where(known, worst, 0.0))
         self._objectives.append(found.objectives)
         self._violations.append(found.violations)
