@@ -19,7 +19,7 @@ _ACTIVE = 1e-5
 # tenth of it does.
 _STATIONARY, _FALL, _FARTHEST, _SHARES = 1e-3, 0.05, 1e5, (1.0, 0.1)
 # Steps of the simplex method after which a proof is given up.
-_MOST_PIVOTS = 20_000
+_MOST_PIVOTS = 100_000
 
 
 @final

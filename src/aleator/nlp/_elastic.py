@@ -17,14 +17,14 @@ _FIRST = 1.0
 
 
 class _Sides(NamedTuple):
-    """Finite bounds as `sign c(x) - slack size <= sign bound`: sign +1 for an upper bound, -1 for a lower one.
+    """Finite bounds as `sign c(x) - slack size <= most`: sign +1 for an upper bound, -1 for a lower one.
 
     `group`: the place of the elastic group of each, -1 for one that holds.
     """
 
     rows: Int[np.ndarray, " sides"]
     signs: Float[np.ndarray, " sides"]
-    bounds: Float[np.ndarray, " sides"]
+    most: Float[np.ndarray, " sides"]
     group: Int[np.ndarray, " sides"]
     sizes: Float[np.ndarray, " sides"]
 
@@ -75,9 +75,7 @@ class Elastic:
     def program(self) -> NonlinearProgram:
         """The program to be solved: its variables are those of the original, then the excesses of the loose groups."""
         original, n, count, sides = self.original, self.original.start.size, len(self.loose), self._sides
-        slacks = np.zeros((len(sides.rows), count))
-        exceeded = np.flatnonzero(sides.group >= 0)
-        slacks[exceeded, sides.group[exceeded]] = -sides.sizes[exceeded]
+        slacks = np.where(sides.group[:, None] == np.arange(count), -sides.sizes[:, None], 0.0)
 
         def evaluate(point: Float[np.ndarray, " m"]) -> Evaluation:
             there = original.evaluate(point[:n])
@@ -95,7 +93,7 @@ class Elastic:
             lower=np.append(original.lower, np.zeros(count)),
             upper=np.append(original.upper, np.full(count, np.inf)),
             constraint_lower=np.full(len(sides.rows), -np.inf),
-            constraint_upper=sides.signs * sides.bounds,
+            constraint_upper=sides.most,
             constraint_scale=sides.sizes,
             variable_scale=np.append(original.variable_scale, np.ones(count)),
             least=0.0,
@@ -122,7 +120,7 @@ class Elastic:
         """By how much each loose group is exceeded at a point; infinite where that is not known."""
         sides, original = self._sides, self.original
         values = original.evaluate(np.clip(point, original.lower, original.upper)).constraints
-        beyond = (sides.signs * (values[sides.rows] - sides.bounds)) / sides.sizes
+        beyond = (sides.signs * values[sides.rows] - sides.most) / sides.sizes
         excesses, loose = np.zeros(len(self.loose)), sides.group >= 0
         np.maximum.at(excesses, sides.group[loose], np.nan_to_num(beyond[loose], nan=np.inf))
         holds = np.isfinite(values).all() and np.all(beyond[~loose] <= HELD)
@@ -130,13 +128,13 @@ class Elastic:
 
     @property
     def _sides(self) -> _Sides:
-        original = self.original
-        parts = [(np.zeros(0, dtype=int), np.zeros(0), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0))]
-        places = {which: i for i, which in enumerate(self.loose)}
-        for which in sorted({*self.held, *self.loose}):
-            rows, size = self.groups[which]
-            for sign, bounds in ((1.0, original.constraint_upper), (-1.0, original.constraint_lower)):
-                some = rows[np.isfinite(bounds[rows])]
-                group = np.full(len(some), places.get(which, -1))
-                parts.append((some, np.full(len(some), sign), bounds[some], group, np.full(len(some), size)))
-        return _Sides(*map(np.concatenate, zip(*parts, strict=True)))
+        limits, left_out = self.original.limits, -2
+        group, sizes = np.full(limits.lower.size, left_out), np.ones(limits.lower.size)
+        places = dict.fromkeys(self.held, -1) | {which: i for i, which in enumerate(self.loose)}
+        for which, place in places.items():
+            own, size = self.groups[which]
+            group[own], sizes[own] = place, size
+        rows, signs, most = limits.within(np.zeros(limits.lower.size))
+        used = group[rows] != left_out
+        rows = rows[used]
+        return _Sides(rows, signs[used], most[used], group[rows], sizes[rows])
