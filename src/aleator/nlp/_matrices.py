@@ -47,9 +47,11 @@ def largest_term(weights: np.ndarray, matrix: Matrix) -> float:
     return float(np.abs(weights[rows_of_entries(matrix)] * matrix.data).max(initial=0.0))
 
 
-def column_is_zero(matrix: Matrix, column: int) -> bool:
-    """Whether a column is zero."""
-    return not entries(matrix[:, [column]]).any()
+def zero_columns(matrix: Matrix) -> np.ndarray:
+    """Which columns are zero, shape (n,)."""
+    if isinstance(matrix, np.ndarray):
+        return np.logical_not(matrix.any(axis=0))
+    return ~np.isin(np.arange(matrix.shape[1]), matrix.indices[matrix.data != 0])
 
 
 def dense_rows(matrix: Matrix, rows: np.ndarray) -> np.ndarray:

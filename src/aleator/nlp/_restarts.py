@@ -9,7 +9,6 @@ Where a solver proves that no small step meets all constraints there may still b
 saturates, or if a variable must change by many orders of magnitude from a poor start.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -17,7 +16,7 @@ import numpy as np
 
 from aleator.nlp._answer import HELD
 from aleator.nlp._curvature import descent
-from aleator.nlp._matrices import column_is_zero
+from aleator.nlp._matrices import zero_columns
 from aleator.nlp._program import Evaluation, NonlinearProgram
 from aleator.nlp._scaling import Multipliers, ScaledProgram, Scales
 from aleator.nlp._solver import Outcome, Status
@@ -86,7 +85,7 @@ def restart_of(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -
 
 def _around(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -> Restart:
     here = outcome.evaluation
-    flat = np.array([here.gradient[i] == 0 and column_is_zero(here.jacobian, i) for i in range(begun.size)], dtype=bool)
+    flat = _is_flat(here)
     still = np.abs(outcome.point - begun) <= _STILL * program.variable_scale
     if outcome.searched is not None:
         still |= flat
@@ -97,7 +96,7 @@ def _around(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -> R
         others = [(point, there) for point, there in others if np.isfinite([there.objective, *there.constraints]).all()]
         if not any(_differs(here, there) for _, there in others):
             idle.append(i)
-        elif all(there.gradient[i] == 0 and column_is_zero(there.jacobian, i) for _, there in others):
+        elif all(_is_flat(there)[i] for _, there in others):
             blind.append(i)
         else:
             lower += [point for point, there in others if _is_lower(outcome, there)]
@@ -120,6 +119,11 @@ def _descended(program: NonlinearProgram, outcome: Outcome, still: np.ndarray) -
     bounds = (outcome.bound_multipliers * program.variable_scale)[free] / objective
     further = descent(scaled, z, Multipliers(scaled.to_scaled(outcome.multipliers), bounds), still[free])
     return [] if further is None or further.point is None else [scaled.unscaled(further.point)]
+
+
+def _is_flat(there: Evaluation) -> np.ndarray:
+    """By which variables all slopes are zero, shape (n,)."""
+    return (there.gradient == 0) & zero_columns(there.jacobian)
 
 
 def _across(program: NonlinearProgram, here: np.ndarray, which: int) -> list[np.ndarray]:
@@ -162,33 +166,27 @@ def lost_variables(program: NonlinearProgram, point: np.ndarray, here: Evaluatio
     Two evaluations if some slope is exactly zero, two more for each of several suspects if the objective changes. In
     sparse programs, where an objective depends on few variables by construction, none is looked for.
     """
+
+    def are_lost(which: np.ndarray) -> bool:
+        bounds, size = (program.lower[which], program.upper[which]), program.variable_scale[which]
+        for step in _BLIND_STEPS:
+            # Away from a bound that is too close.
+            places = [np.clip(point[which] + sign * step * size, *bounds) for sign in (1, -1)]
+            first, second = (np.abs(place - point[which]) for place in places)
+            moved = point.copy()
+            moved[which] = np.where(first >= second, *places)
+            there = program.evaluate(moved)
+            change, size_of_both = abs(there.objective - here.objective), max(abs(here.objective), abs(there.objective))
+            if change > _SAME * size_of_both and np.isfinite(change) and not there.gradient[which].any():
+                return True
+        return False
+
     flat = np.flatnonzero((here.gradient == 0) & (program.lower < program.upper))
     if not flat.size or not isinstance(here.jacobian, np.ndarray) or not np.isfinite(here.objective):
         return ()
-    if not _are_lost(program, point, here, flat):
+    if not are_lost(flat):
         return ()
-    return tuple(int(i) for i in flat[:_MOST] if flat.size == 1 or _are_lost(program, point, here, np.array([i])))
-
-
-def _are_lost(program: NonlinearProgram, point: np.ndarray, here: Evaluation, which: np.ndarray) -> bool:
-    """Whether some step of these variables changes the objective without a slope at either end."""
-    for there in _steps(program, point, which):
-        size = max(abs(here.objective), abs(there.objective))
-        differs = np.isfinite(there.objective) and abs(there.objective - here.objective) > _SAME * size
-        if differs and not there.gradient[which].any():
-            return True
-    return False
-
-
-def _steps(program: NonlinearProgram, point: np.ndarray, which: np.ndarray) -> Iterator[Evaluation]:
-    """Evaluations with some variables moved by each step, away from a bound that is too close."""
-    size, bounds = program.variable_scale[which], (program.lower[which], program.upper[which])
-    for step in _BLIND_STEPS:
-        places = [np.clip(point[which] + sign * step * size, *bounds) for sign in (1, -1)]
-        first, second = (np.abs(place - point[which]) for place in places)
-        moved = point.copy()
-        moved[which] = np.where(first >= second, *places)
-        yield program.evaluate(moved)
+    return tuple(int(i) for i in flat[:_MOST] if flat.size == 1 or are_lost(np.array([i])))
 
 
 # --- Elsewhere --------------------------------------------------------------------------------------------------------
