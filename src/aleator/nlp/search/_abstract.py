@@ -1,6 +1,7 @@
 """The stages of a search: first points, exploration under a growing penalty, polishing, verdict."""
 
 import abc
+import contextlib
 import math
 import time
 from collections.abc import Sequence
@@ -175,10 +176,12 @@ class AbstractSearch(AbstractSolver):
             for weight in _WEIGHTS:
                 is_last = weight == _WEIGHTS[-1] or not sought.is_constrained
                 sought.begin_round(weight, 1.0 if is_last else 0.5)
-                self._explored(sought, first, generator)
-                if sought.is_over or is_last or sought.is_near:
+                with contextlib.suppress(EndedError):
+                    self.explore(sought, first, generator)
+                least, is_near = sought.least()
+                if sought.is_over or is_last or is_near:
                     break
-                first = sought.best_point[None]
+                first = least[None]
         except EndedError:
             pass
         except KeyboardInterrupt as interrupt:
@@ -187,12 +190,6 @@ class AbstractSearch(AbstractSolver):
             sought.end = "stopped by the user"
         elif sought.is_spent:
             sought.end = "its budget was spent"
-
-    def _explored(self, sought: Sought, first: Float[np.ndarray, "k size"], generator: np.random.Generator) -> None:
-        try:
-            self.explore(sought, first, generator)
-        except EndedError:
-            return
 
     def _first(self, sought: Sought, generator: np.random.Generator) -> Float[np.ndarray, "k size"]:
         """The start, and a Latin hypercube around it, or between the bounds: the best one first."""
@@ -224,17 +221,15 @@ class AbstractSearch(AbstractSolver):
 
     def _best(self, program: NonlinearProgram, sought: Sought, polished: Sequence[Outcome]) -> Outcome:
         """The best of some polished points, or that of the search, with the effort of all."""
-        outcomes = list(polished) or [self._as_it_is(program, sought)]
+        seen, lowest = sought.best_held(HELD)
+        outcomes = list(polished) or [_AsItIs(self.tolerance).solve(program, start=seen)]
         best = min([one for one in outcomes if one.ok] or outcomes, key=_rank)
-        lowest, reached = sought.least_held(HELD), best.evaluation.objective
+        reached = best.evaluation.objective
         if not (best.violation <= HELD and reached <= lowest + _LOWER * max(abs(lowest), abs(reached))):
             # Polishing may end above the search's best point, or at none that holds, where the model is not smooth.
-            outcomes.append(self._as_it_is(program, sought))
+            outcomes.append(_AsItIs(self.tolerance).solve(program, start=seen))
             best = min(outcomes, key=_rank)
         return best.with_effort_of(*(one for one in outcomes if one is not best))
-
-    def _as_it_is(self, program: NonlinearProgram, sought: Sought) -> Outcome:
-        return _AsItIs(self.tolerance).solve(program, start=sought.best_held(HELD))
 
 
 def _rank(outcome: Outcome) -> tuple[bool, float]:
