@@ -26,9 +26,9 @@ class Answer(NamedTuple):
 
     claim: Status
     point: np.ndarray
-    multipliers: Multipliers | None
-    iterations: int
-    message: str
+    multipliers: Multipliers | None = None
+    iterations: int = 0
+    message: str = ""
     unfinished: str = ""
     is_doubtful: bool = False
 

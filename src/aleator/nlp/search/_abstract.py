@@ -47,7 +47,7 @@ class _AsItIs(AbstractLocalSolver):
     @override
     def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         del multipliers
-        return Answer(Status.FAILED, scaled.start, None, 0, "the best point of a search without derivatives")
+        return Answer(Status.FAILED, scaled.start, message="the best point of a search without derivatives")
 
 
 @dataclass(frozen=True)
