@@ -45,7 +45,7 @@ class Evaluations:
     Solvers in C++ swallow exceptions of their callbacks. So the first one is kept in `halt` and every later call
     raises: the solver then ends quickly, and the caller of `solve` gets the original exception.
 
-    - `count`: of points evaluated;
+    - `visited`: objective, and largest violation over the program's scales, of every point evaluated, shape (2,) each;
     - `halt`: the exception that ends the solve; None if there is none;
     - `last`: the latest evaluation; NaN before the first;
     - `failed_at`: the latest point that could not be evaluated, shape (n,); None if there is none.
@@ -53,14 +53,14 @@ class Evaluations:
 
     def __init__(self, program: NonlinearProgram):
         variables, constraints = program.start.size, program.constraint_lower.size
-        self._evaluate = program.evaluate
+        self._program = program
         self._shapes = ((variables,), (constraints,), (constraints, variables))
         self._sparsity: Any = None if isinstance(program.sparsity, np.ndarray) else program.sparsity
         self._points: OrderedDict[bytes, Evaluation] = OrderedDict()
         self._failed = b""
         self._failures = 0
         self._recent: deque[bool] = deque(maxlen=_RECENT)
-        self.count = 0
+        self.visited: list[tuple[float, float]] = []
         self.halt: BaseException | None = None
         self.failed_at: np.ndarray | None = None
         sparsity, (gradient, rows, whole) = self._sparsity, self._shapes
@@ -117,10 +117,14 @@ class Evaluations:
             yield
 
     def _compute(self, key: bytes, x: np.ndarray) -> None:
-        self.count += 1
-        evaluation = self._checked(self._evaluate(x.copy()))
+        program = self._program
+        self.visited.append((np.nan, np.nan))
+        evaluation = self._checked(program.evaluate(x.copy()))
         finite = evaluation.is_finite
-        if not finite:
+        if finite:
+            excess = program.limits.excess(evaluation.constraints) / program.constraint_scale
+            self.visited[-1] = evaluation.objective, float(excess.max(initial=0.0))
+        else:
             # One failure at most is remembered: they must not displace points to which a solver steps back.
             self._points.pop(self._failed, None)
             self._failed, self.failed_at = key, x.copy()

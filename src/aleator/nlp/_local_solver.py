@@ -72,7 +72,7 @@ class AbstractLocalSolver(AbstractSolver):
         seconds = time.perf_counter() - began
         rows, bounds = scaled.to_user(verdict.multipliers, verdict.user)
         active, active_bounds = scaled.active(verdict.point, verdict.user, verdict.multipliers)
-        objectives, violations = np.array(scaled.visited, dtype=float).reshape(-1, 2).T
+        objectives, violations = np.array(scaled.evaluations.visited).reshape(-1, 2).T
         return Outcome(
             status=verdict.status,
             point=scaled.unscaled(verdict.point),
@@ -81,7 +81,7 @@ class AbstractLocalSolver(AbstractSolver):
             bound_multipliers=bounds,
             **dataclasses.asdict(verdict.certificate),
             iterations=answer.iterations,
-            evaluations=scaled.evaluations.count,
+            evaluations=len(objectives),
             seconds=seconds,
             solver=self.name,
             message=verdict.message,

@@ -68,15 +68,28 @@ def restart_of(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -
     """
     if outcome.status is Status.SOLVED:
         return _around(program, outcome, begun)
+
+    def scaled_at(point: np.ndarray) -> NonlinearProgram:
+        """The program with variables scaled by their values there and at the outcome, where these are larger."""
+        sizes = np.abs([program.variable_scale, outcome.point, point])
+        return replace(program, variable_scale=np.max(sizes, axis=0))
+
+    def violation(point: np.ndarray) -> float:
+        values = program.evaluate(point).constraints
+        excess = program.limits.excess(values) / outcome.sizes
+        return float(np.max(excess, initial=0.0)) if np.isfinite(values).all() else np.inf
+
     if outcome.strayed:
-        return Restart(_scaled_at(program, outcome.point, outcome.point), outcome.point, holds=True)
+        return Restart(scaled_at(outcome.point), outcome.point, holds=True)
     if outcome.status is Status.INFEASIBLE:
-        points = [begun, program.start, *_elsewhere(program, begun)]
-        violations = [_violation(program, outcome, point) for point in points]
+        # The corners of least and of greatest values, the middle between them, and points in the whole range.
+        lower, upper = variable_range(begun, program.lower, program.upper, program.variable_scale)
+        drawn = np.random.default_rng(0).uniform(lower, upper, (_POINTS, len(begun)))
+        points = [begun, program.start, lower, upper, (lower + upper) / 2, *drawn]
+        violations = [violation(point) for point in points]
         least = int(np.argmin(violations))
         if violations[least] < (1 - _LESS) * outcome.violation:
-            scaled = _scaled_at(program, outcome.point, points[least])
-            return Restart(scaled, points[least], holds=violations[least] <= HELD)
+            return Restart(scaled_at(points[least]), points[least], holds=violations[least] <= HELD)
     return Restart(program)
 
 
@@ -90,6 +103,11 @@ def _around(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -> R
     if outcome.searched is not None:
         still |= flat
     still &= program.lower < program.upper
+
+    def height(there: Evaluation) -> float:
+        """The Lagrangian with the multipliers of the outcome, beside which it is the objective."""
+        return there.objective + float(outcome.multipliers @ (there.constraints - here.constraints))
+
     idle, blind, lower = [], [], _descended(program, outcome, still & ~flat)
     for i in np.flatnonzero(still & flat)[:_MOST].tolist():
         others = [(point, program.evaluate(point)) for point in _across(program, outcome.point, i)]
@@ -99,9 +117,9 @@ def _around(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -> R
         elif all(_is_flat(there)[i] for _, there in others):
             blind.append(i)
         else:
-            lower += [point for point, there in others if _is_lower(outcome, there)]
+            lower += [point for point, there in others if height(there) < here.objective - _LOWER * abs(here.objective)]
     if lower and not blind:
-        start = min(lower, key=lambda point: _lagrangian(outcome, program.evaluate(point)))
+        start = min(lower, key=lambda point: height(program.evaluate(point)))
         return Restart(program, start, idle=tuple(idle))
     lost = lost_variables(program, outcome.point, here)
     return Restart(program, idle=tuple(idle), blind=tuple(sorted({*blind, *lost})))
@@ -142,16 +160,6 @@ _ACROSS = (-3.0, -1.0, -0.05, 0.05, 1.0, 3.0)
 def _differs(one: Evaluation, other: Evaluation) -> bool:
     first, second = (np.append(each.constraints, each.objective) for each in (one, other))
     return bool(np.any(np.abs(first - second) > _SAME * np.maximum(np.abs(first), np.abs(second))))
-
-
-def _lagrangian(outcome: Outcome, there: Evaluation) -> float:
-    """The Lagrangian with the multipliers of the outcome, beside which it is the objective."""
-    return there.objective + float(outcome.multipliers @ (there.constraints - outcome.evaluation.constraints))
-
-
-def _is_lower(outcome: Outcome, there: Evaluation) -> bool:
-    value = outcome.evaluation.objective
-    return _lagrangian(outcome, there) < value - _LOWER * abs(value)
 
 
 # Steps in typical magnitudes of all suspects together, and then of each alone: a short one, so that the model is likely
@@ -206,21 +214,3 @@ def variable_range(
     """The least and greatest values of the variables, or three typical magnitudes from the start if unbounded."""
     far, bounded = _FAR * scale, UNBOUNDED * np.maximum(scale, 1.0)
     return np.where(lower > -bounded, lower, start - far), np.where(upper < bounded, upper, start + far)
-
-
-def _elsewhere(program: NonlinearProgram, start: np.ndarray) -> list[np.ndarray]:
-    """The corners of least and of greatest values, the middle between them, and points in the whole range."""
-    lower, upper = variable_range(start, program.lower, program.upper, program.variable_scale)
-    generator = np.random.default_rng(0)
-    return [lower, upper, (lower + upper) / 2, *generator.uniform(lower, upper, (_POINTS, len(start)))]
-
-
-def _violation(program: NonlinearProgram, outcome: Outcome, point: np.ndarray) -> float:
-    values = program.evaluate(point).constraints
-    beyond = program.limits.excess(values) / outcome.sizes
-    return float(np.max(beyond, initial=0.0)) if np.isfinite(values).all() else np.inf
-
-
-def _scaled_at(program: NonlinearProgram, *points: np.ndarray) -> NonlinearProgram:
-    """The program with variables scaled by their values at some points, where these are larger."""
-    return replace(program, variable_scale=np.max(np.abs([program.variable_scale, *points]), axis=0))

@@ -85,8 +85,7 @@ class ScaledProgram:
       a factor matters; from `|f(start)|` if the gradient is negligible;
     - `best`: the best point seen, with its evaluation in user units: feasible with the least objective, else the
       least violated one. None before `begin`;
-    - `evaluations`: of the user's model;
-    - `visited`: objective, in user units, and largest scaled violation of every point at which it was evaluated.
+    - `evaluations`: of the user's model.
     """
 
     def __init__(self, program: NonlinearProgram, start: np.ndarray):
@@ -117,7 +116,6 @@ class ScaledProgram:
         self.lower = program.lower[self._free] / self._variable_scale
         self.upper = program.upper[self._free] / self._variable_scale
         self.best: tuple[np.ndarray, Evaluation] | None = None
-        self.visited: list[tuple[float, float]] = []
         self.straightness = Straightness()
         self._objective_origin = 0.0
         self.rescale(
@@ -206,20 +204,11 @@ class ScaledProgram:
         key = np.asarray(z, dtype=float).tobytes()
         if self._last is None or self._last[0] != key or self.evaluations.halt is not None:
             self._last = None
-            try:
-                user = self.evaluations.finite_at(self.unscaled(z))
-            except NotFiniteError:
-                self._note(np.nan, np.nan)
-                raise
+            user = self.evaluations.finite_at(self.unscaled(z))
             self.straightness.note(np.array(z, dtype=float), user)
             self._last = (key, self.scale(user))
-            violation = self._rank(np.array(z, dtype=float), user, self._last[1])
-            self._note(user.objective, violation)
+            self._rank(np.array(z, dtype=float), user, self._last[1])
         return self._last[1]
-
-    def _note(self, objective: float, violation: float) -> None:
-        """Keep what a point gave unless it had been evaluated before."""
-        self.visited += [(objective, violation)] * (self.evaluations.count - len(self.visited))
 
     def scale(self, user: Evaluation) -> Evaluation:
         """Scale an evaluation in user units: free variables and useful rows only."""
@@ -330,11 +319,10 @@ class ScaledProgram:
         """Scaled multipliers of the useful rows, shape (m_useful,), from those of all rows in user units."""
         return rows[self.useful] * self.scales.constraints / self.scales.objective
 
-    def _rank(self, z: np.ndarray, user: Evaluation, scaled: Evaluation) -> float:
-        """Keep a point if it is the best so far. Returns its largest violation, scaled."""
+    def _rank(self, z: np.ndarray, user: Evaluation, scaled: Evaluation) -> None:
+        """Keep a point if it is the best so far."""
         violation = float(self.limits.excess(scaled.constraints).max(initial=0.0))
         rank = (violation if violation > _NEGLIGIBLE_VIOLATION else 0.0, user.objective)
         if rank < self._best_rank:
             self._best_rank = rank
             self.best = (z, user)
-        return violation

@@ -3,9 +3,10 @@
 import math
 import time
 from collections.abc import Callable
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 
 from aleator._core.border import Progress
@@ -86,10 +87,14 @@ class Sought:
         self._parts = [_Points(np.zeros((0, self.size)), np.zeros(0), np.zeros(0))]
 
     @property
+    def bounds(self) -> Any:
+        """The bounds, as SciPy takes them."""
+        return scipy.optimize.Bounds(self.lower, self.upper)
+
+    @property
     def is_constrained(self) -> bool:
         """Whether there are constraints."""
-        program = self._program
-        return bool(np.any(np.isfinite(program.constraint_lower) | np.isfinite(program.constraint_upper)))
+        return bool(np.isfinite(self._program.limits).any())
 
     def begin_round(self, weight: float, share: float) -> None:
         """Weigh violations anew, with a share of what is left of the budget."""
