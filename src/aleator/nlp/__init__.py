@@ -2,8 +2,8 @@
 
 from aleator.nlp._answer import HELD as HELD
 from aleator.nlp._answer import Answer as Answer
-from aleator.nlp._elastic import Elastic as Elastic
 from aleator.nlp._elastic import Excess as Excess
+from aleator.nlp._elastic import least_excess as least_excess
 from aleator.nlp._ipopt import Ipopt as Ipopt
 from aleator.nlp._local_solver import AbstractLocalSolver as AbstractLocalSolver
 from aleator.nlp._matrices import Matrix as Matrix
