@@ -12,8 +12,8 @@ from typing_extensions import override
 
 from aleator._core import border
 from aleator._core.errors import MissingExtraError
-from aleator.nlp.search._abstract import AbstractSearch
-from aleator.nlp.search._sought import Sought
+from aleator.nlp._search import AbstractSearch
+from aleator.nlp._sought import Sought
 
 # Steps or generations without end: the budget ends the search, or its method.
 _ENDLESS = 10**7

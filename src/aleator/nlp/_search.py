@@ -21,8 +21,8 @@ from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
 from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status, checked
+from aleator.nlp._sought import Budget, EndedError, Sought
 from aleator.nlp._uno import default_solver
-from aleator.nlp.search._sought import Budget, EndedError, Sought
 
 # Weights of the largest violation, in spreads of the objective, from one round to the next.
 _WEIGHTS = (10.0, 1e3, 1e5)
