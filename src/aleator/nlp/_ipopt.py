@@ -10,7 +10,7 @@ from typing_extensions import override
 from aleator.nlp._answer import Answer
 from aleator.nlp._evaluations import HaltedError, NotFiniteError
 from aleator.nlp._local_solver import AbstractLocalSolver
-from aleator.nlp._matrices import with_entries
+from aleator.nlp._matrices import Pattern
 from aleator.nlp._scaling import Multipliers, ScaledProgram
 from aleator.nlp._solver import Status
 
@@ -36,11 +36,14 @@ def callbacks_of(casadi: Any, scaled: ScaledProgram) -> dict[str, Any]:
     }
     if m:
         rows = casadi.Sparsity.dense(m, 1)
-        sparsity, ordered = _by_columns(casadi, scaled)
+        # A dense sparsity is a guess, and IPOPT takes what it is told.
+        is_dense = isinstance(scaled.sparsity, np.ndarray)
+        pattern = Pattern(np.ones((m, n)) if is_dense else scaled.sparsity)
+        sparsity = casadi.Sparsity.triplet(m, n, pattern.rows.tolist(), pattern.columns.tolist())
 
         def jacobian(given: list[np.ndarray]) -> Sequence[np.ndarray]:
             evaluation = scaled.evaluate(given[0])
-            return evaluation.constraints, ordered(evaluation.jacobian)
+            return evaluation.constraints, pattern.entries(evaluation.jacobian)
 
         found["g"] = callback("constraints", [point], [rows], parts("constraints"))
         found["jac_g"] = callback("jacobian", [point, nothing], [rows, sparsity], jacobian)
@@ -54,17 +57,6 @@ def callbacks_of(casadi: Any, scaled: ScaledProgram) -> dict[str, Any]:
 
         found["hess_lag"] = callback("hessian", [point, nothing, number, multipliers], [upper], hessian)
     return found
-
-
-def _by_columns(casadi: Any, scaled: ScaledProgram) -> tuple[Any, Callable[[Any], np.ndarray]]:
-    """The sparsity of the Jacobian, and a function that orders its entries column by column, as CasADi needs them."""
-    entries = scaled.sparsity
-    if isinstance(entries, np.ndarray):
-        return casadi.Sparsity.dense(scaled.rows, scaled.size), lambda jacobian: np.ravel(jacobian, order="F")
-    columns = with_entries(entries, np.arange(entries.nnz)).tocsc()
-    columns.sort_indices()
-    sparsity = casadi.Sparsity(scaled.rows, scaled.size, columns.indptr.tolist(), columns.indices.tolist())
-    return sparsity, lambda jacobian: jacobian.data[columns.data]
 
 
 def _callback_class(casadi: Any) -> Any:

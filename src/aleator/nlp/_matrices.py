@@ -140,22 +140,23 @@ _DENSE = 0.7
 class Pattern:
     """The entries of a Jacobian that a solver works with: declared if the sparsity is sparse, a guess if it is dense.
 
-    - `rows`, `columns`: of the entries, shape (entries,);
+    - `rows`, `columns`: of the entries, column by column, shape (entries,);
     - `outgrown`: whether a nonzero entry has turned up outside a guess.
     """
 
     def __init__(self, sparsity: Matrix):
         self.outgrown = False
-        if not isinstance(sparsity, np.ndarray):
-            self.rows, self.columns = rows_of_entries(sparsity), sparsity.indices
-        else:
+        if isinstance(sparsity, np.ndarray):
             is_dense = sparsity.size == 0 or bool(np.mean(sparsity != 0) > _DENSE)
             self.columns, self.rows = np.nonzero(np.ones_like(sparsity.T) if is_dense else sparsity.T)
+        else:
+            self._order = np.argsort(sparsity.indices, kind="stable")
+            self.rows, self.columns = rows_of_entries(sparsity)[self._order], sparsity.indices[self._order]
 
     def entries(self, jacobian: Matrix) -> np.ndarray:
         """The entries of a Jacobian of shape (m, n), shape (entries,)."""
         if not isinstance(jacobian, np.ndarray):
-            return jacobian.data
+            return jacobian.data[self._order]
         inside = jacobian[self.rows, self.columns]
         self.outgrown = self.outgrown or bool(np.count_nonzero(jacobian) > np.count_nonzero(inside))
         return inside

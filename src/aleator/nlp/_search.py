@@ -2,6 +2,7 @@
 
 import abc
 import contextlib
+import functools
 import math
 import time
 from collections.abc import Sequence
@@ -21,7 +22,7 @@ from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
 from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status, checked
-from aleator.nlp._sought import Budget, EndedError, Sought
+from aleator.nlp._sought import EndedError, Sought
 from aleator.nlp._uno import default_solver
 
 # Weights of the largest violation, in spreads of the objective, from one round to the next.
@@ -141,7 +142,7 @@ class AbstractSearch(AbstractSolver):
         self._check(program)
         start = program.start if start is None else checked("start", start, program.start.shape)
         with answering() as heed:
-            sought = Sought(program, start, Budget(self.evaluations, self.seconds), self.progress, heed)
+            sought = Sought(program, start, (self.evaluations, self.seconds), self.progress, heed)
             if sought.size:
                 self._search(sought)
         if sought.halt is not None and not isinstance(sought.halt, KeyboardInterrupt):
@@ -222,12 +223,13 @@ class AbstractSearch(AbstractSolver):
     def _best(self, program: NonlinearProgram, sought: Sought, polished: Sequence[Outcome]) -> Outcome:
         """The best of some polished points, or that of the search, with the effort of all."""
         seen, lowest = sought.best_held(HELD)
-        outcomes = list(polished) or [_AsItIs(self.tolerance).solve(program, start=seen)]
+        as_it_is = functools.partial(_AsItIs(self.tolerance).solve, program, start=seen)
+        outcomes = list(polished) or [as_it_is()]
         best = min([one for one in outcomes if one.ok] or outcomes, key=_rank)
         reached = best.evaluation.objective
         if not (best.violation <= HELD and reached <= lowest + _LOWER * max(abs(lowest), abs(reached))):
             # Polishing may end above the search's best point, or at none that holds, where the model is not smooth.
-            outcomes.append(_AsItIs(self.tolerance).solve(program, start=seen))
+            outcomes.append(as_it_is())
             best = min(outcomes, key=_rank)
         return best.with_effort_of(*(one for one in outcomes if one is not best))
 

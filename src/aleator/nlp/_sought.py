@@ -30,13 +30,6 @@ class EndedError(Exception):
     """A search must end: its budget is spent, or the user or the model stopped it."""
 
 
-class Budget(NamedTuple):
-    """How many points may be evaluated, and for how long, s."""
-
-    evaluations: int
-    seconds: float
-
-
 class _Points(NamedTuple):
     """Points with what is known of each: an objective that is not a number where the model could not be evaluated."""
 
@@ -53,6 +46,7 @@ class Sought:
     objective, in spreads over the first points, plus `weight` times its largest violation: an exact penalty, so that
     a minimum that meets the constraints is one of the merit if the weight is large enough.
 
+    - `budget`: how many points may be evaluated, and for how long, s;
     - `size`: the number of free variables; `start`: shape (size,);
     - `lower`, `upper`: bounds in these coordinates, shape (size,), infinite where there is none;
     - `count`: of points evaluated; `limit`: the number at which the present round ends;
@@ -64,11 +58,12 @@ class Sought:
         self,
         program: NonlinearProgram,
         start: Float[np.ndarray, " n"],
-        budget: Budget,
+        budget: tuple[int, float],
         progress: Progress,
         heed: Callable[[], None],
     ):
-        self._program, self._budget, self._progress, self._heed = program, budget, progress, heed
+        self._program, self._progress, self._heed = program, progress, heed
+        self._most, self._longest = budget
         self._free = np.flatnonzero(program.lower < program.upper)
         self._fixed = np.clip(start, program.lower, program.upper)
         lower, upper = program.lower[self._free], program.upper[self._free]
@@ -78,7 +73,7 @@ class Sought:
         self.lower, self.upper = (lower - self._origin) / self._length, (upper - self._origin) / self._length
         self.start = (self._fixed[self._free] - self._origin) / self._length
         self.size = len(self._free)
-        self.weight, self.limit = 0.0, budget.evaluations
+        self.weight, self.limit = 0.0, self._most
         self.halt: BaseException | None = None
         self.end = "its method ended"
         self._began = time.perf_counter()
@@ -99,7 +94,7 @@ class Sought:
     def begin_round(self, weight: float, share: float) -> None:
         """Weigh violations anew, with a share of what is left of the budget."""
         self.weight = weight
-        self.limit = self.count + math.ceil(share * (self._budget.evaluations - self.count))
+        self.limit = self.count + math.ceil(share * (self._most - self.count))
 
     @property
     def is_over(self) -> bool:
@@ -109,7 +104,7 @@ class Sought:
     @property
     def is_spent(self) -> bool:
         """Whether the whole budget is spent."""
-        return self.count >= self._budget.evaluations or (self.count > 0 and self.seconds >= self._budget.seconds)
+        return self.count >= self._most or (self.count > 0 and self.seconds >= self._longest)
 
     @property
     def seconds(self) -> float:
@@ -127,7 +122,7 @@ class Sought:
         Raises `EndedError` if the budget is spent; points up to then count.
         """
         some = np.clip(np.atleast_2d(np.asarray(points, dtype=float)), self.lower, self.upper)
-        left = max(min(self.limit, self._budget.evaluations) - self.count, 0)
+        left = max(min(self.limit, self._most) - self.count, 0)
         if left == 0 or self.is_over:
             raise EndedError
         found = self._evaluated(some[:left])
@@ -199,7 +194,7 @@ class Sought:
         found = _Points(points, np.where(known, objectives, np.nan), np.where(known, worst, 0.0))
         self._parts.append(found)
         self.count += len(points)
-        self._progress("search", self.count, self._budget.evaluations)
+        self._progress("search", self.count, self._most)
         return found
 
     def _values(self, points: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
