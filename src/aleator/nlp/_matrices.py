@@ -107,27 +107,26 @@ class Block:
 
 def check_sparsity(name: str, sparsity: SparseMatrix, shape: tuple[int, int]) -> None:
     """Refuse anything but a sparsity of this shape: a `csr_array` with sorted columns and no duplicates."""
-    if not isinstance(sparsity, scipy.sparse.csr_array) or sparsity.shape != shape:
+    is_sparse = isinstance(sparsity, scipy.sparse.csr_array) and sparsity.shape == shape
+    if not is_sparse or not sparsity.has_canonical_format:
         raise ProblemError(
-            f"Expected `{name}` as a scipy.sparse.csr_array of shape {shape}. Received {type(sparsity).__name__} of "
-            f"shape {getattr(sparsity, 'shape', None)}."
+            f"Expected `{name}` as a scipy.sparse.csr_array of shape {shape}, its columns in order and no entry twice "
+            f"(call sum_duplicates()). Received {type(sparsity).__name__} of shape {getattr(sparsity, 'shape', None)}."
         )
-    if not sparsity.has_canonical_format:
-        raise ProblemError(f"Expected `{name}` with its columns in order and no entry twice: call sum_duplicates().")
 
 
 def checked_sparse(name: str, matrix: Any, sparsity: SparseMatrix) -> SparseMatrix:
     """A matrix with the declared sparsity, its numbers copied. Raises `ProblemError` for another."""
-    if not isinstance(matrix, scipy.sparse.csr_array):
-        raise ProblemError(f"Expected the {name} as the scipy.sparse.csr_array declared; received {type(matrix)}.")
-    same = matrix.shape == sparsity.shape and all(
-        one is other or np.array_equal(one, other)
-        for one, other in ((matrix.indptr, sparsity.indptr), (matrix.indices, sparsity.indices))
-    )
-    if not same:
+    if not (
+        isinstance(matrix, scipy.sparse.csr_array)
+        and matrix.shape == sparsity.shape
+        and np.array_equal(matrix.indptr, sparsity.indptr)
+        and np.array_equal(matrix.indices, sparsity.indices)
+    ):
         raise ProblemError(
-            f"Expected the {name} with the sparsity declared, {sparsity.nnz} entries in shape {sparsity.shape}; "
-            f"received {matrix.nnz} in shape {matrix.shape}, or others. Keep zeros in place."
+            f"Expected the {name} as a scipy.sparse.csr_array with the sparsity declared, {sparsity.nnz} entries in "
+            f"shape {sparsity.shape}; received {getattr(matrix, 'nnz', type(matrix).__name__)} in shape "
+            f"{np.shape(matrix)}, or others. Keep zeros in place."
         )
     return with_entries(sparsity, np.array(matrix.data, dtype=float))
 
