@@ -137,10 +137,9 @@ class Evaluations:
             raise NowhereFiniteError(f"not finite at {_MOST_FAILURES} points in a row")
 
     def _checked(self, evaluation: Evaluation) -> Evaluation:
-        # Copied unless read-only, because a model may reuse its arrays.
+        # Copies, because a model may reuse its arrays.
         dense = evaluation[1:] if self._sparsity is None else evaluation[1:3]
-        given = [np.asarray(part, dtype=float) for part in dense]
-        arrays: list[Any] = [array.copy() if array.flags.writeable else array for array in given]
+        arrays: list[Any] = [np.array(part, dtype=float) for part in dense]
         if self._sparsity is not None:
             arrays.append(checked_sparse("Jacobian", evaluation.jacobian, self._sparsity))
         shapes = tuple(array.shape for array in arrays)

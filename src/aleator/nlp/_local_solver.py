@@ -138,7 +138,7 @@ class AbstractLocalSolver(AbstractSolver):
             left = self.max_iterations - spent
             shared = left >= _WORTH_SHARING and (rounds == 1 or scaled.can_take_differences)
             share = left - left // _LEFT_OVER if shared else left
-            ran_in = scaled.scales
+            ran_in, pattern = scaled.scales, scaled.sparsity
             answer = dataclasses.replace(self, max_iterations=share)._claimed(scaled, multipliers)
             spent += answer.iterations
             answer = answer._replace(iterations=spent)
@@ -155,7 +155,8 @@ class AbstractLocalSolver(AbstractSolver):
                 and (scaled.straightness.is_shown or not has_run_away(scaled, answer.point))
                 and scaled.take_differences()
             )
-            if not in_vain:
+            # A pattern that was outgrown says nothing of the scales.
+            if not in_vain and scaled.sparsity is pattern:
                 if tried and not sharper and scaled.scales.is_near(ran_in, _SAME_SCALE):
                     return answer
                 tried = True

@@ -38,9 +38,7 @@ def _unopy(who: str) -> Any:
     return unopy
 
 
-def _model(
-    unopy: Any, scaled: ScaledProgram, pattern: Pattern, start: np.ndarray, multipliers: np.ndarray | None
-) -> Any:
+def _model(unopy: Any, scaled: ScaledProgram, pattern: Pattern, multipliers: np.ndarray | None) -> Any:
     """The scaled program, with second derivatives if it has them."""
 
     def at(z: np.ndarray) -> Evaluation:
@@ -71,7 +69,7 @@ def _model(
     if scaled.curved is not None:
         rows, columns = rows_of_entries(scaled.curved).tolist(), scaled.curved.indices.tolist()
         model.set_lagrangian_hessian(len(rows), unopy.LOWER_TRIANGLE, rows, columns, hessian)
-    model.set_initial_primal_iterate(start.tolist())
+    model.set_initial_primal_iterate(scaled.start.tolist())
     if m and multipliers is not None:
         model.set_initial_dual_iterate(multipliers.tolist())
     return model
@@ -79,7 +77,7 @@ def _model(
 
 @dataclass(frozen=True)
 class _AbstractUno(AbstractLocalSolver):
-    """One of Uno's presets, run a second time with all entries where a derivative outside the sparsity is nonzero."""
+    """One of Uno's presets."""
 
     preset: ClassVar[str]
     method: ClassVar[str]
@@ -100,24 +98,8 @@ class _AbstractUno(AbstractLocalSolver):
 
     @override
     def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
-        pattern = Pattern(scaled.sparsity)
-        answer = self._ended(scaled, pattern, scaled.start, multipliers, self.max_iterations)
-        left = self.max_iterations - answer.iterations
-        if not pattern.outgrown or scaled.evaluations.halt is not None or left <= 0:
-            return answer
-        rows = None if answer.multipliers is None else answer.multipliers.rows
-        again = self._ended(scaled, Pattern(np.ones((scaled.rows, scaled.size))), answer.point, rows, left)
-        return again._replace(iterations=answer.iterations + again.iterations)
-
-    def _ended(
-        self,
-        scaled: ScaledProgram,
-        pattern: Pattern,
-        start: np.ndarray,
-        multipliers: np.ndarray | None,
-        max_iterations: int,
-    ) -> Answer:
         """Run Uno until it ends, the solve must end, the pattern is outgrown, or it approximates curvature in vain."""
+        pattern = Pattern(scaled.sparsity)
         unopy = _unopy(type(self).__name__)
         solver = unopy.UnoSolver()
         solver.set_preset(self.preset)
@@ -128,7 +110,7 @@ class _AbstractUno(AbstractLocalSolver):
             # With the L2 norm of the presets, the accuracy per row would depend on the number of rows.
             "residual_norm": "INF",
             "logger": "SILENT",
-            "max_iterations": max_iterations,
+            "max_iterations": self.max_iterations,
         }
         for option, value in (options | self._options(scaled)).items():
             solver.set_option(option, value)
@@ -138,7 +120,10 @@ class _AbstractUno(AbstractLocalSolver):
             return scaled.evaluations.halt is not None or pattern.outgrown or in_vain
 
         solver.set_termination_callback(is_over)
-        result = solver.optimize(_model(unopy, scaled, pattern, start, multipliers))
+        result = solver.optimize(_model(unopy, scaled, pattern, multipliers))
+        if pattern.outgrown:
+            # The next round has all entries.
+            scaled.sparsity = np.ones((scaled.rows, scaled.size))
         # unopy's constants are plain integers, to which its results never compare equal; so names are compared.
         ended, solution = result.optimization_status.name, result.solution_status.name
         bounds = np.array(result.lower_bound_dual_solution) + np.array(result.upper_bound_dual_solution)
