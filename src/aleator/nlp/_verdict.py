@@ -71,13 +71,12 @@ def judge(scaled: ScaledProgram, answer: Answer, tolerance: float) -> Verdict:
     if status is Status.FAILED and scaled.evaluations.failed_recently:
         # A solver that gives up next to points that cannot be evaluated is presumed to do so because of them.
         status = Status.EVALUATION_FAILED
-    answer = answer._replace(claim=status)
-    verdict = verdict._replace(status=status)
+    answer, verdict = answer._replace(claim=status), verdict._replace(status=status)
     if status is Status.INFEASIBLE:
-        sizes = scaled.scales.constraints
+        frame = scaled.scales
         least = _at_best(scaled, answer, tolerance)
         # Where the terms of a constraint are large, its own size alone would let pass what is seen elsewhere.
-        sizes = np.minimum(sizes, scaled.scales.constraints)
+        sizes = np.minimum(frame.constraints, scaled.scales.constraints)
         outside = scaled.limits.excess(scaled.scale(least.user).constraints) * scaled.scales.constraints
         if np.all(outside <= held(tolerance) * sizes):
             said = f"{STRAYED} (the solver said: {answer.message})"
@@ -85,7 +84,7 @@ def judge(scaled: ScaledProgram, answer: Answer, tolerance: float) -> Verdict:
         if least.certificate.violation > held(tolerance):
             verdict = least
         else:
-            verdict = _at(scaled, _framed(scaled, answer, user), user, tolerance)
+            scaled.rescale(answer.point, frame)
     said = advice(scaled, verdict, answer.unfinished, tolerance)
     return verdict._replace(message=f"{said} (the solver said: {answer.message})") if said else verdict
 
