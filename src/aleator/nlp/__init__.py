@@ -1,7 +1,5 @@
 """The nonlinear program and its solvers, independent of any physics."""
 
-from aleator.nlp._answer import HELD as HELD
-from aleator.nlp._answer import Answer as Answer
 from aleator.nlp._elastic import Excess as Excess
 from aleator.nlp._elastic import least_excess as least_excess
 from aleator.nlp._ipopt import Ipopt as Ipopt
@@ -38,3 +36,5 @@ from aleator.nlp._sought import Sought as Sought
 from aleator.nlp._uno import FilterSQP as FilterSQP
 from aleator.nlp._uno import InteriorPoint as InteriorPoint
 from aleator.nlp._uno import default_solver as default_solver
+from aleator.nlp._verdict import HELD as HELD
+from aleator.nlp._verdict import Answer as Answer

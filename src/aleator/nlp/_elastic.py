@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from aleator.nlp._answer import HELD
 from aleator.nlp._matrices import dense_rows
 from aleator.nlp._program import Evaluation, NonlinearProgram
 from aleator.nlp._solver import AbstractSolver, Status
+from aleator.nlp._verdict import HELD
 
 # The first excess of every group that may be exceeded where its own is not known, in sizes.
 _FIRST = 1.0

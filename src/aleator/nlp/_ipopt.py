@@ -7,12 +7,12 @@ from typing import Any, final
 import numpy as np
 from typing_extensions import override
 
-from aleator.nlp._answer import Answer
 from aleator.nlp._evaluations import HaltedError, NotFiniteError
 from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._matrices import Pattern
 from aleator.nlp._scaling import Multipliers, ScaledProgram
 from aleator.nlp._solver import Status
+from aleator.nlp._verdict import Answer
 
 Answered = Callable[[list[np.ndarray]], Sequence[np.ndarray]]
 

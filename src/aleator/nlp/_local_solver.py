@@ -10,12 +10,11 @@ from typing_extensions import override
 
 from aleator._core import border
 from aleator._core.errors import ProblemError
-from aleator.nlp._answer import Answer, Verdict, has_run_away
 from aleator.nlp._evaluations import HaltedError, NotFiniteError, NowhereFiniteError
 from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
 from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status, checked
-from aleator.nlp._verdict import judge, settle
+from aleator.nlp._verdict import Answer, Verdict, has_run_away, judge, settle
 
 # Rounds from a steep start, each of which lowers the slope of the objective by many orders of magnitude.
 _MOST_ROUNDS = 4

@@ -14,12 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from aleator.nlp._answer import HELD
 from aleator.nlp._curvature import descent
 from aleator.nlp._matrices import zero_columns
 from aleator.nlp._program import Evaluation, NonlinearProgram
 from aleator.nlp._scaling import Multipliers, ScaledProgram, Scales
 from aleator.nlp._solver import Outcome, Status
+from aleator.nlp._verdict import HELD
 
 # At most this many variables are checked, and named: the first ones.
 _MOST = 12

@@ -17,13 +17,13 @@ from aleator._core import border
 from aleator._core.border import Progress, check_progress, silent
 from aleator._core.errors import ProblemError
 from aleator._core.interruption import answering
-from aleator.nlp._answer import HELD, Answer
 from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
 from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status, checked
 from aleator.nlp._sought import EndedError, Sought
 from aleator.nlp._uno import default_solver
+from aleator.nlp._verdict import HELD, Answer
 
 # Weights of the largest violation, in spreads of the objective, from one round to the next.
 _WEIGHTS = (10.0, 1e3, 1e5)

@@ -10,13 +10,13 @@ from typing_extensions import override
 from aleator._core import border
 from aleator._core.errors import MissingExtraError
 from aleator._core.interruption import take_back
-from aleator.nlp._answer import Answer
 from aleator.nlp._ipopt import Ipopt
 from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._matrices import Pattern, rows_of_entries
 from aleator.nlp._program import Evaluation
 from aleator.nlp._scaling import Multipliers, ScaledProgram
 from aleator.nlp._solver import Status
+from aleator.nlp._verdict import Answer
 
 _CLAIMS = {
     "FEASIBLE_KKT_POINT": Status.SOLVED,
