@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.nlp.search import DifferentialEvolution
+from aleator.nlp import DifferentialEvolution
 from zoo import ONE_STEP, RESPONSE, Gain
 
 FILTER, IPOPT, SLSQP = al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()

@@ -21,7 +21,6 @@ from aleator.nlp import AbstractLocalSolver as AbstractLocalSolver
 from aleator.nlp import AbstractSearch as AbstractSearch
 from aleator.nlp import Answer as Answer
 from aleator.nlp import Evaluation as Evaluation
-from aleator.nlp import Magnitudes as Magnitudes
 from aleator.nlp import Multipliers as Multipliers
 from aleator.nlp import NonlinearProgram as NonlinearProgram
 from aleator.nlp import ScaledProgram as ScaledProgram

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from nlp_problems import INF, evaluation, program
 
-from aleator.nlp import FilterSQP, Ipopt, Magnitudes, Slsqp, Status
+from aleator.nlp import FilterSQP, Ipopt, Slsqp, Status
 
 
 def rescaled(inner, objective=1.0, rows=1.0, decisions=1.0):
@@ -57,7 +57,7 @@ def wild(scale, size):
         [(1, 1)],
         constraint_scale=[scale],
     )
-    return replace(declared, magnitudes=lambda x, found: Magnitudes(np.array([size]), np.array([100 * size])))
+    return replace(declared, sizes=lambda x, found: np.array([size]))
 
 
 @pytest.mark.parametrize("scale", [1e-9, 1e4, 1e14])
@@ -123,7 +123,7 @@ def test_the_answer_to_an_infeasible_program_says_so_whatever_it_is_divided_by(s
             replace(
                 declared,
                 constraint_scale=np.array([scale]),
-                magnitudes=lambda x, found: Magnitudes(np.ones(1), np.array([10.0])),
+                sizes=lambda x, found: np.ones(1),
             )
         )
         assert outcome.status is Status.INFEASIBLE

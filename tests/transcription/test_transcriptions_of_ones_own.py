@@ -33,9 +33,8 @@ class Lifted(ext.AbstractTranscribed):
                 jacobian=np.column_stack([np.append(-1.0, np.zeros(len(rows) - 1)), rows]),
             )
 
-        def magnitudes(point, evaluation):
-            found = program.magnitudes(point[1:], program.evaluate(point[1:]))
-            return ext.Magnitudes(np.append(size, found.size), np.append(size, found.scale))
+        def sizes(point, evaluation):
+            return np.append(size, program.sizes(point[1:], program.evaluate(point[1:])))
 
         whole = ext.NonlinearProgram(
             evaluate=lifted,
@@ -46,7 +45,7 @@ class Lifted(ext.AbstractTranscribed):
             constraint_upper=np.append(0.0, program.constraint_upper),
             constraint_scale=np.append(size, program.constraint_scale),
             variable_scale=np.append(size, program.variable_scale),
-            magnitudes=magnitudes,
+            sizes=sizes,
         )
         return cls(
             problem=inner.problem,

@@ -266,9 +266,9 @@ def rounding_of(
 def row_sizes(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " rows"]:
     """The magnitude of each row of the constraints around a point."""
     program = transcribed.program
-    if program.magnitudes is None:
+    if program.sizes is None:
         return np.ones(len(program.constraint_lower)) * program.constraint_scale
-    return program.magnitudes(point, program.evaluate(point)).size
+    return program.sizes(point, program.evaluate(point))
 
 
 def bounded_by(constraint: Constraint) -> Iterator[tuple[Any, float]]:

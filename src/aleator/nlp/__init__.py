@@ -1,9 +1,7 @@
 """The nonlinear program and its solvers, independent of any physics."""
 
-from aleator.nlp._answer import HELD as HELD
-from aleator.nlp._answer import Answer as Answer
-from aleator.nlp._elastic import Elastic as Elastic
 from aleator.nlp._elastic import Excess as Excess
+from aleator.nlp._elastic import least_excess as least_excess
 from aleator.nlp._ipopt import Ipopt as Ipopt
 from aleator.nlp._local_solver import AbstractLocalSolver as AbstractLocalSolver
 from aleator.nlp._matrices import Matrix as Matrix
@@ -11,7 +9,6 @@ from aleator.nlp._matrices import SparseMatrix as SparseMatrix
 from aleator.nlp._matrices import with_entries as with_entries
 from aleator.nlp._program import Evaluation as Evaluation
 from aleator.nlp._program import Hessian as Hessian
-from aleator.nlp._program import Magnitudes as Magnitudes
 from aleator.nlp._program import NonlinearProgram as NonlinearProgram
 from aleator.nlp._restarts import UNBOUNDED as UNBOUNDED
 from aleator.nlp._restarts import Restart as Restart
@@ -20,6 +17,14 @@ from aleator.nlp._restarts import restart_of as restart_of
 from aleator.nlp._restarts import variable_range as variable_range
 from aleator.nlp._scaling import Multipliers as Multipliers
 from aleator.nlp._scaling import ScaledProgram as ScaledProgram
+from aleator.nlp._search import AbstractSearch as AbstractSearch
+from aleator.nlp._searches import CmaEs as CmaEs
+from aleator.nlp._searches import DifferentialEvolution as DifferentialEvolution
+from aleator.nlp._searches import Direct as Direct
+from aleator.nlp._searches import DualAnnealing as DualAnnealing
+from aleator.nlp._searches import NelderMead as NelderMead
+from aleator.nlp._searches import load_pymoo as load_pymoo
+from aleator.nlp._searches import population_front as population_front
 from aleator.nlp._slopes import Slopes as Slopes
 from aleator.nlp._slopes import slopes_at as slopes_at
 from aleator.nlp._slsqp import Slsqp as Slsqp
@@ -27,15 +32,9 @@ from aleator.nlp._solver import AbstractSolver as AbstractSolver
 from aleator.nlp._solver import Outcome as Outcome
 from aleator.nlp._solver import Searched as Searched
 from aleator.nlp._solver import Status as Status
+from aleator.nlp._sought import Sought as Sought
 from aleator.nlp._uno import FilterSQP as FilterSQP
 from aleator.nlp._uno import InteriorPoint as InteriorPoint
 from aleator.nlp._uno import default_solver as default_solver
-from aleator.nlp.search import AbstractSearch as AbstractSearch
-from aleator.nlp.search import CmaEs as CmaEs
-from aleator.nlp.search import DifferentialEvolution as DifferentialEvolution
-from aleator.nlp.search import Direct as Direct
-from aleator.nlp.search import DualAnnealing as DualAnnealing
-from aleator.nlp.search import NelderMead as NelderMead
-from aleator.nlp.search import Sought as Sought
-from aleator.nlp.search import load_pymoo as load_pymoo
-from aleator.nlp.search import population_front as population_front
+from aleator.nlp._verdict import HELD as HELD
+from aleator.nlp._verdict import Answer as Answer

@@ -1,35 +1,25 @@
 """Optimality conditions at a point and its multipliers, computed alike for every solver, in scaled quantities."""
 
 import contextlib
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
+import scipy
 
 from aleator.nlp._evaluations import NotFiniteError
-from aleator.nlp._matrices import (
-    Matrix,
-    bounded_fit,
-    gradients,
-    largest_term,
-    nonnegative_fit,
-    side_by_side,
-    unit_columns,
-    with_last_row,
-)
+from aleator.nlp._matrices import Matrix, above_identity, largest_term, nonnegative_fit
 from aleator.nlp._program import Evaluation
 from aleator.nlp._scaling import Multipliers, ScaledProgram
 
-# Rows this close to a bound count as active when multipliers are fitted or infeasibility is examined; in the latter
-# case also no further off than this part of the largest violation, whatever the scale.
-_ACTIVE, _ACTIVE_FRACTION = 1e-5, 1e-3
-# A violation is stationary if one typical magnitude of every variable would lower it by less than this fraction.
-_STATIONARY_FRACTION = 1e-3
-# Shares of the step that should lower a violation to zero, and by which part one must lower it to count.
-_SHARES, _FALL = (1.0, 0.1), 0.05
-# How far such a step may go, in typical magnitudes of the variables.
-_FARTHEST = 1e5
+# Rows and variables this close to a bound count as active when multipliers are fitted.
+_ACTIVE = 1e-5
+# Violations are stationary if no step of one typical magnitude of every variable lowers them by this part, and none
+# that is longer, to this many magnitudes, by the other. A step is believed that brings half of what it promises, or a
+# tenth of it does.
+_STATIONARY, _FALL, _FARTHEST, _SHARES = 1e-3, 0.05, 1e5, (1.0, 0.1)
+# Steps of the simplex method after which a proof is given up.
+_MOST_PIVOTS = 100_000
 
 
 @final
@@ -57,18 +47,13 @@ def certify(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, multip
 
     Source: Nocedal and Wright 2006, eq. 12.34.
     """
-    values = np.concatenate([evaluation.constraints, z])
-    lower = np.concatenate([scaled.constraint_lower, scaled.lower])
-    upper = np.concatenate([scaled.constraint_upper, scaled.upper])
-
-    largest = max(1.0, _largest(multipliers.rows), _largest(multipliers.bounds))
-    gradient = lagrangian_gradient(evaluation, multipliers)
+    sides, values, weights = scaled.sides, np.append(evaluation.constraints, z), multipliers.every
     # By terms, not by multipliers, which depend on the scale of the constraints.
     terms = max(1.0, _largest(multipliers.bounds), largest_term(multipliers.rows, evaluation.jacobian))
     return Certificate(
-        violation=float(np.maximum(values - upper, lower - values).max(initial=0.0)),
-        stationarity=float(np.abs(gradient).max(initial=0.0)) / terms,
-        complementarity=max(_largest(part) for part in _products(scaled, z, evaluation, multipliers)) / largest,
+        violation=float(sides.excess(values).max(initial=0.0)),
+        stationarity=_largest(multipliers.slope(evaluation)) / terms,
+        complementarity=_largest(_products(scaled, values, weights)) / max(1.0, _largest(weights)),
     )
 
 
@@ -79,34 +64,18 @@ def complementary(
 
     An interior point leaves such residues far from any bound, where they would balance the gradient spuriously.
     """
-    ceiling = fraction * max(_largest(multipliers.rows), _largest(multipliers.bounds))
-    rows, bounds = _products(scaled, z, evaluation, multipliers)
-    return Multipliers(
-        np.where(rows <= ceiling, multipliers.rows, 0.0), np.where(bounds <= ceiling, multipliers.bounds, 0.0)
-    )
+    weights = multipliers.every
+    products = _products(scaled, np.append(evaluation.constraints, z), weights)
+    return multipliers.kept(products <= fraction * _largest(weights))
 
 
-def _products(
-    scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, multipliers: Multipliers
-) -> tuple[np.ndarray, np.ndarray]:
+def _products(scaled: ScaledProgram, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Size of each multiplier times the slack, at most 1, of its bound."""
-    rows, bounds = (
-        np.abs(weights) * np.minimum(np.abs(np.where(weights > 0, upper - values, values - lower)), 1.0)
-        for weights, values, lower, upper in (
-            (multipliers.rows, evaluation.constraints, scaled.constraint_lower, scaled.constraint_upper),
-            (multipliers.bounds, z, scaled.lower, scaled.upper),
-        )
-    )
-    return rows, bounds
+    return np.abs(weights) * np.minimum(scaled.sides.slack(values, weights), 1.0)
 
 
 def _largest(weights: np.ndarray) -> float:
     return float(np.abs(weights).max(initial=0.0))
-
-
-def lagrangian_gradient(evaluation: Evaluation, multipliers: Multipliers) -> np.ndarray:
-    """`∇f + Jᵀλ + μ` in scaled quantities, shape (n_free,)."""
-    return evaluation.gradient + multipliers.rows @ evaluation.jacobian + multipliers.bounds
 
 
 def fit_multipliers(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation) -> Multipliers:
@@ -115,120 +84,64 @@ def fit_multipliers(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation
     A non-negative least-squares problem (Lawson and Hanson 1974), for solvers that return no multipliers or
     outdated ones.
     """
-    rows, row_signs = _active(evaluation.constraints, scaled.constraint_lower, scaled.constraint_upper)
-    bounds, bound_signs = _active(z, scaled.lower, scaled.upper)
-    columns = side_by_side(
-        gradients(evaluation.jacobian, rows, row_signs), unit_columns(evaluation.jacobian, bounds, bound_signs)
-    )
-    row_multipliers, bound_multipliers = np.zeros(scaled.rows), np.zeros(scaled.size)
-    if rows.size + bounds.size:
-        weights = nonnegative_fit(columns, -evaluation.gradient)
+    active, signs, _ = scaled.sides.within(np.append(evaluation.constraints, z), _ACTIVE)
+    weights = np.zeros(scaled.rows + scaled.size)
+    if active.size:
         # An equality appears twice, once with each sign.
-        np.add.at(row_multipliers, rows, row_signs * weights[: rows.size])
-        np.add.at(bound_multipliers, bounds, bound_signs * weights[rows.size :])
-    return Multipliers(row_multipliers, bound_multipliers)
+        slopes = _signed(above_identity(evaluation.jacobian), active, signs)
+        np.add.at(weights, active, signs * nonnegative_fit(slopes, -evaluation.gradient))
+    return Multipliers(*np.split(weights, [scaled.rows]))
+
+
+def _signed(matrix: Matrix, rows: np.ndarray, signs: np.ndarray) -> Matrix:
+    """Some rows of a matrix, each times a sign."""
+    if isinstance(matrix, np.ndarray):
+        return signs[:, None] * matrix[rows]
+    return scipy.sparse.diags_array(signs, format="csr") @ matrix[rows]
 
 
 def is_least_violated(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation) -> bool:
     """Whether no step lowers the violation: its sum over the rows, or its maximum.
 
-    Either proves that the linearised constraints have no solution near `z`: a step that meets them all would
-    lower both measures.
+    Either proves that the linearised constraints have no solution near `z`: a step that meets them all would lower both
+    measures. Both are linear programs in the step and the violations left, or the largest one.
     """
-    outside = scaled.violation(evaluation.constraints)
-    if outside.max(initial=0.0) <= 0:
+    rows, signs, gaps = scaled.limits.within(evaluation.constraints)
+    if gaps.min(initial=0.0) >= 0:
         return False
-    # Near an unstable simulation slopes are so steep that their squares overflow, which proves nothing.
-    with np.errstate(over="ignore", invalid="ignore"):
-        return _sum_is_stationary(scaled, z, evaluation, outside) or _maximum_is_stationary(
-            scaled, z, evaluation, outside
-        )
+    slopes = scipy.sparse.csr_array(_signed(evaluation.jacobian, rows, signs))
+    each, largest = scipy.sparse.eye_array(rows.size), scipy.sparse.csr_array(np.ones((rows.size, 1)))
+    return any(_is_stationary(scaled, z, slopes, gaps, left) for left in (largest, each))
 
 
-def _sum_is_stationary(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, outside: np.ndarray) -> bool:
-    """Whether zero is in the subdifferential of `Σ max(violation, 0)`.
+def _is_stationary(scaled: ScaledProgram, z: np.ndarray, slopes: Matrix, gaps: np.ndarray, left: Matrix) -> bool:
+    """Whether no step lowers the sum of the violations, or the largest one, by a noticeable part.
 
-    A row at its kink counts with any weight in [0, 1].
+    `left`: the violations that a step may leave, each row's own or one for all, shape (rows, rows) or (rows, 1).
     """
-    close = _close(outside)
-    violated = outside > close
-    steepest = _sides(scaled, evaluation, violated) @ evaluation.jacobian[violated]
-    rows, row_signs = _active(evaluation.constraints, scaled.constraint_lower, scaled.constraint_upper, close)
-    cone = _bound_cone(scaled, z, evaluation)
-    columns = side_by_side(gradients(evaluation.jacobian, rows, row_signs), cone)
-    remainder = steepest
-    if columns.shape[1]:
-        ceiling = np.concatenate([np.ones(rows.size), np.full(cone.shape[1], np.inf)])
-        remainder = steepest + columns @ bounded_fit(columns, -steepest, ceiling)
-    total = float(outside[violated].sum())
-    if float(np.linalg.norm(remainder)) > _STATIONARY_FRACTION * total:
+    total = np.max if left.shape[1] == 1 else np.sum
+    violation = float(total(np.maximum(-gaps, 0.0)))
+    cost = np.append(np.zeros(z.size), np.ones(left.shape[1]))
+    matrix = scipy.sparse.hstack([slopes / violation, -left], format="csr")
+
+    def best_step(reach: float) -> tuple[np.ndarray, float]:
+        """The step within some magnitudes of all variables and the part by which it should lower the violation."""
+        lowest, highest = np.maximum(scaled.lower - z, -reach), np.minimum(scaled.upper - z, reach)
+        step = np.column_stack([np.minimum(lowest, 0.0), np.maximum(highest, 0.0)])
+        bounds = np.concatenate([step, np.tile([0.0, np.inf], (left.shape[1], 1))])
+        found = scipy.optimize.linprog(cost, matrix, gaps / violation, bounds=bounds, options={"maxiter": _MOST_PIVOTS})
+        return (found.x[: z.size], 1.0 - found.fun) if found.status == 0 else (np.zeros(z.size), np.nan)
+
+    # Near an unstable simulation slopes are too steep for this, which proves nothing.
+    if not np.isfinite(matrix.data).all() or not best_step(1.0)[1] < _STATIONARY:
         return False
-    return not _falls(scaled, z, remainder, total, lambda beyond: float(np.maximum(beyond, 0.0).sum()))
-
-
-def _maximum_is_stationary(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, outside: np.ndarray) -> bool:
-    """Whether zero is in the subdifferential of `max violation`, the convex hull of the worst rows' gradients."""
-    worst = outside >= outside.max() * (1 - _STATIONARY_FRACTION) - _close(outside)
-    steep = gradients(evaluation.jacobian, np.flatnonzero(worst), _sides(scaled, evaluation, worst))
-    cone = _bound_cone(scaled, z, evaluation)
-    # The last equation makes the weights of the worst rows sum to one.
-    sums = np.concatenate([np.ones(steep.shape[1]), np.zeros(cone.shape[1])])
-    system = with_last_row(side_by_side(steep, cone), sums)
-    target = np.append(np.zeros(z.size), 1.0)
-    remainder = system @ nonnegative_fit(system, target) - target
-    largest = float(outside.max())
-    if float(np.linalg.norm(remainder)) > _STATIONARY_FRACTION * largest:
-        return False
-    return not _falls(scaled, z, remainder[:-1], largest, lambda beyond: float(beyond.max(initial=0.0)))
-
-
-def _falls(
-    scaled: ScaledProgram,
-    z: np.ndarray,
-    slope: np.ndarray,
-    violation: float,
-    measured: Callable[[np.ndarray], float],
-) -> bool:
-    """Whether the violation falls as a slope says that is small beside it, by steps that should lower it by much.
-
-    Where a variable without a bound must go far, as a level above all rows, one typical magnitude of it is nothing.
-    """
-    steepness = float(slope @ slope)
-    if not 0 < steepness < np.inf:
-        return False
+    # Where a variable without a bound must go far, as a level above all rows, one typical magnitude of it is nothing.
+    step, promised = best_step(_FARTHEST)
+    if not promised >= _FALL:
+        return not np.isnan(promised)
     for share in _SHARES:
-        moved = np.clip(z - share * violation / steepness * slope, scaled.lower, scaled.upper)
-        promised = float(slope @ (z - moved))
-        # Further out, another scale of the variables is needed, which other starts have.
-        if not np.abs(moved - z).max() < _FARTHEST or promised < _FALL * violation:
-            return False
         with contextlib.suppress(NotFiniteError):
-            beyond = scaled.violation(scaled.evaluate(moved).constraints)
-            if violation - measured(beyond) >= promised / 2:
-                return True
-    return False
-
-
-def _close(outside: np.ndarray) -> float:
-    """How close to a bound a row is active where others are violated by `outside`."""
-    return min(_ACTIVE, _ACTIVE_FRACTION * float(outside.max()))
-
-
-def _sides(scaled: ScaledProgram, evaluation: Evaluation, rows: np.ndarray) -> np.ndarray:
-    """+1 for rows above their range and -1 for rows below it."""
-    middle_excess = evaluation.constraints - scaled.constraint_upper
-    return np.where(middle_excess >= scaled.constraint_lower - evaluation.constraints, 1.0, -1.0)[rows]
-
-
-def _bound_cone(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation) -> Matrix:
-    """Outward unit normals of the active bounds of the variables, as columns."""
-    return unit_columns(evaluation.jacobian, *_active(z, scaled.lower, scaled.upper))
-
-
-def _active(
-    values: np.ndarray, lower: np.ndarray, upper: np.ndarray, close: float = _ACTIVE
-) -> tuple[np.ndarray, np.ndarray]:
-    """Find the values at a bound, with the sign of its multiplier; an equality is at both."""
-    at_upper = np.flatnonzero(np.abs(upper - values) <= close)
-    at_lower = np.flatnonzero(np.abs(values - lower) <= close)
-    return np.concatenate([at_upper, at_lower]), np.concatenate([np.ones(at_upper.size), -np.ones(at_lower.size)])
+            beyond = scaled.limits.excess(scaled.evaluate(z + share * step).constraints)
+            if 1.0 - float(total(np.maximum(beyond, 0.0))) / violation >= share * promised / 2:
+                return False
+    return True

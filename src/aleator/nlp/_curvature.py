@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from aleator.nlp._certificate import lagrangian_gradient
 from aleator.nlp._evaluations import MOST_DIFFERENCED, NotFiniteError, changes_of
 from aleator.nlp._matrices import projected
 from aleator.nlp._program import Evaluation
@@ -52,17 +51,6 @@ class Descent(NamedTuple):
     is_doubtful: bool
 
 
-class _Model(NamedTuple):
-    """The Lagrangian around a point to second order, in the directions that active rows and bounds leave free.
-
-    - `directions`: shape (n_free, k); `curvatures` and `slopes` along them, shape (k,).
-    """
-
-    directions: Float[np.ndarray, "n k"]
-    curvatures: Float[np.ndarray, " k"]
-    slopes: Float[np.ndarray, " k"]
-
-
 def descent(
     scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers, still: Bool[np.ndarray, " n"] | None = None
 ) -> Descent | None:
@@ -75,124 +63,98 @@ def descent(
     than `MOST_DIFFERENCED` variables only the first still ones, along the active rows, and the slope.
     """
     here = scaled.evaluate(z)
-    multipliers = _near(scaled, z, here, multipliers)
-    slope = lagrangian_gradient(here, multipliers)
-    size = np.maximum(1.0, np.abs(z))
-    free = np.abs(multipliers.bounds) <= _PRESSES * _terms(here)
+    # Those of rows and bounds close by.
+    multipliers = multipliers.kept(scaled.sides.excess(np.append(here.constraints, z)) > -_NEAR)
+    slope, size = multipliers.slope(here), np.maximum(1.0, np.abs(z))
+    presses = np.abs(multipliers.every) > _PRESSES * max(1.0, float(np.abs(here.gradient).max(initial=0.0)))
+    free = ~presses[scaled.rows :]
     free &= np.where(slope > 0, z - scaled.lower, np.where(slope < 0, scaled.upper - z, 1.0)) > 0
     still = np.zeros(z.size, dtype=bool) if still is None else still & free
     if not (still.any() or z.size <= MOST_DIFFERENCED or isinstance(scaled.sparsity, np.ndarray)):
         return None  # The slope alone is no reason to factorise thousands of rows.
-    basis = _basis(scaled, here, multipliers, slope, size, free, still)
-    noticeable = _noticeable(scaled, here, multipliers)
-    if not still.any() and float(np.abs(slope @ basis).sum()) <= noticeable:
-        return None
-    try:
-        model = _modelled(scaled, z, multipliers, basis)
-        return _tried(scaled, z, multipliers, model, noticeable)
-    except NotFiniteError:
-        return None
-
-
-def _near(scaled: ScaledProgram, z: np.ndarray, here: Evaluation, multipliers: Multipliers) -> Multipliers:
-    """The multipliers of rows and bounds close by."""
-    beyond = np.maximum(z - scaled.upper, scaled.lower - z)
-    return Multipliers(
-        np.where(scaled.violation(here.constraints) > -_NEAR, multipliers.rows, 0.0),
-        np.where(beyond > -_NEAR, multipliers.bounds, 0.0),
-    )
-
-
-def _terms(here: Evaluation) -> float:
-    return max(1.0, float(np.abs(here.gradient).max(initial=0.0)))
-
-
-def _noticeable(scaled: ScaledProgram, here: Evaluation, multipliers: Multipliers) -> float:
-    """The least fall of the scaled objective that counts."""
-    objective = scaled.objective_size(here)
-    least = min(_NOTICEABLE * objective, _BESIDE_START * (objective + scaled.start_objective))
-    return max(least, _ROUNDING * scaled.terms(here, multipliers))
-
-
-def _basis(
-    scaled: ScaledProgram,
-    here: Evaluation,
-    multipliers: Multipliers,
-    slope: np.ndarray,
-    size: np.ndarray,
-    free: Bool[np.ndarray, " n"],
-    still: Bool[np.ndarray, " n"],
-) -> Float[np.ndarray, "n k"]:
-    """Directions that active rows and bounds leave free, orthonormal in the variables' sizes."""
-    units = np.eye(size.size)[:, still if still.any() else free][:, :MOST_DIFFERENCED]
-    if size.size > MOST_DIFFERENCED and not still.any():
+    # Directions that active rows and bounds leave free, orthonormal in the variables' sizes.
+    if z.size > MOST_DIFFERENCED and not still.any():
         units = np.where(free, slope * size, 0.0)[:, None]
-    acting = scaled.constraint_lower == scaled.constraint_upper
-    acting |= np.abs(multipliers.rows) > _PRESSES * _terms(here)
+    else:
+        places = np.flatnonzero(still if still.any() else free)[:MOST_DIFFERENCED]
+        units = np.zeros((z.size, places.size))
+        units[places, np.arange(places.size)] = 1.0
+    acting = presses[: scaled.rows] | (scaled.constraint_lower == scaled.constraint_upper)
     if acting.any():
         units = projected(here.jacobian[np.flatnonzero(acting)] * (size * free), units)
         left, lengths, _ = np.linalg.svd(units, full_matrices=False)
         units = left[:, lengths > _HELD * lengths.max(initial=_HELD)]
-    return size[:, None] * units
-
-
-def _modelled(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers, basis: np.ndarray) -> _Model:
-    """The quadratic model. Raises `NotFiniteError` where the program has no value on either side."""
-
-    def slope(point: np.ndarray) -> np.ndarray:
-        return lagrangian_gradient(scaled.evaluate(point), multipliers)
-
-    curvature = basis.T @ changes_of(slope, z, (scaled.lower, scaled.upper), basis)
+    basis = size[:, None] * units
+    objective = scaled.objective_size(here)
+    least = min(_NOTICEABLE * objective, _BESIDE_START * (objective + scaled.start_objective))
+    noticeable = max(least, _ROUNDING * scaled.terms(here, multipliers))
+    if not still.any() and float(np.abs(slope @ basis).sum()) <= noticeable:
+        return None
+    try:
+        curvature = basis.T @ changes_of(
+            lambda point: multipliers.slope(scaled.evaluate(point)), z, (scaled.lower, scaled.upper), basis
+        )
+    except NotFiniteError:
+        return None
     values, mixed = np.linalg.eigh((curvature + curvature.T) / 2)
-    directions = basis @ mixed
-    return _Model(directions, values, slope(z) @ directions)
+    return _tried(scaled, z, multipliers, basis @ mixed, values, noticeable)
 
 
-def _step(model: _Model, noticeable: float) -> tuple[np.ndarray, np.ndarray]:
+def _steps(
+    curvatures: Float[np.ndarray, " k"], slopes: Float[np.ndarray, " k"], noticeable: float
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Newton's step along each direction with the curvature's magnitude, at most the variables' size, and the one that
-    leaves a maximum or a saddle, of either sign: shape (k,) each, no direction has both.
+    leaves a maximum or a saddle, of either sign; no direction has both.
     """
-    sizes, slopes = np.abs(model.curvatures), np.abs(model.slopes)
+    sizes, steepness = np.abs(curvatures), np.abs(slopes)
     sure = sizes > _FLAT * sizes.max(initial=0.0)
     sizes = np.where(sure, sizes, 0.0)
-    longest = np.maximum(sizes, slopes)
-    newton = np.divide(-model.slopes, longest, out=np.zeros_like(slopes), where=longest > 0)
+    longest = np.maximum(sizes, steepness)
+    newton = np.divide(-slopes, longest, out=np.zeros_like(slopes), where=longest > 0)
     # Without curvature a step is as long as the variables are, whatever the slope: rounding is none.
-    newton[~sure & (slopes <= noticeable / max(slopes.size, 1))] = 0.0
-    leaves = (model.curvatures < 0) & (np.abs(newton) < _LEAVE) & (sizes * _LEAVE**2 / 2 > noticeable)
+    newton[~sure & (steepness <= noticeable / max(slopes.size, 1))] = 0.0
+    leaves = (curvatures < 0) & (np.abs(newton) < _LEAVE) & (sizes * _LEAVE**2 / 2 > noticeable)
     return np.where(leaves, 0.0, newton), np.where(leaves, _LEAVE, 0.0)
 
 
 def _tried(
-    scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers, model: _Model, noticeable: float
+    scaled: ScaledProgram,
+    z: np.ndarray,
+    multipliers: Multipliers,
+    directions: Float[np.ndarray, "n k"],
+    curvatures: Float[np.ndarray, " k"],
+    noticeable: float,
 ) -> Descent | None:
-    """The longest share of the model's step that lowers the Lagrangian, one that meets all limits if there is any."""
-    newton, leave = _step(model, noticeable)
+    """The longest share of the quadratic model's step that lowers the Lagrangian, one that meets all limits if any."""
+    here = scaled.evaluate(z)
+    slope = multipliers.slope(here)
+    slopes = slope @ directions
+    newton, leave = _steps(curvatures, slopes, noticeable)
 
     def predicted(share: float) -> float:
         step = share * (np.abs(newton) + leave)
-        return float((np.abs(model.slopes) * step - model.curvatures * step**2 / 2).sum())
+        return float((np.abs(slopes) * step - curvatures * step**2 / 2).sum())
 
     if predicted(1.0) <= noticeable:
         return None
-    here, lowest, holds = scaled.evaluate(z), None, False
+    lowest, holds = None, False
     for share, sign in itertools.product(_SHARES, (1, -1) if leave.any() else (1,)):
         if holds or predicted(share) <= noticeable:
             break
-        moved = np.clip(z + model.directions @ (share * (newton + sign * leave)), scaled.lower, scaled.upper)
+        moved = np.clip(z + directions @ (share * (newton + sign * leave)), scaled.lower, scaled.upper)
         try:
             there = scaled.evaluate(moved)
         except NotFiniteError:
             continue
         change = here.objective - there.objective - float(multipliers.bounds @ (moved - z))
         change += float(multipliers.rows @ (here.constraints - there.constraints))
-        inside = bool(scaled.violation(there.constraints).max(initial=0.0) <= _CLOSE)
+        inside = bool(scaled.limits.excess(there.constraints).max(initial=0.0) <= _CLOSE)
         if change >= max(_BROUGHT * predicted(share), noticeable) and (lowest is None or inside):
             lowest, holds = moved, inside
-    is_blocked = not holds and _blocks(scaled, here, model.directions @ (newton + leave))
+    is_blocked = not holds and _blocks(scaled, here, directions @ (newton + leave))
     return Descent(
-        fall=predicted(1.0) * scaled.objective_scale,
-        slope=float(np.abs(lagrangian_gradient(here, multipliers)).max()),
+        fall=predicted(1.0) * scaled.scales.objective,
+        slope=float(np.abs(slope).max()),
         point=lowest,
         holds=holds,
         is_doubtful=lowest is None or is_blocked,
@@ -201,7 +163,6 @@ def _tried(
 
 def _blocks(scaled: ScaledProgram, here: Evaluation, step: np.ndarray) -> bool:
     """Whether a row that is at its bound stands in the way of a step."""
-    change = here.jacobian @ step
-    upper = (scaled.constraint_upper - here.constraints <= _CLOSE) & (change > 0)
-    lower = (here.constraints - scaled.constraint_lower <= _CLOSE) & (change < 0)
-    return bool(np.any((upper | lower) & (scaled.constraint_lower < scaled.constraint_upper)))
+    rows, signs, gaps = scaled.limits.within(here.constraints)
+    is_equal = scaled.constraint_lower == scaled.constraint_upper
+    return bool(np.any((gaps <= _CLOSE) & (signs * (here.jacobian @ step)[rows] > 0) & ~is_equal[rows]))

@@ -1,142 +1,111 @@
 """Elastic programs, some of whose rows may be exceeded, by as little as possible in all."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from aleator.nlp._answer import HELD
 from aleator.nlp._matrices import dense_rows
 from aleator.nlp._program import Evaluation, NonlinearProgram
-from aleator.nlp._solver import Outcome, Status
+from aleator.nlp._solver import AbstractSolver, Status
+from aleator.nlp._verdict import HELD
 
-# The first excess of every group that may be exceeded, in sizes.
+# The first excess of every group that may be exceeded where its own is not known, in sizes.
 _FIRST = 1.0
-
-
-class _Sides(NamedTuple):
-    """Finite bounds as `sign c(x) - slack size <= sign bound`: sign +1 for an upper bound, -1 for a lower one.
-
-    `group`: the place of the elastic group of each, -1 for one that holds.
-    """
-
-    rows: Int[np.ndarray, " sides"]
-    signs: Float[np.ndarray, " sides"]
-    bounds: Float[np.ndarray, " sides"]
-    group: Int[np.ndarray, " sides"]
-    sizes: Float[np.ndarray, " sides"]
+# The place among the loose groups of a row that holds, and of one that is left out.
+_HELD, _LEFT_OUT = -1, -2
 
 
 class Excess(NamedTuple):
     """The end of an elastic program.
 
     - `point`: of the program's variables, shape (n,);
-    - `excesses`: of each group that may be exceeded, in sizes of its rows, as they are at the point, whatever the
-      solver says; infinite where the other groups do not hold, or the model cannot be evaluated;
+    - `total`: the sum of the excesses of all groups that may be exceeded, in sizes of their rows, as they are at the
+      point, whatever the solver says; infinite where the other groups do not hold, or the model cannot be evaluated;
     - `pushing`: for each group of the program, the rows that hold others back, by their multipliers;
     - `bounds`: which variables are held back by a bound, shape (n,);
-    - `outcome`: of the solver.
+    - `is_shown`: whether the search ended where no small step lowers the total, rather than where it could not go on.
     """
 
     point: Float[np.ndarray, " n"]
-    excesses: Float[np.ndarray, " elastic"]
+    total: float
     pushing: tuple[Int[np.ndarray, " some"], ...]
-    bounds: np.ndarray
-    outcome: Outcome
-
-    @property
-    def total(self) -> float:
-        """The sum of all excesses; infinite where the others do not hold."""
-        return float(self.excesses.sum())
-
-    @property
-    def is_shown(self) -> bool:
-        """Whether the search ended where no small step lowers it, rather than where it could not go on."""
-        return self.total <= HELD or self.outcome.status in (Status.SOLVED, Status.INFEASIBLE)
+    bounds: Bool[np.ndarray, " n"]
+    is_shown: bool
 
 
-@final
-@dataclass(frozen=True)
-class Elastic:
+def least_excess(
+    solver: AbstractSolver,
+    program: NonlinearProgram,
+    groups: Sequence[tuple[Int[np.ndarray, " rows"], float]],
+    held: Sequence[int],
+    loose: Sequence[int],
+    starts: Sequence[Float[np.ndarray, " n"]],
+) -> Excess:
     """The least total excess of some groups of a program's rows while others hold; further ones are left out.
 
-    - `original`: the program; `groups`: the rows of each, with the size to which its excess is relative;
+    - `groups`: the rows of each, with the size to which its excess is relative;
     - `held`, `loose`: the groups that hold, and those that may be exceeded.
+
+    The search ends at the first start from which all hold; of equally good ends, one that is shown is returned.
     """
+    n, count = program.start.size, len(loose)
+    place, size = np.full(program.limits.lower.size, _LEFT_OUT), np.ones(program.limits.lower.size)
+    for which, its_place in (dict.fromkeys(held, _HELD) | {which: i for i, which in enumerate(loose)}).items():
+        own, its_size = groups[which]
+        place[own], size[own] = its_place, its_size
+    # Finite bounds as `sign c(x) - excess size <= most`.
+    rows, signs, most = program.limits.within(np.zeros(place.size))
+    used = place[rows] != _LEFT_OUT
+    rows, signs, most = rows[used], signs[used], most[used]
+    place, size = place[rows], size[rows]
+    slopes_of_excesses = np.where(place[:, None] == np.arange(count), -size[:, None], 0.0)
 
-    original: NonlinearProgram
-    groups: Sequence[tuple[Int[np.ndarray, " rows"], float]]
-    held: Sequence[int]
-    loose: Sequence[int]
+    def excesses(point: Float[np.ndarray, " n"]) -> Float[np.ndarray, " loose"]:
+        values = program.evaluate(np.clip(point, program.lower, program.upper)).constraints
+        beyond, found, is_loose = (signs * values[rows] - most) / size, np.zeros(count), place != _HELD
+        np.maximum.at(found, place[is_loose], np.nan_to_num(beyond[is_loose], nan=np.inf))
+        holds = np.isfinite(values).all() and np.all(beyond[~is_loose] <= HELD)
+        return found if holds else np.full(count, np.inf)
 
-    @property
-    def program(self) -> NonlinearProgram:
-        """The program to be solved: its variables are those of the original, then the excesses of the loose groups."""
-        original, n, count, sides = self.original, self.original.start.size, len(self.loose), self._sides
-        slacks = np.zeros((len(sides.rows), count))
-        exceeded = np.flatnonzero(sides.group >= 0)
-        slacks[exceeded, sides.group[exceeded]] = -sides.sizes[exceeded]
+    def evaluate(point: Float[np.ndarray, " m"]) -> Evaluation:
+        there = program.evaluate(point[:n])
+        return Evaluation(
+            objective=float(point[n:].sum()),
+            gradient=np.append(np.zeros(n), np.ones(count)),
+            constraints=signs * there.constraints[rows] + slopes_of_excesses @ point[n:],
+            jacobian=np.hstack([signs[:, None] * dense_rows(there.jacobian, rows), slopes_of_excesses]),
+        )
 
-        def evaluate(point: Float[np.ndarray, " m"]) -> Evaluation:
-            there = original.evaluate(point[:n])
-            slopes = sides.signs[:, None] * dense_rows(there.jacobian, sides.rows)
-            return Evaluation(
-                objective=float(point[n:].sum()),
-                gradient=np.append(np.zeros(n), np.ones(count)),
-                constraints=sides.signs * there.constraints[sides.rows] + slacks @ point[n:],
-                jacobian=np.concatenate([slopes, slacks], axis=1),
+    elastic = NonlinearProgram(
+        evaluate=evaluate,
+        start=np.append(program.start, np.full(count, _FIRST)),
+        lower=np.append(program.lower, np.zeros(count)),
+        upper=np.append(program.upper, np.full(count, np.inf)),
+        constraint_lower=np.full(rows.size, -np.inf),
+        constraint_upper=most,
+        constraint_scale=size,
+        variable_scale=np.append(program.variable_scale, np.ones(count)),
+        least=0.0,
+    )
+    ends: list[Excess] = []
+    for start in starts:
+        known = excesses(start)
+        outcome = solver.solve(elastic, start=np.append(start, np.where(np.isfinite(known), known, _FIRST)))
+        if outcome.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        total = float(excesses(outcome.point[:n]).sum())
+        pushing = rows[outcome.active & (outcome.multipliers != 0)]
+        ends.append(
+            Excess(
+                outcome.point[:n],
+                total,
+                tuple(np.intersect1d(own, pushing) for own, _ in groups),
+                outcome.active_bounds[:n] & (program.lower < program.upper),
+                total <= HELD or outcome.status in (Status.SOLVED, Status.INFEASIBLE),
             )
-
-        return NonlinearProgram(
-            evaluate=evaluate,
-            start=np.append(original.start, np.full(count, _FIRST)),
-            lower=np.append(original.lower, np.zeros(count)),
-            upper=np.append(original.upper, np.full(count, np.inf)),
-            constraint_lower=np.full(len(sides.rows), -np.inf),
-            constraint_upper=sides.signs * sides.bounds,
-            constraint_scale=sides.sizes,
-            variable_scale=np.append(original.variable_scale, np.ones(count)),
-            least=0.0,
         )
-
-    def start(self, point: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
-        """The start of this program at a point of the original, with excesses so large that the rows hold there."""
-        excesses = self._excesses(point)
-        return np.append(point, np.where(np.isfinite(excesses), excesses, _FIRST))
-
-    def excess(self, outcome: Outcome) -> Excess:
-        """The meaning of an outcome of this program."""
-        n = self.original.start.size
-        rows = set(self._sides.rows[outcome.active & (outcome.multipliers != 0)].tolist())
-        return Excess(
-            outcome.point[:n],
-            self._excesses(outcome.point[:n]),
-            tuple(np.array(sorted(rows & set(own.tolist())), dtype=int) for own, _ in self.groups),
-            outcome.active_bounds[:n] & (self.original.lower < self.original.upper),
-            outcome,
-        )
-
-    def _excesses(self, point: Float[np.ndarray, " n"]) -> Float[np.ndarray, " loose"]:
-        """By how much each loose group is exceeded at a point; infinite where that is not known."""
-        sides, original = self._sides, self.original
-        values = original.evaluate(np.clip(point, original.lower, original.upper)).constraints
-        beyond = (sides.signs * (values[sides.rows] - sides.bounds)) / sides.sizes
-        excesses, loose = np.zeros(len(self.loose)), sides.group >= 0
-        np.maximum.at(excesses, sides.group[loose], np.nan_to_num(beyond[loose], nan=np.inf))
-        holds = np.isfinite(values).all() and np.all(beyond[~loose] <= HELD)
-        return excesses if holds else np.full(len(self.loose), np.inf)
-
-    @property
-    def _sides(self) -> _Sides:
-        original = self.original
-        parts = [(np.zeros(0, dtype=int), np.zeros(0), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0))]
-        places = {which: i for i, which in enumerate(self.loose)}
-        for which in sorted({*self.held, *self.loose}):
-            rows, size = self.groups[which]
-            for sign, bounds in ((1.0, original.constraint_upper), (-1.0, original.constraint_lower)):
-                some = rows[np.isfinite(bounds[rows])]
-                group = np.full(len(some), places.get(which, -1))
-                parts.append((some, np.full(len(some), sign), bounds[some], group, np.full(len(some), size)))
-        return _Sides(*map(np.concatenate, zip(*parts, strict=True)))
+        if total <= HELD:
+            break
+    return min(ends, key=lambda end: (end.total, not end.is_shown))

@@ -11,8 +11,8 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator._core.interruption import noting
-from aleator.nlp._matrices import Matrix, checked_sparse, entries, with_entries
-from aleator.nlp._program import Evaluation
+from aleator.nlp._matrices import checked_sparse, entries, with_entries
+from aleator.nlp._program import Evaluation, NonlinearProgram
 
 
 @final
@@ -34,54 +34,38 @@ class NowhereFiniteError(ArithmeticError):
 _MOST_FAILURES = 60
 # A solver that gives up within this many points after a failed one is presumed to do so because of it.
 _RECENT = 20
+# Finite points that are remembered.
+_REMEMBERED = 16
 
 
 @final
 class Evaluations:
-    """Evaluates points, remembering the last few, and keeps the exception that ended the solve.
+    """Evaluates points of a program, remembering the last few, and keeps the exception that ended the solve.
 
     Solvers in C++ swallow exceptions of their callbacks. So the first one is kept in `halt` and every later call
     raises: the solver then ends quickly, and the caller of `solve` gets the original exception.
 
-    It is made from
-
-    - `evaluate`: the user's function of `x`, shape (n,);
-    - `variables`, `constraints`: n and m, and the `sparsity` of the Jacobian, checked at every call;
-    - `remembered`: number of finite and of failed points kept;
-
-    and has the attributes
-
-    - `count`: of calls of `evaluate`;
+    - `visited`: objective, and largest violation over the program's scales, of every point evaluated, shape (2,) each;
     - `halt`: the exception that ends the solve; None if there is none;
     - `last`: the latest evaluation; NaN before the first;
     - `failed_at`: the latest point that could not be evaluated, shape (n,); None if there is none.
     """
 
-    def __init__(
-        self,
-        evaluate: Callable[[np.ndarray], Evaluation],
-        variables: int,
-        constraints: int,
-        sparsity: Matrix | None = None,
-        remembered: int = 16,
-    ):
-        self._evaluate = evaluate
+    def __init__(self, program: NonlinearProgram):
+        variables, constraints = program.start.size, program.constraint_lower.size
+        self._program = program
         self._shapes = ((variables,), (constraints,), (constraints, variables))
-        self._sparsity = None if sparsity is None or isinstance(sparsity, np.ndarray) else sparsity
-        self._remembered = remembered
+        self._sparsity: Any = None if isinstance(program.sparsity, np.ndarray) else program.sparsity
         self._points: OrderedDict[bytes, Evaluation] = OrderedDict()
-        self._failed_points: OrderedDict[bytes, Evaluation] = OrderedDict()
+        self._failed = b""
         self._failures = 0
         self._recent: deque[bool] = deque(maxlen=_RECENT)
-        self.count = 0
+        self.visited: list[tuple[float, float]] = []
         self.halt: BaseException | None = None
         self.failed_at: np.ndarray | None = None
-        unknown = (
-            np.full((constraints, variables), np.nan)
-            if self._sparsity is None
-            else with_entries(self._sparsity, np.full(self._sparsity.nnz, np.nan))
-        )
-        self.last = Evaluation(np.nan, np.full(variables, np.nan), np.full(constraints, np.nan), unknown)
+        sparsity, (gradient, rows, whole) = self._sparsity, self._shapes
+        unknown = np.full(whole, np.nan) if sparsity is None else with_entries(sparsity, np.full(sparsity.nnz, np.nan))
+        self.last = Evaluation(np.nan, np.full(gradient, np.nan), np.full(rows, np.nan), unknown)
 
     def at(self, x: np.ndarray) -> Evaluation:
         """Evaluate `x`; the result may be non-finite.
@@ -89,10 +73,10 @@ class Evaluations:
         Raises `HaltedError` if an exception ended the solve, now or before.
         """
         key = x.tobytes()
-        if self.halt is not None or (key not in self._points and key not in self._failed_points):
+        if self.halt is not None or key not in self._points:
             self.asked(lambda: self._compute(key, x))
-        self.last = self._points[key] if key in self._points else self._failed_points[key]
-        if key in self._failed_points:
+        self.last = self._points[key]
+        if key == self._failed:
             self.failed_at = x.copy()
         return self.last
 
@@ -118,7 +102,7 @@ class Evaluations:
         now or before.
         """
         evaluation = self.at(x)
-        if x.tobytes() in self._failed_points:
+        if x.tobytes() == self._failed:
             raise NotFiniteError
         return evaluation
 
@@ -133,29 +117,29 @@ class Evaluations:
             yield
 
     def _compute(self, key: bytes, x: np.ndarray) -> None:
-        self.count += 1
-        evaluation = self._checked(self._evaluate(x.copy()))
-        if not evaluation.is_finite:
-            self.failed_at = x.copy()
-        self._remember(key, evaluation)
-
-    def _remember(self, key: bytes, evaluation: Evaluation) -> None:
-        # Failures must not displace finite points, to which a solver returns when it steps back.
+        program = self._program
+        self.visited.append((np.nan, np.nan))
+        evaluation = self._checked(program.evaluate(x.copy()))
         finite = evaluation.is_finite
-        points = self._points if finite else self._failed_points
-        points[key] = evaluation
-        if len(points) > self._remembered:
-            points.popitem(last=False)
+        if finite:
+            excess = program.limits.excess(evaluation.constraints) / program.constraint_scale
+            self.visited[-1] = evaluation.objective, float(excess.max(initial=0.0))
+        else:
+            # One failure at most is remembered: they must not displace points to which a solver steps back.
+            self._points.pop(self._failed, None)
+            self._failed, self.failed_at = key, x.copy()
+        self._points[key] = evaluation
+        if len(self._points) > _REMEMBERED:
+            self._points.popitem(last=False)
         self._failures = 0 if finite else self._failures + 1
         self._recent.append(finite)
         if self._failures >= _MOST_FAILURES:
             raise NowhereFiniteError(f"not finite at {_MOST_FAILURES} points in a row")
 
     def _checked(self, evaluation: Evaluation) -> Evaluation:
-        # Copied unless read-only, because a model may reuse its arrays.
+        # Copies, because a model may reuse its arrays.
         dense = evaluation[1:] if self._sparsity is None else evaluation[1:3]
-        given = [np.asarray(part, dtype=float) for part in dense]
-        arrays: list[Any] = [array.copy() if array.flags.writeable else array for array in given]
+        arrays: list[Any] = [np.array(part, dtype=float) for part in dense]
         if self._sparsity is not None:
             arrays.append(checked_sparse("Jacobian", evaluation.jacobian, self._sparsity))
         shapes = tuple(array.shape for array in arrays)
@@ -193,13 +177,11 @@ class Straightness:
         if self._curved:
             return
         slopes = np.concatenate([user.gradient, np.ravel(entries(user.jacobian))])
-        if self._first is None:
-            self._first = z, slopes
-        start, first = self._first
+        start, first = self._first = self._first or (z, slopes)
         allowed = _SAME * np.abs(first) + _NOTHING * np.abs(first).max(initial=0.0)
         self._curved = bool(np.any(np.abs(slopes - first) > allowed))
         self._points += 1
-        self._far = self._far or bool(np.any(np.abs(z - start) > _AWAY))
+        self._far |= bool(np.any(np.abs(z - start) > _AWAY))
 
     @property
     def is_shown(self) -> bool:

@@ -9,11 +9,12 @@ from typing import Any, final
 import numpy as np
 from typing_extensions import override
 
-from aleator.nlp._answer import Answer
 from aleator.nlp._evaluations import HaltedError, NotFiniteError
 from aleator.nlp._local_solver import AbstractLocalSolver
+from aleator.nlp._matrices import Pattern
 from aleator.nlp._scaling import Multipliers, ScaledProgram
 from aleator.nlp._solver import Status
+from aleator.nlp._verdict import Answer
 
 Answered = Callable[[list[np.ndarray]], Sequence[np.ndarray]]
 
@@ -57,11 +58,14 @@ def callbacks_of(casadi: Any, scaled: ScaledProgram) -> dict[str, Any]:
     }
     if m:
         rows = casadi.Sparsity.dense(m, 1)
-        sparsity, ordered = _by_columns(casadi, scaled)
+        # A dense sparsity is a guess, and IPOPT takes what it is told.
+        is_dense = isinstance(scaled.sparsity, np.ndarray)
+        pattern = Pattern(np.ones((m, n)) if is_dense else scaled.sparsity)
+        sparsity = casadi.Sparsity.triplet(m, n, pattern.rows.tolist(), pattern.columns.tolist())
 
         def jacobian(given: list[np.ndarray]) -> Sequence[np.ndarray]:
             evaluation = scaled.evaluate(given[0])
-            return evaluation.constraints, ordered(evaluation.jacobian)
+            return evaluation.constraints, pattern.entries(evaluation.jacobian)
 
         found["g"] = callback("constraints", [point], [rows], parts("constraints"))
         found["jac_g"] = callback("jacobian", [point, nothing], [rows, sparsity], jacobian)
@@ -75,20 +79,6 @@ def callbacks_of(casadi: Any, scaled: ScaledProgram) -> dict[str, Any]:
 
         found["hess_lag"] = callback("hessian", [point, nothing, number, multipliers], [upper], hessian)
     return found
-
-
-def _by_columns(casadi: Any, scaled: ScaledProgram) -> tuple[Any, Callable[[Any], np.ndarray]]:
-    """The sparsity of the Jacobian, and a function that orders its entries column by column, as CasADi needs them."""
-    entries = scaled.sparsity
-    if isinstance(entries, np.ndarray):
-        return casadi.Sparsity.dense(scaled.rows, scaled.size), lambda jacobian: np.ravel(jacobian, order="F")
-    numbered = entries.astype(float)
-    numbered.data = np.arange(entries.nnz, dtype=float)
-    columns = numbered.tocsc()
-    columns.sort_indices()
-    order = columns.data.astype(int)
-    sparsity = casadi.Sparsity(scaled.rows, scaled.size, columns.indptr.tolist(), columns.indices.tolist())
-    return sparsity, lambda jacobian: jacobian.data[order]
 
 
 def _callback_class(casadi: Any) -> Any:
@@ -167,30 +157,36 @@ class Ipopt(AbstractLocalSolver):
         import casadi
 
         z = casadi.MX.sym("z", scaled.size)
-        # CasADi keeps no references to the callbacks, so this list must outlive the solver.
+        # CasADi keeps no references to the callbacks, so this must outlive the solver.
         callbacks = callbacks_of(casadi, scaled)
-        program = {"x": z, "f": callbacks["f"](z)}
-        options = self._options(scaled, warm=multipliers is not None)
-        options["grad_f"] = callbacks["grad_f"]
-        if scaled.rows:
-            program["g"] = callbacks["g"](z)
-            options["jac_g"] = callbacks["jac_g"]
-        if "hess_lag" in callbacks:
-            options["hess_lag"] = callbacks["hess_lag"]
+        program = {"x": z} | {name: callbacks[name](z) for name in ("f", "g") if name in callbacks}
+        derivatives = {name: callbacks[name] for name in ("grad_f", "jac_g", "hess_lag") if name in callbacks}
+        options = self._options(scaled, warm=multipliers is not None) | derivatives
         _load(casadi)
         solver = casadi.nlpsol("ipopt", "ipopt", program, options)
         arguments = {"x0": scaled.start, "lbx": scaled.lower, "ubx": scaled.upper}
         if scaled.rows:
-            slack = self._equality_slack(scaled)
+            # Equalities that outnumber the variables, which IPOPT would refuse, are relaxed within the tolerance.
+            equal = scaled.constraint_lower == scaled.constraint_upper
+            slack = np.where(equal, self.aim, 0.0) if equal.sum() > scaled.size else 0.0
             arguments |= {"lbg": scaled.constraint_lower - slack, "ubg": scaled.constraint_upper + slack}
         if multipliers is not None:
-            arguments |= _warm(scaled, multipliers)
-        return _answer(solver(**arguments), solver.stats())
-
-    def _equality_slack(self, scaled: ScaledProgram) -> np.ndarray | float:
-        """Relax equalities within the tolerance if they outnumber the variables, which IPOPT would refuse."""
-        equal = scaled.constraint_lower == scaled.constraint_upper
-        return np.where(equal, self.aim, 0.0) if equal.sum() > scaled.size else 0.0
+            # Those of the bounds make the Lagrangian stationary at the start.
+            start = scaled.evaluate(scaled.start)
+            remainder = -(start.gradient + multipliers @ start.jacobian)
+            allowed = np.where(remainder > 0, np.isfinite(scaled.upper), np.isfinite(scaled.lower))
+            arguments |= {"lam_x0": np.where(allowed, remainder, 0.0)}
+            arguments |= {"lam_g0": multipliers} if scaled.rows else {}
+        found = {name: np.array(part.full(), dtype=float).ravel() for name, part in solver(**arguments).items()}
+        stats = solver.stats()
+        status = str(stats["return_status"])
+        return Answer(
+            claim=_CLAIMS.get(status, Status.FAILED),
+            point=found["x"],
+            multipliers=Multipliers(found["lam_g"], found["lam_x"]),
+            iterations=int(stats.get("iter_count", 0)),
+            message=status.replace("_", " ").lower(),
+        )
 
     def _options(self, scaled: ScaledProgram, warm: bool) -> dict[str, Any]:
         options = {
@@ -218,27 +214,3 @@ class Ipopt(AbstractLocalSolver):
             pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
             options |= {f"ipopt.warm_start_{push}": 1e-8 for push in pushes}
         return options
-
-
-def _warm(scaled: ScaledProgram, multipliers: np.ndarray) -> dict[str, np.ndarray]:
-    """Initial multipliers; those of the bounds make the Lagrangian stationary at the start."""
-    start = scaled.evaluate(scaled.start)
-    remainder = -(start.gradient + multipliers @ start.jacobian)
-    allowed = np.where(remainder > 0, np.isfinite(scaled.upper), np.isfinite(scaled.lower))
-    guess = {"lam_x0": np.where(allowed, remainder, 0.0)}
-    return guess | ({"lam_g0": multipliers} if scaled.rows else {})
-
-
-def _answer(solution: Any, stats: dict[str, Any]) -> Answer:
-    status = str(stats["return_status"])
-    return Answer(
-        claim=_CLAIMS.get(status, Status.FAILED),
-        point=_vector(solution["x"]),
-        multipliers=Multipliers(_vector(solution["lam_g"]), _vector(solution["lam_x"])),
-        iterations=int(stats.get("iter_count", 0)),
-        message=status.replace("_", " ").lower(),
-    )
-
-
-def _vector(matrix: Any) -> np.ndarray:
-    return np.array(matrix.full(), dtype=float).ravel()

@@ -10,12 +10,11 @@ from typing_extensions import override
 
 from aleator._core import border
 from aleator._core.errors import ProblemError
-from aleator.nlp._answer import Answer, Verdict, has_run_away
 from aleator.nlp._evaluations import HaltedError, NotFiniteError, NowhereFiniteError
 from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
 from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status, checked
-from aleator.nlp._verdict import better_scales, judge, settle
+from aleator.nlp._verdict import Answer, Verdict, has_run_away, judge, settle
 
 # Rounds from a steep start, each of which lowers the slope of the objective by many orders of magnitude.
 _MOST_ROUNDS = 4
@@ -68,9 +67,30 @@ class AbstractLocalSolver(AbstractSolver):
             multipliers = checked("multipliers", multipliers, program.constraint_lower.shape)
         scaled = ScaledProgram(program, start)
         with scaled.evaluations.noting_interrupts():
-            answer = self._answer(scaled, multipliers)
-            verdict = judge(scaled, answer, self.tolerance)
-        return _outcome(scaled, answer, verdict, self.name, time.perf_counter() - began)
+            answer, verdict = self._judged(scaled, multipliers)
+        seconds = time.perf_counter() - began
+        rows, bounds = scaled.to_user(verdict.multipliers, verdict.user)
+        active, active_bounds = scaled.active(verdict.point, verdict.user, verdict.multipliers)
+        objectives, violations = np.array(scaled.evaluations.visited).reshape(-1, 2).T
+        return Outcome(
+            status=verdict.status,
+            point=scaled.unscaled(verdict.point),
+            evaluation=verdict.user,
+            multipliers=rows,
+            bound_multipliers=bounds,
+            **dataclasses.asdict(verdict.certificate),
+            iterations=answer.iterations,
+            evaluations=len(objectives),
+            seconds=seconds,
+            solver=self.name,
+            message=verdict.message,
+            active=active,
+            active_bounds=active_bounds,
+            sizes=scaled.every_scale,
+            failed_at=scaled.evaluations.failed_at if verdict.status is Status.EVALUATION_FAILED else None,
+            strayed=verdict.strayed,
+            visited=Searched(self.name, objectives, violations, answer.message, seconds),
+        )
 
     @abc.abstractmethod
     def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
@@ -80,83 +100,73 @@ class AbstractLocalSolver(AbstractSolver):
         `HaltedError` and `KeyboardInterrupt`.
         """
 
-    def _answer(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
-        """Run, and return an answer for every way in which a run ends, or raise the model's exception."""
+    def _judged(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> tuple[Answer, Verdict]:
+        """The answer and its verdict, for every way in which a run ends, or raise the model's exception."""
+        answer = Answer(Status.FAILED, scaled.start, message="stopped by the model")
         try:
-            answer = self._run(scaled, multipliers)
+            answer = self._rounds(scaled, multipliers)
+            if scaled.evaluations.halt is None:
+                return answer, judge(scaled, answer, self.tolerance)
         except HaltedError:
-            answer = Answer(Status.FAILED, scaled.start, None, 0, "stopped by the model")
+            pass
         except KeyboardInterrupt as interrupt:
             scaled.evaluations.halt = interrupt
-            answer = Answer(Status.FAILED, scaled.start, None, 0, "stopped by the user")
         halt = scaled.evaluations.halt
         if isinstance(halt, KeyboardInterrupt):
-            return answer._replace(claim=Status.INTERRUPTED, multipliers=None, message="interrupted by the user")
-        if isinstance(halt, NowhereFiniteError):
-            return Answer(
-                Status.EVALUATION_FAILED,
-                scaled.start,
-                None,
-                answer.iterations,
-                f"the model is {halt}, {answer.message}",
-            )
-        if halt is not None:
+            answer = answer._replace(claim=Status.INTERRUPTED, multipliers=None, message="interrupted by the user")
+        elif isinstance(halt, NowhereFiniteError):
+            message = f"the model is {halt}, {answer.message}"
+            answer = Answer(Status.EVALUATION_FAILED, scaled.start, iterations=answer.iterations, message=message)
+        elif halt is not None:
             raise halt
-        return answer
-
-    def _run(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
-        try:
-            scaled.begin()
-        except NotFiniteError:
-            return Answer(Status.EVALUATION_FAILED, scaled.start, None, 0, "the model is not finite at the start")
-        if scaled.size == 0:
-            return Answer(Status.SOLVED, scaled.start, None, 0, "every variable is fixed")
-        warm = None if multipliers is None else scaled.multipliers_to_scaled(multipliers)
-        answer = self._rounds(scaled, warm)
-        if answer.claim is Status.FAILED and not scaled.evaluations.last.is_finite:
-            answer = answer._replace(claim=Status.EVALUATION_FAILED)
-        # The verdict needs the model at the answer, which may no longer be remembered.
-        scaled.evaluations.at(scaled.unscaled(answer.point))
-        return answer
+        return answer, judge(scaled, answer, self.tolerance)
 
     def _rounds(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         """Minimise, and repeat from the answer in the scales taken there, until it is accepted in them."""
+        try:
+            scaled.begin()
+        except NotFiniteError:
+            return Answer(Status.EVALUATION_FAILED, scaled.start, message="the model is not finite at the start")
+        if scaled.size == 0:
+            return Answer(Status.SOLVED, scaled.start, message="every variable is fixed")
+        if multipliers is not None:
+            multipliers = scaled.to_scaled(multipliers)
         spent, rounds, tried = 0, 0, False
         while True:
             rounds += 1
             left = self.max_iterations - spent
             shared = left >= _WORTH_SHARING and (rounds == 1 or scaled.can_take_differences)
             share = left - left // _LEFT_OVER if shared else left
-            ran_in = scaled.scales
+            ran_in, pattern = scaled.scales, scaled.sparsity
             answer = dataclasses.replace(self, max_iterations=share)._claimed(scaled, multipliers)
             spent += answer.iterations
             answer = answer._replace(iterations=spent)
-            if scaled.evaluations.halt is not None or not scaled.is_finite(answer.point):
+            if scaled.evaluations.halt is not None:
                 return answer
+            if not scaled.user(answer.point).is_finite:
+                return answer._replace(claim=Status.EVALUATION_FAILED)
             answer, stands = settle(scaled, answer, self.tolerance)
             if stands or rounds == _MOST_ROUNDS or spent >= self.max_iterations:
                 return answer
-            judged_in, better = scaled.scales, better_scales(scaled, answer)
             in_vain = bool(answer.unfinished) or answer.claim is Status.ITERATION_LIMIT or scaled.straightness.is_shown
             sharper = (
                 (in_vain or tried)
                 and (scaled.straightness.is_shown or not has_run_away(scaled, answer.point))
                 and scaled.take_differences()
             )
-            if not in_vain:
-                if tried and not sharper and better.is_near(ran_in, _SAME_SCALE):
+            # A pattern that was outgrown says nothing of the scales.
+            if not in_vain and scaled.sparsity is pattern:
+                if tried and not sharper and scaled.scales.is_near(ran_in, _SAME_SCALE):
                     return answer
                 tried = True
-            scaled.rescale(answer.point, better)
-            known = judged_in.converted(answer.multipliers, better)
-            multipliers = None if known is None else known.rows
+            multipliers = None if answer.multipliers is None else answer.multipliers.rows
 
     def _claimed(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         """The library's answer. Raises `ProblemError` if it is no answer to this program."""
         try:
             answer = self.minimise(scaled, multipliers)
         except NotFiniteError:
-            return Answer(Status.EVALUATION_FAILED, scaled.start, None, 0, "the model cannot be evaluated there")
+            return Answer(Status.EVALUATION_FAILED, scaled.start, message="the model cannot be evaluated there")
         point = np.array(answer.point, dtype=float)
         if point.shape != scaled.start.shape:
             raise ProblemError(
@@ -164,33 +174,3 @@ class AbstractLocalSolver(AbstractSolver):
                 f"`scaled.start`; received shape {point.shape}."
             )
         return answer._replace(point=point)
-
-
-def _outcome(scaled: ScaledProgram, answer: Answer, verdict: Verdict, solver: str, seconds: float) -> Outcome:
-    multipliers = scaled.multipliers_to_user(verdict.multipliers.rows)
-    bounds = scaled.bound_multipliers_to_user(verdict.multipliers.bounds, multipliers, verdict.user)
-    active, active_bounds = scaled.active(
-        verdict.point, verdict.user, verdict.multipliers.rows, verdict.multipliers.bounds
-    )
-    objectives, violations = np.array(scaled.visited, dtype=float).reshape(-1, 2).T
-    return Outcome(
-        status=verdict.status,
-        point=scaled.unscaled(verdict.point),
-        evaluation=verdict.user,
-        multipliers=multipliers,
-        bound_multipliers=bounds,
-        violation=verdict.certificate.violation,
-        stationarity=verdict.certificate.stationarity,
-        complementarity=verdict.certificate.complementarity,
-        iterations=answer.iterations,
-        evaluations=scaled.evaluations.count,
-        seconds=seconds,
-        solver=solver,
-        message=verdict.message,
-        active=active,
-        active_bounds=active_bounds,
-        sizes=scaled.sizes(verdict.sizes),
-        failed_at=scaled.evaluations.failed_at if verdict.status is Status.EVALUATION_FAILED else None,
-        strayed=verdict.strayed,
-        visited=Searched(solver, objectives, violations, answer.message, seconds),
-    )

@@ -47,9 +47,11 @@ def largest_term(weights: np.ndarray, matrix: Matrix) -> float:
     return float(np.abs(weights[rows_of_entries(matrix)] * matrix.data).max(initial=0.0))
 
 
-def column_is_zero(matrix: Matrix, column: int) -> bool:
-    """Whether a column is zero."""
-    return not entries(matrix[:, [column]]).any()
+def zero_columns(matrix: Matrix) -> np.ndarray:
+    """Which columns are zero, shape (n,)."""
+    if isinstance(matrix, np.ndarray):
+        return np.logical_not(matrix.any(axis=0))
+    return ~np.isin(np.arange(matrix.shape[1]), matrix.indices[matrix.data != 0])
 
 
 def dense_rows(matrix: Matrix, rows: np.ndarray) -> np.ndarray:
@@ -57,56 +59,27 @@ def dense_rows(matrix: Matrix, rows: np.ndarray) -> np.ndarray:
     return matrix[rows] if isinstance(matrix, np.ndarray) else matrix[rows].toarray()
 
 
-def gradients(matrix: Matrix, rows: np.ndarray, signs: np.ndarray) -> Matrix:
-    """Some rows as columns, each with a sign: shape (n, rows)."""
+def above_identity(matrix: Matrix) -> Matrix:
+    """A matrix of shape (m, n) above the identity: shape (m + n, n), the slopes of rows and variables."""
     if isinstance(matrix, np.ndarray):
-        return matrix[rows].T * signs
-    return (matrix[rows].T * signs).tocsr()
+        return np.concatenate([matrix, np.eye(matrix.shape[1])])
+    return scipy.sparse.vstack([matrix, scipy.sparse.eye_array(matrix.shape[1])], format="csr")
 
 
-def unit_columns(like: Matrix, places: np.ndarray, signs: np.ndarray) -> Matrix:
-    """Signed unit vectors as columns, as long as `like` has columns, and dense or sparse as it is."""
-    size = like.shape[1]
-    if isinstance(like, np.ndarray):
-        return np.eye(size)[:, places] * signs
-    return scipy.sparse.csr_array((signs, (places, np.arange(places.size))), shape=(size, places.size))
+def nonnegative_fit(rows: Matrix, target: np.ndarray) -> np.ndarray:
+    """Weights `w >= 0` for which `w @ rows` is closest to a target; zeros, which prove nothing, if not found.
 
-
-def side_by_side(*columns: Matrix) -> Matrix:
-    """Matrices beside one another, all dense or all sparse."""
-    if isinstance(columns[0], np.ndarray):
-        return np.concatenate(columns, axis=1)
-    return scipy.sparse.hstack(columns, format="csr")
-
-
-def with_last_row(matrix: Matrix, row: np.ndarray) -> Matrix:
-    """A matrix with one more row."""
-    if isinstance(matrix, np.ndarray):
-        return np.vstack([matrix, row])
-    return scipy.sparse.vstack([matrix, scipy.sparse.csr_array(row[None])], format="csr")
-
-
-def bounded_fit(columns: Matrix, target: np.ndarray, ceiling: np.ndarray) -> np.ndarray:
-    """Weights between 0 and a ceiling, shape (columns,), for which `columns @ weights` is closest to a target.
-
-    Of sparse columns the search is cut short: what it has not found proves nothing.
+    For sparse rows the search is cut short.
     """
-    if isinstance(columns, np.ndarray):
-        return scipy.optimize.lsq_linear(columns, target, (np.zeros(ceiling.size), ceiling), method="bvls").x
-    steps = int(np.clip(_MOST_WORK // (_MOST_STEPS * max(columns.nnz, 1)), _LEAST_STEPS, _MOST_STEPS))
-    short = {"max_iter": steps, "lsmr_maxiter": _MOST_STEPS}
-    return scipy.optimize.lsq_linear(columns, target, (np.zeros(ceiling.size), ceiling), method="trf", **short).x
-
-
-def nonnegative_fit(columns: Matrix, target: np.ndarray) -> np.ndarray:
-    """Weights `w >= 0` for which `columns @ w` is closest to a target; zeros, which prove nothing, if not found."""
-    if not isinstance(columns, np.ndarray):
-        return bounded_fit(columns, target, np.full(columns.shape[1], np.inf))
-    try:
-        return scipy.optimize.nnls(columns, target)[0]
-    except RuntimeError:
-        # SciPy raises this when its iterations are used up.
-        return np.zeros(columns.shape[1])
+    if isinstance(rows, np.ndarray):
+        try:
+            return scipy.optimize.nnls(rows.T, target)[0]
+        except RuntimeError:
+            # SciPy raises this when its iterations are used up.
+            return np.zeros(len(rows))
+    steps = int(np.clip(_MOST_WORK // (_MOST_STEPS * max(rows.nnz, 1)), _LEAST_STEPS, _MOST_STEPS))
+    short = {"method": "trf", "max_iter": steps, "lsmr_maxiter": _MOST_STEPS}
+    return scipy.optimize.lsq_linear(rows.T.tocsr(), target, (0.0, np.inf), **short).x
 
 
 @final
@@ -134,27 +107,26 @@ class Block:
 
 def check_sparsity(name: str, sparsity: SparseMatrix, shape: tuple[int, int]) -> None:
     """Refuse anything but a sparsity of this shape: a `csr_array` with sorted columns and no duplicates."""
-    if not isinstance(sparsity, scipy.sparse.csr_array) or sparsity.shape != shape:
+    is_sparse = isinstance(sparsity, scipy.sparse.csr_array) and sparsity.shape == shape
+    if not is_sparse or not sparsity.has_canonical_format:
         raise ProblemError(
-            f"Expected `{name}` as a scipy.sparse.csr_array of shape {shape}. Received {type(sparsity).__name__} of "
-            f"shape {getattr(sparsity, 'shape', None)}."
+            f"Expected `{name}` as a scipy.sparse.csr_array of shape {shape}, its columns in order and no entry twice "
+            f"(call sum_duplicates()). Received {type(sparsity).__name__} of shape {getattr(sparsity, 'shape', None)}."
         )
-    if not sparsity.has_canonical_format:
-        raise ProblemError(f"Expected `{name}` with its columns in order and no entry twice: call sum_duplicates().")
 
 
 def checked_sparse(name: str, matrix: Any, sparsity: SparseMatrix) -> SparseMatrix:
     """A matrix with the declared sparsity, its numbers copied. Raises `ProblemError` for another."""
-    if not isinstance(matrix, scipy.sparse.csr_array):
-        raise ProblemError(f"Expected the {name} as the scipy.sparse.csr_array declared; received {type(matrix)}.")
-    same = matrix.shape == sparsity.shape and all(
-        one is other or np.array_equal(one, other)
-        for one, other in ((matrix.indptr, sparsity.indptr), (matrix.indices, sparsity.indices))
-    )
-    if not same:
+    if not (
+        isinstance(matrix, scipy.sparse.csr_array)
+        and matrix.shape == sparsity.shape
+        and np.array_equal(matrix.indptr, sparsity.indptr)
+        and np.array_equal(matrix.indices, sparsity.indices)
+    ):
         raise ProblemError(
-            f"Expected the {name} with the sparsity declared, {sparsity.nnz} entries in shape {sparsity.shape}; "
-            f"received {matrix.nnz} in shape {matrix.shape}, or others. Keep zeros in place."
+            f"Expected the {name} as a scipy.sparse.csr_array with the sparsity declared, {sparsity.nnz} entries in "
+            f"shape {sparsity.shape}; received {getattr(matrix, 'nnz', type(matrix).__name__)} in shape "
+            f"{np.shape(matrix)}, or others. Keep zeros in place."
         )
     return with_entries(sparsity, np.array(matrix.data, dtype=float))
 
@@ -167,22 +139,23 @@ _DENSE = 0.7
 class Pattern:
     """The entries of a Jacobian that a solver works with: declared if the sparsity is sparse, a guess if it is dense.
 
-    - `rows`, `columns`: of the entries, shape (entries,);
+    - `rows`, `columns`: of the entries, column by column, shape (entries,);
     - `outgrown`: whether a nonzero entry has turned up outside a guess.
     """
 
     def __init__(self, sparsity: Matrix):
         self.outgrown = False
-        if not isinstance(sparsity, np.ndarray):
-            self.rows, self.columns = rows_of_entries(sparsity), sparsity.indices
-        else:
+        if isinstance(sparsity, np.ndarray):
             is_dense = sparsity.size == 0 or bool(np.mean(sparsity != 0) > _DENSE)
             self.columns, self.rows = np.nonzero(np.ones_like(sparsity.T) if is_dense else sparsity.T)
+        else:
+            self._order = np.argsort(sparsity.indices, kind="stable")
+            self.rows, self.columns = rows_of_entries(sparsity)[self._order], sparsity.indices[self._order]
 
     def entries(self, jacobian: Matrix) -> np.ndarray:
         """The entries of a Jacobian of shape (m, n), shape (entries,)."""
         if not isinstance(jacobian, np.ndarray):
-            return jacobian.data
+            return jacobian.data[self._order]
         inside = jacobian[self.rows, self.columns]
         self.outgrown = self.outgrown or bool(np.count_nonzero(jacobian) > np.count_nonzero(inside))
         return inside

@@ -44,15 +44,28 @@ class Hessian(NamedTuple):
     sparsity: SparseMatrix
 
 
-class Magnitudes(NamedTuple):
-    """How large the constraints are at a point, in user units, shape (m,) each.
+class Sides(NamedTuple):
+    """Lower and upper bounds of some values, shape (k,) each, infinite where there is none."""
 
-    - `size`: the magnitude to which a violation is relative, whatever the solver's scale;
-    - `scale`: the recommended scale for a solver that continues from here.
-    """
+    lower: np.ndarray
+    upper: np.ndarray
 
-    size: np.ndarray
-    scale: np.ndarray
+    def excess(self, values: np.ndarray) -> np.ndarray:
+        """How far values of shape (..., k) are outside, negative inside."""
+        return np.maximum(values - self.upper, self.lower - values)
+
+    def slack(self, values: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
+        """How far each value is from the bound against which its multiplier presses, the upper one if positive."""
+        return np.abs(np.where(multipliers > 0, self.upper - values, values - self.lower))
+
+    def within(self, values: np.ndarray, distance: float = np.inf) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The bounds no further than this from their values: places of these, signs, +1 for an upper bound, and gaps.
+
+        A gap is negative where the value is outside.
+        """
+        gaps = np.concatenate([self.upper - values, values - self.lower])
+        near = np.flatnonzero(np.isfinite(gaps) & (np.abs(gaps) <= distance))
+        return near % values.size, np.where(near < values.size, 1.0, -1.0), gaps[near]
 
 
 @final
@@ -74,8 +87,8 @@ class NonlinearProgram:
       values is a guess: solvers that use it detect entries outside it. A `scipy.sparse.csr_array` is the sparsity of
       every Jacobian, which then is sparse too: no dense array of size m x n is ever made;
     - `hessian`: second derivatives, if known; all solvers but `Slsqp` use them;
-    - `magnitudes`: gives those of the constraints at a point `x` with its evaluation. Feasibility is judged by them,
-      not by the solver's scale. By default `constraint_scale`, as size and as scale, at every point;
+    - `sizes`: the magnitudes of the constraints, shape (m,), at a point `x` with its evaluation, in the user's units:
+      violations are relative to them, and solvers continue from there in them. By default `constraint_scale`;
     - `values`: the objective, shape (k,), and the constraints, shape (k, m), at points of shape (k, n), without
       derivatives; NaN where the model cannot be evaluated. For searches, which call `evaluate` where it is None;
     - `least`: a lower bound of the objective, such as 0 for a norm: a point that attains it is optimal, even at a kink.
@@ -94,62 +107,45 @@ class NonlinearProgram:
     variable_scale: np.ndarray
     sparsity: Matrix | None = None
     hessian: Hessian | None = None
-    magnitudes: Callable[[np.ndarray, Evaluation], Magnitudes] | None = None
+    sizes: Callable[[np.ndarray, Evaluation], np.ndarray] | None = None
     least: float = -np.inf
     values: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None
 
     def __post_init__(self) -> None:
-        for name, length in _expected_lengths(self).items():
+        shape = rows, size = np.size(self.constraint_lower), np.size(self.start)
+        lengths = dict.fromkeys(("start", "lower", "upper", "variable_scale"), size)
+        lengths |= dict.fromkeys(("constraint_lower", "constraint_upper", "constraint_scale"), rows)
+        for name, length in lengths.items():
             array = np.array(getattr(self, name), dtype=float)
             if array.shape != (length,):
                 raise ProblemError(f"Expected `{name}` of shape ({length},). Received shape {array.shape}.")
             object.__setattr__(self, name, array)
-        shape = (self.constraint_lower.size, self.start.size)
         if isinstance(self.sparsity, np.ndarray) and self.sparsity.shape != shape:
             raise ProblemError(f"Expected `sparsity` of shape {shape}. Received shape {self.sparsity.shape}.")
         if self.sparsity is not None and not isinstance(self.sparsity, np.ndarray):
             check_sparsity("sparsity", self.sparsity, shape)
         if self.hessian is not None:
-            _check_lower_triangle(self.hessian, self.start.size)
-        _check_bounds("lower", "upper", self.lower, self.upper)
-        _check_bounds("constraint_lower", "constraint_upper", self.constraint_lower, self.constraint_upper)
-        _check_positive("variable_scale", self.variable_scale)
-        _check_positive("constraint_scale", self.constraint_scale)
+            check_sparsity("hessian", curved := self.hessian.sparsity, (size, size))
+            if np.any(curved.indices > rows_of_entries(curved)):
+                raise ProblemError(
+                    "Expected the lower triangle of `hessian` alone; received entries above its diagonal."
+                )
+        for prefix, bounds in (("", Sides(self.lower, self.upper)), ("constraint_", self.limits)):
+            if (bad := ~((bounds.lower <= bounds.upper) & (bounds.lower < np.inf) & (bounds.upper > -np.inf))).any():
+                first = int(np.argmax(bad))
+                raise ProblemError(
+                    f"Expected `{prefix}lower` <= `{prefix}upper`. Received {bounds.lower[first]} and "
+                    f"{bounds.upper[first]} at index {first}."
+                )
+        for name in ("variable_scale", "constraint_scale"):
+            scale = getattr(self, name)
+            if (bad := ~(np.isfinite(scale) & (scale > 0))).any():
+                first = int(np.argmax(bad))
+                raise ProblemError(f"Expected `{name}` positive and finite. Received {scale[first]} at index {first}.")
         if not np.isfinite(self.start).all():
             raise ProblemError(f"Expected a finite `start`; received {shown(self.start)}.")
 
-
-def _expected_lengths(program: NonlinearProgram) -> dict[str, int]:
-    variables, constraints = np.size(program.start), np.size(program.constraint_lower)
-    return {
-        "start": variables,
-        "lower": variables,
-        "upper": variables,
-        "variable_scale": variables,
-        "constraint_lower": constraints,
-        "constraint_upper": constraints,
-        "constraint_scale": constraints,
-    }
-
-
-def _check_lower_triangle(hessian: Hessian, size: int) -> None:
-    sparsity = hessian.sparsity
-    check_sparsity("hessian", sparsity, (size, size))
-    if np.any(sparsity.indices > rows_of_entries(sparsity)):
-        raise ProblemError("Expected the lower triangle of `hessian` alone; received entries above its diagonal.")
-
-
-def _check_bounds(lower_name: str, upper_name: str, lower: np.ndarray, upper: np.ndarray) -> None:
-    possible = (lower <= upper) & (lower < np.inf) & (upper > -np.inf)
-    if not possible.all():
-        first = int(np.flatnonzero(~possible)[0])
-        raise ProblemError(
-            f"Expected `{lower_name}` <= `{upper_name}`. Received {lower[first]} and {upper[first]} at index {first}."
-        )
-
-
-def _check_positive(name: str, scale: np.ndarray) -> None:
-    valid = np.isfinite(scale) & (scale > 0)
-    if not valid.all():
-        first = int(np.flatnonzero(~valid)[0])
-        raise ProblemError(f"Expected `{name}` positive and finite. Received {scale[first]} at index {first}.")
+    @property
+    def limits(self) -> Sides:
+        """The bounds of the constraints."""
+        return Sides(self.constraint_lower, self.constraint_upper)

@@ -9,18 +9,17 @@ Where a solver proves that no small step meets all constraints there may still b
 saturates, or if a variable must change by many orders of magnitude from a poor start.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from aleator.nlp._answer import HELD
 from aleator.nlp._curvature import descent
-from aleator.nlp._matrices import column_is_zero
+from aleator.nlp._matrices import zero_columns
 from aleator.nlp._program import Evaluation, NonlinearProgram
 from aleator.nlp._scaling import Multipliers, ScaledProgram, Scales
 from aleator.nlp._solver import Outcome, Status
+from aleator.nlp._verdict import HELD
 
 # At most this many variables are checked, and named: the first ones.
 _MOST = 12
@@ -69,15 +68,28 @@ def restart_of(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -
     """
     if outcome.status is Status.SOLVED:
         return _around(program, outcome, begun)
+
+    def scaled_at(point: np.ndarray) -> NonlinearProgram:
+        """The program with variables scaled by their values there and at the outcome, where these are larger."""
+        sizes = np.abs([program.variable_scale, outcome.point, point])
+        return replace(program, variable_scale=np.max(sizes, axis=0))
+
+    def violation(point: np.ndarray) -> float:
+        values = program.evaluate(point).constraints
+        excess = program.limits.excess(values) / outcome.sizes
+        return float(np.max(excess, initial=0.0)) if np.isfinite(values).all() else np.inf
+
     if outcome.strayed:
-        return Restart(_scaled_at(program, outcome.point, outcome.point), outcome.point, holds=True)
+        return Restart(scaled_at(outcome.point), outcome.point, holds=True)
     if outcome.status is Status.INFEASIBLE:
-        points = [begun, program.start, *_elsewhere(program, begun)]
-        violations = [_violation(program, outcome, point) for point in points]
+        # The corners of least and of greatest values, the middle between them, and points in the whole range.
+        lower, upper = variable_range(begun, program.lower, program.upper, program.variable_scale)
+        drawn = np.random.default_rng(0).uniform(lower, upper, (_POINTS, len(begun)))
+        points = [begun, program.start, lower, upper, (lower + upper) / 2, *drawn]
+        violations = [violation(point) for point in points]
         least = int(np.argmin(violations))
         if violations[least] < (1 - _LESS) * outcome.violation:
-            scaled = _scaled_at(program, outcome.point, points[least])
-            return Restart(scaled, points[least], holds=violations[least] <= HELD)
+            return Restart(scaled_at(points[least]), points[least], holds=violations[least] <= HELD)
     return Restart(program)
 
 
@@ -86,23 +98,28 @@ def restart_of(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -
 
 def _around(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -> Restart:
     here = outcome.evaluation
-    flat = np.array([here.gradient[i] == 0 and column_is_zero(here.jacobian, i) for i in range(begun.size)], dtype=bool)
+    flat = _is_flat(here)
     still = np.abs(outcome.point - begun) <= _STILL * program.variable_scale
     if outcome.searched is not None:
         still |= flat
     still &= program.lower < program.upper
+
+    def height(there: Evaluation) -> float:
+        """The Lagrangian with the multipliers of the outcome, beside which it is the objective."""
+        return there.objective + float(outcome.multipliers @ (there.constraints - here.constraints))
+
     idle, blind, lower = [], [], _descended(program, outcome, still & ~flat)
     for i in np.flatnonzero(still & flat)[:_MOST].tolist():
         others = [(point, program.evaluate(point)) for point in _across(program, outcome.point, i)]
         others = [(point, there) for point, there in others if np.isfinite([there.objective, *there.constraints]).all()]
         if not any(_differs(here, there) for _, there in others):
             idle.append(i)
-        elif all(there.gradient[i] == 0 and column_is_zero(there.jacobian, i) for _, there in others):
+        elif all(_is_flat(there)[i] for _, there in others):
             blind.append(i)
         else:
-            lower += [point for point, there in others if _is_lower(outcome, there)]
+            lower += [point for point, there in others if height(there) < here.objective - _LOWER * abs(here.objective)]
     if lower and not blind:
-        start = min(lower, key=lambda point: _lagrangian(outcome, program.evaluate(point)))
+        start = min(lower, key=lambda point: height(program.evaluate(point)))
         return Restart(program, start, idle=tuple(idle))
     lost = lost_variables(program, outcome.point, here)
     return Restart(program, idle=tuple(idle), blind=tuple(sorted({*blind, *lost})))
@@ -113,16 +130,18 @@ def _descended(program: NonlinearProgram, outcome: Outcome, still: np.ndarray) -
     if not still.any():
         return []
     scaled = ScaledProgram(program, outcome.point)
-    z, free, useful = scaled.start, program.lower < program.upper, scaled.useful
+    z, free = scaled.start, program.lower < program.upper
     changes = np.abs(outcome.evaluation.gradient) * program.variable_scale
     objective = max(abs(outcome.evaluation.objective), float(changes.max())) or 1.0
-    scaled.rescale(z, Scales(objective, outcome.sizes[useful]))
-    multipliers = Multipliers(
-        scaled.multipliers_to_scaled(outcome.multipliers),
-        (outcome.bound_multipliers * program.variable_scale)[free] / objective,
-    )
-    further = descent(scaled, z, multipliers, still[free])
+    scaled.rescale(z, Scales(objective, outcome.sizes[scaled.useful]))
+    bounds = (outcome.bound_multipliers * program.variable_scale)[free] / objective
+    further = descent(scaled, z, Multipliers(scaled.to_scaled(outcome.multipliers), bounds), still[free])
     return [] if further is None or further.point is None else [scaled.unscaled(further.point)]
+
+
+def _is_flat(there: Evaluation) -> np.ndarray:
+    """By which variables all slopes are zero, shape (n,)."""
+    return (there.gradient == 0) & zero_columns(there.jacobian)
 
 
 def _across(program: NonlinearProgram, here: np.ndarray, which: int) -> list[np.ndarray]:
@@ -143,16 +162,6 @@ def _differs(one: Evaluation, other: Evaluation) -> bool:
     return bool(np.any(np.abs(first - second) > _SAME * np.maximum(np.abs(first), np.abs(second))))
 
 
-def _lagrangian(outcome: Outcome, there: Evaluation) -> float:
-    """The Lagrangian with the multipliers of the outcome, beside which it is the objective."""
-    return there.objective + float(outcome.multipliers @ (there.constraints - outcome.evaluation.constraints))
-
-
-def _is_lower(outcome: Outcome, there: Evaluation) -> bool:
-    value = outcome.evaluation.objective
-    return _lagrangian(outcome, there) < value - _LOWER * abs(value)
-
-
 # Steps in typical magnitudes of all suspects together, and then of each alone: a short one, so that the model is likely
 # to be finite, and a long one, across a coarse rounding.
 _BLIND_STEPS = (0.05, -0.4)
@@ -165,33 +174,27 @@ def lost_variables(program: NonlinearProgram, point: np.ndarray, here: Evaluatio
     Two evaluations if some slope is exactly zero, two more for each of several suspects if the objective changes. In
     sparse programs, where an objective depends on few variables by construction, none is looked for.
     """
+
+    def are_lost(which: np.ndarray) -> bool:
+        bounds, size = (program.lower[which], program.upper[which]), program.variable_scale[which]
+        for step in _BLIND_STEPS:
+            # Away from a bound that is too close.
+            places = [np.clip(point[which] + sign * step * size, *bounds) for sign in (1, -1)]
+            first, second = (np.abs(place - point[which]) for place in places)
+            moved = point.copy()
+            moved[which] = np.where(first >= second, *places)
+            there = program.evaluate(moved)
+            change, size_of_both = abs(there.objective - here.objective), max(abs(here.objective), abs(there.objective))
+            if change > _SAME * size_of_both and np.isfinite(change) and not there.gradient[which].any():
+                return True
+        return False
+
     flat = np.flatnonzero((here.gradient == 0) & (program.lower < program.upper))
     if not flat.size or not isinstance(here.jacobian, np.ndarray) or not np.isfinite(here.objective):
         return ()
-    if not _are_lost(program, point, here, flat):
+    if not are_lost(flat):
         return ()
-    return tuple(int(i) for i in flat[:_MOST] if flat.size == 1 or _are_lost(program, point, here, np.array([i])))
-
-
-def _are_lost(program: NonlinearProgram, point: np.ndarray, here: Evaluation, which: np.ndarray) -> bool:
-    """Whether some step of these variables changes the objective without a slope at either end."""
-    for there in _steps(program, point, which):
-        size = max(abs(here.objective), abs(there.objective))
-        differs = np.isfinite(there.objective) and abs(there.objective - here.objective) > _SAME * size
-        if differs and not there.gradient[which].any():
-            return True
-    return False
-
-
-def _steps(program: NonlinearProgram, point: np.ndarray, which: np.ndarray) -> Iterator[Evaluation]:
-    """Evaluations with some variables moved by each step, away from a bound that is too close."""
-    size, bounds = program.variable_scale[which], (program.lower[which], program.upper[which])
-    for step in _BLIND_STEPS:
-        places = [np.clip(point[which] + sign * step * size, *bounds) for sign in (1, -1)]
-        first, second = (np.abs(place - point[which]) for place in places)
-        moved = point.copy()
-        moved[which] = np.where(first >= second, *places)
-        yield program.evaluate(moved)
+    return tuple(int(i) for i in flat[:_MOST] if flat.size == 1 or are_lost(np.array([i])))
 
 
 # --- Elsewhere --------------------------------------------------------------------------------------------------------
@@ -211,21 +214,3 @@ def variable_range(
     """The least and greatest values of the variables, or three typical magnitudes from the start if unbounded."""
     far, bounded = _FAR * scale, UNBOUNDED * np.maximum(scale, 1.0)
     return np.where(lower > -bounded, lower, start - far), np.where(upper < bounded, upper, start + far)
-
-
-def _elsewhere(program: NonlinearProgram, start: np.ndarray) -> list[np.ndarray]:
-    """The corners of least and of greatest values, the middle between them, and points in the whole range."""
-    lower, upper = variable_range(start, program.lower, program.upper, program.variable_scale)
-    generator = np.random.default_rng(0)
-    return [lower, upper, (lower + upper) / 2, *generator.uniform(lower, upper, (_POINTS, len(start)))]
-
-
-def _violation(program: NonlinearProgram, outcome: Outcome, point: np.ndarray) -> float:
-    values = program.evaluate(point).constraints
-    beyond = np.maximum(values - program.constraint_upper, program.constraint_lower - values) / outcome.sizes
-    return float(np.max(beyond, initial=0.0)) if np.isfinite(values).all() else np.inf
-
-
-def _scaled_at(program: NonlinearProgram, *points: np.ndarray) -> NonlinearProgram:
-    """The program with variables scaled by their values at some points, where these are larger."""
-    return replace(program, variable_scale=np.max(np.abs([program.variable_scale, *points]), axis=0))

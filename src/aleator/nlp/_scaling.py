@@ -1,20 +1,14 @@
 """The program as solvers see it: dimensionless, without fixed variables and without unbounded rows."""
 
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 import scipy
 
-from aleator.nlp._evaluations import (
-    MOST_DIFFERENCED,
-    Evaluations,
-    NotFiniteError,
-    Straightness,
-    changes_of,
-)
+from aleator.nlp._evaluations import MOST_DIFFERENCED, Evaluations, NotFiniteError, Straightness, changes_of
 from aleator.nlp._matrices import Block, Matrix, checked_sparse
-from aleator.nlp._program import Evaluation, Magnitudes, NonlinearProgram
+from aleator.nlp._program import Evaluation, NonlinearProgram, Sides
 
 
 @final
@@ -24,6 +18,19 @@ class Multipliers:
 
     rows: np.ndarray
     bounds: np.ndarray
+
+    @property
+    def every(self) -> np.ndarray:
+        """Those of the rows, then those of the bounds, shape (m_useful + n_free,)."""
+        return np.concatenate([self.rows, self.bounds])
+
+    def kept(self, which: np.ndarray) -> "Multipliers":
+        """Some of them, by truth values in the order of `every`, and zeros for the others."""
+        return Multipliers(*np.split(np.where(which, self.every, 0.0), [self.rows.size]))
+
+    def slope(self, evaluation: Evaluation) -> np.ndarray:
+        """The gradient `∇f + Jᵀλ + μ` of the Lagrangian with a scaled evaluation, shape (n_free,)."""
+        return evaluation.gradient + self.rows @ evaluation.jacobian + self.bounds
 
 
 class Scales(NamedTuple):
@@ -74,12 +81,11 @@ class ScaledProgram:
     - `start`: scaled start, clipped to the bounds, shape (n_free,);
     - `lower`, `upper`: scaled bounds, shape (n_free,);
     - `constraint_lower`, `constraint_upper`: scaled bounds, shape (m_useful,);
-    - `objective_scale`: from the gradient at the start, so that neither an offset nor a factor of the objective
-      matters; from `|f(start)|` if the gradient is negligible;
+    - `scales`: the current ones. That of the objective is from its gradient at the start, so that neither an offset nor
+      a factor matters; from `|f(start)|` if the gradient is negligible;
     - `best`: the best point seen, with its evaluation in user units: feasible with the least objective, else the
       least violated one. None before `begin`;
-    - `evaluations`: of the user's model;
-    - `visited`: objective, in user units, and largest scaled violation of every point at which it was evaluated.
+    - `evaluations`: of the user's model.
     """
 
     def __init__(self, program: NonlinearProgram, start: np.ndarray):
@@ -87,18 +93,19 @@ class ScaledProgram:
         self._free = program.lower < program.upper
         self.useful = np.isfinite(program.constraint_lower) | np.isfinite(program.constraint_upper)
         self._variable_scale = program.variable_scale[self._free]
-        self._is_whole = bool(self._free.all() and self.useful.all())
         self._fixed_variables = np.clip(start, program.lower, program.upper)
         self._last: tuple[bytes, Evaluation] | None = None
         self._best_rank = (np.inf, np.inf)
-
-        self.evaluations = Evaluations(program.evaluate, start.size, program.constraint_lower.size, program.sparsity)
+        self.evaluations = Evaluations(program)
         self.size, self.rows = int(self._free.sum()), int(self.useful.sum())
+        # All rows and columns are no copy.
+        is_whole = self._free.all() and self.useful.all()
+        self._part: Any = slice(None) if is_whole else np.ix_(self.useful, self._free)
         self._block = self._hessian_block = None
         if program.sparsity is None or isinstance(program.sparsity, np.ndarray):
             every = np.ones((self.useful.size, self._free.size), dtype=bool)
             sparsity = every if program.sparsity is None else program.sparsity
-            self.sparsity: Matrix = sparsity[np.ix_(self.useful, self._free)]
+            self.sparsity: Matrix = sparsity[self._part]
         else:
             self._block = Block(program.sparsity, self.useful, self._free)
             self.sparsity = self._block.sparsity
@@ -108,70 +115,67 @@ class ScaledProgram:
         self.curved = None if self._hessian_block is None else self._hessian_block.sparsity
         self.lower = program.lower[self._free] / self._variable_scale
         self.upper = program.upper[self._free] / self._variable_scale
-        self.start = np.clip(self._fixed_variables[self._free] / self._variable_scale, self.lower, self.upper)
         self.best: tuple[np.ndarray, Evaluation] | None = None
-        self.visited: list[tuple[float, float]] = []
         self.straightness = Straightness()
-        self._by_differences = False
-        self.objective_scale = 1.0
         self._objective_origin = 0.0
-        self._scale_constraints(program.constraint_scale[self.useful])
+        self.rescale(
+            self._fixed_variables[self._free] / self._variable_scale,
+            Scales(1.0, program.constraint_scale[self.useful]),
+        )
 
     def begin(self) -> None:
-        """Evaluate the start and set `objective_scale` from it.
+        """Evaluate the start and set the scale of the objective from it.
 
         Raises `NotFiniteError` if the model cannot be evaluated at the start, `HaltedError` if it raised an exception.
         """
         first = self.evaluations.finite_at(self.unscaled(self.start))
-        gradient = first.gradient[self._free] * self._variable_scale
-        steepest = float(np.abs(gradient).max(initial=0.0))
+        steepest = float(np.abs(first.gradient[self._free] * self._variable_scale).max(initial=0.0))
         self._objective_origin = first.objective
-        self.objective_scale = max(steepest / _FIRST_STEP, _ROUNDING * abs(first.objective)) or 1.0
+        objective = max(steepest / _FIRST_STEP, _ROUNDING * abs(first.objective)) or 1.0
+        self.rescale(self.start, self.scales._replace(objective=objective))
         self.evaluate(self.start)
-
-    @property
-    def start_objective(self) -> float:
-        """The size of the objective at the first start, scaled."""
-        return abs(self._objective_origin) / self.objective_scale
-
-    @property
-    def scales(self) -> Scales:
-        """The current scales."""
-        return Scales(self.objective_scale, self._constraint_scale)
 
     def rescale(self, z: np.ndarray, scales: Scales) -> None:
         """Continue from `z`, shape (n_free,), in other scales. The caller must convert its multipliers."""
         self.start = np.clip(z, self.lower, self.upper)
-        self.objective_scale = scales.objective
-        self._scale_constraints(scales.constraints)
+        self.scales = scales
+        divisors = scales.constraints
+        if self._block is None:
+            self._jacobian_factor = self._variable_scale / divisors[:, None]
+        else:
+            self._jacobian_factor = self._block.factors(1 / divisors, self._variable_scale)
+        self.constraint_lower = self._program.constraint_lower[self.useful] / divisors
+        self.constraint_upper = self._program.constraint_upper[self.useful] / divisors
         self._last = None
         if self.best is not None:
             # In other scales another point may be the least violated.
             (point, user), self._best_rank = self.best, (np.inf, np.inf)
             self._rank(point, user, self.scale(user))
 
-    def _scale_constraints(self, scale: np.ndarray) -> None:
-        self._constraint_scale = scale
-        if self._block is None:
-            self._jacobian_factor = self._variable_scale / scale[:, None]
-        else:
-            self._jacobian_factor = self._block.factors(1 / scale, self._variable_scale)
-        self.constraint_lower = self._program.constraint_lower[self.useful] / scale
-        self.constraint_upper = self._program.constraint_upper[self.useful] / scale
+    @property
+    def limits(self) -> Sides:
+        """The scaled bounds of the useful rows."""
+        return Sides(self.constraint_lower, self.constraint_upper)
 
-    def magnitudes(self, user: Evaluation, z: np.ndarray) -> Magnitudes:
-        """Magnitudes of the useful constraints at `z` with its evaluation in user units, shape (m_useful,) each."""
-        if self._program.magnitudes is None:
-            scale = self._program.constraint_scale[self.useful]
-            return Magnitudes(scale, scale)
-        size, scale = self._program.magnitudes(self.unscaled(z), user)
-        return Magnitudes(size[self.useful], scale[self.useful])
+    @property
+    def sides(self) -> Sides:
+        """The scaled bounds of the useful rows, then those of the free variables."""
+        return Sides(
+            np.concatenate([self.constraint_lower, self.lower]), np.concatenate([self.constraint_upper, self.upper])
+        )
 
-    def sizes(self, useful: np.ndarray) -> np.ndarray:
-        """Sizes of all constraints, shape (m,), from those of the useful ones."""
-        sizes = self._program.constraint_scale.copy()
-        sizes[self.useful] = useful
-        return sizes
+    def sizes_at(self, z: np.ndarray, user: Evaluation) -> np.ndarray:
+        """Sizes of the useful constraints at `z` with its evaluation in user units, shape (m_useful,)."""
+        program = self._program
+        sizes = program.constraint_scale if program.sizes is None else program.sizes(self.unscaled(z), user)
+        return sizes[self.useful]
+
+    @property
+    def every_scale(self) -> np.ndarray:
+        """The current scales of all constraints, shape (m,)."""
+        scales = self._program.constraint_scale.copy()
+        scales[self.useful] = self.scales.constraints
+        return scales
 
     def above_least(self, user: Evaluation) -> float:
         """The objective's distance from its lower bound, over its change over a typical magnitude of the variables.
@@ -188,6 +192,10 @@ class ScaledProgram:
         x[self._free] = z * self._variable_scale
         return np.clip(x, self._program.lower, self._program.upper)
 
+    def user(self, z: np.ndarray) -> Evaluation:
+        """The evaluation of `z` in user units, which may be non-finite."""
+        return self.evaluations.at(self.unscaled(z))
+
     def evaluate(self, z: np.ndarray) -> Evaluation:
         """Evaluate `z`, scaled.
 
@@ -196,34 +204,24 @@ class ScaledProgram:
         key = np.asarray(z, dtype=float).tobytes()
         if self._last is None or self._last[0] != key or self.evaluations.halt is not None:
             self._last = None
-            try:
-                user = self.evaluations.finite_at(self.unscaled(z))
-            except NotFiniteError:
-                self._note(np.nan, np.nan)
-                raise
+            user = self.evaluations.finite_at(self.unscaled(z))
             self.straightness.note(np.array(z, dtype=float), user)
             self._last = (key, self.scale(user))
-            violation = self._rank(np.array(z, dtype=float), user, self._last[1])
-            self._note(user.objective, violation)
+            self._rank(np.array(z, dtype=float), user, self._last[1])
         return self._last[1]
-
-    def _note(self, objective: float, violation: float) -> None:
-        """Keep what a point gave unless it had been evaluated before."""
-        self.visited += [(objective, violation)] * (self.evaluations.count - len(self.visited))
 
     def scale(self, user: Evaluation) -> Evaluation:
         """Scale an evaluation in user units: free variables and useful rows only."""
-        return Evaluation(
-            (user.objective - self._objective_origin) / self.objective_scale,
-            user.gradient[self._free] * self._variable_scale / self.objective_scale,
-            user.constraints[self.useful] / self._constraint_scale,
-            self._scaled_jacobian(user.jacobian),
-        )
-
-    def _scaled_jacobian(self, jacobian: Matrix) -> Matrix:
         if self._block is not None:
-            return self._block.of(jacobian, self._jacobian_factor)
-        return (jacobian if self._is_whole else jacobian[np.ix_(self.useful, self._free)]) * self._jacobian_factor
+            jacobian = self._block.of(user.jacobian, self._jacobian_factor)
+        else:
+            jacobian = user.jacobian[self._part] * self._jacobian_factor
+        return Evaluation(
+            (user.objective - self._objective_origin) / self.scales.objective,
+            user.gradient[self._free] * self._variable_scale / self.scales.objective,
+            user.constraints[self.useful] / self.scales.constraints,
+            jacobian,
+        )
 
     def hessian(self, z: np.ndarray, weight: float, multipliers: np.ndarray) -> np.ndarray:
         """The entries of the scaled Hessian's lower triangle in the order of `curved`, shape (entries,).
@@ -231,17 +229,15 @@ class ScaledProgram:
         `weight` is that of the scaled objective, `multipliers` those of the useful scaled rows. Raises `NotFiniteError`
         if some entries are not finite, `HaltedError` if the solve must end.
         """
-        if self._by_differences:
+        program, block = self._program, self._hessian_block
+        if program.hessian is None or block is None:
             return self._differenced(z, weight, multipliers)
-        program = self._program
-        assert program.hessian is not None
-        assert self._hessian_block is not None
         rows = np.zeros(self.useful.size)
-        rows[self.useful] = multipliers / self._constraint_scale
-        given = self.unscaled(z), weight / self.objective_scale, rows
+        rows[self.useful] = multipliers / self.scales.constraints
+        given = self.unscaled(z), weight / self.scales.objective, rows
         found = self.evaluations.asked(lambda: program.hessian.evaluate(*given))  # type: ignore[union-attr]
         whole = checked_sparse("Hessian", found, program.hessian.sparsity)
-        numbers = self._hessian_block.of(whole, self._hessian_factor).data
+        numbers = block.of(whole, self._hessian_factor).data
         if not np.isfinite(numbers).all():
             raise NotFiniteError
         return numbers
@@ -262,7 +258,6 @@ class ScaledProgram:
         few = self.size <= MOST_DIFFERENCED
         lower = np.tril(np.ones((self.size, self.size))) if few else scipy.sparse.eye_array(self.size)
         self.curved = scipy.sparse.csr_array(lower)
-        self._by_differences = True
         return True
 
     def _differenced(self, z: np.ndarray, weight: float, multipliers: np.ndarray) -> np.ndarray:
@@ -279,72 +274,55 @@ class ScaledProgram:
         columns = changes_of(slope, z, (self.lower, self.upper), np.diag(size)) / size
         return ((columns + columns.T) / 2)[np.tril_indices(self.size)]
 
+    @property
+    def start_objective(self) -> float:
+        """The size of the objective at the first start, scaled."""
+        return abs(self._objective_origin) / self.scales.objective
+
     def objective_size(self, evaluation: Evaluation) -> float:
         """The scaled magnitude of the objective, with the offset that a scaled evaluation lacks."""
-        return abs(evaluation.objective + self._objective_origin / self.objective_scale)
+        return abs(evaluation.objective + self._objective_origin / self.scales.objective)
 
     def terms(self, evaluation: Evaluation, multipliers: Multipliers) -> float:
         """The scaled magnitude of the terms of the Lagrangian, here and at the start, to which rounding is relative."""
         objective = self.objective_size(evaluation) + self.start_objective
         return objective + float(np.abs(multipliers.rows) @ np.abs(evaluation.constraints))
 
-    def is_finite(self, z: np.ndarray) -> bool:
-        """Whether the model can be evaluated at `z`."""
-        return self.evaluations.at(self.unscaled(z)).is_finite
-
-    def active(
-        self, z: np.ndarray, user: Evaluation, rows: np.ndarray, bounds: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def active(self, z: np.ndarray, user: Evaluation, multipliers: Multipliers) -> tuple[np.ndarray, np.ndarray]:
         """The active constraints, shape (m,), and the active bounds of variables, shape (n,), as truth values.
 
-        `rows` and `bounds` are the scaled multipliers at `z`.
+        A value is at its bound, or, from an interior point, nearer to it than the size of its scaled multiplier.
         """
-        constraints = user.constraints[self.useful] / self._constraint_scale
-        all_rows, all_bounds = np.zeros(self.useful.size, dtype=bool), np.ones(self._free.size, dtype=bool)
-        all_rows[self.useful] = _holding(constraints, self.constraint_lower, self.constraint_upper, rows)
-        all_bounds[self._free] = _holding(z, self.lower, self.upper, bounds)
-        return all_rows, all_bounds
+        sides, weights = self.sides, multipliers.every
+        values = np.concatenate([user.constraints[self.useful] / self.scales.constraints, z])
+        with np.errstate(invalid="ignore"):
+            held = (sides.excess(values) >= -_REACHED) | (sides.lower == sides.upper)
+            held |= (np.abs(weights) > _REACHED) & (np.abs(weights) > sides.slack(values, weights))
+        rows, bounds = np.zeros(self.useful.size, dtype=bool), np.ones(self._free.size, dtype=bool)
+        rows[self.useful], bounds[self._free] = held[: self.rows], held[self.rows :]
+        return rows, bounds
 
-    def violation(self, constraints: np.ndarray) -> np.ndarray:
-        """How far each scaled constraint is outside its bounds, negative inside; shape (m_useful,)."""
-        return np.maximum(constraints - self.constraint_upper, self.constraint_lower - constraints)
+    def to_user(self, multipliers: Multipliers, user: Evaluation) -> tuple[np.ndarray, np.ndarray]:
+        """Multipliers of all rows, shape (m,), and of all bounds, shape (n,), in user units.
 
-    def multipliers_to_user(self, multipliers: np.ndarray) -> np.ndarray:
-        """Multipliers of all rows in user units, shape (m,), from scaled ones of the useful rows."""
-        user = np.zeros(self.useful.size)
-        user[self.useful] = multipliers * self.objective_scale / self._constraint_scale
-        return user
-
-    def multipliers_to_scaled(self, multipliers: np.ndarray) -> np.ndarray:
-        """Invert `multipliers_to_user`, shape (m_useful,)."""
-        return multipliers[self.useful] * self._constraint_scale / self.objective_scale
-
-    def bound_multipliers_to_user(
-        self, bound_multipliers: np.ndarray, multipliers: np.ndarray, user: Evaluation
-    ) -> np.ndarray:
-        """Multipliers of all bounds, shape (n,), from scaled ones of the free variables.
-
-        Those of fixed variables make the Lagrangian stationary, given the `multipliers` of all rows in user units.
+        Those of fixed variables make the Lagrangian stationary at an evaluation in user units.
         """
+        rows = np.zeros(self.useful.size)
+        rows[self.useful] = multipliers.rows * self.scales.objective / self.scales.constraints
         with np.errstate(invalid="ignore", over="ignore"):
             # If the model is not finite, the multipliers are meaningless, and no warning is needed.
-            complete = -(user.gradient + multipliers @ user.jacobian)
-        complete[self._free] = bound_multipliers * self.objective_scale / self._variable_scale
-        return complete
+            bounds = -(user.gradient + rows @ user.jacobian)
+        bounds[self._free] = multipliers.bounds * self.scales.objective / self._variable_scale
+        return rows, bounds
 
-    def _rank(self, z: np.ndarray, user: Evaluation, scaled: Evaluation) -> float:
-        """Keep a point if it is the best so far. Returns its largest violation, scaled."""
-        violation = float(self.violation(scaled.constraints).max(initial=0.0))
+    def to_scaled(self, rows: np.ndarray) -> np.ndarray:
+        """Scaled multipliers of the useful rows, shape (m_useful,), from those of all rows in user units."""
+        return rows[self.useful] * self.scales.constraints / self.scales.objective
+
+    def _rank(self, z: np.ndarray, user: Evaluation, scaled: Evaluation) -> None:
+        """Keep a point if it is the best so far."""
+        violation = float(self.limits.excess(scaled.constraints).max(initial=0.0))
         rank = (violation if violation > _NEGLIGIBLE_VIOLATION else 0.0, user.objective)
         if rank < self._best_rank:
             self._best_rank = rank
             self.best = (z, user)
-        return violation
-
-
-def _holding(values: np.ndarray, lower: np.ndarray, upper: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
-    """Whether a value is at its bound, or, from an interior point, nearer to it than the size of its multiplier."""
-    with np.errstate(invalid="ignore"):
-        reached = np.minimum(values - lower, upper - values) <= _REACHED
-        slack = np.abs(np.where(multipliers > 0, upper - values, values - lower))
-        return reached | (lower == upper) | ((np.abs(multipliers) > _REACHED) & (np.abs(multipliers) > slack))

@@ -2,7 +2,6 @@
 
 import abc
 import enum
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -132,26 +131,22 @@ class Outcome:
     def with_effort_of(self, *others: "Outcome") -> "Outcome":
         """The same outcome with the effort of other solves on the way to it added."""
         every = (*others, self)
+        visited = [each.visited for each in every if each.visited is not None]
         return replace(
             self,
             searched=next((each.searched for each in every if each.searched is not None), None),
-            visited=_joined([each.visited for each in every if each.visited is not None]),
+            visited=replace(
+                visited[-1],
+                objectives=np.concatenate([one.objectives for one in visited]),
+                violations=np.concatenate([one.violations for one in visited]),
+                seconds=sum(one.seconds for one in visited),
+            )
+            if visited
+            else None,
             iterations=sum(each.iterations for each in every),
             evaluations=sum(each.evaluations for each in every),
             seconds=sum(each.seconds for each in every),
         )
-
-
-def _joined(histories: Sequence[Searched]) -> Searched | None:
-    """Histories one after the other, under the name and the end of the last; None if there is none."""
-    if not histories:
-        return None
-    return replace(
-        histories[-1],
-        objectives=np.concatenate([history.objectives for history in histories]),
-        violations=np.concatenate([history.violations for history in histories]),
-        seconds=sum(history.seconds for history in histories),
-    )
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,8 @@
 """Uno (Vanaret and Leyffer 2026, https://github.com/cvanaret/Uno): its presets, programs and answers."""
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 from typing_extensions import override
@@ -11,13 +10,13 @@ from typing_extensions import override
 from aleator._core import border
 from aleator._core.errors import MissingExtraError
 from aleator._core.interruption import take_back
-from aleator.nlp._answer import Answer
 from aleator.nlp._ipopt import Ipopt
 from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._matrices import Pattern, rows_of_entries
 from aleator.nlp._program import Evaluation
 from aleator.nlp._scaling import Multipliers, ScaledProgram
 from aleator.nlp._solver import Status
+from aleator.nlp._verdict import Answer
 
 _CLAIMS = {
     "FEASIBLE_KKT_POINT": Status.SOLVED,
@@ -39,83 +38,19 @@ def _unopy(who: str) -> Any:
     return unopy
 
 
-def _minimised(
-    preset: str,
-    scaled: ScaledProgram,
-    multipliers: np.ndarray | None,
-    *,
-    aim: float,
-    max_iterations: int,
-    options: Mapping[str, Any] = MappingProxyType({}),
-) -> Answer:
-    """Run one of Uno's presets, a second time with all entries where a derivative outside the sparsity is nonzero.
-
-    - `aim`: the tolerance for Uno; `options`: those of the preset alone.
-    """
-    settings: dict[str, Any] = {
-        "hessian_model": "LBFGS" if scaled.curved is None else "exact",
-        "primal_tolerance": aim,
-        "dual_tolerance": aim,
-        # With the L2 norm of the presets, the accuracy per row would depend on the number of rows.
-        "residual_norm": "INF",
-        "logger": "SILENT",
-    }
-    settings |= options
-    pattern = Pattern(scaled.sparsity)
-    answer = _run(preset, settings | {"max_iterations": max_iterations}, scaled, pattern, scaled.start, multipliers)
-    left = max_iterations - answer.iterations
-    if not pattern.outgrown or scaled.evaluations.halt is not None or left <= 0:
-        return answer
-    rows = None if answer.multipliers is None else answer.multipliers.rows
-    pattern = Pattern(np.ones((scaled.rows, scaled.size)))
-    again = _run(preset, settings | {"max_iterations": left}, scaled, pattern, answer.point, rows)
-    return again._replace(iterations=answer.iterations + again.iterations)
-
-
-def _run(
-    preset: str,
-    settings: Mapping[str, Any],
-    scaled: ScaledProgram,
-    pattern: Pattern,
-    start: np.ndarray,
-    multipliers: np.ndarray | None,
-) -> Answer:
-    """Run Uno until it ends, the solve must end, the pattern is outgrown, or it approximates curvature in vain."""
-    unopy = _unopy(preset)
-    solver = unopy.UnoSolver()
-    solver.set_preset(preset)
-    for option, value in settings.items():
-        solver.set_option(option, value)
-
-    def is_over(*_: Any) -> bool:
-        in_vain = scaled.curved is None and scaled.straightness.is_shown
-        return scaled.evaluations.halt is not None or pattern.outgrown or in_vain
-
-    solver.set_termination_callback(is_over)
-    return _answer(solver.optimize(_model(unopy, scaled, pattern, start, multipliers)))
-
-
-def _model(
-    unopy: Any, scaled: ScaledProgram, pattern: Pattern, start: np.ndarray, multipliers: np.ndarray | None
-) -> Any:
+def _model(unopy: Any, scaled: ScaledProgram, pattern: Pattern, multipliers: np.ndarray | None) -> Any:
     """The scaled program, with second derivatives if it has them."""
-    latest: list[bytes] = []
 
     def at(z: np.ndarray) -> Evaluation:
-        if latest != [key := z.tobytes()]:
-            # Uno installs its own handler of Ctrl-C before Python's, and ends the process at the second one.
-            take_back()
-            latest[:] = [key]
+        # Uno installs its own handler of Ctrl-C before Python's, and ends the process at the second one.
+        take_back()
         return scaled.evaluate(z)
 
-    def gradient(z: np.ndarray, out: np.ndarray) -> None:
-        out[:] = at(z).gradient
+    def written(part: Callable[[Evaluation], np.ndarray]) -> Callable[[np.ndarray, np.ndarray], None]:
+        def write(z: np.ndarray, out: np.ndarray) -> None:
+            out[:] = part(at(z))
 
-    def constraints(z: np.ndarray, out: np.ndarray) -> None:
-        out[:] = at(z).constraints
-
-    def jacobian(z: np.ndarray, out: np.ndarray) -> None:
-        out[:] = pattern.entries(at(z).jacobian)
+        return write
 
     def hessian(z: np.ndarray, weight: float, multipliers: np.ndarray, out: np.ndarray) -> None:
         out[:] = scaled.hessian(z, weight, np.array(multipliers))
@@ -124,34 +59,81 @@ def _model(
     model = unopy.Model(
         unopy.PROBLEM_NONLINEAR, n, scaled.lower.tolist(), scaled.upper.tolist(), unopy.ZERO_BASED_INDEXING
     )
-    model.set_objective(unopy.MINIMIZE, lambda z: at(z).objective, gradient)
+    model.set_objective(unopy.MINIMIZE, lambda z: at(z).objective, written(lambda found: found.gradient))
     model.set_lagrangian_sign_convention(unopy.MULTIPLIER_POSITIVE)
     if m:
         rows, columns = pattern.rows.tolist(), pattern.columns.tolist()
-        lower, upper = scaled.constraint_lower.tolist(), scaled.constraint_upper.tolist()
-        model.set_constraints(m, constraints, lower, upper, len(rows), rows, columns, jacobian)
+        bounds = scaled.constraint_lower.tolist(), scaled.constraint_upper.tolist()
+        entries = len(rows), rows, columns, written(lambda found: pattern.entries(found.jacobian))
+        model.set_constraints(m, written(lambda found: found.constraints), *bounds, *entries)
     if scaled.curved is not None:
         rows, columns = rows_of_entries(scaled.curved).tolist(), scaled.curved.indices.tolist()
         model.set_lagrangian_hessian(len(rows), unopy.LOWER_TRIANGLE, rows, columns, hessian)
-    model.set_initial_primal_iterate(start.tolist())
+    model.set_initial_primal_iterate(scaled.start.tolist())
     if m and multipliers is not None:
         model.set_initial_dual_iterate(multipliers.tolist())
     return model
 
 
-def _answer(result: Any) -> Answer:
-    """Uno's result as an answer."""
-    # unopy's constants are plain integers, to which its results never compare equal; so names are compared.
-    ended, solution = result.optimization_status.name, result.solution_status.name
-    claim = _CLAIMS.get(solution if ended == "SUCCESS" else ended, Status.FAILED)
-    bounds = np.array(result.lower_bound_dual_solution) + np.array(result.upper_bound_dual_solution)
-    return Answer(
-        claim=claim,
-        point=np.array(result.primal_solution),
-        multipliers=Multipliers(np.array(result.constraint_dual_solution), bounds),
-        iterations=int(result.number_iterations),
-        message=f"{ended}, {solution}".lower().replace("_", " "),
-    )
+@dataclass(frozen=True)
+class _AbstractUno(AbstractLocalSolver):
+    """One of Uno's presets."""
+
+    preset: ClassVar[str]
+    method: ClassVar[str]
+
+    @override
+    def require(self) -> None:
+        _unopy(type(self).__name__)
+
+    @property
+    @override
+    def name(self) -> str:
+        return f"{self.method} (Uno {_unopy(type(self).__name__).current_uno_version()})"
+
+    def _options(self, scaled: ScaledProgram) -> dict[str, Any]:
+        """Those of the preset alone."""
+        del scaled
+        return {}
+
+    @override
+    def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+        """Run Uno until it ends, the solve must end, the pattern is outgrown, or it approximates curvature in vain."""
+        pattern = Pattern(scaled.sparsity)
+        unopy = _unopy(type(self).__name__)
+        solver = unopy.UnoSolver()
+        solver.set_preset(self.preset)
+        options = {
+            "hessian_model": "LBFGS" if scaled.curved is None else "exact",
+            "primal_tolerance": self.aim,
+            "dual_tolerance": self.aim,
+            # With the L2 norm of the presets, the accuracy per row would depend on the number of rows.
+            "residual_norm": "INF",
+            "logger": "SILENT",
+            "max_iterations": self.max_iterations,
+        }
+        for option, value in (options | self._options(scaled)).items():
+            solver.set_option(option, value)
+
+        def is_over(*_: Any) -> bool:
+            in_vain = scaled.curved is None and scaled.straightness.is_shown
+            return scaled.evaluations.halt is not None or pattern.outgrown or in_vain
+
+        solver.set_termination_callback(is_over)
+        result = solver.optimize(_model(unopy, scaled, pattern, multipliers))
+        if pattern.outgrown:
+            # The next round has all entries.
+            scaled.sparsity = np.ones((scaled.rows, scaled.size))
+        # unopy's constants are plain integers, to which its results never compare equal; so names are compared.
+        ended, solution = result.optimization_status.name, result.solution_status.name
+        bounds = np.array(result.lower_bound_dual_solution) + np.array(result.upper_bound_dual_solution)
+        return Answer(
+            claim=_CLAIMS.get(solution if ended == "SUCCESS" else ended, Status.FAILED),
+            point=np.array(result.primal_solution),
+            multipliers=Multipliers(np.array(result.constraint_dual_solution), bounds),
+            iterations=int(result.number_iterations),
+            message=f"{ended}, {solution}".lower().replace("_", " "),
+        )
 
 
 # With more pairs, the limited-memory Hessian costs more than it gains.
@@ -160,7 +142,7 @@ _LARGEST_MEMORY = 20
 
 @final
 @dataclass(frozen=True)
-class FilterSQP(AbstractLocalSolver):
+class FilterSQP(_AbstractUno):
     """Sequential quadratic programming with a filter and a trust region, and BQPD subproblems.
 
     The Hessian is the program's own if it has one, else an L-BFGS approximation.
@@ -174,28 +156,20 @@ class FilterSQP(AbstractLocalSolver):
 
     radius: float = 10.0
 
+    preset: ClassVar[str] = "filtersqp"
+    method: ClassVar[str] = "filterSQP"
+
     def __post_init__(self) -> None:
         super().__post_init__()
         border.positive("FilterSQP: radius", self.radius)
 
     @override
-    def require(self) -> None:
-        _unopy("FilterSQP")
-
-    @property
-    @override
-    def name(self) -> str:
-        return f"filterSQP (Uno {_unopy('FilterSQP').current_uno_version()})"
-
-    @override
-    def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
-        options = {
+    def _options(self, scaled: ScaledProgram) -> dict[str, Any]:
+        return {
             "QP_solver": "BQPD",
             "quasi_newton_memory_size": int(np.clip(2 * scaled.size, 6, _LARGEST_MEMORY)),
             "TR_radius": float(self.radius),
         }
-        limits = {"aim": self.aim, "max_iterations": self.max_iterations}
-        return _minimised("filtersqp", scaled, multipliers, **limits, options=options)
 
 
 def default_solver() -> AbstractLocalSolver:
@@ -209,7 +183,7 @@ def default_solver() -> AbstractLocalSolver:
 
 @final
 @dataclass(frozen=True)
-class InteriorPoint(AbstractLocalSolver):
+class InteriorPoint(_AbstractUno):
     """The primal-dual interior-point method with a filter line search of IPOPT, in Uno's implementation.
 
     For programs with sparse derivatives and a Hessian of their own (`NonlinearProgram.hessian`); without one the
@@ -219,15 +193,5 @@ class InteriorPoint(AbstractLocalSolver):
     - `tolerance`, `max_iterations`: see `AbstractLocalSolver`.
     """
 
-    @override
-    def require(self) -> None:
-        _unopy("InteriorPoint")
-
-    @property
-    @override
-    def name(self) -> str:
-        return f"interior points (Uno {_unopy('InteriorPoint').current_uno_version()})"
-
-    @override
-    def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
-        return _minimised("ipopt", scaled, multipliers, aim=self.aim, max_iterations=self.max_iterations)
+    preset: ClassVar[str] = "ipopt"
+    method: ClassVar[str] = "interior points"

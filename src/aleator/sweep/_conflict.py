@@ -16,7 +16,7 @@ from aleator._core.leaves import Printed
 from aleator.certification import diagnose
 from aleator.design import Problem, is_at_points, is_worst_case
 from aleator.ensemble import inputs_at
-from aleator.nlp import HELD, AbstractSolver, Elastic, Excess, Ipopt, NonlinearProgram, Status, variable_range
+from aleator.nlp import HELD, AbstractSolver, Excess, Ipopt, NonlinearProgram, least_excess, variable_range
 from aleator.solution import system_text
 from aleator.transcription import DEFAULT, AbstractTranscribed, bound_size, germ_box, transcribe
 
@@ -189,20 +189,9 @@ class _Search:
         return least
 
     def _least_excess(self, loose: Sequence[int], held: Sequence[int]) -> Excess:
-        """The least total excess of the `loose` groups while those `held` hold, whether shown or not.
-
-        The search ends at the first start from which all hold; of equally good ends, one that is shown is returned.
-        """
+        """The least total excess of the `loose` groups while those `held` hold, whether shown or not."""
         self._heed()
-        elastic, ends = Elastic(self._transcribed.program, self._groups, held, loose), []
-        for start in self._starts:
-            outcome = self._solver.solve(elastic.program, start=elastic.start(start))
-            if outcome.status is Status.INTERRUPTED:
-                raise KeyboardInterrupt
-            ends.append(elastic.excess(outcome))
-            if ends[-1].total <= HELD:
-                break
-        return min(ends, key=lambda end: (end.total, not end.is_shown))
+        return least_excess(self._solver, self._transcribed.program, self._groups, held, loose, self._starts)
 
     def _limit(self, which: int, together: Excess) -> Limit:
         """One limit of the conflict, with what it would have to be relaxed by, alone among all."""

@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias, final
+from typing import TypeAlias, final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -21,7 +21,7 @@ from aleator.design import (
     is_at_points,
     is_worst_case,
 )
-from aleator.nlp import HELD, UNBOUNDED, Evaluation, Magnitudes, Matrix, Outcome, variable_range
+from aleator.nlp import HELD, UNBOUNDED, Evaluation, Matrix, Outcome, variable_range
 from aleator.statistics import Mean, Std, Variance
 from aleator.transcription._abstract import AbstractTranscribed
 from aleator.transcription._scenarios import Scenarios
@@ -31,8 +31,8 @@ Values: TypeAlias = Sequence[Float[np.ndarray, "..."]]
 
 # How many points in the whole range of the decisions show whether a constraint depends on them.
 _TRIED = 8
-# The largest size over bounds, the largest scale over sizes, and the largest size over values seen elsewhere.
-_MOST_BOUNDS, _MOST_SIZES, _BEYOND = 1e3, 1e2, 10.0
+# The largest size over bounds, and over values seen elsewhere.
+_MOST_BOUNDS, _BEYOND = 1e3, 10.0
 # The largest size over the spread of what is limited.
 _MOST_SPREADS = 1e4
 # The effect of rounding of the decisions on a constraint, in rounding errors of its own terms.
@@ -43,13 +43,6 @@ _NOISE = 1e-13
 _LITTLE = 1e-6
 
 
-class Size(NamedTuple):
-    """The magnitude of a constraint: `size`, to which a violation is relative, and `scale`, the divisor for solvers."""
-
-    size: float
-    scale: float
-
-
 def constraint_size(
     constraint: Constraint,
     values: Float[np.ndarray, " rows"],
@@ -58,8 +51,10 @@ def constraint_size(
     decision_scale: Float[np.ndarray, " n"],
     away: float,
     spread: float,
-) -> Size:
-    """The magnitude of a constraint at some decisions, in its own unit, from its bound and all its rows.
+) -> float:
+    """The size of a constraint at some decisions, in its own unit, from its bound and all its rows.
+
+    Violations are relative to it, and solvers divide by it.
 
     - Its size is its largest value, but at least its bound and at most a thousand times that, so that the tolerance is
       at most a thousandth of the bound. Of two bounds the smaller one counts, because a remote one is uninformative.
@@ -70,9 +65,6 @@ def constraint_size(
       that the tolerance is at most a hundredth of a standard deviation, though not below rounding.
     - Changes due to rounding of the decisions are no violation. For a bound of zero, neither are values that are
       nowhere more than 1e-13, such as a difference of two equal numbers.
-
-    A solver's scale is the change over a typical change of the decisions, or the bound if that is larger, but at most a
-    hundred sizes: a solver's zero, 1e-8 of its scale, is then a millionth of the size.
     """
     slopes = np.abs(derivatives)
     with np.errstate(invalid="ignore", over="ignore"):  # What is not finite is no magnitude.
@@ -86,8 +78,7 @@ def constraint_size(
     size = min(size, max(_MOST_SPREADS * spread, _ROUNDINGS * np.finfo(float).eps / HELD * largest))
     rounded = _ROUNDINGS * np.finfo(float).eps / HELD * rounding
     # One extremely steep row must not loosen the tolerance of the others.
-    size = max(size, min(rounded, _MOST_BOUNDS * bound) if bound else rounded) or 1.0
-    return Size(size, min(max(bound or size, change), _MOST_SIZES * size))
+    return max(size, min(rounded, _MOST_BOUNDS * bound) if bound else rounded) or 1.0
 
 
 @final
@@ -107,7 +98,7 @@ class Sizing:
     away: list[float]
     spreads: list[float]
 
-    def each(self, decisions: Float[np.ndarray, " n"], values: Values, derivatives: Sequence[Matrix]) -> list[Size]:
+    def each(self, decisions: Float[np.ndarray, " n"], values: Values, derivatives: Sequence[Matrix]) -> list[float]:
         """The size of each constraint, from its rows and their derivatives at some decisions."""
         parts = zip(self.constraints, values, derivatives, self.away, self.spreads, strict=True)
         return [
@@ -115,14 +106,12 @@ class Sizing:
             for one, value, slopes, away, spread in parts
         ]
 
-    def at(self, decisions: Float[np.ndarray, " n"], evaluation: Evaluation) -> Magnitudes:
-        """The sizes and scales of all rows of the program."""
+    def at(self, decisions: Float[np.ndarray, " n"], evaluation: Evaluation) -> Float[np.ndarray, " m"]:
+        """The sizes of all rows of the program."""
         values, derivatives = (
             [part[where] for where in self.rows] for part in (evaluation.constraints, evaluation.jacobian)
         )
-        sizes = self.each(decisions, values, derivatives)
-        size, scale = (spread(self.rows, [one[i] for one in sizes]) for i in (0, 1))
-        return Magnitudes(size, scale)
+        return spread(self.rows, self.each(decisions, values, derivatives))
 
 
 def spreads_of(

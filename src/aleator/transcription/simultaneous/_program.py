@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from aleator.design import Problem
-from aleator.nlp import Evaluation, Hessian, Magnitudes, NonlinearProgram, SparseMatrix
+from aleator.nlp import Evaluation, Hessian, NonlinearProgram, SparseMatrix
 from aleator.statistics import Constants
 from aleator.transcription._abstract import Remembered
 from aleator.transcription._constraints import Sizing, decision_scales, least_objective, row_bounds, spread
@@ -306,12 +306,11 @@ class _Judge:
     typical: Float[np.ndarray, " n"]
     sizing: Sizing
 
-    def __call__(self, point: Float[np.ndarray, " variables"], evaluation: Evaluation) -> Magnitudes:
-        """Of all rows."""
+    def __call__(self, point: Float[np.ndarray, " variables"], evaluation: Evaluation) -> Float[np.ndarray, " m"]:
+        """The sizes of all rows."""
         scale = scales(self.layout, self.ties, point, evaluation, self.typical)
-        size, by = replace(self.sizing, decision_scale=scale).at(point, evaluation)
-        tied = _tie_sizes(self.layout, self.ties, evaluation, scale)
-        return Magnitudes(np.append(size, tied), np.append(by, tied))
+        own = replace(self.sizing, decision_scale=scale).at(point, evaluation)
+        return np.append(own, _tie_sizes(self.layout, self.ties, evaluation, scale))
 
 
 def program_of(
@@ -341,16 +340,14 @@ def program_of(
         upper=highest,
         constraint_lower=np.append(own_lower, tied),
         constraint_upper=np.append(own_upper, tied),
-        constraint_scale=np.append(
-            spread(rows.own, [one.scale for one in sizes]), _tie_sizes(layout, rows.ties, evaluation, scale)
-        ),
+        constraint_scale=np.append(spread(rows.own, sizes), _tie_sizes(layout, rows.ties, evaluation, scale)),
         variable_scale=scale,
         sparsity=assembled.jacobian.sparsity,
         hessian=assembled.hessian,
-        magnitudes=_Judge(layout, rows.ties, typical, sizing),
+        sizes=_Judge(layout, rows.ties, typical, sizing),
         least=least_objective(problem),
     )
-    return program, tuple(one.size for one in sizes)
+    return program, tuple(sizes)
 
 
 def _bounds(problem: Problem, layout: Layout, fixed: Fixed, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,6 +1,8 @@
 """The stages of a search: first points, exploration under a growing penalty, polishing, verdict."""
 
 import abc
+import contextlib
+import functools
 import math
 import time
 from collections.abc import Sequence
@@ -15,13 +17,13 @@ from aleator._core import border
 from aleator._core.border import Progress, check_progress, silent
 from aleator._core.errors import ProblemError
 from aleator._core.interruption import answering
-from aleator.nlp._answer import HELD, Answer
 from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
 from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status, checked
+from aleator.nlp._sought import EndedError, Sought
 from aleator.nlp._uno import default_solver
-from aleator.nlp.search._sought import Budget, EndedError, Sought
+from aleator.nlp._verdict import HELD, Answer
 
 # Weights of the largest violation, in spreads of the objective, from one round to the next.
 _WEIGHTS = (10.0, 1e3, 1e5)
@@ -46,7 +48,7 @@ class _AsItIs(AbstractLocalSolver):
     @override
     def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         del multipliers
-        return Answer(Status.FAILED, scaled.start, None, 0, "the best point of a search without derivatives")
+        return Answer(Status.FAILED, scaled.start, message="the best point of a search without derivatives")
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,7 @@ class AbstractSearch(AbstractSolver):
         self._check(program)
         start = program.start if start is None else checked("start", start, program.start.shape)
         with answering() as heed:
-            sought = Sought(program, start, Budget(self.evaluations, self.seconds), self.progress, heed)
+            sought = Sought(program, start, (self.evaluations, self.seconds), self.progress, heed)
             if sought.size:
                 self._search(sought)
         if sought.halt is not None and not isinstance(sought.halt, KeyboardInterrupt):
@@ -175,10 +177,12 @@ class AbstractSearch(AbstractSolver):
             for weight in _WEIGHTS:
                 is_last = weight == _WEIGHTS[-1] or not sought.is_constrained
                 sought.begin_round(weight, 1.0 if is_last else 0.5)
-                self._explored(sought, first, generator)
-                if sought.is_over or is_last or sought.is_near:
+                with contextlib.suppress(EndedError):
+                    self.explore(sought, first, generator)
+                least, is_near = sought.least()
+                if sought.is_over or is_last or is_near:
                     break
-                first = sought.best_point[None]
+                first = least[None]
         except EndedError:
             pass
         except KeyboardInterrupt as interrupt:
@@ -187,12 +191,6 @@ class AbstractSearch(AbstractSolver):
             sought.end = "stopped by the user"
         elif sought.is_spent:
             sought.end = "its budget was spent"
-
-    def _explored(self, sought: Sought, first: Float[np.ndarray, "k size"], generator: np.random.Generator) -> None:
-        try:
-            self.explore(sought, first, generator)
-        except EndedError:
-            return
 
     def _first(self, sought: Sought, generator: np.random.Generator) -> Float[np.ndarray, "k size"]:
         """The start, and a Latin hypercube around it, or between the bounds: the best one first."""
@@ -224,17 +222,16 @@ class AbstractSearch(AbstractSolver):
 
     def _best(self, program: NonlinearProgram, sought: Sought, polished: Sequence[Outcome]) -> Outcome:
         """The best of some polished points, or that of the search, with the effort of all."""
-        outcomes = list(polished) or [self._as_it_is(program, sought)]
+        seen, lowest = sought.best_held(HELD)
+        as_it_is = functools.partial(_AsItIs(self.tolerance).solve, program, start=seen)
+        outcomes = list(polished) or [as_it_is()]
         best = min([one for one in outcomes if one.ok] or outcomes, key=_rank)
-        lowest, reached = sought.least_held(HELD), best.evaluation.objective
+        reached = best.evaluation.objective
         if not (best.violation <= HELD and reached <= lowest + _LOWER * max(abs(lowest), abs(reached))):
             # Polishing may end above the search's best point, or at none that holds, where the model is not smooth.
-            outcomes.append(self._as_it_is(program, sought))
+            outcomes.append(as_it_is())
             best = min(outcomes, key=_rank)
         return best.with_effort_of(*(one for one in outcomes if one is not best))
-
-    def _as_it_is(self, program: NonlinearProgram, sought: Sought) -> Outcome:
-        return _AsItIs(self.tolerance).solve(program, start=sought.best_held(HELD))
 
 
 def _rank(outcome: Outcome) -> tuple[bool, float]:

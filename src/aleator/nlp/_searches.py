@@ -1,9 +1,9 @@
-"""Searches by populations: differential evolution, covariance matrix adaptation, and NSGA-II for a front."""
+"""The methods of searches: a simplex, annealing, division of rectangles, populations, and NSGA-II for a front."""
 
 import importlib.metadata
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 import scipy
@@ -12,13 +12,120 @@ from typing_extensions import override
 
 from aleator._core import border
 from aleator._core.errors import MissingExtraError
-from aleator.nlp.search._abstract import AbstractSearch
-from aleator.nlp.search._sought import Sought
+from aleator.nlp._search import AbstractSearch
+from aleator.nlp._sought import Sought
+
+# Steps or generations without end: the budget ends the search, or its method.
+_ENDLESS = 10**7
+# The first simplex has edges of this part of the box; a simplex this small has converged.
+_EDGE, _SMALL = 0.1, 1e-8
+# A restart goes on only if the one before lowered the merit by more than this, in spreads of the objective.
+_GAIN = 1e-8
+
+
+@final
+@dataclass(frozen=True)
+class NelderMead(AbstractSearch):
+    """The adaptive simplex (Nelder and Mead 1965; Gao and Han 2012), in SciPy, restarted where it ends: a local search.
+
+    It follows noisy or kinked objectives downhill from the best of the first points, and needs no bounds.
+
+    Arguments: see `AbstractSearch`.
+    """
+
+    needs_bounds: ClassVar[bool] = False
+    at_once: ClassVar[bool] = False
+
+    @property
+    @override
+    def method(self) -> str:
+        return f"Nelder-Mead (SciPy {scipy.__version__})"
+
+    @override
+    def explore(self, sought: Sought, first: Float[np.ndarray, "k size"], generator: np.random.Generator) -> None:
+        del generator
+        point, before = first[0], np.inf
+        while True:
+            # A simplex within the bounds, with one corner at the point.
+            edges = np.diag(np.where(point + _EDGE > sought.upper, -_EDGE, _EDGE))
+            ends = {"xatol": _SMALL, "fatol": _GAIN, "maxfev": sought.limit, "maxiter": sought.limit}
+            found = scipy.optimize.minimize(
+                sought.merit,
+                point,
+                method="Nelder-Mead",
+                bounds=sought.bounds,
+                options={"initial_simplex": np.concatenate([point[None], point + edges]), "adaptive": True, **ends},
+            )
+            if not found.fun < before - _GAIN:
+                return
+            point, before = np.clip(found.x, sought.lower, sought.upper), found.fun
+
+
+@final
+@dataclass(frozen=True)
+class DualAnnealing(AbstractSearch):
+    """Generalised simulated annealing (Xiang et al. 1997), in SciPy: rugged objectives, one point after the other.
+
+    Arguments: see `AbstractSearch`.
+    """
+
+    at_once: ClassVar[bool] = False
+
+    @property
+    @override
+    def method(self) -> str:
+        return f"dual annealing (SciPy {scipy.__version__})"
+
+    @override
+    def explore(self, sought: Sought, first: Float[np.ndarray, "k size"], generator: np.random.Generator) -> None:
+        scipy.optimize.dual_annealing(
+            sought.merit,
+            sought.bounds,
+            x0=first[0],
+            maxiter=_ENDLESS,
+            maxfun=_ENDLESS,
+            no_local_search=True,  # the answer is polished with exact derivatives instead
+            rng=generator,
+        )
+
+
+# Rectangles are divided until they are this small, as a part of the box, if the budget lasts.
+_SMALLEST = 1e-5
+
+
+@final
+@dataclass(frozen=True)
+class Direct(AbstractSearch):
+    """Division of rectangles (Jones, Perttunen and Stuckman 1993), in SciPy.
+
+    Deterministic: `seed` changes only the first points. For few variables, up to about ten.
+
+    Arguments: see `AbstractSearch`.
+    """
+
+    at_once: ClassVar[bool] = False
+
+    @property
+    @override
+    def method(self) -> str:
+        return f"DIRECT (SciPy {scipy.__version__})"
+
+    @override
+    def explore(self, sought: Sought, first: Float[np.ndarray, "k size"], generator: np.random.Generator) -> None:
+        del first, generator  # It begins in the middle of the box.
+        most = max(sought.limit - sought.count, 1)
+        scipy.optimize.direct(
+            sought.merit,
+            sought.bounds,
+            maxfun=most,
+            maxiter=most,
+            len_tol=_SMALLEST,
+            locally_biased=False,  # the answer is polished with exact derivatives instead
+        )
+
 
 # Populations of fewer cannot mutate.
 _FEWEST_MUTATED = 5
-# Generations without end: the budget ends the search, or the population's spread.
-_ENDLESS = 10**6
 # A population has converged if its merits differ by less than this part, or this many spreads: the rest is polishing.
 _CONVERGED = 1e-6
 
@@ -53,7 +160,7 @@ class DifferentialEvolution(AbstractSearch):
             more = generator.uniform(sought.lower, sought.upper, (max(self.population - len(begun), 0), sought.size))
             scipy.optimize.differential_evolution(
                 lambda points: sought.merits(points.T),
-                scipy.optimize.Bounds(sought.lower, sought.upper),
+                sought.bounds,
                 init=np.concatenate([begun, more])[: self.population],
                 maxiter=_ENDLESS,
                 tol=_CONVERGED,
@@ -108,7 +215,7 @@ class CmaEs(AbstractSearch):
             found = _library().CMA(
                 mean=mean,
                 sigma=_SPREAD,
-                bounds=np.stack([sought.lower, sought.upper], axis=1),
+                bounds=np.column_stack([sought.lower, sought.upper]),
                 seed=int(generator.integers(2**31)),
                 population_size=population,
             )

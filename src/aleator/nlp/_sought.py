@@ -3,17 +3,18 @@
 import math
 import time
 from collections.abc import Callable
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 
 from aleator._core.border import Progress
 from aleator._core.errors import ProblemError
 from aleator.nlp._program import NonlinearProgram
 
-# Points kept at most, the best; of these so many are compared with one another, and all of the best.
-_KEPT, _COMPARED, _BEST = 20_000, 2500, 500
+# Points that are compared with one another at most, among them all of the best.
+_COMPARED, _BEST = 2500, 500
 # A point begins a basin of its own if none within this distance, a part of the box, is better.
 _APART = 0.05
 # A point that violates a constraint by no more than this is near enough for derivatives.
@@ -29,22 +30,12 @@ class EndedError(Exception):
     """A search must end: its budget is spent, or the user or the model stopped it."""
 
 
-class Budget(NamedTuple):
-    """How many points may be evaluated, and for how long, s."""
-
-    evaluations: int
-    seconds: float
-
-
-class _Candidates(NamedTuple):
-    """Points with what is known of each."""
+class _Points(NamedTuple):
+    """Points with what is known of each: an objective that is not a number where the model could not be evaluated."""
 
     points: Float[np.ndarray, "k n"]
     objectives: Float[np.ndarray, " k"]
     violations: Float[np.ndarray, " k"]
-
-    def at(self, which: np.ndarray) -> "_Candidates":
-        return _Candidates(*(part[which] for part in self))
 
 
 @final
@@ -55,20 +46,24 @@ class Sought:
     objective, in spreads over the first points, plus `weight` times its largest violation: an exact penalty, so that
     a minimum that meets the constraints is one of the merit if the weight is large enough.
 
+    - `budget`: how many points may be evaluated, and for how long, s;
     - `size`: the number of free variables; `start`: shape (size,);
     - `lower`, `upper`: bounds in these coordinates, shape (size,), infinite where there is none;
-    - `weight`: that of violations; `limit`: the number of evaluations at which the present round ends.
+    - `count`: of points evaluated; `limit`: the number at which the present round ends;
+    - `weight`: that of violations;
+    - `halt`: what stopped the search, if anything did; `end`: why it ended, in words.
     """
 
     def __init__(
         self,
         program: NonlinearProgram,
         start: Float[np.ndarray, " n"],
-        budget: Budget,
+        budget: tuple[int, float],
         progress: Progress,
         heed: Callable[[], None],
     ):
-        self._program, self._budget, self._progress, self._heed = program, budget, progress, heed
+        self._program, self._progress, self._heed = program, progress, heed
+        self._most, self._longest = budget
         self._free = np.flatnonzero(program.lower < program.upper)
         self._fixed = np.clip(start, program.lower, program.upper)
         lower, upper = program.lower[self._free], program.upper[self._free]
@@ -78,32 +73,28 @@ class Sought:
         self.lower, self.upper = (lower - self._origin) / self._length, (upper - self._origin) / self._length
         self.start = (self._fixed[self._free] - self._origin) / self._length
         self.size = len(self._free)
-        self.weight, self.limit = 0.0, budget.evaluations
+        self.weight, self.limit = 0.0, self._most
         self.halt: BaseException | None = None
         self.end = "its method ended"
         self._began = time.perf_counter()
-        self._objectives: list[Float[np.ndarray, " k"]] = []
-        self._violations: list[Float[np.ndarray, " k"]] = []
-        self._count = 0
+        self.count = 0
         self._spread = 0.0
-        self._found = [_Candidates(np.zeros((0, self.size)), np.zeros(0), np.zeros(0))]
-        self._unsorted = 0
+        self._parts = [_Points(np.zeros((0, self.size)), np.zeros(0), np.zeros(0))]
 
     @property
-    def count(self) -> int:
-        """The number of points evaluated so far."""
-        return self._count
+    def bounds(self) -> Any:
+        """The bounds, as SciPy takes them."""
+        return scipy.optimize.Bounds(self.lower, self.upper)
 
     @property
     def is_constrained(self) -> bool:
         """Whether there are constraints."""
-        program = self._program
-        return bool(np.any(np.isfinite(program.constraint_lower) | np.isfinite(program.constraint_upper)))
+        return bool(np.isfinite(self._program.limits).any())
 
     def begin_round(self, weight: float, share: float) -> None:
         """Weigh violations anew, with a share of what is left of the budget."""
         self.weight = weight
-        self.limit = self._count + math.ceil(share * (self._budget.evaluations - self._count))
+        self.limit = self.count + math.ceil(share * (self._most - self.count))
 
     @property
     def is_over(self) -> bool:
@@ -113,7 +104,7 @@ class Sought:
     @property
     def is_spent(self) -> bool:
         """Whether the whole budget is spent."""
-        return self._count >= self._budget.evaluations or (self._count > 0 and self.seconds >= self._budget.seconds)
+        return self.count >= self._most or (self.count > 0 and self.seconds >= self._longest)
 
     @property
     def seconds(self) -> float:
@@ -123,8 +114,7 @@ class Sought:
     @property
     def history(self) -> tuple[Float[np.ndarray, " evaluations"], Float[np.ndarray, " evaluations"]]:
         """The objective and the largest violation of every point, in order."""
-        nothing = [np.zeros(0)]
-        return np.concatenate(self._objectives or nothing), np.concatenate(self._violations or nothing)
+        return self._every.objectives, self._every.violations
 
     def merits(self, points: Float[np.ndarray, "k size"]) -> Float[np.ndarray, " k"]:
         """The merits of some points, which are clipped to the bounds, from one call of the model.
@@ -132,7 +122,7 @@ class Sought:
         Raises `EndedError` if the budget is spent; points up to then count.
         """
         some = np.clip(np.atleast_2d(np.asarray(points, dtype=float)), self.lower, self.upper)
-        left = max(min(self.limit, self._budget.evaluations) - self._count, 0)
+        left = max(min(self.limit, self._most) - self.count, 0)
         if left == 0 or self.is_over:
             raise EndedError
         found = self._evaluated(some[:left])
@@ -150,7 +140,7 @@ class Sought:
         A point near a better one belongs to the same basin (Rinnooy Kan and Timmer 1987). Points that violate little
         are ranked by their objective, which the penalty of a late round would hide.
         """
-        kept = self._gathered()
+        kept = self._finite
         near = kept.violations <= max(_NEAR, 2 * np.min(kept.violations, initial=np.inf))
         ranked = kept.points[np.lexsort((np.where(near, kept.objectives, kept.violations), ~near))]
         rest = ranked[_BEST:]
@@ -163,41 +153,34 @@ class Sought:
                 chosen.append(point)
         return [self._unscaled(one[None])[0] for one in chosen or [self.start]]
 
-    @property
-    def is_near(self) -> bool:
-        """Whether the point of least merit is almost feasible."""
-        kept = self._gathered()
-        return bool(len(kept.points)) and bool(kept.violations[np.argmin(self._merits(kept))] <= _NEAR)
+    def least(self) -> tuple[Float[np.ndarray, " size"], bool]:
+        """The point of least merit, and whether it is almost feasible; the start if no point could be evaluated."""
+        kept = self._finite
+        if not len(kept.points):
+            return self.start, False
+        least = np.argmin(self._merits(kept))
+        return kept.points[least], bool(kept.violations[least] <= _NEAR)
 
-    @property
-    def best_point(self) -> Float[np.ndarray, " size"]:
-        """The point of least merit; the start if no point could be evaluated."""
-        kept = self._gathered()
-        return kept.points[np.argmin(self._merits(kept))] if len(kept.points) else self.start
+    def best_held(self, violation: float) -> tuple[Float[np.ndarray, " n"], float]:
+        """The point of least objective that violates nothing by more, in the user's units, and its objective.
 
-    def least_held(self, violation: float) -> float:
-        """The least objective among the points kept that violate nothing by more; infinite if there is none."""
-        kept = self._gathered()
-        return float(np.min(kept.objectives[kept.violations <= violation], initial=np.inf))
-
-    def best_held(self, violation: float) -> Float[np.ndarray, " n"]:
-        """That of least objective among the points kept that violate nothing by more, in the user's units; the first of
-        the candidates if there is none.
+        The first of the candidates, and infinity, if there is none.
         """
-        kept = self._gathered()
-        held = kept.violations <= violation
-        if not held.any():
-            return self.candidates(1)[0]
-        return self._unscaled(kept.points[[np.argmin(np.where(held, kept.objectives, np.inf))]])[0]
+        kept = self._finite
+        objectives = np.where(kept.violations <= violation, kept.objectives, np.inf)
+        if np.min(objectives, initial=np.inf) == np.inf:
+            return self.candidates(1)[0], np.inf
+        least = int(np.argmin(objectives))
+        return self._unscaled(kept.points[[least]])[0], float(objectives[least])
 
-    def _merits(self, found: _Candidates) -> Float[np.ndarray, " k"]:
+    def _merits(self, found: _Points) -> Float[np.ndarray, " k"]:
         if not self._spread:
             self._spread = _spread(found.objectives)
         known = np.isfinite(found.objectives)
         merits = np.where(known, found.objectives, 0.0) / (self._spread or 1.0) + self.weight * found.violations
         return np.where(known, np.minimum(merits, _WALL), _WALL)
 
-    def _evaluated(self, points: Float[np.ndarray, "k size"]) -> _Candidates:
+    def _evaluated(self, points: Float[np.ndarray, "k size"]) -> _Points:
         try:
             self._heed()
             objectives, constraints = self._values(self._unscaled(points))
@@ -205,25 +188,21 @@ class Sought:
             self.halt = error
             raise EndedError from error
         known = np.isfinite(objectives) & np.isfinite(constraints).all(axis=1)
-        program = self._program
         with np.errstate(invalid="ignore"):
-            beyond = np.maximum(constraints - program.constraint_upper, program.constraint_lower - constraints)
-            worst = np.max(beyond / program.constraint_scale, axis=1, initial=0.0)
-        found = _Candidates(points, np.where(known, objectives, np.nan), np.where(known, worst, 0.0))
-        self._objectives.append(found.objectives)
-        self._violations.append(found.violations)
-        self._count += len(points)
-        self._keep(found.at(known))
-        self._progress("search", self._count, self._budget.evaluations)
+            beyond = self._program.limits.excess(constraints) / self._program.constraint_scale
+            worst = np.max(beyond, axis=1, initial=0.0)
+        found = _Points(points, np.where(known, objectives, np.nan), np.where(known, worst, 0.0))
+        self._parts.append(found)
+        self.count += len(points)
+        self._progress("search", self.count, self._most)
         return found
 
     def _values(self, points: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
         program, shape = self._program, (len(points), len(self._program.constraint_lower))
         if program.values is None:
             found = [program.evaluate(one) for one in points]
-            return np.array([one.objective for one in found]), np.array([one.constraints for one in found]).reshape(
-                shape
-            )
+            constraints = np.array([one.constraints for one in found]).reshape(shape)
+            return np.array([one.objective for one in found]), constraints
         objectives, constraints = map(np.asarray, program.values(points))
         if objectives.shape != shape[:1] or constraints.shape != shape:
             raise ProblemError(
@@ -232,20 +211,15 @@ class Sought:
             )
         return objectives, constraints
 
-    def _keep(self, found: _Candidates) -> None:
-        """Add points to the candidates."""
-        self._found.append(found)
-        self._unsorted += len(found.points)
-        if self._unsorted > _KEPT:
-            self._gathered()
+    @property
+    def _every(self) -> _Points:
+        self._parts = [_Points(*map(np.concatenate, zip(*self._parts, strict=True)))]
+        return self._parts[0]
 
-    def _gathered(self) -> _Candidates:
-        """The candidates: all finite points, or the best if there are too many."""
-        every = _Candidates(*map(np.concatenate, zip(*self._found, strict=True)))
-        if len(every.points) > 2 * _KEPT:
-            every = every.at(np.argsort(self._merits(every), kind="stable")[:_KEPT])
-        self._found, self._unsorted = [every], 0
-        return every
+    @property
+    def _finite(self) -> _Points:
+        every = self._every
+        return _Points(*(part[np.isfinite(every.objectives)] for part in every))
 
     def _unscaled(self, points: Float[np.ndarray, "k size"]) -> Float[np.ndarray, "k n"]:
         every = np.tile(self._fixed, (len(points), 1))
