@@ -5,12 +5,11 @@ from dataclasses import fields, is_dataclass
 from typing import Any, TypeAlias
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import Pytree
+from aleator._core.arrays import Pytree, jax_array
 from aleator._core.border import is_masked
 from aleator._core.errors import AleatorError, ProblemError, SimulationError
 from aleator.uncertainty import Placements, uncertain_numbers
@@ -144,7 +143,7 @@ def is_finite(numbers: Pytree) -> bool:
 
 def inputs_at(places: Placements, point: Float[Any, " variables"], decisions: Float[Array, " n"]) -> dict[str, float]:
     """The uncertain inputs at one germ point, by name."""
-    numbers = uncertain_numbers(places, jnp.asarray(point), decisions)
+    numbers = uncertain_numbers(places, jax_array(point), decisions)
     return {name: float(jax.lax.stop_gradient(number)) for name, number in numbers.items()}
 
 

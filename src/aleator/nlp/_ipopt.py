@@ -24,12 +24,14 @@ _THREADS = "OPENBLAS_NUM_THREADS"
 
 
 @functools.cache
-def _load(casadi: Any) -> None:
+def _load() -> None:
     """Load IPOPT with one thread of linear algebra, unless the user's environment says how many.
 
     Threads that wait for each other at every small product make a solution up to 50 times as long, and digits depend on
     their number.
     """
+    import casadi
+
     given = os.environ.get(_THREADS)
     os.environ.setdefault(_THREADS, "1")
     try:
@@ -162,7 +164,7 @@ class Ipopt(AbstractLocalSolver):
         program = {"x": z} | {name: callbacks[name](z) for name in ("f", "g") if name in callbacks}
         derivatives = {name: callbacks[name] for name in ("grad_f", "jac_g", "hess_lag") if name in callbacks}
         options = self._options(scaled, warm=multipliers is not None) | derivatives
-        _load(casadi)
+        _load()
         solver = casadi.nlpsol("ipopt", "ipopt", program, options)
         arguments = {"x0": scaled.start, "lbx": scaled.lower, "ubx": scaled.upper}
         if scaled.rows:

@@ -4,10 +4,10 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
+from aleator._core.arrays import jax_array
 from aleator._core.leaves import is_leaf
 from aleator.design import Problem
 from aleator.dynamics import Simulation
@@ -30,7 +30,7 @@ def frozen(problem: Problem) -> tuple[Problem, Int[np.ndarray, " direct"]]:
     """The problem without the decisions of its signals and its final time, and where the others are among all."""
 
     def plain(leaf: Any) -> Any:
-        return jnp.asarray(leaf.initial) if isinstance(leaf, Decision) else leaf
+        return jax_array(leaf.initial) if isinstance(leaf, Decision) else leaf
 
     def still(tree: Any) -> Any:
         return jax.tree.map(plain, tree, is_leaf=is_leaf)

@@ -270,6 +270,25 @@ def _moves_by_known_places(equation: Any) -> bool:
     return all(_is_smooth(one) or isinstance(one, Literal) for one in equation.invars)
 
 
+def _broadcast(array: np.ndarray, *, shape: Sequence[int], broadcast_dimensions: Sequence[int], **_: Any) -> np.ndarray:
+    sizes = dict(zip(broadcast_dimensions, array.shape, strict=True))
+    return np.broadcast_to(array.reshape([sizes.get(axis, 1) for axis in range(len(shape))]), shape)
+
+
+_BY_NUMPY: dict[str, Callable[..., Any]] = {
+    "broadcast_in_dim": _broadcast,
+    "concatenate": lambda *parts, dimension: np.concatenate(parts, dimension),
+    "reshape": lambda array, *, new_sizes, **_: array.reshape(new_sizes),
+    "slice": lambda array, *, start_indices, limit_indices, strides: array[
+        tuple(map(slice, start_indices, limit_indices, strides or (None,) * array.ndim))
+    ],
+    "split": lambda array, *, sizes, axis: np.split(array, np.cumsum(sizes)[:-1], axis),
+    "squeeze": lambda array, *, dimensions: array.squeeze(tuple(dimensions)),
+    "transpose": lambda array, *, permutation: array.transpose(permutation),
+}
+"""Equations that move numbers, by NumPy."""
+
+
 def _moved(equation: Any, operands: list[_Known]) -> list[_Known]:
     """What has moved where follows from moving numbers of places. 0 is that of nothing, such as what is padded with."""
     sizes = [one.aval.size if _is_smooth(one) else 0 for one in equation.invars]
@@ -277,7 +296,13 @@ def _moved(equation: Any, operands: list[_Known]) -> list[_Known]:
         np.arange(last - size, last, dtype=float).reshape(one.aval.shape) if _is_smooth(one) else one.val
         for one, size, last in zip(equation.invars, sizes, 1 + np.cumsum(sizes), strict=True)
     ]
-    moved = equation.primitive.bind(*places, **equation.primitive.get_bind_params(equation.params))
+    name = equation.primitive.name
+    # JAX would compile a program for each shape.
+    moved = (
+        _BY_NUMPY[name](*places, **equation.params)
+        if name in _BY_NUMPY
+        else equation.primitive.bind(*places, **equation.primitive.get_bind_params(equation.params))
+    )
     nothing = np.zeros((1, next(one for one in operands if one is not None).shape[1]), dtype=bool)
     tables = [
         np.repeat(nothing, size, axis=0) if one is None else one for one, size in zip(operands, sizes, strict=True)

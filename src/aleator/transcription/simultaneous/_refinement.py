@@ -170,9 +170,9 @@ def segment_states(
     mesh, values = layout.plan.mesh, layout.view(variables)
     assert isinstance(mesh.scheme, MultipleShooting)
     begun = values.states[:, np.searchsorted(mesh.nodes, pieces[:, 0])]
-    at = jnp.asarray(values.decisions), jnp.asarray(values.duration[0]), jnp.asarray(begun)
+    at = jax_array(values.decisions), jax_array(values.duration[0]), jax_array(begun)
     rate = SegmentRate(2 * mesh.scheme.steps)
-    return np.asarray(FLOWN(traced, jnp.asarray(points), tuple(map(tuple, pieces.tolist())), rate, at))
+    return np.asarray(FLOWN(traced, jax_array(points), tuple(map(tuple, pieces.tolist())), rate, at))
 
 
 def segment_drift(

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import numbers_to_arrays
+from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.border import meant, real_array, refusal, shown
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import AleatorError, ProblemError, SimulationError
@@ -97,7 +97,7 @@ class _Simulated(AbstractStart):
             return np.zeros((len(points), len(fractions), 0))
         assert isinstance(problem.grid, Grid)
         finer = numbers_to_arrays(problem.on_grid(problem.grid.finer(_FINER)))
-        states = np.array(SIMULATED(finer, jnp.asarray(points), jnp.asarray(decisions)))
+        states = np.array(SIMULATED(finer, jax_array(points), jax_array(decisions)))
         begun = np.abs(states[:, : 1 + states.shape[1] // _BEGINNING]).max(axis=(0, 1))
         grown = np.abs(states).max(axis=(0, 1)) > _MOST_GROWTH * np.where(begun > 0, begun, np.inf)
         if not np.isfinite(states).all() or grown.any():
@@ -136,7 +136,7 @@ class _OfTime(AbstractStart):
         points: Float[np.ndarray, "realisations germs"],
         decisions: Float[np.ndarray, " n"],
     ) -> Float[np.ndarray, "realisations points states"]:
-        grid = grid_at(problem, jnp.asarray(decisions))
+        grid = grid_at(problem, jax_array(decisions))
         assert isinstance(grid, Grid)
         times, shapes = float(grid.t_start) + fractions * float(grid.duration), state_shapes(problem)
         if isinstance(self.function, _Table):
@@ -252,7 +252,7 @@ def _interpolated(
 def state_shapes(problem: Problem) -> dict[str, tuple[int, ...]]:
     """The shape of each state of a problem, by name. Nothing is computed."""
     places = problem.placements
-    germ, decisions = jnp.zeros(len(places.germ_names)), jnp.asarray(places.vector("initial"))
+    germ, decisions = jax_array(np.zeros(len(places.germ_names))), jax_array(places.vector("initial"))
 
     def first() -> Any:
         realised = realise(problem.simulation, germ, decisions)
@@ -340,7 +340,7 @@ def started(
         mesh, values = layout.plan.mesh, layout.view(variables)
         at = values.decisions, values.duration[0], values.signals, states[:, mesh.sides]
         algebraic = np.asarray(
-            ALGEBRAIC(traced, jnp.asarray(points), jnp.asarray(mesh.places), jax.tree.map(jnp.asarray, at))
+            ALGEBRAIC(traced, jax_array(points), jax_array(mesh.places), jax.tree.map(jax_array, at))
         )
         _refuse_unsolved(traced, points, decisions, algebraic)
         variables[numbers.algebraic] = algebraic
@@ -364,5 +364,5 @@ def _refuse_unsolved(
     failed = ~np.isfinite(algebraic[:, 0]).all(axis=1)
     if failed.any():
         first = int(np.argmax(failed))
-        reason = unsolved(traced, jnp.asarray(points[first]), jnp.asarray(decisions))
+        reason = unsolved(traced, jax_array(points[first]), jax_array(decisions))
         raise SimulationError(f"{reason} This is collocation point {first + 1} of {len(points)}.")

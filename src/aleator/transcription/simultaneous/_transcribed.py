@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from typing_extensions import override
 
-from aleator._core.arrays import numbers_to_arrays
+from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
 from aleator.design import (
     Problem,
@@ -160,11 +160,10 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         sizes = self._sizes(point)
         samples = {one: self._apart(values, numbers[one], sizes) for one, values in every.items()}
         fitted = [
-            self.collocation.coefficients(jnp.asarray(samples[one][:count]))
-            for one in expanded_functionals(expressions)
+            self.collocation.coefficients(jax_array(samples[one][:count])) for one in expanded_functionals(expressions)
         ]
-        realised = [jnp.asarray(samples[one][count:]) for one in extreme_functionals(expressions)]
-        taken = TAKEN(self.traced, self.constants, (jnp.asarray(variables.decisions), fitted, realised))
+        realised = [jax_array(samples[one][count:]) for one in extreme_functionals(expressions)]
+        taken = TAKEN(self.traced, self.constants, (jax_array(variables.decisions), fitted, realised))
         functionals, grid = functionals_of(expressions), self.problem.grid
         assert isinstance(grid, Grid)
         return Meaning(
@@ -279,7 +278,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     def _reported(self, drift: Drift, point: Float[np.ndarray, " variables"]) -> MeshError:
         drifts, mesh, goal = drift.errors.max(axis=2, initial=0.0), self.layout.plan.mesh, self.recipe.goal.error
         worst, _ = np.unravel_index(np.argmax(drifts), drifts.shape)
-        numbers = inputs_at(self.places, self.points[worst], jnp.asarray(self.decisions(point)))
+        numbers = inputs_at(self.places, self.points[worst], jax_array(self.decisions(point)))
         return MeshError(self._instants(point, np.array(mesh.nodes)), mesh.scheme, drifts, goal, numbers)
 
 
