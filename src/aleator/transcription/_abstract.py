@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Generic, NamedTuple, Self, TypeVar, final
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -201,7 +200,7 @@ class AbstractTranscribed(abc.ABC):
 
     def outputs(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Array]:
         """Histories of all outputs at all `points`, simulated."""
-        return OUTPUTS_AT_POINTS(self.traced, jnp.asarray(self.points), jnp.asarray(decisions))
+        return OUTPUTS_AT_POINTS(self.traced, self.points, decisions)
 
     def statistics(self, point: Float[np.ndarray, " variables"]) -> dict[str, Float[np.ndarray, "..."]]:
         """Every statistic in the problem, by its text."""

@@ -68,7 +68,7 @@ class Discretised(NamedTuple):
         """The same, with limits on the worst case held at some realisations; itself without any."""
         if scenarios is None:
             return self
-        return self._replace(constants=replace(self.constants, scenarios=jnp.asarray(scenarios.points)))
+        return self._replace(constants=replace(self.constants, scenarios=jax_array(scenarios.points)))
 
 
 def discretised(problem: Problem) -> Discretised:
@@ -133,7 +133,7 @@ class _Outputs:
 
     def __call__(self, points: Float[np.ndarray, "points variables"]) -> dict[str, Float[np.ndarray, "points ..."]]:
         """The functionals by their texts."""
-        traced, start = numbers_to_arrays(self.problem), jnp.asarray(self.problem.placements.vector("initial"))
+        traced, start = numbers_to_arrays(self.problem), jax_array(self.problem.placements.vector("initial"))
         texts = [one.text() for one in functionals_of(self.problem.expressions)]
         return dict(zip(texts, in_batches(RESPOND, traced, points, start), strict=True))
 

@@ -251,7 +251,7 @@ def are_affine(pointwise: Pointwise, mesh: Mesh) -> bool:
     """Whether the derivatives of signals and duration are the same at all decisions: no equation of theirs needs these
     any more.
     """
-    one = jnp.zeros(pointwise.problem.placements.size)
+    one = np.zeros(pointwise.problem.placements.size)
     closed = jax.make_jaxpr(lambda x, along: jax.jvp(lambda at: known_numbers(pointwise, mesh, at), (x,), (along,))[1])(
         one, one
     )

@@ -9,12 +9,11 @@ from functools import cached_property
 from typing import Any, NamedTuple, final
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 from typing_extensions import override
 
-from aleator._core.arrays import numbers_to_arrays
+from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
 from aleator.design import (
     Problem,
@@ -46,7 +45,7 @@ from aleator.transcription.simultaneous._refinement import (
     segment_states_on,
     states_on,
 )
-from aleator.transcription.simultaneous._starts import AbstractStart, started, state_shapes
+from aleator.transcription.simultaneous._starts import Start, started, state_shapes
 from aleator.uncertainty import named_numbers
 
 # Steps of a simulation for each step in an interval of a mesh, if it has no more points inside.
@@ -88,7 +87,7 @@ class Recipe(NamedTuple):
     discretised: Discretised
     scenarios: Scenarios | None
     goal: Goal
-    begins: AbstractStart
+    begins: Start
 
     def on(self, mesh: Mesh, start: tuple[np.ndarray, np.ndarray] | None = None) -> "SimultaneouslyTranscribed":
         """The program on a mesh, starting at some decisions and states, or where all programs of the problem do."""
@@ -160,11 +159,10 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         sizes = self._sizes(point)
         samples = {one: self._apart(values, numbers[one], sizes) for one, values in every.items()}
         fitted = [
-            self.collocation.coefficients(jnp.asarray(samples[one][:count]))
-            for one in expanded_functionals(expressions)
+            self.collocation.coefficients(jax_array(samples[one][:count])) for one in expanded_functionals(expressions)
         ]
-        realised = [jnp.asarray(samples[one][count:]) for one in extreme_functionals(expressions)]
-        taken = TAKEN(self.traced, self.constants, (jnp.asarray(variables.decisions), fitted, realised))
+        realised = [samples[one][count:] for one in extreme_functionals(expressions)]
+        taken = TAKEN(self.traced, self.constants, (variables.decisions, fitted, realised))
         functionals, grid = functionals_of(expressions), self.problem.grid
         assert isinstance(grid, Grid)
         return Meaning(
@@ -279,7 +277,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     def _reported(self, drift: Drift, point: Float[np.ndarray, " variables"]) -> MeshError:
         drifts, mesh, goal = drift.errors.max(axis=2, initial=0.0), self.layout.plan.mesh, self.recipe.goal.error
         worst, _ = np.unravel_index(np.argmax(drifts), drifts.shape)
-        numbers = inputs_at(self.places, self.points[worst], jnp.asarray(self.decisions(point)))
+        numbers = inputs_at(self.places, self.points[worst], jax_array(self.decisions(point)))
         return MeshError(self._instants(point, np.array(mesh.nodes)), mesh.scheme, drifts, goal, numbers)
 
 
