@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any, NamedTuple, final
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 from typing_extensions import override
