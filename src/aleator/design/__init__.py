@@ -45,6 +45,8 @@ from aleator.design._objectives import torque_rate as torque_rate
 from aleator.design._problem import Problem as Problem
 from aleator.design._problem import declared_anew as declared_anew
 from aleator.design._problem import deterministic as deterministic
+from aleator.design._problem import frozen as frozen
+from aleator.design._problem import has_random_signals as has_random_signals
 from aleator.design._problem import soft as soft
 from aleator.design._problem import uncertain as uncertain
 from aleator.design._response import Estimated as Estimated

@@ -188,11 +188,6 @@ class Composed(AbstractComposite):
 
     @property
     @override
-    def parts(self) -> tuple[AbstractAtom, ...]:
-        return tuple(part for one in self.expressions for part in one.leaves)
-
-    @property
-    @override
     def integrated(self) -> tuple[AbstractAtom, ...]:
         return tuple(part for one in self.expressions for atom in one.atoms for part in atom.integrated)
 

@@ -21,14 +21,11 @@ INTEGRATED = 4
 class AbstractIntegral(AbstractFunctional):
     """A function of the time integral of outputs, which is computed as accurately as the states."""
 
+    order = INTEGRATED
+
     @abc.abstractmethod
     def integrand(self, now: Mapping[str, Array]) -> Array:
         """The integrand, from the outputs at one time."""
-
-    @property
-    @override
-    def order(self) -> int:
-        return INTEGRATED
 
     def total(self, integral: Array, grid: Grid) -> Array:
         """The functional, from the integral over the grid; the integral itself by default."""
@@ -83,10 +80,7 @@ class Rms(AbstractIntegral):
 class Terminal(AbstractFunctional):
     """An output at the final time."""
 
-    @property
-    @override
-    def order(self) -> int:
-        return INTEGRATED
+    order = INTEGRATED
 
     @override
     def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
@@ -102,15 +96,8 @@ class Terminal(AbstractFunctional):
 class Path(AbstractFunctional):
     """An output at every instant of the grid."""
 
-    @property
-    @override
-    def is_path(self) -> bool:
-        return True
-
-    @property
-    @override
-    def order(self) -> int:
-        return INTEGRATED
+    is_path = True
+    order = INTEGRATED
 
     @override
     def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
@@ -140,10 +127,7 @@ class Peak(AbstractFunctional):
 class Output(AbstractFunctional):
     """An output of an algebraic system."""
 
-    @property
-    @override
-    def needs_time(self) -> bool:
-        return False
+    needs_time = False
 
     @override
     def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:

@@ -53,11 +53,6 @@ class TimeIntegral(AbstractComposite):
 
     @property
     @override
-    def parts(self) -> tuple[AbstractAtom, ...]:
-        return self.expression.leaves
-
-    @property
-    @override
     def integrated(self) -> tuple[AbstractAtom, ...]:
         return self.parts
 

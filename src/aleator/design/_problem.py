@@ -1,4 +1,4 @@
-"""`Problem`: a declared design problem, and problems made of it, at the means or with soft constraints: data only."""
+"""`Problem`: a declared design problem, and problems made of it, such as one at its means: data only."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -8,10 +8,13 @@ from typing import Any, Self, final
 import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import Int
 
+from aleator._core.arrays import jax_array
 from aleator._core.border import a_name, one_of, positive, real, refusal
 from aleator._core.equations import Digest
 from aleator._core.errors import ProblemError
+from aleator._core.leaves import is_leaf
 from aleator.design._check import check
 from aleator.design._control import on_grid
 from aleator.design._equations import declared
@@ -25,7 +28,7 @@ from aleator.dynamics import AbstractGrid, AbstractIntegrator, AbstractSystem, G
 from aleator.expansion import Expansion
 from aleator.statistics import Mean
 from aleator.trajectories import AbstractSignal
-from aleator.uncertainty import Decision, at_means, uncertain_again
+from aleator.uncertainty import Decision, at_means, placements, uncertain_again
 
 # The first value of an excess, as a part of the limit.
 _FIRST_EXCESS = 0.1
@@ -241,6 +244,34 @@ def uncertain(problem: Problem) -> Problem:
     """The problem with its distributions restored: the inverse of `deterministic`."""
     one_of("uncertain", problem, Problem)
     return _with_simulation(problem, uncertain_again(problem.simulation))
+
+
+def has_random_signals(problem: Problem) -> bool:
+    """Whether signals are uncertain: what is known at an instant then differs between realisations."""
+    # Signals in the place of numbers count too.
+    signals = filter(_is_signal, jax.tree.leaves(problem.system, is_leaf=_is_signal))
+    return bool(placements(([*signals], problem.inputs)).distributions)
+
+
+def _is_signal(node: Any) -> bool:
+    return isinstance(node, AbstractSignal)
+
+
+def frozen(problem: Problem) -> tuple[Problem, Int[np.ndarray, " direct"]]:
+    """The problem without the decisions of its signals and its final time, and where the others are among all."""
+
+    def still(tree: Any) -> Any:
+        return jax.tree.map(
+            lambda leaf: jax_array(leaf.initial) if isinstance(leaf, Decision) else leaf, tree, is_leaf=is_leaf
+        )
+
+    whole, system = problem.simulation, problem.system
+    for name in system.signal_fields:  # type: ignore[union-attr]
+        system = eqx.tree_at(lambda tree, name=name: getattr(tree, name), system, still(getattr(system, name)))
+    fixed = _with_simulation(problem, replace(whole, system=system, inputs=still(whole.inputs), grid=still(whole.grid)))
+    places = problem.placements.decisions
+    where = [np.arange(places[name].where.start, places[name].where.stop) for name in fixed.placements.decisions]
+    return fixed, np.concatenate([np.zeros(0, dtype=int), *where])
 
 
 def _with_simulation(problem: Problem, simulation: Simulation) -> Problem:

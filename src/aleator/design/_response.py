@@ -217,9 +217,6 @@ class _Numbers(AbstractScope):
         received = Statistic(functionals, kind).text()
         raise ProblemError(f"Only numbers of the model itself are known here; received {received}.")
 
-    def realised(self, functional: Any) -> Array:
-        raise ProblemError(f"Only numbers of the model itself are known here; received {functional.text()}.")
-
     def time_integral(self, expression: Expression) -> Array:
         raise ProblemError(
             f"Only numbers of the model itself are known here; received the time integral of {expression}."

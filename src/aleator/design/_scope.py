@@ -116,13 +116,12 @@ class AbstractAtom(Module):
 
 
 class AbstractComposite(AbstractAtom):
-    """An atom made of expressions: its subjects and measures are theirs."""
+    """An atom made of expressions: its parts, subjects and measures are theirs."""
 
     @property
-    @abc.abstractmethod
     @override
     def parts(self) -> tuple[AbstractAtom, ...]:
-        """The atoms of its expressions, in the order of evaluation."""
+        return tuple(part for one in self.inner for part in one.leaves)
 
     @property
     @override

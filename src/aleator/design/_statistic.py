@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import equinox as eqx
 import jax
@@ -18,49 +18,50 @@ from aleator.dynamics import AbstractGrid, History
 from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance, Std, a_statistic
 
 
+class AbstractOfFunctionals(AbstractAtom):
+    """An atom made of functionals."""
+
+    functionals: "eqx.AbstractVar[tuple[AbstractFunctional, ...]]"
+
+    @property
+    @override
+    def subjects(self) -> tuple[str, ...]:
+        return tuple(name for one in self.functionals for name in one.outputs)
+
+    @property
+    @override
+    def measures(self) -> tuple[str, ...]:
+        return tuple(one.text() for one in self.functionals)
+
+    @property
+    @override
+    def is_path(self) -> bool:
+        return any(one.is_path for one in self.functionals)
+
+
 @final
-class Extreme(AbstractAtom):
-    """The largest (`side = 1`) or smallest (`side = -1`) value of a functional over realisations of the model.
+class Extreme(AbstractOfFunctionals):
+    """The largest (`side = 1`) or smallest (`side = -1`) value of one functional over realisations of the model.
 
     These are all that its distributions allow, or those at the collocation points alone (`at_points`). It evaluates to
     the functional on each realisation available: a bound on it is a bound on each of them.
     """
 
-    functional: Any
+    functionals: "tuple[AbstractFunctional, ...]"
     side: int = eqx.field(static=True)
     at_points: bool = eqx.field(static=True, default=False)
 
     @override
     def evaluate(self, scope: AbstractScope) -> Array:
-        return scope.realised(self.functional)
+        return scope.realised(self.functionals[0])
 
     @override
     def text(self) -> str:
-        return f"{'max' if self.side > 0 else 'min'}{'_k' if self.at_points else ''}[{self.functional.text()}]"
+        return f"{'max' if self.side > 0 else 'min'}{'_k' if self.at_points else ''}[{self.measures[0]}]"
 
     @override
     def unit(self, units: Units) -> str:
-        return self.functional.unit(units.outputs)
-
-    @property
-    @override
-    def subjects(self) -> tuple[str, ...]:
-        return self.functional.outputs
-
-    @property
-    def functionals(self) -> tuple[Any, ...]:
-        """The functional, in a tuple as for statistics."""
-        return (self.functional,)
-
-    @property
-    @override
-    def measures(self) -> tuple[str, ...]:
-        return (self.functional.text(),)
-
-    @property
-    @override
-    def is_path(self) -> bool:
-        return self.functional.is_path
+        return self.functionals[0].unit(units.outputs)
 
 
 class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
@@ -68,8 +69,16 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
 
     Its statistics over the uncertainty (`mean`, `std`, `quantile(0.99)`, `supremum`, ...) can be added, multiplied by
     numbers and compared with bounds; `at_most`, `at_least` and `within` bound one or both ends of its distribution.
+
+    - `is_path`: whether it is one number an instant instead of one number;
+    - `needs_time`: whether it is taken over time, which algebraic systems do not have;
+    - `order`: of convergence in the step of the grid: 2 for most rules on the instants, such as the largest among
+      them; integrals and values at an instant have the order of the integrator.
     """
 
+    is_path: ClassVar[bool] = False
+    needs_time: ClassVar[bool] = True
+    order: ClassVar[int] = 2
     outputs: tuple[str, ...] = eqx.field(static=True)
 
     def __check_init__(self) -> None:
@@ -106,23 +115,6 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
     def unit(self, outputs: Mapping[str, str]) -> str:
         """Its unit, from those of outputs as far as known (see `statistics._units`): by default its output's."""
         return outputs.get(self.output, "")
-
-    @property
-    def is_path(self) -> bool:
-        """Whether it is one number an instant instead of one number."""
-        return False
-
-    @property
-    def order(self) -> int:
-        """The order of convergence in the step of the grid: by default 2, as for most rules on the instants, such as
-        the largest among them. Integrals and values at an instant have the order of the integrator.
-        """
-        return 2
-
-    @property
-    def needs_time(self) -> bool:
-        """Whether it is taken over time, which algebraic systems do not have."""
-        return True
 
     @override
     def statistic(self, kind: AbstractStatistic) -> Expression:
@@ -186,13 +178,8 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
         Raises `ProblemError` for bounds in the wrong order.
         """
         lower, upper = ordered(", ".join(self.outputs), lower, upper)
-        margin: dict[str, Any] = {
-            "sigmas": sigmas,
-            "probability": probability,
-            "worst_case": worst_case,
-            "at_points": at_points,
-        }
-        return Range(self.at_most(upper, **margin), self.at_least(lower, **margin))
+        margin = sigmas, probability, worst_case, at_points
+        return Range(self._end(1, *margin) <= upper, self._end(-1, *margin) >= lower)
 
     def _end(
         self, side: int, sigmas: float, probability: float | None, worst_case: bool, at_points: bool
@@ -212,7 +199,7 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
             names = [name for name, is_chosen in chosen.items() if is_chosen]
             raise ProblemError(f"'{self.text()}': expected one of {', '.join(chosen)}; received {names}.")
         if worst_case or at_points:
-            return Expression((1.0,), (Extreme(self, side, at_points),))
+            return Expression((1.0,), (Extreme((self,), side, at_points),))
         if probability is not None:
             return self.quantile(probability if side > 0 else 1 - probability)
         return self.mean + side * multiple * self.std
@@ -226,7 +213,7 @@ class Taken(NamedTuple):
 
 
 @final
-class Statistic(AbstractAtom):
+class Statistic(AbstractOfFunctionals):
     """A statistic of a functional, or of several jointly, as for a covariance."""
 
     functionals: tuple[AbstractFunctional, ...]
@@ -243,21 +230,6 @@ class Statistic(AbstractAtom):
     @override
     def unit(self, units: Units) -> str:
         return self.kind.unit(*(one.unit(units.outputs) for one in self.functionals))
-
-    @property
-    @override
-    def subjects(self) -> tuple[str, ...]:
-        return tuple(name for one in self.functionals for name in one.outputs)
-
-    @property
-    @override
-    def measures(self) -> tuple[str, ...]:
-        return tuple(one.text() for one in self.functionals)
-
-    @property
-    @override
-    def is_path(self) -> bool:
-        return any(one.is_path for one in self.functionals)
 
     @property
     @override
@@ -306,7 +278,7 @@ def joined(values: Sequence[Float[Array, "..."]]) -> Float[Array, "..."]:
 
 def functionals_of(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctional, ...]:
     """All functionals in the expressions, each once, in order of appearance."""
-    atoms = (atom for one in expressions for atom in one.leaves if isinstance(atom, Statistic | Extreme))
+    atoms = (atom for one in expressions for atom in one.leaves if isinstance(atom, AbstractOfFunctionals))
     return tuple(dict.fromkeys(one for atom in atoms for one in atom.functionals))
 
 
@@ -350,4 +322,4 @@ def is_at_points(constraint: Constraint) -> bool:
 def extreme_functionals(expressions: tuple[Expression, ...]) -> tuple[Any, ...]:
     """The functionals whose worst case appears in the expressions, each once."""
     leaves = (leaf for one in expressions for leaf in one.leaves)
-    return tuple(dict.fromkeys(leaf.functional for leaf in leaves if isinstance(leaf, Extreme)))
+    return tuple(dict.fromkeys(one for leaf in leaves if isinstance(leaf, Extreme) for one in leaf.functionals))

@@ -11,7 +11,6 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from aleator._core.arrays import jax_array
 from aleator._core.compilation import Compiled, Use
 from aleator.design import Problem, functionals_of, history, statistics_in
 from aleator.expansion import Basis, Collocation
@@ -201,7 +200,7 @@ class AbstractTranscribed(abc.ABC):
 
     def outputs(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Array]:
         """Histories of all outputs at all `points`, simulated."""
-        return OUTPUTS_AT_POINTS(self.traced, jax_array(self.points), jax_array(decisions))
+        return OUTPUTS_AT_POINTS(self.traced, self.points, decisions)
 
     def statistics(self, point: Float[np.ndarray, " variables"]) -> dict[str, Float[np.ndarray, "..."]]:
         """Every statistic in the problem, by its text."""

@@ -25,14 +25,15 @@ from aleator.design import (
     Statistic,
     Taken,
     extreme_functionals,
+    frozen,
     functionals_of,
+    has_random_signals,
     numbers_of,
 )
 from aleator.dynamics import Grid, Known, System, known_at, observed_at
 from aleator.expansion import Collocation
 from aleator.statistics import Constants
 from aleator.transcription._expansions import ExpansionScope
-from aleator.transcription._frozen import frozen, has_random_signals
 from aleator.transcription.sequential._affine import Anchors, affine_features, anchored
 from aleator.uncertainty import named_numbers, realise
 

@@ -35,11 +35,24 @@ _BENT = {
     *("exp", "exp2", "expm1", "log", "log1p", "logistic", "erf", "erfc", "erf_inv", "lgamma", "digamma"),
     *("mul", "div", "pow", "integer_pow", "square", "sqrt", "rsqrt", "cbrt", "abs", "max", "min", "clamp"),
 }
-# Results that are operands' numbers in other places, or fixed ones.
-_MOVING = {
-    *("reshape", "transpose", "broadcast_in_dim", "squeeze", "expand_dims", "slice", "split", "concatenate", "stack"),
-    *("rev", "pad", "gather", "dynamic_slice"),
+# Results that are operands' numbers in other places, or fixed ones: by NumPy, for JAX would compile a program for each.
+_MOVING: dict[str, Callable[..., Any]] = {
+    "reshape": lambda one, new_sizes, **_: one.reshape(new_sizes),
+    "transpose": lambda one, permutation: one.transpose(permutation),
+    "squeeze": lambda one, dimensions: one.squeeze(dimensions),
+    "slice": lambda one, start_indices, limit_indices, strides: one[
+        tuple(map(slice, start_indices, limit_indices, strides or [None] * one.ndim))
+    ],
+    "split": lambda one, sizes, axis: np.split(one, np.cumsum(sizes)[:-1], axis),
+    "concatenate": lambda *every, dimension: np.concatenate(every, dimension),
+    "stack": lambda *every, axis: np.stack(every, axis),
+    "rev": lambda one, dimensions: np.flip(one, dimensions),
+    "broadcast_in_dim": lambda one, shape, broadcast_dimensions, **_: np.broadcast_to(
+        np.expand_dims(one, [axis for axis in range(len(shape)) if axis not in broadcast_dimensions]), shape
+    ),
 }
+# The same, by JAX.
+_MOVING_BY_JAX = {"pad", "gather", "dynamic_slice"}
 # Primitives that contain other equations.
 _NESTED = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr"}
 # No table of dependences is larger than this: blocks of more numbers are full.
@@ -200,7 +213,7 @@ class _Following:
         name = equation.primitive.name
         if name in _NESTED:
             return self.results(equation.params[_NESTED[name]].jaxpr, operands)
-        if name in _MOVING and _moves_by_known_places(equation):
+        if (name in _MOVING or name in _MOVING_BY_JAX) and _moves_by_known_places(equation):
             return _moved(equation, operands)
         if name == "reduce_sum" or name == "cumsum":
             return [_summed(equation, operands[0])]
@@ -270,25 +283,6 @@ def _moves_by_known_places(equation: Any) -> bool:
     return all(_is_smooth(one) or isinstance(one, Literal) for one in equation.invars)
 
 
-def _broadcast(array: np.ndarray, *, shape: Sequence[int], broadcast_dimensions: Sequence[int], **_: Any) -> np.ndarray:
-    sizes = dict(zip(broadcast_dimensions, array.shape, strict=True))
-    return np.broadcast_to(array.reshape([sizes.get(axis, 1) for axis in range(len(shape))]), shape)
-
-
-_BY_NUMPY: dict[str, Callable[..., Any]] = {
-    "broadcast_in_dim": _broadcast,
-    "concatenate": lambda *parts, dimension: np.concatenate(parts, dimension),
-    "reshape": lambda array, *, new_sizes, **_: array.reshape(new_sizes),
-    "slice": lambda array, *, start_indices, limit_indices, strides: array[
-        tuple(map(slice, start_indices, limit_indices, strides or (None,) * array.ndim))
-    ],
-    "split": lambda array, *, sizes, axis: np.split(array, np.cumsum(sizes)[:-1], axis),
-    "squeeze": lambda array, *, dimensions: array.squeeze(tuple(dimensions)),
-    "transpose": lambda array, *, permutation: array.transpose(permutation),
-}
-"""Equations that move numbers, by NumPy."""
-
-
 def _moved(equation: Any, operands: list[_Known]) -> list[_Known]:
     """What has moved where follows from moving numbers of places. 0 is that of nothing, such as what is padded with."""
     sizes = [one.aval.size if _is_smooth(one) else 0 for one in equation.invars]
@@ -296,13 +290,10 @@ def _moved(equation: Any, operands: list[_Known]) -> list[_Known]:
         np.arange(last - size, last, dtype=float).reshape(one.aval.shape) if _is_smooth(one) else one.val
         for one, size, last in zip(equation.invars, sizes, 1 + np.cumsum(sizes), strict=True)
     ]
-    name = equation.primitive.name
-    # JAX would compile a program for each shape.
-    moved = (
-        _BY_NUMPY[name](*places, **equation.params)
-        if name in _BY_NUMPY
-        else equation.primitive.bind(*places, **equation.primitive.get_bind_params(equation.params))
-    )
+    if move := _MOVING.get(equation.primitive.name):
+        moved = move(*places, **equation.params)
+    else:
+        moved = equation.primitive.bind(*places, **equation.primitive.get_bind_params(equation.params))
     nothing = np.zeros((1, next(one for one in operands if one is not None).shape[1]), dtype=bool)
     tables = [
         np.repeat(nothing, size, axis=0) if one is None else one for one, size in zip(operands, sizes, strict=True)

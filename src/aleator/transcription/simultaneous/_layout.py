@@ -22,7 +22,6 @@ import scipy
 from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import jax_array
 from aleator._core.compilation import Compiled, Use
 from aleator.design import (
     AbstractFunctional,
@@ -252,7 +251,7 @@ def are_affine(pointwise: Pointwise, mesh: Mesh) -> bool:
     """Whether the derivatives of signals and duration are the same at all decisions: no equation of theirs needs these
     any more.
     """
-    one = jax_array(np.zeros(pointwise.problem.placements.size))
+    one = np.zeros(pointwise.problem.placements.size)
     closed = jax.make_jaxpr(lambda x, along: jax.jvp(lambda at: known_numbers(pointwise, mesh, at), (x,), (along,))[1])(
         one, one
     )

@@ -24,8 +24,10 @@ from aleator.design import (
     Problem,
     Taken,
     Terminal,
+    frozen,
     functionals_of,
     grid_at,
+    has_random_signals,
     integrated_paths,
     numbers_of,
 )
@@ -46,7 +48,6 @@ from aleator.dynamics import (
     with_algebraic,
 )
 from aleator.trajectories import before_jumps, has_jumps
-from aleator.transcription._frozen import frozen, has_random_signals
 from aleator.uncertainty import placements, realise
 
 

@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.polynomial import legendre
 
-from aleator._core.arrays import jax_array
 from aleator._core.compilation import Compiled, Use
 from aleator.design import Problem
 from aleator.dynamics import AbstractCollocation, AbstractScheme, MultipleShooting, SegmentRate
@@ -84,8 +83,8 @@ def drift_of(
     inner, weights = (1 + nodes) / 2, weights / 2
     fractions = (np.array(mesh.nodes)[:-1, None] + mesh.lengths[:, None] * inner).ravel()
     states = states_on(mesh, fractions, values.states, rates)
-    at = jax_array(values.decisions), jax_array(values.duration[0]), jax_array(states)
-    true_rates = np.asarray(BETWEEN(traced, jax_array(points), tuple(fractions.tolist()), at))
+    at = values.decisions, values.duration[0], states
+    true_rates = np.asarray(BETWEEN(traced, points, tuple(fractions.tolist()), at))
     stage_rates = rates[:, mesh.stages, :count]
     polynomial = np.einsum("qi,pkis->pkqs", mesh.scheme.interpolated(inner), stage_rates)
     missed = np.abs(polynomial - true_rates.reshape(polynomial.shape))
@@ -170,9 +169,9 @@ def segment_states(
     mesh, values = layout.plan.mesh, layout.view(variables)
     assert isinstance(mesh.scheme, MultipleShooting)
     begun = values.states[:, np.searchsorted(mesh.nodes, pieces[:, 0])]
-    at = jax_array(values.decisions), jax_array(values.duration[0]), jax_array(begun)
+    at = values.decisions, values.duration[0], begun
     rate = SegmentRate(2 * mesh.scheme.steps)
-    return np.asarray(FLOWN(traced, jax_array(points), tuple(map(tuple, pieces.tolist())), rate, at))
+    return np.asarray(FLOWN(traced, points, tuple(map(tuple, pieces.tolist())), rate, at))
 
 
 def segment_drift(

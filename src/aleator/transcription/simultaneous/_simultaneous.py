@@ -20,7 +20,7 @@ from aleator.transcription._scenarios import first_scenarios
 from aleator.transcription.simultaneous._mesh import Mesh, first_nodes
 from aleator.transcription.simultaneous._pointwise import Pointwise
 from aleator.transcription.simultaneous._refinement import Goal
-from aleator.transcription.simultaneous._starts import AbstractStart, Guess, start_of
+from aleator.transcription.simultaneous._starts import Guess, Start
 from aleator.transcription.simultaneous._transcribed import Recipe, SimultaneouslyTranscribed
 
 # The least error of a mesh that may be asked for.
@@ -60,7 +60,7 @@ class Simultaneous(AbstractTranscription):
     error: float | None = None
     most_stages: int | None = None
     guess: Guess | None = field(default=None, compare=False, repr=False)
-    _start: AbstractStart = field(init=False, repr=False)
+    _start: Start = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         one_of("Simultaneous: scheme", self.scheme, AbstractScheme, "al.schemes.HermiteSimpson()")
@@ -71,7 +71,7 @@ class Simultaneous(AbstractTranscription):
             )
         if self.most_stages is not None:
             _check_stages(self.scheme, self.error, self.most_stages)
-        object.__setattr__(self, "_start", start_of(self.guess))
+        object.__setattr__(self, "_start", Start.of(self.guess))
 
     @property
     @override

@@ -3,7 +3,6 @@
 A guess is a function of time, a table, or a solution.
 """
 
-import abc
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias, final
@@ -12,7 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from typing_extensions import override
 
 from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.border import meant, real_array, refusal, shown
@@ -20,7 +18,7 @@ from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import AleatorError, ProblemError, SimulationError
 from aleator.design import Problem, deterministic, grid_at, unsolved
 from aleator.dynamics import STATES, Asked, Grid, ObservedStates, Simulation, System, initial_state
-from aleator.solution import Solution, States
+from aleator.solution import Solution
 from aleator.transcription._warm_start import started_from
 from aleator.transcription.simultaneous._layout import Layout
 from aleator.transcription.simultaneous._pointwise import Pointwise
@@ -60,14 +58,35 @@ def _simulated(
 SIMULATED = Compiled(_simulated, use=Use.ONCE)
 
 
-class AbstractStart(abc.ABC):
-    """Where the programs of a problem start, on any mesh."""
+@final
+@dataclass(frozen=True)
+class Start:
+    """Where the programs of a problem start, on any mesh: as simulated, or by a guess of the states.
+
+    - `guess`: a function of time, a table as such a function, or a solution; None for a simulation.
+    """
+
+    guess: "Callable[[float], Any] | Solution | None"
+
+    @classmethod
+    def of(cls, guess: Guess | None) -> "Start":
+        """The start that a guess stands for. Raises `ProblemError` for what is no guess."""
+        if isinstance(guess, np.ndarray) and guess.dtype.names:
+            guess = {name: guess[name] for name in guess.dtype.names}
+        if isinstance(guess, Mapping):
+            return cls(_Table.of(guess))
+        if guess is None or isinstance(guess, Solution):
+            return cls(guess)
+        if callable(guess) and not isinstance(guess, type):
+            return cls(guess)
+        raise refusal(_WHO, f"a function of time, a table with '{_TIME}' and each state, or a Solution", guess)
 
     def decisions(self, problem: Problem) -> Float[np.ndarray, " n"]:
-        """The first decisions: by default the problem's own initial ones."""
+        """The first decisions: those of a solution where it has them, else the problem's own initial ones."""
+        if isinstance(self.guess, Solution):
+            return started_from(problem, self.guess, needs_all=False)
         return problem.placements.vector("initial")
 
-    @abc.abstractmethod
     def states(
         self,
         problem: Problem,
@@ -76,81 +95,89 @@ class AbstractStart(abc.ABC):
         decisions: Float[np.ndarray, " n"],
     ) -> Float[np.ndarray, "realisations points states"]:
         """The states of realisations at some fractions of the duration, for given decisions."""
+        if self.guess is None:
+            return _simulated_states(problem, fractions, points, decisions)
+        if isinstance(self.guess, Solution):
+            return _states_of(self.guess, problem, fractions, points)
+        rows = _states_by(self.guess, problem, fractions, decisions)
+        return np.repeat(rows[None], len(points), axis=0)
 
 
-@final
-@dataclass(frozen=True)
-class _Simulated(AbstractStart):
+def _simulated_states(
+    problem: Problem,
+    fractions: Float[np.ndarray, " points"],
+    points: Float[np.ndarray, "realisations germs"],
+    decisions: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "realisations points states"]:
     """States as they are simulated. If one realisation cannot be simulated at these decisions, or grows beyond reason,
     all rest at their initial states: a program may begin where nothing can be simulated.
     """
-
-    @override
-    def states(
-        self,
-        problem: Problem,
-        fractions: Float[np.ndarray, " points"],
-        points: Float[np.ndarray, "realisations germs"],
-        decisions: Float[np.ndarray, " n"],
-    ) -> Float[np.ndarray, "realisations points states"]:
-        if not problem.is_integrated:
-            return np.zeros((len(points), len(fractions), 0))
-        assert isinstance(problem.grid, Grid)
-        finer = numbers_to_arrays(problem.on_grid(problem.grid.finer(_FINER)))
-        states = np.array(SIMULATED(finer, jax_array(points), jax_array(decisions)))
-        begun = np.abs(states[:, : 1 + states.shape[1] // _BEGINNING]).max(axis=(0, 1))
-        grown = np.abs(states).max(axis=(0, 1)) > _MOST_GROWTH * np.where(begun > 0, begun, np.inf)
-        if not np.isfinite(states).all() or grown.any():
-            states = np.repeat(states[:, :1], states.shape[1], axis=1)
-        instants = np.linspace(0.0, 1.0, states.shape[1])
-        return np.moveaxis(_interpolated(instants, np.moveaxis(states, 1, 0), fractions), 0, 1)
+    if not problem.is_integrated:
+        return np.zeros((len(points), len(fractions), 0))
+    assert isinstance(problem.grid, Grid)
+    finer = numbers_to_arrays(problem.on_grid(problem.grid.finer(_FINER)))
+    states = np.array(SIMULATED(finer, points, decisions))
+    begun = np.abs(states[:, : 1 + states.shape[1] // _BEGINNING]).max(axis=(0, 1))
+    grown = np.abs(states).max(axis=(0, 1)) > _MOST_GROWTH * np.where(begun > 0, begun, np.inf)
+    if not np.isfinite(states).all() or grown.any():
+        states = np.repeat(states[:, :1], states.shape[1], axis=1)
+    instants = np.linspace(0.0, 1.0, states.shape[1])
+    return np.moveaxis(_interpolated(instants, np.moveaxis(states, 1, 0), fractions), 0, 1)
 
 
-def start_of(guess: Guess | None) -> AbstractStart:
-    """The start that a guess stands for; that of a simulation for none. Raises `ProblemError` for what is no guess."""
-    if guess is None:
-        return _Simulated()
-    if isinstance(guess, Solution):
-        return _OfSolution(guess)
-    if isinstance(guess, np.ndarray) and guess.dtype.names:
-        return _OfTime(_Table.of({name: guess[name] for name in guess.dtype.names}))
-    if isinstance(guess, Mapping):
-        return _OfTime(_Table.of(guess))
-    if callable(guess) and not isinstance(guess, type):
-        return _OfTime(guess)
-    raise refusal(_WHO, f"a function of time, a table with '{_TIME}' and each state, or a Solution", guess)
+def _states_by(
+    function: Callable[[float], Any],
+    problem: Problem,
+    fractions: Float[np.ndarray, " points"],
+    decisions: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "points states"]:
+    """The states by a function of time."""
+    grid, shapes = grid_at(problem, jax_array(decisions)), state_shapes(problem)
+    assert isinstance(grid, Grid)
+    times = float(grid.t_start) + fractions * float(grid.duration)
+    if isinstance(function, _Table):
+        function.refuse_short(times[0], times[-1])
 
-
-@final
-@dataclass(frozen=True, eq=False)
-class _OfTime(AbstractStart):
-    """The same states for all realisations, by a function of time."""
-
-    function: Callable[[float], Any]
-
-    @override
-    def states(
-        self,
-        problem: Problem,
-        fractions: Float[np.ndarray, " points"],
-        points: Float[np.ndarray, "realisations germs"],
-        decisions: Float[np.ndarray, " n"],
-    ) -> Float[np.ndarray, "realisations points states"]:
-        grid = grid_at(problem, jax_array(decisions))
-        assert isinstance(grid, Grid)
-        times, shapes = float(grid.t_start) + fractions * float(grid.duration), state_shapes(problem)
-        if isinstance(self.function, _Table):
-            self.function.refuse_short(times[0], times[-1])
-        rows = np.stack([_flat(f"{_WHO} at t = {t:.4g} s", self._at(float(t)), shapes) for t in times])
-        return np.repeat(rows[None], len(points), axis=0)
-
-    def _at(self, t: float) -> Any:
+    def at(t: float) -> Any:
         try:
-            return self.function(t)
+            return function(t)
         except AleatorError:
             raise
         except Exception as error:
             raise ProblemError(f"{_WHO} raised {type(error).__name__} at t = {t:.4g} s: {error}.") from error
+
+    return np.stack([_flat(f"{_WHO} at t = {t:.4g} s", at(float(t)), shapes) for t in times])
+
+
+def _states_of(
+    solution: Solution,
+    problem: Problem,
+    fractions: Float[np.ndarray, " points"],
+    points: Float[np.ndarray, "realisations germs"],
+) -> Float[np.ndarray, "realisations points states"]:
+    """The states of a solution over the fraction of its duration: each realisation's from the nearest one there, or
+    from the mean of all where other numbers are uncertain.
+    """
+    old, shapes = solution.problem, state_shapes(problem)
+    received = state_shapes(old) if isinstance(old.system, System) else {}
+    if received != shapes:
+        raise ProblemError(
+            f"{_WHO}: expected a solution of a system with the states {_listed(shapes)}; received one with "
+            f"{_listed(received)}."
+        )
+    is_alike = old.placements.germ_names == problem.placements.germ_names
+    if (known := solution.states) is None:
+        same, at = (old, points) if is_alike else (deterministic(old), np.zeros((1, 0)))
+        states = _simulated_states(same, fractions, at, solution.vector)
+    else:
+        every = [one.reshape(*one.shape[:2], -1) for one in known.values.values()]
+        table = np.concatenate(every, axis=2)
+        nearest = [np.square(known.germs - one).sum(axis=1).argmin() for one in points] if is_alike else []
+        chosen = table[nearest] if is_alike else table.mean(axis=0, keepdims=True)
+        states = np.stack([_interpolated(known.fractions, one, fractions) for one in chosen])
+    if not np.isfinite(states).all():
+        raise refusal(_WHO, "a solution with finite states", solution.status)
+    return np.broadcast_to(states, (len(points), *states.shape[1:]))
 
 
 @final
@@ -195,50 +222,6 @@ class _Table:
         return {name: _interpolated(self.times, values, np.array([t]))[0] for name, values in self.columns.items()}
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class _OfSolution(AbstractStart):
-    """The states of a solution over the fraction of its duration: each realisation's from the nearest one there, or
-    from the mean of all where other numbers are uncertain. Decisions are the solution's where it has them.
-    """
-
-    solution: Solution
-
-    @override
-    def decisions(self, problem: Problem) -> Float[np.ndarray, " n"]:
-        return started_from(problem, self.solution, needs_all=False)
-
-    @override
-    def states(
-        self,
-        problem: Problem,
-        fractions: Float[np.ndarray, " points"],
-        points: Float[np.ndarray, "realisations germs"],
-        decisions: Float[np.ndarray, " n"],
-    ) -> Float[np.ndarray, "realisations points states"]:
-        old = self.solution.problem
-        self._refuse_others(old, state_shapes(problem))
-        is_alike = old.placements.germ_names == problem.placements.germ_names
-        if (known := self.solution.states) is None:
-            same, at = (old, points) if is_alike else (deterministic(old), np.zeros((1, 0)))
-            states = _Simulated().states(same, fractions, at, self.solution.vector)
-        else:
-            table = np.concatenate([_side_by_side(one) for one in known.values.values()], axis=2)
-            chosen = table[_nearest(known, points)] if is_alike else table.mean(axis=0, keepdims=True)
-            states = np.stack([_interpolated(known.fractions, one, fractions) for one in chosen])
-        if not np.isfinite(states).all():
-            raise refusal(_WHO, "a solution with finite states", self.solution.status)
-        return np.broadcast_to(states, (len(points), *states.shape[1:]))
-
-    def _refuse_others(self, old: Problem, shapes: Mapping[str, tuple[int, ...]]) -> None:
-        received = state_shapes(old) if isinstance(old.system, System) else {}
-        if received != shapes:
-            raise ProblemError(
-                f"{_WHO}: expected a solution of a system with the states {_listed(shapes)}; received one with "
-                f"{_listed(received)}."
-            )
-
-
 def _interpolated(
     known: Float[np.ndarray, " n"], values: Float[np.ndarray, "n ..."], at: Float[np.ndarray, " m"]
 ) -> Float[np.ndarray, "m ..."]:
@@ -252,17 +235,17 @@ def _interpolated(
 def state_shapes(problem: Problem) -> dict[str, tuple[int, ...]]:
     """The shape of each state of a problem, by name. Nothing is computed."""
     places = problem.placements
-    germ, decisions = jax_array(np.zeros(len(places.germ_names))), jax_array(places.vector("initial"))
 
-    def first() -> Any:
+    def first(germ: Array, decisions: Array) -> Any:
         realised = realise(problem.simulation, germ, decisions)
         system, start = realised.traced, realised.start()
         assert isinstance(system, System)
         assert start is not None
         return initial_state(system, *start)
 
+    germ, decisions = (jax.ShapeDtypeStruct((size,), float) for size in (len(places.germ_names), places.size))
     # The names after tracing: a dict that is traced comes back in alphabetical order.
-    return {name: one.shape for name, one in jax.eval_shape(first)._asdict().items()}
+    return {name: one.shape for name, one in jax.eval_shape(first, germ, decisions)._asdict().items()}
 
 
 def _flat(what: str, states: Any, shapes: Mapping[str, tuple[int, ...]]) -> Float[np.ndarray, " states"]:
@@ -289,15 +272,6 @@ def _flat(what: str, states: Any, shapes: Mapping[str, tuple[int, ...]]) -> Floa
             raise refusal(f"{what}, '{name}'", "finite numbers", states[name])
         parts.append(value.ravel())
     return np.concatenate([np.zeros(0), *parts])
-
-
-def _nearest(known: States, points: Float[np.ndarray, "realisations germs"]) -> np.ndarray:
-    """Which of the known realisations is nearest to each germ point."""
-    return np.array([np.square(known.germs - one).sum(axis=1).argmin() for one in points])
-
-
-def _side_by_side(values: Float[np.ndarray, "realisations points ..."]) -> Float[np.ndarray, "realisations points n"]:
-    return values.reshape(*values.shape[:2], -1)
 
 
 def _listed(shapes: Mapping[str, tuple[int, ...]]) -> str:
@@ -339,10 +313,11 @@ def started(
     if numbers.algebraic.size:
         mesh, values = layout.plan.mesh, layout.view(variables)
         at = values.decisions, values.duration[0], values.signals, states[:, mesh.sides]
-        algebraic = np.asarray(
-            ALGEBRAIC(traced, jax_array(points), jax_array(mesh.places), jax.tree.map(jax_array, at))
-        )
-        _refuse_unsolved(traced, points, decisions, algebraic)
+        algebraic = np.asarray(ALGEBRAIC(traced, points, mesh.places, at))
+        if (failed := ~np.isfinite(algebraic[:, 0]).all(axis=1)).any():
+            first = int(np.argmax(failed))
+            reason = unsolved(traced, jax_array(points[first]), jax_array(decisions))
+            raise SimulationError(f"{reason} This is collocation point {first + 1} of {len(points)}.")
         variables[numbers.algebraic] = algebraic
     # Each is tied to those before it: what is missing from zero is what it stands for, and what an interval adds.
     ties = assembled.rows.ties
@@ -353,16 +328,3 @@ def started(
         if some is numbers.integrals:
             variables[some] = np.cumsum(variables[some], axis=1)
     return variables
-
-
-def _refuse_unsolved(
-    traced: Problem,
-    points: Float[np.ndarray, "realisations germs"],
-    decisions: Float[np.ndarray, " n"],
-    algebraic: Float[np.ndarray, "realisations places algebraic"],
-) -> None:
-    failed = ~np.isfinite(algebraic[:, 0]).all(axis=1)
-    if failed.any():
-        first = int(np.argmax(failed))
-        reason = unsolved(traced, jax_array(points[first]), jax_array(decisions))
-        raise SimulationError(f"{reason} This is collocation point {first + 1} of {len(points)}.")

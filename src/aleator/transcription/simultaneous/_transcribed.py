@@ -46,7 +46,7 @@ from aleator.transcription.simultaneous._refinement import (
     segment_states_on,
     states_on,
 )
-from aleator.transcription.simultaneous._starts import AbstractStart, started, state_shapes
+from aleator.transcription.simultaneous._starts import Start, started, state_shapes
 from aleator.uncertainty import named_numbers
 
 # Steps of a simulation for each step in an interval of a mesh, if it has no more points inside.
@@ -88,7 +88,7 @@ class Recipe(NamedTuple):
     discretised: Discretised
     scenarios: Scenarios | None
     goal: Goal
-    begins: AbstractStart
+    begins: Start
 
     def on(self, mesh: Mesh, start: tuple[np.ndarray, np.ndarray] | None = None) -> "SimultaneouslyTranscribed":
         """The program on a mesh, starting at some decisions and states, or where all programs of the problem do."""
@@ -162,8 +162,8 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         fitted = [
             self.collocation.coefficients(jax_array(samples[one][:count])) for one in expanded_functionals(expressions)
         ]
-        realised = [jax_array(samples[one][count:]) for one in extreme_functionals(expressions)]
-        taken = TAKEN(self.traced, self.constants, (jax_array(variables.decisions), fitted, realised))
+        realised = [samples[one][count:] for one in extreme_functionals(expressions)]
+        taken = TAKEN(self.traced, self.constants, (variables.decisions, fitted, realised))
         functionals, grid = functionals_of(expressions), self.problem.grid
         assert isinstance(grid, Grid)
         return Meaning(
