@@ -31,8 +31,8 @@ Values: TypeAlias = Sequence[Float[np.ndarray, "..."]]
 
 # How many points in the whole range of the decisions show whether a constraint depends on them.
 _TRIED = 8
-# The largest size over bounds, and over values seen elsewhere.
-_MOST_BOUNDS, _BEYOND = 1e3, 10.0
+# The largest size over bounds, the largest divisor over sizes, and the largest size over values seen elsewhere.
+_MOST_BOUNDS, _MOST_SIZES, _BEYOND = 1e3, 1e2, 10.0
 # The largest size over the spread of what is limited.
 _MOST_SPREADS = 1e4
 # The effect of rounding of the decisions on a constraint, in rounding errors of its own terms.
@@ -54,7 +54,7 @@ def constraint_size(
 ) -> float:
     """The size of a constraint at some decisions, in its own unit, from its bound and all its rows.
 
-    Violations are relative to it, and solvers divide by it.
+    Violations are relative to it, and solvers end in it.
 
     - Its size is its largest value, but at least its bound and at most a thousand times that, so that the tolerance is
       at most a thousandth of the bound. Of two bounds the smaller one counts, because a remote one is uninformative.
@@ -104,6 +104,19 @@ class Sizing:
         return [
             constraint_size(one, value, slopes, decisions, self.decision_scale, away, spread)
             for one, value, slopes, away, spread in parts
+        ]
+
+    def first_divisors(self, sizes: Sequence[float], derivatives: Sequence[Matrix]) -> list[float]:
+        """By what solvers divide each constraint at first: the change over a typical change of the decisions, or the
+        bound if that is larger, but at most a hundred sizes.
+
+        Steep limits divided by their sizes alone make a search creep along them. It ends in sizes.
+        """
+        with np.errstate(invalid="ignore", over="ignore"):
+            changes = [_finite(np.max(np.abs(slopes) @ self.decision_scale, initial=0.0)) for slopes in derivatives]
+        return [
+            min(max(bound_size(one) or size, change), _MOST_SIZES * size)
+            for one, size, change in zip(self.constraints, sizes, changes, strict=True)
         ]
 
     def at(self, decisions: Float[np.ndarray, " n"], evaluation: Evaluation) -> Float[np.ndarray, " m"]:

@@ -236,7 +236,7 @@ class Sequential(AbstractTranscription):
             upper=upper,
             constraint_lower=constraint_lower,
             constraint_upper=constraint_upper,
-            constraint_scale=spread(rows, sizes),
+            constraint_scale=spread(rows, sizing.first_divisors(sizes, derivatives)),
             variable_scale=decision_scale,
             sparsity=_sparsity(np.any(nonzero, axis=0), paths, len(at_start.times)) if beside else None,
             sizes=sizing.at,
