@@ -58,8 +58,8 @@ class Families(NamedTuple):
         return (*self[:-2], *self.expressions, *self.integrands)
 
 
-KNOWN, RATES, EQUATIONS, PATHS, OBJECTIVE = (
-    Families._fields.index(name) for name in ("known", "rates", "equations", "paths", "expressions")
+KNOWN, RATES, EQUATIONS, OBJECTIVE = (
+    Families._fields.index(name) for name in ("known", "rates", "equations", "expressions")
 )
 
 
@@ -99,7 +99,7 @@ def families(
 
     def known(outer: Any, inner: Any, shared: Array, own: Array) -> Array:
         del outer, inner, own
-        return known_numbers(pointwise, mesh, shared if shared.size else jnp.zeros(layout.sizes.decisions))
+        return known_numbers(pointwise, mesh.places, shared if shared.size else jnp.zeros(layout.sizes.decisions))
 
     def composed(outer: Any, inner: Any, shared: Array, own: Array) -> Array:
         del outer, inner
@@ -132,11 +132,7 @@ def functions(problem: Problem, constants: Constants | None, plan: Plan | Abstra
     """
     if isinstance(plan, AbstractMeanRate):
         pointwise = Pointwise.of(problem)
-        return {
-            RATES: partial(pointwise.mean_rates, plan),
-            EQUATIONS: pointwise.residuals,
-            PATHS: partial(pointwise.outputs, pointwise.paths),
-        }
+        return {RATES: partial(pointwise.mean_rates, plan), EQUATIONS: pointwise.residuals}
     assert constants is not None
     layout = Layout.of(problem, plan)
     nowhere = np.zeros((plan.realisations, len(problem.placements.germ_names)))

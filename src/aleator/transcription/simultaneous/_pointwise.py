@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from aleator.design import (
     AbstractFunctional,
@@ -172,7 +172,7 @@ class Pointwise:
     def signal_count(self) -> int:
         """How many numbers the signals are that `known` tells at one point."""
         decisions = _numbers(self.problem.placements.size)
-        return jax.eval_shape(lambda x: self.known(np.zeros(1), x), decisions).shape[1]
+        return jax.eval_shape(lambda x: self.known(np.zeros((1, 2)), x), decisions).shape[1]
 
     def _holds(self, condition: Callable[[System, Inputs], bool]) -> bool:
         """Whether something holds for the signals of a realisation; nothing is computed."""
@@ -194,22 +194,19 @@ class Pointwise:
 
     def known(
         self,
-        fractions: Float[np.ndarray, " points"],
+        places: Any,
         decisions: Float[Array, " n"],
-        is_before: Bool[np.ndarray, " points"] | None = None,
-    ) -> Float[Array, "points signals"]:
-        """All signals at some fractions of the duration, side by side; none where they are uncertain.
-
-        - `is_before`: where they are told as they are before a jump.
-        """
+    ) -> Float[Array, "places signals"]:
+        """All signals at some places, see `Mesh.places`, side by side; none where they are uncertain."""
         if self.is_random:
-            return jnp.zeros((len(fractions), 0))
+            return jnp.zeros((len(places), 0))
+        fractions, is_before = places[:, 0], places[:, 1:] > 0
         system, grid, inputs = self._known_parts(decisions)
         every = {**system.signals(), **inputs}
         signals = known_at(every, grid, fractions).rows[:, 1:]
-        if is_before is None or not is_before.any():
+        if not has_jumps(every):
             return signals
-        return jnp.where(is_before[:, None], known_at(before_jumps(every), grid, fractions).rows[:, 1:], signals)
+        return jnp.where(is_before, known_at(before_jumps(every), grid, fractions).rows[:, 1:], signals)
 
     def duration(self, decisions: Float[Array, " n"]) -> Float[Array, ""]:
         """From the first instant to the last, s."""
@@ -267,23 +264,6 @@ class Pointwise:
         system, t, z, now = self._at(germ, place, shared, own)
         outputs = observation(system, t, z, now)
         return flat([outputs[name] for name in names])
-
-    def everywhere(
-        self,
-        function: Callable[[Array, Array, Array, Array], Array],
-        points: Float[Array, "realisations germs"],
-        places: Float[Array, "places 2"],
-        shared: Float[Array, " shared"],
-        signals: Float[Array, "places signals"],
-        states: Float[Array, "realisations places states"],
-    ) -> Float[Array, "realisations places numbers"]:
-        """A function such as `rates` at some places: algebraic variables are solved for."""
-
-        def one(germ: Array, place: Array, signal: Array, state: Array) -> Array:
-            return function(germ, place, shared, jnp.concatenate([signal, state]))
-
-        inner = jax.vmap(one, in_axes=(None, 0, 0, 0))
-        return jax.vmap(inner, in_axes=(0, None, None, 0))(points, places, signals, states)
 
     def composites(self, shapes: Shapes, duration: Array, integrals: Array, paths: Array) -> Float[Array, " rows"]:
         """The functionals of integrals and of whole histories of one realisation, side by side."""

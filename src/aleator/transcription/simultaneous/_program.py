@@ -22,8 +22,8 @@ from aleator.transcription._constraints import Sizing, decision_scales, least_ob
 from aleator.transcription._scenarios import Scenarios
 from aleator.transcription.simultaneous._assembly import Curvature, Fixed, Jacobian, Pattern, Rows, Ties, rows_of
 from aleator.transcription.simultaneous._blocks import Family
-from aleator.transcription.simultaneous._families import EQUATIONS, KNOWN, OBJECTIVE, PATHS, RATES, families
-from aleator.transcription.simultaneous._layout import Layout, constant_slopes
+from aleator.transcription.simultaneous._families import EQUATIONS, KNOWN, OBJECTIVE, RATES, families
+from aleator.transcription.simultaneous._layout import Layout, affine_signals
 from aleator.transcription.simultaneous._tiles import Call, begin, calls_of, results, tile_size, tiles_of
 
 # A magnitude below this is rounding.
@@ -33,7 +33,7 @@ _CHAIN = 4
 # For such a part of the time: all the way, a push of typical magnitude would turn and carry most things beyond reason.
 _PUSHED = 0.1
 # The families that grow with the mesh.
-_MOVING = RATES, EQUATIONS, PATHS
+_MOVING = RATES, EQUATIONS
 
 
 def _calls(
@@ -52,11 +52,10 @@ def _calls(
     sizes = [(len(one.own), one.own.shape[1]) for one in every]
     sizes[RATES] = tile_size(sizes[RATES][0], len(first.mesh.asked))
     sizes[EQUATIONS] = tile_size(sizes[EQUATIONS][0], len(first.mesh.sides))
-    sizes[PATHS] = tile_size(*sizes[PATHS])
     tiles = [tiles_of(i, one, patterns[i], sizes[i]) for i, one in enumerate(every)]
     rows = [one.rows.size for one in patterns]
     moving = [calls_of(equations, None, scheme.rate, [(one,) for one in tiles[i]]) for i in _MOVING if rows[i]]
-    known = calls_of(traced, constants, layout.plan, [tuple(tiles[KNOWN])])
+    known = [] if layout.plan.is_affine else calls_of(traced, constants, layout.plan, [tuple(tiles[KNOWN])])
     rest = [some[0] for i, some in enumerate(tiles) if i not in (KNOWN, *_MOVING) and rows[i]]
     still = calls_of(traced, constants, first, [tuple(rest)])
     return [call for some in (*moving, known, still) for call in some]
@@ -65,10 +64,11 @@ def _calls(
 @final
 @dataclass(frozen=True)
 class Blocks:
-    """All blocks of a program, family by family."""
+    """All blocks of a program, family by family. `known`: the rows of the first family where these are constant."""
 
     calls: list[Call]
     patterns: list[Pattern]
+    known: Float[np.ndarray, " known"]
 
     def __call__(
         self, variables: Float[np.ndarray, " n"]
@@ -79,6 +79,7 @@ class Blocks:
         for tile, (value, slope) in results([call.evaluation(variables) for call in self.calls]):
             tile.write(value, values)
             tile.write(slope, slopes)
+        rows[: self.known.size] = self.known
         return rows, entries
 
     def curved(
@@ -152,9 +153,9 @@ class Assembled:
         for one in every:
             patterns.append(Pattern.of(one, first))
             first += patterns[-1].rows.size
-        slopes = constant_slopes(traced, layout)
+        constant, slopes = affine_signals(traced, layout)
         rows = rows_of(layout, [one.rows for one in patterns], fit, slopes, fixed)
-        evaluated = Blocks(_calls(traced, equations, constants, layout, every, patterns), patterns)
+        evaluated = Blocks(_calls(traced, equations, constants, layout, every, patterns), patterns, constant)
         evaluated.begin(np.zeros(layout.count), first)
         objective = patterns[OBJECTIVE]
         return cls(
