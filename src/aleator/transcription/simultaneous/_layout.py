@@ -58,8 +58,8 @@ class Variables(NamedTuple):
       instants;
     - `nodes`: what is recorded of each realisation at instants and in the middles between, the second axis;
     - `totals`: of expressions that are integrated over time;
-    - `coefficients`: of each functional that is expanded, shape (terms, ...); `between`: of those whose statistics are
-      integrated, shape (terms, nodes, ...).
+    - `coefficients`: of each functional that is expanded, shape (terms, ...), then of those whose statistics are
+      integrated over time, shape (terms, nodes, ...).
     """
 
     decisions: Any
@@ -74,7 +74,6 @@ class Variables(NamedTuple):
     nodes: Any
     totals: Any
     coefficients: tuple[Any, ...]
-    between: tuple[Any, ...]
 
 
 # How many of the fields of `Variables` are one array.
@@ -138,13 +137,12 @@ class Layout:
             nodes=(every, 2 * instants - 1, shapes.size(pointwise.nodes)),
             totals=(len(integrals_over_time(problem)),),
             coefficients=(),
-            between=(),
         )
         layout = cls(plan, pointwise, shapes, composed, sizes)
         samples = layout.samples(layout.numbers)
-        terms = tuple((plan.terms, *samples[one].shape[1:]) for one in layout.expanded)
-        between = tuple((plan.terms, *one.shape[1:]) for one in layout.integrated(layout.numbers).values())
-        return cls(plan, pointwise, shapes, composed, sizes._replace(coefficients=terms, between=between))
+        every = [*(samples[one] for one in layout.expanded), *layout.integrated(layout.numbers).values()]
+        terms = tuple((plan.terms, *one.shape[1:]) for one in every)
+        return cls(plan, pointwise, shapes, composed, sizes._replace(coefficients=terms))
 
     @property
     def needs_histories(self) -> bool:
@@ -169,9 +167,7 @@ class Layout:
     def view(self, variables: Any) -> Variables:
         """The variables of a point by what they are."""
         parts = apart(variables, _shapes_of(self.sizes))
-        first, last = _ALONE, _ALONE + len(self.sizes.coefficients)
-        alone = dict(zip(Variables._fields, parts[:first], strict=False))
-        return Variables(**alone, coefficients=tuple(parts[first:last]), between=tuple(parts[last:]))
+        return Variables(*parts[:_ALONE], coefficients=tuple(parts[_ALONE:]))
 
     @cached_property
     def stages(self) -> tuple[np.ndarray, ...]:
@@ -184,7 +180,7 @@ class Layout:
             np.append(one.signals.ravel(), one.duration),
             np.concatenate(recorded),
             one.composed.ravel(),
-            np.concatenate([np.zeros(0, dtype=int), *(some.ravel() for some in (*one.coefficients, *one.between))]),
+            np.concatenate([np.zeros(0, dtype=int), *map(np.ravel, one.coefficients)]),
             one.totals,
         )
 
@@ -213,15 +209,16 @@ class Layout:
 
     def between(self, variables: Variables) -> dict[AbstractFunctional, Any]:
         """The coefficients of these paths, shape (terms, nodes, ...)."""
-        return dict(zip(integrated_paths(self.pointwise.problem.expressions), variables.between, strict=True))
+        paths = integrated_paths(self.pointwise.problem.expressions)
+        return dict(zip(paths, variables.coefficients[len(self.expanded) :], strict=True))
 
     def coefficients(self, variables: Variables) -> dict[AbstractFunctional, Any]:
         """The coefficients of each functional that is expanded, shape (terms, ...)."""
-        return dict(zip(self.expanded, variables.coefficients, strict=True))
+        return dict(zip(self.expanded, variables.coefficients, strict=False))
 
 
 def _shapes_of(sizes: Variables) -> Sequence[tuple[int, ...]]:
-    return [*sizes[:_ALONE], *sizes.coefficients, *sizes.between]
+    return [*sizes[:_ALONE], *sizes.coefficients]
 
 
 def integrals_over_time(problem: Problem) -> tuple[Expression, ...]:

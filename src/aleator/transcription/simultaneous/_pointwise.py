@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import jax
@@ -48,7 +48,22 @@ from aleator.dynamics import (
     with_algebraic,
 )
 from aleator.trajectories import before_jumps, has_jumps
-from aleator.uncertainty import placements, realise
+from aleator.uncertainty import realise
+
+
+class Signals(NamedTuple):
+    """The signals of a realisation: the shape of each by name, in the order of `Pointwise.known`, none where they are
+    uncertain; whether some are the system's own, of which decisions are not known, and whether some may jump.
+    """
+
+    shapes: dict[str, tuple[int, ...]]
+    are_own: bool
+    have_jumps: bool
+
+    @property
+    def size(self) -> int:
+        """How many numbers they are at one point."""
+        return sum(map(math.prod, self.shapes.values()))
 
 
 @final
@@ -143,48 +158,21 @@ class Pointwise:
             tuple(one for one in functionals if not isinstance(one, Path | Terminal)),
         )
 
-    @property
-    def decides_signals(self) -> bool:
-        """Whether signals or the duration may depend on decisions: those of the system's own are not asked."""
-        decided = bool(placements((self.problem.inputs, self.problem.grid)).decisions)
-        return decided or self._holds(lambda system, _: bool(system.signals()))
-
-    @property
-    def has_jumps(self) -> bool:
-        """Whether signals may jump at instants of the mesh."""
-        return self._holds(lambda system, inputs: has_jumps({**system.signals(), **inputs}))
-
     @cached_property
-    def signal_shapes(self) -> dict[str, tuple[int, ...]]:
-        """The shape of each signal by name, in the order of `known`; none where they are uncertain."""
-        shapes: dict[str, tuple[int, ...]] = {}
-
-        def traced(decisions: Array) -> Array:
-            system, grid, inputs = self._known_parts(decisions)
-            shapes.update(known_at({**system.signals(), **inputs}, grid, np.zeros(1)).inputs)
-            return decisions
-
-        if not self.is_random:
-            jax.eval_shape(traced, _numbers(self.problem.placements.size))
-        return shapes
-
-    @property
-    def signal_count(self) -> int:
-        """How many numbers the signals are that `known` tells at one point."""
-        decisions = _numbers(self.problem.placements.size)
-        return jax.eval_shape(lambda x: self.known(np.zeros((1, 2)), x), decisions).shape[1]
-
-    def _holds(self, condition: Callable[[System, Inputs], bool]) -> bool:
-        """Whether something holds for the signals of a realisation; nothing is computed."""
-        answers: list[bool] = []
+    def signals(self) -> Signals:
+        """What signals a realisation has: nothing is computed."""
+        answers: list[Signals] = []
 
         def realised(decisions: Array) -> Array:
-            system, _, inputs = self._known_parts(decisions)
-            answers.append(condition(system, inputs))
+            system, grid, inputs = self._known_parts(decisions)
+            own = system.signals()
+            every = {**own, **inputs}
+            shapes = {} if self.is_random else dict(known_at(every, grid, np.zeros(1)).inputs)
+            answers.append(Signals(shapes, bool(own), has_jumps(every)))
             return decisions
 
         jax.eval_shape(realised, _numbers(self.problem.placements.size))
-        return any(answers)
+        return answers[0]
 
     @property
     def grid(self) -> Grid:
@@ -239,12 +227,12 @@ class Pointwise:
 
         - `places`: one or more, shape (places, 2); `own`: the signals at each of them, then the rest at the first.
         """
-        signals, rest = jnp.split(own, [len(places) * self.signal_count])
+        signals, rest = jnp.split(own, [len(places) * self.signals.size])
 
         def at(place: Array, signal: Array, rest: Array) -> Array:
             return self.rates(germ, place, shared, jnp.concatenate([signal, rest]))
 
-        return rate(at, places, signals.reshape(len(places), self.signal_count), rest)
+        return rate(at, places, signals.reshape(len(places), self.signals.size), rest)
 
     def residuals(self, germ: Array, place: Array, shared: Array, own: Array) -> Float[Array, " algebraic"]:
         """What is left of the equations of the algebraic variables: see `rates`."""
@@ -277,7 +265,7 @@ class Pointwise:
     def shapes(self) -> Shapes:
         """The shapes of what is recorded: nothing is computed."""
         germ, place = _numbers(len(self.problem.placements.germ_names)), _numbers(2)
-        signals = self.signal_count
+        signals = self.signals.size
         shared, first = _numbers(self.direct.size + 1), _numbers(signals)
         states = jax.eval_shape(self.initial, germ, place, shared, first).size
 
@@ -322,7 +310,7 @@ class Pointwise:
         t = jnp.asarray(self.grid.t_start + fraction * duration)
         if not self.is_random:
             # Their values are not needed: a spline would be evaluated in every block.
-            known = Known(jnp.zeros((0, 1)), tuple(self.signal_shapes.items()))
+            known = Known(jnp.zeros((0, 1)), tuple(self.signals.shapes.items()))
             return system, t, known.unpack(jnp.concatenate([t[None], signals]))[1]
         each, span = {**system.signals(), **inputs}, (self.grid.t_start, self.grid.t_start + duration)
         now = {name: one.over(*span)(t) for name, one in each.items()}
@@ -334,8 +322,7 @@ class Pointwise:
     def _at(self, germ: Array, place: Array, shared: Array, own: Array) -> tuple[System, Array, Any, dict[str, Any]]:
         """A realised system with its time, states (and algebraic variables, if given) and inputs at one mesh point."""
         system, t, now = self._now(germ, place, shared, own)
-        signals = 0 if self.is_random else sum(map(jnp.size, now.values()))
-        z, rest = taken_by(lambda: initial_state(system, t, now), own[signals:])
+        z, rest = taken_by(lambda: initial_state(system, t, now), own[self.signals.size :])
         if rest.size:
             z = with_algebraic(system, z, taken_by(lambda: guessed_algebraic(system, t, z, now), rest)[0])
         return system, t, z, now

@@ -286,9 +286,8 @@ def _by_kind(layout: Layout, sizes: Float[np.ndarray, " variables"]) -> Float[np
         return np.broadcast_to(finite.max(axis=over, initial=0.0), part.shape)
 
     result, values = np.zeros(layout.count), layout.view(sizes)
-    each = jax.tree.map(lambda one: largest(one, 1), values._replace(coefficients=(), between=()))
-    coefficients, between = (tuple(largest(one, 0) for one in some) for some in (values.coefficients, values.between))
-    each = each._replace(coefficients=coefficients, between=between)
+    each = jax.tree.map(lambda one: largest(one, 1), values._replace(coefficients=()))
+    each = each._replace(coefficients=tuple(largest(one, 0) for one in values.coefficients))
     for where, scale in zip(jax.tree.leaves(layout.numbers), jax.tree.leaves(each), strict=True):
         result[where] = scale
     return result

@@ -108,7 +108,7 @@ class Simultaneous(AbstractTranscription):
         scenarios = first_scenarios(problem, np.asarray(discretisation.collocation.points))
         discretisation = discretisation.at_scenarios(scenarios)
         meanwhile(problem, discretisation)
-        mesh = Mesh(first_nodes(problem), self.scheme, Pointwise.of(problem).has_jumps)
+        mesh = Mesh(first_nodes(problem), self.scheme, Pointwise.of(problem).signals.have_jumps)
         raised = () if self.most_stages is None else self.scheme.raised(self.most_stages)
         goal = Goal(np.inf if self.error is None else float(self.error), (self.scheme, *raised))
         return Recipe(problem, traced, traced, discretisation, scenarios, goal, self._start).on(mesh)

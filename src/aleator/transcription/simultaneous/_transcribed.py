@@ -233,7 +233,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         self, point: Float[np.ndarray, " variables"], multipliers: Float[np.ndarray, " rows"]
     ) -> tuple[Costates, Switching] | tuple[None, None]:
         duals, mesh = adjoint(self.layout, self.assembled, point, multipliers), self.layout.plan.mesh
-        states, signals = state_shapes(self.problem), self.layout.pointwise.signal_shapes
+        states, signals = state_shapes(self.problem), self.layout.pointwise.signals.shapes
         nodes, weighed = (self._instants(point, at) for at in (np.array(mesh.nodes), mesh.places[mesh.weighed, 0]))
         by_state = dict(zip(states, apart(duals.states, list(states.values())), strict=True))
         # What an integral over time of a statistic adds stands in no rate.
