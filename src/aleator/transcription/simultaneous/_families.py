@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from aleator.design import (
     AbstractFunctional,
+    AbstractIntegral,
     Expression,
     Problem,
     beside_integrals,
@@ -83,7 +84,8 @@ def families(
     integrals = variables.integrals.shape[2]
     histories = variables.paths.reshape(len(variables.paths), -1)
     summed = variables.integrals[:, -1]
-    recorded = np.concatenate([summed, histories if layout.needs_histories else histories[:, :0]], axis=1)
+    needs_histories = any(not isinstance(one, AbstractIntegral) for one in pointwise.composed)
+    recorded = np.concatenate([summed, histories if needs_histories else histories[:, :0]], axis=1)
 
     def at(which: np.ndarray, sides: np.ndarray) -> np.ndarray:
         """Signals, states and algebraic variables at some mesh points of every realisation."""
@@ -221,7 +223,7 @@ def _expression(
     pairs = [*_taken(parts[0], others), *_taken(parts[1], own)]
     coefficients = {one.functional: values for one, values in pairs if one.is_expanded}
     realised = {one.functional: values for one, values in pairs if not one.is_expanded}
-    scope = ExpansionScope({}, coefficients, constants, numbers, realised=realised, totals=iter(totals))
+    scope = ExpansionScope(coefficients, constants, numbers, scenarios=realised, totals=iter(totals))
     return jnp.ravel(expression.evaluate(scope))
 
 

@@ -145,11 +145,6 @@ class Layout:
         return cls(plan, pointwise, shapes, composed, sizes._replace(coefficients=terms))
 
     @property
-    def needs_histories(self) -> bool:
-        """Whether some functional is taken of a whole history."""
-        return any(not isinstance(one, AbstractIntegral) for one in self.pointwise.composed)
-
-    @property
     def expanded(self) -> tuple[AbstractFunctional, ...]:
         """The functionals whose coefficients are variables."""
         return expanded_functionals(self.pointwise.problem.expressions)

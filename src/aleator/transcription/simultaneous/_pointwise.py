@@ -88,13 +88,6 @@ class Shapes:
         before = names[: list(names).index(name)]
         return slice(self.size(before), self.size(before) + self.size([name]))
 
-    def histories(self, names: Sequence[str], rows: Float[Array, " numbers"]) -> dict[str, Array]:
-        """Histories of some outputs by name, from all of their numbers, instant by instant."""
-        if not names:
-            return {}
-        table = rows.reshape(-1, self.size(names))
-        return {name: table[:, self.columns(names, name)].reshape(-1, *self.outputs[name]) for name in names}
-
 
 def apart(numbers: Any, shapes: Sequence[tuple[int, ...]]) -> list[Any]:
     """Arrays of some shapes, from their numbers side by side along the last axis; axes before it are kept."""
@@ -258,7 +251,9 @@ class Pointwise:
         totals: dict[AbstractFunctional, Array] = dict(
             zip(self.integrals, apart(integrals, shapes.integrals), strict=True)
         )
-        history = shapes.histories(self.paths, paths)
+        table = paths.reshape(-1, max(shapes.size(self.paths), 1))
+        columns = {name: table[:, shapes.columns(self.paths, name)] for name in self.paths}
+        history = {name: one.reshape(-1, *shapes.outputs[name]) for name, one in columns.items()}
         grid = eqx.tree_at(lambda one: one.t_final, self.grid, self.grid.t_start + duration)
         return flat(list(numbers_of(self.composed, Taken(history, totals), grid)))
 

@@ -293,26 +293,6 @@ def _by_kind(layout: Layout, sizes: Float[np.ndarray, " variables"]) -> Float[np
     return result
 
 
-@final
-@dataclass(frozen=True)
-class _Judge:
-    """Judges rows by their magnitudes at a point.
-
-    - `typical`: magnitudes of the decisions; `sizing`: of the problem's own rows.
-    """
-
-    layout: Layout
-    ties: Ties
-    typical: Float[np.ndarray, " n"]
-    sizing: Sizing
-
-    def __call__(self, point: Float[np.ndarray, " variables"], evaluation: Evaluation) -> Float[np.ndarray, " m"]:
-        """The sizes of all rows."""
-        scale = scales(self.layout, self.ties, point, evaluation, self.typical)
-        own = replace(self.sizing, decision_scale=scale).at(point, evaluation)
-        return np.append(own, _tie_sizes(self.layout, self.ties, evaluation, scale))
-
-
 def program_of(
     problem: Problem,
     scenarios: Scenarios | None,
@@ -324,13 +304,23 @@ def program_of(
     """The program, and the sizes of each of the problem's constraints at its start."""
     rows, evaluation = assembled.rows, assembled(start)
     typical = decision_scales(*(problem.placements.vector(name) for name in ("initial", "lower", "upper")))
-    sizing = Sizing(
-        problem.constraints, rows.own, np.ones(layout.count), [0.0] * len(rows.own), [np.inf] * len(rows.own)
-    )
-    scale = scales(layout, rows.ties, start, evaluation, typical)
-    values, slopes = ([part[one] for one in rows.own] for part in (evaluation.constraints, evaluation.jacobian))
-    sizes = replace(sizing, decision_scale=scale).each(start, values, slopes)
-    lowest, highest = _bounds(problem, layout, fixed, start)
+    away, spreads, numbers = len(rows.own) * [0.0], len(rows.own) * [np.inf], layout.numbers
+
+    def judged(
+        point: Float[np.ndarray, " variables"], evaluation: Evaluation
+    ) -> tuple[Float[np.ndarray, " variables"], list[float], Float[np.ndarray, " m"]]:
+        """The magnitudes of variables, of the problem's constraints, and of all rows, at a point."""
+        scale = scales(layout, rows.ties, point, evaluation, typical)
+        values, slopes = ([part[one] for one in rows.own] for part in (evaluation.constraints, evaluation.jacobian))
+        sizes = Sizing(problem.constraints, rows.own, scale, away, spreads).each(point, values, slopes)
+        return scale, sizes, np.append(spread(rows.own, sizes), _tie_sizes(layout, rows.ties, evaluation, scale))
+
+    scale, sizes, every = judged(start, evaluation)
+    lowest, highest = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
+    lowest[numbers.decisions], highest[numbers.decisions] = map(problem.placements.vector, ("lower", "upper"))
+    for is_fixed, some in zip(fixed, (numbers.signals, numbers.duration), strict=True):
+        if is_fixed:  # The same at all decisions.
+            lowest[some] = highest[some] = start[some]
     own_lower, own_upper = row_bounds(problem.constraints, rows.own, scenarios)
     tied = np.zeros(len(rows.ties.variables))
     program = NonlinearProgram(
@@ -340,22 +330,11 @@ def program_of(
         upper=highest,
         constraint_lower=np.append(own_lower, tied),
         constraint_upper=np.append(own_upper, tied),
-        constraint_scale=np.append(spread(rows.own, sizes), _tie_sizes(layout, rows.ties, evaluation, scale)),
+        constraint_scale=every,
         variable_scale=scale,
         sparsity=assembled.jacobian.sparsity,
         hessian=assembled.hessian,
-        sizes=_Judge(layout, rows.ties, typical, sizing),
+        sizes=lambda point, evaluation: judged(point, evaluation)[2],
         least=least_objective(problem),
     )
     return program, tuple(sizes)
-
-
-def _bounds(problem: Problem, layout: Layout, fixed: Fixed, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of all variables: those of the decisions, and the values of what is the same at all decisions."""
-    lowest, highest = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
-    numbers = layout.numbers
-    lowest[numbers.decisions], highest[numbers.decisions] = map(problem.placements.vector, ("lower", "upper"))
-    for is_fixed, some in zip(fixed, (numbers.signals, numbers.duration), strict=True):
-        if is_fixed:
-            lowest[some] = highest[some] = start[some]
-    return lowest, highest

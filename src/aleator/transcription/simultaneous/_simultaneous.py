@@ -103,7 +103,11 @@ class Simultaneous(AbstractTranscription):
 
     @override
     def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SimultaneouslyTranscribed:
-        _refuse(problem)
+        if not isinstance(problem.grid, Grid):
+            raise ProblemError(
+                f"al.Simultaneous ties states over time: expected a system that moves in time; received "
+                f"{type(problem.system).__name__}, which is algebraic. Use al.Sequential()."
+            )
         discretisation, traced = discretised(problem), numbers_to_arrays(problem)
         scenarios = first_scenarios(problem, np.asarray(discretisation.collocation.points))
         discretisation = discretisation.at_scenarios(scenarios)
@@ -127,12 +131,4 @@ def _check_stages(scheme: AbstractScheme, error: float | None, most: int) -> Non
         raise ProblemError(
             f"Simultaneous: most_stages: expected a scheme whose stages can be raised to {most}, such as "
             f"al.schemes.Radau(3) to 8; received {scheme}."
-        )
-
-
-def _refuse(problem: Problem) -> None:
-    if not isinstance(problem.grid, Grid):
-        raise ProblemError(
-            f"al.Simultaneous ties states over time: expected a system that moves in time; received "
-            f"{type(problem.system).__name__}, which is algebraic. Use al.Sequential()."
         )
