@@ -76,7 +76,7 @@ class Blocks:
         """The rows of all blocks, and the entries of their Jacobians."""
         values, rows = _together([one.rows.shape for one in self.patterns])
         slopes, entries = _together([one.slopes_shape for one in self.patterns])
-        for tile, (value, slope) in results([call.evaluation(variables) for call in self.calls]):
+        for tile, (value, slope) in results(self.calls, variables):
             tile.write(value, values)
             tile.write(slope, slopes)
         rows[: self.known.size] = self.known
@@ -87,13 +87,13 @@ class Blocks:
     ) -> Float[np.ndarray, " entries"]:
         """The entries of the Hessians of all blocks, their rows weighted: lower triangles, row by row."""
         bends, entries = _together([one.bends_shape for one in self.patterns])
-        for tile, bend in results([call.curvature(variables, weights) for call in self._curved]):
+        for tile, bend in results(self._curved, variables, weights):
             tile.write(bend, bends)
         return entries
 
     def begin(self, variables: Float[np.ndarray, " n"], rows: int) -> None:
         """Begin to compile the second derivatives, of so many rows in all."""
-        begin([call.curvature(variables, np.zeros(rows)) for call in self._curved])
+        begin(self._curved, variables, np.zeros(rows))
 
     @property
     def _curved(self) -> list[Call]:
