@@ -185,22 +185,17 @@ class Layout:
         samples: dict[AbstractFunctional, Any] = dict(
             zip(pointwise.composed, apart(variables.composed, self.composed), strict=True)
         )
+        paths = shapes.by_name(pointwise.paths, variables.paths)
+        ends = shapes.by_name(pointwise.ends, variables.ends)
         for one in functionals_of(pointwise.problem.expressions):
             if one not in samples:
-                is_path = isinstance(one, Path)
-                names, table = (pointwise.paths, variables.paths) if is_path else (pointwise.ends, variables.ends)
-                chosen = table[..., shapes.columns(names, one.output)]
-                samples[one] = chosen.reshape(*table.shape[:-1], *shapes.outputs[one.output])
+                samples[one] = (paths if isinstance(one, Path) else ends)[one.output]
         return samples
 
     def integrated(self, variables: Variables) -> dict[AbstractFunctional, Any]:
         """The paths whose statistics are integrated over time: their values, shape (realisations, nodes, ...)."""
-        paths: dict[AbstractFunctional, Any] = {}
-        for one in integrated_paths(self.pointwise.problem.expressions):
-            assert isinstance(one, Path)
-            chosen = variables.nodes[..., self.shapes.columns(self.pointwise.nodes, one.output)]
-            paths[one] = chosen.reshape(*variables.nodes.shape[:-1], *self.shapes.outputs[one.output])
-        return paths
+        nodes = self.shapes.by_name(self.pointwise.nodes, variables.nodes)
+        return {one: nodes[one.output] for one in integrated_paths(self.pointwise.problem.expressions)}
 
     def between(self, variables: Variables) -> dict[AbstractFunctional, Any]:
         """The coefficients of these paths, shape (terms, nodes, ...)."""

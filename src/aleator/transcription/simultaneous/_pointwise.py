@@ -83,10 +83,9 @@ class Shapes:
         """How many numbers some outputs are."""
         return sum(math.prod(self.outputs[name]) for name in names)
 
-    def columns(self, names: Sequence[str], name: str) -> slice:
-        """Where an output stands among some that are side by side."""
-        before = names[: list(names).index(name)]
-        return slice(self.size(before), self.size(before) + self.size([name]))
+    def by_name(self, names: Sequence[str], table: Any) -> dict[str, Any]:
+        """Some outputs, side by side along the last axis, by name."""
+        return dict(zip(names, apart(table, [self.outputs[name] for name in names]), strict=True))
 
 
 def apart(numbers: Any, shapes: Sequence[tuple[int, ...]]) -> list[Any]:
@@ -251,9 +250,7 @@ class Pointwise:
         totals: dict[AbstractFunctional, Array] = dict(
             zip(self.integrals, apart(integrals, shapes.integrals), strict=True)
         )
-        table = paths.reshape(-1, max(shapes.size(self.paths), 1))
-        columns = {name: table[:, shapes.columns(self.paths, name)] for name in self.paths}
-        history = {name: one.reshape(-1, *shapes.outputs[name]) for name, one in columns.items()}
+        history = shapes.by_name(self.paths, paths.reshape(-1, max(shapes.size(self.paths), 1)))
         grid = eqx.tree_at(lambda one: one.t_final, self.grid, self.grid.t_start + duration)
         return flat(list(numbers_of(self.composed, Taken(history, totals), grid)))
 
