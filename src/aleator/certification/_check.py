@@ -129,7 +129,7 @@ def _check(
     every = tuple(dict.fromkeys((*functionals, *peaks)))
     points = jnp.concatenate([collocation.points, systems])
     samples, terms = simulated(problem, every, points, collocation.pseudo_inverse, constants.scenarios, decisions)
-    scope = scope_from(problem, every, samples, terms, constants, decisions)
+    scope = scope_from(problem, every, terms, constants, decisions)
     scope.take_together(problem.expressions)
     values = tuple(jnp.asarray(one.evaluate(scope)) for one in problem.expressions)
     coefficients = dict(zip(every, terms.coefficients, strict=True))

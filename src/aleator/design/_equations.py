@@ -45,7 +45,9 @@ def declared(problem: AbstractProblem) -> Declared:
     refuse_unsteady(type(problem.system).__name__, equations.digest, lambda: _traced(whole)[0].digest)
     instants = len(whole.grid.fractions) if isinstance(whole.grid, Grid) else 1
     outputs = {name: np.zeros((instants, *shape)) for name, shape in equations.output_shapes().items()}
-    _check_outputs(whole, outputs)
+    for name in (name for functional in functionals_of(whole.expressions) for name in functional.outputs):
+        if name not in outputs:
+            raise ProblemError(unknown(f"output of {type(whole.system).__name__}", name, list(outputs)))
     expressions = digest_of(_check_shapes(whole, outputs))
     parts = {"realisation": realisation, "equations": equations.digest, "expressions": expressions}
     # A user's own statistics and integrators are in no equations.
@@ -98,13 +100,6 @@ def _traced(problem: AbstractProblem) -> tuple[Equations, Digest]:
     germ, decisions = (jax.ShapeDtypeStruct((size,), float) for size in (len(places.germ_names), places.size))
     closed = jax.make_jaxpr(realised)(numbers, germ, decisions)
     return equations[0], digest_of(closed)
-
-
-def _check_outputs(problem: AbstractProblem, outputs: Mapping[str, np.ndarray]) -> None:
-    for functional in functionals_of(problem.expressions):
-        for name in functional.outputs:
-            if name not in outputs:
-                raise ProblemError(unknown(f"output of {type(problem.system).__name__}", name, list(outputs)))
 
 
 def _check_shapes(problem: AbstractProblem, outputs: Mapping[str, np.ndarray]) -> ClosedJaxpr:

@@ -65,9 +65,22 @@ class Problem(AbstractProblem):
     ):
         if inputs is not None and not isinstance(inputs, Mapping):
             raise ProblemError(f"inputs: expected signals by name, such as {{'road': ...}}; received {type(inputs)}.")
-        simulation = simulation_of(system, grid, inputs, integrator, _decisions_given(decisions))
-        self.simulation = _copied(on_grid(simulation, simulation.grid))
-        _refuse_taken(self)
+        decisions = {} if decisions is None else decisions
+        if not isinstance(decisions, Mapping):
+            raise refusal("Problem: decisions", "decisions by name, such as {'slack': al.Decision(...)}", decisions)
+        for name, one in decisions.items():
+            one_of(f"Problem: decisions['{a_name('Problem: a name in decisions', name)}']", one, Decision)
+        simulation = simulation_of(system, grid, inputs, integrator, dict(decisions))
+        # Later changes of NumPy arrays do not affect a problem.
+        self.simulation = jax.tree.map(
+            lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, on_grid(simulation, simulation.grid)
+        )
+        known = self.placements.decisions
+        if taken := [name for name in simulation.numbers if name not in known]:
+            raise ProblemError(
+                f"Problem: decisions: expected names that no number of the model has; received '{taken[0]}'. Use "
+                "another name."
+            )
         self.objective = as_expression(minimize)
         self.constraints = _told_apart(tuple(_flatten(subject_to)))
         self.expansion = Expansion() if expansion is None else expansion
@@ -114,33 +127,6 @@ class Problem(AbstractProblem):
 
     def __str__(self) -> str:
         return problem_text(self)
-
-
-def _copied(tree: Any) -> Any:
-    """A tree with its NumPy arrays copied, so that later changes of these do not affect a problem."""
-    return jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, tree)
-
-
-def _decisions_given(decisions: Mapping[str, Decision] | None) -> dict[str, Decision]:
-    """Decisions by name, checked."""
-    if decisions is None:
-        return {}
-    if not isinstance(decisions, Mapping):
-        raise refusal("Problem: decisions", "decisions by name, such as {'slack': al.Decision(...)}", decisions)
-    for name, one in decisions.items():
-        one_of(f"Problem: decisions['{a_name('Problem: a name in decisions', name)}']", one, Decision)
-    return dict(decisions)
-
-
-def _refuse_taken(problem: AbstractProblem) -> None:
-    """Refuse decisions of a problem whose names stand for numbers of its model already."""
-    known = problem.placements.decisions
-    taken = [name for name in problem.simulation.numbers if name not in known]
-    if taken:
-        raise ProblemError(
-            f"Problem: decisions: expected names that no number of the model has; received '{taken[0]}'. Use another "
-            "name."
-        )
 
 
 def _flatten(constraints: Any) -> Iterator[Constraint]:

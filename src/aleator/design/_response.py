@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import NUMBER, refuse_beyond_memory
+from aleator._core.arrays import NUMBER, jax_array, refuse_beyond_memory
 from aleator._core.equations import Digest
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, Printed
 from aleator.design._expression import Constraint, Expression
 from aleator.design._functionals import AbstractIntegral
-from aleator.design._scope import AbstractScope, AbstractScopeOfInstants, Value
+from aleator.design._scope import AbstractScopeOfInstants, Value
 from aleator.design._statistic import AbstractFunctional, Statistic, Taken, functionals_of, numbers_of
 from aleator.dynamics import AbstractGrid, AbstractIntegrator, AbstractSystem, Asked, History, Simulation
 from aleator.expansion import Expansion
@@ -206,29 +206,10 @@ class OneSystem(AbstractScopeOfInstants):
         return self._numbers[name]
 
 
-@final
-class _Numbers(AbstractScope):
-    """The model's own numbers, and no statistics."""
-
-    def __init__(self, problem: AbstractProblem, decisions: Any):
-        self._numbers = named_numbers(problem.simulation, jnp.asarray(decisions))
-
-    def statistic(self, functionals: tuple[Any, ...], kind: AbstractStatistic) -> Array:
-        received = Statistic(functionals, kind).text()
-        raise ProblemError(f"Only numbers of the model itself are known here; received {received}.")
-
-    def time_integral(self, expression: Expression) -> Array:
-        raise ProblemError(
-            f"Only numbers of the model itself are known here; received the time integral of {expression}."
-        )
-
-    def value(self, name: str) -> Array:
-        return self._numbers[name]
-
-
 def value_at(expression: Expression, problem: AbstractProblem, decisions: Any) -> float:
     """The value at given decisions of an expression of the model's own numbers alone, such as a cost."""
-    return float(expression.evaluate(_Numbers(problem, decisions)))
+    numbers = named_numbers(problem.simulation, jax_array(decisions))
+    return float(expression.evaluate(OneSystem({}, numbers, jax_array(1.0))))
 
 
 def refuse_large_histories(problem: AbstractProblem, systems: int, derivatives: int, advice: str) -> None:

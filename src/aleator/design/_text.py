@@ -34,12 +34,16 @@ _TIMES = {"t_start": "s", "t_final": "s"}
 
 def units_of(expression: Expression, problem: AbstractProblem) -> Units:
     """The units of the outputs and numbers in an expression, as far as a problem's model declares them."""
-    return _units_in(expression, output_units(problem), _field_units(problem))
+    names = {name for atom in expression.leaves for name in atom.subjects}
+    return Units(output_units(problem), {name: number_unit(name, problem) for name in names})
 
 
 def number_unit(name: str, problem: AbstractProblem) -> str:
     """The unit of a number of the model, by the decision's name."""
-    return _unit_of_number(name, _field_units(problem))
+    units = {field: data.metadata.get("unit", "") for field, data, _ in fields_of(problem.system)}
+    fields = _TIMES | {field: unit for field, unit in units.items() if isinstance(unit, str)}
+    owner, _, parameter = name.rpartition(".")
+    return fields.get(name.split("[")[0], "") or (fields.get(owner, "") if parameter in _LIKE_THE_NUMBER else "")
 
 
 def output_units(problem: AbstractProblem) -> dict[str, str]:
@@ -58,21 +62,6 @@ def output_units(problem: AbstractProblem) -> dict[str, str]:
     return units
 
 
-def _field_units(problem: AbstractProblem) -> dict[str, str]:
-    units = {name: field.metadata.get("unit", "") for name, field, _ in fields_of(problem.system)}
-    return _TIMES | {name: unit for name, unit in units.items() if isinstance(unit, str)}
-
-
-def _unit_of_number(name: str, fields: Mapping[str, str]) -> str:
-    owner, _, parameter = name.rpartition(".")
-    return fields.get(name.split("[")[0], "") or (fields.get(owner, "") if parameter in _LIKE_THE_NUMBER else "")
-
-
-def _units_in(expression: Expression, outputs: Mapping[str, str], fields: Mapping[str, str]) -> Units:
-    names = (name for atom in expression.leaves for name in atom.subjects)
-    return Units(outputs, {name: _unit_of_number(name, fields) for name in names})
-
-
 def refuse_clashes(problem: AbstractProblem) -> None:
     """Raise `ProblemError` where quantities of different known units are added, compared or shared.
 
@@ -81,10 +70,9 @@ def refuse_clashes(problem: AbstractProblem) -> None:
     since their weights of one may stand for weights with units.
     """
     _refuse_shared(problem)
-    outputs, fields = output_units(problem), _field_units(problem)
     limits = [(f"Constraint '{one.name}'", one.expression, True) for one in problem.constraints]
     for where, expression, is_limit in [("The objective", problem.objective, False), *limits]:
-        _refuse_sum(where, expression, _units_in(expression, outputs, fields), is_limit=is_limit)
+        _refuse_sum(where, expression, units_of(expression, problem), is_limit=is_limit)
 
 
 def _refuse_sum(where: str, expression: Expression, units: Units, *, is_limit: bool) -> None:

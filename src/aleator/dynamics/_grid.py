@@ -165,8 +165,8 @@ def _is_finite(number: Any) -> bool:
     return is_real and bool(np.isfinite(number))
 
 
-def sampled(inputs: Inputs, grid: Grid, fractions: Float[np.ndarray, " n"]) -> dict[str, Float[Array, "n ..."]]:
-    """Every input at fixed fractions of a grid's duration."""
+def sampled(inputs: Inputs, grid: Grid, fractions: Float[np.ndarray | Array, " n"]) -> dict[str, Float[Array, "n ..."]]:
+    """Every input at some fractions of a grid's duration."""
     return {name: signal.sampled(fractions, grid.t_start, grid.t_final) for name, signal in inputs.items()}
 
 

@@ -28,7 +28,7 @@ Integrand: TypeAlias = Callable[[Mapping[str, Array]], Float[Array, "..."]]
 Fold: TypeAlias = Callable[[Any, dict[str, Array]], tuple[Any, dict[str, Array]]]
 """From what is carried from instant to instant (None before the first) and the outputs there: what is carried on, and
 what is recorded in the place of these outputs."""
-Fractions: TypeAlias = Float[np.ndarray, " n"]
+Fractions: TypeAlias = Float[np.ndarray | Array, " n"]
 Take: TypeAlias = Callable[[System, Any, Any, dict[str, Array]], Pytree]
 
 

@@ -30,7 +30,9 @@ class Columns(AbstractSignal):
         return Columns(tuple(part.over(t_start, t_final) for part in self.parts))
 
     @override
-    def sampled(self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, "n parts"]:
+    def sampled(
+        self, fractions: Float[np.ndarray | Array, " n"], t_start: Any, t_final: Any
+    ) -> Float[Array, "n parts"]:
         xp, parts = in_library([part.sampled(fractions, t_start, t_final) for part in self.parts])
         return jax_array(xp.stack(parts, axis=-1))
 

@@ -112,7 +112,7 @@ class Course(AbstractSignal):
 
     @override
     def sampled(
-        self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any
+        self, fractions: Float[np.ndarray | Array, " n"], t_start: Any, t_final: Any
     ) -> Float[Array, "n orders numbers"]:
         def rows(part: AbstractSignal) -> Array:
             return part.sampled(fractions, t_start, t_final).reshape(len(fractions), -1)

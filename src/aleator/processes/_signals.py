@@ -246,7 +246,7 @@ class Total(AbstractSignal):
         return Total(part.over(t_start, t_final) for part in self.parts)
 
     @override
-    def sampled(self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
+    def sampled(self, fractions: Float[np.ndarray | Array, " n"], t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
         first, *others = (part.sampled(fractions, t_start, t_final) for part in self.parts)
         return sum(others, start=first)
 

@@ -20,6 +20,8 @@ from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, realised_shape, stored_numbers
 from aleator.trajectories._tables import entry, read_table
 
+Fractions = Float[np.ndarray, " n"] | Float[Array, " n"]
+
 
 class AbstractSignal(Module):
     """An input of a system as a function of time. It is part of the model: its numbers may be uncertain or decided.
@@ -42,8 +44,8 @@ class AbstractSignal(Module):
         del t_start, t_final
         return self
 
-    def sampled(self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
-        """Its values at fixed fractions of the time from `t_start` to `t_final`."""
+    def sampled(self, fractions: Fractions, t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
+        """Its values at some fractions of the time from `t_start` to `t_final`."""
         return jax.vmap(self.over(t_start, t_final))(instants(fractions, t_start, t_final))
 
 
@@ -51,14 +53,11 @@ def _row(table: Float[Array, "rows columns"], place: Int[Array, ""]) -> Float[Ar
     return table.at[place].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
-def instants(fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, " n"]:
+def instants(fractions: Fractions, t_start: Any, t_final: Any) -> Float[Array, " n"]:
     """Fractions of the time from `t_start` to `t_final` as times; 1 is `t_final` to the last bit."""
     # A signal is undefined even a rounding error beyond its end, and so is an adaptive integrator's solution.
     xp, fractions, t_start, t_final = in_library(fractions, t_start, t_final)
     return jax_array(xp.where(fractions < 1, t_start + fractions * (t_final - t_start), t_final))
-
-
-Fractions = Float[np.ndarray, " n"] | Float[Array, " n"]
 
 
 class AbstractTrajectory(AbstractSignal):
@@ -109,7 +108,7 @@ class AbstractTrajectory(AbstractSignal):
         return _Stretched(self, t_start, t_final)
 
     @override
-    def sampled(self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
+    def sampled(self, fractions: Fractions, t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
         """As for any signal; at fixed fractions, whatever depends on these alone is computed once."""
         return self.values(fractions, t_final - t_start)
 

@@ -270,13 +270,13 @@ def refuse_unsatisfiable(
     values: Values,
     derivatives: Values,
     scales: list[float],
-    times: Callable[[], Float[np.ndarray, " instants"]],
+    times: Float[np.ndarray, " instants"],
     elsewhere: Callable[[], Sequence[Values]],
 ) -> None:
     """Raise `ProblemError` for a constraint that is violated whatever the decisions are.
 
     - `values`, `derivatives`: of the constraints at the initial decisions;
-    - `times`: the instants; `elsewhere`: gives the values at some other decisions. It is called only for suspect
+    - `elsewhere`: gives the values at some other decisions. It is called only for suspect
       constraints, because a derivative may vanish at one point by chance, or over a range.
     """
     suspects = [
@@ -291,7 +291,13 @@ def refuse_unsatisfiable(
     others = elsewhere()
     for i, row in suspects:
         if all(other[i][row] == values[i][row] for other in others):
-            raise ProblemError(_sentence(problem.constraints[i], float(values[i][row]), len(values[i]), row, times()))
+            one, value = problem.constraints[i], float(values[i][row])
+            when = f" at t = {times[row * len(times) // len(values[i])]:.4g} s" if one.is_path else ""
+            raise ProblemError(
+                f"Constraint '{one.name}' ({one}) is {value:.6g}{when} whatever the decisions are, so that no design "
+                "can meet it. Move what is fixed there (a start inside an obstacle, an end beyond a limit), or change "
+                "the bound."
+            )
 
 
 def refuse_blind(outcome: Outcome, transcribed: AbstractTranscribed) -> None:
@@ -316,12 +322,3 @@ def blind_decisions(outcome: Outcome, transcribed: AbstractTranscribed) -> str:
 def _excess(constraint: Constraint, value: np.ndarray) -> np.ndarray:
     with np.errstate(invalid="ignore"):  # Infinite values of an infinite bound exceed nothing.
         return np.maximum(value - float(constraint.upper), float(constraint.lower) - value)
-
-
-def _sentence(constraint: Constraint, value: float, rows: int, row: int, times: np.ndarray) -> str:
-    when = f" at t = {times[row * len(times) // rows]:.4g} s" if constraint.is_path else ""
-    return (
-        f"Constraint '{constraint.name}' ({constraint}) is {value:.6g}{when} whatever the decisions are, so that "
-        "no design can meet it. Move what is fixed there (a start inside an obstacle, an end beyond a limit), or "
-        "change the bound."
-    )

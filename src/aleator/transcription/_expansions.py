@@ -5,7 +5,6 @@ they are resolved.
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from types import MappingProxyType
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
@@ -150,35 +149,27 @@ RESPOND = Compiled(_respond, use=Use.ONCE)
 
 
 @final
+@dataclass
 class ExpansionScope(AbstractScope):
     """Takes every statistic from the coefficients of expansions.
 
-    - `samples`: each functional at the collocation points; `coefficients`: those of the expansions fitted to them;
-    - `numbers`: those of the model, by name; `between`: the terms for integrals over time;
-    - `realised`: each functional on the realisations at which limits on the worst case are imposed;
-    - `totals`: the values of integrals over time where these are known, in the order of evaluation;
+    - `coefficients`: of each functional; `numbers`: those of the model, by name;
+    - `between`: the terms for integrals over time; `totals`: their values where these are known, in the order of
+      evaluation;
+    - `scenarios`: each functional on the realisations at which limits on the worst case are imposed;
     - `taken`: the statistics taken so far, in that order.
     """
 
-    def __init__(
-        self,
-        samples: Mapping[AbstractFunctional, Float[Array, "points ..."]],
-        coefficients: Mapping[AbstractFunctional, Float[Array, "terms ..."]],
-        constants: Constants,
-        numbers: Mapping[str, Any],
-        between: "Between | None" = None,
-        realised: Mapping[AbstractFunctional, Float[Array, "scenarios ..."]] = MappingProxyType({}),
-        totals: Iterator[Float[Array, ""]] | None = None,
-    ):
-        self.samples = samples
-        self._coefficients = coefficients
-        self._realised = realised
-        self.taken: list[Float[Array, "..."]] = []
-        self._constants = constants
-        self._numbers = numbers
-        self._between = between
-        self._totals = totals
-        self._together: dict[tuple[tuple[AbstractFunctional, ...], int], Float[Array, "..."]] = {}
+    coefficients: Mapping[AbstractFunctional, Float[Array, "terms ..."]]
+    constants: Constants
+    numbers: Mapping[str, Any]
+    between: "Between | None" = None
+    scenarios: Mapping[AbstractFunctional, Float[Array, "scenarios ..."]] = field(default_factory=dict)
+    totals: Iterator[Float[Array, ""]] | None = None
+    taken: list[Float[Array, "..."]] = field(default_factory=list, init=False)
+    _together: dict[tuple[tuple[AbstractFunctional, ...], int], Float[Array, "..."]] = field(
+        default_factory=dict, init=False
+    )
 
     def evaluated(self, expressions: tuple[Expression, ...]) -> tuple[tuple[Array, ...], tuple[tuple[Array, ...], ...]]:
         """Expressions, each flattened, and the statistics that each of them took."""
@@ -193,18 +184,18 @@ class ExpansionScope(AbstractScope):
     def take_together(self, expressions: tuple[Expression, ...]) -> None:
         """Take those statistics of expressions now that share a loop, for where they are evaluated."""
         atoms = [atom for one in expressions for atom in one.atoms if isinstance(atom, Statistic)]
-        statistics = together([(one.kind, self._terms(one.functionals)) for one in atoms], self._constants)
+        statistics = together([(one.kind, self._terms(one.functionals)) for one in atoms], self.constants)
         # By identity, because the numbers in a statistic are traced.
         pairs = zip(atoms, statistics, strict=True)
         self._together = {(one.functionals, id(one.kind)): values for one, values in pairs if values is not None}
 
     def _terms(self, functionals: tuple[AbstractFunctional, ...]) -> Float[Array, "terms ..."]:
-        return joined([self._coefficients[one] for one in functionals])
+        return joined([self.coefficients[one] for one in functionals])
 
     @override
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
         terms, result = self._terms(functionals), self._together.get((functionals, id(kind)))
-        result = jnp.asarray(kind.of(terms, self._constants.of(kind)) if result is None else result)
+        result = jnp.asarray(kind.of(terms, self.constants.of(kind)) if result is None else result)
         # Joint statistics take their functionals along a last axis.
         expected = terms.shape[1:] if len(functionals) == 1 else terms.shape[1:-1]
         if result.shape != expected:
@@ -217,22 +208,22 @@ class ExpansionScope(AbstractScope):
 
     @override
     def time_integral(self, expression: Expression) -> Float[Array, ""]:
-        if self._totals is not None:
-            return next(self._totals)
-        assert self._between is not None
-        nodes, weights, instants = self._between
-        inner = ExpansionScope({}, {**self._coefficients, **nodes}, self._constants, self._numbers)
+        if self.totals is not None:
+            return next(self.totals)
+        assert self.between is not None
+        nodes, weights, instants = self.between
+        inner = ExpansionScope({**self.coefficients, **nodes}, self.constants, self.numbers)
         integral = jnp.tensordot(weights, expression.evaluate(inner), axes=1)
         self.taken += [one if one.ndim == 0 else one[::instants] for one in inner.taken]
         return integral
 
     @override
     def realised(self, functional: AbstractFunctional) -> Float[Array, "... scenarios"]:
-        return jnp.moveaxis(self._realised[functional], 0, -1)
+        return jnp.moveaxis(self.scenarios[functional], 0, -1)
 
     @override
     def value(self, name: str) -> Float[Array, ""]:
-        return self._numbers[name]
+        return self.numbers[name]
 
 
 class Between(NamedTuple):
@@ -266,15 +257,15 @@ def scope_of(
     collocation: Collocation,
     constants: Constants,
     decisions: Float[Array, " n"],
-) -> ExpansionScope:
-    """The scope of expressions of some functionals at given decisions.
+) -> tuple[ExpansionScope, tuple[Float[Array, "points ..."], ...]]:
+    """The scope of expressions of some functionals at given decisions, and these at the collocation points.
 
     Simulates once, at all collocation points and at the scenarios of the worst case together.
     """
     samples, terms = simulated(
         problem, functionals, collocation.points, collocation.pseudo_inverse, constants.scenarios, decisions
     )
-    return scope_from(problem, functionals, samples, terms, constants, decisions)
+    return scope_from(problem, functionals, terms, constants, decisions), samples
 
 
 def simulated(
@@ -303,7 +294,6 @@ def simulated(
 def scope_from(
     problem: Problem,
     functionals: tuple[AbstractFunctional, ...],
-    samples: tuple[Float[Array, "points ..."], ...],
     terms: Terms,
     constants: Constants,
     decisions: Float[Array, " n"],
@@ -312,7 +302,6 @@ def scope_from(
     paths, grid = _integrated(problem, functionals), grid_at(problem, decisions)
     nodes = dict(zip(paths, terms.nodes, strict=True))
     return ExpansionScope(
-        dict(zip(functionals, samples, strict=False)),
         dict(zip(functionals, terms.coefficients, strict=True)),
         constants,
         named_numbers(problem.simulation, decisions),

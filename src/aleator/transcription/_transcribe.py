@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from aleator._core.border import refusal
+from aleator._core.border import refusal, shown
 from aleator._core.errors import ProblemError
 from aleator._core.identity import is_library
 from aleator.design import Problem, refuse_changed_code
@@ -107,10 +107,5 @@ def _compare(what: str, program: Any, meaning: Any) -> None:
         return
     raise ProblemError(
         f"{what}: expected equal numbers in the program and in the meaning of its point, at the start; received "
-        f"{_first(ours)} and {_first(theirs)}."
+        f"{shown(ours)} and {shown(theirs)}."
     )
-
-
-def _first(numbers: np.ndarray) -> str:
-    shown = np.array2string(numbers[:3], precision=6)
-    return shown if len(numbers) <= 3 else f"{shown} and {len(numbers) - 3} more"

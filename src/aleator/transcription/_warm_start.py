@@ -37,7 +37,7 @@ def started_from(
     places, old = problem.placements, solution.problem
     curves, known = _curves(problem.simulation), _curves(old.simulation)
     both = [path for path in curves if path in known and curves[path].shape == known[path].shape]
-    changed = [path for path in both if not _is_alike(curves[path], known[path])]
+    changed = [path for path in both if not eqx.tree_equal(_undecided(curves[path]), _undecided(known[path]))]
     sought, framed = _sought(problem, [curves[path] for path in changed])
     values = old.placements.named(solution.vector)
     vector = places.vector("initial")
@@ -64,14 +64,9 @@ def _is_curve(node: Any) -> bool:
     return isinstance(node, AbstractTrajectory) and bool(node.curve_fields)
 
 
-def _is_alike(new: AbstractTrajectory, old: AbstractTrajectory) -> bool:
-    """Whether the same decisions give the same curve in both."""
-    plain = (jax.tree.map(_plain, one, is_leaf=is_leaf) for one in (new, old))
-    return eqx.tree_equal(*plain) is True
-
-
-def _plain(leaf: Any) -> Any:
-    return np.zeros(leaf.shape) if is_leaf(leaf) else leaf
+def _undecided(curve: AbstractTrajectory) -> AbstractTrajectory:
+    """A curve but for its decisions: where two are equal, the same decisions give the same curve."""
+    return jax.tree.map(lambda leaf: np.zeros(leaf.shape) if is_leaf(leaf) else leaf, curve, is_leaf=is_leaf)
 
 
 def _sought(problem: Problem, curves: Collection[AbstractTrajectory]) -> tuple[set[str], set[str]]:

@@ -8,8 +8,9 @@ from collocated_problems import Swing, VanDerPol
 import aleator as al
 from aleator.trajectories import piecewise_in
 from aleator.transcription import transcribe
-from aleator.transcription.simultaneous._refinement import Drift, Goal, refinement
-from aleator.transcription.simultaneous._tiles import EVALUATE
+from aleator.transcription.simultaneous._layout import TOLD
+from aleator.transcription.simultaneous._refinement import MEAN_RATES, Drift, Goal, refinement
+from aleator.transcription.simultaneous._tiles import CURVE, EVALUATE
 from zoo import optimum
 
 # --- What is refined, and how ----------------------------------------------------------------------------------------
@@ -136,3 +137,20 @@ def test_a_control_follows_a_mesh_that_is_refined_for_which_rates_are_not_compil
     middles = (np.array(control.nodes[1:]) + control.nodes[:-1]) / 2
     expected = first.decisions(outcome.point)[(30 * middles).astype(int)]
     assert finer.decisions(point) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("scheme", [al.schemes.Radau(3), al.schemes.MultipleShooting(2)], ids=["Radau", "shooting"])
+def test_a_finer_mesh_compiles_nothing(scheme):
+    problem = al.Problem(
+        VanDerPol(),
+        grid=al.Grid(10.0, 10),
+        inputs={"u": al.BSpline(al.Decision(np.zeros(6), -1.0, 1.0))},
+        minimize=al.integral("cost").mean,
+    )
+    first = transcribe(problem, al.Simultaneous(scheme, error=1e-7))
+    outcome = al.solvers.Ipopt().solve(first.program)
+    finer, point = first.refined(outcome.point)
+    before = [one.compilations for one in (EVALUATE, CURVE, TOLD, MEAN_RATES)]
+    assert len(finer.meshes_at(al.solvers.Ipopt().solve(finer.program).point)) == 2
+    assert finer.refined(point)[1].size > point.size > first.program.start.size
+    assert [one.compilations for one in (EVALUATE, CURVE, TOLD, MEAN_RATES)] == before

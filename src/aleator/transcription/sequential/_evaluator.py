@@ -105,7 +105,7 @@ def combined(
     functionals = functionals_of(expressions)
 
     def rows(terms: Terms, x: Array) -> tuple[tuple[Array, ...], tuple]:
-        return scope_from(problem, functionals, (), terms, constants, x).evaluated(expressions)
+        return scope_from(problem, functionals, terms, constants, x).evaluated(expressions)
 
     def along(slope: Terms, direction: Array) -> tuple[Any, Any, Any]:
         return jax.jvp(rows, (terms, decisions), (slope, direction), has_aux=True)

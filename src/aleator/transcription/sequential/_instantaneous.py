@@ -94,7 +94,7 @@ def instantaneous_rows(
         samples, coefficients = instant.expanded(collocation, anchors, numbers)
         realised = instant.realised(held, constants.scenarios, numbers)
         named = named_numbers(problem.simulation, decisions)
-        scope = ExpansionScope(samples, coefficients, constants, named, realised=realised)
+        scope = ExpansionScope(coefficients, constants, named, scenarios=realised)
         blocks, taken = scope.evaluated(expressions)
         sizes[:] = [one.size for one in blocks]
         values = jnp.concatenate(blocks)

@@ -37,9 +37,9 @@ def _values(
     functionals = functionals_of(problem.expressions)
 
     def one(decisions: Float[Array, " n"]) -> Float[Array, " rows"]:
-        scope = scope_of(problem, functionals, collocation, constants, decisions)
+        scope, samples = scope_of(problem, functionals, collocation, constants, decisions)
         values, _ = scope.evaluated(problem.expressions)
-        finite = jnp.array([jnp.isfinite(samples).all() for samples in scope.samples.values()]).all()
+        finite = jnp.array([jnp.isfinite(one).all() for one in samples]).all()
         # A statistic may hide a failed simulation: the probability of a rare event is zero if that system gives NaN.
         return jnp.where(finite, jnp.concatenate(values), jnp.nan)
 

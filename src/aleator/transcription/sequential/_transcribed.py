@@ -88,7 +88,8 @@ def _curvature(problem: Problem, collocation: Collocation, constants: Constants,
     functionals = functionals_of(problem.expressions)
 
     def lagrangian(decisions: Float[Array, " n"]) -> Float[Array, ""]:
-        values, _ = scope_of(problem, functionals, collocation, constants, decisions).evaluated(problem.expressions)
+        scope, _ = scope_of(problem, functionals, collocation, constants, decisions)
+        values, _ = scope.evaluated(problem.expressions)
         rows = jnp.concatenate(values)
         return at.weight * rows[0] + at.multipliers @ rows[1:]
 
@@ -223,7 +224,7 @@ class Sequential(AbstractTranscription):
             values,
             derivatives,
             sizes,
-            lambda: at_start.times,
+            at_start.times,
             lambda: [(blocks := evaluator(one)).by_constraint(blocks.values) for one in elsewhere(start, lower, upper)],
         )
         paths = [where for where, one in zip(rows, problem.constraints, strict=True) if one.is_path]

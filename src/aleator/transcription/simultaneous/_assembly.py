@@ -163,7 +163,9 @@ class Fixed(NamedTuple):
     @classmethod
     def of(cls, pointwise: Pointwise) -> "Fixed":
         """That of a problem. Conditions on derivatives of signals depend on the duration."""
-        return cls(not pointwise.decides_signals, not placements(pointwise.problem.grid).decisions)
+        problem = pointwise.problem
+        decided = pointwise.signals.are_own or bool(placements((problem.inputs, problem.grid)).decisions)
+        return cls(not decided, not placements(problem.grid).decisions)
 
 
 class Ties(NamedTuple):

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from aleator.design import (
     AbstractFunctional,
+    AbstractIntegral,
     Expression,
     Problem,
     beside_integrals,
@@ -58,8 +59,8 @@ class Families(NamedTuple):
         return (*self[:-2], *self.expressions, *self.integrands)
 
 
-KNOWN, RATES, EQUATIONS, PATHS, OBJECTIVE = (
-    Families._fields.index(name) for name in ("known", "rates", "equations", "paths", "expressions")
+KNOWN, RATES, EQUATIONS, OBJECTIVE = (
+    Families._fields.index(name) for name in ("known", "rates", "equations", "expressions")
 )
 
 
@@ -83,7 +84,8 @@ def families(
     integrals = variables.integrals.shape[2]
     histories = variables.paths.reshape(len(variables.paths), -1)
     summed = variables.integrals[:, -1]
-    recorded = np.concatenate([summed, histories if layout.needs_histories else histories[:, :0]], axis=1)
+    needs_histories = any(not isinstance(one, AbstractIntegral) for one in pointwise.composed)
+    recorded = np.concatenate([summed, histories if needs_histories else histories[:, :0]], axis=1)
 
     def at(which: np.ndarray, sides: np.ndarray) -> np.ndarray:
         """Signals, states and algebraic variables at some mesh points of every realisation."""
@@ -99,7 +101,7 @@ def families(
 
     def known(outer: Any, inner: Any, shared: Array, own: Array) -> Array:
         del outer, inner, own
-        return known_numbers(pointwise, mesh, shared if shared.size else jnp.zeros(layout.sizes.decisions))
+        return known_numbers(pointwise, mesh.places, shared if shared.size else jnp.zeros(layout.sizes.decisions))
 
     def composed(outer: Any, inner: Any, shared: Array, own: Array) -> Array:
         del outer, inner
@@ -132,11 +134,7 @@ def functions(problem: Problem, constants: Constants | None, plan: Plan | Abstra
     """
     if isinstance(plan, AbstractMeanRate):
         pointwise = Pointwise.of(problem)
-        return {
-            RATES: partial(pointwise.mean_rates, plan),
-            EQUATIONS: pointwise.residuals,
-            PATHS: partial(pointwise.outputs, pointwise.paths),
-        }
+        return {RATES: partial(pointwise.mean_rates, plan), EQUATIONS: pointwise.residuals}
     assert constants is not None
     layout = Layout.of(problem, plan)
     nowhere = np.zeros((plan.realisations, len(problem.placements.germ_names)))
@@ -225,7 +223,7 @@ def _expression(
     pairs = [*_taken(parts[0], others), *_taken(parts[1], own)]
     coefficients = {one.functional: values for one, values in pairs if one.is_expanded}
     realised = {one.functional: values for one, values in pairs if not one.is_expanded}
-    scope = ExpansionScope({}, coefficients, constants, numbers, realised=realised, totals=iter(totals))
+    scope = ExpansionScope(coefficients, constants, numbers, scenarios=realised, totals=iter(totals))
     return jnp.ravel(expression.evaluate(scope))
 
 

@@ -12,7 +12,7 @@ equations, never from values.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple, final
 
 import jax
@@ -42,6 +42,8 @@ from aleator.transcription.simultaneous._pointwise import Pointwise, Shapes, apa
 
 # Decisions by which signals are differentiated at once: all of them would take a dense matrix.
 _AT_ONCE = 64
+# Places at which the model is evaluated at once beside its blocks.
+_PLACES = 256
 
 
 class Variables(NamedTuple):
@@ -56,8 +58,8 @@ class Variables(NamedTuple):
       instants;
     - `nodes`: what is recorded of each realisation at instants and in the middles between, the second axis;
     - `totals`: of expressions that are integrated over time;
-    - `coefficients`: of each functional that is expanded, shape (terms, ...); `between`: of those whose statistics are
-      integrated, shape (terms, nodes, ...).
+    - `coefficients`: of each functional that is expanded, shape (terms, ...), then of those whose statistics are
+      integrated over time, shape (terms, nodes, ...).
     """
 
     decisions: Any
@@ -72,7 +74,6 @@ class Variables(NamedTuple):
     nodes: Any
     totals: Any
     coefficients: tuple[Any, ...]
-    between: tuple[Any, ...]
 
 
 # How many of the fields of `Variables` are one array.
@@ -136,18 +137,12 @@ class Layout:
             nodes=(every, 2 * instants - 1, shapes.size(pointwise.nodes)),
             totals=(len(integrals_over_time(problem)),),
             coefficients=(),
-            between=(),
         )
         layout = cls(plan, pointwise, shapes, composed, sizes)
         samples = layout.samples(layout.numbers)
-        terms = tuple((plan.terms, *samples[one].shape[1:]) for one in layout.expanded)
-        between = tuple((plan.terms, *one.shape[1:]) for one in layout.integrated(layout.numbers).values())
-        return cls(plan, pointwise, shapes, composed, sizes._replace(coefficients=terms, between=between))
-
-    @property
-    def needs_histories(self) -> bool:
-        """Whether some functional is taken of a whole history."""
-        return any(not isinstance(one, AbstractIntegral) for one in self.pointwise.composed)
+        every = [*(samples[one] for one in layout.expanded), *layout.integrated(layout.numbers).values()]
+        terms = tuple((plan.terms, *one.shape[1:]) for one in every)
+        return cls(plan, pointwise, shapes, composed, sizes._replace(coefficients=terms))
 
     @property
     def expanded(self) -> tuple[AbstractFunctional, ...]:
@@ -167,9 +162,7 @@ class Layout:
     def view(self, variables: Any) -> Variables:
         """The variables of a point by what they are."""
         parts = apart(variables, _shapes_of(self.sizes))
-        first, last = _ALONE, _ALONE + len(self.sizes.coefficients)
-        alone = dict(zip(Variables._fields, parts[:first], strict=False))
-        return Variables(**alone, coefficients=tuple(parts[first:last]), between=tuple(parts[last:]))
+        return Variables(*parts[:_ALONE], coefficients=tuple(parts[_ALONE:]))
 
     @cached_property
     def stages(self) -> tuple[np.ndarray, ...]:
@@ -182,7 +175,7 @@ class Layout:
             np.append(one.signals.ravel(), one.duration),
             np.concatenate(recorded),
             one.composed.ravel(),
-            np.concatenate([np.zeros(0, dtype=int), *(some.ravel() for some in (*one.coefficients, *one.between))]),
+            np.concatenate([np.zeros(0, dtype=int), *map(np.ravel, one.coefficients)]),
             one.totals,
         )
 
@@ -192,34 +185,30 @@ class Layout:
         samples: dict[AbstractFunctional, Any] = dict(
             zip(pointwise.composed, apart(variables.composed, self.composed), strict=True)
         )
+        paths = shapes.by_name(pointwise.paths, variables.paths)
+        ends = shapes.by_name(pointwise.ends, variables.ends)
         for one in functionals_of(pointwise.problem.expressions):
             if one not in samples:
-                is_path = isinstance(one, Path)
-                names, table = (pointwise.paths, variables.paths) if is_path else (pointwise.ends, variables.ends)
-                chosen = table[..., shapes.columns(names, one.output)]
-                samples[one] = chosen.reshape(*table.shape[:-1], *shapes.outputs[one.output])
+                samples[one] = (paths if isinstance(one, Path) else ends)[one.output]
         return samples
 
     def integrated(self, variables: Variables) -> dict[AbstractFunctional, Any]:
         """The paths whose statistics are integrated over time: their values, shape (realisations, nodes, ...)."""
-        paths: dict[AbstractFunctional, Any] = {}
-        for one in integrated_paths(self.pointwise.problem.expressions):
-            assert isinstance(one, Path)
-            chosen = variables.nodes[..., self.shapes.columns(self.pointwise.nodes, one.output)]
-            paths[one] = chosen.reshape(*variables.nodes.shape[:-1], *self.shapes.outputs[one.output])
-        return paths
+        nodes = self.shapes.by_name(self.pointwise.nodes, variables.nodes)
+        return {one: nodes[one.output] for one in integrated_paths(self.pointwise.problem.expressions)}
 
     def between(self, variables: Variables) -> dict[AbstractFunctional, Any]:
         """The coefficients of these paths, shape (terms, nodes, ...)."""
-        return dict(zip(integrated_paths(self.pointwise.problem.expressions), variables.between, strict=True))
+        paths = integrated_paths(self.pointwise.problem.expressions)
+        return dict(zip(paths, variables.coefficients[len(self.expanded) :], strict=True))
 
     def coefficients(self, variables: Variables) -> dict[AbstractFunctional, Any]:
         """The coefficients of each functional that is expanded, shape (terms, ...)."""
-        return dict(zip(self.expanded, variables.coefficients, strict=True))
+        return dict(zip(self.expanded, variables.coefficients, strict=False))
 
 
 def _shapes_of(sizes: Variables) -> Sequence[tuple[int, ...]]:
-    return [*sizes[:_ALONE], *sizes.coefficients, *sizes.between]
+    return [*sizes[:_ALONE], *sizes.coefficients]
 
 
 def integrals_over_time(problem: Problem) -> tuple[Expression, ...]:
@@ -240,11 +229,9 @@ def _shape(functional: AbstractFunctional, pointwise: Pointwise, shapes: Shapes)
     return jax.eval_shape(evaluated, histories).shape
 
 
-def known_numbers(pointwise: Pointwise, mesh: Mesh, decisions: Float[Array, " n"]) -> Float[Array, " known"]:
-    """The signals at all places of a mesh, one by one, then the duration."""
-    fractions, is_before = mesh.places.T
-    signals = pointwise.known(fractions, decisions, is_before > 0)
-    return jnp.append(signals.ravel(), pointwise.duration(decisions))
+def known_numbers(pointwise: Pointwise, places: Any, decisions: Float[Array, " n"]) -> Float[Array, " known"]:
+    """The signals at some places, one by one, then the duration."""
+    return jnp.append(pointwise.known(places, decisions).ravel(), pointwise.duration(decisions))
 
 
 def are_affine(pointwise: Pointwise, mesh: Mesh) -> bool:
@@ -252,36 +239,65 @@ def are_affine(pointwise: Pointwise, mesh: Mesh) -> bool:
     any more.
     """
     one = np.zeros(pointwise.problem.placements.size)
-    closed = jax.make_jaxpr(lambda x, along: jax.jvp(lambda at: known_numbers(pointwise, mesh, at), (x,), (along,))[1])(
-        one, one
-    )
+    told = partial(known_numbers, pointwise, mesh.places)
+    closed = jax.make_jaxpr(lambda x, along: jax.jvp(told, (x,), (along,))[1])(one, one)
     _, is_needed = dce_jaxpr(closed.jaxpr, [True])
     return not is_needed[0]
 
 
-def _along(problem: Problem, mesh: Mesh, directions: Float[Array, "some n"]) -> Float[Array, "some known"]:
+def _told(
+    problem: Problem,
+    at: tuple[Float[Array, "places 2"], Float[Array, " n"], Float[Array, "directions n"]],
+) -> Float[Array, "rows known"]:
+    """The signals at some places one by one, then the duration; below, their derivatives along some directions."""
+    places, decisions, directions = at
     pointwise = Pointwise.of(problem)
-
-    def change(direction: Array) -> Array:
-        return jax.jvp(lambda at: known_numbers(pointwise, mesh, at), (jnp.zeros_like(direction),), (direction,))[1]
-
-    return jax.vmap(change)(directions)
+    values, along = jax.linearize(lambda x: known_numbers(pointwise, places, x), decisions)
+    return jnp.concatenate([values[None], jax.vmap(along)(directions)])
 
 
-ALONG = Compiled(_along, use=Use.ONCE)
+TOLD = Compiled(_told, use=Use.ONCE)
 
 
-def constant_slopes(traced: Problem, layout: Layout) -> SparseMatrix:
-    """The derivatives of signals and duration by the decisions if they are constant, else nothing.
+def in_chunks(places: Float[np.ndarray, "places ..."]) -> list[tuple[np.ndarray, int]]:
+    """The numbers of places, as many at once on every mesh, and how many of them are not told twice."""
+    firsts = range(0, len(places), _PLACES)
+    return [
+        (np.minimum(np.arange(first, first + _PLACES), len(places) - 1), min(_PLACES, len(places) - first))
+        for first in firsts
+    ]
 
-    Shape (signals at all mesh points and the duration, decisions).
+
+def _told_at(
+    traced: Problem, places: Float[np.ndarray, "places 2"], decisions: np.ndarray, directions: np.ndarray
+) -> Float[np.ndarray, "rows known"]:
+    """See `_told`, for any number of places."""
+    chunks = in_chunks(places)
+    told = [np.asarray(TOLD(traced, (places[which], decisions, directions))) for which, _ in chunks]
+    signals = told[0].shape[1] // _PLACES
+    parts = [rows[:, : count * signals] for rows, (_, count) in zip(told, chunks, strict=True)]
+    return np.concatenate([*parts, told[0][:, -1:]], axis=1)
+
+
+def signals_at(
+    traced: Problem, places: Float[np.ndarray, "places 2"], decisions: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "places signals"]:
+    """The signals at some places of the duration."""
+    nowhere = np.zeros((min(_AT_ONCE, decisions.size), decisions.size))
+    return _told_at(traced, places, decisions, nowhere)[0, :-1].reshape(len(places), -1)
+
+
+def affine_signals(traced: Problem, layout: Layout) -> tuple[Float[np.ndarray, " known"], SparseMatrix]:
+    """The signals at all mesh points, then the duration, at zero decisions, and their derivatives by the decisions.
+
+    Where they are not affine no numbers, and no derivatives.
     """
     (decisions,), known = layout.sizes.decisions, layout.numbers.signals.size + 1
     if not layout.plan.is_affine:
-        return scipy.sparse.csr_array((known, decisions))
-    parts = [scipy.sparse.csr_array((known, 0))]
+        return np.zeros(0), scipy.sparse.csr_array((known, decisions))
+    constant, slopes = np.zeros(known), []
     for first in range(0, decisions, _AT_ONCE):
-        directions = np.eye(_AT_ONCE, decisions, first)
-        slopes = np.asarray(ALONG(traced, layout.plan.mesh, directions)).T
-        parts.append(scipy.sparse.csr_array(slopes[:, : decisions - first]))
-    return scipy.sparse.hstack(parts, format="csr")
+        directions = np.eye(min(_AT_ONCE, decisions), decisions, first)
+        constant, *along = _told_at(traced, layout.plan.mesh.places, np.zeros(decisions), directions)
+        slopes.append(scipy.sparse.csr_array(np.stack(along[: decisions - first], axis=1)))
+    return constant, scipy.sparse.hstack(slopes, format="csr")

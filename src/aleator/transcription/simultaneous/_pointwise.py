@@ -8,14 +8,14 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from aleator.design import (
     AbstractFunctional,
@@ -48,7 +48,22 @@ from aleator.dynamics import (
     with_algebraic,
 )
 from aleator.trajectories import before_jumps, has_jumps
-from aleator.uncertainty import placements, realise
+from aleator.uncertainty import realise
+
+
+class Signals(NamedTuple):
+    """The signals of a realisation: the shape of each by name, in the order of `Pointwise.known`, none where they are
+    uncertain; whether some are the system's own, of which decisions are not known, and whether some may jump.
+    """
+
+    shapes: dict[str, tuple[int, ...]]
+    are_own: bool
+    have_jumps: bool
+
+    @property
+    def size(self) -> int:
+        """How many numbers they are at one point."""
+        return sum(map(math.prod, self.shapes.values()))
 
 
 @final
@@ -68,17 +83,9 @@ class Shapes:
         """How many numbers some outputs are."""
         return sum(math.prod(self.outputs[name]) for name in names)
 
-    def columns(self, names: Sequence[str], name: str) -> slice:
-        """Where an output stands among some that are side by side."""
-        before = names[: list(names).index(name)]
-        return slice(self.size(before), self.size(before) + self.size([name]))
-
-    def histories(self, names: Sequence[str], rows: Float[Array, " numbers"]) -> dict[str, Array]:
-        """Histories of some outputs by name, from all of their numbers, instant by instant."""
-        if not names:
-            return {}
-        table = rows.reshape(-1, self.size(names))
-        return {name: table[:, self.columns(names, name)].reshape(-1, *self.outputs[name]) for name in names}
+    def by_name(self, names: Sequence[str], table: Any) -> dict[str, Any]:
+        """Some outputs, side by side along the last axis, by name."""
+        return dict(zip(names, apart(table, [self.outputs[name] for name in names]), strict=True))
 
 
 def apart(numbers: Any, shapes: Sequence[tuple[int, ...]]) -> list[Any]:
@@ -143,48 +150,21 @@ class Pointwise:
             tuple(one for one in functionals if not isinstance(one, Path | Terminal)),
         )
 
-    @property
-    def decides_signals(self) -> bool:
-        """Whether signals or the duration may depend on decisions: those of the system's own are not asked."""
-        decided = bool(placements((self.problem.inputs, self.problem.grid)).decisions)
-        return decided or self._holds(lambda system, _: bool(system.signals()))
-
-    @property
-    def has_jumps(self) -> bool:
-        """Whether signals may jump at instants of the mesh."""
-        return self._holds(lambda system, inputs: has_jumps({**system.signals(), **inputs}))
-
     @cached_property
-    def signal_shapes(self) -> dict[str, tuple[int, ...]]:
-        """The shape of each signal by name, in the order of `known`; none where they are uncertain."""
-        shapes: dict[str, tuple[int, ...]] = {}
-
-        def traced(decisions: Array) -> Array:
-            system, grid, inputs = self._known_parts(decisions)
-            shapes.update(known_at({**system.signals(), **inputs}, grid, np.zeros(1)).inputs)
-            return decisions
-
-        if not self.is_random:
-            jax.eval_shape(traced, _numbers(self.problem.placements.size))
-        return shapes
-
-    @property
-    def signal_count(self) -> int:
-        """How many numbers the signals are that `known` tells at one point."""
-        decisions = _numbers(self.problem.placements.size)
-        return jax.eval_shape(lambda x: self.known(np.zeros(1), x), decisions).shape[1]
-
-    def _holds(self, condition: Callable[[System, Inputs], bool]) -> bool:
-        """Whether something holds for the signals of a realisation; nothing is computed."""
-        answers: list[bool] = []
+    def signals(self) -> Signals:
+        """What signals a realisation has: nothing is computed."""
+        answers: list[Signals] = []
 
         def realised(decisions: Array) -> Array:
-            system, _, inputs = self._known_parts(decisions)
-            answers.append(condition(system, inputs))
+            system, grid, inputs = self._known_parts(decisions)
+            own = system.signals()
+            every = {**own, **inputs}
+            shapes = {} if self.is_random else dict(known_at(every, grid, np.zeros(1)).inputs)
+            answers.append(Signals(shapes, bool(own), has_jumps(every)))
             return decisions
 
         jax.eval_shape(realised, _numbers(self.problem.placements.size))
-        return any(answers)
+        return answers[0]
 
     @property
     def grid(self) -> Grid:
@@ -194,22 +174,19 @@ class Pointwise:
 
     def known(
         self,
-        fractions: Float[np.ndarray, " points"],
+        places: Any,
         decisions: Float[Array, " n"],
-        is_before: Bool[np.ndarray, " points"] | None = None,
-    ) -> Float[Array, "points signals"]:
-        """All signals at some fractions of the duration, side by side; none where they are uncertain.
-
-        - `is_before`: where they are told as they are before a jump.
-        """
+    ) -> Float[Array, "places signals"]:
+        """All signals at some places, see `Mesh.places`, side by side; none where they are uncertain."""
         if self.is_random:
-            return jnp.zeros((len(fractions), 0))
+            return jnp.zeros((len(places), 0))
+        fractions, is_before = places[:, 0], places[:, 1:] > 0
         system, grid, inputs = self._known_parts(decisions)
         every = {**system.signals(), **inputs}
         signals = known_at(every, grid, fractions).rows[:, 1:]
-        if is_before is None or not is_before.any():
+        if not has_jumps(every):
             return signals
-        return jnp.where(is_before[:, None], known_at(before_jumps(every), grid, fractions).rows[:, 1:], signals)
+        return jnp.where(is_before, known_at(before_jumps(every), grid, fractions).rows[:, 1:], signals)
 
     def duration(self, decisions: Float[Array, " n"]) -> Float[Array, ""]:
         """From the first instant to the last, s."""
@@ -242,12 +219,12 @@ class Pointwise:
 
         - `places`: one or more, shape (places, 2); `own`: the signals at each of them, then the rest at the first.
         """
-        signals, rest = jnp.split(own, [len(places) * self.signal_count])
+        signals, rest = jnp.split(own, [len(places) * self.signals.size])
 
         def at(place: Array, signal: Array, rest: Array) -> Array:
             return self.rates(germ, place, shared, jnp.concatenate([signal, rest]))
 
-        return rate(at, places, signals.reshape(len(places), self.signal_count), rest)
+        return rate(at, places, signals.reshape(len(places), self.signals.size), rest)
 
     def residuals(self, germ: Array, place: Array, shared: Array, own: Array) -> Float[Array, " algebraic"]:
         """What is left of the equations of the algebraic variables: see `rates`."""
@@ -268,36 +245,19 @@ class Pointwise:
         outputs = observation(system, t, z, now)
         return flat([outputs[name] for name in names])
 
-    def everywhere(
-        self,
-        function: Callable[[Array, Array, Array, Array], Array],
-        points: Float[Array, "realisations germs"],
-        places: Float[Array, "places 2"],
-        shared: Float[Array, " shared"],
-        signals: Float[Array, "places signals"],
-        states: Float[Array, "realisations places states"],
-    ) -> Float[Array, "realisations places numbers"]:
-        """A function such as `rates` at some places: algebraic variables are solved for."""
-
-        def one(germ: Array, place: Array, signal: Array, state: Array) -> Array:
-            return function(germ, place, shared, jnp.concatenate([signal, state]))
-
-        inner = jax.vmap(one, in_axes=(None, 0, 0, 0))
-        return jax.vmap(inner, in_axes=(0, None, None, 0))(points, places, signals, states)
-
     def composites(self, shapes: Shapes, duration: Array, integrals: Array, paths: Array) -> Float[Array, " rows"]:
         """The functionals of integrals and of whole histories of one realisation, side by side."""
         totals: dict[AbstractFunctional, Array] = dict(
             zip(self.integrals, apart(integrals, shapes.integrals), strict=True)
         )
-        history = shapes.histories(self.paths, paths)
+        history = shapes.by_name(self.paths, paths.reshape(-1, max(shapes.size(self.paths), 1)))
         grid = eqx.tree_at(lambda one: one.t_final, self.grid, self.grid.t_start + duration)
         return flat(list(numbers_of(self.composed, Taken(history, totals), grid)))
 
     def shapes(self) -> Shapes:
         """The shapes of what is recorded: nothing is computed."""
         germ, place = _numbers(len(self.problem.placements.germ_names)), _numbers(2)
-        signals = self.signal_count
+        signals = self.signals.size
         shared, first = _numbers(self.direct.size + 1), _numbers(signals)
         states = jax.eval_shape(self.initial, germ, place, shared, first).size
 
@@ -342,7 +302,7 @@ class Pointwise:
         t = jnp.asarray(self.grid.t_start + fraction * duration)
         if not self.is_random:
             # Their values are not needed: a spline would be evaluated in every block.
-            known = Known(jnp.zeros((0, 1)), tuple(self.signal_shapes.items()))
+            known = Known(jnp.zeros((0, 1)), tuple(self.signals.shapes.items()))
             return system, t, known.unpack(jnp.concatenate([t[None], signals]))[1]
         each, span = {**system.signals(), **inputs}, (self.grid.t_start, self.grid.t_start + duration)
         now = {name: one.over(*span)(t) for name, one in each.items()}
@@ -354,8 +314,7 @@ class Pointwise:
     def _at(self, germ: Array, place: Array, shared: Array, own: Array) -> tuple[System, Array, Any, dict[str, Any]]:
         """A realised system with its time, states (and algebraic variables, if given) and inputs at one mesh point."""
         system, t, now = self._now(germ, place, shared, own)
-        signals = 0 if self.is_random else sum(map(jnp.size, now.values()))
-        z, rest = taken_by(lambda: initial_state(system, t, now), own[signals:])
+        z, rest = taken_by(lambda: initial_state(system, t, now), own[self.signals.size :])
         if rest.size:
             z = with_algebraic(system, z, taken_by(lambda: guessed_algebraic(system, t, z, now), rest)[0])
         return system, t, z, now

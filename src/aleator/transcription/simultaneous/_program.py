@@ -22,8 +22,8 @@ from aleator.transcription._constraints import Sizing, decision_scales, least_ob
 from aleator.transcription._scenarios import Scenarios
 from aleator.transcription.simultaneous._assembly import Curvature, Fixed, Jacobian, Pattern, Rows, Ties, rows_of
 from aleator.transcription.simultaneous._blocks import Family
-from aleator.transcription.simultaneous._families import EQUATIONS, KNOWN, OBJECTIVE, PATHS, RATES, families
-from aleator.transcription.simultaneous._layout import Layout, constant_slopes
+from aleator.transcription.simultaneous._families import EQUATIONS, KNOWN, OBJECTIVE, RATES, families
+from aleator.transcription.simultaneous._layout import Layout, affine_signals
 from aleator.transcription.simultaneous._tiles import Call, begin, calls_of, results, tile_size, tiles_of
 
 # A magnitude below this is rounding.
@@ -33,7 +33,7 @@ _CHAIN = 4
 # For such a part of the time: all the way, a push of typical magnitude would turn and carry most things beyond reason.
 _PUSHED = 0.1
 # The families that grow with the mesh.
-_MOVING = RATES, EQUATIONS, PATHS
+_MOVING = RATES, EQUATIONS
 
 
 def _calls(
@@ -52,11 +52,10 @@ def _calls(
     sizes = [(len(one.own), one.own.shape[1]) for one in every]
     sizes[RATES] = tile_size(sizes[RATES][0], len(first.mesh.asked))
     sizes[EQUATIONS] = tile_size(sizes[EQUATIONS][0], len(first.mesh.sides))
-    sizes[PATHS] = tile_size(*sizes[PATHS])
     tiles = [tiles_of(i, one, patterns[i], sizes[i]) for i, one in enumerate(every)]
     rows = [one.rows.size for one in patterns]
     moving = [calls_of(equations, None, scheme.rate, [(one,) for one in tiles[i]]) for i in _MOVING if rows[i]]
-    known = calls_of(traced, constants, layout.plan, [tuple(tiles[KNOWN])])
+    known = [] if layout.plan.is_affine else calls_of(traced, constants, layout.plan, [tuple(tiles[KNOWN])])
     rest = [some[0] for i, some in enumerate(tiles) if i not in (KNOWN, *_MOVING) and rows[i]]
     still = calls_of(traced, constants, first, [tuple(rest)])
     return [call for some in (*moving, known, still) for call in some]
@@ -65,10 +64,11 @@ def _calls(
 @final
 @dataclass(frozen=True)
 class Blocks:
-    """All blocks of a program, family by family."""
+    """All blocks of a program, family by family. `known`: the rows of the first family where these are constant."""
 
     calls: list[Call]
     patterns: list[Pattern]
+    known: Float[np.ndarray, " known"]
 
     def __call__(
         self, variables: Float[np.ndarray, " n"]
@@ -76,9 +76,10 @@ class Blocks:
         """The rows of all blocks, and the entries of their Jacobians."""
         values, rows = _together([one.rows.shape for one in self.patterns])
         slopes, entries = _together([one.slopes_shape for one in self.patterns])
-        for tile, (value, slope) in results([call.evaluation(variables) for call in self.calls]):
+        for tile, (value, slope) in results(self.calls, variables):
             tile.write(value, values)
             tile.write(slope, slopes)
+        rows[: self.known.size] = self.known
         return rows, entries
 
     def curved(
@@ -86,13 +87,13 @@ class Blocks:
     ) -> Float[np.ndarray, " entries"]:
         """The entries of the Hessians of all blocks, their rows weighted: lower triangles, row by row."""
         bends, entries = _together([one.bends_shape for one in self.patterns])
-        for tile, bend in results([call.curvature(variables, weights) for call in self._curved]):
+        for tile, bend in results(self._curved, variables, weights):
             tile.write(bend, bends)
         return entries
 
     def begin(self, variables: Float[np.ndarray, " n"], rows: int) -> None:
         """Begin to compile the second derivatives, of so many rows in all."""
-        begin([call.curvature(variables, np.zeros(rows)) for call in self._curved])
+        begin(self._curved, variables, np.zeros(rows))
 
     @property
     def _curved(self) -> list[Call]:
@@ -152,9 +153,9 @@ class Assembled:
         for one in every:
             patterns.append(Pattern.of(one, first))
             first += patterns[-1].rows.size
-        slopes = constant_slopes(traced, layout)
+        constant, slopes = affine_signals(traced, layout)
         rows = rows_of(layout, [one.rows for one in patterns], fit, slopes, fixed)
-        evaluated = Blocks(_calls(traced, equations, constants, layout, every, patterns), patterns)
+        evaluated = Blocks(_calls(traced, equations, constants, layout, every, patterns), patterns, constant)
         evaluated.begin(np.zeros(layout.count), first)
         objective = patterns[OBJECTIVE]
         return cls(
@@ -285,32 +286,11 @@ def _by_kind(layout: Layout, sizes: Float[np.ndarray, " variables"]) -> Float[np
         return np.broadcast_to(finite.max(axis=over, initial=0.0), part.shape)
 
     result, values = np.zeros(layout.count), layout.view(sizes)
-    each = jax.tree.map(lambda one: largest(one, 1), values._replace(coefficients=(), between=()))
-    coefficients, between = (tuple(largest(one, 0) for one in some) for some in (values.coefficients, values.between))
-    each = each._replace(coefficients=coefficients, between=between)
+    each = jax.tree.map(lambda one: largest(one, 1), values._replace(coefficients=()))
+    each = each._replace(coefficients=tuple(largest(one, 0) for one in values.coefficients))
     for where, scale in zip(jax.tree.leaves(layout.numbers), jax.tree.leaves(each), strict=True):
         result[where] = scale
     return result
-
-
-@final
-@dataclass(frozen=True)
-class _Judge:
-    """Judges rows by their magnitudes at a point.
-
-    - `typical`: magnitudes of the decisions; `sizing`: of the problem's own rows.
-    """
-
-    layout: Layout
-    ties: Ties
-    typical: Float[np.ndarray, " n"]
-    sizing: Sizing
-
-    def __call__(self, point: Float[np.ndarray, " variables"], evaluation: Evaluation) -> Float[np.ndarray, " m"]:
-        """The sizes of all rows."""
-        scale = scales(self.layout, self.ties, point, evaluation, self.typical)
-        own = replace(self.sizing, decision_scale=scale).at(point, evaluation)
-        return np.append(own, _tie_sizes(self.layout, self.ties, evaluation, scale))
 
 
 def program_of(
@@ -324,13 +304,23 @@ def program_of(
     """The program, and the sizes of each of the problem's constraints at its start."""
     rows, evaluation = assembled.rows, assembled(start)
     typical = decision_scales(*(problem.placements.vector(name) for name in ("initial", "lower", "upper")))
-    sizing = Sizing(
-        problem.constraints, rows.own, np.ones(layout.count), [0.0] * len(rows.own), [np.inf] * len(rows.own)
-    )
-    scale = scales(layout, rows.ties, start, evaluation, typical)
-    values, slopes = ([part[one] for one in rows.own] for part in (evaluation.constraints, evaluation.jacobian))
-    sizes = replace(sizing, decision_scale=scale).each(start, values, slopes)
-    lowest, highest = _bounds(problem, layout, fixed, start)
+    away, spreads, numbers = len(rows.own) * [0.0], len(rows.own) * [np.inf], layout.numbers
+
+    def judged(
+        point: Float[np.ndarray, " variables"], evaluation: Evaluation
+    ) -> tuple[Float[np.ndarray, " variables"], list[float], Float[np.ndarray, " m"]]:
+        """The magnitudes of variables, of the problem's constraints, and of all rows, at a point."""
+        scale = scales(layout, rows.ties, point, evaluation, typical)
+        values, slopes = ([part[one] for one in rows.own] for part in (evaluation.constraints, evaluation.jacobian))
+        sizes = Sizing(problem.constraints, rows.own, scale, away, spreads).each(point, values, slopes)
+        return scale, sizes, np.append(spread(rows.own, sizes), _tie_sizes(layout, rows.ties, evaluation, scale))
+
+    scale, sizes, every = judged(start, evaluation)
+    lowest, highest = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
+    lowest[numbers.decisions], highest[numbers.decisions] = map(problem.placements.vector, ("lower", "upper"))
+    for is_fixed, some in zip(fixed, (numbers.signals, numbers.duration), strict=True):
+        if is_fixed:  # The same at all decisions.
+            lowest[some] = highest[some] = start[some]
     own_lower, own_upper = row_bounds(problem.constraints, rows.own, scenarios)
     tied = np.zeros(len(rows.ties.variables))
     program = NonlinearProgram(
@@ -340,22 +330,11 @@ def program_of(
         upper=highest,
         constraint_lower=np.append(own_lower, tied),
         constraint_upper=np.append(own_upper, tied),
-        constraint_scale=np.append(spread(rows.own, sizes), _tie_sizes(layout, rows.ties, evaluation, scale)),
+        constraint_scale=every,
         variable_scale=scale,
         sparsity=assembled.jacobian.sparsity,
         hessian=assembled.hessian,
-        sizes=_Judge(layout, rows.ties, typical, sizing),
+        sizes=lambda point, evaluation: judged(point, evaluation)[2],
         least=least_objective(problem),
     )
     return program, tuple(sizes)
-
-
-def _bounds(problem: Problem, layout: Layout, fixed: Fixed, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of all variables: those of the decisions, and the values of what is the same at all decisions."""
-    lowest, highest = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
-    numbers = layout.numbers
-    lowest[numbers.decisions], highest[numbers.decisions] = map(problem.placements.vector, ("lower", "upper"))
-    for is_fixed, some in zip(fixed, (numbers.signals, numbers.duration), strict=True):
-        if is_fixed:
-            lowest[some] = highest[some] = start[some]
-    return lowest, highest

@@ -20,8 +20,8 @@ from numpy.polynomial import legendre
 
 from aleator._core.compilation import Compiled, Use
 from aleator.design import Problem
-from aleator.dynamics import AbstractCollocation, AbstractScheme, MultipleShooting, SegmentRate
-from aleator.transcription.simultaneous._layout import Layout
+from aleator.dynamics import AbstractCollocation, AbstractMeanRate, AbstractScheme, MultipleShooting, SegmentRate
+from aleator.transcription.simultaneous._layout import Layout, Variables, in_chunks, signals_at
 from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._pointwise import Pointwise
 
@@ -33,18 +33,43 @@ _LEAST_RATIO = 0.05
 _LAST = 3
 
 
-def _between(
-    problem: Problem, points: Float[Array, "realisations germs"], fractions: tuple[float, ...], at: tuple[Array, ...]
-) -> Float[Array, "realisations asked rates"]:
-    """The rates of all states at some fractions of the duration, from decisions, duration and the states there."""
-    decisions, duration, states = at
+def _mean_rates(
+    problem: Problem,
+    rate: AbstractMeanRate,
+    points: Float[Array, "realisations germs"],
+    at: tuple[Array, Array, Array, Array],
+) -> Float[Array, "realisations blocks rates"]:
+    """Mean rates at blocks of places, from what all share, and each one's places, signals, and states at the first."""
+    shared, places, signals, states = at
     pointwise = Pointwise.of(problem)
-    signals, shared = pointwise.known(np.array(fractions), decisions), jnp.append(decisions[pointwise.direct], duration)
-    places = jnp.stack([jnp.asarray(fractions), jnp.zeros(len(fractions))], axis=1)
-    return pointwise.everywhere(pointwise.rates, points, places, shared, signals, states)[..., : states.shape[2]]
+
+    def mean(germ: Array, place: Array, signal: Array, state: Array) -> Array:
+        return pointwise.mean_rates(rate, germ, place, shared, jnp.concatenate([signal, state]))
+
+    inner = jax.vmap(mean, in_axes=(None, 0, 0, 0))
+    return jax.vmap(inner, in_axes=(0, None, None, 0))(points, places, signals, states)
 
 
-BETWEEN = Compiled(_between, use=Use.ONCE)
+MEAN_RATES = Compiled(_mean_rates, use=Use.ONCE)
+
+
+def _state_rates(
+    traced: Problem,
+    layout: Layout,
+    points: Float[np.ndarray, "realisations germs"],
+    rate: AbstractMeanRate,
+    values: Variables,
+    places: Float[np.ndarray, "blocks told 2"],
+    states: Float[np.ndarray, "realisations blocks states"],
+) -> Float[np.ndarray, "realisations blocks states"]:
+    """The mean rates of states by the fraction of the duration; algebraic variables are solved for."""
+    signals = signals_at(traced, places.reshape(-1, 2), values.decisions).reshape(len(places), -1)
+    shared = np.append(values.decisions[layout.pointwise.direct], values.duration)
+    parts = []
+    for which, count in in_chunks(places):
+        rates = MEAN_RATES(traced, rate, points, (shared, places[which], signals[which], states[:, which]))
+        parts.append(np.asarray(rates)[:, :count, : states.shape[2]])
+    return np.concatenate(parts, axis=1)
 
 
 class Drift(NamedTuple):
@@ -83,8 +108,8 @@ def drift_of(
     inner, weights = (1 + nodes) / 2, weights / 2
     fractions = (np.array(mesh.nodes)[:-1, None] + mesh.lengths[:, None] * inner).ravel()
     states = states_on(mesh, fractions, values.states, rates)
-    at = values.decisions, values.duration[0], states
-    true_rates = np.asarray(BETWEEN(traced, points, tuple(fractions.tolist()), at))
+    places = np.stack([fractions, np.zeros_like(fractions)], axis=1)[:, None]
+    true_rates = _state_rates(traced, layout, points, mesh.scheme.rate, values, places, states)
     stage_rates = rates[:, mesh.stages, :count]
     polynomial = np.einsum("qi,pkis->pkqs", mesh.scheme.interpolated(inner), stage_rates)
     missed = np.abs(polynomial - true_rates.reshape(polynomial.shape))
@@ -126,38 +151,6 @@ def states_on(
     return states[:, mesh.points[which, 0]] + mesh.lengths[which][None, :, None] * moved
 
 
-def _flown(
-    problem: Problem,
-    points: Float[Array, "realisations germs"],
-    pieces: tuple[tuple[float, float], ...],
-    rate: SegmentRate,
-    at: tuple[Array, ...],
-) -> Float[Array, "realisations pieces states"]:
-    """The states at the ends of pieces of the duration, from decisions, duration and the states at their beginnings.
-
-    - `pieces`: fractions of the duration.
-    """
-    decisions, duration, states = at
-    pointwise = Pointwise.of(problem)
-    shared = jnp.append(decisions[pointwise.direct], duration)
-    first, last = np.array(pieces).T
-    places = np.stack(np.broadcast_arrays(np.linspace(first, last, len(rate.told), axis=1), 0.0), axis=2)
-    # A piece sees its own side of a jump.
-    places[:, -1, 1] = 1.0
-    every = places.reshape(-1, 2)
-    signals = pointwise.known(every[:, 0], decisions, every[:, 1] > 0).reshape(len(places), -1)
-
-    def moved(germ: Array, place: Array, signal: Array, state: Array) -> Array:
-        mean = pointwise.mean_rates(rate, germ, place, shared, jnp.concatenate([signal, state]))
-        return state + (place[-1, 0] - place[0, 0]) * mean[: state.size]
-
-    inner = jax.vmap(moved, in_axes=(None, 0, 0, 0))
-    return jax.vmap(inner, in_axes=(0, None, None, 0))(points, jnp.asarray(places), signals, states)
-
-
-FLOWN = Compiled(_flown, use=Use.ONCE)
-
-
 def segment_states(
     traced: Problem,
     layout: Layout,
@@ -169,9 +162,12 @@ def segment_states(
     mesh, values = layout.plan.mesh, layout.view(variables)
     assert isinstance(mesh.scheme, MultipleShooting)
     begun = values.states[:, np.searchsorted(mesh.nodes, pieces[:, 0])]
-    at = values.decisions, values.duration[0], begun
-    rate = SegmentRate(2 * mesh.scheme.steps)
-    return np.asarray(FLOWN(traced, points, tuple(map(tuple, pieces.tolist())), rate, at))
+    rate, (first, last) = SegmentRate(2 * mesh.scheme.steps), pieces.T
+    places = np.stack(np.broadcast_arrays(np.linspace(first, last, len(rate.told), axis=1), 0.0), axis=2)
+    # A piece sees its own side of a jump.
+    places[:, -1, 1] = 1.0
+    mean = _state_rates(traced, layout, points, rate, values, places, begun)
+    return begun + (last - first)[:, None] * mean
 
 
 def segment_drift(

@@ -103,12 +103,16 @@ class Simultaneous(AbstractTranscription):
 
     @override
     def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SimultaneouslyTranscribed:
-        _refuse(problem)
+        if not isinstance(problem.grid, Grid):
+            raise ProblemError(
+                f"al.Simultaneous ties states over time: expected a system that moves in time; received "
+                f"{type(problem.system).__name__}, which is algebraic. Use al.Sequential()."
+            )
         discretisation, traced = discretised(problem), numbers_to_arrays(problem)
         scenarios = first_scenarios(problem, np.asarray(discretisation.collocation.points))
         discretisation = discretisation.at_scenarios(scenarios)
         meanwhile(problem, discretisation)
-        mesh = Mesh(first_nodes(problem), self.scheme, Pointwise.of(problem).has_jumps)
+        mesh = Mesh(first_nodes(problem), self.scheme, Pointwise.of(problem).signals.have_jumps)
         raised = () if self.most_stages is None else self.scheme.raised(self.most_stages)
         goal = Goal(np.inf if self.error is None else float(self.error), (self.scheme, *raised))
         return Recipe(problem, traced, traced, discretisation, scenarios, goal, self._start).on(mesh)
@@ -127,12 +131,4 @@ def _check_stages(scheme: AbstractScheme, error: float | None, most: int) -> Non
         raise ProblemError(
             f"Simultaneous: most_stages: expected a scheme whose stages can be raised to {most}, such as "
             f"al.schemes.Radau(3) to 8; received {scheme}."
-        )
-
-
-def _refuse(problem: Problem) -> None:
-    if not isinstance(problem.grid, Grid):
-        raise ProblemError(
-            f"al.Simultaneous ties states over time: expected a system that moves in time; received "
-            f"{type(problem.system).__name__}, which is algebraic. Use al.Sequential()."
         )

@@ -288,7 +288,12 @@ def _algebraic(
     decisions, duration, signals, states = at
     pointwise = Pointwise.of(problem)
     shared = jnp.append(decisions[pointwise.direct], duration)
-    return pointwise.everywhere(pointwise.algebraic, points, places, shared, signals, states)
+
+    def one(germ: Array, place: Array, signal: Array, state: Array) -> Array:
+        return pointwise.algebraic(germ, place, shared, jnp.concatenate([signal, state]))
+
+    inner = jax.vmap(one, in_axes=(None, 0, 0, 0))
+    return jax.vmap(inner, in_axes=(0, None, None, 0))(points, places, signals, states)
 
 
 ALGEBRAIC = Compiled(_algebraic, use=Use.ONCE)

@@ -5,7 +5,7 @@ are repeated. So what is compiled does not depend on the number of mesh points, 
 realisations, and results do not depend on the number of cores.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, NamedTuple, TypeAlias, final
@@ -154,32 +154,17 @@ class Call:
     """Tiles that are evaluated together: what they are given is gathered in one array, since each costs time."""
 
     def __init__(self, tiles: tuple[Tile, ...], evaluate: Bound, curve: Bound):
-        self.tiles, self._evaluate, self._curve = tiles, evaluate, curve
+        self.tiles, self.evaluate, self._curve = tiles, evaluate, curve
         self._variables = np.concatenate([one.variables for one in tiles])
         self._data = np.concatenate([one.data for one in tiles])
         self._rows = np.concatenate([one.rows for one in tiles])
 
-    def evaluation(self, variables: Float[np.ndarray, " n"]) -> "Task":
-        """Values and first derivatives."""
-        return Task(self.tiles, self._evaluate, lambda: self._numbers(variables))
-
-    def curvature(self, variables: Float[np.ndarray, " n"], weights: Float[np.ndarray, " rows"]) -> "Task":
-        """Second derivatives of the weighted rows."""
-        return Task(self.tiles, self._curve, lambda: (self._numbers(variables), weights[self._rows]))
-
-    def _numbers(self, variables: np.ndarray) -> np.ndarray:
-        return np.concatenate([variables[self._variables], self._data])
-
-
-class Task(NamedTuple):
-    """A call that is to be made: tiles, a compiled function, and what makes its argument."""
-
-    tiles: tuple[Tile, ...]
-    function: Bound
-    argument: Callable[[], Any]
-
-    def __call__(self) -> Any:
-        return self.function(self.argument())
+    def at(
+        self, variables: Float[np.ndarray, " n"], weights: Float[np.ndarray, " rows"] | None
+    ) -> tuple[Bound, Float[np.ndarray, " numbers"] | tuple[np.ndarray, np.ndarray]]:
+        """The compiled function and its argument: of values and first derivatives, or second ones of weighted rows."""
+        numbers = np.concatenate([variables[self._variables], self._data])
+        return (self.evaluate, numbers) if weights is None else (self._curve, (numbers, weights[self._rows]))
 
 
 def calls_of(
@@ -191,21 +176,28 @@ def calls_of(
     return [Call(tiles, *functions) for tiles in together]
 
 
-def results(tasks: list[Task]) -> Iterator[tuple[Tile, Any]]:
-    """Each tile and its results."""
+def results(
+    calls: list[Call], variables: Float[np.ndarray, " n"], weights: Float[np.ndarray, " rows"] | None = None
+) -> Iterator[tuple[Tile, Any]]:
+    """Each tile and its results: see `Call.at`."""
     # The calling thread traces a user's code before other threads start.
-    for task in _one_of_each(tasks):
-        task.function.prepare(task.argument())
-    for task, values in zip(tasks, in_order(lambda task: task(), tasks), strict=True):
-        yield from zip(task.tiles, values, strict=True)
+    for function, argument in (call.at(variables, weights) for call in _one_of_each(calls)):
+        function.prepare(argument)
+
+    def evaluated(call: Call) -> Any:
+        function, argument = call.at(variables, weights)
+        return function(argument)
+
+    for call, values in zip(calls, in_order(evaluated, calls), strict=True):
+        yield from zip(call.tiles, values, strict=True)
 
 
-def begin(tasks: list[Task]) -> None:
-    """Begin to compile what some tasks need, on other cores."""
-    for task in _one_of_each(tasks):
-        task.function.begin(task.argument())
+def begin(calls: list[Call], variables: Float[np.ndarray, " n"], weights: Float[np.ndarray, " rows"]) -> None:
+    """Begin to compile what some second derivatives need, on other cores."""
+    for function, argument in (call.at(variables, weights) for call in _one_of_each(calls)):
+        function.begin(argument)
 
 
-def _one_of_each(tasks: list[Task]) -> list[Task]:
-    """A task for each compiled function."""
-    return list({task.function: task for task in reversed(tasks)}.values())
+def _one_of_each(calls: list[Call]) -> list[Call]:
+    """A call for each compiled function."""
+    return list({call.evaluate: call for call in reversed(calls)}.values())

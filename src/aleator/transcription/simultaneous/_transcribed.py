@@ -59,13 +59,12 @@ def _taken(problem: Problem, constants: Constants, at: tuple[Any, ...]) -> tuple
     """Every statistic that stands in a problem, from decisions, coefficients, and values on the scenarios."""
     decisions, coefficients, realised = at
     scope = ExpansionScope(
-        {},
         dict(zip(expanded_functionals(problem.expressions), coefficients, strict=True)),
         constants,
         named_numbers(problem.simulation, decisions),
         # Statistics are told at the instants alone, and integrals are known.
         between=Between({}, jnp.zeros(problem.grid.steps + 1), instants=1),
-        realised=dict(zip(extreme_functionals(problem.expressions), realised, strict=True)),
+        scenarios=dict(zip(extreme_functionals(problem.expressions), realised, strict=True)),
     )
     _, taken = scope.evaluated(problem.expressions)
     return tuple(one for some in taken for one in some)
@@ -233,7 +232,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         self, point: Float[np.ndarray, " variables"], multipliers: Float[np.ndarray, " rows"]
     ) -> tuple[Costates, Switching] | tuple[None, None]:
         duals, mesh = adjoint(self.layout, self.assembled, point, multipliers), self.layout.plan.mesh
-        states, signals = state_shapes(self.problem), self.layout.pointwise.signal_shapes
+        states, signals = state_shapes(self.problem), self.layout.pointwise.signals.shapes
         nodes, weighed = (self._instants(point, at) for at in (np.array(mesh.nodes), mesh.places[mesh.weighed, 0]))
         by_state = dict(zip(states, apart(duals.states, list(states.values())), strict=True))
         # What an integral over time of a statistic adds stands in no rate.
