@@ -148,7 +148,7 @@ class Compiled:
             def function(*inputs: Any) -> Any:
                 return self._function(*read(list(inputs)))
 
-            trace = functools.partial(self._traced, function, inputs, use, name, packed=packed)
+            trace = functools.partial(self._traced, program, function, inputs, use, name, packed=packed)
             if not programs.is_kept(name):
                 return functools.partial(self._timed, trace())
 
@@ -172,7 +172,14 @@ class Compiled:
         return executable
 
     def _traced(
-        self, function: Callable[..., Any], inputs: list[Any], use: Use, name: str | None, *, packed: bool
+        self,
+        program: Program,
+        function: Callable[..., Any],
+        inputs: list[Any],
+        use: Use,
+        name: str | None,
+        *,
+        packed: bool,
     ) -> Callable[[], Executable]:
         """Trace a function: what is returned compiles it."""
         started = time.perf_counter()
@@ -183,13 +190,10 @@ class Compiled:
             layouts[:] = [Layout.of(result, packed=packed)]
             return layouts[0].arrays(result)
 
-        if programs.keeps(name):
-            # JAX finds programs by their text, this one among others: else it would find one of another name, which
-            # could not be kept under this one.
-            flat.__name__ = f"flat_{name}"
         with _explained():
             traced = jax.jit(flat).trace(*inputs)
             use, lowered = use.of(traced.jaxpr), traced.lower()
+        program.results = None if packed else layouts[0].read(traced.out_info)
         # Asked here, because what JAX is told of devices holds for one thread.
         bound_to = placed(inputs)
         platform, moves = (bound_to or home()).platform, bound_to is None and len(devices()) > 1
@@ -197,9 +201,8 @@ class Compiled:
             Compiled.seconds += time.perf_counter() - started
 
         def compiled() -> Executable:
-            before = programs.found_by_jax()
             executable = compiled_for(use, lowered, platform)
-            if name is not None and programs.found_by_jax() == before:
+            if name is not None:
                 programs.keep(name, lowered, executable, layouts[0])
             ready = _ready(executable, layouts[0])
             return _OnEach(ready, lambda: self._timed(here)) if moves else ready
@@ -309,11 +312,17 @@ class Bound:
             self._executable = self._program(last)()
         return self._executable
 
-    def begin(self, last: Any) -> None:
-        """Begin to compile on another core what calls with arguments of this structure run; traced here and now."""
+    def begin(self, last: Any) -> Pytree | None:
+        """Begin to compile on another core what calls with arguments of this structure run; traced here and now.
+
+        - `last`: the argument, or its shapes alone.
+
+        Returns the shapes of the results; None if these are packed, or the program is one of an earlier run.
+        """
         program = self._program(last)
         if not program.is_ready:
             beside(program)
+        return program.results
 
     def __call__(self, last: Any) -> Any:
         """The function's value."""

@@ -1,9 +1,8 @@
 """Programs: traced once, compiled by the first thread that needs them, kept while there is room, and kept on the disk.
 
 Later runs need not trace, lower or compile them again. They are in the user's own folder, in a part for each kind of
-machine, because they are machine code. JAX's persistent compilation cache keeps small programs there, which it finds by
-their lowered text; those of problems are kept beside them under lasting names (`identity`), because tracing and
-lowering take longer than all the rest.
+machine, because they are machine code, under lasting names (`identity`): JAX's persistent compilation cache finds
+programs by their lowered text, and tracing and lowering take longer than all the rest.
 
 Reading a file runs what it holds: machine code, and a pickle, because JAX has no other form of an executable. So only
 files are opened that belong to this user, that nobody else can write to, and whose digest is that of their name and
@@ -24,6 +23,7 @@ import threading
 import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
 from typing import Any, final
@@ -32,7 +32,6 @@ import jax
 import jax.numpy as jnp
 import platformdirs
 from jax.experimental import serialize_executable
-from jax.experimental.compilation_cache import compilation_cache as persistent
 
 from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
@@ -57,9 +56,12 @@ class Program:
 
     Other threads wait meanwhile. Nothing waits for a core: if another thread was to compile a program and has not
     begun, its caller compiles it. What fails is tried again by the next one who asks.
+
+    - `results`: their shapes, None if they are not known.
     """
 
     def __init__(self) -> None:
+        self.results: Any = None
         self._lock = threading.RLock()
         self._compile: Callable[[], Executable] | None = None
         self._executable: Executable | None = None
@@ -185,16 +187,16 @@ _DIGEST = hashlib.sha256().digest_size
 _BINARY = getattr(os, "O_BINARY", 0)  # on Windows
 
 _folder: Path | None = None
-_heard = threading.local()
+_WRITER = ThreadPoolExecutor(1, thread_name_prefix="aleator, writer")
 
 
 def compilation_cache(folder: str | os.PathLike[str] | None) -> None:
     """Keep compiled programs in `folder` from now on, so that other runs need not compile; `None` ends this.
 
-    By default they are kept in the user's own cache folder, at most 500 MB, unless JAX has been given a folder; the
-    environment variable `ALEATOR_CACHE`, a folder or `off`, overrides this. Entries that are damaged, or come from
-    another machine or version, are ignored. Anyone who can write to them can make this process run any code, so that
-    they are in a part of the folder that is closed to others.
+    By default they are kept in the user's own cache folder, at most 500 MB; the environment variable `ALEATOR_CACHE`, a
+    folder or `off`, overrides this. Nothing more is kept while JAX has a folder of its own. Entries that are damaged,
+    or come from another machine or version, are ignored. Anyone who can write to them can make this process run any
+    code, so that they are in a part of the folder that is closed to others.
 
     Raises `ProblemError` if the folder cannot be created or written to, or if its part for this machine belongs to
     another user or can be written to by others.
@@ -207,7 +209,7 @@ def compilation_cache(folder: str | os.PathLike[str] | None) -> None:
 def keep_by_default() -> None:
     """Keep programs in the folder set in the environment, or in the user's cache folder; called once, at set-up.
 
-    A folder given to JAX is left unchanged. A warning is given if a folder set by the user cannot be written to.
+    Nowhere if JAX has been given a folder. A warning is given if a folder set by the user cannot be written to.
     """
     wanted = os.environ.get(VARIABLE)
     if wanted is None and jax.config.jax_compilation_cache_dir is not None:  # type: ignore[attr-defined]
@@ -225,11 +227,6 @@ def keep_by_default() -> None:
 def is_private(status: os.stat_result) -> bool:
     """Whether a file or folder belongs to this user, and nobody else can write to it; assumed on Windows."""
     return sys.platform == "win32" or (status.st_uid == os.getuid() and not status.st_mode & 0o022)
-
-
-def keeps(name: str | None) -> bool:
-    """Whether a program of this name is kept at all."""
-    return name is not None and _folder is not None
 
 
 def is_kept(name: str | None) -> bool:
@@ -265,11 +262,17 @@ def load(name: str | None, inputs: list[Any]) -> tuple[Any, Any] | None:
 
 
 def keep(name: str, lowered: jax.stages.Lowered, executable: jax.stages.Compiled, layout: Any) -> None:
-    """Keep an executable with the layout of its results for later runs; silently skipped if it cannot be written.
+    """Keep an executable with the layout of its results for later runs; another thread writes it.
 
-    It is skipped too if it calls anything outside XLA other than LAPACK, such as Python code: such a function may not
-    exist in another run.
+    What cannot be written is skipped silently, and so is what calls anything outside XLA other than LAPACK, such as
+    Python code, for such a function may not exist in another run; and everything while JAX's own cache is on: an
+    executable that it has read has lost its code.
     """
+    if _folder is not None and not jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
+        _WRITER.submit(_written, name, lowered, executable, layout)
+
+
+def _written(name: str, lowered: jax.stages.Lowered, executable: jax.stages.Compiled, layout: Any) -> None:
     path = _path(name)
     called = set(_CALLED.findall(lowered.as_text()))
     if path is None or not all(one.startswith(_LAPACK) for one in called):
@@ -287,24 +290,8 @@ def keep(name: str, lowered: jax.stages.Lowered, executable: jax.stages.Compiled
             with os.fdopen(os.open(trial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o600), "wb") as file:
                 file.write(_digest(name, content) + content)
             trial.replace(path)
-            # JAX's own copy goes: found there when this file is lost, the program could never be written again.
-            for copy in path.parent.glob(f"jit_*{name}-*"):
-                copy.unlink(missing_ok=True)
         finally:
             trial.unlink(missing_ok=True)
-
-
-def found_by_jax() -> int:
-    """How many programs this thread has found in JAX's own cache. Written again, such a program has lost its code."""
-    return getattr(_heard, "hits", 0)
-
-
-def _hear(event: str, **_: Any) -> None:
-    if event.endswith("/cache_hits"):
-        _heard.hits = found_by_jax() + 1
-
-
-jax.monitoring.register_event_listener(_hear)
 
 
 def _path(name: str) -> Path | None:
@@ -328,15 +315,8 @@ def _prepare_lapack() -> None:
 def _keep_in(folder: Path | None) -> None:
     global _folder
     _folder = folder
-    jax.config.update("jax_compilation_cache_dir", None if folder is None else str(folder))
-    persistent.reset_cache()
-    if folder is None:
-        return
-    # Small programs too: hundreds of them are compiled one by one when single numbers of a model are evaluated.
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    # Unreadable entries are compiled, unwritable ones compiled again: users need not know of either.
-    warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache")
-    _forget_oldest(folder)
+    if folder is not None:
+        _forget_oldest(folder)
 
 
 def _made(folder: Path) -> Path:

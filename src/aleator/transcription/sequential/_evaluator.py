@@ -5,6 +5,7 @@ are sums over the points. So a large problem is simulated in parts, one per core
 coefficients, with derivatives; the rest of the work is small. A small problem is one program.
 """
 
+from collections.abc import Callable
 from functools import reduce
 from typing import Any, NamedTuple, final
 
@@ -282,9 +283,14 @@ class Evaluator:
         """Whether a problem of the same structure has been compiled before."""
         return self._programs[0].is_known(decisions)
 
-    def begin(self, decisions: Float[np.ndarray, " n"]) -> None:
-        """Begin to compile what simulates, on another core; it is traced here and now."""
-        self._programs[0].begin(decisions)
+    def begin(self, decisions: Float[np.ndarray, " n"], meanwhile: Callable[[], object]) -> None:
+        """Begin to compile what simulates, on another core; it is traced here and now, and the rest is meanwhile."""
+        share = self._programs[0].begin(decisions)
+        meanwhile()
+        if self._combine is not None and share is not None:
+            every = [share] * len(self._programs)
+            _, finite, _, terms, slopes = zip(*every, strict=True)
+            self._combine.prepare(_Shares(terms, slopes, finite, jax_array(decisions)))
 
     def with_constants(self, constants: Constants) -> "Evaluator":
         """The same problem with other constants, such as other scenarios."""

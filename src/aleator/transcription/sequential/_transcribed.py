@@ -198,8 +198,7 @@ class Sequential(AbstractTranscription):
         evaluator = Evaluator(traced, discretisation.collocation, discretisation.constants, anchors)
         if not evaluator.is_known(start):
             # Compiled on another core, and meanwhile the check on this one.
-            evaluator.begin(start)
-            meanwhile(problem, discretisation)()
+            evaluator.begin(start, lambda: meanwhile(problem, discretisation)())
         decision_scale = decision_scales(start, lower, upper)
         around = _nearby(start, lower, upper, decision_scale)
         beside = [evaluator(one) for one in around] if instantaneous(problem) else []
