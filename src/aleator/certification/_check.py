@@ -246,15 +246,13 @@ def _odd_prime_from(number: int) -> int:
     return next(one for one in candidates if all(one % k for k in range(2, int(one**0.5) + 1)))
 
 
-def rounding_of(
-    transcribed: AbstractTranscribed, sizes: Float[np.ndarray, " rows"], reaches: Iterable[float]
+def rounding_at(
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], reaches: Iterable[float]
 ) -> dict[AbstractFunctional, float]:
-    """The rounding of functionals, by how large they could be, or as far as constraints on them show it.
-
-    `sizes`: of the rows of constraints, see `row_sizes`. A functional with a bound of zero is a difference of numbers
-    of its constraint's magnitude.
+    """The rounding of functionals, by how large they could be, or as far as constraints on them show it: one with a
+    bound of zero is a difference of numbers of its constraint's magnitude.
     """
-    problem = transcribed.problem
+    problem, sizes = transcribed.problem, row_sizes(transcribed, point)
     rounding = {one: _ROUNDING * reach for one, reach in zip(functionals_of(problem.expressions), reaches, strict=True)}
     for one, rows in zip(problem.constraints, transcribed.rows, strict=True):
         size = float(np.max(sizes[rows], initial=0.0))
@@ -291,7 +289,7 @@ def certain(
 
     For example, the rate at the end of a motion that comes to rest is zero in every system, up to rounding.
     """
-    rounding = rounding_of(transcribed, row_sizes(transcribed, point), check.reaches)
+    rounding = rounding_at(transcribed, point, check.reaches)
     judged = spread_functionals(transcribed.problem)
     each = zip(functionals_of(transcribed.problem.expressions), check.stds, check.reaches, strict=True)
     return tuple(

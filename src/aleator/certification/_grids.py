@@ -16,7 +16,7 @@ from aleator.certification._check import (
     begin_check,
     bounded_by,
     pieces,
-    rounding_of,
+    rounding_at,
     row_sizes,
     spread_functionals,
 )
@@ -60,8 +60,7 @@ def grid_error(
     times = meaning.times
     functionals = functionals_of(problem.expressions)
     reaches = dict(zip(functionals, finer.reaches, strict=True))
-    sizes_of_rows = row_sizes(transcribed, point)
-    rounding, spreads = rounding_of(transcribed, sizes_of_rows, finer.reaches), spread_functionals(problem)
+    rounding, spreads = rounding_at(transcribed, point, finer.reaches), spread_functionals(problem)
     deviations = {}
     for i, one in enumerate(functionals):
         own = resolved[one.text()]
@@ -80,7 +79,7 @@ def grid_error(
     objective = meaning.objective
     away = _OWN_ERROR * abs(objective - float(finer.values[0]))
     floor = _NEGLIGIBLE_VALUE * reach_of(problem.objective, reaches)
-    sizes = limit_sizes(transcribed, reaches, sizes_of_rows)
+    sizes = limit_sizes(transcribed, point, reaches)
     return GridError(
         steps=problem.grid.steps,
         factor=finer.factor,
@@ -114,7 +113,7 @@ def misled_at(
     ):
         return ""
     check = begin_check(transcribed, start, factor)()
-    rounding = rounding_of(transcribed, row_sizes(transcribed, start), check.reaches)
+    rounding = rounding_at(transcribed, start, check.reaches)
     for one, own, mean, std in zip(functionals_of(problem.expressions), begun, check.means, check.stds, strict=True):
         true = float(np.sqrt(np.max(mean**2 + std**2)))
         if not (own <= _FAR_OFF * true or own <= rounding[one]):
@@ -248,12 +247,13 @@ def _on_paths(
 
 
 def limit_sizes(
-    transcribed: AbstractTranscribed, reaches: dict[Any, float], rows: Float[np.ndarray, " rows"]
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], reaches: dict[Any, float]
 ) -> list[float]:
     """The size of each limit: its smaller bound or, where that is zero, how large its expression may be.
 
-    `reaches`: how large each functional could be; `rows`: see `row_sizes`.
+    `reaches`: how large each functional could be.
     """
+    rows = row_sizes(transcribed, point)
     return [
         bound_size(one) or max(reach_of(one.expression, reaches), float(np.max(rows[own])))
         for one, own in zip(transcribed.problem.constraints, transcribed.rows, strict=True)

@@ -73,12 +73,12 @@ class _Fresh(NamedTuple):
         missed = np.abs(self.values - self.predicted).reshape(len(self.values), -1)
         return bool((missed > _OUTLIER * float(np.sqrt(np.max(self.variance)))).any())
 
-    def corrections(self) -> "_Corrections":
-        """The corrections of mean and variance by the fresh systems."""
+    def corrections(self) -> dict[type[AbstractStatistic], Float[np.ndarray, "... replicates"]]:
+        """The errors of mean, variance and standard deviation by the fresh systems, in all replicates."""
         shift = self.means(self.values - self.predicted)
         squares = self.means((self.values - self.mean) ** 2 - (self.predicted - self.mean) ** 2) - shift**2
         wider = np.sqrt(np.maximum(self.variance[..., None] + squares, 0.0)) - np.sqrt(self.variance)[..., None]
-        return _Corrections(shift, squares, wider)
+        return {Mean: shift, Variance: squares, Std: wider}
 
     def means(self, missed: Float[np.ndarray, "fresh ..."]) -> Float[np.ndarray, "... replicates"]:
         """The mean error along a last axis of replicates: zero, of all, and of all but one (the jackknife)."""
@@ -86,14 +86,6 @@ class _Fresh(NamedTuple):
         every = weighted.sum(axis=0) / weight
         rest = (weighted.sum(axis=0) - weighted) / (weight - self.weights)
         return np.moveaxis(np.concatenate([0 * every[None], every[None], rest]), 0, -1)
-
-
-class _Corrections(NamedTuple):
-    """The errors of a functional's mean, variance and standard deviation, in all replicates."""
-
-    mean: Float[np.ndarray, "... replicates"]
-    variance: Float[np.ndarray, "... replicates"]
-    std: Float[np.ndarray, "... replicates"]
 
 
 @final
@@ -122,23 +114,14 @@ def second_opinion(
     is no evidence beyond chance. Then more systems are drawn, and the limit counts as broken if two standard errors
     show it.
     """
-    problem = transcribed.problem
-    if not len(check.systems.points) or not functionals_of(problem.expressions):
+    if not len(check.systems.points) or not functionals_of(transcribed.problem.expressions):
         return None
-    if (without_values := _without_values(transcribed, point, [check])) is not None:
-        return without_values
-    fresh = _fresh(transcribed, point, [check])
-    opinion = _opinion(transcribed, fresh, point, check, _RARE)
-    if opinion.broken or not any(one.has_outlier for one in fresh.values()):
-        return opinion
-    suspected = _opinion(transcribed, fresh, point, check, np.inf)
-    if not suspected.broken:
+    opinion = _opinion(transcribed, point, [check], _RARE)
+    is_suspected = not opinion.broken and any(one.has_outlier for one in _fresh(transcribed, point, [check]).values())
+    if not is_suspected or not _opinion(transcribed, point, [check], np.inf).broken:
         return opinion
     waiting = [begin_check(transcribed, point, check.factor, draw) for draw in range(1, _MORE)]
-    checks = [check, *(one() for one in waiting)]
-    if (without_values := _without_values(transcribed, point, checks)) is not None:
-        return without_values
-    return _opinion(transcribed, _fresh(transcribed, point, checks), point, check, _SHOWN)
+    return _opinion(transcribed, point, [check, *(one() for one in waiting)], _SHOWN)
 
 
 def _without_values(
@@ -159,23 +142,21 @@ def _without_values(
 
 
 def _opinion(
-    transcribed: AbstractTranscribed,
-    fresh: Mapping[str, _Fresh],
-    point: Float[np.ndarray, " variables"],
-    check: Check,
-    chance: float,
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], checks: list[Check], chance: float
 ) -> SecondOpinion:
     """`chance`: with which probability an expression that has not changed may seem to have."""
+    if (without_values := _without_values(transcribed, point, checks)) is not None:
+        return without_values
+    fresh, count = _fresh(transcribed, point, checks), sum(len(one.systems.points) for one in checks)
+    if not fresh:
+        return SecondOpinion(count, {}, (), "")
     missed = [
         f"the expansion predicts fresh simulations of {text} with an error of {one.miss:.2g} of their standard "
         "deviation"
         for text, one in fresh.items()
         if not one.miss <= 2 * transcribed.problem.expansion.tolerance
     ]
-    if not fresh:
-        return SecondOpinion(len(check.systems.points), {}, (), "")
-    shifts, broken = _judged(transcribed, fresh, point, check, chance)
-    count = len(next(iter(fresh.values())).values)
+    shifts, broken = _judged(transcribed, fresh, point, checks[0], chance)
     return SecondOpinion(count, {text: one.miss for text, one in fresh.items()}, (*missed, *shifts), broken)
 
 
@@ -201,26 +182,26 @@ def _fresh(
 
 
 def _corrected(
-    kind: AbstractStatistic, expanded: np.ndarray, one: _Fresh, off: _Corrections
+    kind: AbstractStatistic,
+    expanded: np.ndarray,
+    one: _Fresh,
+    off: Mapping[type[AbstractStatistic], Float[np.ndarray, "... replicates"]],
 ) -> tuple[np.ndarray, np.ndarray]:
     """A statistic in all replicates, and its change by one standard deviation of its functional.
 
-    Quantiles and the like are shifted and scaled with mean and spread; joint statistics are not corrected.
+    - `off`: the corrections of the functional. Quantiles and the like are shifted and scaled with mean and spread;
+      joint statistics are not corrected.
     """
     std, base = np.sqrt(one.variance), np.asarray(expanded)[..., None]
-    if isinstance(kind, Mean):
-        return base + off.mean, std
-    if isinstance(kind, Variance):
-        return base + off.variance, one.variance
-    if isinstance(kind, Std):
-        return base + off.std, std
+    if type(kind) in off:
+        return base + off[type(kind)], one.variance if isinstance(kind, Variance) else std
     if isinstance(kind, _FOLLOW_THE_SPREAD):
         safe = np.where(std > 0, std, 1.0)[..., None]
-        return base + off.mean + (base - one.mean[..., None]) / safe * off.std, std
+        return base + off[Mean] + (base - one.mean[..., None]) / safe * off[Std], std
     if isinstance(kind, Probability):
         inside = [_inside(kind, part) for part in (one.values, one.predicted)]
         return base + one.means(inside[0] - inside[1]), np.sqrt(np.clip(base[..., 0] * (1 - base[..., 0]), 0.0, None))
-    return base + 0 * off.mean, 0 * std
+    return base + 0 * off[Mean], 0 * std
 
 
 def _inside(kind: Probability, values: np.ndarray) -> np.ndarray:
@@ -240,7 +221,7 @@ def _judged(
     problem, meaning = transcribed.problem, transcribed.at(point)
     known, spreads = {}, {}
     corrections = {text: one.corrections() for text, one in fresh.items()}
-    replicates = next(one.mean.shape[-1] for one in corrections.values())
+    replicates = next(one[Mean].shape[-1] for one in corrections.values())
     # Statistics that occur in several expressions are equal in all.
     for atom, statistic in zip(statistics_in(problem.expressions), check.statistics, strict=True):
         text, one = atom.text(), atom.functionals[0].text()

@@ -219,7 +219,7 @@ def doubts(quality: ExpansionQuality, opinion: SecondOpinion | None) -> list[str
             f"error exceeds {quality.tolerance:g}, so means and spreads cannot be trusted. Raise the order"
         )
     if opinion is not None and not opinion.agrees:
-        sentences.append(f"{opinion.sentence()}. {opinion.remedy}")
+        sentences.append(f"{opinion}. {opinion.remedy}")
     return sentences
 
 

@@ -191,7 +191,7 @@ def _said(certificates: list[Certificate]) -> list[list[str]]:
     rows = [
         ["Error of the grid", *("–" if one.grid_error is None else str(one.grid_error) for one in certificates)],
         ["Worst case", *("; ".join(one.worst_case.rows()) if one.worst_case else "–" for one in certificates)],
-        ["Fresh systems", *("–" if one.opinion is None else one.opinion.sentence() for one in certificates)],
+        ["Fresh systems", *("–" if one.opinion is None else str(one.opinion) for one in certificates)],
         ["Not seen", *(one.expansion.unseen.sentence() if one.expansion.unseen else "–" for one in certificates)],
     ]
     return [row for row in rows if any(text != "–" for text in row[1:])]

@@ -165,8 +165,7 @@ class Between(Printed):
         """The cost over the largest that is accepted without a warning."""
         return self.cost / _COSTLY
 
-    def sentence(self) -> str:
-        """Whether all limits hold, or which does not and by how much."""
+    def __str__(self) -> str:
         if self.holds:
             cost = f"{self.cost:.2g} of the objective: use more steps, or refine=True" if self.is_costly else ""
             tightened = f", by bounds tightened at the instants, which may cost up to {cost}" if cost else ""
@@ -179,9 +178,6 @@ class Between(Printed):
             f"between the instants of the grid '{self.name}' exceeds its bound by {self.worst:.2g} of it{when}: "
             "use more steps"
         )
-
-    def __str__(self) -> str:
-        return self.sentence()
 
 
 @final
@@ -206,13 +202,9 @@ class WorstRealisation(Printed):
         """The system by its uncertain numbers, the first few if there are many."""
         return system_text(self.numbers)
 
-    def sentence(self) -> str:
-        """The value, when it is reached, and by which system."""
+    def __str__(self) -> str:
         when = "" if self.time is None else f" at t = {self.time:.4g} s"
         return f"{self.name} reaches {self.value:.6g}{when} with {self.system}"
-
-    def __str__(self) -> str:
-        return self.sentence()
 
 
 @final
@@ -241,14 +233,16 @@ class WorstCase(Printed):
         """The realisation that breaks its limit most, with the remedy if the search did not converge."""
         worst = max(self.realisations, key=lambda one: one.beyond)
         return (
-            f"After {self.rounds} rounds {worst.sentence()}, {worst.beyond:.3g} beyond its bound: each new design "
+            f"After {self.rounds} rounds {worst}, {worst.beyond:.3g} beyond its bound: each new design "
             "breaks it at another realisation. Narrow the distributions, or give the optimiser fewer decisions."
         )
 
     def rows(self) -> list[str]:
         """A line for each limit, then how they were found."""
-        found = [one.sentence() for one in self.realisations]
-        return [*found, f"the worst of {self.searched} realisations of the model, in {self.rounds} rounds"]
+        return [
+            *map(str, self.realisations),
+            f"the worst of {self.searched} realisations of the model, in {self.rounds} rounds",
+        ]
 
     def __str__(self) -> str:
         return "\n".join(self.rows())
@@ -285,15 +279,11 @@ class SecondOpinion(Printed):
         """What to do where they disagree; without predictions to compare, some system has no result at any order."""
         return "Raise the order" if self.misses else "Mend the model there, or bound the distributions"
 
-    def sentence(self) -> str:
-        """The result in one sentence."""
+    def __str__(self) -> str:
         if self.agrees:
             worst = max(self.misses.values(), default=0.0)
             return f"{self.samples} fresh simulations agree, missed by {worst:.2e} of their standard deviation at worst"
         return f"{self.samples} fresh simulations disagree: {'; '.join(self.contradictions[:3])}"
-
-    def __str__(self) -> str:
-        return self.sentence()
 
 
 class Objection(NamedTuple):
@@ -343,8 +333,7 @@ class Certificate(Printed):
         if between is not None and not between.holds:
             return Objection(
                 "limits break between the instants",
-                f"solved at the instants of the grid, but {between.sentence()}, or between=1 to check the instants "
-                "alone",
+                f"solved at the instants of the grid, but {between}, or between=1 to check the instants alone",
             )
         if error is not None and not error.is_usable:
             on = f" on {error.steps} steps" if error.steps else ""
@@ -381,13 +370,13 @@ class Certificate(Printed):
             f"complementarity {self.complementarity:.1e} (scaled)"
         )
         return [
-            *([] if self.between is None else [("between", self.between.sentence())]),
+            *([] if self.between is None else [("between", str(self.between))]),
             *([] if self.grid_error is None else [("grid", str(self.grid_error))]),
             *(("worst case", row) for row in (self.worst_case.rows() if self.worst_case else ())),
             ("certificate", residuals),
             ("expansion", str(self.expansion)),
             *([("derivatives", self.expansion.tangent_sentence())] if self.expansion.worst_tangent else []),
-            *([("fresh", self.opinion.sentence())] if self.opinion else []),
+            *([("fresh", str(self.opinion))] if self.opinion else []),
             *([("correlated", self.correlations)] if self.correlations else []),
             *([("not seen", self.expansion.unseen.sentence())] if self.expansion.unseen else []),
         ]

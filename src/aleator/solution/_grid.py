@@ -148,18 +148,14 @@ class GridError(Printed):
         inside = "" if self.steps else " of what the model simulates"
         where = f"seen on {self.factor} times as many steps{inside}"
         if self.is_met:
-            return f"objective off by {self.objective.error:.1e}, {self._worst_text()}; {where}"
+            other = f"'{self.worst}' by {self.functionals[self.worst].error:.1e}" if self.worst else "nothing else"
+            return f"objective off by {self.objective.error:.1e}, {other}; {where}"
         told = "about" if self.ratio > 1 and self._finer <= _MOST else "at least"
         if inside:
             times = min(max(_LEAST, self._finer), _MOST)
             return f"{self.sentence()}; {where}: give the grids inside the model {told} {times:.2g} times as many"
         also = " and smaller tolerances of the integrator" if self.by_tolerances else ""
         return f"{self.sentence()}; {where}: use {told} {self.steps_needed} steps{also}, or refine=True"
-
-    def _worst_text(self) -> str:
-        if not self.worst:
-            return "nothing else"
-        return f"'{self.worst}' by {self.functionals[self.worst].error:.1e}"
 
 
 @final
@@ -210,9 +206,25 @@ class MeshError(Drawn):
         return f"{self.intervals} intervals of {self.scheme}: {drift}{place}{system}{asked}"
 
 
+class AbstractOverTime(Drawn):
+    """Arrays over time, by name."""
+
+    values: Mapping[str, np.ndarray]
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self.values:
+            raise refusal("name", f"one of {list(self.values)}", name)
+        return self.values[name]
+
+    @property
+    def ranges(self) -> str:
+        """From where to where each of them goes."""
+        return ", ".join(f"{name} from {np.min(one):.4g} to {np.max(one):.4g}" for name, one in self.values.items())
+
+
 @final
 @dataclass(frozen=True)
-class States(Drawn):
+class States(AbstractOverTime):
     """The states of some realisations over time.
 
     - `times`: the points of the mesh, s, shape (points,);
@@ -224,9 +236,6 @@ class States(Drawn):
     germs: Float[np.ndarray, "realisations variables"]
     values: Mapping[str, Float[np.ndarray, "realisations points ..."]]
 
-    def __getitem__(self, name: str) -> Float[np.ndarray, "realisations points ..."]:
-        return known(self.values, name)
-
     @property
     def fractions(self) -> Float[np.ndarray, " points"]:
         """The points of the mesh as fractions of the duration."""
@@ -234,24 +243,12 @@ class States(Drawn):
 
     def __str__(self) -> str:
         count, span = len(self.germs), f"from t = {self.times[0]:.4g} to {self.times[-1]:.4g} s"
-        return f"{count} realisation{'s'[: count > 1]} at {len(self.times)} points {span}: {ranges(self.values)}"
-
-
-def known(values: Mapping[str, np.ndarray], name: str) -> np.ndarray:
-    """One of some arrays. Raises `ProblemError` if there is none of this name."""
-    if name not in values:
-        raise refusal("name", f"one of {list(values)}", name)
-    return values[name]
-
-
-def ranges(values: Mapping[str, np.ndarray]) -> str:
-    """From where to where each of some arrays goes."""
-    return ", ".join(f"{name} from {np.min(one):.4g} to {np.max(one):.4g}" for name, one in values.items())
+        return f"{count} realisation{'s'[: count > 1]} at {len(self.times)} points {span}: {self.ranges}"
 
 
 @final
 @dataclass(frozen=True)
-class Costates(Drawn):
+class Costates(AbstractOverTime):
     """The derivative of the optimal objective by each state at each node: by an extra push of it at that instant.
 
     Their sign is that of the objective: a negative costate says that more of the state would lower it. A realisation is
@@ -266,16 +263,13 @@ class Costates(Drawn):
     germs: Float[np.ndarray, "realisations variables"]
     values: Mapping[str, Float[np.ndarray, "realisations nodes ..."]]
 
-    def __getitem__(self, name: str) -> Float[np.ndarray, "realisations nodes ..."]:
-        return known(self.values, name)
-
     def __str__(self) -> str:
-        return f"costates of {ranges(self.values)}, {len(self.germs)} realisations at {len(self.times)} nodes"
+        return f"costates of {self.ranges}, {len(self.germs)} realisations at {len(self.times)} nodes"
 
 
 @final
 @dataclass(frozen=True)
-class Switching(Drawn):
+class Switching(AbstractOverTime):
     """The derivative of the Hamiltonian by each input: by how much the objective changes for each unit of the input and
     each second that it is raised there. Where it is positive, an input at its lower bound is optimal; where it is
     negative, one at its upper bound; a control that is between its bounds makes it zero.
@@ -292,8 +286,5 @@ class Switching(Drawn):
     times: Float[np.ndarray, " points"]
     values: Mapping[str, Float[np.ndarray, "points ..."]]
 
-    def __getitem__(self, name: str) -> Float[np.ndarray, "points ..."]:
-        return known(self.values, name)
-
     def __str__(self) -> str:
-        return f"switching function of {ranges(self.values)}, at {len(self.times)} points"
+        return f"switching function of {self.ranges}, at {len(self.times)} points"

@@ -2,5 +2,4 @@
 
 from aleator.solving._solve import Call as Call
 from aleator.solving._solve import check_search as check_search
-from aleator.solving._solve import follows_from as follows_from
 from aleator.solving._solve import solve as solve

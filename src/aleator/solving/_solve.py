@@ -34,22 +34,42 @@ from aleator.transcription import DEFAULT, AbstractTranscription, started_from
 _FINEST = 1e-9
 
 
-def check_arguments(
-    problem: Problem,
-    solver: AbstractSolver,
-    warm_start: Solution | None,
-    deterministic_first: bool,
-    between: int | None,
-    accuracy: float,
-    executor: Executor | None,
-) -> None:
+class Call(NamedTuple):
+    """Arguments of `solve`."""
+
+    problem: Problem
+    solver: AbstractSolver | None = None
+    transcription: AbstractTranscription = DEFAULT
+    warm_start: Solution | None = None
+    start: Mapping[str, Any] | None = None
+    deterministic_first: bool = False
+    between: int | None = None
+    accuracy: float = 1e-3
+    refine: bool = False
+    executor: Executor | None = None
+
+    @property
+    def chosen_solver(self) -> AbstractSolver:
+        """That of the call, or of its transcription."""
+        return self.solver or self.transcription.solver
+
+    @property
+    def causes(self) -> dict[str, Any]:
+        """All that its answer follows from, by name: all arguments but the executor."""
+        start = dict(self.start) if isinstance(self.start, Mapping) else self.start
+        return self._replace(solver=self.chosen_solver, start=start, executor=None)._asdict()
+
+
+def check_arguments(call: Call) -> None:
     """Raise `ProblemError` unless the arguments are what `solve` expects."""
+    problem, solver, warm_start, accuracy = call.problem, call.solver, call.warm_start, call.accuracy
+    one_of("solve: transcription", call.transcription, AbstractTranscription, "al.Sequential()")
     if not isinstance(problem, Problem):
         raise ProblemError(f"solve: expected a Problem; received {type(problem).__name__}.")
-    if not isinstance(solver, AbstractSolver):
+    if not isinstance(solver, AbstractSolver | None):
         raise ProblemError(f"solve: expected a solver, such as al.solvers.Ipopt(); received {solver!r}.")
-    if between is not None:
-        whole("solve: between", between)
+    if call.between is not None:
+        whole("solve: between", call.between)
     if isinstance(accuracy, bool) or not isinstance(accuracy, int | float) or not _FINEST <= accuracy < 1:
         raise ProblemError(
             f"solve: expected `accuracy` as a number from {_FINEST:g} (64-bit arithmetic gives no more) to below 1; "
@@ -57,12 +77,14 @@ def check_arguments(
         )
     if isinstance(solver, AbstractSearch):
         check_search("solve", problem, solver)
-    _check_shared(solver, executor)
-    if not isinstance(deterministic_first, bool):
-        raise ProblemError(f"solve: expected True or False as `deterministic_first`; received {deterministic_first!r}.")
+    _check_shared(call.chosen_solver, call.executor)
+    if not isinstance(call.deterministic_first, bool):
+        raise ProblemError(
+            f"solve: expected True or False as `deterministic_first`; received {call.deterministic_first!r}."
+        )
     if warm_start is None:
         return
-    if deterministic_first:
+    if call.deterministic_first:
         raise ProblemError(
             "solve: expected either `warm_start` or `deterministic_first`, for each says where to start; received both."
         )
@@ -127,21 +149,6 @@ def first_decisions(
 _NO_START = (*UNSOLVED, Status.EVALUATION_FAILED)
 
 
-class Call(NamedTuple):
-    """Arguments of `solve`. Its result follows from all of them but the executor."""
-
-    problem: Problem
-    solver: AbstractSolver | None = None
-    transcription: AbstractTranscription = DEFAULT
-    warm_start: Solution | None = None
-    start: Mapping[str, Any] | None = None
-    deterministic_first: bool = False
-    between: int | None = None
-    accuracy: float = 1e-3
-    refine: bool = False
-    executor: Executor | None = None
-
-
 def solve(
     problem: Problem,
     solver: AbstractSolver | None = None,
@@ -170,8 +177,8 @@ def solve(
       system is found sooner than for many. `solution.effort.at_means` tells how that ended;
     - `between`: limits over time are checked on a grid of so many times as many steps as well, and where they are
       exceeded between two instants, the bounds there are tightened until they hold; a solution that exceeds one by more
-      than a thousandth of it nevertheless has failed. 1 leaves that out. By default 10 for systems that follow
-      trajectories, 2 for others, or more on a coarse grid;
+      than a thousandth of it nevertheless has failed. 1 leaves that out. By default 11 for systems that follow
+      trajectories, 3 for others, or more on a coarse grid; the next odd prime number is taken;
     - `accuracy`: the error of the grid that is tolerated, as a part of a limit or of a spread, whichever is smaller. It
       is told by a finer grid and an integrator of another order. A solution whose objective is off by more than this
       part of it, or that breaks a limit on the finer grid, is not `ok`; other errors beyond it are warned of;
@@ -187,9 +194,6 @@ def solve(
     contradict it (where that breaks a limit, the solution has failed: see `SecondOpinion`), with `GridWarning` if the
     grid is too coarse.
     """
-    one_of("solve: transcription", transcription, AbstractTranscription, "al.Sequential()")
-    solver = solver or transcription.solver
-    check_arguments(problem, solver, warm_start, deterministic_first, between, accuracy, executor)
     call = Call(
         problem,
         solver,
@@ -198,11 +202,12 @@ def solve(
         start,
         deterministic_first,
         between,
-        float(accuracy),
+        accuracy,
         refine,
         executor,
     )
-    solution = journalled("solve", follows_from(call), lambda: _solved(call))
+    check_arguments(call)
+    solution = journalled("solve", call.causes, lambda: _solved(call))
     if throw and solution.status is Status.EVALUATION_FAILED:
         raise SimulationError(solution.message)
     if throw and not solution.ok:
@@ -212,28 +217,15 @@ def solve(
     return solution
 
 
-def follows_from(call: Call) -> dict[str, Any]:
-    """All that an answer follows from, by name."""
-    return {
-        "problem": call.problem,
-        "solver": call.solver or call.transcription.solver,
-        "transcription": call.transcription,
-        "warm_start": call.warm_start,
-        "start": dict(call.start) if isinstance(call.start, Mapping) else call.start,
-        "how": (call.deterministic_first, call.between, call.accuracy, call.refine),
-    }
-
-
 def _solved(call: Call) -> Solution:
     """The solution, whatever its status: see `solve`."""
     problem, warm, transcription = call.problem, call.warm_start, call.transcription
     transcription = transcription if warm is None else transcription.starting_from(warm)
     first = first_decisions(problem, transcription, warm, call.start)
     known = (None, None) if warm is None else (warm.multipliers, warm.certificate.worst_case)
-    solver = call.solver or transcription.solver
     # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
     with heeding() as heed, dropped_on_failure():
-        rounds = Rounds(solver, call.between, heed, call.executor)
+        rounds = Rounds(call.solver or transcription.solver, call.between, heed, call.executor)
         stages = Stages(transcription, rounds, call.accuracy, Compiled.seconds)
         at_means = None
         if call.deterministic_first:
@@ -303,5 +295,5 @@ def _warn_if_coarse(solution: Solution) -> None:
         warnings.warn(f"On {error.steps} steps {error}.", GridWarning, stacklevel=3)
     between = solution.certificate.between
     if between is not None and solution.ok and between.is_costly:
-        said = between.sentence()
+        said = str(between)
         warnings.warn(f"{said[0].upper()}{said[1:]}.", GridWarning, stacklevel=3)

@@ -18,7 +18,7 @@ from aleator._core.journalled import AbstractEntry, NotKeptError, calling, entry
 from aleator.design import Problem, refuse_other_code
 from aleator.nlp import Status
 from aleator.solution import Solution
-from aleator.solving import Call, follows_from, solve
+from aleator.solving import Call, solve
 from aleator.validation import Evidence, validate, validated_from
 
 Arguments: TypeAlias = Mapping[str, Any]
@@ -43,7 +43,7 @@ def _solved(**arguments: Any) -> Solution:
     return solve(**arguments, throw=False)
 
 
-SOLVE = Work("solve", lambda **arguments: follows_from(Call(**arguments)), _solved)
+SOLVE = Work("solve", lambda **arguments: Call(**arguments).causes, _solved)
 VALIDATE = Work("validate", validated_from, validate)
 
 
