@@ -142,6 +142,28 @@ def test_a_rare_event_that_breaks_a_limit_is_drawn_more_often_before_the_design_
     assert "fresh simulations contradict" in solution.why()
 
 
+@pytest.mark.filterwarnings("ignore")
+def test_an_outlier_of_hardly_any_weight_is_a_reason_to_draw_more():
+    class Corner(al.AlgebraicSystem):
+        """A jump in a corner of 4 % that no point sees, and one fresh system does: in the utmost tail of its germ."""
+
+        k: al.Number
+        a: al.Number
+        b: al.Number
+
+        def outputs(self):
+            return {"g": self.k + 0.1 * self.a + 0.05 * self.b + jnp.where((self.a < -0.6) & (self.b > 0.6), 1.0, 0.0)}
+
+    parts = [al.Uniform(0.0, half_width=1.0) for _ in range(2)]
+    limit = al.output("g").at_most(1.0, sigmas=2.0)
+    problem = al.Problem(Corner(al.Decision(0.0, -9.0, 9.0), *parts), minimize=-al.value("k"), subject_to=[limit])
+    solution = al.solve(problem, throw=False)
+    # Mean and variance of the jump are 0.04 and 0.04 x 0.96; at its place a is -0.8 and b is 0.8 in the mean.
+    variance = (0.1**2 + 0.05**2) / 3 + 0.04 * 0.96 + 2 * 0.04 * (-0.8 * 0.1 + 0.8 * 0.05)
+    assert float(solution.decisions["k"]) + 0.04 + 2 * np.sqrt(variance) > 1.2
+    assert not solution.ok
+
+
 def test_a_limit_is_held_to_a_part_of_its_spread_however_large_its_bound_is():
     class Offset(al.AlgebraicSystem):
         k: al.Number

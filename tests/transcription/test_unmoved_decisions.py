@@ -22,6 +22,8 @@ RESPONSES = {
     "round": lambda a, b, size: (jnp.round(a) - 7.0) ** 2,
     "stopped": lambda a, b, size: (jax.lax.stop_gradient(a) - 7.0) ** 2,
     "far": lambda a, b, size: (a / size - 3.0) ** 2,
+    "product": lambda a, b, size: a * b + a**4 + b**4,
+    "alike": lambda a, b, size: (a - b) ** 4 - (a - b) ** 2 + (a + b - 1.0) ** 2,
 }
 LIMITED = {
     "a": lambda a, size: a,
@@ -70,6 +72,13 @@ def test_a_start_at_a_bound_on_a_line_of_symmetry_or_where_the_model_is_flat_is_
     solution = answer("symmetric", (0.3, -2.0, 2.0))
     assert solution.objective == pytest.approx(0.0, abs=1e-8)
     assert abs(solution.decisions["b"]) == pytest.approx(1.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("start", [0.0, 1.0])
+def test_a_symmetry_of_two_decisions_is_left_whether_they_have_moved_or_not(start):
+    # Along a = b both have a minimum where across it they have a maximum.
+    assert answer("product", (start, -2.0, 2.0), b=(start, -2.0, 2.0)).objective == pytest.approx(-0.125, rel=1e-8)
+    assert answer("alike", (start, -2.0, 2.0), b=(start, -2.0, 2.0)).objective == pytest.approx(-0.25, rel=1e-8)
 
 
 def test_a_maximum_under_a_limit_is_left_as_far_as_the_limit_lets():

@@ -110,15 +110,13 @@ def second_opinion(
 ) -> SecondOpinion | None:
     """Compare the expansions at a point with fresh simulations; None if nothing is uncertain.
 
-    A rare event that none of the collocation points sees may break a limit by the one system in which it occurs, which
-    is no evidence beyond chance. Then more systems are drawn, and the limit counts as broken if two standard errors
-    show it.
+    A rare event that none of the collocation points sees may occur in one system, which is no evidence beyond chance.
+    Then more systems are drawn, and a limit counts as broken if two standard errors show it.
     """
     if not len(check.systems.points) or not functionals_of(transcribed.problem.expressions):
         return None
     opinion = _opinion(transcribed, point, [check], _RARE)
-    is_suspected = not opinion.broken and any(one.has_outlier for one in _fresh(transcribed, point, [check]).values())
-    if not is_suspected or not _opinion(transcribed, point, [check], np.inf).broken:
+    if opinion.broken or not any(one.has_outlier for one in _fresh(transcribed, point, [check]).values()):
         return opinion
     waiting = [begin_check(transcribed, point, check.factor, draw) for draw in range(1, _MORE)]
     return _opinion(transcribed, point, [check, *(one() for one in waiting)], _SHOWN)

@@ -11,7 +11,7 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from aleator.nlp._evaluations import MOST_DIFFERENCED, NotFiniteError, changes_of
 from aleator.nlp._matrices import projected
@@ -52,15 +52,18 @@ class Descent(NamedTuple):
 
 
 def descent(
-    scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers, still: Bool[np.ndarray, " n"] | None = None
+    scaled: ScaledProgram,
+    z: np.ndarray,
+    multipliers: Multipliers,
+    unmoved: Float[np.ndarray, "n directions"] | None = None,
 ) -> Descent | None:
     """The descent that first-order conditions hide at a point `z`, shape (n_free,); None if there is none.
 
-    - `still`: variables that no descent has moved, by which the point may be a saddle or a maximum. Without any, only
-      slopes that might change the objective noticeably are a reason to look.
+    - `unmoved`: directions that no descent has gone, along which the point may be a saddle or a maximum. Without any,
+      only slopes that might change the objective noticeably are a reason to look.
 
     Two evaluations for each direction. Those free of active rows and bounds are looked along if they are few; of more
-    than `MOST_DIFFERENCED` variables only the first still ones, along the active rows, and the slope.
+    than `MOST_DIFFERENCED` variables only the first unmoved ones, along the active rows, and the slope.
     """
     here = scaled.evaluate(z)
     # Those of rows and bounds close by.
@@ -69,16 +72,16 @@ def descent(
     presses = np.abs(multipliers.every) > _PRESSES * max(1.0, float(np.abs(here.gradient).max(initial=0.0)))
     free = ~presses[scaled.rows :]
     free &= np.where(slope > 0, z - scaled.lower, np.where(slope < 0, scaled.upper - z, 1.0)) > 0
-    still = np.zeros(z.size, dtype=bool) if still is None else still & free
-    if not (still.any() or z.size <= MOST_DIFFERENCED or isinstance(scaled.sparsity, np.ndarray)):
+    unmoved = np.zeros((z.size, 0)) if unmoved is None else unmoved[:, ~unmoved[~free].any(axis=0)]
+    if not (unmoved.size or z.size <= MOST_DIFFERENCED or isinstance(scaled.sparsity, np.ndarray)):
         return None  # The slope alone is no reason to factorise thousands of rows.
     # Directions that active rows and bounds leave free, orthonormal in the variables' sizes.
-    if z.size > MOST_DIFFERENCED and not still.any():
+    if unmoved.size:
+        units, _ = np.linalg.qr(unmoved[:, :MOST_DIFFERENCED] / size[:, None])
+    elif z.size > MOST_DIFFERENCED:
         units = np.where(free, slope * size, 0.0)[:, None]
     else:
-        places = np.flatnonzero(still if still.any() else free)[:MOST_DIFFERENCED]
-        units = np.zeros((z.size, places.size))
-        units[places, np.arange(places.size)] = 1.0
+        units = np.eye(z.size)[:, free]
     acting = presses[: scaled.rows] | (scaled.constraint_lower == scaled.constraint_upper)
     if acting.any():
         units = projected(here.jacobian[np.flatnonzero(acting)] * (size * free), units)
@@ -88,7 +91,7 @@ def descent(
     objective = scaled.objective_size(here)
     least = min(_NOTICEABLE * objective, _BESIDE_START * (objective + scaled.start_objective))
     noticeable = max(least, _ROUNDING * scaled.terms(here, multipliers))
-    if not still.any() and float(np.abs(slope @ basis).sum()) <= noticeable:
+    if not unmoved.size and float(np.abs(slope @ basis).sum()) <= noticeable:
         return None
     try:
         curvature = basis.T @ changes_of(

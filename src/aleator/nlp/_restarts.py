@@ -1,9 +1,10 @@
 """Where to search next: beside an answer that may be a maximum or a saddle, and elsewhere where nothing feasible was
 found. And the variables that a model does not depend on, or only without a slope.
 
-First-order conditions hold at maxima, at saddles (a start on a line of symmetry never leaves it), and wherever a model
-is flat. Solvers descend, so that they end there only if they began there: variables that have not moved are checked. A
-search by values may end anywhere that is flat, so that all flat variables of its answer are checked.
+First-order conditions hold at maxima, at saddles, and wherever a model is flat. Solvers descend, so that they end there
+only if a symmetry keeps them there: directions along which nothing has moved are checked, those of variables that have
+stayed, and of differences of variables that have moved by as much. A search by values may end anywhere that is flat, so
+that all flat variables of its answer are checked.
 
 Where a solver proves that no small step meets all constraints there may still be a feasible point elsewhere: if a model
 saturates, or if a variable must change by many orders of magnitude from a poor start.
@@ -13,8 +14,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from aleator.nlp._curvature import descent
+from aleator.nlp._evaluations import MOST_DIFFERENCED
 from aleator.nlp._matrices import zero_columns
 from aleator.nlp._program import Evaluation, NonlinearProgram
 from aleator.nlp._scaling import Multipliers, ScaledProgram, Scales
@@ -108,7 +111,7 @@ def _around(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -> R
         """The Lagrangian with the multipliers of the outcome, beside which it is the objective."""
         return there.objective + float(outcome.multipliers @ (there.constraints - here.constraints))
 
-    idle, blind, lower = [], [], _descended(program, outcome, still & ~flat)
+    idle, blind, lower = [], [], _descended(program, outcome, _unmoved(program, outcome.point - begun, still))
     for i in np.flatnonzero(still & flat)[:_MOST].tolist():
         others = [(point, program.evaluate(point)) for point in _across(program, outcome.point, i)]
         others = [(point, there) for point, there in others if np.isfinite([there.objective, *there.constraints]).all()]
@@ -125,9 +128,31 @@ def _around(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -> R
     return Restart(program, idle=tuple(idle), blind=tuple(sorted({*blind, *lost})))
 
 
-def _descended(program: NonlinearProgram, outcome: Outcome, still: np.ndarray) -> list[np.ndarray]:
-    """A lower point by variables that may be at a maximum or a saddle, if there is one."""
-    if not still.any():
+def _unmoved(
+    program: NonlinearProgram, moved: np.ndarray, still: Bool[np.ndarray, " n"]
+) -> Float[np.ndarray, "n directions"]:
+    """Directions along which a search has moved nothing: variables that are `still`, and sums or differences of those
+    that have moved by as much, unless there are many variables: a symmetry keeps them together.
+    """
+    single = np.eye(moved.size)[:, still]
+    if moved.size > MOST_DIFFERENCED:
+        return single
+    lengths = np.abs(moved) / program.variable_scale
+    others = np.flatnonzero(~still & (lengths > _STILL))
+    others = others[np.argsort(lengths[others])]
+    pairs = zip(others[:-1].tolist(), others[1:].tolist(), strict=True)
+    tied = [(i, j) for i, j in pairs if lengths[j] - lengths[i] <= _STILL * max(1.0, lengths[j])]
+    together = np.zeros((moved.size, len(tied)))
+    for k, (i, j) in enumerate(tied):
+        together[i, k], together[j, k] = np.sign(moved[i]), -np.sign(moved[j])
+    return np.concatenate([single, together], axis=1)
+
+
+def _descended(
+    program: NonlinearProgram, outcome: Outcome, unmoved: Float[np.ndarray, "n directions"]
+) -> list[np.ndarray]:
+    """A lower point along directions in which this may be a maximum or a saddle, if there is one."""
+    if not unmoved.size:
         return []
     scaled = ScaledProgram(program, outcome.point)
     z, free = scaled.start, program.lower < program.upper
@@ -135,7 +160,7 @@ def _descended(program: NonlinearProgram, outcome: Outcome, still: np.ndarray) -
     objective = max(abs(outcome.evaluation.objective), float(changes.max())) or 1.0
     scaled.rescale(z, Scales(objective, outcome.sizes[scaled.useful]))
     bounds = (outcome.bound_multipliers * program.variable_scale)[free] / objective
-    further = descent(scaled, z, Multipliers(scaled.to_scaled(outcome.multipliers), bounds), still[free])
+    further = descent(scaled, z, Multipliers(scaled.to_scaled(outcome.multipliers), bounds), unmoved[free])
     return [] if further is None or further.point is None else [scaled.unscaled(further.point)]
 
 

@@ -139,8 +139,8 @@ class Between(Printed):
     - `name`: the constraint that is exceeded most; `time`: when (s), NaN for a peak;
     - `is_strict`: whether the design depends on what happens between instants: because bounds were tightened for it, or
       because the system follows trajectories. Evidence then counts violations on the finer grid too;
-    - `cost`: how much worse the objective is than the optimum that holds at the instants alone, relative to it: what
-      tightening costs at most. The best design that holds between instants too lies between these two.
+    - `cost`: how much worse the objective is than the optimum that holds at the instants alone, relative to the larger
+      of both: what tightening costs at most. The best design that holds between instants too lies between these two.
     """
 
     factor: int

@@ -154,7 +154,7 @@ class Rounds(NamedTuple):
         is_strict = self.between is not None or len(rounds) > 1 or follows_trajectories(transcribed.problem)
         loosest = outcome.evaluation.objective
         rise = answer.evaluation.objective - loosest
-        cost = rise / abs(loosest) if rise > 0 and loosest else 0.0
+        cost = rise / max(abs(loosest), abs(answer.evaluation.objective)) if rise > 0 else 0.0
         between = Between(factor, excess.worst, excess.where, excess.when, is_strict, cost)
         others = [one[0] for one in rounds if one is not best]
         return held._replace(outcome=answer.with_effort_of(*others), between=between, check=check)

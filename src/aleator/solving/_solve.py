@@ -292,7 +292,8 @@ def _warn_if_coarse(solution: Solution) -> None:
         )
     error = solution.certificate.grid_error
     if error is not None and solution.ok and not error.is_met:
-        warnings.warn(f"On {error.steps} steps {error}.", GridWarning, stacklevel=3)
+        on = f"On {error.steps} steps" if error.steps else "In what the model simulates"
+        warnings.warn(f"{on} {error}.", GridWarning, stacklevel=3)
     between = solution.certificate.between
     if between is not None and solution.ok and between.is_costly:
         said = str(between)
