@@ -1,6 +1,8 @@
 """An objective that changes without a slope is refused, where its decision acts smoothly on a limit."""
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import aleator as al
@@ -47,3 +49,38 @@ def test_a_search_compares_values_and_says_so():
     found = al.solve(problem("hundredths"), al.solvers.DifferentialEvolution(seed=1, evaluations=600))
     assert found.objective == pytest.approx(3.04, abs=1e-9)
     assert "values alone chose 'width'" in str(found.effort)
+
+
+class Halved(al.AlgebraicSystem):
+    """Values of k² - 2k + a and of k² a, whose derivatives by k are halves of what they should be in part."""
+
+    k: al.Number
+    a: al.Number
+
+    def outputs(self):
+        square = jax.lax.stop_gradient(self.k) * self.k
+        return {"cost": square - 2 * self.k + self.a, "load": square * self.a}
+
+
+@pytest.mark.parametrize("of_a_limit", [False, True])
+def test_a_derivative_that_is_lost_in_part_is_contradicted_by_values(of_a_limit):
+    # By its derivatives the cost is least at k = 2, where it is 0 and not -1; the limit has twice its true price.
+    limits = [al.output("load").std <= 0.4] if of_a_limit else []
+    objective = -al.value("k") if of_a_limit else al.output("cost").mean
+    model = Halved(al.Decision(1.0 if of_a_limit else 3.0, -5.0, 5.0), al.Normal(0.0, 0.1))
+    problem = al.Problem(model, minimize=objective, subject_to=limits, expansion=al.Expansion(order=2))
+    with pytest.raises(al.SolveError, match="where their derivatives say"):
+        al.solve(problem)
+
+
+def test_rules_of_differentiation_that_are_right_are_not_doubted():
+    class Smooth(al.AlgebraicSystem):
+        k: al.Number
+        a: al.Number
+
+        def outputs(self):
+            return {"cost": jax.nn.softplus(self.k) + jax.nn.softplus(-self.k) + jax.nn.relu(self.k - 3.0) + self.a**2}
+
+    problem = al.Problem(Smooth(al.Decision(1.0, -5.0, 5.0), al.Normal(0.0, 0.1)), minimize=al.output("cost").mean)
+    assert problem.simulation.equations.may_lose_derivatives
+    assert al.solve(problem).objective == pytest.approx(2 * np.log(2.0) + 0.01, rel=1e-9)

@@ -83,12 +83,30 @@ def derived(rule: FunctionType) -> FunctionType:
     return rule
 
 
+def _every(jaxpr: Any) -> Iterator[Any]:
+    """All equations, those inside others included."""
+    for equation in jaxpr.eqns:
+        yield equation
+        for part in jax.tree.leaves(equation.params):
+            if hasattr(part, "eqns"):
+                yield from _every(part)
+
+
 def ends_by_condition(jaxpr: Any) -> bool:
     """Whether there is a loop whose number of steps follows from what it computes."""
+    return any(one.primitive.name == "while" for one in _every(jaxpr))
+
+
+# Equations that may change with a number by which they have no derivative, or have one of their own.
+_LOSING = ("stop_gradient", "round", "floor", "ceil", "sign", "custom_jvp_call", "pure_callback")
+
+
+def may_lose_derivatives(jaxpr: Any) -> bool:
+    """Whether derivatives may be others than those of the values: elsewhere JAX's are exact."""
     return any(
-        equation.primitive.name == "while"
-        or any(ends_by_condition(part) for part in jax.tree.leaves(equation.params) if hasattr(part, "eqns"))
-        for equation in jaxpr.eqns
+        one.primitive.name in _LOSING
+        or (one.primitive.name == "convert_element_type" and jnp.issubdtype(one.params["new_dtype"], jnp.integer))
+        for one in _every(jaxpr)
     )
 
 

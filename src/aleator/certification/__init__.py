@@ -17,6 +17,7 @@ from aleator.certification._grids import unconverged as unconverged
 from aleator.certification._second_opinion import second_opinion as second_opinion
 from aleator.certification._solution import diagnose as diagnose
 from aleator.certification._solution import doubts as doubts
+from aleator.certification._solution import lost_derivatives as lost_derivatives
 from aleator.certification._solution import moved_correlations as moved_correlations
 from aleator.certification._solution import solution_of as solution_of
 from aleator.certification._solution import untrusted as untrusted

@@ -18,6 +18,7 @@ from aleator.certification._check import (
     pieces,
     rounding_at,
     row_sizes,
+    simulates_inside,
     spread_functionals,
 )
 from aleator.design import Constraint, Expression, Peak, Problem, Statistic, functionals_of, history, is_over_time
@@ -91,6 +92,7 @@ def grid_error(
         unresolved=unresolved(transcribed, meaning, finer, sizes),
         pieces=pieces(problem) or 1,
         by_tolerances=problem.integrator.refined() is not problem.integrator,
+        inside=simulates_inside(problem),
     )
 
 

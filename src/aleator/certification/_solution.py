@@ -15,7 +15,7 @@ from aleator.design import Problem, expanded_functionals, first_broken, grid_at,
 from aleator.dynamics import Grid
 from aleator.ensemble import inputs_at, listed
 from aleator.expansion import ILL_CONDITIONED, unseen
-from aleator.nlp import Outcome, Status
+from aleator.nlp import Outcome, Status, missed_slope
 from aleator.solution import (
     Between,
     Certificate,
@@ -221,6 +221,26 @@ def doubts(quality: ExpansionQuality, opinion: SecondOpinion | None) -> list[str
     if opinion is not None and not opinion.agrees:
         sentences.append(f"{opinion}. {opinion.remedy}")
     return sentences
+
+
+def lost_derivatives(
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], multipliers: Float[np.ndarray, " rows"]
+) -> str:
+    """A sentence on values around an answer that do not follow their derivatives; empty if all do.
+
+    Asked of equations alone that may lose derivatives: JAX's are exact elsewhere.
+    """
+    equations = transcribed.problem.simulation.equations
+    if equations is None or not equations.may_lose_derivatives:
+        return ""
+    miss = missed_slope(transcribed.program, point, multipliers)
+    if miss is None:
+        return ""
+    return (
+        f"along a random direction the objective and the limits that hold it change by {miss.seen:.3g}, where their "
+        f"derivatives say {miss.exact:.3g}: the model rounds, stops gradients, or has a wrong rule of differentiation. "
+        "Mend that (al.examine names the numbers), or let a search compare values (al.solvers.DifferentialEvolution())"
+    )
 
 
 def moved_correlations(problem: Problem, decisions: Float[np.ndarray, " n"]) -> str:

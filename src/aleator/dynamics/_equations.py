@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 from typing_extensions import override
 
-from aleator._core.equations import Digest, TracedFunction, digest_of, joint_digest
+from aleator._core.equations import Digest, TracedFunction, digest_of, joint_digest, may_lose_derivatives
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
 from aleator.dynamics._algebraic import AlgebraicSystem, equations, first_guess, outputs_at
@@ -117,6 +117,12 @@ class Equations:
         function = self["instant"]
         outputs = jax.tree.unflatten(function.results, function.closed.out_avals).outputs
         return {name: one.shape for name, one in zip(function.rest.names, outputs, strict=True)}
+
+    @property
+    def may_lose_derivatives(self) -> bool:
+        """See `may_lose_derivatives`."""
+        functions = self._functions or {}
+        return any(may_lose_derivatives(one.closed.jaxpr) for one in functions.values())
 
     def __getitem__(self, name: str) -> TracedFunction:
         assert self._functions is not None

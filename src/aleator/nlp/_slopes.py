@@ -118,3 +118,48 @@ def _is_steep(
     stays = near & (away[1:] > _SMALL) & (falls > _STAYS[0]) & (falls < _STAYS[1])
     # Once may be where rounding begins to show.
     return told.any(axis=0) & ~(stays[1:] & stays[:-1]).any(axis=0)
+
+
+# Steps along a random direction, in typical magnitudes of the variables. A miss of a derivative is the same over both,
+# but for this factor, where that of a smooth row falls and rounding rises; and it is above this part of the values.
+_ALONG, _SAME, _MATTERS = (1e-3, 1e-4), 2.0, 1e-3
+
+
+class Miss(NamedTuple):
+    """By how much the Lagrangian changes along a random direction, and by how much by its derivatives."""
+
+    seen: float
+    exact: float
+
+
+def missed_slope(
+    program: NonlinearProgram, point: Float[np.ndarray, " n"], multipliers: Float[np.ndarray, " m"]
+) -> Miss | None:
+    """Where values around a point do not follow their derivatives, by four evaluations; None where they do.
+
+    The rows that hold the point are among them, by their multipliers. Variables at a bound move away from it.
+    """
+    here = program.evaluate(point)
+    lower, upper = (point - program.lower) / program.variable_scale, (program.upper - point) / program.variable_scale
+    generator = np.random.default_rng(0)
+    direction = generator.uniform(0.5, 1.5, point.size) * generator.choice([-1.0, 1.0], point.size)
+    at_lower, at_upper = lower <= _ALONG[0], upper <= _ALONG[0]
+    direction = np.where(at_lower, np.abs(direction), np.where(at_upper, -np.abs(direction), direction))
+    direction[at_lower & at_upper] = 0.0
+    along = direction * program.variable_scale
+    exact = float((here.gradient + multipliers @ here.jacobian) @ along)
+    sides = (1.0,) if (at_lower | at_upper).any() else (-1.0, 1.0)
+
+    def slope(step: float) -> float:
+        there = program.evaluate(point + step * along)
+        change = there.objective - here.objective + float(multipliers @ (there.constraints - here.constraints))
+        return change / step
+
+    slopes = np.array([[slope(side * step) for side in sides] for step in _ALONG])
+    if not np.isfinite(slopes).all():
+        return None
+    least, most = slopes.min(axis=1), slopes.max(axis=1)
+    first, last = np.maximum(least - exact, exact - most) - (most - least)
+    size = abs(here.objective) + float(np.abs(multipliers) @ np.abs(here.constraints)) + np.abs(slopes).max()
+    is_missed = last > _MATTERS * size and first / _SAME < last < _SAME * first
+    return Miss(float(slopes[-1].mean()), exact) if is_missed else None

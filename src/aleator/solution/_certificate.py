@@ -309,6 +309,7 @@ class Certificate(Printed):
     - `untrusted`: a sentence on the statistic for which an expansion is too coarse; empty if there is none;
     - `misled`: if nothing was solved, a sentence on large errors of the grid at the start of the search, or, of an
       infeasible problem, on a limit that the grid does not resolve at the least violated point; else empty;
+    - `lost`: a sentence on values that do not follow their derivatives around the answer; empty if there are none;
     - `reaches`: how large each functional could be, to which its rounding is relative; empty if nothing was checked;
     - `correlations`: which correlations of uncertain numbers are not those given, for decisions set their shapes.
     """
@@ -323,6 +324,7 @@ class Certificate(Printed):
     opinion: SecondOpinion | None = None
     untrusted: str = ""
     misled: str = ""
+    lost: str = ""
     reaches: Mapping[str, float] = field(default_factory=dict)
     correlations: str = ""
 
@@ -338,6 +340,8 @@ class Certificate(Printed):
         if error is not None and not error.is_usable:
             on = f" on {error.steps} steps" if error.steps else ""
             return Objection("the grid is too coarse", f"solved{on}, but {error}")
+        if self.lost:
+            return Objection("values do not follow their derivatives", f"solved by its derivatives, but {self.lost}")
         if opinion is not None and opinion.broken:
             return Objection(
                 "fresh simulations contradict the expansion",

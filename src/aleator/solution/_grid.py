@@ -74,7 +74,8 @@ class GridError(Printed):
     - `at_start`: a sentence on large errors of the grid at the initial design, which may have misled the search; empty
       if there are none, or if that was not checked;
     - `pieces`: the number of polynomial pieces of the splines that the system follows, whose ends should be instants;
-    - `by_tolerances`: whether the integrator has tolerances of its own, besides the steps of the grid.
+    - `by_tolerances`: whether the integrator has tolerances of its own, besides the steps of the grid;
+    - `inside`: whether the model itself simulates on a grid of its own, which then is finer too.
     """
 
     steps: int
@@ -88,6 +89,7 @@ class GridError(Printed):
     at_start: str = ""
     pieces: int = 1
     by_tolerances: bool = False
+    inside: bool = False
 
     @property
     def worst(self) -> str:
@@ -145,17 +147,19 @@ class GridError(Printed):
         return f"{what} is {one}"
 
     def __str__(self) -> str:
-        inside = "" if self.steps else " of what the model simulates"
-        where = f"seen on {self.factor} times as many steps{inside}"
+        where = f"seen on {self.factor} times as many steps{'' if self.steps else ' of what the model simulates'}"
         if self.is_met:
             other = f"'{self.worst}' by {self.functionals[self.worst].error:.1e}" if self.worst else "nothing else"
             return f"objective off by {self.objective.error:.1e}, {other}; {where}"
         told = "about" if self.ratio > 1 and self._finer <= _MOST else "at least"
-        if inside:
+        remedies = []
+        if self.steps:
+            also = " and smaller tolerances of the integrator" if self.by_tolerances else ""
+            remedies = [f"use {told} {self.steps_needed} steps{also}, or refine=True"]
+        if self.inside:
             times = min(max(_LEAST, self._finer), _MOST)
-            return f"{self.sentence()}; {where}: give the grids inside the model {told} {times:.2g} times as many"
-        also = " and smaller tolerances of the integrator" if self.by_tolerances else ""
-        return f"{self.sentence()}; {where}: use {told} {self.steps_needed} steps{also}, or refine=True"
+            remedies.append(f"give the grids inside the model {told} {times:.2g} times as many")
+        return f"{self.sentence()}; {where}: {'; '.join(remedies)}"
 
 
 @final

@@ -13,6 +13,7 @@ from aleator.certification import (
     check_factor,
     diagnose,
     grid_error,
+    lost_derivatives,
     misled_at,
     moved_correlations,
     prepare_check,
@@ -40,12 +41,14 @@ class Answer(NamedTuple):
 
     def with_opinion(self) -> Solution:
         """The solution with what fresh systems say of its expansions, unless its grid is no good already."""
-        solution, problem = self.solution, self.solution.problem
+        solution, problem, transcribed = self.solution, self.solution.problem, self.transcribed
         if not solution.ok:
             return solution
         certificate = replace(
             solution.certificate,
-            opinion=None if self.check is None else second_opinion(self.transcribed, self.point, self.check),
+            opinion=None if self.check is None else second_opinion(transcribed, self.point, self.check),
+            # A search has compared values.
+            lost="" if solution.effort.searched else lost_derivatives(transcribed, self.point, solution.multipliers),
             untrusted=untrusted(problem, solution.certificate.expansion),
             correlations=moved_correlations(problem, solution.vector),
         )

@@ -307,9 +307,9 @@ def refuse_blind(outcome: Outcome, transcribed: AbstractTranscribed) -> None:
         return
     raise ProblemError(
         f"The objective or a constraint changes with {names}, but all its derivatives tried are zero, so that no "
-        "solver by derivatives can choose: the model rounds, floors, casts to whole numbers or stops gradients. "
-        "Make the effect smooth, let a search compare values (al.solvers.DifferentialEvolution()), or fix the number "
-        "and compare its values one by one."
+        "solver by derivatives can choose: the model rounds, floors, casts to whole numbers, stops gradients, or is "
+        "flat there as far as digits go. Start elsewhere, make the effect smooth, let a search compare values "
+        "(al.solvers.DifferentialEvolution()), or fix the number and compare its values one by one."
     )
 
 
