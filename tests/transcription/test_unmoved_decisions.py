@@ -81,6 +81,30 @@ def test_a_symmetry_of_two_decisions_is_left_whether_they_have_moved_or_not(star
     assert answer("alike", (start, -2.0, 2.0), b=(start, -2.0, 2.0)).objective == pytest.approx(-0.25, rel=1e-8)
 
 
+@pytest.mark.parametrize("way", [al.Sequential(), al.Simultaneous()], ids=["shooting", "collocation"])
+def test_two_controls_whose_product_drives_leave_zero_together(way):
+    class Motor(al.System):
+        """A motor driven by the product of the currents in its field and in its armature."""
+
+        states = ("speed",)
+        inertia: al.Number
+
+        def rhs(self, t, z, field, armature):
+            return (field * armature / self.inertia,)
+
+        def outputs(self, t, z, field, armature):
+            return {"speed": z.speed, "effort": field**2 + armature**2}
+
+    problem = al.Problem(
+        Motor(1.0),
+        grid=al.Grid(1.0, 10),
+        inputs={name: al.BSpline(al.Decision(np.zeros(4), -3.0, 3.0)) for name in ("field", "armature")},
+        minimize=(al.terminal("speed").mean - 1.0) ** 2 + 0.05 * al.integral("effort").mean,
+    )
+    # Both are constant: with k their product, (k - 1)² + 0.1 |k| is least at 0.95.
+    assert al.solve(problem, transcription=way).objective == pytest.approx(0.05**2 + 0.1 * 0.95, rel=1e-5)
+
+
 def test_a_maximum_under_a_limit_is_left_as_far_as_the_limit_lets():
     solution = answer("falling", (0.0, -1.0, 1.0), limit="a", lower=-0.2, upper=0.3)
     assert solution.objective in (pytest.approx(-0.09, rel=1e-6), pytest.approx(-0.04, rel=1e-6))

@@ -19,7 +19,7 @@ _ACTIVE = 1e-5
 # tenth of it does.
 _STATIONARY, _FALL, _FARTHEST, _SHARES = 1e-3, 0.05, 1e5, (1.0, 0.1)
 # Steps of the simplex method after which a proof is given up.
-_MOST_PIVOTS = 100_000
+_MOST_PIVOTS, _MANY = 100_000, 2000
 
 
 @final
@@ -129,7 +129,10 @@ def _is_stationary(scaled: ScaledProgram, z: np.ndarray, slopes: Matrix, gaps: n
         lowest, highest = np.maximum(scaled.lower - z, -reach), np.minimum(scaled.upper - z, reach)
         step = np.column_stack([np.minimum(lowest, 0.0), np.maximum(highest, 0.0)])
         bounds = np.concatenate([step, np.tile([0.0, np.inf], (left.shape[1], 1))])
-        found = scipy.optimize.linprog(cost, matrix, gaps / violation, bounds=bounds, options={"maxiter": _MOST_PIVOTS})
+        # Of thousands of rows the simplex method takes minutes.
+        method = "highs-ipm" if matrix.shape[0] > _MANY else "highs-ds"
+        options = {"maxiter": _MOST_PIVOTS}
+        found = scipy.optimize.linprog(cost, matrix, gaps / violation, bounds=bounds, method=method, options=options)
         return (found.x[: z.size], 1.0 - found.fun) if found.status == 0 else (np.zeros(z.size), np.nan)
 
     # Near an unstable simulation slopes are too steep for this, which proves nothing.

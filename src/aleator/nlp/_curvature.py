@@ -100,7 +100,10 @@ def descent(
     except NotFiniteError:
         return None
     values, mixed = np.linalg.eigh((curvature + curvature.T) / 2)
-    return _tried(scaled, z, multipliers, basis @ mixed, values, noticeable)
+    # Steps are measured by the variable that they move most: among thousands, a unit vector moves none.
+    lengths = np.abs(units @ mixed).max(axis=0)
+    directions, values = basis @ mixed / lengths, values / lengths**2
+    return _tried(scaled, z, multipliers, directions, values, noticeable, is_far=unmoved.size > 0)
 
 
 def _steps(
@@ -127,8 +130,13 @@ def _tried(
     directions: Float[np.ndarray, "n k"],
     curvatures: Float[np.ndarray, " k"],
     noticeable: float,
+    *,
+    is_far: bool,
 ) -> Descent | None:
-    """The longest share of the quadratic model's step that lowers the Lagrangian, one that meets all limits if any."""
+    """The longest share of the quadratic model's step that lowers the Lagrangian, one that meets all limits if any.
+
+    - `is_far`: whether length comes first: a solver that starts close to a saddle returns there.
+    """
     here = scaled.evaluate(z)
     slope = multipliers.slope(here)
     slopes = slope @ directions
@@ -142,7 +150,8 @@ def _tried(
         return None
     lowest, holds = None, False
     for share, sign in itertools.product(_SHARES, (1, -1) if leave.any() else (1,)):
-        if holds or predicted(share) <= noticeable:
+        is_reached = lowest is not None and is_far and sign == 1
+        if holds or is_reached or predicted(share) <= noticeable:
             break
         moved = np.clip(z + directions @ (share * (newton + sign * leave)), scaled.lower, scaled.upper)
         try:

@@ -131,10 +131,12 @@ def _around(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -> R
 def _unmoved(
     program: NonlinearProgram, moved: np.ndarray, still: Bool[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n directions"]:
-    """Directions along which a search has moved nothing: variables that are `still`, and sums or differences of those
-    that have moved by as much, unless there are many variables: a symmetry keeps them together.
+    """Directions along which a search has moved nothing: the first variables that are `still`, and sums or differences
+    of those that have moved by as much, unless there are many variables: a symmetry keeps them together.
     """
-    single = np.eye(moved.size)[:, still]
+    places = np.flatnonzero(still)[:MOST_DIFFERENCED]
+    single = np.zeros((moved.size, places.size))
+    single[places, np.arange(places.size)] = 1.0
     if moved.size > MOST_DIFFERENCED:
         return single
     lengths = np.abs(moved) / program.variable_scale
