@@ -11,9 +11,8 @@ from typing import final
 import numpy as np
 import scipy
 
-from aleator._core.border import Progress, check_progress, members, one_of, positive, refusal, silent, whole
+from aleator._core.border import Progress, members, one_of, positive, refusal, silent, whole
 from aleator._core.errors import CalibrationWarning, ProblemError, SolveError
-from aleator._core.executors import check_executor
 from aleator.design import Problem, uncertain
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
@@ -73,8 +72,6 @@ def calibrate(
 
     Raises `ProblemError`, before anything is solved, for invalid arguments, and whatever the first solve raises.
     """
-    check_progress("calibrate", progress)
-    check_executor("calibrate", executor)
     one_of("calibrate: problem", problem, Problem)
     target, precision = (
         positive("calibrate: target", target, below=1),
@@ -98,7 +95,7 @@ def calibrate(
             raise
 
     search = MarginSearch(problem, multiples, course.common_share, course.aim, precision, solved)
-    with running(lambda: search.trials, progress) as run:
+    with running("calibrate", lambda: search.trials, progress, executor) as run:
         course.finish(search, run)
     missing, trials = "it was interrupted" if run.interrupted else course.missing, tuple(search.trials)
     chosen = course.chosen or search.best
@@ -140,7 +137,7 @@ class _Course:
         task = f"calibration of {' or '.join(self._names)}"
 
         def step(sigmas: float) -> AbstractContextManager[None]:
-            return run.step(task, self._tried, self._max_trials, f"calibrate, at sigmas = {sigmas:.4g}")
+            return run.step(task, self._tried, self._max_trials, f"at sigmas = {sigmas:.4g}")
 
         while True:
             while self._tried < self._max_trials and not search.done:

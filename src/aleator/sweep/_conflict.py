@@ -1,23 +1,23 @@
 """`conflict`: the limits of a problem that cannot hold together, and what relaxing each would cost."""
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import final
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from aleator._core.border import Progress, check_progress, one_of, silent
+from aleator._core.border import Progress, one_of, silent
 from aleator._core.errors import SimulationError
-from aleator._core.interruption import heeding
 from aleator._core.leaves import Printed
 from aleator.certification import diagnose
 from aleator.design import Problem, is_at_points, is_worst_case
 from aleator.ensemble import inputs_at
 from aleator.nlp import HELD, AbstractSolver, Excess, Ipopt, NonlinearProgram, least_excess, variable_range
 from aleator.solution import system_text
+from aleator.sweep._runner import Runner, running
 from aleator.transcription import DEFAULT, AbstractTranscribed, bound_size, germ_box, transcribe
 
 # Added where a claim rests on searches that were stopped.
@@ -121,100 +121,89 @@ def conflict(problem: Problem, *, solver: AbstractSolver | None = None, progress
     none of these.
     """
     one_of("conflict: problem", problem, Problem)
-    check_progress("conflict", progress)
     solver = Ipopt() if solver is None else one_of("conflict: solver", solver, AbstractSolver)
     transcribed = _with_corners(transcribe(problem, DEFAULT))
-    with heeding() as heed:
-        return _Search(transcribed, solver.local, progress, heed).conflict()
+    with running("conflict", lambda: False, progress) as run:
+        return _Search(transcribed, solver.local, run).conflict()
 
 
 @final
 class _Search:
     """A search for a conflict; groups are the names of a problem's constraints, in order."""
 
-    def __init__(
-        self,
-        transcribed: AbstractTranscribed,
-        solver: AbstractSolver,
-        progress: Progress,
-        heed: Callable[[], None],
-    ):
-        self._transcribed, self._solver, self._progress, self._heed = transcribed, solver, progress, heed
-        problem, program = transcribed.problem, transcribed.program
-        self._names = problem.names
-        self._of_name = [[i for i, one in enumerate(problem.constraints) if one.name == name] for name in self._names]
-        self._sizes = [self._size(own) for own in self._of_name]
-        self._groups = [
-            (np.concatenate([np.arange(program.start.size)[:0], *(_rows(transcribed, i) for i in own)]), size)
-            for own, size in zip(self._of_name, self._sizes, strict=True)
-        ]
-        self._starts = _finite_starts(program)
+    def __init__(self, transcribed: AbstractTranscribed, solver: AbstractSolver, run: Runner):
+        self._transcribed, self._solver, self._run = transcribed, solver, run
+        self._names, constraints = transcribed.problem.names, transcribed.problem.constraints
+        self._of_name = [[i for i, one in enumerate(constraints) if one.name == name] for name in self._names]
+        # Excesses are relative to the largest magnitude of a name's constraints.
+        self._sizes = [max(bound_size(constraints[i]) or transcribed.scales[i] for i in own) for own in self._of_name]
+        rows = [np.concatenate([_rows(transcribed, i) for i in own]) for own in self._of_name]
+        self._groups = list(zip(rows, self._sizes, strict=True))
+        self._starts = _finite_starts(transcribed.program)
         if not self._starts:
             raise SimulationError(
                 f"conflict: the model is finite neither at the start nor at {_TRIED} other designs, so that nothing "
-                f"can be said of its limits. {diagnose(transcribed, transcribed.decisions(program.start))}"
+                f"can be said of its limits. {diagnose(transcribed, transcribed.decisions(transcribed.program.start))}"
             )
-        self._shown = True
+        self._done, self._shown = 0, True
 
     def conflict(self) -> Conflict:
         """The conflict of the problem's limits."""
         every = list(range(len(self._names)))
-        least = self._least(every)
+        least = together = self._least(every)
         self._starts.insert(0, least.point)
-        if least.total <= HELD:
-            return self._told((), least)
-        pushing = [i for i in every if len(least.pushing[i])]
-        left = pushing if self._least(pushing).total > HELD else every
-        for done, one in enumerate(tuple(left)):
-            self._progress("limits", done, len(every))
-            without = [other for other in left if other != one]
-            if self._least(without).total > HELD:
-                left = without
-        return self._told(tuple(left), least)
-
-    def _told(self, members: Sequence[int], least: Excess) -> Conflict:
-        names = np.array(self._transcribed.places.entry_names())
-        together = self._least(members) if members else least
+        left: list[int] = []
+        if least.total > HELD:
+            pushing = [i for i in every if len(least.pushing[i])]
+            left = pushing if self._least(pushing).total > HELD else every
+            for self._done, one in enumerate(tuple(left)):
+                without = [other for other in left if other != one]
+                if self._least(without).total > HELD:
+                    left = without
+            together = self._least(left)
+        places, decided = self._transcribed.places, self._transcribed.decided
+        at_bounds = np.array(places.entry_names())[together.bounds[decided]].tolist() if left else ()
         return Conflict(
-            tuple(self._limit(one, together) for one in members),
-            tuple(names[together.bounds[self._transcribed.decided]].tolist()) if members else (),
-            least.total if members else 0.0,
-            self._transcribed.places.named(self._transcribed.decisions(least.point)),
-            self._shown,
+            limits=tuple(self._limit(one, together) for one in left),
+            decisions=tuple(at_bounds),
+            least=least.total if left else 0.0,
+            nearest=places.named(self._transcribed.decisions(least.point)),
+            shown=self._shown,
         )
 
-    def _least(self, elastic: Sequence[int], held: Sequence[int] = ()) -> Excess:
-        least = self._least_excess(elastic, held)
+    def _least(self, loose: Sequence[int]) -> Excess:
+        """The least total excess of some groups without the others. Notes whether it is shown."""
+        least = self._least_excess(loose, ())
         self._shown = self._shown and least.is_shown
         return least
 
     def _least_excess(self, loose: Sequence[int], held: Sequence[int]) -> Excess:
-        """The least total excess of the `loose` groups while those `held` hold, whether shown or not."""
-        self._heed()
-        return least_excess(self._solver, self._transcribed.program, self._groups, held, loose, self._starts)
+        """The least total excess of the `loose` groups while those `held` hold."""
+        with self._run.step("limits", self._done, len(self._names), "least excess"):
+            return least_excess(self._solver, self._transcribed.program, self._groups, held, loose, self._starts)
 
     def _limit(self, which: int, together: Excess) -> Limit:
         """One limit of the conflict, with what it would have to be relaxed by, alone among all."""
-        transcribed, rows = self._transcribed, set(together.pushing[which].tolist())
-        own = self._of_name[which]
-        pushing = [i for i in own if rows & set(_rows(transcribed, i).tolist())] or own
-        others = [one for one in range(len(self._names)) if one != which]
-        alone = self._least_excess((which,), others)
+        transcribed, rows = self._transcribed, together.pushing[which]
+        alone = self._least_excess((which,), [one for one in range(len(self._names)) if one != which])
         relaxed = alone.total if np.isfinite(alone.total) or alone.is_shown else np.nan
-        times = sorted({time for i in pushing for time in self._times(i, together)})
-        texts = tuple(transcribed.texts.constraints[i] for i in pushing)
-        systems = [one for i in pushing for one in self._systems(i, together)]
-        return Limit(self._names[which], texts, tuple(times), relaxed * self._sizes[which], tuple(systems))
+        own = self._of_name[which]
+        pushing = [i for i in own if np.isin(_rows(transcribed, i), rows).any()] or own
+        return Limit(
+            name=self._names[which],
+            texts=tuple(transcribed.texts.constraints[i] for i in pushing),
+            times=tuple(sorted({time for i in pushing for time in self._times(i, together)})),
+            relaxed=relaxed * self._sizes[which],
+            systems=tuple(one for i in pushing for one in self._systems(i, together)),
+        )
 
     def _times(self, constraint: int, together: Excess) -> list[float]:
         """The instants at which a limit over time is in the way."""
         transcribed = self._transcribed
         if not transcribed.problem.constraints[constraint].is_path:
             return []
-        rows, times = _rows(transcribed, constraint), transcribed.at(together.point).times
-        every = np.concatenate(together.pushing)
-        held = np.isin(rows, every).reshape(len(times), -1).any(axis=1)
-        return times[held].tolist()
+        times = transcribed.at(together.point).times
+        return times[self._in_the_way(constraint, together).reshape(len(times), -1).any(axis=1)].tolist()
 
     def _systems(self, constraint: int, together: Excess) -> list[Mapping[str, float]]:
         """The realisations at which a limit on these is in the way."""
@@ -222,15 +211,13 @@ class _Search:
         own, scenarios = transcribed.problem.constraints[constraint], transcribed.scenarios
         if scenarios is None or not (is_worst_case(own) or is_at_points(own)):
             return []
-        held = np.isin(_rows(transcribed, constraint), np.concatenate(together.pushing))
-        slots = np.flatnonzero(held.reshape(-1, len(scenarios.used)).any(axis=0))
-        decisions = transcribed.decisions(together.point)
-        return [inputs_at(transcribed.places, scenarios.points[i], jnp.asarray(decisions)) for i in slots]
+        held = self._in_the_way(constraint, together).reshape(-1, len(scenarios.used)).any(axis=0)
+        decisions = jnp.asarray(transcribed.decisions(together.point))
+        return [inputs_at(transcribed.places, scenarios.points[i], decisions) for i in np.flatnonzero(held)]
 
-    def _size(self, own: Sequence[int]) -> float:
-        """The magnitude to which excesses of some constraints are relative."""
-        constraints, scales = self._transcribed.problem.constraints, self._transcribed.scales
-        return max(bound_size(constraints[i]) or scales[i] for i in own)
+    def _in_the_way(self, constraint: int, together: Excess) -> Bool[np.ndarray, " rows"]:
+        """Which rows of a constraint hold others back."""
+        return np.isin(_rows(self._transcribed, constraint), np.concatenate(together.pushing))
 
 
 def _with_corners(transcribed: AbstractTranscribed) -> AbstractTranscribed:

@@ -6,8 +6,7 @@ from typing import final
 
 import numpy as np
 
-from aleator._core.border import Progress, check_progress, one_of, positive, refusal, silent
-from aleator._core.errors import AleatorError
+from aleator._core.border import Progress, one_of, positive, refusal, silent
 from aleator._core.leaves import Drawn
 from aleator.design import Estimated, Problem, estimated, statistics_in
 from aleator.nlp import AbstractSolver
@@ -112,17 +111,11 @@ def cross_check(
     if not isinstance(solvers, Sequence) or [isinstance(one, AbstractSolver | None) for one in solvers] != [True, True]:
         raise refusal("cross_check: solvers", "two, such as (None, al.solvers.Ipopt())", solvers)
     tolerance = positive("cross_check: tolerance", tolerance)
-    check_progress("cross_check", progress)
     ways = first, second
     own = {"problem": problem, "refine": refine}
     calls = [{**own, "solver": by, "transcription": way} for way, by in zip(ways, solvers, strict=True)]
-    solutions: list[Solution] = []
-    with running(lambda: len(solutions) == len(ways), progress) as run:
-        for _, result in run.each(SOLVE, "cross-check", calls, [f"cross_check, {way.name}" for way in ways]):
-            if isinstance(result, AleatorError):
-                raise result
-            solutions.append(result)
-    one, other = solutions
+    with running("cross_check", lambda: False, progress) as run:
+        (_, one), (_, other) = run.each(SOLVE, "cross-check", calls, [way.name for way in ways])
     size = max(_objective_size(one), _objective_size(other))
     return CrossChecked(
         first=one,

@@ -8,9 +8,8 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.border import Progress, a_name, check_progress, one_of, real_array, silent
-from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.executors import check_executor
+from aleator._core.border import Progress, a_name, one_of, real_array, silent
+from aleator._core.errors import ProblemError
 from aleator._core.journalled import expected
 from aleator._core.leaves import Drawn, Printed
 from aleator.design import Problem
@@ -201,15 +200,13 @@ def pareto(
     """
     one_of("pareto: problem", problem, Problem)
     a_name("pareto: bound", bound)
-    check_progress("pareto", progress)
     bounds = list(dict.fromkeys(np.ravel(real_array("pareto: values", values)).tolist()))
     if not bounds:
         raise ProblemError("pareto: expected at least one value of the bound; received none.")
-    check_executor("pareto", executor)
     own = {"solver": solver, "transcription": transcription}
     making = _FrontInTheMaking(bound, {value: problem.with_bound(bound, value) for value in bounds}, own)
-    with running(lambda: making.solutions, progress) as run, expected("solve", making.named):
-        making.solve(run, executor)
+    with running("pareto", lambda: making.solutions, progress, executor) as run, expected("solve", making.named):
+        making.solve(run)
     return making.front(run.interrupted)
 
 
@@ -233,19 +230,19 @@ class _FrontInTheMaking:
         """What has been solved, by the values of the bound."""
         return {value: one for value, one in self._points.items() if isinstance(one, Solution)}
 
-    def solve(self, run: Runner, executor: Executor | None) -> None:
+    def solve(self, run: Runner) -> None:
         """Solve each point from the problem's own start, then those from a neighbour that this may better.
 
         A point is tried from each design of a neighbour once, until none is bettered any more.
         """
-        self._each([(value, None) for value in self._problems], run, executor)
+        self._each([(value, None) for value in self._problems], run)
         tried, bettered = set[tuple[float, ...]](), True
         while bettered:
             known = self.solutions
             again = {(value, near, known[near].objective): (value, near) for value, near in self._doubtful()}
             pairs = [pair for key, pair in again.items() if key not in tried]
             tried.update(again)
-            bettered = bool(pairs) and self._each(pairs, run, executor)
+            bettered = bool(pairs) and self._each(pairs, run)
 
     def front(self, interrupted: bool) -> Front:
         """What was found, in the order of the bounds. Raises the first refusal if every point was refused."""
@@ -265,14 +262,14 @@ class _FrontInTheMaking:
     def _size(self) -> float:
         return max((abs(one.objective) for one in self.solutions.values() if one.ok), default=0.0)
 
-    def _each(self, tries: Sequence[tuple[float, float | None]], run: Runner, executor: Executor | None) -> bool:
+    def _each(self, tries: Sequence[tuple[float, float | None]], run: Runner) -> bool:
         """Solve some points, each from the design of a neighbour or its own start; whether one has been bettered."""
         known = self.solutions
         calls = [
             {"problem": self._problems[value], "warm_start": None if near is None else known[near], **self._own}
             for value, near in tries
         ]
-        places = [f"pareto, at {self._place(*one)}" for one in tries]
+        places = [f"at {self._place(*one)}" for one in tries]
         task = f"front over {self._bound}" + ", from neighbours" * (tries[0][1] is not None)
         bettered = False
 
@@ -281,7 +278,7 @@ class _FrontInTheMaking:
             brief = in_brief(point) if isinstance(point, Solution) else "no design"
             return f": {self._place(tries[i][0])}, {brief}"
 
-        for i, found in run.each(SOLVE, task, calls, places, executor, detail):
+        for i, found in run.each(SOLVE, task, calls, places, told=ProblemError, detail=detail):
             bettered |= self._keep(*tries[i], found)
         return bettered
 
@@ -289,10 +286,8 @@ class _FrontInTheMaking:
         """A point in words."""
         return point_name(self._bound, value) + (f", from {neighbour:.6g}" if neighbour is not None else "")
 
-    def _keep(self, value: float, neighbour: float | None, found: Solution | AleatorError) -> bool:
+    def _keep(self, value: float, neighbour: float | None, found: Solution | ProblemError) -> bool:
         """Keep what is better than what was known; whether it is."""
-        if isinstance(found, AleatorError) and not isinstance(found, ProblemError):
-            raise found
         if isinstance(found, ProblemError):
             self._first = self._first or found
         point = Refused(self._problems[value], str(found)) if isinstance(found, ProblemError) else found

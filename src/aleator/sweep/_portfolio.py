@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.border import Progress, check_progress, one_of, positive, silent, whole
-from aleator._core.errors import AleatorError, ProblemError, warned_of
-from aleator._core.executors import check_executor
+from aleator._core.border import Progress, members, one_of, positive, refusal, silent, whole
+from aleator._core.errors import ProblemError, warned_of
 from aleator._core.journalled import journalled
 from aleator.design import Problem
 from aleator.nlp import (
@@ -26,7 +25,7 @@ from aleator.nlp import (
 from aleator.solution import Solution
 from aleator.solving import check_search, solve
 from aleator.sweep._runner import SOLVE, Work, finished, running
-from aleator.sweep._starts import Optimum, Portfolio, Starts, alike, at_starts
+from aleator.sweep._starts import Optimum, Portfolio, Starts, alike
 from aleator.transcription import DEFAULT, AbstractTranscription, transcribe, valued_by
 
 # Optima that are certified at most, from the best one on, until one stands.
@@ -55,45 +54,30 @@ def multistart(
     are not finite or of the wrong shape.
     """
     one_of("multistart: problem", problem, Problem)
-    check_progress("multistart", progress)
     spread, seed = positive("multistart: spread", spread), whole("multistart: seed", seed, least=0)
-    if isinstance(starts, bool | Mapping | str) or not isinstance(starts, int | np.integer | Sequence):
-        raise ProblemError(
-            f"multistart: expected a number of starts, or a list of starts by name; received {starts!r}."
-        )
     if not isinstance(starts, Sequence):
-        starts = _random(problem, whole("multistart: the number of starts", starts), spread, seed)
-    given = list(starts)
-    if not given:
-        raise ProblemError("multistart: expected at least one start; received none.")
-    places = problem.placements
-    for start in given:
-        places.moved(places.vector("initial"), start)
-    check_executor("multistart", executor)
+        count = whole("multistart: starts, which may be a list of starts by name or their number,", starts)
+        starts = _around(problem, count, spread, seed)
+    if not members("multistart: starts", starts, Mapping):
+        raise refusal("multistart: starts", "at least one start", starts)
+    for start in starts:
+        problem.placements.moved(problem.placements.vector("initial"), start)
     own = {"problem": problem, "solver": solver, "transcription": transcription}
-    calls = [{**own, "start": start} for start in given]
-    places = [f"multistart, from start {i + 1}" for i in range(len(calls))]
+    calls = [{**own, "start": start} for start in starts]
     solutions: dict[int, Solution] = {}
-    with running(lambda: solutions, progress) as run:
-        for i, result in run.each(SOLVE, "starts", calls, places, executor):
-            if isinstance(result, AleatorError):
-                raise result
-            solutions[i] = result
+    with running("multistart", lambda: solutions, progress, executor) as run:
+        # One by one, so that Ctrl-C keeps those that are there.
+        solutions.update(run.each(SOLVE, "starts", calls, [f"from start {i + 1}" for i in range(len(calls))]))
     return Starts(tuple(solutions[i] for i in sorted(solutions)), run.interrupted)
 
 
-def _random(problem: Problem, count: int, spread: float, seed: int) -> list[dict[str, Any]]:
+def _around(problem: Problem, count: int, spread: float, seed: int) -> list[dict[str, Any]]:
+    """The problem's own start, and random ones around it."""
     places = problem.placements
     first, lower, upper = (places.vector(name) for name in ("initial", "lower", "upper"))
-    finite = np.isfinite(upper - lower)
-    reach = spread * np.where(finite, np.where(finite, upper - lower, 0.0), np.maximum(np.abs(first), 1.0))
-    generator = np.random.default_rng(seed)
-
-    def drawn(i: int) -> Float[np.ndarray, " n"]:
-        shift = generator.uniform(-1.0, 1.0, first.size) if i else np.zeros(first.size)
-        return np.clip(first + reach * shift, lower, upper)
-
-    return [places.named(drawn(i)) for i in range(count)]
+    reach = spread * np.where(np.isfinite(upper - lower), upper - lower, np.maximum(np.abs(first), 1.0))
+    shifts = np.random.default_rng(seed).uniform(-1.0, 1.0, (count - 1, first.size))
+    return [places.named(np.clip(first + reach * shift, lower, upper)) for shift in (np.zeros(first.size), *shifts)]
 
 
 def portfolio(
@@ -124,36 +108,35 @@ def portfolio(
     """
     one_of("portfolio: problem", problem, Problem)
     starts, seed = whole("portfolio: starts", starts), whole("portfolio: seed", seed, least=0)
-    check_executor("portfolio", executor)
-    check_progress("portfolio", progress)
     if search is not None:
         one_of("portfolio: search", search, AbstractSearch, "al.solvers.DifferentialEvolution(), or None")
         check_search("portfolio", problem, search, "search=None leaves the global search out.")
     local = one_of("portfolio: solver", solver or DEFAULT.solver, AbstractSolver, "al.solvers.FilterSQP()").local
     program = transcribe(problem, DEFAULT).program
-    candidates: Sequence[Float[np.ndarray, " n"]] = []
-    chosen: Sequence[Float[np.ndarray, " n"]] = []
+    candidates: list[Float[np.ndarray, " n"]] = []
     searched: Searched | None = None
+    known = 0  # local searches that do not begin at random
     outcomes: dict[int, Outcome] = {}
-    with running(lambda: outcomes or candidates, progress) as run:
+    with running("portfolio", lambda: outcomes or candidates, progress, executor) as run:
         if search is not None:
             found = _searched_globally(problem, program, search, max(starts // 2, 1), executor)
-            candidates, searched = found.candidates, found.searched
+            candidates += found.candidates
+            searched = found.searched
             finished(found)
         chosen = [*candidates, program.start][:starts]
-        begun = [*chosen, *_random_points(program, starts - len(chosen), seed)]
-        calls = [{"problem": problem, "solver": local, "start": point} for point in begun]
-        places = [f"portfolio, local search {i + 1}" for i in range(len(calls))]
-        for i, outcome in run.each(LOCAL_SEARCH, "local searches", calls, places, executor):
-            if isinstance(outcome, AleatorError):
-                raise outcome
-            outcomes[i] = outcome
-    ends = [outcomes[i] for i in sorted(outcomes)]
-    random = [i >= len(chosen) for i in sorted(outcomes)]
-    optima, points = _optima(problem, ends, random)
-    # Without any, the least violated design is told, or the best one of the search.
-    if not points and ends:
-        points = [min(ends, key=lambda one: np.nan_to_num(one.violation, nan=np.inf)).point]
+        known = len(chosen)
+        lower, upper = variable_range(program.start, program.lower, program.upper, program.variable_scale)
+        drawn = np.random.default_rng(seed).uniform(lower, upper, (starts - known, lower.size))
+        calls = [{"problem": problem, "solver": local, "start": point} for point in (*chosen, *drawn)]
+        places = [f"local search {i + 1}" for i in range(starts)]
+        outcomes.update(run.each(LOCAL_SEARCH, "local searches", calls, places))
+    solved = [i for i in sorted(outcomes) if outcomes[i].ok]
+    ends = [outcomes[i] for i in solved]
+    visited = [one.visited for one in outcomes.values()]
+    groups = alike([one.evaluation.objective for one in ends], [one.point for one in ends], visited)
+    points = [ends[group[0]].point for group in groups]
+    if not points and outcomes:  # the least violated design
+        points = [min(outcomes.values(), key=lambda one: np.nan_to_num(one.violation, nan=np.inf)).point]
     points = points[:_CERTIFIED] or candidates[:1]
     try:
         best = _certified(problem, local, search, points)
@@ -163,35 +146,22 @@ def portfolio(
         best = _certified(problem, local, search, points[:1])
     return Portfolio(
         best=best,
-        optima=optima,
-        starts=len(ends),
-        random=sum(random),
-        solved=sum(is_random and one.ok for is_random, one in zip(random, ends, strict=True)),
+        optima=tuple(
+            Optimum(
+                objective=ends[group[0]].evaluation.objective,
+                decisions=problem.placements.named(ends[group[0]].point),
+                starts=len(group),
+                random=sum(solved[i] >= known for i in group),
+            )
+            for group in groups
+        ),
+        starts=len(outcomes),
+        random=sum(i >= known for i in outcomes),
+        solved=sum(i >= known for i in solved),
         searched=searched,
         proven=best.ok and _is_least(program, best.objective, local.tolerance),
         interrupted=run.interrupted,
     )
-
-
-def _random_points(program: NonlinearProgram, count: int, seed: int) -> Float[np.ndarray, "count n"]:
-    lower, upper = variable_range(program.start, program.lower, program.upper, program.variable_scale)
-    return np.random.default_rng(seed).uniform(lower, upper, (count, program.start.size))
-
-
-def _optima(
-    problem: Problem, ends: Sequence[Outcome], random: Sequence[bool]
-) -> tuple[tuple[Optimum, ...], list[Float[np.ndarray, " n"]]]:
-    """The different optima, best first, and their points. `random`: which ends were begun at random points."""
-    solved = [i for i, one in enumerate(ends) if one.ok]
-    objectives = [ends[i].evaluation.objective for i in solved]
-    groups = alike(objectives, [ends[i].point for i in solved], at_starts([one.visited for one in ends]))
-    optima, points = [], []
-    for group in groups:
-        best = ends[solved[group[0]]]
-        named, drawn = problem.placements.named(best.point), sum(random[solved[i]] for i in group)
-        optima.append(Optimum(best.evaluation.objective, named, len(group), drawn))
-        points.append(best.point)
-    return tuple(optima), points
 
 
 def _is_least(program: NonlinearProgram, objective: float, tolerance: float) -> bool:
@@ -248,14 +218,10 @@ def _searched_globally(
     return journalled("global search", given, found)
 
 
-def _local_search_from(problem: Problem, solver: AbstractSolver, start: Float[np.ndarray, " n"]) -> dict[str, Any]:
-    return {"problem": problem, "solver": solver, "start": start}
+def _searched_locally(**arguments: Any) -> Outcome:
+    program = transcribe(arguments["problem"], DEFAULT).program
+    solver: AbstractSolver = arguments["solver"]
+    return journalled(LOCAL_SEARCH.name, arguments, lambda: solver.solve(program, start=arguments["start"]))
 
 
-def _searched_locally(problem: Problem, solver: AbstractSolver, start: Float[np.ndarray, " n"]) -> Outcome:
-    program = transcribe(problem, DEFAULT).program
-    given = _local_search_from(problem, solver, start)
-    return journalled(LOCAL_SEARCH.name, given, lambda: solver.solve(program, start=start))
-
-
-LOCAL_SEARCH = Work("local search", _local_search_from, _searched_locally)
+LOCAL_SEARCH = Work("local search", dict, _searched_locally)

@@ -148,7 +148,7 @@ class Anchors:
         count = len(self._wishes.names)
 
         def step(which: int) -> AbstractContextManager[None]:
-            return run.step("best of each wish", which, count, "trade_off, best of each wish")
+            return run.step("best of each wish", which, count, "best of each wish")
 
         for which in range(count):
             with step(which):

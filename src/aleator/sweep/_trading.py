@@ -7,9 +7,8 @@ from typing import Any, Literal, TypeAlias, assert_never, final, get_args
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.border import Progress, a_name, check_progress, one_of, refusal, silent, whole
+from aleator._core.border import Progress, a_name, one_of, refusal, silent, whole
 from aleator._core.errors import ProblemError
-from aleator._core.executors import check_executor
 from aleator.design import Expression, Problem
 from aleator.nlp import AbstractSolver
 from aleator.sweep._runner import Runner, running
@@ -261,7 +260,6 @@ def trade_off(
     if method not in get_args(Method):
         raise refusal("trade_off: method", '"boundary", "limits", "weights" or "population"', method)
     evaluations, seed = whole("trade_off: evaluations", evaluations), whole("trade_off: seed", seed, least=0)
-    check_executor("trade_off", executor)
     if executor is not None and method != "population" and starts == 1:
         raise ProblemError(
             'trade_off: executor: expected method="population" or starts= of at least 2, whose simulations or searches '
@@ -269,16 +267,15 @@ def trade_off(
         )
     if method == "population":
         check_crowd(problem)
-    check_progress("trade_off", progress)
     one_of("trade_off: transcription", transcription, AbstractTranscription, "al.Sequential()")
     _check_problem(problem, wishes)
     front = FrontInTheMaking(Wishes(problem, wishes), Seeker(transcription, solver, starts, executor), points)
-    with running(lambda: front.anchors.designs, progress) as run:
+    with running("trade_off", lambda: front.anchors.designs, progress, executor) as run:
         front.anchors.find(run)
         if method == "population":
             front.spread(evaluations, seed, executor, run)
         for one in front.problems(method):
-            with run.step("trade-off", front.done, points, f"trade_off, point {front.done + 1}"):
+            with run.step("trade-off", front.done, points, f"point {front.done + 1}"):
                 front.add(one)
     return front.told(run.interrupted)
 
