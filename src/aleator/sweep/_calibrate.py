@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -73,10 +73,8 @@ def calibrate(
     Raises `ProblemError`, before anything is solved, for invalid arguments, and whatever the first solve raises.
     """
     one_of("calibrate: problem", problem, Problem)
-    target, precision = (
-        positive("calibrate: target", target, below=1),
-        positive("calibrate: precision", precision, below=1),
-    )
+    target = positive("calibrate: target", target, below=1)
+    precision = positive("calibrate: precision", precision, below=1)
     seed, max_trials = whole("calibrate: seed", seed, least=0), whole("calibrate: max_trials", max_trials)
     fewest = min(int(np.ceil(_COUNTED / target)), _FEWEST_WEIGHTED)
     if whole("calibrate: samples", samples, least=2) < fewest:
@@ -84,7 +82,6 @@ def calibrate(
             f"calibrate: expected at least {fewest} samples to resolve a violation of {target:g}; received {samples}."
         )
     names = _counted_names(problem, names)
-    course = _Course(names, target, samples, seed, max_trials, executor)
     multiples = {name: max(one.expression.sigmas or 0.0 for one in problem.named(name)) for name in names}
 
     def solved(one: Problem, warm_start: Solution | None = None) -> Solution:
@@ -94,12 +91,20 @@ def calibrate(
             finished(error.solution)
             raise
 
+    course = _Course(names, target, samples, seed, max_trials, executor)
     search = MarginSearch(problem, multiples, course.common_share, course.aim, precision, solved)
     with running("calibrate", lambda: search.trials, progress, executor) as run:
         course.finish(search, run)
-    missing, trials = "it was interrupted" if run.interrupted else course.missing, tuple(search.trials)
-    chosen = course.chosen or search.best
-    found = Calibration(names, target, trials, chosen, course.fresh, course.evidence, missing, run.interrupted)
+    found = Calibration(
+        names=names,
+        target=target,
+        trials=tuple(search.trials),
+        chosen=course.chosen or search.best,
+        confirmation=course.fresh,
+        evidence=course.evidence,
+        missing="it was interrupted" if run.interrupted else course.missing,
+        interrupted=run.interrupted,
+    )
     if not (found.confirmed or run.interrupted):
         said = f"calibrate: sigmas = {found.sigmas:.4g} is {found.sentence()}."
         warnings.warn(said, CalibrationWarning, stacklevel=2)
@@ -107,6 +112,7 @@ def calibrate(
 
 
 @final
+@dataclass
 class _Course:
     """Alternating search and confirmation, until a design is confirmed or `missing` says why not.
 
@@ -115,22 +121,18 @@ class _Course:
     - `chosen`, `fresh`, `evidence`: the design last checked on fresh systems, and the results.
     """
 
-    def __init__(
-        self,
-        names: tuple[str, ...],
-        target: float,
-        samples: int,
-        seed: int,
-        max_trials: int,
-        executor: Executor | None,
-    ):
-        self._names, self._target, self._samples, self._seed = names, target, samples, seed
-        self._max_trials, self._executor = max_trials, executor
-        self._tried = self._looks = 0
-        self.chosen: Trial | None = None
-        self.fresh: Share | None = None
-        self.evidence: Evidence | None = None
-        self.missing = ""
+    _names: tuple[str, ...]
+    _target: float
+    _samples: int
+    _seed: int
+    _max_trials: int
+    _executor: Executor | None
+    _tried: int = 0
+    _looks: int = 0
+    chosen: Trial | None = None
+    fresh: Share | None = None
+    evidence: Evidence | None = None
+    missing: str = ""
 
     def finish(self, search: MarginSearch, run: Runner) -> None:
         """Search and confirm until a design is confirmed or there is nothing left to try."""
@@ -245,25 +247,20 @@ def _confidence(look: int) -> float:
 
 def _counted_names(problem: Problem, names: str | Sequence[str]) -> tuple[str, ...]:
     """The names, each once. Raises `ProblemError` for those of limits for which no margin can be found."""
-    every = (names,) if isinstance(names, str) else tuple(members("calibrate: names", names, str))
+    every = tuple(dict.fromkeys((names,) if isinstance(names, str) else members("calibrate: names", names, str)))
     if not every:
         raise refusal("calibrate: names", "a constraint's name, or several in a tuple", names)
     for name in every:
-        _check_margin(problem, name)
-    return tuple(dict.fromkeys(every))
-
-
-def _check_margin(problem: Problem, name: str) -> None:
-    """Refuse constraints for which no margin can be found."""
-    constraints = problem.named(name)
-    if reason := why_uncounted(problem, name):
-        raise ProblemError(
-            f"calibrate: no single system is counted against '{name}' ({constraints[0]}): it is {reason}."
-        )
-    if not any(one.expression.sigmas for one in constraints):
-        raise ProblemError(
-            f"calibrate: the constraints called '{name}' contain no standard deviation; set sigmas=1 in them."
-        )
+        constraints = problem.named(name)
+        if reason := why_uncounted(problem, name):
+            raise ProblemError(
+                f"calibrate: no single system is counted against '{name}' ({constraints[0]}): it is {reason}."
+            )
+        if not any(one.expression.sigmas for one in constraints):
+            raise ProblemError(
+                f"calibrate: the constraints called '{name}' contain no standard deviation; set sigmas=1 in them."
+            )
     if not problem.placements.germs:
         held = " (al.deterministic holds them at their means)" if uncertain(problem).placements.germs else ""
         raise ProblemError(f"calibrate: expected a problem with distributions{held}; received one without a spread.")
+    return every

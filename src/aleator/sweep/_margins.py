@@ -1,5 +1,6 @@
 """The search of a calibration: the margins tried, the choice of the next, and what the whole search finds."""
 
+import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import final
@@ -78,22 +79,18 @@ class Calibration(Drawn):
 
     def sentence(self, who: str = "systems") -> str:
         """The target, whether it is confirmed, and with which confidence, in one sentence."""
-        fresh = "" if self.confirmation is None else _fresh(self.confirmation, who)
-        if self.confirmed:
-            return f"confirmed for the target of {100 * self.target:g} %: {fresh}"
-        said = "; ".join(filter(None, [fresh, self.missing]))
-        return f"not confirmed for the target of {100 * self.target:g} %: {said}"
+        share, said = self.confirmation, [] if self.confirmed else [self.missing]
+        if share is not None:
+            is_counted = isinstance(share, Proportion)
+            how = "" if is_counted else f", weighted, with {share.effective:.0f} effective violations"
+            said.insert(0, f"{share} of {share.samples} fresh {who}{how}, at {100 * share.confidence:g} % confidence")
+        confirmed = "confirmed" if self.confirmed else "not confirmed"
+        return f"{confirmed} for the target of {100 * self.target:g} %: {'; '.join(filter(None, said))}"
 
     def __str__(self) -> str:
         rows = [f"{'sigmas':>8} {'objective':>12}  violates {self.name}"]
         rows += [str(one) for one in self.trials]
-        rows.append(f"chosen: {self.sigmas:.4f}, {self.sentence()}")
-        return "\n".join(rows)
-
-
-def _fresh(share: Share, who: str) -> str:
-    how = "" if isinstance(share, Proportion) else f", weighted, with {share.effective:.0f} effective violations"
-    return f"{share} of {share.samples} fresh {who}{how}, at {100 * share.confidence:g} % confidence"
+        return "\n".join([*rows, f"chosen: {self.sigmas:.4f}, {self.sentence()}"])
 
 
 _SMALLEST, _LARGEST = 0.02, 20.0
@@ -105,11 +102,11 @@ _SAME = 1e-3
 class MarginSearch:
     """A bracketed secant on the normal quantile of the violation probability, which falls as the multiple grows.
 
-    - `given`: the initial multiples, by the names of their constraints. Their ratios are kept, and a margin is the
+    - `sigmas`: the initial multiples, by the names of their constraints. Their ratios are kept, and a margin is the
       largest of them;
     - `measure`: how often a design is violated, on one random sample common to all designs;
     - `aim`: the measured rate at which fresh systems are likely to confirm a design;
-    - `solved`: solves a problem, from a solution if one is given as `warm_start`.
+    - `solve`: solves a problem, from a solution if one is given as `warm_start`.
 
     `following` is the multiple that is tried next. `tighten` lowers that aim after fresh systems did not confirm a
     design.
@@ -118,15 +115,15 @@ class MarginSearch:
     def __init__(
         self,
         problem: Problem,
-        given: Mapping[str, float],
+        sigmas: Mapping[str, float],
         measure: Callable[[Solution], Share],
         aim: Callable[[Share], float],
         precision: float,
-        solved: Callable[..., Solution],
+        solve: Callable[..., Solution],
     ):
-        self._problem, self.following = problem, max(given.values())
-        self._shares = {name: sigmas / self.following for name, sigmas in given.items()}
-        self._measure, self._aim, self._precision, self._solve = measure, aim, precision, solved
+        self._problem, self.following = problem, max(sigmas.values())
+        self._shares = {name: one / self.following for name, one in sigmas.items()}
+        self._measure, self._aim, self._precision, self._solve = measure, aim, precision, solve
         self._lowered = self._tightened = 1.0
         self.trials: list[Trial] = []
         self.failures: dict[float, AleatorError] = {}
@@ -134,31 +131,24 @@ class MarginSearch:
     @property
     def ceiling(self) -> float:
         """The smallest multiple beyond all trials that is known to have no design; else infinite."""
-        widest = max((one.sigmas for one in self.trials), default=0.0)
-        return min((sigmas for sigmas in self.failures if sigmas > widest), default=np.inf)
+        return min((sigmas for sigmas in self.failures if sigmas > self._widest), default=np.inf)
 
     @property
     def exhausted(self) -> bool:
         """Whether no wider margin is left to try: it is at its maximum, or wider ones have no design."""
-        widest = max((one.sigmas for one in self.trials), default=0.0)
-        return widest >= min(_LARGEST, (1 - _SAME) * self.ceiling)
+        return self._widest >= min(_LARGEST, (1 - _SAME) * self.ceiling)
 
     @property
     def done(self) -> bool:
-        """Whether a trial is just below the aim, or as close below it as any margin can be.
-
-        Also true if there is nothing left to try.
-        """
-        meeting = [one for one in self.trials if self._meets(one)]
+        """Whether a trial is just below the aim, or as close below it as any margin can be, or none is left to try."""
+        meeting = self._meeting
         return any(map(self._settles, meeting)) or (not meeting and self.exhausted)
 
     @property
     def best(self) -> Trial:
         """The smallest margin that meets the aim; if none does, the one violated least often."""
-        meeting = [one for one in self.trials if self._meets(one)]
-        if meeting:
-            return min(meeting, key=lambda one: one.sigmas)
-        return min(self.trials, key=lambda one: (one.violation.estimate, -one.sigmas))
+        meeting = self._meeting
+        return meeting[0] if meeting else min(self.trials, key=lambda one: (one.violation.estimate, -one.sigmas))
 
     def step(self) -> None:
         """Try one more multiple. One without a design, or whose design cannot be sampled, only bounds the search.
@@ -186,51 +176,48 @@ class MarginSearch:
         problem = self._problem
         for name, share in self._shares.items():
             problem = problem.with_sigmas(name, share * sigmas)
-        nearest = min(self.trials, key=lambda one: abs(one.sigmas - sigmas), default=None)
-        if nearest is None:
-            return self._solve(problem)
-        try:
-            return self._solve(problem, warm_start=nearest.solution)
-        except SolveError:
-            return self._solve(problem)
+        if self.trials:
+            nearest = min(self.trials, key=lambda one: abs(one.sigmas - sigmas))
+            with contextlib.suppress(SolveError):
+                return self._solve(problem, warm_start=nearest.solution)
+        return self._solve(problem)
+
+    @property
+    def _widest(self) -> float:
+        return max((one.sigmas for one in self.trials), default=0.0)
+
+    @property
+    def _meeting(self) -> list[Trial]:
+        """The trials that meet the aim, the smallest margin first."""
+        meeting = [one for one in self.trials if one.violation.estimate <= self._limit(one.violation)]
+        return sorted(meeting, key=lambda one: one.sigmas)
 
     def _limit(self, share: Share) -> float:
         return self._lowered * self._aim(share)
 
-    def _meets(self, trial: Trial) -> bool:
-        return trial.violation.estimate <= self._limit(trial.violation)
-
     def _settles(self, trial: Trial) -> bool:
-        low = max((sigmas for sigmas in self._too_small() if sigmas < trial.sigmas), default=0.0)
+        """Whether no smaller margin is worth trying than one that meets the aim."""
+        share, least = trial.violation, (1 - self._precision) * self._limit(trial.violation)
+        # With few systems there may be no integer count in between.
+        is_counted = isinstance(share, Proportion)
+        is_close = share.count >= np.floor(least * share.samples) if is_counted else share.estimate >= least
         # Where the constraints are inactive, the margin does not affect the design.
         idle = not set(self._shares) & set(trial.solution.active)
-        closest = trial.sigmas - low < _SAME * trial.sigmas or trial.sigmas <= _SMALLEST
-        return self._is_close(trial.violation) or idle or closest
-
-    def _is_close(self, share: Share) -> bool:
-        least = (1 - self._precision) * self._limit(share)
-        # With few systems there may be no integer count in between.
-        if isinstance(share, Proportion):
-            return share.count >= np.floor(least * share.samples)
-        return share.estimate >= least
-
-    def _too_small(self) -> list[float]:
-        return [one.sigmas for one in self.trials if not self._meets(one)] + list(self.failures)
+        meeting = {one.sigmas for one in self._meeting}
+        too_small = [one.sigmas for one in self.trials if one.sigmas not in meeting] + list(self.failures)
+        low = max((sigmas for sigmas in too_small if sigmas < trial.sigmas), default=0.0)
+        return is_close or idle or trial.sigmas - low < _SAME * trial.sigmas or trial.sigmas <= _SMALLEST
 
     def _propose(self) -> float:
         """The secant through the two trials on either side of the aim, solved for a little below it."""
-        meeting = sorted((one for one in self.trials if self._meets(one)), key=lambda one: one.sigmas)
+        meeting = self._meeting
         if not meeting:
-            widest = max((one.sigmas for one in self.trials), default=self.following)
-            return min(widest * 1.5 + 0.1, _LARGEST, (widest + self.ceiling) / 2)
+            return min(self._widest * 1.5 + 0.1, _LARGEST, (self._widest + self.ceiling) / 2)
         high = meeting[0]
-        missing = [one for one in self.trials if one.sigmas < high.sigmas]
+        low = max((one for one in self.trials if one.sigmas < high.sigmas), key=lambda one: one.sigmas, default=None)
         failed = max((sigmas for sigmas in self.failures if sigmas < high.sigmas), default=0.0)
-        if not missing:
+        if low is None or failed > low.sigmas:
             return max((failed + high.sigmas) / 2, _SMALLEST)
-        low = max(missing, key=lambda one: one.sigmas)
-        if failed > low.sigmas:
-            return (failed + high.sigmas) / 2
         above, below = max(self._level(low), 0.0), min(self._level(high), 0.0)
         share = above / (above - below) if above > below else 0.5
         return low.sigmas + (high.sigmas - low.sigmas) * float(np.clip(share, 0.1, 0.9))
