@@ -218,12 +218,11 @@ class _FrontInTheMaking:
         self._bound, self._problems, self._own = bound, problems, own
         self._points: dict[float, Solution | Refused] = {}
         self._neighbours: dict[float, float | None] = {}
-        self._first: ProblemError | None = None
 
     @property
     def named(self) -> dict[str, Problem]:
         """The problems by the values of their bounds, in words."""
-        return {self._place(value): one for value, one in self._problems.items()}
+        return {point_name(self._bound, value): one for value, one in self._problems.items()}
 
     @property
     def solutions(self) -> dict[float, Solution]:
@@ -246,16 +245,25 @@ class _FrontInTheMaking:
 
     def front(self, interrupted: bool) -> Front:
         """What was found, in the order of the bounds. Raises the first refusal if every point was refused."""
-        if self._first is not None and not self.solutions:
-            raise self._first
         values = [value for value in self._problems if value in self._points]
         points = tuple(self._points[value] for value in values)
+        if isinstance(points[0], Refused) and not self.solutions:
+            raise ProblemError(points[0].reason)
         neighbours = tuple(self._neighbours[value] for value in values)
         return Front(self._bound, np.array(values), points, interrupted, neighbours)
 
     def _doubtful(self) -> Iterator[tuple[float, float]]:
-        relaxing = _relaxing(self._problems, self._bound)
-        places = [Place(value, *_optimum(one, self._bound, relaxing)) for value, one in self.solutions.items()]
+        limits = next(iter(self._problems.values())).named(self._bound)
+        # 1 if a larger value of the bound is a weaker limit, -1 if a smaller one is, 0 for equalities.
+        relaxing = int(np.isfinite([one.upper for one in limits]).any())
+        relaxing -= int(np.isfinite([one.lower for one in limits]).any())
+        places = [
+            # A shadow price is the decrease for each unit of relaxation.
+            Place(value, one.objective, -(relaxing or 1) * one.multiplier(self._bound))
+            if one.ok
+            else Place(value, np.nan, np.nan)
+            for value, one in self.solutions.items()
+        ]
         return doubtful(places, relaxing, self._size)
 
     @property
@@ -269,33 +277,25 @@ class _FrontInTheMaking:
             {"problem": self._problems[value], "warm_start": None if near is None else known[near], **self._own}
             for value, near in tries
         ]
-        places = [f"at {self._place(*one)}" for one in tries]
+        names = [point_name(self._bound, value) for value, _ in tries]
         task = f"front over {self._bound}" + ", from neighbours" * (tries[0][1] is not None)
         bettered = False
 
         def detail(i: int) -> str:
             point = self._points[tries[i][0]]
             brief = in_brief(point) if isinstance(point, Solution) else "no design"
-            return f": {self._place(tries[i][0])}, {brief}"
+            return f": {names[i]}, {brief}"
 
+        froms = ["" if near is None else f", from {near:.6g}" for _, near in tries]
+        places = [f"at {name}{said}" for name, said in zip(names, froms, strict=True)]
         for i, found in run.each(SOLVE, task, calls, places, told=ProblemError, detail=detail):
-            bettered |= self._keep(*tries[i], found)
+            (value, near), before = tries[i], self._points.get(tries[i][0])
+            if isinstance(before, Solution) and not _is_better(found, before, SAME * self._size):
+                continue
+            refused = isinstance(found, ProblemError)
+            self._points[value] = Refused(self._problems[value], str(found)) if refused else found
+            self._neighbours[value], bettered = near, True
         return bettered
-
-    def _place(self, value: float, neighbour: float | None = None) -> str:
-        """A point in words."""
-        return point_name(self._bound, value) + (f", from {neighbour:.6g}" if neighbour is not None else "")
-
-    def _keep(self, value: float, neighbour: float | None, found: Solution | ProblemError) -> bool:
-        """Keep what is better than what was known; whether it is."""
-        if isinstance(found, ProblemError):
-            self._first = self._first or found
-        point = Refused(self._problems[value], str(found)) if isinstance(found, ProblemError) else found
-        known = self._points.get(value)
-        if isinstance(known, Solution) and not _is_better(point, known, SAME * self._size):
-            return False
-        self._points[value], self._neighbours[value] = point, neighbour
-        return True
 
 
 def point_name(bound: str, value: float) -> str:
@@ -303,23 +303,8 @@ def point_name(bound: str, value: float) -> str:
     return f"{bound} = {value:.6g}"
 
 
-def _relaxing(problems: Mapping[float, Problem], bound: str) -> int:
-    """1 if a larger value of the bound is a weaker limit, -1 if a smaller one is, 0 for equalities."""
-    first, last = (problems[end(problems)].named(bound) for end in (min, max))
-    pairs = list(zip(first, last, strict=True))
-    rises = [any(np.any(getattr(b, side) > getattr(a, side)) for a, b in pairs) for side in ("upper", "lower")]
-    return int(rises[0]) - int(rises[1])
-
-
-def _optimum(solution: Solution, bound: str, relaxing: int) -> tuple[float, float]:
-    """The certified optimum, and its slope by the bound: a shadow price is the decrease for each unit of relaxation."""
-    if not solution.ok:
-        return np.nan, np.nan
-    return solution.objective, -(relaxing or 1) * solution.multiplier(bound)
-
-
-def _is_better(found: Solution | Refused, known: Solution, same: float) -> bool:
-    if isinstance(found, Refused):
+def _is_better(found: Solution | ProblemError, known: Solution, same: float) -> bool:
+    if isinstance(found, ProblemError):
         return False
     if found.ok and known.ok:
         return found.objective < known.objective - same
