@@ -22,9 +22,8 @@ from aleator.transcription import DEFAULT, AbstractTranscribed, bound_size, germ
 
 # Added where a claim rests on searches that were stopped.
 _NOT_SHOWN = "not shown: some searches were stopped, as where the model is not finite; a design may exist all the same"
-# Points in the range of the decisions that are tried where the model is not finite at a start, and how many of those at
-# which it is are starts.
-_TRIED, _KEPT = 64, 4
+# Points in the range of the decisions that are tried where the model is not finite at a start.
+_TRIED = 64
 # Instants that are named at most.
 _NAMED = 3
 # Corners of the germ's box at which limits on the worst case are imposed at most.
@@ -233,14 +232,11 @@ def _with_corners(transcribed: AbstractTranscribed) -> AbstractTranscribed:
 
 
 def _finite_starts(program: NonlinearProgram) -> list[Float[np.ndarray, " n"]]:
-    """The start and the middle of the range; where the model is not finite at one, points of the range where it is."""
+    """The start and the middle of the range; in the place of one at which the model is not finite, a random point."""
     lower, upper = variable_range(program.start, program.lower, program.upper, program.variable_scale)
-    usual = [program.start, (lower + upper) / 2]
-    starts = [one for one in usual if program.evaluate(one).is_finite]
-    if len(starts) < len(usual):
-        drawn = np.random.default_rng(0).uniform(lower, upper, (_TRIED, lower.size))
-        starts += itertools.islice((one for one in drawn if program.evaluate(one).is_finite), _KEPT)
-    return starts
+    drawn = np.random.default_rng(0).uniform(lower, upper, (_TRIED, lower.size))
+    points = (program.start, (lower + upper) / 2, *drawn)
+    return list(itertools.islice((one for one in points if program.evaluate(one).is_finite), 2))
 
 
 def _rows(transcribed: AbstractTranscribed, constraint: int) -> Int[np.ndarray, " rows"]:

@@ -255,8 +255,8 @@ class _FrontInTheMaking:
     def _doubtful(self) -> Iterator[tuple[float, float]]:
         limits = next(iter(self._problems.values())).named(self._bound)
         # 1 if a larger value of the bound is a weaker limit, -1 if a smaller one is, 0 for equalities.
-        relaxing = int(np.isfinite([one.upper for one in limits]).any())
-        relaxing -= int(np.isfinite([one.lower for one in limits]).any())
+        relaxing = int(any(np.isfinite(float(one.upper)) for one in limits))
+        relaxing -= int(any(np.isfinite(float(one.lower)) for one in limits))
         places = [
             # A shadow price is the decrease for each unit of relaxation.
             Place(value, one.objective, -(relaxing or 1) * one.multiplier(self._bound))

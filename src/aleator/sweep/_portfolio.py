@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.border import Progress, members, one_of, positive, refusal, silent, whole
-from aleator._core.errors import ProblemError, warned_of
+from aleator._core.errors import warned_of
 from aleator._core.journalled import journalled
 from aleator.design import Problem
 from aleator.nlp import (
@@ -139,11 +139,11 @@ def portfolio(
         points = [min(outcomes.values(), key=lambda one: np.nan_to_num(one.violation, nan=np.inf)).point]
     points = points[:_CERTIFIED] or candidates[:1]
     try:
-        best = _certified(problem, local, search, points)
+        best = _certified(problem, local, points)
     except KeyboardInterrupt:
         # Here Ctrl-C ends the comparison, not the certificate, without which there would be no result.
         run.interrupted = True
-        best = _certified(problem, local, search, points[:1])
+        best = _certified(problem, local, points[:1])
     return Portfolio(
         best=best,
         optima=tuple(
@@ -170,24 +170,12 @@ def _is_least(program: NonlinearProgram, objective: float, tolerance: float) -> 
     return bool(np.isfinite(program.least)) and bool(objective - program.least <= tolerance * above)
 
 
-def _certified(
-    problem: Problem,
-    solver: AbstractSolver,
-    search: AbstractSearch | None,
-    points: Sequence[Float[np.ndarray, " n"]],
-) -> Solution:
+def _certified(problem: Problem, solver: AbstractSolver, points: Sequence[Float[np.ndarray, " n"]]) -> Solution:
     """The first of some points whose certificate stands, else the first one."""
     found: list[Solution] = []
     for point in points:
-        start = problem.placements.named(point)
         with warned_of("portfolio"):
-            try:
-                found.append(finished(solve(problem, solver, start=start, throw=False)))
-            except ProblemError:
-                if search is None:
-                    raise
-                # Derivatives cannot choose, but values have: the point is judged as the answer of a search of one.
-                found.append(finished(solve(problem, replace(search, evaluations=1), start=start, throw=False)))
+            found.append(finished(solve(problem, solver, start=problem.placements.named(point), throw=False)))
         if found[-1].ok:
             return found[-1]
     return found[0]

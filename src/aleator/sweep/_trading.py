@@ -1,180 +1,25 @@
-"""`trade_off`: a front in the making, with the problems that lead to further points and what is told of those found."""
+"""`trade_off`: designs of which none is better in one wish without being worse in another."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from typing import Any, Literal, TypeAlias, final, get_args
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Float
 
 from aleator._core.border import Progress, a_name, one_of, refusal, silent, whole
 from aleator._core.errors import ProblemError
+from aleator._core.interruption import answering
 from aleator.design import Expression, Problem
-from aleator.nlp import AbstractSolver, load_pymoo
-from aleator.sweep._runner import running
-from aleator.sweep._seeking import SAME, Anchors, Member, Seeker, crowd
-from aleator.sweep._trade_off import TradeOff, box, efficient, simplex
-from aleator.sweep._wishes import Compromise, Design, Wishes
-from aleator.transcription import DEFAULT, AbstractTranscription
+from aleator.nlp import AbstractSolver, load_pymoo, population_front
+from aleator.sweep._runner import Runner, running
+from aleator.sweep._seeking import Member, Method, Search
+from aleator.sweep._trade_off import TradeOff, efficient, far_apart
+from aleator.sweep._wishes import LEVEL, Design, Wishes, without_level
+from aleator.transcription import DEFAULT, AbstractTranscription, transcribe, valued_by
 
-Method: TypeAlias = Literal["boundary", "limits", "weights", "population"]
-
-# A gap of the front is a hole if lines between its ends, down to this part of the whole, end upon them.
-_NARROWEST = 1e-3
-# Anchors whose differences span less than this part of their range in some direction lie on no simplex.
-_FLAT = 1e-3
-# So many lines at most, for each point asked for, where lines may pass by the front.
-_LINES = 3
-
-
-@final
-class _FrontInTheMaking:
-    """A front in the making.
-
-    - `anchors`: the best designs of the wishes; `crowd`: designs of a population, from which lines lead to the front;
-    - `done`: counts the points sought so far.
-    """
-
-    def __init__(self, wishes: Wishes, seeker: Seeker, points: int):
-        self._wishes, self._seeker, self._points = wishes, seeker, points
-        self.anchors, self.crowd = Anchors(wishes, seeker), list[Member]()
-        self._further = list[Design]()
-        self._failed: list[str] = []
-        self._holes: list[tuple[float, float]] = []
-        self.done = 0
-
-    @property
-    def _designs(self) -> list[Design]:
-        return [*self.anchors.designs, *self._further]
-
-    @property
-    def _best(self) -> Float[np.ndarray, " wishes"]:
-        return np.minimum(self.anchors.values.min(axis=0), self.anchors.least)
-
-    def problems(self, method: Method) -> Iterator[Compromise]:
-        """The problems of further points, each chosen by what has been found before."""
-        if self.anchors.constant.all():
-            return
-        wishes, corners, scales = self._wishes, self.anchors.values, self.anchors.scales
-        size, count = len(scales), self._points - len(corners)
-        if method == "weights":
-            yield from (wishes.weighted(one, scales) for one in simplex(size, count))
-        elif method == "limits":
-            yield from self._limited(scales, count)
-        elif method == "population":
-            yield from (wishes.along(one.values, scales) for one in self.crowd)
-        elif size == 2:
-            yield from self._bisected(scales, count)
-        elif np.linalg.svd((corners[1:] - corners[0]) * scales)[1][-1] > _FLAT:
-            yield from (wishes.along(one @ corners, scales) for one in simplex(size, count))
-        else:
-            for one in box(size, _LINES * count):
-                if len(self._distinct()) < self._points:
-                    yield wishes.along(self._best + one * self.anchors.range, scales)
-
-    def add(self, compromise: Compromise) -> None:
-        """Solve one of these problems, from the nearest design; again from others if it ends at a known one."""
-        designs = self._designs
-        starts = [(one.values, one.solution) for one in designs] + [(one.values, one.decisions) for one in self.crowd]
-        design, reason = self._seeker.sought(compromise, min(starts, key=lambda one: compromise.distance(one[0]))[1])
-        self.done += 1
-        if design is None:
-            self._failed.append(reason)
-            return
-        self._further.append(design)
-        near = SAME / self.anchors.scales
-        is_known = any((np.abs(design.values - one.values) <= near).all() for one in designs)
-        if self._seeker.starts > 1 or not is_known:
-            return
-        # Where a slope vanishes, a known design may be stationary on the way to others.
-        for other in self._around(compromise, designs):
-            again, _ = self._seeker.sought(compromise, other)
-            if again is not None and again.solution.objective < design.solution.objective - SAME:
-                self._further[-1] = again
-                return
-
-    def _around(self, compromise: Compromise, designs: list[Design]) -> Iterator[Mapping[str, Any] | None]:
-        """Starts elsewhere: between the nearest designs to all sides of a place, and the problem's own."""
-        nearest: dict[tuple[int, bool], Mapping[str, Any]] = {}
-        for one in sorted(designs, key=lambda one: compromise.distance(one.values)):
-            away = compromise.away(one.values)
-            which = int(np.argmax(np.abs(away)))
-            nearest.setdefault((which, bool(away[which] > 0)), one.solution.decisions)
-        first, *others = nearest.values()
-        # Decisions that follow a finer mesh in one of them have no mean.
-        if others and all(np.shape(one[name]) == np.shape(first[name]) for one in others for name in first):
-            yield {name: np.mean([one[name] for one in nearest.values()], axis=0)[()] for name in first}
-        yield None
-
-    def _limited(self, scales: Float[np.ndarray, " wishes"], count: int) -> Iterator[Compromise]:
-        """Limits on all wishes but the first, on a grid over their ranges."""
-        others = len(scales) - 1
-        each = max(round(count ** (1 / others)), 1)
-        parts = np.arange(1, each + 1) / (each + 1)
-        for at in np.stack(np.meshgrid(*[parts] * others), axis=-1).reshape(-1, others):
-            yield self._wishes.within(0, self._best + np.append(0.0, at) * self.anchors.range, scales)
-
-    def _bisected(self, scales: Float[np.ndarray, " wishes"], count: int) -> Iterator[Compromise]:
-        """Lines from the line between the anchors of two wishes, each in the middle of the largest gap.
-
-        Gaps are the two places on that line, from 0 to 1, and the points of the front there.
-        """
-        first, last = self.anchors.values
-        gaps = [(0.0, 1.0, first, last)]
-
-        def size(gap: tuple[float, float, np.ndarray, np.ndarray]) -> float:
-            return float(np.abs((gap[3] - gap[2]) * scales).max())
-
-        for _ in range(count):
-            narrow = [gap for gap in gaps if gap[1] - gap[0] <= _NARROWEST]
-            # Lines through a hole end at one of its ends.
-            self._holes += [(float(gap[2][0]), float(gap[3][0])) for gap in narrow if size(gap) > 10 * _NARROWEST]
-            gaps = [gap for gap in gaps if gap[1] - gap[0] > _NARROWEST]
-            if not gaps:
-                return
-            widest = max(range(len(gaps)), key=lambda i: size(gaps[i]))
-            start, end, before, after = gaps.pop(widest)
-            middle, known = (start + end) / 2, len(self._further)
-            yield self._wishes.along(first + middle * (last - first), scales)
-            if len(self._further) > known:
-                point = self._further[-1].values
-                halves = (start, middle, before, point), (middle, end, point, after)
-                gaps += [gap for gap in halves if size(gap) > SAME]
-
-    def _distinct(self) -> list[int]:
-        """The efficient designs that differ from one another, in the order of the first wish."""
-        values, near = np.array([one.values for one in self._designs]), SAME / self.anchors.scales
-        kept = efficient(values, near)
-        distinct: list[int] = []
-        for i in np.argsort(values[:, 0], kind="stable"):
-            if kept[i] and all((np.abs(values[i] - values[j]) > 10 * near).any() for j in distinct):
-                distinct.append(int(i))
-        return distinct
-
-    def told(self, interrupted: bool) -> TradeOff:
-        """The efficient designs in order."""
-        designs, distinct = self._designs, self._distinct()
-        values, count = np.array([one.values for one in designs]), len(self._wishes.names)
-        dominated = int((~efficient(values, SAME / self.anchors.scales)).sum())
-        is_sought = np.arange(count) < len(self.anchors.designs)
-        # A hole reaches from one design that is told to the next: a line through it may end at a dominated design.
-        first = values[distinct][:, 0]
-        after = {int(np.searchsorted(first, (low + high) / 2)) for low, high in self._holes}
-        return TradeOff(
-            names=self._wishes.names,
-            wishes=self._wishes.expressions,
-            values=values[distinct],
-            solutions=tuple(self._wishes.told(designs[i]) for i in distinct),
-            best=np.where(is_sought, np.minimum(values.min(axis=0), self.anchors.least), np.nan),
-            worst=self.anchors.values.max(axis=0),
-            weights=np.array([designs[i].weights for i in distinct]),
-            asked=self._points,
-            dominated=dominated,
-            repeated=len(designs) - len(distinct) - dominated,
-            holes=tuple((float(first[i - 1]), float(first[i])) for i in sorted(after) if 0 < i < len(first)),
-            failed=tuple(self._failed),
-            interrupted=interrupted,
-        )
+# Violations of at most this part of a constraint's magnitude count as none.
+_HELD = 1e-6
 
 
 def trade_off(
@@ -238,17 +83,14 @@ def trade_off(
             f"can be shared; received method={method!r} with one start, where each design follows from those before."
         )
     one_of("trade_off: transcription", transcription, AbstractTranscription, "al.Sequential()")
-    every = Wishes(problem, wishes)
-    making = _FrontInTheMaking(every, Seeker(transcription, solver, starts, executor), points)
-    anchors = making.anchors
-    with running("trade_off", lambda: anchors.designs, progress, executor) as run:
-        anchors.find(run)
+    search = Search(Wishes(problem, wishes), points, transcription, solver, starts, executor)
+    with running("trade_off", lambda: search.designs, progress, executor) as run:
+        search.find_anchors(run)
         if method == "population":
-            making.crowd = crowd(every, anchors.designs, points - len(wishes), evaluations, seed, run)
-        for one in making.problems(method):
-            with run.step("trade-off", making.done, points, f"point {making.done + 1}"):
-                making.add(one)
-    return making.told(run.interrupted)
+            further = points - len(wishes)
+            search.crowd = _crowd(search.wishes, search.designs, further, evaluations, seed, run)
+        search.find_further(run, method)
+    return search.told(run.interrupted)
 
 
 def _check_wishes(problem: Problem, wishes: Mapping[str, Expression]) -> None:
@@ -282,3 +124,53 @@ def _check_population(problem: Problem) -> None:
             f"trade_off: method=\"population\" draws designs between the bounds of decisions, of which '{name}' has "
             'none: give it lower= and upper=, or use method="boundary".'
         )
+
+
+def _crowd(
+    wishes: Wishes, anchors: Sequence[Design], points: int, evaluations: int, seed: int, run: Runner
+) -> list[Member]:
+    """Designs of a population spread over the front, at most `points`, as far from one another as can be.
+
+    Ctrl-C only ends the population. `anchors`: the best designs of the wishes, of its first generation.
+    """
+    transcribed = transcribe(wishes.compromise(np.ones(len(wishes.names))).problem, DEFAULT)
+    program, places = valued_by(run.executor, transcribed.program, "trade_off"), transcribed.places
+    is_free = np.array([name != LEVEL for name in places.entry_names()])
+    rows = wishes.rows(transcribed)
+    seen: list[tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k wishes"]]] = []
+
+    def values(free: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
+        """The wishes, and the largest violations over the magnitudes of the constraints."""
+        assert program.values is not None
+        every = np.repeat(program.start[None], len(free), axis=0)
+        every[:, is_free] = free
+        _, constraints = program.values(every)
+        beyond = np.fmax(constraints - program.constraint_upper, program.constraint_lower - constraints)
+        worst = np.max(beyond / program.constraint_scale, axis=1, initial=0.0)
+        violations = np.where(np.isfinite(constraints).all(axis=1), worst, np.inf)
+        held = violations <= _HELD
+        seen.append((every[held], constraints[held][:, rows]))
+        return constraints[:, rows], violations
+
+    first = np.array([places.moved(program.start, without_level(one.solution.decisions)) for one in anchors])
+    try:
+        with answering() as answer:
+
+            def heed(done: int) -> None:
+                run.progress("population", done, evaluations)
+                answer()
+
+            bounds = program.lower[is_free], program.upper[is_free]
+            how = {"points": points, "evaluations": evaluations, "seed": seed, "heed": heed}
+            population_front(values, *bounds, first[:, is_free], **how)
+    except KeyboardInterrupt:
+        if not seen:
+            raise
+        run.interrupted = True
+    every, reached = (np.concatenate(part) for part in zip(*seen, strict=True))
+    kept = efficient(reached, np.zeros(len(wishes.names)))
+    every, reached = every[kept], reached[kept]
+    # The anchors are on the front already.
+    known = np.array([one.values for one in anchors])
+    chosen = far_apart(np.concatenate([known, reached]), points, taken=len(known))
+    return [Member(reached[i - len(known)], places.named(every[i - len(known)])) for i in chosen]

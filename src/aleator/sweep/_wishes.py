@@ -137,34 +137,20 @@ class Wishes:
         """The problem with one wish as its objective, without any others."""
         return declared_anew(self._given, self._given.simulation, minimize=self.expressions[which])
 
-    def held(self, which: int, most: float, scales: Float[np.ndarray, " wishes"]) -> Compromise:
-        """The sum of the other wishes, with one of at most so much in its own unit."""
-        one = np.arange(len(self.names)) == which
-        offsets = np.where(one, scales * most, np.inf)
-        return self._with(_Numbers(scales, offsets, 0.0 * scales, (~one).astype(float), 0.0, 0.0))
-
-    def within(
+    def compromise(
         self,
-        which: int,
-        limits: Float[np.ndarray, " wishes"],
         scales: Float[np.ndarray, " wishes"],
+        *,
+        offsets: float | Float[np.ndarray, " wishes"] = np.inf,
+        directions: float | Float[np.ndarray, " wishes"] = 0.0,
+        weights: Float[np.ndarray, " wishes"] | None = None,
         share: float = _SHARE,
     ) -> Compromise:
-        """One wish within limits on the others, which are in the wishes' own units."""
-        one = np.arange(len(self.names)) == which
-        offsets = np.where(one, 0.0, scales * limits)
-        return self._with(_Numbers(scales, offsets, one.astype(float), 0.0 * scales, np.inf, share))
-
-    def along(self, start: Float[np.ndarray, " wishes"], scales: Float[np.ndarray, " wishes"]) -> Compromise:
-        """The last point of a line through `start`, in the wishes' own units, on which all get better alike."""
-        return self._with(_Numbers(scales, scales * start, np.ones(len(scales)), 0.0 * scales, np.inf, _SHARE))
-
-    def weighted(self, weights: Float[np.ndarray, " wishes"], scales: Float[np.ndarray, " wishes"]) -> Compromise:
-        """A weighted sum of the wishes, whose own rows are their values in these scales."""
-        unbounded = np.full(len(scales), np.inf)
-        return self._with(_Numbers(scales, unbounded, 0.0 * scales, weights, 0.0, _SHARE))
-
-    def _with(self, numbers: _Numbers) -> Compromise:
+        """The problem with some numbers `s`, `a`, `r`, `w` and `δ`; without weights, their row bounds nothing."""
+        none = np.zeros(len(scales))
+        bound = np.inf if weights is None else 0.0
+        weights = none if weights is None else weights
+        numbers = _Numbers(scales, none + offsets, none + directions, weights, bound, share)
         parts = self._objective(numbers), (*self._given.constraints, *self._constraints(numbers))
         problem = eqx.tree_at(lambda one: (one.objective, one.constraints), self._problem, parts)
         return Compromise(problem, self.names, numbers)
