@@ -1,9 +1,9 @@
 """`pareto`: designs for several bounds of one constraint, each solved from neighbours that are solved."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Any, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
@@ -32,11 +32,6 @@ class Place(NamedTuple):
     objective: float
     slope: float
 
-    @property
-    def is_solved(self) -> bool:
-        """Whether there is an optimum."""
-        return not np.isnan(self.objective)
-
 
 def doubtful(places: Sequence[Place], relaxing: int, size: float) -> Iterator[tuple[float, float]]:
     """The bounds of points that the design of a solved neighbour may better, each with the bound of this neighbour.
@@ -48,13 +43,13 @@ def doubtful(places: Sequence[Place], relaxing: int, size: float) -> Iterator[tu
     ordered = sorted(places)
     for i, place in enumerate(ordered):
         for side in (ordered[:i][::-1], ordered[i + 1 :]):
-            neighbour = next((one for one in side if one.is_solved), None)
+            neighbour = next((one for one in side if not np.isnan(one.objective)), None)
             if neighbour is not None and _is_doubtful(place, neighbour, relaxing, size):
                 yield place.bound, neighbour.bound
 
 
 def _is_doubtful(place: Place, neighbour: Place, relaxing: int, size: float) -> bool:
-    if not place.is_solved:
+    if np.isnan(place.objective):
         return True
     step, risen = place.bound - neighbour.bound, place.objective - neighbour.objective
     if step * relaxing > 0 and risen > SAME * size:
@@ -68,21 +63,13 @@ def _is_doubtful(place: Place, neighbour: Place, relaxing: int, size: float) -> 
 class Refused(Printed):
     """A point of a front that was refused before it was solved, because no decision can meet the bound.
 
-    - `problem`: the problem with that bound; `reason`: the message.
+    - `problem`: the problem with that bound; `reason`: the message; `ok`, `status`: those of a solution, never solved.
     """
 
     problem: Problem
     reason: str
-
-    @property
-    def ok(self) -> bool:
-        """Whether there is a certified optimum: never."""
-        return False
-
-    @property
-    def status(self) -> Status:
-        """The status: no design exists there."""
-        return Status.INFEASIBLE
+    ok: ClassVar[bool] = False
+    status: ClassVar[Status] = Status.INFEASIBLE
 
     def why(self) -> str:
         """Why there is no design."""
@@ -128,12 +115,12 @@ class Front(Drawn):
     @property
     def objectives(self) -> Float[np.ndarray, " points"]:
         """The optimum at each point; NaN where there is none."""
-        return self._numbers(lambda one: one.objective if one.ok else np.nan)
+        return np.array([np.nan if one is None else one.objective for one in self.optima])
 
     @property
     def shadow_prices(self) -> Float[np.ndarray, " points"]:
         """The decrease of the optimum per unit by which the bound is relaxed; NaN where there is none."""
-        return self._numbers(lambda one: one.multiplier(self.bound) if one.ok else np.nan)
+        return np.array([np.nan if one is None else one.multiplier(self.bound) for one in self.optima])
 
     @property
     def violations(self) -> Float[np.ndarray, " points"]:
@@ -141,7 +128,7 @@ class Front(Drawn):
 
         NaN where it was refused.
         """
-        return self._numbers(lambda one: one.certificate.violation)
+        return np.array([one.certificate.violation if isinstance(one, Solution) else np.nan for one in self.points])
 
     def doubts(self) -> tuple[str, ...]:
         """What speaks for better designs than these: sentences, without a capital letter and a full stop."""
@@ -154,22 +141,16 @@ class Front(Drawn):
             "them",
         )
 
-    def _numbers(self, measure: Callable[[Solution], float]) -> Float[np.ndarray, " points"]:
-        """A number for each point; NaN where it was refused."""
-        return np.array([measure(one) if isinstance(one, Solution) else np.nan for one in self.points])
-
     def __str__(self) -> str:
         rows = [f"{self.bound:>10} {'objective':>12} {'shadow price':>12}  active"]
-        rows += [_row(self, *point) for point in zip(self.values, self.points, strict=True)]
+        for value, one in zip(self.values, self.points, strict=True):
+            if isinstance(one, Solution) and one.ok:
+                price, active = one.multiplier(self.bound), ", ".join(one.active)
+                rows.append(f"{value:10.5g} {one.objective:12.6g} {price:12.4g}  {active}")
+            else:
+                rows.append(f"{value:10.5g} {'no optimum':>12}  {one.why()}")
         rows += [f"{one[0].upper()}{one[1:]}." for one in self.doubts()]
         return "\n".join([*rows, *(["interrupted by the user"] if self.interrupted else [])])
-
-
-def _row(front: Front, value: float, solution: Solution | Refused) -> str:
-    if isinstance(solution, Refused) or not solution.ok:
-        return f"{value:10.5g} {'no optimum':>12}  {solution.why()}"
-    shadow_price = solution.multiplier(front.bound)
-    return f"{value:10.5g} {solution.objective:12.6g} {shadow_price:12.4g}  {', '.join(solution.active)}"
 
 
 def pareto(
@@ -204,8 +185,10 @@ def pareto(
     if not bounds:
         raise ProblemError("pareto: expected at least one value of the bound; received none.")
     own = {"solver": solver, "transcription": transcription}
-    making = _FrontInTheMaking(bound, {value: problem.with_bound(bound, value) for value in bounds}, own)
-    with running("pareto", lambda: making.solutions, progress, executor) as run, expected("solve", making.named):
+    problems = {value: problem.with_bound(bound, value) for value in bounds}
+    making = _FrontInTheMaking(bound, problems, own)
+    named = {point_name(bound, value): one for value, one in problems.items()}
+    with running("pareto", lambda: making.solutions, progress, executor) as run, expected("solve", named):
         making.solve(run)
     return making.front(run.interrupted)
 
@@ -218,11 +201,6 @@ class _FrontInTheMaking:
         self._bound, self._problems, self._own = bound, problems, own
         self._points: dict[float, Solution | Refused] = {}
         self._neighbours: dict[float, float | None] = {}
-
-    @property
-    def named(self) -> dict[str, Problem]:
-        """The problems by the values of their bounds, in words."""
-        return {point_name(self._bound, value): one for value, one in self._problems.items()}
 
     @property
     def solutions(self) -> dict[float, Solution]:

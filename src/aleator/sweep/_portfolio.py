@@ -130,33 +130,33 @@ def portfolio(
         calls = [{"problem": problem, "solver": local, "start": point} for point in (*chosen, *drawn)]
         places = [f"local search {i + 1}" for i in range(starts)]
         outcomes.update(run.each(LOCAL_SEARCH, "local searches", calls, places))
-    solved = [i for i in sorted(outcomes) if outcomes[i].ok]
-    ends = [outcomes[i] for i in solved]
-    visited = [one.visited for one in outcomes.values()]
-    groups = alike([one.evaluation.objective for one in ends], [one.point for one in ends], visited)
-    points = [ends[group[0]].point for group in groups]
-    if not points and outcomes:  # the least violated design
-        points = [min(outcomes.values(), key=lambda one: np.nan_to_num(one.violation, nan=np.inf)).point]
-    points = points[:_CERTIFIED] or candidates[:1]
+    every = dict(sorted(outcomes.items()))
+    solved = [i for i, one in every.items() if one.ok]
+    objectives, points = [every[i].evaluation.objective for i in solved], [every[i].point for i in solved]
+    optima = alike(objectives, points, [one.visited for one in every.values()])
+    ends = [points[group[0]] for group in optima[:_CERTIFIED]]
+    if not ends and every:  # the least violated design
+        ends = [min(every.values(), key=lambda one: np.nan_to_num(one.violation, nan=np.inf)).point]
+    ends = ends or candidates[:1]
     try:
-        best = _certified(problem, local, points)
+        best = _certified(problem, local, ends)
     except KeyboardInterrupt:
         # Here Ctrl-C ends the comparison, not the certificate, without which there would be no result.
         run.interrupted = True
-        best = _certified(problem, local, points[:1])
+        best = _certified(problem, local, ends[:1])
     return Portfolio(
         best=best,
         optima=tuple(
             Optimum(
-                objective=ends[group[0]].evaluation.objective,
-                decisions=problem.placements.named(ends[group[0]].point),
+                objective=objectives[group[0]],
+                decisions=problem.placements.named(points[group[0]]),
                 starts=len(group),
                 random=sum(solved[i] >= known for i in group),
             )
-            for group in groups
+            for group in optima
         ),
-        starts=len(outcomes),
-        random=sum(i >= known for i in outcomes),
+        starts=len(every),
+        random=sum(i >= known for i in every),
         solved=sum(i >= known for i in solved),
         searched=searched,
         proven=best.ok and _is_least(program, best.objective, local.tolerance),
