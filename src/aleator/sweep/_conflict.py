@@ -55,12 +55,9 @@ class Limit(Printed):
         when = f" at t = {shown} s{more}" if self.times else ""
         others = f" and {len(self.systems) - 1} other systems" if len(self.systems) > 1 else ""
         when += f" with {system_text(self.systems[0])}{others}" if self.systems else ""
-        return f"{self.name}: {'; '.join(self.texts)}{when}: {self._alone()}"
-
-    def _alone(self) -> str:
-        if np.isnan(self.relaxed):
-            return "whether it is enough alone is not known"
-        return f"relaxed alone, by {self.relaxed:.4g}" if np.isfinite(self.relaxed) else "not enough alone"
+        alone = f"relaxed alone, by {self.relaxed:.4g}" if np.isfinite(self.relaxed) else "not enough alone"
+        alone = "whether it is enough alone is not known" if np.isnan(self.relaxed) else alone
+        return f"{self.name}: {'; '.join(self.texts)}{when}: {alone}"
 
 
 @final
@@ -90,17 +87,11 @@ class Conflict(Printed):
     def __str__(self) -> str:
         if not self.limits:
             return "All limits can hold together, as at: " + ", ".join(f"{k} = {v}" for k, v in self.nearest.items())
-        one = len(self.limits) == 1
-        heading = "this limit:" if one else "these limits together, though any of them can be left out:"
-        bounds = f"decisions at their bounds there: {', '.join(self.decisions)}" if self.decisions else ""
-        return "\n".join(
-            [
-                f"no design found that meets {heading}",
-                *(f"  {one}" for one in self.limits),
-                *([bounds] if bounds else []),
-                *([] if self.shown else [_NOT_SHOWN]),
-            ]
-        )
+        several = "these limits together, though any of them can be left out"
+        rows = [f"no design found that meets {several if len(self.limits) > 1 else 'this limit'}:"]
+        rows += [f"  {one}" for one in self.limits]
+        rows += [f"decisions at their bounds there: {', '.join(self.decisions)}"] if self.decisions else []
+        return "\n".join([*rows, *([] if self.shown else [_NOT_SHOWN])])
 
 
 def conflict(problem: Problem, *, solver: AbstractSolver | None = None, progress: Progress = silent) -> Conflict:
@@ -155,7 +146,8 @@ class _Search:
         if least.total > HELD:
             pushing = [i for i in every if len(least.pushing[i])]
             left = pushing if self._least(pushing).total > HELD else every
-            for self._done, one in enumerate(tuple(left)):
+            for done, one in enumerate(tuple(left)):
+                self._done = done
                 without = [other for other in left if other != one]
                 if self._least(without).total > HELD:
                     left = without

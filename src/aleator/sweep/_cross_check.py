@@ -109,12 +109,12 @@ def cross_check(
     calls = [{**own, "solver": by, "transcription": way} for way, by in zip(ways, solvers, strict=True)]
     with running("cross_check", lambda: False, progress) as run:
         (_, one), (_, other) = run.each(SOLVE, "cross-check", calls, [way.name for way in ways])
-    told = [f"{way.name} by {found.effort.solver}" for way, found in zip(ways, (one, other), strict=True)]
+    by_solver = [f"{way.name} by {found.effort.solver}" for way, found in zip(ways, (one, other), strict=True)]
     size = max(_objective_size(one), _objective_size(other))
     return CrossChecked(
         first=one,
         second=other,
-        ways=(first.name, second.name) if first.name != second.name else (told[0], told[1]),
+        ways=(first.name, second.name) if first.name != second.name else (by_solver[0], by_solver[1]),
         objective=_difference(one.objective, other.objective, size),
         decisions=_decisions(problem, one, other),
         statistics=_statistics(one, other),

@@ -266,7 +266,7 @@ class _FrontInTheMaking:
 
         froms = ["" if near is None else f", from {near:.6g}" for _, near in tries]
         places = [f"at {name}{said}" for name, said in zip(names, froms, strict=True)]
-        for i, found in run.each(SOLVE, task, calls, places, told=ProblemError, detail=detail):
+        for i, found in run.each(SOLVE, task, calls, places, accepted=ProblemError, detail=detail):
             (value, near), before = tries[i], self._points.get(tries[i][0])
             if isinstance(before, Solution) and not _is_better(found, before, SAME * self._size):
                 continue

@@ -98,13 +98,13 @@ class Runner:
         calls: Sequence[Arguments],
         places: Sequence[str],
         *,
-        told: type[AleatorError] | tuple[()] = (),
+        accepted: type[AleatorError] | tuple[()] = (),
         detail: Callable[[int], str] = lambda _: "",
     ) -> Iterator[tuple[int, Any]]:
         """The results of independent steps, each with its index, as soon as they are there.
 
         - `places`: each step in words, with which its warnings begin;
-        - `told`: exceptions that are results, such as the refusal of a point; others are raised;
+        - `accepted`: exceptions that are results, such as the refusal of a point; others are raised;
         - `detail`: what progress says of a result beside the `task`, by its index, once the caller has seen it.
 
         What Ctrl-C has cut short is no result. What a journal has is not computed. Where the caller stops, what an
@@ -117,7 +117,7 @@ class Runner:
         executor = self.executor
         results = _here(work, calls, places) if executor is None else _at_once(work, calls, places, executor)
         for done, (i, result) in enumerate(results, 1):
-            if isinstance(result, AleatorError) and not isinstance(result, told):
+            if isinstance(result, AleatorError) and not isinstance(result, accepted):
                 raise result
             yield i, finished(result)
             self.progress(f"{task}{detail(i)}", done, len(calls))

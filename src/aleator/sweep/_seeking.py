@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, TypeAlias, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from aleator._core.errors import ProblemError
 from aleator.nlp import AbstractSolver, DifferentialEvolution, Slsqp, variable_range
@@ -87,7 +87,7 @@ class Search:
             own = {"solver": self.solver, "executor": self.executor}
             other = portfolio(compromise.problem, self.starts, search=None, **own).best
             solution = min((solution, other), key=lambda one: (not one.ok, one.objective))
-        return (compromise.design(solution), "") if solution.ok else (None, solution.why())
+        return (self.wishes.design(compromise, solution), "") if solution.ok else (None, solution.why())
 
     def _solved(self, compromise: Compromise, start: Start) -> Solution:
         """The first solution from a start, from the problem's own, and by SLSQP, which makes ever longer steps where
@@ -120,15 +120,14 @@ class Search:
         return np.maximum(np.abs(self._corners).max(axis=0), self._sizes)
 
     @property
-    def _scales(self) -> Float[np.ndarray, " wishes"]:
-        """By which wishes are multiplied: over their ranges, or their magnitudes where they are constant."""
-        magnitudes = self._magnitudes
-        return 1.0 / np.where(self._range <= _CONSTANT * magnitudes, magnitudes, self._range)
+    def _constant(self) -> Bool[np.ndarray, " wishes"]:
+        """Which wishes differ at the anchors by rounding alone."""
+        return self._range <= _CONSTANT * self._magnitudes
 
     @property
-    def _agree(self) -> bool:
-        """Whether the anchors differ by rounding alone."""
-        return bool((self._range <= _CONSTANT * self._magnitudes).all())
+    def _scales(self) -> Float[np.ndarray, " wishes"]:
+        """By which wishes are multiplied: over their ranges, or their magnitudes where they are constant."""
+        return 1.0 / np.where(self._constant, self._magnitudes, self._range)
 
     def find_anchors(self, run: Runner) -> None:
         """Find each wish's best design alone; then improve the others while it is held (lexicographic order)."""
@@ -140,7 +139,7 @@ class Search:
         with run.step(task, count, count, task):
             self._settle_rivals()
         scales = self._scales
-        for which in range(count if not self._agree else 0):
+        for which in range(count if not self._constant.all() else 0):
             with run.step(task, which, count, task):
                 self.designs[which] = self._improved(which, scales)
 
@@ -148,8 +147,8 @@ class Search:
         """The magnitudes of the wishes around the problem's start. Refuses wishes that nothing changes."""
         transcribed = transcribe(self.wishes.compromise(np.ones(self._count)).problem, self.transcription)
         first = len(transcribed.problem.constraints) - self._count - 1
-        found = np.array(transcribed.scales[first : first + self._count])
-        self._sizes = np.where(np.isfinite(found) & (found > 0), found, 1.0)
+        sizes = np.array(transcribed.scales[first : first + self._count])
+        self._sizes = np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
         program, rows = transcribed.program, self.wishes.rows(transcribed)
         if program.start.size != transcribed.problem.placements.size:
             return  # States that are variables change whatever depends on them.
@@ -223,7 +222,7 @@ class Search:
         compromise, corners, scales = self.wishes.compromise, self._corners, self._scales
         count = self.points - self._count
         best = np.minimum(corners.min(axis=0), self._least)
-        if self._agree:
+        if self._constant.all():
             return
         if method == "weights":
             yield from (compromise(scales, weights=one) for one in simplex(self._count, count))
@@ -307,31 +306,31 @@ class Search:
             yield {name: np.mean([one[name] for one in nearest.values()], axis=0)[()] for name in first}
         yield None
 
-    # --- What is told ------------------------------------------------------------------------------------------------
+    # --- The front ---------------------------------------------------------------------------------------------------
 
     def _distinct(self) -> list[int]:
         """The efficient designs that differ from one another, in the order of the first wish."""
         values, near = np.array([one.values for one in self.designs]), _SAME / self._scales
-        kept = efficient(values, near)
+        is_efficient = efficient(values, near)
         distinct: list[int] = []
         for i in np.argsort(values[:, 0], kind="stable"):
-            if kept[i] and all((np.abs(values[i] - values[j]) > 10 * near).any() for j in distinct):
+            if is_efficient[i] and all((np.abs(values[i] - values[j]) > 10 * near).any() for j in distinct):
                 distinct.append(int(i))
         return distinct
 
-    def told(self, interrupted: bool) -> TradeOff:
+    def result(self, interrupted: bool) -> TradeOff:
         """The efficient designs in order."""
         distinct, values = self._distinct(), np.array([one.values for one in self.designs])
         dominated = int((~efficient(values, _SAME / self._scales)).sum())
         is_sought = np.arange(self._count) < len(self.designs)
-        # A hole reaches from one design that is told to the next: a line through it may end at a dominated design.
+        # A hole reaches from one efficient design to the next: a line through it may end at a dominated design.
         first = values[distinct][:, 0]
         after = {int(np.searchsorted(first, (one.before[0] + one.after[0]) / 2)) for one in self._holes}
         return TradeOff(
             names=self.wishes.names,
             wishes=self.wishes.expressions,
             values=values[distinct],
-            solutions=tuple(self.wishes.told(self.designs[i]) for i in distinct),
+            solutions=tuple(self.wishes.solution_of(self.designs[i]) for i in distinct),
             best=np.where(is_sought, np.minimum(values.min(axis=0), self._least), np.nan),
             worst=self._corners.max(axis=0),
             weights=np.array([self.designs[i].weights for i in distinct]),

@@ -59,7 +59,7 @@ def trade_off(
       fronts may be in parts; the best designs of the wishes are then searched for globally (see `al.portfolio`);
     - `evaluations`, `seed`: of a population: simulated designs, and its random numbers;
     - `executor`: simulates the generations of a population, and does the local searches of `starts` at once (see
-      `al.pareto`), with the same front.
+      `al.pareto`), with the same front; with one start each design follows from those before.
 
     At the best design of a wish, the others are improved as far as they can be without making it worse (lexicographic
     order). Everything is compiled once. Ctrl-C returns the points found so far; in a population it ends that, whose
@@ -77,11 +77,6 @@ def trade_off(
     evaluations, seed = whole("trade_off: evaluations", evaluations), whole("trade_off: seed", seed, least=0)
     if method == "population":
         _check_population(problem)
-    elif executor is not None and starts == 1:
-        raise ProblemError(
-            'trade_off: executor: expected method="population" or starts= of at least 2, whose simulations or searches '
-            f"can be shared; received method={method!r} with one start, where each design follows from those before."
-        )
     one_of("trade_off: transcription", transcription, AbstractTranscription, "al.Sequential()")
     search = Search(Wishes(problem, wishes), points, transcription, solver, starts, executor)
     with running("trade_off", lambda: search.designs, progress, executor) as run:
@@ -90,7 +85,7 @@ def trade_off(
             further = points - len(wishes)
             search.crowd = _crowd(search.wishes, search.designs, further, evaluations, seed, run)
         search.find_further(run, method)
-    return search.told(run.interrupted)
+    return search.result(run.interrupted)
 
 
 def _check_wishes(problem: Problem, wishes: Mapping[str, Expression]) -> None:
@@ -100,9 +95,7 @@ def _check_wishes(problem: Problem, wishes: Mapping[str, Expression]) -> None:
             "trade_off: wishes", "two expressions or more by name, such as {'ride': ..., 'cost': ...}", wishes
         )
     for name, one in wishes.items():
-        if not a_name("trade_off: the name of a wish", name).isprintable():
-            raise refusal("trade_off: the name of a wish", "a name of one line", name)
-        one_of(f"trade_off: wish '{name}'", one, Expression)
+        one_of(f"trade_off: wish '{a_name('trade_off: the name of a wish', name)}'", one, Expression)
     for name in problem.names:
         excess = f"{name}.excess"
         if excess in problem.placements.decisions and not any(excess in str(one) for one in wishes.values()):
@@ -168,8 +161,8 @@ def _crowd(
             raise
         run.interrupted = True
     every, reached = (np.concatenate(part) for part in zip(*seen, strict=True))
-    kept = efficient(reached, np.zeros(len(wishes.names)))
-    every, reached = every[kept], reached[kept]
+    is_best = efficient(reached, np.zeros(len(wishes.names)))
+    every, reached = every[is_best], reached[is_best]
     # The anchors are on the front already.
     known = np.array([one.values for one in anchors])
     chosen = far_apart(np.concatenate([known, reached]), points, taken=len(known))

@@ -48,16 +48,15 @@ class EvidenceOfAll(Drawn):
         names = list(dict.fromkeys(name for one in self.evidence if one for name in one.violations))
         first, width = max(map(len, self.places)), max(32, *(len(name) + 2 for name in names), 0)
         head = f"{'design':<{first}}" + "".join(f"{name:>{width}}" for name in names)
-        rows = [self._row(i, names, first, width) for i in range(len(self.evidence))]
+        rows = []
+        for i, (place, one) in enumerate(zip(self.places, self.evidence, strict=True)):
+            if one is None:
+                rows.append(f"{place:<{first}}  {self.refused[i]}")
+                continue
+            shares = "".join(f"{one.violations[name]!s:>{width}}" for name in names if name in one.violations)
+            rows.append(f"{place:<{first}}{shares}" + ("" if one.agrees else f"  {one.alarm()}"))
         told = "share of systems that break a limit (95 % interval)" if names else "no limit counts system by system"
         return "\n".join([told, head, *rows, *(["interrupted by the user"] if self.interrupted else [])])
-
-    def _row(self, which: int, names: Sequence[str], first: int, width: int) -> str:
-        head, one = f"{self.places[which]:<{first}}", self.evidence[which]
-        if one is None:
-            return f"{head}  {self.refused[which]}"
-        shares = "".join(f"{one.violations[name]!s:>{width}}" for name in names if name in one.violations)
-        return head + shares + ("" if one.agrees else f"  {one.alarm()}")
 
 
 def validate_all(
@@ -85,7 +84,7 @@ def validate_all(
     where = [f"design {i}" for i in range(len(calls))]
     found: dict[int, Evidence | AleatorError] = {}
     with running("validate_all", lambda: found, progress, executor) as run:
-        found.update(run.each(VALIDATE, "evidence", calls, where, told=AleatorError))
+        found.update(run.each(VALIDATE, "evidence", calls, where, accepted=AleatorError))
     results = [(*solved[i], found[i]) for i in sorted(found)]
     return EvidenceOfAll(
         tuple(solution for _, solution, _ in results),

@@ -25,17 +25,6 @@ def pressed(name: str) -> str:
     return f"{_OWN}wish {name}"
 
 
-class _Numbers(NamedTuple):
-    """The numbers `s`, `a`, `r`, `w`, `b` and `δ` of `Wishes`."""
-
-    scales: Float[np.ndarray, " wishes"]
-    offsets: Float[np.ndarray, " wishes"]
-    directions: Float[np.ndarray, " wishes"]
-    weights: Float[np.ndarray, " wishes"]
-    bound: float
-    share: float
-
-
 class Design(NamedTuple):
     """A design that was found.
 
@@ -51,31 +40,26 @@ class Design(NamedTuple):
 
 
 class Compromise(NamedTuple):
-    """A problem that leads to one point of a front, and the numbers that chose it."""
+    """A problem that leads to one point of a front, and the numbers `s`, `a`, `r`, `w`, `b`, `δ` of `Wishes` in it."""
 
     problem: Problem
-    names: tuple[str, ...]
-    numbers: _Numbers
+    scales: Float[np.ndarray, " wishes"]
+    offsets: Float[np.ndarray, " wishes"]
+    directions: Float[np.ndarray, " wishes"]
+    weights: Float[np.ndarray, " wishes"]
+    bound: float
+    share: float
 
     def away(self, values: Float[np.ndarray, " wishes"]) -> Float[np.ndarray, " wishes"]:
         """By how much a design's wishes differ from where this one is to be, in scaled wishes."""
-        away = values * self.numbers.scales - self.numbers.offsets
-        if self.numbers.directions.all():
+        away = values * self.scales - self.offsets
+        if self.directions.all():
             return away - away.mean()
-        return np.where(np.isfinite(away) & (self.numbers.directions == 0), away, 0.0)
+        return np.where(np.isfinite(away) & (self.directions == 0), away, 0.0)
 
     def distance(self, values: Float[np.ndarray, " wishes"]) -> float:
         """How far a design's wishes are from where this one is to be, in scaled wishes."""
         return float(np.ptp(np.append(self.away(values), 0.0)))
-
-    def design(self, solution: Solution) -> Design:
-        """Its solution, with the wishes there and how much each counts, in their own units."""
-        numbers, level = self.numbers, solution.decisions[LEVEL]
-        rows = {one.name: float(np.ravel(one.values)[0]) for one in solution.constraints if one.name.startswith(_OWN)}
-        scaled = np.array([rows[pressed(name)] for name in self.names]) + numbers.directions * level
-        prices = np.array([solution.multiplier(pressed(name)) for name in self.names])
-        weights = numbers.scales * (prices + solution.multiplier(_WEIGHTED) * numbers.weights + numbers.share)
-        return Design(solution, scaled / numbers.scales, weights, weights)
 
 
 @final
@@ -91,32 +75,30 @@ class Wishes:
 
     def __init__(self, problem: Problem, wishes: Mapping[str, Expression]):
         self.names = tuple(wishes)
-        self._given = problem
+        self._original = problem
         self.expressions = tuple(as_expression(one) for one in wishes.values())
         # Scales and weights carry units.
         self._terms = tuple(map(pure, self.expressions))
         ones = np.ones(len(wishes))
         self._summed = declared_anew(problem, problem.simulation, minimize=self._sum(ones))
-        first = _Numbers(ones, ones, ones, ones, 1.0, 1.0)
+        objective, limits = self._parts(ones, ones, ones, ones, 1.0, 1.0)
+        level = {LEVEL: Decision(1.0)}
+        whole = (*problem.constraints, *limits)
         self._problem = declared_anew(
-            problem,
-            problem.simulation,
-            minimize=self._objective(first),
-            subject_to=(*problem.constraints, *self._constraints(first)),
-            decisions={LEVEL: Decision(1.0)},
+            problem, problem.simulation, minimize=objective, subject_to=whole, decisions=level
         )
 
     def rows(self, transcribed: AbstractTranscribed) -> Int[np.ndarray, " wishes"]:
         """The rows of the program of a compromise that press the wishes down."""
-        first = len(self._given.constraints)
+        first = len(self._original.constraints)
         return np.array([rows.start for rows in transcribed.rows[first : first + len(self.names)]])
 
-    def told(self, design: Design) -> Solution:
-        """A design as the solution of the problem that was given, with the sum of the wishes as its objective.
+    def solution_of(self, design: Design) -> Solution:
+        """A design as the solution of the original problem, with the sum of the wishes as its objective.
 
         Whatever led there is a stationary point of that sum: what was added to choose a place is left out.
         """
-        solution, own = design.solution, len(self._given.constraints)
+        solution, own = design.solution, len(self._original.constraints)
         rows = sum(one.multipliers.size for one in solution.constraints)
         # States that are variables bring rows of their own.
         is_all = rows == solution.multipliers.size
@@ -135,7 +117,7 @@ class Wishes:
 
     def only(self, which: int) -> Problem:
         """The problem with one wish as its objective, without any others."""
-        return declared_anew(self._given, self._given.simulation, minimize=self.expressions[which])
+        return declared_anew(self._original, self._original.simulation, minimize=self.expressions[which])
 
     def compromise(
         self,
@@ -148,25 +130,40 @@ class Wishes:
     ) -> Compromise:
         """The problem with some numbers `s`, `a`, `r`, `w` and `δ`; without weights, their row bounds nothing."""
         none = np.zeros(len(scales))
-        bound = np.inf if weights is None else 0.0
-        weights = none if weights is None else weights
-        numbers = _Numbers(scales, none + offsets, none + directions, weights, bound, share)
-        parts = self._objective(numbers), (*self._given.constraints, *self._constraints(numbers))
+        bound, weights = (np.inf, none) if weights is None else (0.0, weights)
+        numbers = scales, none + offsets, none + directions, weights, bound, share
+        objective, limits = self._parts(*numbers)
+        parts = objective, (*self._original.constraints, *limits)
         problem = eqx.tree_at(lambda one: (one.objective, one.constraints), self._problem, parts)
-        return Compromise(problem, self.names, numbers)
+        return Compromise(problem, *numbers)
 
-    def _objective(self, numbers: _Numbers) -> Expression:
-        return value(LEVEL) + self._sum(numbers.share * numbers.scales)
+    def design(self, compromise: Compromise, solution: Solution) -> Design:
+        """A compromise's solution, with the wishes there and how much each counts, in their own units."""
+        scales, level = compromise.scales, solution.decisions[LEVEL]
+        rows = {one.name: float(np.ravel(one.values)[0]) for one in solution.constraints if one.name.startswith(_OWN)}
+        scaled = np.array([rows[pressed(name)] for name in self.names]) + compromise.directions * level
+        prices = np.array([solution.multiplier(pressed(name)) for name in self.names])
+        weights = scales * (prices + solution.multiplier(_WEIGHTED) * compromise.weights + compromise.share)
+        return Design(solution, scaled / scales, weights, weights)
 
-    def _constraints(self, numbers: _Numbers) -> list[Constraint]:
-        """The limits on the wishes. Where a bound is infinite the row stays in the program and bounds nothing."""
-        level, each = value(LEVEL), zip(self.names, self._terms, *numbers[:3], strict=True)
+    def _parts(
+        self,
+        scales: Float[np.ndarray, " wishes"],
+        offsets: Float[np.ndarray, " wishes"],
+        directions: Float[np.ndarray, " wishes"],
+        weights: Float[np.ndarray, " wishes"],
+        bound: float,
+        share: float,
+    ) -> tuple[Expression, list[Constraint]]:
+        """The objective and the limits on the wishes. A row whose bound is infinite stays, and bounds nothing."""
+        level, each = value(LEVEL), zip(self.names, self._terms, scales, offsets, directions, strict=True)
         rows = [
             (pressed(name), float(scale) * wish - float(direction) * level, offset)
             for name, wish, scale, offset, direction in each
         ]
-        rows.append((_WEIGHTED, self._sum(numbers.weights * numbers.scales) - level, numbers.bound))
-        return [Constraint(one, upper=0.0, name=name).with_bounds(-np.inf, float(bound)) for name, one, bound in rows]
+        rows.append((_WEIGHTED, self._sum(weights * scales) - level, bound))
+        limits = [Constraint(one, upper=0.0, name=name).with_bounds(-np.inf, float(most)) for name, one, most in rows]
+        return level + self._sum(share * scales), limits
 
     def _sum(self, factors: Sequence[float] | Float[np.ndarray, " wishes"]) -> Expression:
         terms = (float(factor) * wish for factor, wish in zip(factors, self._terms, strict=True))
