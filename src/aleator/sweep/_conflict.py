@@ -7,7 +7,7 @@ from typing import final
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from aleator._core.border import Progress, one_of, silent
 from aleator._core.errors import SimulationError
@@ -15,9 +15,9 @@ from aleator._core.leaves import Printed
 from aleator.certification import diagnose
 from aleator.design import Problem, is_at_points, is_worst_case
 from aleator.ensemble import inputs_at
-from aleator.nlp import HELD, AbstractSolver, Excess, Ipopt, NonlinearProgram, least_excess, variable_range
+from aleator.nlp import HELD, AbstractSolver, Excess, Ipopt, least_excess, variable_range
 from aleator.solution import system_text
-from aleator.sweep._runner import Runner, running
+from aleator.sweep._runner import running
 from aleator.transcription import DEFAULT, AbstractTranscribed, bound_size, germ_box, transcribe
 
 # Added where a claim rests on searches that were stopped.
@@ -113,102 +113,70 @@ def conflict(problem: Problem, *, solver: AbstractSolver | None = None, progress
     one_of("conflict: problem", problem, Problem)
     solver = Ipopt() if solver is None else one_of("conflict: solver", solver, AbstractSolver)
     transcribed = _with_corners(transcribe(problem, DEFAULT))
+    starts, names, constraints = _finite_starts(transcribed), problem.names, transcribed.problem.constraints
+    # Groups are the constraints of one name; excesses are relative to the largest of their magnitudes.
+    of_name = [[i for i, one in enumerate(constraints) if one.name == name] for name in names]
+    sizes = [max(bound_size(constraints[i]) or transcribed.scales[i] for i in own) for own in of_name]
+    rows = [np.concatenate([_rows(transcribed, i) for i in own]) for own in of_name]
+    groups = list(zip(rows, sizes, strict=True))
+    every, left, done = list(range(len(names))), list[int](), 0
     with running("conflict", lambda: False, progress) as run:
-        return _Search(transcribed, solver.local, run).conflict()
+
+        def least(loose: Sequence[int], held: Sequence[int] = ()) -> Excess:
+            """The least total excess of the `loose` groups while those `held` hold, without the others."""
+            with run.step("limits", done, len(names), "least excess"):
+                return least_excess(solver.local, transcribed.program, groups, held, loose, starts)
+
+        searches = [least(every)]
+        starts.insert(0, searches[0].point)
+        if searches[0].total > HELD:
+            pushing = [i for i in every if len(searches[0].pushing[i])]
+            searches.append(least(pushing))
+            left = pushing if searches[-1].total > HELD else every
+            for done, which in enumerate(tuple(left)):  # noqa: B007 -- `least` tells it
+                without = [other for other in left if other != which]
+                searches.append(least(without))
+                left = without if searches[-1].total > HELD else left
+            searches.append(least(left))
+        together, bounds = searches[-1], searches[-1].bounds[transcribed.decided]
+        alone = [least((which,), [other for other in every if other != which]) for which in left]
+    limits = [
+        _limit(transcribed, names[which], of_name[which], together, excess, sizes[which])
+        for which, excess in zip(left, alone, strict=True)
+    ]
+    return Conflict(
+        limits=tuple(limits),
+        decisions=tuple(np.array(transcribed.places.entry_names())[bounds].tolist()) if left else (),
+        least=searches[0].total if left else 0.0,
+        nearest=transcribed.places.named(transcribed.decisions(searches[0].point)),
+        shown=all(one.is_shown for one in searches),
+    )
 
 
-@final
-class _Search:
-    """A search for a conflict; groups are the names of a problem's constraints, in order."""
-
-    def __init__(self, transcribed: AbstractTranscribed, solver: AbstractSolver, run: Runner):
-        self._transcribed, self._solver, self._run = transcribed, solver, run
-        self._names, constraints = transcribed.problem.names, transcribed.problem.constraints
-        self._of_name = [[i for i, one in enumerate(constraints) if one.name == name] for name in self._names]
-        # Excesses are relative to the largest magnitude of a name's constraints.
-        self._sizes = [max(bound_size(constraints[i]) or transcribed.scales[i] for i in own) for own in self._of_name]
-        rows = [np.concatenate([_rows(transcribed, i) for i in own]) for own in self._of_name]
-        self._groups = list(zip(rows, self._sizes, strict=True))
-        self._starts = _finite_starts(transcribed.program)
-        if not self._starts:
-            raise SimulationError(
-                f"conflict: the model is finite neither at the start nor at {_TRIED} other designs, so that nothing "
-                f"can be said of its limits. {diagnose(transcribed, transcribed.decisions(transcribed.program.start))}"
-            )
-        self._done, self._shown = 0, True
-
-    def conflict(self) -> Conflict:
-        """The conflict of the problem's limits."""
-        every = list(range(len(self._names)))
-        least = together = self._least(every)
-        self._starts.insert(0, least.point)
-        left: list[int] = []
-        if least.total > HELD:
-            pushing = [i for i in every if len(least.pushing[i])]
-            left = pushing if self._least(pushing).total > HELD else every
-            for done, one in enumerate(tuple(left)):
-                self._done = done
-                without = [other for other in left if other != one]
-                if self._least(without).total > HELD:
-                    left = without
-            together = self._least(left)
-        places, decided = self._transcribed.places, self._transcribed.decided
-        at_bounds = np.array(places.entry_names())[together.bounds[decided]].tolist() if left else ()
-        return Conflict(
-            limits=tuple(self._limit(one, together) for one in left),
-            decisions=tuple(at_bounds),
-            least=least.total if left else 0.0,
-            nearest=places.named(self._transcribed.decisions(least.point)),
-            shown=self._shown,
-        )
-
-    def _least(self, loose: Sequence[int]) -> Excess:
-        """The least total excess of some groups without the others. Notes whether it is shown."""
-        least = self._least_excess(loose, ())
-        self._shown = self._shown and least.is_shown
-        return least
-
-    def _least_excess(self, loose: Sequence[int], held: Sequence[int]) -> Excess:
-        """The least total excess of the `loose` groups while those `held` hold."""
-        with self._run.step("limits", self._done, len(self._names), "least excess"):
-            return least_excess(self._solver, self._transcribed.program, self._groups, held, loose, self._starts)
-
-    def _limit(self, which: int, together: Excess) -> Limit:
-        """One limit of the conflict, with what it would have to be relaxed by, alone among all."""
-        transcribed, rows = self._transcribed, together.pushing[which]
-        alone = self._least_excess((which,), [one for one in range(len(self._names)) if one != which])
-        relaxed = alone.total if np.isfinite(alone.total) or alone.is_shown else np.nan
-        own = self._of_name[which]
-        pushing = [i for i in own if np.isin(_rows(transcribed, i), rows).any()] or own
-        return Limit(
-            name=self._names[which],
-            texts=tuple(transcribed.texts.constraints[i] for i in pushing),
-            times=tuple(sorted({time for i in pushing for time in self._times(i, together)})),
-            relaxed=relaxed * self._sizes[which],
-            systems=tuple(one for i in pushing for one in self._systems(i, together)),
-        )
-
-    def _times(self, constraint: int, together: Excess) -> list[float]:
-        """The instants at which a limit over time is in the way."""
-        transcribed = self._transcribed
-        if not transcribed.problem.constraints[constraint].is_path:
-            return []
-        times = transcribed.at(together.point).times
-        return times[self._in_the_way(constraint, together).reshape(len(times), -1).any(axis=1)].tolist()
-
-    def _systems(self, constraint: int, together: Excess) -> list[Mapping[str, float]]:
-        """The realisations at which a limit on these is in the way."""
-        transcribed = self._transcribed
-        own, scenarios = transcribed.problem.constraints[constraint], transcribed.scenarios
-        if scenarios is None or not (is_worst_case(own) or is_at_points(own)):
-            return []
-        held = self._in_the_way(constraint, together).reshape(-1, len(scenarios.used)).any(axis=0)
-        decisions = jnp.asarray(transcribed.decisions(together.point))
-        return [inputs_at(transcribed.places, scenarios.points[i], decisions) for i in np.flatnonzero(held)]
-
-    def _in_the_way(self, constraint: int, together: Excess) -> Bool[np.ndarray, " rows"]:
-        """Which rows of a constraint hold others back."""
-        return np.isin(_rows(self._transcribed, constraint), np.concatenate(together.pushing))
+def _limit(
+    transcribed: AbstractTranscribed, name: str, own: Sequence[int], together: Excess, alone: Excess, size: float
+) -> Limit:
+    """One limit of a conflict: where it is in the way, and what it would have to be relaxed by, `alone` among all."""
+    in_the_way = {i: np.isin(_rows(transcribed, i), np.concatenate(together.pushing)) for i in own}
+    pushing = [i for i in own if in_the_way[i].any()] or own
+    scenarios, decisions = transcribed.scenarios, jnp.asarray(transcribed.decisions(together.point))
+    times, systems = set[float](), list[Mapping[str, float]]()
+    for i in pushing:
+        constraint = transcribed.problem.constraints[i]
+        if constraint.is_path:
+            instants = transcribed.at(together.point).times
+            times.update(instants[in_the_way[i].reshape(len(instants), -1).any(axis=1)].tolist())
+        if scenarios is not None and (is_worst_case(constraint) or is_at_points(constraint)):
+            slots = in_the_way[i].reshape(-1, len(scenarios.used)).any(axis=0)
+            points = [scenarios.points[slot] for slot in np.flatnonzero(slots)]
+            systems += [inputs_at(transcribed.places, point, decisions) for point in points]
+    return Limit(
+        name=name,
+        texts=tuple(transcribed.texts.constraints[i] for i in pushing),
+        times=tuple(sorted(times)),
+        relaxed=size * (alone.total if np.isfinite(alone.total) or alone.is_shown else np.nan),
+        systems=tuple(systems),
+    )
 
 
 def _with_corners(transcribed: AbstractTranscribed) -> AbstractTranscribed:
@@ -223,12 +191,19 @@ def _with_corners(transcribed: AbstractTranscribed) -> AbstractTranscribed:
     return transcribed.at_scenarios(scenarios.joined(points, np.zeros(len(scenarios.used), dtype=bool)))
 
 
-def _finite_starts(program: NonlinearProgram) -> list[Float[np.ndarray, " n"]]:
+def _finite_starts(transcribed: AbstractTranscribed) -> list[Float[np.ndarray, " n"]]:
     """The start and the middle of the range; in the place of one at which the model is not finite, a random point."""
+    program = transcribed.program
     lower, upper = variable_range(program.start, program.lower, program.upper, program.variable_scale)
     drawn = np.random.default_rng(0).uniform(lower, upper, (_TRIED, lower.size))
     points = (program.start, (lower + upper) / 2, *drawn)
-    return list(itertools.islice((one for one in points if program.evaluate(one).is_finite), 2))
+    finite = list(itertools.islice((one for one in points if program.evaluate(one).is_finite), 2))
+    if not finite:
+        raise SimulationError(
+            f"conflict: the model is finite neither at the start nor at {_TRIED} other designs, so that nothing can be "
+            f"said of its limits. {diagnose(transcribed, transcribed.decisions(program.start))}"
+        )
+    return finite
 
 
 def _rows(transcribed: AbstractTranscribed, constraint: int) -> Int[np.ndarray, " rows"]:
