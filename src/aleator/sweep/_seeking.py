@@ -93,12 +93,14 @@ class Search:
         """The first solution from a start, from the problem's own, and by SLSQP, which makes ever longer steps where
         wishes are linear, as others do not; the last one if none is solved.
         """
-        solver, solution = self.solver, None
-        tries = [(solver, start), *([] if start is None else [(solver, None)]), *([] if solver else [(Slsqp(), start)])]
-        for by, begun in tries:
+        tries = [(self.solver, start)]
+        tries += [] if start is None else [(self.solver, None)]
+        tries += [] if self.solver else [(Slsqp(), start)]
+        solution = None
+        for solver, begun in tries:
             design = {"warm_start": begun} if isinstance(begun, Solution) else {"start": begun}
             own = {"transcription": self.transcription, "throw": False}
-            solution = finished(solve(compromise.problem, by, **design, **own))
+            solution = finished(solve(compromise.problem, solver, **design, **own))
             if solution.ok:
                 break
         assert solution is not None
@@ -259,11 +261,10 @@ class Search:
             return float(np.abs((gap.after - gap.before) * scales).max())
 
         for _ in range(count):
-            narrow = [one.last - one.first <= _NARROWEST for one in gaps]
+            narrow = [gap for gap in gaps if gap.last - gap.first <= _NARROWEST]
             # Lines through a hole end at one of its ends.
-            pairs = list(zip(gaps, narrow, strict=True))
-            self._holes += [one for one, is_narrow in pairs if is_narrow and size(one) > 10 * _NARROWEST]
-            gaps = sorted((one for one, is_narrow in pairs if not is_narrow), key=size)
+            self._holes += [gap for gap in narrow if size(gap) > 10 * _NARROWEST]
+            gaps = sorted((gap for gap in gaps if gap.last - gap.first > _NARROWEST), key=size)
             if not gaps:
                 return
             widest, known = gaps.pop(), len(self.designs)
