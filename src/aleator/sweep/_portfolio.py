@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.border import Progress, members, one_of, positive, refusal, silent, whole
-from aleator._core.errors import warned_of
+from aleator._core.errors import ProblemError, warned_of
 from aleator._core.journalled import journalled
 from aleator.design import Problem
 from aleator.nlp import (
@@ -139,11 +139,11 @@ def portfolio(
         ends = [min(every.values(), key=lambda one: np.nan_to_num(one.violation, nan=np.inf)).point]
     ends = ends or candidates[:1]
     try:
-        best = _certified(problem, local, ends)
+        best = _certified(problem, local, search, ends)
     except KeyboardInterrupt:
         # Here Ctrl-C ends the comparison, not the certificate, without which there would be no result.
         run.interrupted = True
-        best = _certified(problem, local, ends[:1])
+        best = _certified(problem, local, search, ends[:1])
     return Portfolio(
         best=best,
         optima=tuple(
@@ -170,15 +170,24 @@ def _is_least(program: NonlinearProgram, objective: float, tolerance: float) -> 
     return bool(np.isfinite(program.least)) and bool(objective - program.least <= tolerance * above)
 
 
-def _certified(problem: Problem, solver: AbstractSolver, points: Sequence[Float[np.ndarray, " n"]]) -> Solution:
-    """The first of some points whose certificate stands, else the first one."""
-    found: list[Solution] = []
-    for point in points:
+def _certified(
+    problem: Problem, solver: AbstractSolver, search: AbstractSearch | None, ends: Sequence[Float[np.ndarray, " n"]]
+) -> Solution:
+    """The first of some ends whose certificate stands, else the first one."""
+    solutions: list[Solution] = []
+    for end in ends:
+        own = {"start": problem.placements.named(end), "throw": False}
         with warned_of("portfolio"):
-            found.append(finished(solve(problem, solver, start=problem.placements.named(point), throw=False)))
-        if found[-1].ok:
-            return found[-1]
-    return found[0]
+            try:
+                solutions.append(finished(solve(problem, solver, **own)))
+            except ProblemError:
+                if search is None:
+                    raise
+                # Derivatives cannot choose, but values have: the end is judged as the answer of a search of one.
+                solutions.append(finished(solve(problem, replace(search, evaluations=1), **own)))
+        if solutions[-1].ok:
+            return solutions[-1]
+    return solutions[0]
 
 
 class _FoundGlobally(NamedTuple):
