@@ -6,7 +6,7 @@ from typing import final
 
 import numpy as np
 
-from aleator._core.border import Progress, a_name, one_of, positive, refusal, silent, whole
+from aleator._core.border import Progress, one_of, positive, refusal, silent, whole
 from aleator._core.leaves import Drawn
 from aleator.design import Problem, soft
 from aleator.nlp import AbstractSolver
@@ -86,8 +86,7 @@ def harden(
     factor, most = positive("harden: factor", factor), whole("harden: most", most)
     if factor <= 1:
         raise refusal("harden: factor", "a number above 1, by which weights grow", factor)
-    one_of("harden: transcription", transcription, AbstractTranscription, "al.Sequential()")
-    chosen = tuple(dict.fromkeys(a_name("harden: a constraint", name) for name in names)) or problem.names
+    chosen = tuple(dict.fromkeys(names)) or problem.names
     found: list[tuple[Solution, float, Mapping[str, float]]] = []
     with running("harden", lambda: found, progress) as run:
         for done in range(most):
