@@ -59,7 +59,7 @@ def trade_off(
       fronts may be in parts; the best designs of the wishes are then searched for globally (see `al.portfolio`);
     - `evaluations`, `seed`: of a population: simulated designs, and its random numbers;
     - `executor`: simulates the generations of a population, and does the local searches of `starts` at once (see
-      `al.pareto`), with the same front; with one start each design follows from those before.
+      `al.pareto`), with the same front.
 
     At the best design of a wish, the others are improved as far as they can be without making it worse (lexicographic
     order). Everything is compiled once. Ctrl-C returns the points found so far; in a population it ends that, whose
@@ -77,6 +77,11 @@ def trade_off(
     evaluations, seed = whole("trade_off: evaluations", evaluations), whole("trade_off: seed", seed, least=0)
     if method == "population":
         _check_population(problem)
+    elif executor is not None and starts == 1:
+        raise ProblemError(
+            'trade_off: executor: expected method="population" or starts= of at least 2, whose simulations or searches '
+            f"can be shared; received method={method!r} with one start, where each design follows from those before."
+        )
     one_of("trade_off: transcription", transcription, AbstractTranscription, "al.Sequential()")
     search = Search(Wishes(problem, wishes), points, transcription, solver, starts, executor)
     with running("trade_off", lambda: search.designs, progress, executor) as run:
