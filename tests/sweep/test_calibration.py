@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 import aleator as al
-from aleator.sweep import _calibrate
+from aleator.sweep import _calibrate, _margins
 from executors import Inline
 
 SPREAD, NAMES = 0.2, ("x", "y")
@@ -122,7 +122,7 @@ class Bench:
 def bench(monkeypatch):
     bench = Bench()
     monkeypatch.setattr(_calibrate, "solve", bench.solve)
-    monkeypatch.setattr(_calibrate, "validate", bench.validate)
+    monkeypatch.setattr(_margins, "validate", bench.validate)
     return bench
 
 

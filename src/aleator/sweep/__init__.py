@@ -1,5 +1,6 @@
 """Many solves of one problem: fronts, many starts, trade-offs, calibrations, cross-checks, evidence on all of them."""
 
+from aleator.sweep._calibrate import Calibration as Calibration
 from aleator.sweep._calibrate import calibrate as calibrate
 from aleator.sweep._conflict import Conflict as Conflict
 from aleator.sweep._conflict import Limit as Limit
@@ -13,7 +14,6 @@ from aleator.sweep._front import pareto as pareto
 from aleator.sweep._front import point_name as point_name
 from aleator.sweep._harden import Hardened as Hardened
 from aleator.sweep._harden import harden as harden
-from aleator.sweep._margins import Calibration as Calibration
 from aleator.sweep._margins import Trial as Trial
 from aleator.sweep._portfolio import multistart as multistart
 from aleator.sweep._portfolio import portfolio as portfolio

@@ -1,7 +1,7 @@
 """`conflict`: the limits of a problem that cannot hold together, and what relaxing each would cost."""
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -9,22 +9,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from aleator._core.border import Progress, check_progress, one_of, silent
+from aleator._core.border import Progress, one_of, silent
 from aleator._core.errors import SimulationError
-from aleator._core.interruption import heeding
 from aleator._core.leaves import Printed
 from aleator.certification import diagnose
 from aleator.design import Problem, is_at_points, is_worst_case
 from aleator.ensemble import inputs_at
-from aleator.nlp import HELD, AbstractSolver, Excess, Ipopt, NonlinearProgram, least_excess, variable_range
+from aleator.nlp import HELD, AbstractSolver, Excess, Ipopt, least_excess, variable_range
 from aleator.solution import system_text
+from aleator.sweep._runner import running
 from aleator.transcription import DEFAULT, AbstractTranscribed, bound_size, germ_box, transcribe
 
 # Added where a claim rests on searches that were stopped.
 _NOT_SHOWN = "not shown: some searches were stopped, as where the model is not finite; a design may exist all the same"
-# Points in the range of the decisions that are tried where the model is not finite at a start, and how many of those at
-# which it is are starts.
-_TRIED, _KEPT = 64, 4
+# Points in the range of the decisions that are tried where the model is not finite at a start.
+_TRIED = 64
 # Instants that are named at most.
 _NAMED = 3
 # Corners of the germ's box at which limits on the worst case are imposed at most.
@@ -56,12 +55,9 @@ class Limit(Printed):
         when = f" at t = {shown} s{more}" if self.times else ""
         others = f" and {len(self.systems) - 1} other systems" if len(self.systems) > 1 else ""
         when += f" with {system_text(self.systems[0])}{others}" if self.systems else ""
-        return f"{self.name}: {'; '.join(self.texts)}{when}: {self._alone()}"
-
-    def _alone(self) -> str:
-        if np.isnan(self.relaxed):
-            return "whether it is enough alone is not known"
-        return f"relaxed alone, by {self.relaxed:.4g}" if np.isfinite(self.relaxed) else "not enough alone"
+        alone = f"relaxed alone, by {self.relaxed:.4g}" if np.isfinite(self.relaxed) else "not enough alone"
+        alone = "whether it is enough alone is not known" if np.isnan(self.relaxed) else alone
+        return f"{self.name}: {'; '.join(self.texts)}{when}: {alone}"
 
 
 @final
@@ -91,17 +87,11 @@ class Conflict(Printed):
     def __str__(self) -> str:
         if not self.limits:
             return "All limits can hold together, as at: " + ", ".join(f"{k} = {v}" for k, v in self.nearest.items())
-        one = len(self.limits) == 1
-        heading = "this limit:" if one else "these limits together, though any of them can be left out:"
-        bounds = f"decisions at their bounds there: {', '.join(self.decisions)}" if self.decisions else ""
-        return "\n".join(
-            [
-                f"no design found that meets {heading}",
-                *(f"  {one}" for one in self.limits),
-                *([bounds] if bounds else []),
-                *([] if self.shown else [_NOT_SHOWN]),
-            ]
-        )
+        several = "these limits together, though any of them can be left out"
+        rows = [f"no design found that meets {several if len(self.limits) > 1 else 'this limit'}:"]
+        rows += [f"  {one}" for one in self.limits]
+        rows += [f"decisions at their bounds there: {', '.join(self.decisions)}"] if self.decisions else []
+        return "\n".join([*rows, *([] if self.shown else [_NOT_SHOWN])])
 
 
 def conflict(problem: Problem, *, solver: AbstractSolver | None = None, progress: Progress = silent) -> Conflict:
@@ -121,116 +111,72 @@ def conflict(problem: Problem, *, solver: AbstractSolver | None = None, progress
     none of these.
     """
     one_of("conflict: problem", problem, Problem)
-    check_progress("conflict", progress)
     solver = Ipopt() if solver is None else one_of("conflict: solver", solver, AbstractSolver)
     transcribed = _with_corners(transcribe(problem, DEFAULT))
-    with heeding() as heed:
-        return _Search(transcribed, solver.local, progress, heed).conflict()
+    starts, names, constraints = _finite_starts(transcribed), problem.names, transcribed.problem.constraints
+    # Groups are the constraints of one name; excesses are relative to the largest of their magnitudes.
+    of_name = [[i for i, one in enumerate(constraints) if one.name == name] for name in names]
+    sizes = [max(bound_size(constraints[i]) or transcribed.scales[i] for i in own) for own in of_name]
+    rows = [np.concatenate([_rows(transcribed, i) for i in own]) for own in of_name]
+    groups = list(zip(rows, sizes, strict=True))
+    every, left, done = list(range(len(names))), list[int](), 0
+    with running("conflict", lambda: False, progress) as run:
+
+        def least(loose: Sequence[int], held: Sequence[int] = ()) -> Excess:
+            """The least total excess of the `loose` groups while those `held` hold, without the others."""
+            with run.step("limits", done, len(names), "least excess"):
+                return least_excess(solver.local, transcribed.program, groups, held, loose, starts)
+
+        searches = [least(every)]
+        starts.insert(0, searches[0].point)
+        if searches[0].total > HELD:
+            pushing = [i for i in every if len(searches[0].pushing[i])]
+            searches.append(least(pushing))
+            left = pushing if searches[-1].total > HELD else every
+            for done, which in enumerate(tuple(left)):  # noqa: B007 -- `least` tells it
+                without = [other for other in left if other != which]
+                searches.append(least(without))
+                left = without if searches[-1].total > HELD else left
+            searches.append(least(left))
+        together, bounds = searches[-1], searches[-1].bounds[transcribed.decided]
+        alone = [least((which,), [other for other in every if other != which]) for which in left]
+    limits = [
+        _limit(transcribed, names[which], of_name[which], together, excess, sizes[which])
+        for which, excess in zip(left, alone, strict=True)
+    ]
+    return Conflict(
+        limits=tuple(limits),
+        decisions=tuple(np.array(transcribed.places.entry_names())[bounds].tolist()) if left else (),
+        least=searches[0].total if left else 0.0,
+        nearest=transcribed.places.named(transcribed.decisions(searches[0].point)),
+        shown=all(one.is_shown for one in searches),
+    )
 
 
-@final
-class _Search:
-    """A search for a conflict; groups are the names of a problem's constraints, in order."""
-
-    def __init__(
-        self,
-        transcribed: AbstractTranscribed,
-        solver: AbstractSolver,
-        progress: Progress,
-        heed: Callable[[], None],
-    ):
-        self._transcribed, self._solver, self._progress, self._heed = transcribed, solver, progress, heed
-        problem, program = transcribed.problem, transcribed.program
-        self._names = problem.names
-        self._of_name = [[i for i, one in enumerate(problem.constraints) if one.name == name] for name in self._names]
-        self._sizes = [self._size(own) for own in self._of_name]
-        self._groups = [
-            (np.concatenate([np.arange(program.start.size)[:0], *(_rows(transcribed, i) for i in own)]), size)
-            for own, size in zip(self._of_name, self._sizes, strict=True)
-        ]
-        self._starts = _finite_starts(program)
-        if not self._starts:
-            raise SimulationError(
-                f"conflict: the model is finite neither at the start nor at {_TRIED} other designs, so that nothing "
-                f"can be said of its limits. {diagnose(transcribed, transcribed.decisions(program.start))}"
-            )
-        self._shown = True
-
-    def conflict(self) -> Conflict:
-        """The conflict of the problem's limits."""
-        every = list(range(len(self._names)))
-        least = self._least(every)
-        self._starts.insert(0, least.point)
-        if least.total <= HELD:
-            return self._told((), least)
-        pushing = [i for i in every if len(least.pushing[i])]
-        left = pushing if self._least(pushing).total > HELD else every
-        for done, one in enumerate(tuple(left)):
-            self._progress("limits", done, len(every))
-            without = [other for other in left if other != one]
-            if self._least(without).total > HELD:
-                left = without
-        return self._told(tuple(left), least)
-
-    def _told(self, members: Sequence[int], least: Excess) -> Conflict:
-        names = np.array(self._transcribed.places.entry_names())
-        together = self._least(members) if members else least
-        return Conflict(
-            tuple(self._limit(one, together) for one in members),
-            tuple(names[together.bounds[self._transcribed.decided]].tolist()) if members else (),
-            least.total if members else 0.0,
-            self._transcribed.places.named(self._transcribed.decisions(least.point)),
-            self._shown,
-        )
-
-    def _least(self, elastic: Sequence[int], held: Sequence[int] = ()) -> Excess:
-        least = self._least_excess(elastic, held)
-        self._shown = self._shown and least.is_shown
-        return least
-
-    def _least_excess(self, loose: Sequence[int], held: Sequence[int]) -> Excess:
-        """The least total excess of the `loose` groups while those `held` hold, whether shown or not."""
-        self._heed()
-        return least_excess(self._solver, self._transcribed.program, self._groups, held, loose, self._starts)
-
-    def _limit(self, which: int, together: Excess) -> Limit:
-        """One limit of the conflict, with what it would have to be relaxed by, alone among all."""
-        transcribed, rows = self._transcribed, set(together.pushing[which].tolist())
-        own = self._of_name[which]
-        pushing = [i for i in own if rows & set(_rows(transcribed, i).tolist())] or own
-        others = [one for one in range(len(self._names)) if one != which]
-        alone = self._least_excess((which,), others)
-        relaxed = alone.total if np.isfinite(alone.total) or alone.is_shown else np.nan
-        times = sorted({time for i in pushing for time in self._times(i, together)})
-        texts = tuple(transcribed.texts.constraints[i] for i in pushing)
-        systems = [one for i in pushing for one in self._systems(i, together)]
-        return Limit(self._names[which], texts, tuple(times), relaxed * self._sizes[which], tuple(systems))
-
-    def _times(self, constraint: int, together: Excess) -> list[float]:
-        """The instants at which a limit over time is in the way."""
-        transcribed = self._transcribed
-        if not transcribed.problem.constraints[constraint].is_path:
-            return []
-        rows, times = _rows(transcribed, constraint), transcribed.at(together.point).times
-        every = np.concatenate(together.pushing)
-        held = np.isin(rows, every).reshape(len(times), -1).any(axis=1)
-        return times[held].tolist()
-
-    def _systems(self, constraint: int, together: Excess) -> list[Mapping[str, float]]:
-        """The realisations at which a limit on these is in the way."""
-        transcribed = self._transcribed
-        own, scenarios = transcribed.problem.constraints[constraint], transcribed.scenarios
-        if scenarios is None or not (is_worst_case(own) or is_at_points(own)):
-            return []
-        held = np.isin(_rows(transcribed, constraint), np.concatenate(together.pushing))
-        slots = np.flatnonzero(held.reshape(-1, len(scenarios.used)).any(axis=0))
-        decisions = transcribed.decisions(together.point)
-        return [inputs_at(transcribed.places, scenarios.points[i], jnp.asarray(decisions)) for i in slots]
-
-    def _size(self, own: Sequence[int]) -> float:
-        """The magnitude to which excesses of some constraints are relative."""
-        constraints, scales = self._transcribed.problem.constraints, self._transcribed.scales
-        return max(bound_size(constraints[i]) or scales[i] for i in own)
+def _limit(
+    transcribed: AbstractTranscribed, name: str, own: Sequence[int], together: Excess, alone: Excess, size: float
+) -> Limit:
+    """One limit of a conflict: where it is in the way, and what it would have to be relaxed by, `alone` among all."""
+    in_the_way = {i: np.isin(_rows(transcribed, i), np.concatenate(together.pushing)) for i in own}
+    pushing = [i for i in own if in_the_way[i].any()] or own
+    scenarios, decisions = transcribed.scenarios, jnp.asarray(transcribed.decisions(together.point))
+    times, systems = set[float](), list[Mapping[str, float]]()
+    for i in pushing:
+        constraint = transcribed.problem.constraints[i]
+        if constraint.is_path:
+            instants = transcribed.at(together.point).times
+            times.update(instants[in_the_way[i].reshape(len(instants), -1).any(axis=1)].tolist())
+        if scenarios is not None and (is_worst_case(constraint) or is_at_points(constraint)):
+            slots = in_the_way[i].reshape(-1, len(scenarios.used)).any(axis=0)
+            points = [scenarios.points[slot] for slot in np.flatnonzero(slots)]
+            systems += [inputs_at(transcribed.places, point, decisions) for point in points]
+    return Limit(
+        name=name,
+        texts=tuple(transcribed.texts.constraints[i] for i in pushing),
+        times=tuple(sorted(times)),
+        relaxed=size * (alone.total if np.isfinite(alone.total) or alone.is_shown else np.nan),
+        systems=tuple(systems),
+    )
 
 
 def _with_corners(transcribed: AbstractTranscribed) -> AbstractTranscribed:
@@ -245,15 +191,19 @@ def _with_corners(transcribed: AbstractTranscribed) -> AbstractTranscribed:
     return transcribed.at_scenarios(scenarios.joined(points, np.zeros(len(scenarios.used), dtype=bool)))
 
 
-def _finite_starts(program: NonlinearProgram) -> list[Float[np.ndarray, " n"]]:
-    """The start and the middle of the range; where the model is not finite at one, points of the range where it is."""
+def _finite_starts(transcribed: AbstractTranscribed) -> list[Float[np.ndarray, " n"]]:
+    """The start and the middle of the range; in the place of one at which the model is not finite, a random point."""
+    program = transcribed.program
     lower, upper = variable_range(program.start, program.lower, program.upper, program.variable_scale)
-    usual = [program.start, (lower + upper) / 2]
-    starts = [one for one in usual if program.evaluate(one).is_finite]
-    if len(starts) < len(usual):
-        drawn = np.random.default_rng(0).uniform(lower, upper, (_TRIED, lower.size))
-        starts += itertools.islice((one for one in drawn if program.evaluate(one).is_finite), _KEPT)
-    return starts
+    drawn = np.random.default_rng(0).uniform(lower, upper, (_TRIED, lower.size))
+    points = (program.start, (lower + upper) / 2, *drawn)
+    finite = list(itertools.islice((one for one in points if program.evaluate(one).is_finite), 2))
+    if not finite:
+        raise SimulationError(
+            f"conflict: the model is finite neither at the start nor at {_TRIED} other designs, so that nothing can be "
+            f"said of its limits. {diagnose(transcribed, transcribed.decisions(program.start))}"
+        )
+    return finite
 
 
 def _rows(transcribed: AbstractTranscribed, constraint: int) -> Int[np.ndarray, " rows"]:

@@ -6,15 +6,13 @@ from typing import final
 
 import numpy as np
 
-from aleator._core.border import Progress, check_progress, one_of, positive, refusal, silent
-from aleator._core.errors import AleatorError
+from aleator._core.border import Progress, one_of, positive, refusal, silent
 from aleator._core.leaves import Drawn
 from aleator.design import Estimated, Problem, estimated, statistics_in
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.sweep._runner import SOLVE, running
 from aleator.transcription import DEFAULT, AbstractTranscription, Simultaneous
-from aleator.uncertainty import Decision
 
 # What is smaller than this part of the largest of its kind is compared with that.
 _SMALL = 1e-3
@@ -53,36 +51,30 @@ class CrossChecked(Drawn):
         return self.first.ok and self.second.ok and all(one <= self.tolerance for one in differences)
 
     def __str__(self) -> str:
-        head = "agree" if self.agree else "do NOT agree" if self._are_solved else "are not both solved, nor agree"
+        both = list(zip(self.ways, (self.first, self.second), strict=True))
+        unsolved = [f"  {way}: {one.why()}" for way, one in both if not one.ok]
+        head = "agree" if self.agree else "are not both solved, nor agree" if unsolved else "do NOT agree"
         rows = [f"{self.ways[0]} and {self.ways[1]} {head} to {self.tolerance:.1g}"]
-        for way, one in zip(self.ways, (self.first, self.second), strict=True):
+        for way, one in both:
             rows.append(f"  {way:<32} objective {one.objective:.9g}, {'solved' if one.ok else 'not solved'}")
-        kinds = {"decisions": self.decisions, "statistics": self.statistics, "multipliers": self.multipliers}
         rows.append(f"  {'objective':<32} differs by {self.objective:.1e}")
+        kinds = {"decisions": self.decisions, "statistics": self.statistics, "multipliers": self.multipliers}
         for kind, differences in kinds.items():
             if differences:
                 name, worst = max(differences.items(), key=lambda one: one[1])
                 rows.append(f"  {kind:<32} differ by {worst:.1e} at most ({name})")
-        if not self.agree:
-            rows += [f"  {one}" for one in self._remedies()]
+        rows += [] if self.agree else unsolved or [f"  {self._remedy()}"]
         return "\n".join(rows)
 
-    @property
-    def _are_solved(self) -> bool:
-        return self.first.ok and self.second.ok
-
-    def _remedies(self) -> list[str]:
-        """What to do where they do not agree."""
-        if not self._are_solved:
-            both = zip(self.ways, (self.first, self.second), strict=True)
-            return [f"{way}: {one.why()}" for way, one in both if not one.ok]
+    def _remedy(self) -> str:
+        """What to do where two optima do not agree."""
         others = [name for name, one in self.decisions.items() if self.tolerance < one < np.inf]
         if self.objective <= self.tolerance and others:
-            return [
+            return (
                 f"Both reach the same objective, by other values of {', '.join(others[:3])}: there are several optima, "
                 "or a flat one. Let the objective tell them apart."
-            ]
-        return ["Refine both grids (refine=True, al.Simultaneous(error=...)), or start both elsewhere."]
+            )
+        return "Refine both grids (refine=True, al.Simultaneous(error=...)), or start both elsewhere."
 
 
 def cross_check(
@@ -112,34 +104,23 @@ def cross_check(
     if not isinstance(solvers, Sequence) or [isinstance(one, AbstractSolver | None) for one in solvers] != [True, True]:
         raise refusal("cross_check: solvers", "two, such as (None, al.solvers.Ipopt())", solvers)
     tolerance = positive("cross_check: tolerance", tolerance)
-    check_progress("cross_check", progress)
     ways = first, second
     own = {"problem": problem, "refine": refine}
     calls = [{**own, "solver": by, "transcription": way} for way, by in zip(ways, solvers, strict=True)]
-    solutions: list[Solution] = []
-    with running(lambda: len(solutions) == len(ways), progress) as run:
-        for _, result in run.each(SOLVE, "cross-check", calls, [f"cross_check, {way.name}" for way in ways]):
-            if isinstance(result, AleatorError):
-                raise result
-            solutions.append(result)
-    one, other = solutions
+    with running("cross_check", lambda: False, progress) as run:
+        (_, one), (_, other) = run.each(SOLVE, "cross-check", calls, [way.name for way in ways])
+    by_solver = [f"{way.name} by {found.effort.solver}" for way, found in zip(ways, (one, other), strict=True)]
     size = max(_objective_size(one), _objective_size(other))
     return CrossChecked(
         first=one,
         second=other,
-        ways=_told(ways, (one.effort.solver, other.effort.solver)),
+        ways=(first.name, second.name) if first.name != second.name else (by_solver[0], by_solver[1]),
         objective=_difference(one.objective, other.objective, size),
         decisions=_decisions(problem, one, other),
         statistics=_statistics(one, other),
         multipliers=_multipliers(one, other, size),
         tolerance=tolerance,
     )
-
-
-def _told(ways: tuple[AbstractTranscription, AbstractTranscription], solvers: tuple[str, str]) -> tuple[str, str]:
-    """Two ways in words, with their solvers where nothing else tells them apart."""
-    first, second = (one.name for one in ways)
-    return (first, second) if first != second else (f"{first} by {solvers[0]}", f"{second} by {solvers[1]}")
 
 
 def _objective_size(solution: Solution) -> float:
@@ -153,28 +134,18 @@ def _objective_size(solution: Solution) -> float:
 def _decisions(problem: Problem, one: Solution, other: Solution) -> dict[str, float]:
     """By name; infinite for a control that has followed a finer mesh in one of them."""
     places = {name: place.decision for name, place in problem.placements.decisions.items()}
-    return {name: _decided(place, one.decisions[name], other.decisions[name]) for name, place in places.items()}
-
-
-def _decided(decision: Decision, first: object, second: object) -> float:
-    one, other = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
-    if one.shape != other.shape:
-        return float("inf")
-    between = np.asarray(decision.upper, dtype=float) - np.asarray(decision.lower, dtype=float)
-    size = np.where(np.isfinite(between), between, np.maximum(np.abs(one), np.abs(other)))
-    return float(np.max(np.abs(one - other) / np.where(size > 0, size, 1.0), initial=0.0))
+    ranges = {name: np.asarray(place.upper, float) - np.asarray(place.lower, float) for name, place in places.items()}
+    return {name: _difference(one.decisions[name], other.decisions[name], 0.0, each) for name, each in ranges.items()}
 
 
 def _statistics(one: Solution, other: Solution) -> dict[str, float]:
     """By text; those of paths at the instants that both grids have."""
-    firsts, seconds = (_fractions(solution) for solution in (one, other))
-    _, first, second = np.intersect1d(firsts, seconds, return_indices=True)
+    _, *places = np.intersect1d(_fractions(one), _fractions(other), return_indices=True)
     paths = {statistic.text() for statistic in statistics_in(one.problem.expressions) if statistic.is_path}
-
-    def shared(solution: Solution, places: np.ndarray) -> dict[str, np.ndarray]:
-        return {text: value[places] if text in paths else value for text, value in solution.statistics.items()}
-
-    mine, theirs = shared(one, first), shared(other, second)
+    mine, theirs = (
+        {text: value[at] if text in paths else value for text, value in solution.statistics.items()}
+        for solution, at in zip((one, other), places, strict=True)
+    )
     least = _SMALL * max((float(np.max(np.abs(value))) for value in mine.values()), default=0.0)
     return {text: _difference(value, theirs[text], least) for text, value in mine.items()}
 
@@ -200,11 +171,13 @@ def _multipliers(one: Solution, other: Solution, size: float) -> dict[str, float
     }
 
 
-def _difference(first: object, second: object, least: float) -> float:
-    """The largest difference of two arrays, relative to the largest of their entries; infinite if shapes differ."""
+def _difference(first: object, second: object, least: float, ranges: float | np.ndarray = np.inf) -> float:
+    """The largest difference of two arrays, relative to `ranges` where these are finite, else to the largest of their
+    entries, or to `least` if that is larger; infinite if shapes differ.
+    """
     one, other = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
     if one.shape != other.shape:
         return float("inf")
-    size = max(float(np.max(np.abs(one))), float(np.max(np.abs(other))), least)
-    away = float(np.max(np.abs(one - other)))
-    return away / size if size > 0 else 0.0
+    magnitude = max(float(np.max(np.abs([one, other]), initial=0.0)), least)
+    size = np.where(np.isfinite(ranges), ranges, magnitude)
+    return float(np.max(np.abs(one - other) / np.where(size > 0, size, 1.0), initial=0.0))

@@ -1,16 +1,15 @@
 """`pareto`: designs for several bounds of one constraint, each solved from neighbours that are solved."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Any, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.border import Progress, a_name, check_progress, one_of, real_array, silent
-from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.executors import check_executor
+from aleator._core.border import Progress, a_name, one_of, real_array, silent
+from aleator._core.errors import ProblemError
 from aleator._core.journalled import expected
 from aleator._core.leaves import Drawn, Printed
 from aleator.design import Problem
@@ -33,11 +32,6 @@ class Place(NamedTuple):
     objective: float
     slope: float
 
-    @property
-    def is_solved(self) -> bool:
-        """Whether there is an optimum."""
-        return not np.isnan(self.objective)
-
 
 def doubtful(places: Sequence[Place], relaxing: int, size: float) -> Iterator[tuple[float, float]]:
     """The bounds of points that the design of a solved neighbour may better, each with the bound of this neighbour.
@@ -49,13 +43,13 @@ def doubtful(places: Sequence[Place], relaxing: int, size: float) -> Iterator[tu
     ordered = sorted(places)
     for i, place in enumerate(ordered):
         for side in (ordered[:i][::-1], ordered[i + 1 :]):
-            neighbour = next((one for one in side if one.is_solved), None)
+            neighbour = next((one for one in side if not np.isnan(one.objective)), None)
             if neighbour is not None and _is_doubtful(place, neighbour, relaxing, size):
                 yield place.bound, neighbour.bound
 
 
 def _is_doubtful(place: Place, neighbour: Place, relaxing: int, size: float) -> bool:
-    if not place.is_solved:
+    if np.isnan(place.objective):
         return True
     step, risen = place.bound - neighbour.bound, place.objective - neighbour.objective
     if step * relaxing > 0 and risen > SAME * size:
@@ -69,21 +63,13 @@ def _is_doubtful(place: Place, neighbour: Place, relaxing: int, size: float) -> 
 class Refused(Printed):
     """A point of a front that was refused before it was solved, because no decision can meet the bound.
 
-    - `problem`: the problem with that bound; `reason`: the message.
+    - `problem`: the problem with that bound; `reason`: the message; `ok`, `status`: those of a solution, never solved.
     """
 
     problem: Problem
     reason: str
-
-    @property
-    def ok(self) -> bool:
-        """Whether there is a certified optimum: never."""
-        return False
-
-    @property
-    def status(self) -> Status:
-        """The status: no design exists there."""
-        return Status.INFEASIBLE
+    ok: ClassVar[bool] = False
+    status: ClassVar[Status] = Status.INFEASIBLE
 
     def why(self) -> str:
         """Why there is no design."""
@@ -129,12 +115,12 @@ class Front(Drawn):
     @property
     def objectives(self) -> Float[np.ndarray, " points"]:
         """The optimum at each point; NaN where there is none."""
-        return self._numbers(lambda one: one.objective if one.ok else np.nan)
+        return np.array([np.nan if one is None else one.objective for one in self.optima])
 
     @property
     def shadow_prices(self) -> Float[np.ndarray, " points"]:
         """The decrease of the optimum per unit by which the bound is relaxed; NaN where there is none."""
-        return self._numbers(lambda one: one.multiplier(self.bound) if one.ok else np.nan)
+        return np.array([np.nan if one is None else one.multiplier(self.bound) for one in self.optima])
 
     @property
     def violations(self) -> Float[np.ndarray, " points"]:
@@ -142,7 +128,7 @@ class Front(Drawn):
 
         NaN where it was refused.
         """
-        return self._numbers(lambda one: one.certificate.violation)
+        return np.array([one.certificate.violation if isinstance(one, Solution) else np.nan for one in self.points])
 
     def doubts(self) -> tuple[str, ...]:
         """What speaks for better designs than these: sentences, without a capital letter and a full stop."""
@@ -155,22 +141,16 @@ class Front(Drawn):
             "them",
         )
 
-    def _numbers(self, measure: Callable[[Solution], float]) -> Float[np.ndarray, " points"]:
-        """A number for each point; NaN where it was refused."""
-        return np.array([measure(one) if isinstance(one, Solution) else np.nan for one in self.points])
-
     def __str__(self) -> str:
         rows = [f"{self.bound:>10} {'objective':>12} {'shadow price':>12}  active"]
-        rows += [_row(self, *point) for point in zip(self.values, self.points, strict=True)]
+        for value, one in zip(self.values, self.points, strict=True):
+            if isinstance(one, Solution) and one.ok:
+                price, active = one.multiplier(self.bound), ", ".join(one.active)
+                rows.append(f"{value:10.5g} {one.objective:12.6g} {price:12.4g}  {active}")
+            else:
+                rows.append(f"{value:10.5g} {'no optimum':>12}  {one.why()}")
         rows += [f"{one[0].upper()}{one[1:]}." for one in self.doubts()]
         return "\n".join([*rows, *(["interrupted by the user"] if self.interrupted else [])])
-
-
-def _row(front: Front, value: float, solution: Solution | Refused) -> str:
-    if isinstance(solution, Refused) or not solution.ok:
-        return f"{value:10.5g} {'no optimum':>12}  {solution.why()}"
-    shadow_price = solution.multiplier(front.bound)
-    return f"{value:10.5g} {solution.objective:12.6g} {shadow_price:12.4g}  {', '.join(solution.active)}"
 
 
 def pareto(
@@ -201,15 +181,15 @@ def pareto(
     """
     one_of("pareto: problem", problem, Problem)
     a_name("pareto: bound", bound)
-    check_progress("pareto", progress)
     bounds = list(dict.fromkeys(np.ravel(real_array("pareto: values", values)).tolist()))
     if not bounds:
         raise ProblemError("pareto: expected at least one value of the bound; received none.")
-    check_executor("pareto", executor)
     own = {"solver": solver, "transcription": transcription}
-    making = _FrontInTheMaking(bound, {value: problem.with_bound(bound, value) for value in bounds}, own)
-    with running(lambda: making.solutions, progress) as run, expected("solve", making.named):
-        making.solve(run, executor)
+    problems = {value: problem.with_bound(bound, value) for value in bounds}
+    making = _FrontInTheMaking(bound, problems, own)
+    named = {point_name(bound, value): one for value, one in problems.items()}
+    with running("pareto", lambda: making.solutions, progress, executor) as run, expected("solve", named):
+        making.solve(run)
     return making.front(run.interrupted)
 
 
@@ -221,86 +201,79 @@ class _FrontInTheMaking:
         self._bound, self._problems, self._own = bound, problems, own
         self._points: dict[float, Solution | Refused] = {}
         self._neighbours: dict[float, float | None] = {}
-        self._first: ProblemError | None = None
-
-    @property
-    def named(self) -> dict[str, Problem]:
-        """The problems by the values of their bounds, in words."""
-        return {self._place(value): one for value, one in self._problems.items()}
 
     @property
     def solutions(self) -> dict[float, Solution]:
         """What has been solved, by the values of the bound."""
         return {value: one for value, one in self._points.items() if isinstance(one, Solution)}
 
-    def solve(self, run: Runner, executor: Executor | None) -> None:
+    def solve(self, run: Runner) -> None:
         """Solve each point from the problem's own start, then those from a neighbour that this may better.
 
         A point is tried from each design of a neighbour once, until none is bettered any more.
         """
-        self._each([(value, None) for value in self._problems], run, executor)
+        self._each([(value, None) for value in self._problems], run)
         tried, bettered = set[tuple[float, ...]](), True
         while bettered:
             known = self.solutions
             again = {(value, near, known[near].objective): (value, near) for value, near in self._doubtful()}
             pairs = [pair for key, pair in again.items() if key not in tried]
             tried.update(again)
-            bettered = bool(pairs) and self._each(pairs, run, executor)
+            bettered = bool(pairs) and self._each(pairs, run)
 
     def front(self, interrupted: bool) -> Front:
         """What was found, in the order of the bounds. Raises the first refusal if every point was refused."""
-        if self._first is not None and not self.solutions:
-            raise self._first
         values = [value for value in self._problems if value in self._points]
         points = tuple(self._points[value] for value in values)
+        if isinstance(points[0], Refused) and not self.solutions:
+            raise ProblemError(points[0].reason)
         neighbours = tuple(self._neighbours[value] for value in values)
         return Front(self._bound, np.array(values), points, interrupted, neighbours)
 
     def _doubtful(self) -> Iterator[tuple[float, float]]:
-        relaxing = _relaxing(self._problems, self._bound)
-        places = [Place(value, *_optimum(one, self._bound, relaxing)) for value, one in self.solutions.items()]
+        limits = next(iter(self._problems.values())).named(self._bound)
+        # 1 if a larger value of the bound is a weaker limit, -1 if a smaller one is, 0 for equalities.
+        relaxing = int(any(np.isfinite(float(one.upper)) for one in limits))
+        relaxing -= int(any(np.isfinite(float(one.lower)) for one in limits))
+        places = [
+            # A shadow price is the decrease for each unit of relaxation.
+            Place(value, one.objective, -(relaxing or 1) * one.multiplier(self._bound))
+            if one.ok
+            else Place(value, np.nan, np.nan)
+            for value, one in self.solutions.items()
+        ]
         return doubtful(places, relaxing, self._size)
 
     @property
     def _size(self) -> float:
         return max((abs(one.objective) for one in self.solutions.values() if one.ok), default=0.0)
 
-    def _each(self, tries: Sequence[tuple[float, float | None]], run: Runner, executor: Executor | None) -> bool:
+    def _each(self, tries: Sequence[tuple[float, float | None]], run: Runner) -> bool:
         """Solve some points, each from the design of a neighbour or its own start; whether one has been bettered."""
         known = self.solutions
         calls = [
             {"problem": self._problems[value], "warm_start": None if near is None else known[near], **self._own}
             for value, near in tries
         ]
-        places = [f"pareto, at {self._place(*one)}" for one in tries]
+        names = [point_name(self._bound, value) for value, _ in tries]
         task = f"front over {self._bound}" + ", from neighbours" * (tries[0][1] is not None)
         bettered = False
 
         def detail(i: int) -> str:
             point = self._points[tries[i][0]]
             brief = in_brief(point) if isinstance(point, Solution) else "no design"
-            return f": {self._place(tries[i][0])}, {brief}"
+            return f": {names[i]}, {brief}"
 
-        for i, found in run.each(SOLVE, task, calls, places, executor, detail):
-            bettered |= self._keep(*tries[i], found)
+        froms = ["" if near is None else f", from {near:.6g}" for _, near in tries]
+        places = [f"at {name}{said}" for name, said in zip(names, froms, strict=True)]
+        for i, found in run.each(SOLVE, task, calls, places, accepted=ProblemError, detail=detail):
+            (value, near), before = tries[i], self._points.get(tries[i][0])
+            if isinstance(before, Solution) and not _is_better(found, before, SAME * self._size):
+                continue
+            refused = isinstance(found, ProblemError)
+            self._points[value] = Refused(self._problems[value], str(found)) if refused else found
+            self._neighbours[value], bettered = near, True
         return bettered
-
-    def _place(self, value: float, neighbour: float | None = None) -> str:
-        """A point in words."""
-        return point_name(self._bound, value) + (f", from {neighbour:.6g}" if neighbour is not None else "")
-
-    def _keep(self, value: float, neighbour: float | None, found: Solution | AleatorError) -> bool:
-        """Keep what is better than what was known; whether it is."""
-        if isinstance(found, AleatorError) and not isinstance(found, ProblemError):
-            raise found
-        if isinstance(found, ProblemError):
-            self._first = self._first or found
-        point = Refused(self._problems[value], str(found)) if isinstance(found, ProblemError) else found
-        known = self._points.get(value)
-        if isinstance(known, Solution) and not _is_better(point, known, SAME * self._size):
-            return False
-        self._points[value], self._neighbours[value] = point, neighbour
-        return True
 
 
 def point_name(bound: str, value: float) -> str:
@@ -308,23 +281,8 @@ def point_name(bound: str, value: float) -> str:
     return f"{bound} = {value:.6g}"
 
 
-def _relaxing(problems: Mapping[float, Problem], bound: str) -> int:
-    """1 if a larger value of the bound is a weaker limit, -1 if a smaller one is, 0 for equalities."""
-    first, last = (problems[end(problems)].named(bound) for end in (min, max))
-    pairs = list(zip(first, last, strict=True))
-    rises = [any(np.any(getattr(b, side) > getattr(a, side)) for a, b in pairs) for side in ("upper", "lower")]
-    return int(rises[0]) - int(rises[1])
-
-
-def _optimum(solution: Solution, bound: str, relaxing: int) -> tuple[float, float]:
-    """The certified optimum, and its slope by the bound: a shadow price is the decrease for each unit of relaxation."""
-    if not solution.ok:
-        return np.nan, np.nan
-    return solution.objective, -(relaxing or 1) * solution.multiplier(bound)
-
-
-def _is_better(found: Solution | Refused, known: Solution, same: float) -> bool:
-    if isinstance(found, Refused):
+def _is_better(found: Solution | ProblemError, known: Solution, same: float) -> bool:
+    if isinstance(found, ProblemError):
         return False
     if found.ok and known.ok:
         return found.objective < known.objective - same

@@ -6,8 +6,7 @@ from typing import final
 
 import numpy as np
 
-from aleator._core.border import Progress, a_name, check_progress, one_of, positive, refusal, silent, whole
-from aleator._core.errors import ProblemError
+from aleator._core.border import Progress, one_of, positive, refusal, silent, whole
 from aleator._core.leaves import Drawn
 from aleator.design import Problem, soft
 from aleator.nlp import AbstractSolver
@@ -15,9 +14,6 @@ from aleator.solution import Solution
 from aleator.solving import solve
 from aleator.sweep._runner import finished, running
 from aleator.transcription import DEFAULT, AbstractTranscribed, AbstractTranscription, bound_size, transcribe
-
-# Beyond this weight, a penalty leaves no digit of the objective, and its square overflows.
-_LARGEST = 1e100
 
 
 @final
@@ -83,37 +79,28 @@ def harden(
     - `solver`, `transcription`: see `al.solve`.
 
     Everything is compiled once. Ctrl-C returns the solutions found so far. Raises `ProblemError` as `al.soft` does, and
-    for a factor of at most 1, and for weights that grow beyond all numbers.
+    for a factor of at most 1.
     """
     one_of("harden: problem", problem, Problem)
     weight, tolerance = positive("harden: weight", weight), positive("harden: tolerance", tolerance)
     factor, most = positive("harden: factor", factor), whole("harden: most", most)
     if factor <= 1:
         raise refusal("harden: factor", "a number above 1, by which weights grow", factor)
-    # By logarithms, since the last weight itself may overflow.
-    if np.log(weight) + (most - 1) * np.log(factor) >= np.log(_LARGEST):
-        raise ProblemError(
-            f"harden: expected weights below {_LARGEST:g}; received a first one of {weight:g} that grows {most - 1} "
-            f"times by a factor of {factor:g}. Take a smaller one, a smaller factor, or fewer solves (most=...)."
-        )
-    weights = weight * factor ** np.arange(most)
-    check_progress("harden", progress)
-    one_of("harden: transcription", transcription, AbstractTranscription, "al.Sequential()")
-    chosen = tuple(dict.fromkeys(a_name("harden: a constraint", name) for name in names)) or problem.names
-    solutions: list[Solution] = []
-    excesses: list[Mapping[str, float]] = []
-    with running(lambda: solutions, progress) as run:
-        for done, each in enumerate(weights):
-            softened = soft(problem, *names, weight=float(each), exact=exact)
-            start = solutions[-1].decisions if solutions else None
-            with run.step("weights", done, most, f"harden, weight {each:.4g}"):
+    chosen = tuple(dict.fromkeys(names)) or problem.names
+    found: list[tuple[Solution, float, Mapping[str, float]]] = []
+    with running("harden", lambda: found, progress) as run:
+        for done in range(most):
+            softened = soft(problem, *names, weight=weight, exact=exact)
+            start = found[-1][0].decisions if found else None
+            with run.step("weights", done, most, f"weight {weight:.4g}"):
                 solution = finished(solve(softened, solver, transcription=transcription, start=start, throw=False))
-            excesses.append(_excesses(transcribe(problem, DEFAULT), chosen, solution))
-            solutions.append(solution)
-            if solution.ok and max(excesses[-1].values()) <= tolerance:
+            excesses = _excesses(transcribe(problem, DEFAULT), chosen, solution)
+            found.append((solution, weight, excesses))
+            if solution.ok and max(excesses.values()) <= tolerance:
                 break
-    used = tuple(float(one) for one in weights[: len(solutions)])
-    return Hardened(tuple(solutions), used, tuple(excesses[: len(solutions)]), tolerance, run.interrupted)
+            weight *= factor
+    solutions, weights, excesses = zip(*found, strict=True)
+    return Hardened(solutions, weights, excesses, tolerance, run.interrupted)
 
 
 def _excesses(hard: AbstractTranscribed, names: tuple[str, ...], found: Solution) -> dict[str, float]:

@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.border import Progress, check_progress, one_of, positive, silent, whole
-from aleator._core.errors import AleatorError, ProblemError, warned_of
-from aleator._core.executors import check_executor
+from aleator._core.border import Progress, members, one_of, positive, refusal, silent, whole
+from aleator._core.errors import ProblemError, warned_of
 from aleator._core.journalled import journalled
 from aleator.design import Problem
 from aleator.nlp import (
@@ -26,7 +25,7 @@ from aleator.nlp import (
 from aleator.solution import Solution
 from aleator.solving import check_search, solve
 from aleator.sweep._runner import SOLVE, Work, finished, running
-from aleator.sweep._starts import Optimum, Portfolio, Starts, alike, at_starts
+from aleator.sweep._starts import Optimum, Portfolio, Starts, alike
 from aleator.transcription import DEFAULT, AbstractTranscription, transcribe, valued_by
 
 # Optima that are certified at most, from the best one on, until one stands.
@@ -55,45 +54,30 @@ def multistart(
     are not finite or of the wrong shape.
     """
     one_of("multistart: problem", problem, Problem)
-    check_progress("multistart", progress)
     spread, seed = positive("multistart: spread", spread), whole("multistart: seed", seed, least=0)
-    if isinstance(starts, bool | Mapping | str) or not isinstance(starts, int | np.integer | Sequence):
-        raise ProblemError(
-            f"multistart: expected a number of starts, or a list of starts by name; received {starts!r}."
-        )
     if not isinstance(starts, Sequence):
-        starts = _random(problem, whole("multistart: the number of starts", starts), spread, seed)
-    given = list(starts)
-    if not given:
-        raise ProblemError("multistart: expected at least one start; received none.")
-    places = problem.placements
-    for start in given:
-        places.moved(places.vector("initial"), start)
-    check_executor("multistart", executor)
+        count = whole("multistart: starts, which may be a list of starts by name or their number,", starts)
+        starts = _around(problem, count, spread, seed)
+    if not members("multistart: starts", starts, Mapping):
+        raise refusal("multistart: starts", "at least one start", starts)
+    for start in starts:
+        problem.placements.moved(problem.placements.vector("initial"), start)
     own = {"problem": problem, "solver": solver, "transcription": transcription}
-    calls = [{**own, "start": start} for start in given]
-    places = [f"multistart, from start {i + 1}" for i in range(len(calls))]
+    calls = [{**own, "start": start} for start in starts]
     solutions: dict[int, Solution] = {}
-    with running(lambda: solutions, progress) as run:
-        for i, result in run.each(SOLVE, "starts", calls, places, executor):
-            if isinstance(result, AleatorError):
-                raise result
-            solutions[i] = result
+    with running("multistart", lambda: solutions, progress, executor) as run:
+        # One by one, so that Ctrl-C keeps those that are there.
+        solutions.update(run.each(SOLVE, "starts", calls, [f"from start {i + 1}" for i in range(len(calls))]))
     return Starts(tuple(solutions[i] for i in sorted(solutions)), run.interrupted)
 
 
-def _random(problem: Problem, count: int, spread: float, seed: int) -> list[dict[str, Any]]:
+def _around(problem: Problem, count: int, spread: float, seed: int) -> list[dict[str, Any]]:
+    """The problem's own start, and random ones around it."""
     places = problem.placements
     first, lower, upper = (places.vector(name) for name in ("initial", "lower", "upper"))
-    finite = np.isfinite(upper - lower)
-    reach = spread * np.where(finite, np.where(finite, upper - lower, 0.0), np.maximum(np.abs(first), 1.0))
-    generator = np.random.default_rng(seed)
-
-    def drawn(i: int) -> Float[np.ndarray, " n"]:
-        shift = generator.uniform(-1.0, 1.0, first.size) if i else np.zeros(first.size)
-        return np.clip(first + reach * shift, lower, upper)
-
-    return [places.named(drawn(i)) for i in range(count)]
+    reach = spread * np.where(np.isfinite(upper - lower), upper - lower, np.maximum(np.abs(first), 1.0))
+    shifts = np.random.default_rng(seed).uniform(-1.0, 1.0, (count - 1, first.size))
+    return [places.named(np.clip(first + reach * shift, lower, upper)) for shift in (np.zeros(first.size), *shifts)]
 
 
 def portfolio(
@@ -124,74 +108,60 @@ def portfolio(
     """
     one_of("portfolio: problem", problem, Problem)
     starts, seed = whole("portfolio: starts", starts), whole("portfolio: seed", seed, least=0)
-    check_executor("portfolio", executor)
-    check_progress("portfolio", progress)
     if search is not None:
         one_of("portfolio: search", search, AbstractSearch, "al.solvers.DifferentialEvolution(), or None")
         check_search("portfolio", problem, search, "search=None leaves the global search out.")
     local = one_of("portfolio: solver", solver or DEFAULT.solver, AbstractSolver, "al.solvers.FilterSQP()").local
     program = transcribe(problem, DEFAULT).program
-    candidates: Sequence[Float[np.ndarray, " n"]] = []
-    chosen: Sequence[Float[np.ndarray, " n"]] = []
+    candidates: list[Float[np.ndarray, " n"]] = []
     searched: Searched | None = None
+    known = 0  # local searches that do not begin at random
     outcomes: dict[int, Outcome] = {}
-    with running(lambda: outcomes or candidates, progress) as run:
+    with running("portfolio", lambda: outcomes or candidates, progress, executor) as run:
         if search is not None:
             found = _searched_globally(problem, program, search, max(starts // 2, 1), executor)
-            candidates, searched = found.candidates, found.searched
+            candidates += found.candidates
+            searched = found.searched
             finished(found)
         chosen = [*candidates, program.start][:starts]
-        begun = [*chosen, *_random_points(program, starts - len(chosen), seed)]
-        calls = [{"problem": problem, "solver": local, "start": point} for point in begun]
-        places = [f"portfolio, local search {i + 1}" for i in range(len(calls))]
-        for i, outcome in run.each(LOCAL_SEARCH, "local searches", calls, places, executor):
-            if isinstance(outcome, AleatorError):
-                raise outcome
-            outcomes[i] = outcome
-    ends = [outcomes[i] for i in sorted(outcomes)]
-    random = [i >= len(chosen) for i in sorted(outcomes)]
-    optima, points = _optima(problem, ends, random)
-    # Without any, the least violated design is told, or the best one of the search.
-    if not points and ends:
-        points = [min(ends, key=lambda one: np.nan_to_num(one.violation, nan=np.inf)).point]
-    points = points[:_CERTIFIED] or candidates[:1]
+        known = len(chosen)
+        lower, upper = variable_range(program.start, program.lower, program.upper, program.variable_scale)
+        drawn = np.random.default_rng(seed).uniform(lower, upper, (starts - known, lower.size))
+        calls = [{"problem": problem, "solver": local, "start": point} for point in (*chosen, *drawn)]
+        places = [f"local search {i + 1}" for i in range(starts)]
+        outcomes.update(run.each(LOCAL_SEARCH, "local searches", calls, places))
+    every = dict(sorted(outcomes.items()))
+    solved = [i for i, one in every.items() if one.ok]
+    objectives, points = [every[i].evaluation.objective for i in solved], [every[i].point for i in solved]
+    optima = alike(objectives, points, [one.visited for one in every.values()])
+    ends = [points[group[0]] for group in optima[:_CERTIFIED]]
+    if not ends and every:  # the least violated design
+        ends = [min(every.values(), key=lambda one: np.nan_to_num(one.violation, nan=np.inf)).point]
+    ends = ends or candidates[:1]
     try:
-        best = _certified(problem, local, search, points)
+        best = _certified(problem, local, search, ends)
     except KeyboardInterrupt:
         # Here Ctrl-C ends the comparison, not the certificate, without which there would be no result.
         run.interrupted = True
-        best = _certified(problem, local, search, points[:1])
+        best = _certified(problem, local, search, ends[:1])
     return Portfolio(
         best=best,
-        optima=optima,
-        starts=len(ends),
-        random=sum(random),
-        solved=sum(is_random and one.ok for is_random, one in zip(random, ends, strict=True)),
+        optima=tuple(
+            Optimum(
+                objective=objectives[group[0]],
+                decisions=problem.placements.named(points[group[0]]),
+                starts=len(group),
+                random=sum(solved[i] >= known for i in group),
+            )
+            for group in optima
+        ),
+        starts=len(every),
+        random=sum(i >= known for i in every),
+        solved=sum(i >= known for i in solved),
         searched=searched,
         proven=best.ok and _is_least(program, best.objective, local.tolerance),
         interrupted=run.interrupted,
     )
-
-
-def _random_points(program: NonlinearProgram, count: int, seed: int) -> Float[np.ndarray, "count n"]:
-    lower, upper = variable_range(program.start, program.lower, program.upper, program.variable_scale)
-    return np.random.default_rng(seed).uniform(lower, upper, (count, program.start.size))
-
-
-def _optima(
-    problem: Problem, ends: Sequence[Outcome], random: Sequence[bool]
-) -> tuple[tuple[Optimum, ...], list[Float[np.ndarray, " n"]]]:
-    """The different optima, best first, and their points. `random`: which ends were begun at random points."""
-    solved = [i for i, one in enumerate(ends) if one.ok]
-    objectives = [ends[i].evaluation.objective for i in solved]
-    groups = alike(objectives, [ends[i].point for i in solved], at_starts([one.visited for one in ends]))
-    optima, points = [], []
-    for group in groups:
-        best = ends[solved[group[0]]]
-        named, drawn = problem.placements.named(best.point), sum(random[solved[i]] for i in group)
-        optima.append(Optimum(best.evaluation.objective, named, len(group), drawn))
-        points.append(best.point)
-    return tuple(optima), points
 
 
 def _is_least(program: NonlinearProgram, objective: float, tolerance: float) -> bool:
@@ -201,26 +171,23 @@ def _is_least(program: NonlinearProgram, objective: float, tolerance: float) -> 
 
 
 def _certified(
-    problem: Problem,
-    solver: AbstractSolver,
-    search: AbstractSearch | None,
-    points: Sequence[Float[np.ndarray, " n"]],
+    problem: Problem, solver: AbstractSolver, search: AbstractSearch | None, ends: Sequence[Float[np.ndarray, " n"]]
 ) -> Solution:
-    """The first of some points whose certificate stands, else the first one."""
-    found: list[Solution] = []
-    for point in points:
-        start = problem.placements.named(point)
+    """The first of some ends whose certificate stands, else the first one."""
+    solutions: list[Solution] = []
+    for end in ends:
+        own = {"start": problem.placements.named(end), "throw": False}
         with warned_of("portfolio"):
             try:
-                found.append(finished(solve(problem, solver, start=start, throw=False)))
+                solutions.append(finished(solve(problem, solver, **own)))
             except ProblemError:
                 if search is None:
                     raise
-                # Derivatives cannot choose, but values have: the point is judged as the answer of a search of one.
-                found.append(finished(solve(problem, replace(search, evaluations=1), start=start, throw=False)))
-        if found[-1].ok:
-            return found[-1]
-    return found[0]
+                # Derivatives cannot choose, but values have: the end is judged as the answer of a search of one.
+                solutions.append(finished(solve(problem, replace(search, evaluations=1), **own)))
+        if solutions[-1].ok:
+            return solutions[-1]
+    return solutions[0]
 
 
 class _FoundGlobally(NamedTuple):
@@ -248,14 +215,10 @@ def _searched_globally(
     return journalled("global search", given, found)
 
 
-def _local_search_from(problem: Problem, solver: AbstractSolver, start: Float[np.ndarray, " n"]) -> dict[str, Any]:
-    return {"problem": problem, "solver": solver, "start": start}
+def _searched_locally(**arguments: Any) -> Outcome:
+    program = transcribe(arguments["problem"], DEFAULT).program
+    solver: AbstractSolver = arguments["solver"]
+    return journalled(LOCAL_SEARCH.name, arguments, lambda: solver.solve(program, start=arguments["start"]))
 
 
-def _searched_locally(problem: Problem, solver: AbstractSolver, start: Float[np.ndarray, " n"]) -> Outcome:
-    program = transcribe(problem, DEFAULT).program
-    given = _local_search_from(problem, solver, start)
-    return journalled(LOCAL_SEARCH.name, given, lambda: solver.solve(program, start=start))
-
-
-LOCAL_SEARCH = Work("local search", _local_search_from, _searched_locally)
+LOCAL_SEARCH = Work("local search", dict, _searched_locally)

@@ -10,9 +10,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, TypeVar, final
 
-from aleator._core.border import Progress
+from aleator._core.border import Progress, check_progress
 from aleator._core.errors import AleatorError, SimulationError, warned_of
-from aleator._core.executors import is_of_this_process, packed, sending
+from aleator._core.executors import check_executor, is_of_this_process, packed, sending
 from aleator._core.interruption import heeding
 from aleator._core.journalled import AbstractEntry, NotKeptError, calling, entry_of
 from aleator.design import Problem, refuse_other_code
@@ -55,10 +55,17 @@ def finished(result: _Result) -> _Result:
 
 
 @contextmanager
-def running(has_results: Callable[[], object], progress: Progress) -> "Iterator[Runner]":
-    """Run steps that Ctrl-C ends early, if there is any result yet; else it raises `KeyboardInterrupt`."""
+def running(
+    verb: str, has_results: Callable[[], object], progress: Progress, executor: Executor | None = None
+) -> "Iterator[Runner]":
+    """Run the steps of a verb, whose `progress` and `executor` are checked first, until they are done.
+
+    Ctrl-C ends them early, if there is any result yet; else it raises `KeyboardInterrupt`.
+    """
+    check_progress(verb, progress)
+    check_executor(verb, executor)
     with heeding() as heed:
-        runner = Runner(heed, progress)
+        runner = Runner(verb, heed, progress, executor)
         try:
             yield runner
         except KeyboardInterrupt:
@@ -71,14 +78,16 @@ def running(has_results: Callable[[], object], progress: Progress) -> "Iterator[
 class Runner:
     """Runs the steps of a sweep. `interrupted`: whether Ctrl-C ended them early."""
 
-    def __init__(self, heed: Callable[[], None], progress: Progress):
-        self._heed, self.progress, self.interrupted = heed, progress, False
+    def __init__(self, verb: str, heed: Callable[[], None], progress: Progress, executor: Executor | None):
+        self._verb, self._heed, self.progress, self.executor = verb, heed, progress, executor
+        self.interrupted = False
 
     @contextmanager
     def step(self, task: str, done: int, total: int, place: str) -> Iterator[None]:
         """One step of a `task`, after those done, that follows from these."""
         self._heed()
         self.progress(task, done, total)
+        place = f"{self._verb}, {place}"
         with warned_of(place), calling(place):
             yield
 
@@ -88,22 +97,28 @@ class Runner:
         task: str,
         calls: Sequence[Arguments],
         places: Sequence[str],
-        executor: Executor | None = None,
+        *,
+        accepted: type[AleatorError] | tuple[()] = (),
         detail: Callable[[int], str] = lambda _: "",
     ) -> Iterator[tuple[int, Any]]:
         """The results of independent steps, each with its index, as soon as they are there.
 
         - `places`: each step in words, with which its warnings begin;
+        - `accepted`: exceptions that are results, such as the refusal of a point; others are raised;
         - `detail`: what progress says of a result beside the `task`, by its index, once the caller has seen it.
 
-        A refusal or a failure of a model is a result: the exception. What Ctrl-C has cut short is none. What a journal
-        has is not computed. Where the caller stops, what an executor has not begun is cancelled.
+        What Ctrl-C has cut short is no result. What a journal has is not computed. Where the caller stops, what an
+        executor has not begun is cancelled.
 
         Raises `ProblemError` for a model that cannot travel, and `SimulationError` if workers keep dying.
         """
         self.progress(task, 0, len(calls))
+        places = [f"{self._verb}, {place}" for place in places]
+        executor = self.executor
         results = _here(work, calls, places) if executor is None else _at_once(work, calls, places, executor)
         for done, (i, result) in enumerate(results, 1):
+            if isinstance(result, AleatorError) and not isinstance(result, accepted):
+                raise result
             yield i, finished(result)
             self.progress(f"{task}{detail(i)}", done, len(calls))
             self._heed()

@@ -19,18 +19,23 @@ _SAME, _NONE = 1e-4, 1e-9
 _FEWEST, _MORE = 6, 3
 
 
-def alike(objectives: Sequence[float], points: Sequence[Float[np.ndarray, " n"]], at_starts: float) -> list[list[int]]:
+def alike(
+    objectives: Sequence[float], points: Sequence[Float[np.ndarray, " n"]], histories: Sequence[Searched | None]
+) -> list[list[int]]:
     """The local optima at which searches ended, best first: the indices of the ends that belong to each.
 
-    Mirrored designs count as one, by their objective, and so do equal designs. `at_starts`: see there.
+    Mirrored designs count as one, by their objective, and so do equal designs. `histories`: of the searches, which tell
+    the magnitude of the objective.
     """
     size = np.max(np.abs(points), axis=0, initial=1e-12) if points else np.zeros(0)
+    first = np.array([abs(one.objectives[0]) for one in histories if one is not None and len(one.objectives)])
+    first = first[np.isfinite(first)]
+    least = _NONE * float(np.median(first)) if first.size else 0.0
     groups: list[list[int]] = []
     for i in np.argsort(objectives, kind="stable").tolist():
         best = groups[-1][0] if groups else None
         if best is not None and (
-            abs(objectives[i] - objectives[best])
-            <= max(_SAME * max(abs(objectives[i]), abs(objectives[best])), _NONE * at_starts)
+            abs(objectives[i] - objectives[best]) <= max(_SAME * max(abs(objectives[i]), abs(objectives[best])), least)
             or np.all(np.abs(points[i] - points[best]) < _SAME * size)
         ):
             groups[-1].append(i)
@@ -39,12 +44,14 @@ def alike(objectives: Sequence[float], points: Sequence[Float[np.ndarray, " n"]]
     return groups
 
 
-def at_starts(histories: Sequence[Searched | None]) -> float:
-    """The middle magnitude of the objective at the starts of local searches."""
-    first = [one.objectives[:1] for one in histories if one is not None]
-    known = np.abs(np.concatenate([np.zeros(0), *first]))
-    known = known[np.isfinite(known)]
-    return float(np.median(known)) if known.size else 0.0
+def _listed(optima: Sequence[tuple[float, int]], starts: int) -> list[str]:
+    """Local optima in lines: the objective of each, and how many of the starts led to it."""
+    failed = starts - sum(count for _, count in optima)
+    return [
+        "local optima (equal objectives count as one)",
+        *(f"{objective:14.8g}  from {count} of {starts} starts" for objective, count in optima),
+        *([f"{failed} starts failed"] if failed else []),
+    ]
 
 
 @final
@@ -74,17 +81,13 @@ class Starts(Drawn):
         Solutions with the same objective count as one, mirrored plans included, and so do those with the same
         decisions, since the objective may be zero.
         """
-        solved = [one for one in self.solutions if one.ok]
-        objectives, vectors = [one.objective for one in solved], [one.vector for one in solved]
-        groups = alike(objectives, vectors, at_starts([one.effort.visited for one in self.solutions]))
+        solved, histories = [one for one in self.solutions if one.ok], [one.effort.visited for one in self.solutions]
+        groups = alike([one.objective for one in solved], [one.vector for one in solved], histories)
         return tuple((solved[group[0]], len(group)) for group in groups)
 
     def __str__(self) -> str:
-        rows = [f"{one.objective:14.8g}  from {count} of {len(self.solutions)} starts" for one, count in self.optima]
-        failed = sum(not one.ok for one in self.solutions)
-        return "\n".join(
-            ["local optima (equal objectives count as one)", *rows, *([f"{failed} starts failed"] if failed else [])]
-        )
+        optima = [(solution.objective, count) for solution, count in self.optima]
+        return "\n".join(_listed(optima, len(self.solutions)))
 
 
 @final
@@ -146,23 +149,18 @@ class Portfolio(Drawn):
         anything: fewer than six, or than three more than optima.
         """
         w, n = self.seen_at_random, self.solved
-        return w * (w + 1) / (n * (n - 1)) if self._is_telling else 1.0
-
-    @property
-    def _is_telling(self) -> bool:
-        """Whether there are random starts enough to conclude from."""
-        return self.solved >= max(_FEWEST, self.seen_at_random + _MORE)
+        return w * (w + 1) / (n * (n - 1)) if n >= max(_FEWEST, w + _MORE) else 1.0
 
     def sure(self) -> str:
         """How sure one may be that no design is better, in words."""
         if self.proven:
             return "No design is better: the objective is at its lower bound."
-        best = self.optima[0] if self.optima else None
-        if best is None or not self._is_telling:
+        if self.unseen == 1.0:
             return (
                 f"Too few random starts ended at an optimum to say how many others there are: {self.solved}, at "
                 f"{self.seen_at_random} optima. Nothing can be said of designs not seen; take more starts."
             )
+        best = self.optima[0]
         found = f"{best.random} of {self.solved} random starts" if best.random else "Only the global search"
         return (
             f"{found} led to the best one; a further random start would lead to an optimum not seen yet with a "
@@ -170,13 +168,9 @@ class Portfolio(Drawn):
         )
 
     def __str__(self) -> str:
-        rows = [f"{one.objective:14.8g}  from {one.starts} of {self.starts} starts" for one in self.optima]
-        failed = self.starts - sum(one.starts for one in self.optima)
         return "\n".join(
             [
-                "local optima (equal objectives count as one)",
-                *rows,
-                *([f"{failed} starts ended at none"] if failed else []),
+                *_listed([(one.objective, one.starts) for one in self.optima], self.starts),
                 *([str(self.searched)] if self.searched else []),
                 f"best: {self.best.objective:.8g}, {self.best.why()}",
                 *(["interrupted by the user"] if self.interrupted else []),

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -60,29 +60,26 @@ class TradeOff(Drawn):
         return hypervolume(self.values, corner)
 
     def __str__(self) -> str:
-        width = max(14, *(len(name) + 2 for name in self.names))
+        width, count = max(14, *(len(name) + 2 for name in self.names)), len(self.values)
         heading = "".join(f"{name:>{width}}" for name in self.names)
         rows = ["".join(f"{one:>{width}.6g}" for one in row) for row in self.values]
-        return "\n".join([heading, *rows, *self._notes(len(rows))])
-
-    def _notes(self, count: int) -> list[str]:
-        several = f"{count} designs, each solved and certified; none is better than another in every wish"
-        alone = "the wishes do not conflict: one design, solved, is best for all of them"
-        if self.interrupted and count == 1:
-            several = "one design, solved and certified"
-        return [
-            several if count > 1 or self.interrupted else alone,
-            *([f"{self.asked} designs were asked for"] if 1 < count < self.asked else []),
-            *([f"{_designs(self.dominated)} dominated by others"] if self.dominated else []),
-            *([f"{_designs(self.repeated)} found again"] if self.repeated else []),
-            *(f"no design was found between {self.names[0]} = {low:.6g} and {high:.6g}" for low, high in self.holes),
-            *(f"no design: {one}" for one in self.failed),
-            *(["interrupted by the user"] if self.interrupted else []),
-        ]
-
-
-def _designs(count: int) -> str:
-    return "1 design was" if count == 1 else f"{count} designs were"
+        said = "the wishes do not conflict: one design, solved, is best for all of them"
+        if count > 1 or self.interrupted:
+            several = f"{count} designs, each solved and certified; none is better than another in every wish"
+            said = several if count > 1 else "one design, solved and certified"
+        left_out = {"dominated by others": self.dominated, "found again": self.repeated}
+        return "\n".join(
+            [
+                heading,
+                *rows,
+                said,
+                *([f"{self.asked} designs were asked for"] if 1 < count < self.asked else []),
+                *(f"{n} design{' was' if n == 1 else 's were'} {how}" for how, n in left_out.items() if n),
+                *(f"no design was found between {self.names[0]} = {a:.6g} and {b:.6g}" for a, b in self.holes),
+                *(f"no design: {one}" for one in self.failed),
+                *(["interrupted by the user"] if self.interrupted else []),
+            ]
+        )
 
 
 def efficient(points: Float[np.ndarray, "n wishes"], tolerance: Float[np.ndarray, " wishes"]) -> Bool[np.ndarray, " n"]:
@@ -120,29 +117,6 @@ def hypervolume(points: Float[np.ndarray, "n wishes"], reference: Float[np.ndarr
 _APART = 1e-3
 
 
-class Gap(NamedTuple):
-    """A gap of a front of two wishes: its places between the anchors, from 0 to 1, and the points at its ends."""
-
-    first: float
-    last: float
-    before: Float[np.ndarray, " wishes"]
-    after: Float[np.ndarray, " wishes"]
-
-    @property
-    def width(self) -> float:
-        """Its part of the line between the anchors."""
-        return self.last - self.first
-
-    @property
-    def ends(self) -> tuple[float, float]:
-        """The first wish at its ends."""
-        return float(self.before[0]), float(self.after[0])
-
-    def size(self, scales: Float[np.ndarray, " wishes"]) -> float:
-        """The largest difference of its ends, in scaled wishes; lines through a hole end at one of its ends."""
-        return float(np.abs((self.after - self.before) * scales).max())
-
-
 def simplex(size: int, count: int) -> list[Float[np.ndarray, " wishes"]]:
     """So many points spread evenly over the inside and the edges of a simplex, without its corners."""
     parts = 1
@@ -151,14 +125,18 @@ def simplex(size: int, count: int) -> list[Float[np.ndarray, " wishes"]]:
     return inner if len(inner) == count else [inner[i] for i in sorted(far_apart(np.array(inner), count))]
 
 
-def box(size: int, parts: int) -> list[Float[np.ndarray, " wishes"]]:
-    """Starts of parallel lines that pass evenly through a unit box in the direction of its diagonal.
+def box(size: int, count: int) -> list[Float[np.ndarray, " wishes"]]:
+    """Starts of so many parallel lines that pass evenly through a unit box in the direction of its diagonal.
 
-    They are the points of a lattice on the plane through the box's middle whose line meets it, for fronts of which no
-    simplex between the best designs is known.
+    They are points of a lattice on the plane through the box's middle whose line meets it, for fronts of which no
+    simplex between the best designs is known; each is as far as can be from those before.
     """
-    shifted = ((size - 1) * (one - 1 / size) + 0.5 for one in _lattice(size, parts))
-    return [one for one in shifted if np.ptp(one) < 1.0]
+    parts, inside = 1, list[Float[np.ndarray, " wishes"]]()
+    while len(inside) < count:
+        parts += 1
+        shifted = ((size - 1) * (one - 1 / size) + 0.5 for one in _lattice(size, parts))
+        inside = [one for one in shifted if np.ptp(one) < 1.0]
+    return [inside[i] for i in far_apart(np.array(inside), count)]
 
 
 def far_apart(values: Float[np.ndarray, "k wishes"], count: int, taken: int = 0) -> list[int]:

@@ -1,211 +1,25 @@
-"""`trade_off`: a front in the making, with the problems that lead to further points and what is told of those found."""
+"""`trade_off`: designs of which none is better in one wish without being worse in another."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from typing import Any, Literal, TypeAlias, assert_never, final, get_args
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.border import Progress, a_name, check_progress, one_of, refusal, silent, whole
+from aleator._core.border import Progress, a_name, one_of, refusal, silent, whole
 from aleator._core.errors import ProblemError
-from aleator._core.executors import check_executor
+from aleator._core.interruption import answering
 from aleator.design import Expression, Problem
-from aleator.nlp import AbstractSolver
+from aleator.nlp import AbstractSolver, load_pymoo, population_front
 from aleator.sweep._runner import Runner, running
-from aleator.sweep._seeking import SAME, Anchors, Member, Seeker, between, check_crowd, crowd
-from aleator.sweep._trade_off import Gap, TradeOff, box, efficient, simplex
-from aleator.sweep._wishes import Compromise, Design, Wishes, refuse_own_names
-from aleator.transcription import DEFAULT, AbstractTranscription
+from aleator.sweep._seeking import Member, Method, Search
+from aleator.sweep._trade_off import TradeOff, efficient, far_apart
+from aleator.sweep._wishes import LEVEL, Design, Wishes, without_level
+from aleator.transcription import DEFAULT, AbstractTranscription, transcribe, valued_by
 
-Method: TypeAlias = Literal["boundary", "limits", "weights", "population"]
-
-# A gap of the front is a hole if lines between its ends, down to this part of the whole, end upon them.
-_NARROWEST = 1e-3
-# Anchors whose differences span less than this part of their range in some direction lie on no simplex.
-_FLAT = 1e-3
-# So many lines at most, for each point asked for, where lines may pass by the front.
-_LINES = 3
-
-
-@final
-class FrontInTheMaking:
-    """A front in the making; `done` counts the points sought so far."""
-
-    def __init__(self, wishes: Wishes, seeker: Seeker, points: int):
-        self._wishes, self._seeker, self._points = wishes, seeker, points
-        self.anchors = Anchors(wishes, seeker)
-        self._further, self._crowd = list[Design](), list[Member]()
-        self._failed: list[str] = []
-        self._holes: list[tuple[float, float]] = []
-        self.done = 0
-
-    @property
-    def _designs(self) -> list[Design]:
-        return [*self.anchors.designs, *self._further]
-
-    @property
-    def _best(self) -> Float[np.ndarray, " wishes"]:
-        return np.minimum(self.anchors.values.min(axis=0), self.anchors.least)
-
-    def spread(self, evaluations: int, seed: int, executor: Executor | None, run: Runner) -> None:
-        """Let a population spread over the front."""
-        anchors = self.anchors.designs
-        self._crowd, run.interrupted = crowd(
-            self._wishes,
-            anchors,
-            self._points - len(anchors),
-            evaluations,
-            seed,
-            executor,
-            lambda done: run.progress("population", done, evaluations),
-        )
-
-    def problems(self, method: Method) -> Iterator[Compromise]:
-        """The problems of further points, each chosen by what has been found before."""
-        if self.anchors.constant.all():
-            return
-        scales, count = self.anchors.scales, self._points - len(self.anchors.designs)
-        if method == "weights":
-            yield from (self._wishes.weighted(one, scales) for one in simplex(len(scales), count))
-        elif method == "limits":
-            yield from self._limited(scales, count)
-        elif method == "boundary":
-            yield from self._along(scales, count)
-        elif method == "population":
-            yield from (self._wishes.along(one.values, scales) for one in self._crowd)
-        else:
-            assert_never(method)
-
-    def add(self, compromise: Compromise) -> None:
-        """Solve one of these problems, from the nearest design; again from others if it ends at a known one."""
-        designs = self._designs
-        values = [*(one.values for one in designs), *(one.values for one in self._crowd)]
-        starts = [*(one.solution for one in designs), *(one.decisions for one in self._crowd)]
-        start = starts[np.argmin([compromise.distance(one) for one in values])]
-        design, reason = self._seeker.sought(compromise, start)
-        self.done += 1
-        if design is None:
-            self._failed.append(reason)
-            return
-        self._further.append(design)
-        if self._seeker.starts > 1 or not self._is_known(design, designs):
-            return
-        # Where a slope vanishes, a known design may be stationary on the way to others.
-        for other in self._around(compromise, designs):
-            again, _ = self._seeker.sought(compromise, other)
-            if again is not None and again.solution.objective < design.solution.objective - SAME:
-                self._further[-1] = again
-                return
-
-    def _is_known(self, design: Design, others: list[Design]) -> bool:
-        near = SAME / self.anchors.scales
-        return any((np.abs(design.values - one.values) <= near).all() for one in others)
-
-    def _around(self, compromise: Compromise, designs: list[Design]) -> Iterator[Mapping[str, Any] | None]:
-        """Starts elsewhere: between the nearest designs to all sides of a place, and the problem's own."""
-        nearest: dict[tuple[int, bool], Design] = {}
-        for one in sorted(designs, key=lambda one: compromise.distance(one.values)):
-            away = compromise.away(one.values)
-            which = int(np.argmax(np.abs(away)))
-            nearest.setdefault((which, bool(away[which] > 0)), one)
-        middle = between([one.solution for one in nearest.values()]) if len(nearest) > 1 else None
-        if middle is not None:
-            yield middle
-        yield None
-
-    def _limited(self, scales: Float[np.ndarray, " wishes"], count: int) -> Iterator[Compromise]:
-        """Limits on all wishes but the first, on a grid over their ranges."""
-        others = len(scales) - 1
-        each = max(round(count ** (1 / others)), 1)
-        parts = np.arange(1, each + 1) / (each + 1)
-        for at in np.stack(np.meshgrid(*[parts] * others), axis=-1).reshape(-1, others):
-            yield self._wishes.within(0, self._best + np.append(0.0, at) * self.anchors.range, scales)
-
-    def _along(self, scales: Float[np.ndarray, " wishes"], count: int) -> Iterator[Compromise]:
-        """Lines from between the anchors; for two wishes, in the middle of the largest gap."""
-        corners = self.anchors.values
-        if len(corners) == 2:
-            yield from self._bisected(scales, count)
-        elif np.linalg.svd((corners[1:] - corners[0]) * scales)[1][-1] > _FLAT:
-            yield from (self._wishes.along(one @ corners, scales) for one in simplex(len(corners), count))
-        else:
-            yield from self._across(scales, count)
-
-    def _across(self, scales: Float[np.ndarray, " wishes"], count: int) -> Iterator[Compromise]:
-        """Lines through all of the box between best and worst, ever more, until enough of them end at designs."""
-        lines, parts, seen = 0, 1, set[tuple[float, ...]]()
-        while lines < _LINES * count and len(self._distinct()) < self._points:
-            parts += 1
-            for one in box(len(scales), parts):
-                place = tuple(np.round(one, 9))
-                if place in seen or lines >= _LINES * count or len(self._distinct()) >= self._points:
-                    continue
-                seen.add(place)
-                lines += 1
-                yield self._wishes.along(self._best + one * self.anchors.range, scales)
-
-    def _bisected(self, scales: Float[np.ndarray, " wishes"], count: int) -> Iterator[Compromise]:
-        corners, found = self.anchors.values, self._further
-        gaps = [Gap(0.0, 1.0, *corners)]
-        for _ in range(count):
-            self._holes += [one.ends for one in gaps if one.width <= _NARROWEST and one.size(scales) > 10 * _NARROWEST]
-            gaps = [one for one in gaps if one.width > _NARROWEST]
-            if not gaps:
-                return
-            widest = max(gaps, key=lambda one: one.size(scales))
-            gaps.remove(widest)
-            middle, known = (widest.first + widest.last) / 2, len(found)
-            yield self._wishes.along(corners[0] + middle * (corners[1] - corners[0]), scales)
-            if len(found) > known:
-                point = found[-1].values
-                halves = (
-                    Gap(widest.first, middle, widest.before, point),
-                    Gap(middle, widest.last, point, widest.after),
-                )
-                gaps += [one for one in halves if one.size(scales) > SAME]
-
-    def _distinct(self) -> list[int]:
-        """The efficient designs that differ from one another, in the order of the first wish."""
-        values, near = np.array([one.values for one in self._designs]), SAME / self.anchors.scales
-        kept = efficient(values, near)
-        distinct: list[int] = []
-        for i in np.argsort(values[:, 0], kind="stable"):
-            if kept[i] and all((np.abs(values[i] - values[j]) > 10 * near).any() for j in distinct):
-                distinct.append(int(i))
-        return distinct
-
-    def told(self, interrupted: bool) -> TradeOff:
-        """The efficient designs in order."""
-        designs, distinct = self._designs, self._distinct()
-        values, count = np.array([one.values for one in designs]), len(self._wishes.names)
-        dominated = int((~efficient(values, SAME / self.anchors.scales)).sum())
-        is_sought = np.arange(count) < len(self.anchors.designs)
-        chosen = [designs[i] for i in distinct]
-        return TradeOff(
-            names=self._wishes.names,
-            wishes=self._wishes.expressions,
-            values=values[distinct],
-            solutions=tuple(self._wishes.told(one) for one in chosen),
-            best=np.where(is_sought, np.minimum(values.min(axis=0), self.anchors.least), np.nan),
-            worst=self.anchors.values.max(axis=0),
-            weights=np.array([one.weights for one in chosen]),
-            asked=self._points,
-            dominated=dominated,
-            repeated=len(designs) - len(distinct) - dominated,
-            holes=self._told_holes(values[distinct][:, 0]),
-            failed=tuple(self._failed),
-            interrupted=interrupted,
-        )
-
-    def _told_holes(self, first: Float[np.ndarray, " points"]) -> tuple[tuple[float, float], ...]:
-        """The holes, from one design that is told to the next: a line through one may end at a dominated design."""
-        told = set[tuple[float, float]]()
-        for low, high in self._holes:
-            before = int(np.searchsorted(first, (low + high) / 2)) - 1
-            if 0 <= before < len(first) - 1:
-                told.add((float(first[before]), float(first[before + 1])))
-        return tuple(sorted(told))
+# Violations of at most this part of a constraint's magnitude count as none.
+_HELD = 1e-6
 
 
 def trade_off(
@@ -250,64 +64,111 @@ def trade_off(
     At the best design of a wish, the others are improved as far as they can be without making it worse (lexicographic
     order). Everything is compiled once. Ctrl-C returns the points found so far; in a population it ends that, whose
     designs until then lead to points, and a second one ends these. Raises `ProblemError` for fewer than two wishes, for
-    one that no decision changes, if the best design of some wish cannot be found, for a problem without decisions or
-    with a limit whose price (`al.soft` with `exact=True`) would not count, and for decisions without bounds if a
-    population is asked for.
+    one that no decision changes, if the best design of some wish cannot be found, for a limit whose price (`al.soft`
+    with `exact=True`) would not count, and for decisions without bounds if a population is asked for. Names of
+    constraints that begin with `trade-off` are its own.
     """
     one_of("trade_off: problem", problem, Problem)
-    names = _names(wishes)
-    points = whole("trade_off: points", points, least=len(names))
+    _check_wishes(problem, wishes)
+    points = whole("trade_off: points", points, least=len(wishes))
     starts = whole("trade_off: starts", starts)
     if method not in get_args(Method):
         raise refusal("trade_off: method", '"boundary", "limits", "weights" or "population"', method)
     evaluations, seed = whole("trade_off: evaluations", evaluations), whole("trade_off: seed", seed, least=0)
-    check_executor("trade_off", executor)
-    if executor is not None and method != "population" and starts == 1:
+    if method == "population":
+        _check_population(problem)
+    elif executor is not None and starts == 1:
         raise ProblemError(
             'trade_off: executor: expected method="population" or starts= of at least 2, whose simulations or searches '
             f"can be shared; received method={method!r} with one start, where each design follows from those before."
         )
-    if method == "population":
-        check_crowd(problem)
-    check_progress("trade_off", progress)
     one_of("trade_off: transcription", transcription, AbstractTranscription, "al.Sequential()")
-    _check_problem(problem, wishes)
-    front = FrontInTheMaking(Wishes(problem, wishes), Seeker(transcription, solver, starts, executor), points)
-    with running(lambda: front.anchors.designs, progress) as run:
-        front.anchors.find(run)
+    search = Search(Wishes(problem, wishes), points, transcription, solver, starts, executor)
+    with running("trade_off", lambda: search.designs, progress, executor) as run:
+        search.find_anchors(run)
         if method == "population":
-            front.spread(evaluations, seed, executor, run)
-        for one in front.problems(method):
-            with run.step("trade-off", front.done, points, f"trade_off, point {front.done + 1}"):
-                front.add(one)
-    return front.told(run.interrupted)
+            further = points - len(wishes)
+            search.crowd = _crowd(search.wishes, search.designs, further, evaluations, seed, run)
+        search.find_further(run, method)
+    return search.result(run.interrupted)
 
 
-def _names(wishes: Mapping[str, Expression]) -> tuple[str, ...]:
+def _check_wishes(problem: Problem, wishes: Mapping[str, Expression]) -> None:
+    """Refuse what are no wishes by name, and prices in the problem's objective, which would not count."""
     if not isinstance(wishes, Mapping) or len(wishes) < 2:
         raise refusal(
             "trade_off: wishes", "two expressions or more by name, such as {'ride': ..., 'cost': ...}", wishes
         )
     for name, one in wishes.items():
-        if not a_name("trade_off: the name of a wish", name).isprintable():
-            raise refusal("trade_off: the name of a wish", "a name of one line", name)
-        one_of(f"trade_off: wish '{name}'", one, Expression)
-    return tuple(wishes)
-
-
-def _check_problem(problem: Problem, wishes: Mapping[str, Expression]) -> None:
-    """Refuse problems without decisions, with names that are needed here, or with prices that would not count."""
-    decisions = problem.placements.decisions
-    if not decisions:
-        raise ProblemError(
-            "trade_off: the problem has no decisions: put al.Decision(initial, lower, upper) in the place of a number."
-        )
-    refuse_own_names(problem)
+        one_of(f"trade_off: wish '{a_name('trade_off: the name of a wish', name)}'", one, Expression)
     for name in problem.names:
         excess = f"{name}.excess"
-        if excess in decisions and not any(excess in str(one) for one in wishes.values()):
+        if excess in problem.placements.decisions and not any(excess in str(one) for one in wishes.values()):
             raise ProblemError(
                 f"trade_off: problem: the price of the soft limit '{name}' is in the objective, which does not count "
                 f"here, so that nothing would hold it: add al.value('{excess}') to a wish, or give the problem before "
                 "al.soft."
             )
+
+
+def _check_population(problem: Problem) -> None:
+    """Raise `ProblemError` for decisions without finite bounds, `MissingExtraError` without the library."""
+    load_pymoo('trade_off: method="population"')
+    places = problem.placements
+    is_open = ~np.isfinite(places.vector("upper") - places.vector("lower"))
+    if is_open.any():
+        name = places.entry_names()[int(np.argmax(is_open))]
+        raise ProblemError(
+            f"trade_off: method=\"population\" draws designs between the bounds of decisions, of which '{name}' has "
+            'none: give it lower= and upper=, or use method="boundary".'
+        )
+
+
+def _crowd(
+    wishes: Wishes, anchors: Sequence[Design], points: int, evaluations: int, seed: int, run: Runner
+) -> list[Member]:
+    """Designs of a population spread over the front, at most `points`, as far from one another as can be.
+
+    Ctrl-C only ends the population. `anchors`: the best designs of the wishes, of its first generation.
+    """
+    transcribed = transcribe(wishes.compromise(np.ones(len(wishes.names))).problem, DEFAULT)
+    program, places = valued_by(run.executor, transcribed.program, "trade_off"), transcribed.places
+    is_free = np.array([name != LEVEL for name in places.entry_names()])
+    rows = wishes.rows(transcribed)
+    seen: list[tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k wishes"]]] = []
+
+    def values(free: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
+        """The wishes, and the largest violations over the magnitudes of the constraints."""
+        assert program.values is not None
+        every = np.repeat(program.start[None], len(free), axis=0)
+        every[:, is_free] = free
+        _, constraints = program.values(every)
+        beyond = np.fmax(constraints - program.constraint_upper, program.constraint_lower - constraints)
+        worst = np.max(beyond / program.constraint_scale, axis=1, initial=0.0)
+        violations = np.where(np.isfinite(constraints).all(axis=1), worst, np.inf)
+        held = violations <= _HELD
+        seen.append((every[held], constraints[held][:, rows]))
+        return constraints[:, rows], violations
+
+    first = np.array([places.moved(program.start, without_level(one.solution.decisions)) for one in anchors])
+    try:
+        with answering() as answer:
+
+            def heed(done: int) -> None:
+                run.progress("population", done, evaluations)
+                answer()
+
+            bounds = program.lower[is_free], program.upper[is_free]
+            how = {"points": points, "evaluations": evaluations, "seed": seed, "heed": heed}
+            population_front(values, *bounds, first[:, is_free], **how)
+    except KeyboardInterrupt:
+        if not seen:
+            raise
+        run.interrupted = True
+    every, reached = (np.concatenate(part) for part in zip(*seen, strict=True))
+    is_best = efficient(reached, np.zeros(len(wishes.names)))
+    every, reached = every[is_best], reached[is_best]
+    # The anchors are on the front already.
+    known = np.array([one.values for one in anchors])
+    chosen = far_apart(np.concatenate([known, reached]), points, taken=len(known))
+    return [Member(reached[i - len(known)], places.named(every[i - len(known)])) for i in chosen]

@@ -5,9 +5,8 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any, TypeAlias, final
 
-from aleator._core.border import Progress, check_progress, refusal, silent, whole
+from aleator._core.border import Progress, members, silent, whole
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.executors import check_executor
 from aleator._core.leaves import Drawn
 from aleator.solution import Solution
 from aleator.sweep._front import Front, point_name
@@ -49,16 +48,15 @@ class EvidenceOfAll(Drawn):
         names = list(dict.fromkeys(name for one in self.evidence if one for name in one.violations))
         first, width = max(map(len, self.places)), max(32, *(len(name) + 2 for name in names), 0)
         head = f"{'design':<{first}}" + "".join(f"{name:>{width}}" for name in names)
-        rows = [self._row(i, names, first, width) for i in range(len(self.evidence))]
+        rows = []
+        for i, (place, one) in enumerate(zip(self.places, self.evidence, strict=True)):
+            if one is None:
+                rows.append(f"{place:<{first}}  {self.refused[i]}")
+                continue
+            shares = "".join(f"{one.violations[name]!s:>{width}}" for name in names if name in one.violations)
+            rows.append(f"{place:<{first}}{shares}" + ("" if one.agrees else f"  {one.alarm()}"))
         told = "share of systems that break a limit (95 % interval)" if names else "no limit counts system by system"
         return "\n".join([told, head, *rows, *(["interrupted by the user"] if self.interrupted else [])])
-
-    def _row(self, which: int, names: Sequence[str], first: int, width: int) -> str:
-        head, one = f"{self.places[which]:<{first}}", self.evidence[which]
-        if one is None:
-            return f"{head}  {self.refused[which]}"
-        shares = "".join(f"{one.violations[name]!s:>{width}}" for name in names if name in one.violations)
-        return head + shares + ("" if one.agrees else f"  {one.alarm()}")
 
 
 def validate_all(
@@ -79,25 +77,20 @@ def validate_all(
     `ProblemError` if there is no solved design.
     """
     samples, seed = whole("validate_all: samples", samples, least=2), whole("validate_all: seed", seed, least=0)
-    check_progress("validate_all", progress)
     solved = [(place, one) for place, one in _placed(designs) if one.ok]
     if not solved:
         raise ProblemError("validate_all: expected at least one solved design; received none.")
-    places, chosen = zip(*solved, strict=True)
-    check_executor("validate_all", executor)
-    calls = [{"solution": one, "samples": samples, "seed": seed} for one in chosen]
-    where = [f"validate_all, design {i}" for i in range(len(calls))]
+    calls = [{"solution": one, "samples": samples, "seed": seed} for _, one in solved]
+    where = [f"design {i}" for i in range(len(calls))]
     found: dict[int, Evidence | AleatorError] = {}
-    with running(lambda: found, progress) as run:
-        for i, evidence in run.each(VALIDATE, "evidence", calls, where, executor):
-            found[i] = evidence
-    kept = sorted(found)
-    results = [found[i] for i in kept]
+    with running("validate_all", lambda: found, progress, executor) as run:
+        found.update(run.each(VALIDATE, "evidence", calls, where, accepted=AleatorError))
+    results = [(*solved[i], found[i]) for i in sorted(found)]
     return EvidenceOfAll(
-        tuple(chosen[i] for i in kept),
-        tuple(places[i] for i in kept),
-        tuple(one if isinstance(one, Evidence) else None for one in results),
-        {i: str(one) for i, one in enumerate(results) if isinstance(one, AleatorError)},
+        tuple(solution for _, solution, _ in results),
+        tuple(place for place, _, _ in results),
+        tuple(one if isinstance(one, Evidence) else None for _, _, one in results),
+        {i: str(one) for i, (_, _, one) in enumerate(results) if isinstance(one, AleatorError)},
         run.interrupted,
     )
 
@@ -113,10 +106,5 @@ def _placed(designs: Any) -> list[tuple[str, Solution]]:
         return list(zip(told, designs.solutions, strict=True))
     if isinstance(designs, Starts):
         return [(f"start {i}", one) for i, one in enumerate(designs.solutions)]
-    if (
-        isinstance(designs, Sequence)
-        and not isinstance(designs, str)
-        and all(isinstance(one, Solution) for one in designs)
-    ):
-        return [(f"{i}", one) for i, one in enumerate(designs)]
-    raise refusal("validate_all: designs", "what al.pareto, al.trade_off or al.multistart gives, or solutions", designs)
+    what = "validate_all: designs, unless of al.pareto, al.trade_off or al.multistart"
+    return [(f"{i}", one) for i, one in enumerate(members(what, designs, Solution))]

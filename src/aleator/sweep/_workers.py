@@ -26,6 +26,7 @@ _Result = TypeVar("_Result")
 _AGAIN = 3
 # Environment variables of the libraries that NumPy and SciPy may use.
 _THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_MASKS = hasattr(signal, "pthread_sigmask")  # not on Windows
 
 
 def workers(count: int | None = None) -> Executor:
@@ -61,38 +62,29 @@ class Workers(Executor):
     def _send(self, future: "Future[Any]", submit: Callable[[ProcessPoolExecutor], "Future[Any]"], tries: int) -> None:
         with self._lock:
             pool = self._pool = self._pool or self._begun()
-            with _interrupts_wait(), _single_threads():  # which `submit` begins processes in
+            with _beginning():  # of processes, which `submit` may begin
                 try:
                     inner = submit(pool)
                 except BrokenProcessPool:
                     self._pool = None
                     pool = self._pool = self._begun()
                     inner = submit(pool)
+
+        def finish(done: "Future[Any]") -> None:
+            if done.cancelled() or future.cancelled():
+                future.cancel()
+            elif isinstance(done.exception(), BrokenProcessPool) and tries < _AGAIN and not self._closed:
+                with self._lock:
+                    self._pool = None if self._pool is pool else self._pool
+                self._send(future, submit, tries + 1)
+            elif error := done.exception():
+                future.set_exception(error)
+            else:
+                future.set_result(done.result())
+
         # What has not begun can be cancelled from outside.
         future.add_done_callback(lambda one: inner.cancel() if one.cancelled() else None)
-        inner.add_done_callback(lambda one: self._finish(one, future, pool, submit, tries))
-
-    def _finish(
-        self,
-        inner: "Future[Any]",
-        future: "Future[Any]",
-        pool: ProcessPoolExecutor,
-        submit: Callable[[ProcessPoolExecutor], "Future[Any]"],
-        tries: int,
-    ) -> None:
-        if inner.cancelled() or future.cancelled():
-            future.cancel()
-            return
-        error = inner.exception()
-        if isinstance(error, BrokenProcessPool) and tries < _AGAIN and not self._closed:
-            with self._lock:
-                if self._pool is pool:
-                    self._pool = None
-            self._send(future, submit, tries + 1)
-        elif error is not None:
-            future.set_exception(error)
-        else:
-            future.set_result(inner.result())
+        inner.add_done_callback(finish)
 
     def _begun(self) -> ProcessPoolExecutor:
         # Never forked: JAX has threads, whose locks a copy of the process would keep for ever.
@@ -111,29 +103,18 @@ class Workers(Executor):
 
 
 @contextmanager
-def _interrupts_wait() -> Iterator[None]:
-    """Let Ctrl-C wait, here and in the processes that begin within a block: there until they have settled."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def _single_threads() -> Iterator[None]:
-    """Let the linear algebra of processes that begin within a block have one thread, unless the user says otherwise.
-
-    A second one on the same core would wait by turning in circles.
+def _beginning() -> Iterator[None]:
+    """Let processes begin within a block: Ctrl-C waits until they have settled, and linear algebra has one thread there
+    unless the user says otherwise, because a second one on the same core would wait by turning in circles.
     """
     fresh = [name for name in _THREADS if name not in os.environ]
     os.environ.update(dict.fromkeys(fresh, "1"))
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if _MASKS else set()
     try:
         yield
     finally:
+        if _MASKS:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         for name in fresh:
             os.environ.pop(name, None)
 
@@ -146,23 +127,15 @@ def _settle(cores: "Queue[int]") -> None:
     """Begin a worker: one core, which the threads of libraries keep to as well, and one thread of ours."""
     end_with_parent()  # first, while the thread that watches inherits that Ctrl-C waits
     signal.signal(signal.SIGINT, _interrupt)
-    if hasattr(signal, "pthread_sigmask"):
+    if _MASKS:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    core = cores.get()
+    core, tasks = cores.get(), Path("/proc/self/task")  # its threads; later ones keep to the core of these
     if hasattr(os, "sched_setaffinity"):
         mine = sorted(os.sched_getaffinity(0))
-        for thread in _begun_here():
+        for thread in [int(one.name) for one in tasks.iterdir()] if tasks.is_dir() else [0]:
             with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
                 os.sched_setaffinity(thread, {mine[core % len(mine)]})
     threads(1)
-
-
-def _begun_here() -> list[int]:
-    """The threads of this process; those begun later keep to the cores of the one that begins them."""
-    try:
-        return [int(one.name) for one in Path("/proc/self/task").iterdir()]
-    except OSError:  # no Linux
-        return [0]
 
 
 def _worked(fn: Callable[..., _Result], /, *args: Any, **kwargs: Any) -> _Result:
