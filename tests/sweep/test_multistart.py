@@ -1,5 +1,6 @@
 """Local optima from several starts of a wave whose minima are known."""
 
+import dataclasses
 import warnings
 
 import jax.numpy as jnp
@@ -41,6 +42,7 @@ def test_both_optima_are_found_and_listed_in_order_with_how_often_and_a_start_th
     assert starts.best is deep
     assert [one.ok and round(one.decisions["x"]) for one in starts.solutions] == [-1, 2, False, -1, 2, 2]
     assert not starts.interrupted
+    assert str(dataclasses.replace(starts, interrupted=True)).endswith("interrupted by the user")
     for said in ("from 3 of 6 starts", "1 starts failed", "local optima (equal objectives count as one)"):
         assert said in str(starts)
     assert str(starts).index("-2.666") < str(starts).index("-0.416")

@@ -76,9 +76,9 @@ def test_the_correction_is_that_of_the_closed_form_and_every_limit_is_judged():
     assert solution.ok  # far from their bounds, limits are not broken
     told = [one for one in solution.certificate.opinion.contradictions if one.startswith("μ[y(t_f)]")]
     by, error = (float(part) for part in told[0].split(" differs by ")[1].split(" in ")[0].split(" ± "))
-    # The teeth's mean, and its standard error over 32 systems: cos² spreads by 1 / sqrt(8).
+    # The teeth's mean, and its standard error over so many systems: cos² spreads by 1 / sqrt(8).
     gain = solution.decisions["gain"]
-    assert error == pytest.approx(gain * 0.6 / np.sqrt(8 * 32), rel=0.3)
+    assert error == pytest.approx(gain * 0.6 / np.sqrt(8 * solution.certificate.opinion.samples), rel=0.3)
     assert abs(by - gain * 0.6 / 2) < 4 * error
     every = " ".join(solution.certificate.opinion.contradictions)
     assert "‖μ[y(t_f)], Skew[y(t_f)]‖" in every

@@ -110,13 +110,14 @@ def second_opinion(
 ) -> SecondOpinion | None:
     """Compare the expansions at a point with fresh simulations; None if nothing is uncertain.
 
-    A rare event that none of the collocation points sees may occur in one system, which is no evidence beyond chance.
-    Then more systems are drawn, and a limit counts as broken if two standard errors show it.
+    Where these disagree, or one system is missed by far, as in a rare event that none of the collocation points sees,
+    more systems are drawn, and a limit counts as broken if two standard errors show it.
     """
     if not len(check.systems.points) or not functionals_of(transcribed.problem.expressions):
         return None
     opinion = _opinion(transcribed, point, [check], _RARE)
-    if opinion.broken or not any(one.has_outlier for one in _fresh(transcribed, point, [check]).values()):
+    has_outlier = any(one.has_outlier for one in _fresh(transcribed, point, [check]).values())
+    if opinion.broken or (opinion.agrees and not has_outlier):
         return opinion
     waiting = [begin_check(transcribed, point, check.factor, draw) for draw in range(1, _MORE)]
     return _opinion(transcribed, point, [check, *(one() for one in waiting)], _SHOWN)

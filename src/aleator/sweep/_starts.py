@@ -87,7 +87,8 @@ class Starts(Drawn):
 
     def __str__(self) -> str:
         optima = [(solution.objective, count) for solution, count in self.optima]
-        return "\n".join(_listed(optima, len(self.solutions)))
+        ended = ["interrupted by the user"] if self.interrupted else []
+        return "\n".join([*_listed(optima, len(self.solutions)), *ended])
 
 
 @final
