@@ -10,7 +10,7 @@ from scipy import stats
 
 import aleator as al
 from aleator.validation._batches import Sums
-from aleator.validation._limits import Compared, reach, worst_disagreement
+from aleator.validation._comparisons import Compared, reach, worst_disagreement
 
 X, UNIFORM = al.output("x"), al.Uniform(0.0, half_width=1.0)
 RESPONSES = {
@@ -146,9 +146,9 @@ def test_over_time_a_disagreement_counts_beside_the_largest_spread():
     given = {"samples": 1000, "freedom": 1000, "times": np.arange(5.0)}
     numbers = "σ[x(t)]", np.array([0.0, 0.0, 1e-3, 0.3, 1.0]), spread, spread / np.sqrt(2000)
     assert worst_disagreement(*numbers, **given) is not None
-    assert worst_disagreement(*numbers, spread=1.0, **given) is None
+    assert worst_disagreement(*numbers, floor=0.01, **given) is None
     off = "σ[x(t)]", np.array([0.0, 0.0, 1e-3, 0.27, 1.0]), *numbers[2:]
-    told = worst_disagreement(*off, spread=1.0, **given)
+    told = worst_disagreement(*off, floor=0.01, **given)
     assert told is not None
     assert told.time == 3.0
 
