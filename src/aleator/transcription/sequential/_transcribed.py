@@ -23,7 +23,7 @@ from aleator.design import AbstractFunctional, Problem, functionals_of
 from aleator.expansion import Collocation
 from aleator.nlp import Hessian, NonlinearProgram, with_entries
 from aleator.statistics import Constants, Std
-from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning, Meanwhile, Texts
+from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning, Meanwhile
 from aleator.transcription._constraints import (
     Sizing,
     decision_scales,
@@ -252,7 +252,6 @@ class Sequential(AbstractTranscription):
             program,
             rows,
             tuple(sizes),
-            Texts.of(problem),
             scenarios,
             evaluator=evaluator,
             sizing=sizing,
