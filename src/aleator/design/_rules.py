@@ -41,9 +41,10 @@ class AbstractRule(Module):
     def text(self, *texts: str) -> str:
         """The function as mathematics; a text that is a sum stands in no brackets yet."""
 
-    @abc.abstractmethod
     def unit(self, *units: str | None) -> str:
-        """Its unit, from those of the expressions, None for plain numbers; empty where it is unknown."""
+        """Its unit, from those of the expressions, None for plain numbers; empty where it is unknown, as by default."""
+        del units
+        return ""
 
 
 @final
@@ -126,10 +127,6 @@ class Pure(AbstractRule):
     def text(self, *texts: str) -> str:
         (text,) = texts
         return _bracketed(text)
-
-    @override
-    def unit(self, *units: str | None) -> str:
-        return ""
 
 
 class AbstractRounded(AbstractRule):
@@ -255,12 +252,6 @@ class Own(AbstractRule):
     def text(self, *texts: str) -> str:
         return f"{self._name}({', '.join(texts)})"
 
-    @override
-    def unit(self, *units: str | None) -> str:
-        """Unknown: a function has no declared unit."""
-        del units
-        return ""
-
 
 @final
 class CostCurve(AbstractRule):
@@ -278,12 +269,6 @@ class CostCurve(AbstractRule):
     def text(self, *texts: str) -> str:
         numbers = (f"{float(number):g}" for number in self.coefficients)
         return self.shown.format(*numbers, spread=texts[0]).replace("(0 + ", "(")
-
-    @override
-    def unit(self, *units: str | None) -> str:
-        """Unknown: a curve has no declared unit."""
-        del units
-        return ""
 
 
 def _of_factor(unit: str | None) -> str:

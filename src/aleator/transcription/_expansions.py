@@ -124,13 +124,9 @@ class _Outputs:
     @classmethod
     def of(cls, problem: Problem) -> "_Outputs":
         """Those of a problem, distinguished by its equations, its numbers and its functionals, not by its bounds."""
-        parts = numbers_to_arrays((problem.simulation, problem.grid, problem.integrator))
-        numbers, rest = eqx.partition(parts, eqx.is_array)
-        leaves, structure = jax.tree.flatten(numbers)
-        static, static_structure = jax.tree.flatten(rest)
-        data = tuple((one.shape, np.asarray(one).tobytes()) for one in leaves)
-        functionals = functionals_of(problem.expressions)
-        return cls((problem.physics, functionals, structure, static_structure, tuple(static), data), problem)
+        leaves, structure = jax.tree.flatten(numbers_to_arrays(problem.simulation))
+        data = tuple((one.shape, np.asarray(one).tobytes()) if eqx.is_array(one) else one for one in leaves)
+        return cls((problem.physics, functionals_of(problem.expressions), structure, data), problem)
 
     def __call__(self, points: Float[np.ndarray, "points variables"]) -> dict[str, Float[np.ndarray, "points ..."]]:
         """The functionals by their texts."""
