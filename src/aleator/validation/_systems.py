@@ -60,7 +60,8 @@ class Systems:
 
     - `problem`: the problem with its distributions restored; `germs`: their variables;
     - `factor`: how many times as many steps as the design's grid has that for simulations (see `al.validate`), on which
-      `sampled` is the problem; `folds`: whether it can be simulated without storing histories.
+      `sampled` is the problem; `counted`: the same of the grid on which the limits `over_time` are counted;
+    - `folds`: whether systems can be simulated without storing histories.
 
     Raises `ProblemError`, in the name of the caller `who`, where there is nothing to simulate.
     """
