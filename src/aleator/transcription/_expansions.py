@@ -344,21 +344,14 @@ def resolved(
     known = jax_array(samples)
     terms = collocation.coefficients(known)
     squares = mean_squares(collocation, known, terms)
+    # A fit is linear, so that the derivatives of its coefficients are the coefficients of the derivative.
+    slopes = None if tangents is None else map(jax_array, np.moveaxis(tangents, -1, 0))
     return Resolved(
         mean=np.asarray(Mean().of(terms, ())),
         std=np.asarray(Std().of(terms, ())),
         leave_one_out=float(relative_error(*(part.sum() for part in squares))),
         history=np.asarray(error_history(squares, known.shape[1])) if functional.is_path else None,
-        tangents=None if tangents is None else _errors_of(collocation, tangents),
+        tangents=None
+        if slopes is None
+        else np.array([leave_one_out(collocation, one, collocation.coefficients(one)) for one in slopes]),
     )
-
-
-def _errors_of(
-    collocation: Collocation, tangents: Float[np.ndarray, "points ... parameters"]
-) -> Float[np.ndarray, " parameters"]:
-    """The leave-one-out error of each tangent's own expansion.
-
-    A fit is linear, so that the derivatives of its coefficients are the coefficients of the derivative.
-    """
-    each = map(jax_array, np.moveaxis(tangents, -1, 0))
-    return np.array([leave_one_out(collocation, one, collocation.coefficients(one)) for one in each])

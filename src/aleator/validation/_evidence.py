@@ -98,7 +98,7 @@ class Evidence(Drawn):
     """A design re-simulated on fresh random systems, without any expansion. `print(evidence)` shows it.
 
     - `instants`: the number of instants at which limits over time were counted, None if there are none; more than the
-      design's grid has where its limits hold between instants too;
+      design's grid has where that is too coarse, or limits hold between its instants too;
     - `functionals`: sampled mean and standard deviation of each, with the expansion's;
     - `statistics`: each statistic in the problem by its text (`"Q0.99[rms(x)]"`), sampled, with the expansion's;
       without those of paths, and those that a sample cannot estimate (Sobol indices: see

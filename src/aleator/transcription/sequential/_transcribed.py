@@ -47,17 +47,6 @@ from aleator.transcription.sequential._population import Population
 _NEARBY, _DISTANCE = 3, 0.1
 
 
-def _nearby(
-    start: Float[np.ndarray, " n"],
-    lower: Float[np.ndarray, " n"],
-    upper: Float[np.ndarray, " n"],
-    size: Float[np.ndarray, " n"],
-) -> list[Float[np.ndarray, " n"]]:
-    """Decisions near the start, by a part of their typical magnitudes; few derivatives vanish at all of them."""
-    steps = _DISTANCE * np.random.default_rng(0).uniform(-1, 1, (_NEARBY, len(start)))
-    return list(np.clip(start + size * steps, lower, upper))
-
-
 def _sparsity(nonzero: Bool[np.ndarray, "rows n"], paths: Sequence[slice], instants: int) -> Bool[np.ndarray, "rows n"]:
     """The derivatives that may be nonzero, from those that are nonzero at some decisions.
 
@@ -201,7 +190,9 @@ class Sequential(AbstractTranscription):
             evaluator.begin(start)
             meanwhile(problem, discretisation)()
         decision_scale = decision_scales(start, lower, upper)
-        around = _nearby(start, lower, upper, decision_scale)
+        # Few derivatives vanish at all of these.
+        steps = _DISTANCE * np.random.default_rng(0).uniform(-1, 1, (_NEARBY, len(start)))
+        around = list(np.clip(start + decision_scale * steps, lower, upper))
         beside = [evaluator(one) for one in around] if instantaneous(problem) else []
         # The start comes last, so that the evaluator still remembers it when it is needed again.
         at_start = evaluator(start)
