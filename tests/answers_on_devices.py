@@ -14,7 +14,7 @@ import aleator as al
 from aleator._core.compilation import Compiled
 from aleator._core.parallel import here, over_devices
 from aleator.transcription.sequential._evaluator import CONTRIBUTE
-from aleator.validation._batches import SIMULATE_BATCH
+from aleator.validation._batches import SIMULATE
 from zoo import Oscillator, sine
 
 
@@ -77,7 +77,7 @@ def main():
     al.threads(4)
     last = jax.local_devices()[-1]
     told = {"answers": answers()}
-    told |= {"parts": CONTRIBUTE.compilations, "batches": SIMULATE_BATCH.compilations}
+    told |= {"parts": CONTRIBUTE.compilations, "batches": SIMULATE.compilations}
     told |= {"devices": len(jax.local_devices()), "turns": at_each_turn()}
     with jax.default_device(last):
         told["told"] = [here().id, at_each_turn()]

@@ -100,11 +100,7 @@ def test_constraints_may_come_in_any_nesting():
     assert problem.names == ("response", "loss")
 
 
-# --- Starts that cannot be held, and numbers that make no body -------------------------------------------------------
-
-
-# What holds the pendulum level: its weight of 1 kg at 0.5 m.
-LEVEL = 9.81 * 0.5
+# --- Numbers that make no body ---------------------------------------------------------------------------------------
 
 
 class Pendulum(al.Multibody):
@@ -135,28 +131,6 @@ def planned(model, start, limit=3.0, final=1.0):
         subject_to=al.path("a_torque").within(-limit, limit),
         expansion=al.Expansion(order=1),
     )
-
-
-def test_a_start_that_is_kept_at_rest_beyond_its_limits_is_refused():
-    model = Pendulum(mass=al.Uniform(1.0, half_width=0.1), inertia=al.Decision(0.1, 0.0, 1.0))
-    message = rf"cannot hold the system still at the start, which needs a_torque = -{LEVEL:.4g} "
-    with pytest.raises(al.ProblemError, match=message):
-        planned(model, (0.0, 0.0, 0.0), final=al.Decision(1.0, 0.5, 5.0))
-    assert planned(model, (0.0, 0.0, 0.0), 1.01 * LEVEL).constraints
-
-
-@pytest.mark.parametrize(
-    ("model", "start"),
-    [
-        (Pendulum(), (0.0, 0.0)),
-        (Pendulum(), (al.Decision(0.0, -1.0, 1.0), 0.0, 0.0)),
-        (Pendulum(mass=al.Uniform(al.Decision(1.0, 0.4, 1.0), std=0.05)), (0.0, 0.0, 0.0)),
-        # Its torque has no slope there: any tilt makes it smaller.
-        (Pendulum(tilt=al.Decision(0.0, -1.0, 1.0)), (0.0, 0.0, 0.0)),
-    ],
-)
-def test_a_start_that_may_move_or_that_decisions_change_is_not(model, start):
-    assert planned(model, start).constraints
 
 
 @pytest.mark.parametrize(

@@ -79,12 +79,9 @@ def test_trees_on_simple_joints_are_diagnosed_without_a_program_and_other_models
     tree = al.InverseDynamics(Tree((arm, slide)), motion={"arm": level, "slide": level})
     with programs_listed() as programs:
         assert tree.diagnose(grid) == ""
-        held = tree.holding(grid)
     assert programs == []
-    np.testing.assert_allclose([held["arm_torque"], held["slide_torque"]], [-2.0 * 9.81, 0.0], rtol=1e-14, atol=1e-14)
     with programs_listed() as programs:
         for mass in (1.0, 2.0):
             raised = al.InverseDynamics(Raised(mass), motion={"height": level})
             assert raised.diagnose(grid) == ""
-            np.testing.assert_allclose(raised.holding(grid)["height_torque"], 9.81 * mass, rtol=1e-14)
     assert len(programs) == 1

@@ -16,7 +16,7 @@ from aleator.reporting import report
 from aleator.reporting._numbers import number
 from aleator.reporting._page import verdict
 from aleator.reporting._tables import certificate_table, designs_table, evidence_table
-from aleator.validation._limits import Disagreement
+from aleator.validation._comparisons import Disagreement
 from zoo import MASS, STRESS, bar_problem
 
 

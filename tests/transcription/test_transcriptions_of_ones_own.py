@@ -54,7 +54,6 @@ class Lifted(ext.AbstractTranscribed):
             program=whole,
             rows=tuple(slice(1 + one.start, 1 + one.stop) for one in inner.rows),
             scales=inner.scales,
-            texts=inner.texts,
             scenarios=inner.scenarios,
             inner=inner,
         )

@@ -10,7 +10,7 @@ from scipy import stats
 
 import aleator as al
 from aleator.validation._batches import Sums
-from aleator.validation._limits import Compared, reach, worst_disagreement
+from aleator.validation._comparisons import Compared, reach, worst_disagreement
 
 X, UNIFORM = al.output("x"), al.Uniform(0.0, half_width=1.0)
 RESPONSES = {
@@ -103,7 +103,8 @@ def test_waves_that_an_order_misses_are_found_with_their_closed_form():
 def test_limits_on_statistics_are_compared_with_their_bounds():
     std = 2 / np.sqrt(3)
     end, width = al.output("gain").mean.equals(1.0), X.quantile(0.75) - X.quantile(0.25)
-    limits = X.std <= 1.2 * std, X.std <= std, end, width <= 2.0 + 1e-9
+    cost = al.cost.reciprocal("gain", bias=0.0, scale=1.0) + X.std <= 9.0
+    limits = X.std <= 1.2 * std, X.std <= std, end, width <= 2.0 + 1e-9, cost
     plain = solved("smooth", b=al.Uniform(0.0, half_width=1e-9), limits=limits, tolerance=0.05)
     evidence = al.validate(plain, 20_000)
     found = {one.name: one for one in evidence.compared}
@@ -111,6 +112,7 @@ def test_limits_on_statistics_are_compared_with_their_bounds():
     assert found["limit 1"].meets is None
     assert found["limit 2"].meets is not False
     assert found["limit 3"].meets is None
+    assert found["limit 4"].value == pytest.approx(1.0 + found["limit 0"].value)
     # The standard error of a sampled std of a uniform distribution, whose kurtosis is 1.8.
     assert found["limit 1"].standard_error == pytest.approx(std * np.sqrt(0.8 / 4 / 20_000), rel=0.4)
     assert "within its error of the bound" in str(evidence)
@@ -146,9 +148,9 @@ def test_over_time_a_disagreement_counts_beside_the_largest_spread():
     given = {"samples": 1000, "freedom": 1000, "times": np.arange(5.0)}
     numbers = "σ[x(t)]", np.array([0.0, 0.0, 1e-3, 0.3, 1.0]), spread, spread / np.sqrt(2000)
     assert worst_disagreement(*numbers, **given) is not None
-    assert worst_disagreement(*numbers, spread=1.0, **given) is None
+    assert worst_disagreement(*numbers, floor=0.01, **given) is None
     off = "σ[x(t)]", np.array([0.0, 0.0, 1e-3, 0.27, 1.0]), *numbers[2:]
-    told = worst_disagreement(*off, spread=1.0, **given)
+    told = worst_disagreement(*off, floor=0.01, **given)
     assert told is not None
     assert told.time == 3.0
 

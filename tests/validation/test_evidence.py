@@ -156,6 +156,7 @@ def test_what_is_certain_is_simulated_on_a_finer_grid_which_finds_out_a_coarse_o
         evidence.functionals["x(t)"].mean, start * np.exp(-5.0 * np.array([0.0, 0.5, 1.0])), rtol=1e-3
     )
     assert evidence.violations == {"low": Proportion(int(start > 1.5), 1)}
+    assert evidence.instants == 21
 
 
 @pytest.mark.filterwarnings("ignore")

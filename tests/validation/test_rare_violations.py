@@ -65,8 +65,8 @@ def test_weights_are_the_given_density_over_that_of_the_proposal():
     assert weights.max() <= 10.0 + 1e-9
     assert weights.mean() == pytest.approx(1.0, abs=5 * weights.std() / np.sqrt(len(weights)))
     densities = [
-        share * stats.multivariate_normal(one.mean, one.factor @ one.factor.T).pdf(points[:50])
-        for share, one in zip(proposal.shares, proposal.components, strict=True)
+        share * stats.multivariate_normal(mean, factor @ factor.T).pdf(points[:50])
+        for share, (mean, factor) in zip(proposal.shares, proposal.components, strict=True)
     ]
     given = stats.multivariate_normal(np.zeros(3)).pdf(points[:50])
     np.testing.assert_allclose(weights[:50], given / np.sum(densities, axis=0), rtol=1e-10)
@@ -108,8 +108,8 @@ def test_an_estimate_that_was_ended_goes_on_from_its_parts(tmp_path: Path, monke
     solution = al.solve(gain_problem())
     undisturbed = al.rare_violation(solution, samples=4000, seed=3)
     monkeypatch.setattr(journalled, "_OFTEN", 0.0)
-    simulated, beyond = [], _rare._Limits.beyond
-    monkeypatch.setattr(_rare._Limits, "beyond", lambda self, points: simulated.append(points) or beyond(self, points))
+    simulated, drawn = [], _rare.parts
+    monkeypatch.setattr(_rare, "parts", lambda points, batch: simulated.append(points) or drawn(points, batch))
 
     def end(task: str, done: int, total: int) -> None:
         if done >= 0.5 * total:

@@ -57,10 +57,10 @@ def test_each_system_has_its_own_place_in_one_stream_of_random_numbers():
 
 def test_stretches_are_the_whole_sample_in_order():
     for samples, batch, before in ((1000, 250, 1000), (10**6, 250, 250), (1003, 10, 20), (7, 250, 7)):
-        plan = _validate.Plan(samples, 0, min(batch, samples), 0, before)
-        assert len(plan.stretches) < 260
-        ends = [one.end for one in plan.stretches]
-        assert [0, *ends[:-1]] == [one.first for one in plan.stretches]
+        stretches = _validate.stretches(samples, min(batch, samples), before)
+        assert len(stretches) < 260
+        ends = [one.end for one in stretches]
+        assert [0, *ends[:-1]] == [one.first for one in stretches]
         assert ends[-1] == samples
         assert before in {*ends, 0}
 
@@ -123,9 +123,9 @@ def test_evidence_that_was_ended_goes_on_from_its_parts(
     later = []
     simulated = _validate.simulated
 
-    def noted(systems, plan, stretches):
+    def noted(systems, stretches, *how, **named):
         later.extend(stretches)
-        return simulated(systems, plan, stretches)
+        return simulated(systems, stretches, *how, **named)
 
     monkeypatch.setattr(_validate, "simulated", noted)
     with al.journal(tmp_path):

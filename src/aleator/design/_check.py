@@ -10,14 +10,10 @@ from jaxtyping import Float
 from aleator._core.arrays import jax_array
 from aleator._core.border import meant
 from aleator._core.errors import ProblemError
-from aleator.design._expression import Expression
-from aleator.design._functionals import Path
-from aleator.design._objectives import CostCurve
 from aleator.design._response import AbstractProblem
 from aleator.design._scope import AbstractComposite, Value
 from aleator.design._statistic import (
     Extreme,
-    Statistic,
     functionals_of,
     statistics_in,
 )
@@ -33,7 +29,7 @@ from aleator.dynamics import (
     check_signals,
 )
 from aleator.expansion import Expansion
-from aleator.statistics import Mean, Sobol, TotalSobol, refuse_correlated
+from aleator.statistics import Sobol, TotalSobol, refuse_correlated
 from aleator.trajectories import piecewise_in
 from aleator.uncertainty import (
     AbstractGerm,
@@ -143,7 +139,7 @@ def _check_values(problem: AbstractProblem) -> None:
     numbers = named_numbers(problem.simulation, jax_array(problem.placements.vector("initial")))
     for expression in problem.expressions:
         for atom in expression.leaves:
-            if isinstance(atom, Value | CostCurve) and atom.name not in numbers:
+            if isinstance(atom, Value) and atom.name not in numbers:
                 raise ProblemError(unknown("number of the model", atom.name, list(numbers)))
 
 
@@ -164,7 +160,7 @@ def unknown(kind: str, name: str, known: list[str]) -> str:
 
 
 def _refuse_diagnosed(problem: AbstractProblem) -> None:
-    """Raise `ProblemError` for any fault that a system diagnoses, or if its torques cannot hold its start.
+    """Raise `ProblemError` for any fault that a system diagnoses.
 
     Systems are diagnosed at the means; then with each uncertain number at either end of its distribution and the others
     at their medians; and with each decided number of the system itself (not of a prescribed motion) at either bound.
@@ -179,7 +175,6 @@ def _refuse_diagnosed(problem: AbstractProblem) -> None:
         _refuse(realise(problem.simulation, jax_array(germ), start), f" In the system with {where}.")
     for name, decisions in _bounds(problem):
         _refuse(_at_means(problem, decisions), f" In the system with {name}.")
-    _refuse_unheld(problem)
 
 
 def _at_means(problem: AbstractProblem, decisions: Any) -> Simulation:
@@ -220,57 +215,3 @@ def _bounds(problem: AbstractProblem) -> Iterator[tuple[str, Float[np.ndarray, "
                 decisions = start.copy()
                 decisions[i] = bound
                 yield f"{names[i]} = {bound:.4g}", decisions
-
-
-def _refuse_unheld(problem: AbstractProblem) -> None:
-    """Refuse limits below the holding torques, where the system starts at rest whatever the decisions are."""
-    held = _held(problem)
-    for constraint in problem.constraints:
-        least, most = _range(constraint.expression, held)
-        if least > float(constraint.upper) + 1e-9 or most < float(constraint.lower) - 1e-9:
-            torques = dict.fromkeys(name for atom in constraint.expression.atoms for name in atom.subjects)
-            needed = ", ".join(f"{name} = {held[name]:.4g}" for name in torques)
-            raise ProblemError(
-                f"Constraint '{constraint.name}' ({constraint}) cannot hold the system still at the start, which needs "
-                f"{needed} at the means. Raise the limit, lighten the load, start in another posture, or do not "
-                "prescribe the acceleration at the start."
-            )
-
-
-def _range(expression: Expression, held: dict[str, float]) -> tuple[float, float]:
-    """The range of an expression of means and spreads of torques at the start; unbounded for other expressions."""
-    value, least, most = float(expression.constant), 0.0, 0.0
-    for factor, atom in zip(expression.factors, expression.atoms, strict=True):
-        path = isinstance(atom, Statistic) and isinstance(atom.functionals[0], Path) and atom.functionals[0].output
-        if path not in held or not (atom.is_spread or isinstance(atom.kind, Mean)):  # type: ignore[attr-defined]
-            return -np.inf, np.inf
-        if not atom.is_spread:
-            value += float(factor) * held[path]
-        elif factor != 0:
-            # The spread of torques is not known here, except that it is not negative.
-            least, most = (least, np.inf) if factor > 0 else (-np.inf, most)
-    return value + least, value + most
-
-
-def _held(problem: AbstractProblem) -> dict[str, float]:
-    """The holding torques at the means, as far as they are the same at other, distant decisions."""
-    start, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))
-    along = np.linspace(0.25, 0.45, len(start))
-    between = np.isfinite(lower) & np.isfinite(upper)
-    held = _holding(problem, start)
-    for part, step in ((along, 1 + along), (1 - along, -1 - along)):
-        inside = np.where(between, lower, 0.0) + part * np.where(between, upper - lower, 0.0)
-        decisions = np.where(between, inside, np.clip(start + step, lower, upper))
-        other = _holding(problem, decisions) if held else {}
-        held = {name: one for name, one in held.items() if np.isclose(one, other.get(name, np.nan), rtol=1e-9)}
-    return held
-
-
-def _holding(problem: AbstractProblem, decisions: Float[np.ndarray, " n"]) -> dict[str, float]:
-    simulation = _at_means(problem, decisions)
-    try:
-        held = simulation.system.holding(simulation.grid)
-    except ProblemError:
-        # A system that cannot be built there needs no torque.
-        return {}
-    return {name: float(one) for name, one in held.items()}

@@ -48,7 +48,8 @@ class Control(AbstractTrajectory):
         self.initial = initial if callable(initial) else _numbers("initial", initial)
         self.lower, self.upper = _numbers("lower", lower), _numbers("upper", upper)
         self.degree = degree
-        _check(None if callable(initial) else self.initial, self.lower, self.upper)
+        guess = np.clip(0.0, self.lower, self.upper) if callable(initial) else self.initial
+        _decided(np.asarray(guess), self.lower, self.upper)
 
     @property
     @override
@@ -71,11 +72,10 @@ class Control(AbstractTrajectory):
         """The trajectory with a decision for each step of a grid, or for each of its instants."""
         nodes = grid.fractions
         places = nodes if self.degree else (nodes[:-1] + nodes[1:]) / 2
-        what = f"Control: initial, a function of the fraction of the duration: its values at {len(places)} fractions"
         guess = self.initial
-        if callable(self.initial):
-            who = "Control: initial, a function of the fraction of the duration,"
-            guess = real_array(what, [returned(who, self.initial, one) for one in places])
+        if callable(guess):
+            who = "Control: initial, a function of the fraction of the duration"
+            guess = real_array(f"{who}: its values", [returned(f"{who},", guess, one) for one in places])
         each = "instants" if self.degree else "steps"
         for name, numbers in {"initial": guess, "lower": self.lower, "upper": self.upper}.items():
             if numbers.shape not in ((), places.shape):
@@ -83,9 +83,22 @@ class Control(AbstractTrajectory):
                     f"Control: expected as `{name}` one number or {len(places)}, one for each of the {each} of the "
                     f"grid; received {shown(numbers.shape[0] if numbers.ndim == 1 else numbers.shape)}."
                 )
-        _check(guess, self.lower, self.upper)
-        decided = Decision(np.broadcast_to(guess, places.shape), self.lower, self.upper)
+        decided = _decided(np.broadcast_to(guess, places.shape), self.lower, self.upper)
         return Piecewise(decided, tuple(nodes.tolist()), self.degree)
+
+
+def _decided(initial: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Decision:
+    """The decision of some values. Raises `ProblemError` where they are no start between bounds."""
+    sizes = {one.size for one in (initial, lower, upper) if one.ndim}
+    if len(sizes) > 1:
+        raise ProblemError(
+            "Control: expected in each of initial, lower and upper one number or one for each value on the grid; "
+            f"received {' and '.join(map(str, sorted(sizes)))} numbers."
+        )
+    try:
+        return Decision(np.broadcast_to(initial, (*sizes,)), lower, upper)
+    except ProblemError as error:
+        raise ProblemError(f"Control: {error}") from None
 
 
 def on_grid(tree: Tree, grid: Any) -> Tree:
@@ -107,21 +120,3 @@ def _numbers(name: str, values: Any) -> Float[np.ndarray, "..."]:
     if numbers.ndim > 1 or numbers.size == 0:
         raise ProblemError(f"Control: {name}: expected {expected}; received shape {numbers.shape}.")
     return numbers
-
-
-def _check(guess: Float[np.ndarray, "..."] | None, lower: np.ndarray, upper: np.ndarray) -> None:
-    """Refuse bounds that cross, and a start that is not between them, as far as they are as many."""
-    if guess is not None and not np.isfinite(guess).all():
-        raise ProblemError(f"Control: initial: expected finite numbers; received {shown(guess)}.")
-    sizes = {len(one) for one in (guess, lower, upper) if one is not None and one.ndim}
-    if len(sizes) > 1:
-        raise ProblemError(
-            "Control: expected in each of initial, lower and upper one number or one for each value on the grid; "
-            f"received {' and '.join(map(str, sorted(sizes)))} numbers."
-        )
-    if not np.all(lower <= upper):
-        raise ProblemError(
-            f"Control: its lower bound must not exceed its upper one; received lower={lower}, upper={upper}."
-        )
-    if guess is not None and np.any((guess < lower) | (guess > upper)):
-        raise ProblemError(f"Control: it starts between its bounds, lower={lower} and upper={upper}; received {guess}.")

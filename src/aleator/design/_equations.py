@@ -143,10 +143,10 @@ class _ShapeScope(AbstractScope):
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> jax.Array:
         # A statistic has the shape of its functional, without the axis of jointly taken ones.
         del kind
-        values = joined([self._evaluated(one) for one in functionals])
+        values = joined([self.realised(one) for one in functionals])
         return values if len(functionals) == 1 else values[..., 0]
 
-    def _evaluated(self, functional: AbstractFunctional) -> jax.Array:
+    def realised(self, functional: AbstractFunctional) -> jax.Array:
         integrals: dict[AbstractFunctional, jax.Array] = {}
         if isinstance(functional, AbstractIntegral):
             now = {name: one[0] for name, one in self._outputs.items()}
@@ -163,9 +163,6 @@ class _ShapeScope(AbstractScope):
 
     def time_integral(self, expression: Expression) -> jax.Array:
         return expression.evaluate(self)[0]
-
-    def realised(self, functional: AbstractFunctional) -> jax.Array:
-        return self._evaluated(functional)
 
     def value(self, name: str) -> jax.Array:
         numbers = named_numbers(self._problem.simulation, jnp.zeros(self._problem.placements.size))

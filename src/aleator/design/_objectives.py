@@ -7,23 +7,20 @@ equation (125) and the curves listed in [107].
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias, final
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 from typing_extensions import override
 
-from aleator._core.arrays import Scalar
 from aleator._core.border import a_name, refusal
 from aleator._core.errors import ProblemError
 from aleator.design._expression import Expression, as_expression, composed, value
 from aleator.design._functionals import SquareIntegral, Work, path, terminal
-from aleator.design._rules import Extremum, Norm, Own, PositivePart, Pure
+from aleator.design._rules import CostCurve, Curve, Extremum, Norm, Own, PositivePart, Pure
 from aleator.design._scope import AbstractAtom, AbstractComposite, AbstractScope, Units, a_number, a_smoothing
 from aleator.design._statistic import an_output, statistic
 from aleator.statistics import CoefficientProduct, integrated
 
-Curve = Callable[..., Float[Array, ""]]
 Weights: TypeAlias = float | Sequence[float] | Array | None
 """One factor per term, in order; a number for a single term. `None` means ones."""
 
@@ -240,36 +237,6 @@ def _extremum(who: str, side: int, expressions: tuple[Any, ...], smoothing: floa
     return composed(rule, *expressions)
 
 
-@final
-class CostCurve(AbstractAtom):
-    """`curve(spread, *coefficients)` of the number called `name`."""
-
-    name: str = eqx.field(static=True)
-    curve: Curve = eqx.field(static=True)
-    shown: str = eqx.field(static=True)
-    coefficients: tuple[Scalar, ...] = ()
-
-    @override
-    def evaluate(self, scope: AbstractScope) -> Array:
-        return self.curve(scope.value(self.name), *self.coefficients)
-
-    @override
-    def text(self) -> str:
-        numbers = (f"{float(number):g}" for number in self.coefficients)
-        return self.shown.format(*numbers, spread=self.name).replace("(0 + ", "(")
-
-    @override
-    def unit(self, units: Units) -> str:
-        """Unknown: a curve has no declared unit."""
-        del units
-        return ""
-
-    @property
-    @override
-    def subjects(self) -> tuple[str, ...]:
-        return (self.name,)
-
-
 def _reciprocal_power(spread: Array, bias: Array, scale: Array, power: Array) -> Array:
     return bias + scale / spread**power
 
@@ -280,7 +247,7 @@ def _exponential(spread: Array, bias: Array, scale: Array, rate: Array) -> Array
 
 def _expression(name: str, curve: Curve, shown: str, *coefficients: float) -> Expression:
     numbers = tuple(a_number(number, "be a coefficient of a cost curve") for number in coefficients)
-    return Expression((1.0,), (CostCurve(a_name("A cost curve", name), curve, shown, numbers),))
+    return composed(CostCurve(curve, shown, numbers), value(a_name("A cost curve", name)))
 
 
 def reciprocal_power(name: str, *, bias: float, scale: float, power: float) -> Expression:

@@ -4,7 +4,7 @@ import abc
 import itertools
 import re
 from collections.abc import Callable
-from typing import final
+from typing import TypeAlias, final
 
 import equinox as eqx
 import jax
@@ -12,11 +12,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.arrays import Scalar
 from aleator._core.border import traceable
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.dynamics import returned
 from aleator.statistics import EXPONENTS, PURE, common, product, quotient, raised, root
+
+Curve: TypeAlias = Callable[..., Float[Array, ""]]
 
 # A name or number without an exponent, or a statistic of one.
 _ELEMENTARY = re.compile(r"[\w.]*[^\W²³¹⁰⁴-⁹](\[[^\[\]]*\])?")
@@ -38,9 +41,10 @@ class AbstractRule(Module):
     def text(self, *texts: str) -> str:
         """The function as mathematics; a text that is a sum stands in no brackets yet."""
 
-    @abc.abstractmethod
     def unit(self, *units: str | None) -> str:
-        """Its unit, from those of the expressions, None for plain numbers; empty where it is unknown."""
+        """Its unit, from those of the expressions, None for plain numbers; empty where it is unknown, as by default."""
+        del units
+        return ""
 
 
 @final
@@ -123,10 +127,6 @@ class Pure(AbstractRule):
     def text(self, *texts: str) -> str:
         (text,) = texts
         return _bracketed(text)
-
-    @override
-    def unit(self, *units: str | None) -> str:
-        return ""
 
 
 class AbstractRounded(AbstractRule):
@@ -252,11 +252,23 @@ class Own(AbstractRule):
     def text(self, *texts: str) -> str:
         return f"{self._name}({', '.join(texts)})"
 
+
+@final
+class CostCurve(AbstractRule):
+    """The cost of one number by a curve, whose coefficients are data; `shown`: its text, with places for these."""
+
+    curve: Curve = eqx.field(static=True)
+    shown: str = eqx.field(static=True)
+    coefficients: tuple[Scalar, ...] = ()
+
     @override
-    def unit(self, *units: str | None) -> str:
-        """Unknown: a function has no declared unit."""
-        del units
-        return ""
+    def of(self, *values: Array) -> Array:
+        return self.curve(*values, *self.coefficients)
+
+    @override
+    def text(self, *texts: str) -> str:
+        numbers = (f"{float(number):g}" for number in self.coefficients)
+        return self.shown.format(*numbers, spread=texts[0]).replace("(0 + ", "(")
 
 
 def _of_factor(unit: str | None) -> str:

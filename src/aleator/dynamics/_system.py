@@ -62,14 +62,6 @@ class AbstractSystem(Module, Printed):
         del grid
         return ""
 
-    def holding(self, grid: Any) -> Mapping[str, Any]:
-        """The holding torques: the outputs that keep the system at rest at its start, by name.
-
-        Empty by default, and where the system does not start at rest or is free to move.
-        """
-        del grid
-        return {}
-
 
 class System(AbstractSystem):
     """A dynamical system `dz/dt = rhs(t, z, inputs)` with outputs: ordinary physics, written once.

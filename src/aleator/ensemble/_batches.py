@@ -49,6 +49,7 @@ def drawn_from(
     return draw(germs, count, np.random.Generator(bits))
 
 
+_Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
 
@@ -70,15 +71,15 @@ def fill(points: Float[np.ndarray, "some variables"], size: int) -> Float[np.nda
 
 
 def each(
-    work: Callable[[Part], _Result], some: Iterable[Part], *, at_once: bool = True
-) -> Iterator[tuple[Part, _Result]]:
+    work: Callable[[_Item], _Result], some: Iterable[_Item], *, at_once: bool = True
+) -> Iterator[tuple[_Item, _Result]]:
     """The results of `work` for each part, in order. Every evaluation in batches goes through here.
 
     With `at_once`, as many parts are evaluated in parallel as there are cores, each on one of JAX's devices in turn,
     with the digits of a plain loop. Only executables may be: a user's function need not be thread-safe.
     """
 
-    def worked(part: Part) -> tuple[Part, _Result]:
+    def worked(part: _Item) -> tuple[_Item, _Result]:
         return part, work(part)
 
     # Any other ordered map, such as that of an executor, would go here.

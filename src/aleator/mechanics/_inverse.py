@@ -14,7 +14,7 @@ from aleator._core.border import one_of, real_array, refusal
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
 from aleator.mechanics._arguments import Signals, checked_guess, combined_motion, followed, motions_for
-from aleator.mechanics._formulation import AbstractFormulation, a_model, examined, standard_outputs
+from aleator.mechanics._formulation import AbstractFormulation, a_model, standard_outputs
 from aleator.mechanics._hybrid import HybridDynamics
 from aleator.mechanics._instant import along_time, at, course
 from aleator.mechanics._matrices import solve_any
@@ -183,10 +183,8 @@ class InverseDynamics(AbstractFormulation):
 
     @override
     def beginning(self, model: AbstractMechanical, grid: Grid) -> tuple[Any, Any]:
-        """Torques, velocities and accelerations besides."""
-        curve = [self._motion().derivative(k).sampled(np.zeros(1), grid.t_start, grid.t_final) for k in range(3)]
-        torque, path = _torques(model, *(row[0] for row in model.as_computed(curve)))
-        return path.q, (torque, path.v, path.v_dot)
+        (curve,) = model.as_computed([self._motion().sampled(np.zeros(1), grid.t_start, grid.t_final)])
+        return curve[0], None
 
     @override
     def prescribed_path(self, grid: Grid) -> Array:
@@ -201,16 +199,6 @@ class InverseDynamics(AbstractFormulation):
         del own
         kind = Actuation.FULL if effects is None else scheme(effects)
         return "" if kind in (Actuation.FULL, Actuation.OVER) else self._unrealisable(kind.value)
-
-    @override
-    def holding(self, grid: Grid) -> Mapping[str, Any]:
-        """The holding torques, where the motion starts at rest and without acceleration; none with constraints."""
-        if self.model.constraints:
-            return {}
-        torque, *changes = examined(self, grid).own
-        if any(np.any(np.abs(change) > 1e-9) for change in changes):
-            return {}
-        return dict(zip(self.model.actuators, torque, strict=True))
 
     def _unrealisable(self, scheme: str) -> str:
         return (

@@ -27,22 +27,12 @@ _KEPT = 2
 _Result = TypeVar("_Result")
 
 
-@final
 class Texts(NamedTuple):
     """The texts of the statistics, functionals and constraints of a problem, in order."""
 
     statistics: tuple[str, ...]
     functionals: tuple[str, ...]
     constraints: tuple[str, ...]
-
-    @classmethod
-    def of(cls, problem: Problem) -> "Texts":
-        """Those of a problem."""
-        return cls(
-            tuple(one.text() for one in statistics_in(problem.expressions)),
-            tuple(one.text() for one in functionals_of(problem.expressions)),
-            tuple(map(str, problem.constraints)),
-        )
 
 
 @final
@@ -106,7 +96,6 @@ class AbstractTranscribed(abc.ABC):
     - `program`: in the user's units; its variables are the decisions and any that the transcription adds;
     - `rows`: those of each constraint of the problem within the program, which may have further rows;
     - `scales`: the magnitude of each constraint at the start;
-    - `texts`: the statistics, functionals and constraints as text;
     - `scenarios`: the realisations at which limits on the worst case are imposed; None if there are no such limits.
     """
 
@@ -116,7 +105,6 @@ class AbstractTranscribed(abc.ABC):
     program: NonlinearProgram
     rows: tuple[slice, ...]
     scales: tuple[float, ...]
-    texts: Texts
     scenarios: Scenarios | None
 
     @property
@@ -171,6 +159,16 @@ class AbstractTranscribed(abc.ABC):
     def decisions(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " n"]:
         """The problem's decisions at a point, or their part of any vector of the program's variables."""
         return point[self.decided]
+
+    @cached_property
+    def texts(self) -> Texts:
+        """The statistics, functionals and constraints as text."""
+        problem = self.problem
+        return Texts(
+            tuple(one.text() for one in statistics_in(problem.expressions)),
+            tuple(one.text() for one in functionals_of(problem.expressions)),
+            tuple(map(str, problem.constraints)),
+        )
 
     @property
     def places(self) -> Placements:

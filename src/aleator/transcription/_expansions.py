@@ -124,13 +124,9 @@ class _Outputs:
     @classmethod
     def of(cls, problem: Problem) -> "_Outputs":
         """Those of a problem, distinguished by its equations, its numbers and its functionals, not by its bounds."""
-        parts = numbers_to_arrays((problem.simulation, problem.grid, problem.integrator))
-        numbers, rest = eqx.partition(parts, eqx.is_array)
-        leaves, structure = jax.tree.flatten(numbers)
-        static, static_structure = jax.tree.flatten(rest)
-        data = tuple((one.shape, np.asarray(one).tobytes()) for one in leaves)
-        functionals = functionals_of(problem.expressions)
-        return cls((problem.physics, functionals, structure, static_structure, tuple(static), data), problem)
+        leaves, structure = jax.tree.flatten(numbers_to_arrays(problem.simulation))
+        data = tuple((one.shape, np.asarray(one).tobytes()) if eqx.is_array(one) else one for one in leaves)
+        return cls((problem.physics, functionals_of(problem.expressions), structure, data), problem)
 
     def __call__(self, points: Float[np.ndarray, "points variables"]) -> dict[str, Float[np.ndarray, "points ..."]]:
         """The functionals by their texts."""
@@ -348,21 +344,14 @@ def resolved(
     known = jax_array(samples)
     terms = collocation.coefficients(known)
     squares = mean_squares(collocation, known, terms)
+    # A fit is linear, so that the derivatives of its coefficients are the coefficients of the derivative.
+    slopes = None if tangents is None else map(jax_array, np.moveaxis(tangents, -1, 0))
     return Resolved(
         mean=np.asarray(Mean().of(terms, ())),
         std=np.asarray(Std().of(terms, ())),
         leave_one_out=float(relative_error(*(part.sum() for part in squares))),
         history=np.asarray(error_history(squares, known.shape[1])) if functional.is_path else None,
-        tangents=None if tangents is None else _errors_of(collocation, tangents),
+        tangents=None
+        if slopes is None
+        else np.array([leave_one_out(collocation, one, collocation.coefficients(one)) for one in slopes]),
     )
-
-
-def _errors_of(
-    collocation: Collocation, tangents: Float[np.ndarray, "points ... parameters"]
-) -> Float[np.ndarray, " parameters"]:
-    """The leave-one-out error of each tangent's own expansion.
-
-    A fit is linear, so that the derivatives of its coefficients are the coefficients of the derivative.
-    """
-    each = map(jax_array, np.moveaxis(tangents, -1, 0))
-    return np.array([leave_one_out(collocation, one, collocation.coefficients(one)) for one in each])

@@ -78,23 +78,19 @@ def _checked(transcribed: Any, transcription: AbstractTranscription, problem: Pr
     if not isinstance(program, NonlinearProgram):
         raise refusal(f"{who}: program", "a NonlinearProgram", program)
     size, initial = program.start.size, problem.placements.vector("initial")
-    decided = np.asarray(transcribed.decided)
-    if decided.dtype.kind not in "iu" or decided.shape != initial.shape or len(set(decided.tolist())) != len(initial):
-        raise refusal(f"{who}: decided", f"which {len(initial)} of the program's variables are decisions", decided)
-    if len(initial) and not (decided.min() >= 0 and decided.max() < size):
-        raise refusal(f"{who}: decided", f"indices below {size}, the program's variables", decided)
-    if len(transcribed.rows) != len(problem.constraints):
-        raise refusal(f"{who}: rows", f"those of {len(problem.constraints)} constraints", transcribed.rows)
+    decided, count = np.asarray(transcribed.decided), len(problem.constraints)
+    if decided.shape != initial.shape or not set(decided.tolist()) <= set(range(size)):
+        raise refusal(f"{who}: decided", f"which {len(initial)} of its {size} variables are decisions", decided)
+    if len(transcribed.rows) != count:
+        raise refusal(f"{who}: rows", f"those of {count} constraints", transcribed.rows)
     point = np.asarray(transcribed.point(initial))
     if point.shape != (size,) or not np.array_equal(point[decided], initial):
         raise refusal(f"{who}: point", f"{size} numbers, the given decisions among them", point)
     evaluation, meaning = program.evaluate(point), transcribed.at(point)
     if not isinstance(evaluation, Evaluation):
         raise refusal(f"{who}: program.evaluate", "an Evaluation", evaluation)
-    if not isinstance(meaning, Meaning):
-        raise refusal(f"{who}: at", "a Meaning", meaning)
-    if len(meaning.constraints) != len(transcribed.rows):
-        raise refusal(f"{who}: at", f"the rows of {len(transcribed.rows)} constraints", meaning.constraints)
+    if not isinstance(meaning, Meaning) or len(meaning.constraints) != count:
+        raise refusal(f"{who}: at", f"a Meaning with the rows of {count} constraints", meaning)
     _compare(f"{who}: the objective", evaluation.objective, meaning.objective)
     for one, rows, own in zip(problem.constraints, transcribed.rows, meaning.constraints, strict=True):
         _compare(f"{who}: constraint '{one.name}'", evaluation.constraints[rows], own)

@@ -9,13 +9,11 @@ from jaxtyping import Bool, Float
 
 from aleator._core.leaves import Drawn, Printed
 from aleator.design import Statistic, uncertain
-from aleator.references._estimate import pair
 from aleator.solution import Solution, ends
-from aleator.statistics import (
-    Mean,
-    Std,
-)
-from aleator.validation._limits import Compared, Disagreement, Proportion, check_counted, uncounted
+from aleator.statistics import Mean, Std
+from aleator.validation._comparisons import Compared, Disagreement, with_error
+from aleator.validation._limits import check_counted, reason_uncounted
+from aleator.validation._shares import Proportion
 
 _NO_LIMITS = "  no constraint is a limit on single systems, so none is counted"
 
@@ -48,9 +46,10 @@ class Sampled(Printed):
     values: Float[np.ndarray, " samples"] | None = None
 
     def __str__(self) -> str:
+        error = "" if np.ndim(self.mean) else f" ± {float(self.standard_error):.2g}"
         return (
-            f"{self.text}: sampled mean {ends(self.mean)} (expanded {ends(self.expanded_mean)}), "
-            f"standard deviation {ends(self.std)} (expanded {ends(self.expanded_std)})"
+            f"{self.text}: mean {ends(self.mean)}{error} (expansion {ends(self.expanded_mean)}), "
+            f"std {ends(self.std)} (expansion {ends(self.expanded_std)})"
         )
 
 
@@ -60,7 +59,7 @@ class Checked(Printed):
     """One statistic of the problem, by the expansion and by the samples.
 
     - `expanded`: by the expansion at the solution (for a deterministic design, its nominal value);
-    - `estimate`: by the samples; `standard_error`: of that estimate, by the delete-a-group jackknife. NaN for a
+    - `estimate`: by the samples; `standard_error`: of that estimate, by balanced half-samples. NaN for a
       supremum or infimum: that of a sample lies inside the true one, by an unknown amount.
     """
 
@@ -70,8 +69,8 @@ class Checked(Printed):
     standard_error: float
 
     def __str__(self) -> str:
-        found = pair(self.estimate, self.standard_error) if self.standard_error > 0 else f"{self.estimate:.6g}"
-        return f"{self.statistic.text()}: sampled {found}, expanded {self.expanded:.6g}"
+        estimate = with_error(self.estimate, self.standard_error)
+        return f"{self.statistic.text()}: {estimate} (expansion {self.expanded:.6g})"
 
 
 @final
@@ -99,7 +98,7 @@ class Evidence(Drawn):
     """A design re-simulated on fresh random systems, without any expansion. `print(evidence)` shows it.
 
     - `instants`: the number of instants at which limits over time were counted, None if there are none; more than the
-      design's grid has where its limits hold between instants too;
+      design's grid has where that is too coarse, or limits hold between its instants too;
     - `functionals`: sampled mean and standard deviation of each, with the expansion's;
     - `statistics`: each statistic in the problem by its text (`"Q0.99[rms(x)]"`), sampled, with the expansion's;
       without those of paths, and those that a sample cannot estimate (Sobol indices: see
@@ -144,7 +143,8 @@ class Evidence(Drawn):
         They do not apply to a single system, like a bound on a `std`, or no single system meets them exactly, like an
         equality.
         """
-        return uncounted(uncertain(self.solution.problem))
+        constraints = uncertain(self.solution.problem).constraints
+        return {str(one): reason for one in constraints if (reason := reason_uncounted(one))}
 
     @property
     def agrees(self) -> bool:
@@ -170,35 +170,16 @@ class Evidence(Drawn):
 
     def __str__(self) -> str:
         rows = [] if self.agrees else [f"DISAGREES: {self.alarm()}"]
-        rows.append(self._how())
+        if self.alone is None:
+            rows.append(f"{self.samples} fresh samples, seed {self.seed}, {self.seconds:.1f} s")
+        else:
+            steps = f" with {self.alone} times as many steps" if self.alone > 1 else ""
+            rows.append(f"nothing is uncertain: the one system simulated again{steps}")
         rows += [f"  violates {name}: {share}" for name, share in self.violations.items()]
         rows.append(f"  violates any: {self.joint} (95 % confidence)" if self.violations else _NO_LIMITS)
         rows += [] if self.instants is None else [f"  limits over time counted at {self.instants} instants"]
-        rows += [f"  compared: {one.sentence()}" for one in self.compared]
+        rows += [f"  compared: {one}" for one in self.compared]
         rows += [f"  not counted: {text} ({why})" for text, why in self.uncounted.items()]
-        rows += [_row(one) for one in self.functionals.values() if np.ndim(one.mean) == 0]
-        rows += [
-            f"  {text}: {_estimated(one)} (expansion {one.expanded:.6g})"
-            for text, one in self.statistics.items()
-            if not isinstance(one.statistic.kind, Mean | Std)
-        ]
+        rows += [f"  {one}" for one in self.functionals.values() if np.ndim(one.mean) == 0]
+        rows += [f"  {one}" for one in self.statistics.values() if not isinstance(one.statistic.kind, Mean | Std)]
         return "\n".join(rows)
-
-    def _how(self) -> str:
-        if self.alone is None:
-            return f"{self.samples} fresh samples, seed {self.seed}, {self.seconds:.1f} s"
-        if self.alone == 1:
-            return "nothing is uncertain and there is no time: the one system simulated again"
-        return f"nothing is uncertain: the one system simulated with {self.alone} times as many steps"
-
-
-def _row(one: Sampled) -> str:
-    return (
-        f"  {one.text}: mean {float(one.mean):.6g} ± {float(one.standard_error):.2g} "
-        f"(expansion {float(one.expanded_mean):.6g}), "
-        f"std {float(one.std):.6g} (expansion {float(one.expanded_std):.6g})"
-    )
-
-
-def _estimated(one: Checked) -> str:
-    return f"{one.estimate:.6g}" if np.isnan(one.standard_error) else pair(one.estimate, one.standard_error)

@@ -9,18 +9,21 @@ keep the given distribution.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeAlias, final
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import scipy
 from jaxtyping import Float, Int
 
 from aleator._core.border import Progress, check_progress, one_of, refusal, silent, whole
+from aleator._core.errors import ProblemError
 from aleator._core.journalled import call_by_call, journalled, parts_so_far
-from aleator.ensemble import Part, at_levels, each, fill, parts
+from aleator.ensemble import Part, at_levels, each, parts
 from aleator.solution import Solution
-from aleator.validation._limits import Share, WeightedProportion, check_counted, is_counted, tolerances
-from aleator.validation._validate import Systems, validate
+from aleator.validation._limits import check_counted, is_counted
+from aleator.validation._shares import Share, WeightedProportion
+from aleator.validation._systems import Systems
+from aleator.validation._validate import validate
 
 Scores: TypeAlias = Callable[[Float[np.ndarray, "systems variables"]], Float[np.ndarray, "limits systems"]]
 """The excess over each limit of systems at given normals: positive where they break it."""
@@ -30,37 +33,30 @@ _MOST_LEVELS = 12
 _STALLED = 0.01  # least progress of a level, as a fraction of the first distance to a limit
 
 
-class Component(NamedTuple):
-    """One normal distribution: its mean, shape (variables,), and the Cholesky factor of its covariance."""
-
-    mean: Float[np.ndarray, " variables"]
-    factor: Float[np.ndarray, "variables variables"]
-
-    def log_density(self, points: Float[np.ndarray, "systems variables"]) -> Float[np.ndarray, " systems"]:
-        """Logarithm of the density, up to the constant that all normal distributions share."""
-        standard = scipy.linalg.solve_triangular(self.factor, (points - self.mean).T, lower=True)
-        return -np.sum(standard**2, axis=0) / 2 - np.sum(np.log(np.diag(self.factor)))
-
-
 class Proposal(NamedTuple):
-    """A mixture of normal distributions, of which the first is the given one, standard normal."""
+    """A mixture of normal distributions, of which the first is the given one, standard normal.
 
-    components: tuple[Component, ...]
+    - `components`: of each distribution its mean, shape (variables,), and the Cholesky factor of its covariance.
+    """
+
+    components: tuple[tuple[np.ndarray, np.ndarray], ...]
     shares: Float[np.ndarray, " components"]
 
     def draw(self, count: int, generator: np.random.Generator) -> Float[np.ndarray, "count variables"]:
         """Independent points."""
         chosen = generator.choice(len(self.shares), count, p=self.shares)
-        standard = generator.standard_normal((count, len(self.components[0].mean)))
-        points = np.empty_like(standard)
-        for k, one in enumerate(self.components):
-            points[chosen == k] = one.mean + standard[chosen == k] @ one.factor.T
+        points = generator.standard_normal((count, len(self.components[0][0])))
+        for k, (mean, factor) in enumerate(self.components):
+            points[chosen == k] = mean + points[chosen == k] @ factor.T
         return points
 
     def weights(self, points: Float[np.ndarray, "systems variables"]) -> Float[np.ndarray, " systems"]:
         """The exact ratio of the given density to the proposal's, at most the reciprocal of the given one's share."""
-        logs = np.stack([one.log_density(points) for one in self.components])
-        return np.exp(logs[0] - np.logaddexp.reduce(logs + np.log(self.shares)[:, None], axis=0))
+        logs = []
+        for mean, factor in self.components:
+            standard = scipy.linalg.solve_triangular(factor, (points - mean).T, lower=True)
+            logs.append(-np.sum(standard**2, axis=0) / 2 - np.sum(np.log(np.diag(factor))))
+        return np.exp(logs[0] - scipy.special.logsumexp(logs, axis=0, b=self.shares[:, None]))
 
 
 def adapted(scores: Scores, variables: int, reach: float, samples: int, generator: np.random.Generator) -> Proposal:
@@ -104,12 +100,12 @@ def weighted(
     return WeightedProportion.of(np.concatenate(found))
 
 
-def _mixture(variables: int, reach: float, fitted: list[Component]) -> Proposal:
+def _mixture(variables: int, reach: float, fitted: list[tuple[np.ndarray, np.ndarray]]) -> Proposal:
     """The given distribution, a wide one that covers all directions, and those fitted to the limits."""
     middle, one = np.zeros(variables), np.eye(variables)
-    wide = Component(middle, np.sqrt(1 + reach**2 / variables) * one)
+    wide = middle, np.sqrt(1 + reach**2 / variables) * one
     shares = np.array([_PLAIN, _WIDE, *((1 - _PLAIN - _WIDE) / len(fitted) for _ in fitted)])
-    return Proposal((Component(middle, one), wide, *fitted), shares / shares.sum())
+    return Proposal(((middle, one), wide, *fitted), shares / shares.sum())
 
 
 def _elite(
@@ -123,7 +119,9 @@ def _elite(
     return order[: max(count, int(np.sum(beyond > 0)))]
 
 
-def _fitted(points: Float[np.ndarray, "elite variables"], weights: Float[np.ndarray, " elite"]) -> Component:
+def _fitted(
+    points: Float[np.ndarray, "elite variables"], weights: Float[np.ndarray, " elite"]
+) -> tuple[np.ndarray, np.ndarray]:
     """The normal distribution of the weighted points, its covariance shrunk towards that of the given distribution.
 
     The fewer points there are for its entries, the more it is shrunk, and always a little: a proposal that is too
@@ -133,7 +131,7 @@ def _fitted(points: Float[np.ndarray, "elite variables"], weights: Float[np.ndar
     mean = weights @ points / total
     covariance = (weights * (points - mean).T) @ (points - mean) / total
     drawn = max(0.1, variables / (variables + total**2 / np.sum(weights**2)))
-    return Component(mean, np.linalg.cholesky((1 - drawn) * covariance + drawn * np.eye(variables)))
+    return mean, np.linalg.cholesky((1 - drawn) * covariance + drawn * np.eye(variables))
 
 
 # With a smaller effective sample size an estimate is no better than a count, and its interval is unreliable.
@@ -172,55 +170,51 @@ def rare_violation(
     least = {"samples": (samples, 2), "batch": (batch, 1), "seed": (seed, 0)}
     samples, batch, seed = (whole(f"rare_violation: {name}", one, least=n) for name, (one, n) in least.items())
     check_progress("rare_violation", progress)
-    limits = _Limits(solution, names, min(batch, samples))
-    given = {"solution": solution, "how": (limits.names, samples, seed, batch)}
-    return journalled("rare_violation", given, lambda: _estimated(solution, limits, samples, seed, progress))
+    if not isinstance(names, str | Sequence | None):
+        raise refusal("rare_violation: names", "names of constraints", names)
+    systems, batch = Systems(solution, "rare_violation"), min(batch, samples)
+    if not systems.germs:
+        raise ProblemError("rare_violation: nothing in this problem is uncertain, so there is nothing to sample.")
+    counted = tuple(dict.fromkeys(one.name for one in systems.problem.constraints if is_counted(one)))
+    names = counted if names is None else (names,) if isinstance(names, str) else tuple(names)
+    check_counted("rare_violation", names, counted)
+    given = {"solution": solution, "how": (names, samples, seed, batch)}
+    return journalled(
+        "rare_violation", given, lambda: _estimated(solution, systems, names, samples, seed, batch, progress)
+    )
 
 
-def _estimated(solution: Solution, limits: "_Limits", samples: int, seed: int, progress: Progress) -> Share:
+def _estimated(
+    solution: Solution,
+    systems: Systems,
+    names: tuple[str, ...],
+    samples: int,
+    seed: int,
+    batch: int,
+    progress: Progress,
+) -> Share:
     """The estimate: see `rare_violation`."""
-    generator = np.random.default_rng(seed)
+    generator, germs = np.random.default_rng(seed), systems.germs
+    rows = [i for i, one in enumerate(systems.problem.constraints) if one.name in names and is_counted(one)]
+    systems.prepare(batch)
+
+    def simulated(part: Part) -> Float[np.ndarray, "limits some"]:
+        return systems.simulate(part.points, batch).excess[rows]
+
+    def beyond(normals: Float[np.ndarray, "systems variables"]) -> Float[np.ndarray, "limits systems"]:
+        levels = np.clip(scipy.special.ndtr(normals), np.finfo(float).tiny, 1 - np.finfo(float).epsneg)
+        return np.concatenate([some for _, some in each(simulated, parts(at_levels(germs, levels), batch))], axis=1)
 
     def tell(done: int) -> None:
         progress("rare violations", done, samples)
 
     tell(0)
-    level = max(1000, samples // 10)
-    beyond = call_by_call(limits.beyond, parts_so_far())
-    proposal = adapted(beyond, len(limits.systems.germs), _REACH, level, generator)
-    found = weighted(beyond, proposal, samples, limits.batch, generator, tell)
+    scores = call_by_call(beyond, parts_so_far())
+    proposal = adapted(scores, len(germs), _REACH, max(1000, samples // 10), generator)
+    share = weighted(scores, proposal, samples, batch, generator, tell)
     tell(samples)
-    if found.effective >= _ENOUGH:
-        return found
+    if share.effective >= _ENOUGH:
+        return share
     # A separate random stream, so that the count is independent of the search.
     fresh = int(np.random.SeedSequence([seed, 1]).generate_state(1)[0])
-    return validate(solution, samples, seed=fresh, batch=limits.batch, keep=0).violation(*limits.names)
-
-
-@final
-class _Limits:
-    """The excess of systems over each of some limits, as a function of standard normal numbers."""
-
-    def __init__(self, solution: Solution, names: str | Sequence[str] | None, batch: int):
-        self.systems, self.batch = Systems(solution, "rare_violation"), batch
-        constraints = self.systems.problem.constraints
-        if not isinstance(names, str | Sequence | None):
-            raise refusal("rare_violation: names", "names of constraints", names)
-        counted = dict.fromkeys(one.name for one in constraints if is_counted(one))
-        self.names = tuple(counted) if names is None else (names,) if isinstance(names, str) else tuple(names)
-        check_counted("rare_violation", self.names, counted)
-        self._rows = [i for i, one in enumerate(constraints) if one.name in self.names and is_counted(one)]
-        self._tolerances = tolerances(solution)[self._rows]
-        self.systems.prepare(batch)
-
-    def beyond(self, normals: Float[np.ndarray, "systems variables"]) -> Float[np.ndarray, "limits systems"]:
-        """The excess over each limit, positive where it is broken; in batches of one size, compiled once."""
-        levels = np.clip(scipy.special.ndtr(normals), np.finfo(float).tiny, 1 - np.finfo(float).epsneg)
-        germ = at_levels(self.systems.germs, levels)
-
-        def excess(part: Part) -> Float[np.ndarray, "limits some"]:
-            batch = self.systems.simulate(fill(part.points, self.batch), len(part.points))
-            return np.asarray(batch.excess)[self._rows, : len(part.points)]
-
-        found = [some for _, some in each(excess, parts(germ, self.batch))]
-        return np.concatenate(found, axis=1) - self._tolerances[:, None]
+    return validate(solution, samples, seed=fresh, batch=batch, keep=0).violation(*names)

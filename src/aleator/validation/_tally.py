@@ -1,11 +1,10 @@
 """Evidence from what systems of a sample gave, and where it contradicts the solution."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from aleator._core.arrays import jax_array
 from aleator.design import (
@@ -15,22 +14,18 @@ from aleator.design import (
     Statistic,
     expanded_functionals,
     functionals_of,
-    is_over_time,
     is_worst_case,
     joined,
     statistics_in,
 )
+from aleator.nlp import HELD
 from aleator.references._estimate import estimate, group_count
 from aleator.solution import Solution
 from aleator.statistics import (
-    Correlation,
-    Covariance,
     Infimum,
-    Kurtosis,
     Mean,
     Probability,
     Quantile,
-    Skewness,
     Sobol,
     Std,
     Supremum,
@@ -38,221 +33,172 @@ from aleator.statistics import (
     Variance,
 )
 from aleator.validation._batches import Batch, Sums
-from aleator.validation._evidence import PERCENTILES, Checked, Evidence, Sampled, Trajectories
-from aleator.validation._limits import (
-    Compared,
+from aleator.validation._comparisons import (
+    RELATIVE,
+    ROUNDING,
     Disagreement,
     compared,
-    finer_by,
-    is_counted,
     is_rare,
-    tolerances,
     worst_disagreement,
 )
+from aleator.validation._evidence import PERCENTILES, Checked, Evidence, Sampled, Trajectories
+from aleator.validation._limits import broken_by
+from aleator.validation._systems import Systems
+
+# Differences below this part of the magnitude behind a functional are rounding.
+_ROUNDING_OF_REACH = 1e-11
+# Differences of a single system up to this part of its largest value are ignored.
+_ALONE = 1e-3
 
 
-def broken_by(
-    problem: Problem, excess: Float[np.ndarray, "constraints systems"], tolerances: Float[np.ndarray, " constraints"]
-) -> dict[str, Bool[np.ndarray, " systems"]]:
-    """Which systems break any limit of each name against which they are counted."""
-    broken: dict[str, Bool[np.ndarray, " systems"]] = {}
-    for limit, beyond, tolerance in zip(problem.constraints, excess, tolerances, strict=True):
-        if is_counted(limit):
-            broken[limit.name] = broken.get(limit.name, False) | (beyond > tolerance)
-    return broken
-
-
-@final
-class Tally:
-    """What all systems of a sample gave, beside the solution whose `problem` has its distributions restored."""
-
-    def __init__(self, solution: Solution, problem: Problem, whole: Batch):
-        self._solution, self._problem, self._whole = solution, problem, whole
-        self._functionals = functionals_of(problem.expressions)
-        self._samples = whole.excess.shape[1]
-        self._tolerances = tolerances(solution)
-
-    def evidence(self, seed: int, seconds: float) -> Evidence:
-        """Everything sampled, as evidence."""
-        broken = broken_by(self._problem, self._whole.excess, self._tolerances)
-        functionals = {one.text(): self._sampled(i, one) for i, one in enumerate(self._functionals)}
-        statistics = {one.text(): self._checked(one) for one in self._countable_statistics()}
-        found = Evidence(
-            solution=self._solution,
-            samples=self._samples,
-            seed=seed,
-            instants=self._instants(),
-            functionals=functionals,
-            statistics=statistics,
-            trajectories=tuple(self._trajectories(i, broken) for i in self._whole.values),
-            seconds=seconds,
-            broken=broken,
-            compared=self._compared(functionals, statistics),
-        )
-        return replace(found, disagreements=_disagreements(found))
-
-    def _compared(self, functionals: Mapping[str, Sampled], statistics: Mapping[str, Checked]) -> tuple[Compared, ...]:
-        """The limits against which no system is counted, with sampled statistics, where these are known."""
-        known = {
-            text: Estimated(np.asarray(one.estimate), np.asarray(one.standard_error))
-            for text, one in statistics.items()
-        }
-        for atom in statistics_in(self._problem.expressions):
-            one = functionals[atom.functionals[0].text()]
-            if atom.functionals[0].is_path and isinstance(atom.kind, Mean | Std | Variance):
-                known[atom.text()] = _of_path(atom, one)
-        rows = zip(self._problem.constraints, self._tolerances, strict=True)
-        freedom = group_count(self._samples) - 1
-        found = (
-            compared(self._problem, one, known, self._solution.vector, float(tolerance), freedom)
-            for one, tolerance in rows
-            if not is_counted(one)
-        )
-        return tuple(one for one in found if one is not None)
-
-    def _instants(self) -> int | None:
-        """The number of instants at which limits over time were counted; None where there are no such limits."""
-        if not any(is_over_time(one) and is_counted(one) for one in self._problem.constraints):
-            return None
-        return (len(self._solution.instants) - 1) * finer_by(self._solution) + 1
-
-    def _countable_statistics(self) -> tuple[Statistic, ...]:
-        """The statistics in the problem that can be estimated from the samples of functionals that are numbers."""
-        known = [self._functionals[i] for i in self._whole.scalars]
-        return tuple(
-            atom
-            for atom in statistics_in(self._problem.expressions)
+def evidence_of(solution: Solution, systems: Systems, whole: Batch, seed: int, seconds: float) -> Evidence:
+    """Evidence from what all systems of a sample gave, or the one system where nothing is uncertain."""
+    problem, samples, limits = systems.problem, whole.excess.shape[1], systems.problem.constraints
+    broken = broken_by(problem, whole.excess)
+    functionals = functionals_of(problem.expressions)
+    known = {functionals[i]: values for i, values in whole.scalars.items()} if systems.germs else {}
+    evidence = Evidence(
+        solution=solution,
+        samples=samples,
+        seed=seed,
+        instants=(len(solution.instants) - 1) * systems.counted + 1 if systems.over_time else None,
+        functionals={one.text(): _sampled(solution, whole, i, one) for i, one in enumerate(functionals)},
+        statistics={
+            atom.text(): _checked(solution, atom, [known[one] for one in atom.functionals])
+            for atom in statistics_in(problem.expressions)
             if all(one in known for one in atom.functionals) and not isinstance(atom.kind, Sobol | TotalSobol)
-        )
-
-    def _checked(self, statistic: Statistic) -> Checked:
-        places = map(self._functionals.index, statistic.functionals)
-        values = joined([jax_array(self._whole.scalars[i]) for i in places])
-        expanded = float(self._solution.statistics[statistic.text()])
-        if isinstance(statistic.kind, Supremum | Infimum):
-            # A sample does not show how far its extremes are from those of the distribution.
-            return Checked(statistic, expanded, float(statistic.kind.of_sample(values)), np.nan)
-        found = estimate(statistic.kind.of_sample, np.asarray(values), group_count(self._samples))
-        return Checked(statistic, expanded, float(found.value), float(found.standard_error))
-
-    def _sampled(self, i: int, functional: AbstractFunctional) -> Sampled:
-        moments, values = self._solution.moments[functional.text()], self._whole.scalars.get(i)
-        sums = self._whole.paths[i] if values is None else Sums.of(values)
-        return Sampled(
-            text=functional.text(),
-            mean=np.asarray(sums.mean),
-            std=sums.std,
-            standard_error=np.asarray(sums.std / np.sqrt(self._samples)),
-            percentiles=None if values is None else np.percentile(values, PERCENTILES),
-            expanded_mean=moments.mean,
-            expanded_std=moments.std,
-            std_error=sums.std_error,
-            values=values,
-        )
-
-    def _trajectories(self, i: int, broken: Mapping[str, Bool[np.ndarray, " systems"]]) -> Trajectories:
-        constraint, values = self._problem.constraints[i], self._whole.values[i]
-        return Trajectories(
-            name=constraint.name,
-            lower=float(constraint.lower),
-            upper=float(constraint.upper),
-            values=values,
-            violating=broken.get(constraint.name, np.zeros(self._samples, bool))[: len(values)],
-        )
+        },
+        trajectories=tuple(
+            Trajectories(
+                name=limits[i].name,
+                lower=float(limits[i].lower),
+                upper=float(limits[i].upper),
+                values=values,
+                violating=broken.get(limits[i].name, np.zeros(samples, bool))[: len(values)],
+            )
+            for i, values in whole.values.items()
+        ),
+        seconds=seconds,
+        broken=broken,
+        alone=None if systems.germs else systems.factor,
+    )
+    if not systems.germs:
+        return replace(evidence, disagreements=tuple(_from_finer(evidence)))
+    evidence = replace(
+        evidence, compared=tuple(compared(solution, problem, _estimates(problem, evidence), group_count(samples) - 1))
+    )
+    # A deterministic design has no expansion that they could contradict.
+    if not solution.problem.placements.germs:
+        return evidence
+    return replace(evidence, disagreements=(*_moments(evidence), *_statistics(evidence), *_limits(evidence)))
 
 
-def _of_path(atom: Statistic, one: Sampled) -> Estimated:
-    """The mean, standard deviation or variance of a path, with its standard error."""
-    if isinstance(atom.kind, Mean):
-        return Estimated(one.mean, one.standard_error)
-    if isinstance(atom.kind, Std):
-        return Estimated(one.std, one.std_error)
-    return Estimated(np.asarray(one.std**2), np.asarray(2 * one.std * one.std_error))
+def _from_finer(evidence: Evidence) -> Iterator[Disagreement]:
+    """Where the one system on a finer grid contradicts the design's own grid."""
+    instants = evidence.solution.instants
+    for text, one in evidence.functionals.items():
+        floor = _ALONE * max(float(np.max(np.abs(one.expanded_mean))), HELD)
+        numbers, times = (one.expanded_mean, one.mean, one.standard_error), instants if np.ndim(one.mean) else None
+        if found := worst_disagreement(text, *numbers, samples=1, freedom=1, floor=floor, times=times):
+            yield replace(found, source="the design's own grid")
 
 
-# A spread below this fraction of the magnitude behind a functional is rounding.
-_ROUNDING = 1e-11
+def _sampled(solution: Solution, whole: Batch, i: int, functional: AbstractFunctional) -> Sampled:
+    moments, values = solution.moments[functional.text()], whole.scalars.get(i)
+    sums = whole.paths[i] if values is None else Sums.of(values)
+    values = None if sums.number == 1 else values
+    return Sampled(
+        text=functional.text(),
+        mean=np.asarray(sums.mean),
+        std=sums.std,
+        standard_error=np.asarray(sums.std / np.sqrt(sums.number)),
+        percentiles=None if values is None else np.percentile(values, PERCENTILES),
+        expanded_mean=moments.mean,
+        expanded_std=moments.std,
+        std_error=sums.std_error,
+        values=values,
+    )
 
 
-def _disagreements(evidence: Evidence) -> tuple[Disagreement, ...]:
-    """The numbers that samples contradict; none for a deterministic design, which has no expansion."""
-    problem = evidence.solution.problem
-    if not problem.placements.germs:
-        return ()
-    found = [*_moments(evidence), *_statistics(evidence), *_limits(evidence)]
-    if not found:
-        return ()
-    # Some are mere rounding, such as of a rate that is zero at the end of every motion.
-    reaches = evidence.solution.certificate.reaches
-    rounding = {f"{symbol}[{text}]": _ROUNDING * reach for text, reach in reaches.items() for symbol in "μσ"}
-    return tuple(one for one in found if not abs(one.estimate - one.expected) <= rounding.get(one.text, -1.0))
+def _checked(solution: Solution, statistic: Statistic, values: list[Float[np.ndarray, " samples"]]) -> Checked:
+    expanded, together = float(solution.statistics[statistic.text()]), joined([jax_array(one) for one in values])
+    if isinstance(statistic.kind, Supremum | Infimum):
+        # A sample does not show how far its extremes are from those of the distribution.
+        return Checked(statistic, expanded, float(statistic.kind.of_sample(together)), np.nan)
+    sampled = estimate(statistic.kind.of_sample, np.asarray(together), group_count(len(together)))
+    return Checked(statistic, expanded, float(sampled.value), float(sampled.standard_error))
+
+
+def _estimates(problem: Problem, evidence: Evidence) -> dict[str, Estimated]:
+    """The statistics that samples estimate with a standard error, by their texts; of paths the first two moments."""
+    known = {
+        text: Estimated(np.asarray(one.estimate), np.asarray(one.standard_error))
+        for text, one in evidence.statistics.items()
+    }
+    for atom in statistics_in(problem.expressions):
+        one = evidence.functionals[atom.functionals[0].text()]
+        of_path: dict[type, Estimated] = {
+            Mean: Estimated(one.mean, one.standard_error),
+            Std: Estimated(one.std, one.std_error),
+            Variance: Estimated(np.asarray(one.std**2), np.asarray(2 * one.std * one.std_error)),
+        }
+        if atom.is_path and type(atom.kind) in of_path:
+            known[atom.text()] = of_path[type(atom.kind)]
+    return known
 
 
 def _moments(evidence: Evidence) -> Iterator[Disagreement]:
-    times, samples = evidence.solution.instants, evidence.samples
-    # Functionals with only a worst case do not use the expansion.
-    for text in (one.text() for one in expanded_functionals(evidence.solution.problem.expressions)):
+    """Means and standard deviations; functionals with only a worst case do not use the expansion."""
+    solution, certificate = evidence.solution, evidence.solution.certificate
+    deviations = {} if certificate.grid_error is None else certificate.grid_error.functionals
+    for text in (one.text() for one in expanded_functionals(solution.problem.expressions)):
         one = evidence.functionals[text]
-        when = times if np.ndim(one.mean) else None
-        size = float(np.max(np.abs(one.mean)))
-        spread = 0.0 if when is None else float(np.max(one.std))
-        told_before = _of_the_grid(evidence.solution, text)
-        parts = (
+        is_path = np.ndim(one.mean) > 0
+        ignored = (
+            ROUNDING * float(np.max(np.abs(one.mean))),
+            # Some are mere rounding, such as of a rate that is zero at the end of every motion.
+            _ROUNDING_OF_REACH * certificate.reaches.get(text, 0.0),
+            RELATIVE * float(np.max(one.std)) if is_path else 0.0,
+            # The known error of the grid, by which samples on a finer grid differ; NaN where it is not known.
+            deviations[text].error if text in deviations else 0.0,
+        )
+        for part in (
             (f"μ[{text}]", one.expanded_mean, one.mean, one.standard_error),
             (f"σ[{text}]", one.expanded_std, one.std, one.std_error),
-        )
-        for part in parts:
-            told = worst_disagreement(
+        ):
+            found = worst_disagreement(
                 *part,
-                samples=samples,
-                freedom=samples - 1,
-                size=size,
-                spread=spread,
-                known=told_before,
-                times=when,
+                samples=evidence.samples,
+                freedom=evidence.samples - 1,
+                floor=float(np.nanmax(ignored)),
+                times=solution.instants if is_path else None,
             )
-            if told is not None:
-                yield told
-
-
-def _of_the_grid(solution: Solution, text: str) -> float:
-    """The known grid error of a functional, by which samples on a finer grid differ."""
-    error = solution.certificate.grid_error
-    deviation = None if error is None else error.functionals.get(text)
-    return 0.0 if deviation is None or np.isnan(deviation.error) else deviation.error
+            if found is not None:
+                yield found
 
 
 def _statistics(evidence: Evidence) -> Iterator[Disagreement]:
+    """Statistics of functionals that are numbers, besides their means and standard deviations."""
     for text, one in evidence.statistics.items():
-        kind = one.statistic.kind
-        if isinstance(kind, Mean | Std):
-            continue
-        expected, estimate, error = one.expanded, one.estimate, one.standard_error
+        kind, expected = one.statistic.kind, one.expanded
         samples = [np.asarray(evidence.functionals[each.text()].values) for each in one.statistic.functionals]
-        values = samples[0]
-        if isinstance(kind, Probability):
-            contradicts = is_rare(round(estimate * evidence.samples), evidence.samples, min(max(expected, 0.0), 1.0))
+        if isinstance(kind, Mean | Std) or any(np.std(one) <= ROUNDING * np.max(np.abs(one)) for one in samples):
+            contradicts = False  # told by their moments
+        elif isinstance(kind, Probability):
+            count = round(one.estimate * evidence.samples)
+            contradicts = is_rare(count, evidence.samples, min(max(expected, 0.0), 1.0))
         elif isinstance(kind, Quantile):
-            contradicts = is_rare(int(np.sum(values <= expected)), evidence.samples, float(kind.level))
+            contradicts = is_rare(int(np.sum(samples[0] <= expected)), evidence.samples, float(kind.level))
         elif isinstance(kind, Supremum | Infimum):
-            past = estimate - expected if isinstance(kind, Supremum) else expected - estimate
-            contradicts = past > 0.01 * values.std()
+            past = one.estimate - expected if isinstance(kind, Supremum) else expected - one.estimate
+            contradicts = past > RELATIVE * samples[0].std()
         else:
-            numbers = np.asarray(expected), np.asarray(estimate), np.asarray(error)
+            numbers = np.asarray(expected), np.asarray(one.estimate), np.asarray(one.standard_error)
             freedom = group_count(evidence.samples) - 1
-            size = _size(one.statistic, samples)
-            told = worst_disagreement(text, *numbers, samples=evidence.samples, freedom=freedom, size=size)
-            contradicts = told is not None
+            found = worst_disagreement(text, *numbers, samples=evidence.samples, freedom=freedom)
+            contradicts = found is not None
         if contradicts:
-            yield Disagreement(text, expected, estimate, error)
-
-
-def _size(statistic: Statistic, values: list[Float[np.ndarray, " samples"]]) -> float:
-    """The magnitude to which rounding of a statistic is relative; zero for dimensionless statistics."""
-    largest = [float(np.max(np.abs(one))) for one in values]
-    if isinstance(statistic.kind, Covariance | Variance):
-        return largest[0] * largest[-1]
-    return 0.0 if isinstance(statistic.kind, Skewness | Kurtosis | Correlation) else largest[0]
+            yield Disagreement(text, expected, one.estimate, one.standard_error)
 
 
 def _limits(evidence: Evidence) -> Iterator[Disagreement]:

@@ -16,7 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
-from jax.extend.core import ClosedJaxpr, Literal
+from jax.extend.core import Literal
+from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import jax_array
@@ -85,10 +86,11 @@ def affine_features(
     """
     closed = jax.make_jaxpr(lambda *both: tuple(function(*both)))(germ, moved)
     arguments = [_Entry(_Kind.GERM, germ), _Entry(_Kind.MOVED)]
-    affine = tuple(entry.kind is not _Kind.OTHER for entry in _walked(closed, arguments, [], closed.jaxpr.outvars))
-    outputs = [variable for variable, yes in zip(closed.jaxpr.outvars, affine, strict=True) if yes]
+    affine = tuple(one.kind is not _Kind.OTHER for one in _walked(closed.jaxpr, closed.consts, arguments, []))
+    # Equations of the others need no features.
+    needed, _ = dce_jaxpr(closed.jaxpr, affine, instantiate=True)
     features: list[Array] = []
-    features += [entry.value for entry in _walked(closed, arguments, features, outputs) if entry.kind is _Kind.GERM]
+    features += [one.value for one in _walked(needed, closed.consts, arguments, features) if one.kind is _Kind.GERM]
     return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(one) for one in features)]), affine
 
 
@@ -114,32 +116,18 @@ class _Entry(NamedTuple):
     value: Any = None
 
 
-def _walked(
-    closed: ClosedJaxpr, arguments: Sequence[_Entry], features: list[Array], wanted: Sequence[Any]
-) -> list[_Entry]:
-    """The entries of the variables `wanted`. Numbers of the germ that are combined with moved ones join `features`."""
-    jaxpr = closed.jaxpr
-    known = [_Entry(_Kind.KNOWN, value) for value in closed.consts]
+def _walked(jaxpr: Any, constants: Sequence[Any], arguments: Sequence[_Entry], features: list[Array]) -> list[_Entry]:
+    """The entries of the results. Numbers of the germ that are combined with moved ones join `features`."""
+    known = [_Entry(_Kind.KNOWN, value) for value in constants]
     entries = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*known, *arguments], strict=True))
 
     def read(variable: Any) -> _Entry:
         return _Entry(_Kind.KNOWN, variable.val) if isinstance(variable, Literal) else entries[variable]
 
-    for equation in _needed(jaxpr, wanted):
+    for equation in jaxpr.eqns:
         results = _followed(equation, [read(variable) for variable in equation.invars], features)
         entries.update(zip(equation.outvars, results, strict=True))
-    return [read(variable) for variable in wanted]
-
-
-def _needed(jaxpr: Any, wanted: Sequence[Any]) -> list[Any]:
-    """The equations that some variables depend on, in order."""
-    alive = {variable for variable in wanted if not isinstance(variable, Literal)}
-    needed = []
-    for equation in reversed(jaxpr.eqns):
-        if not alive.isdisjoint(equation.outvars):
-            needed.append(equation)
-            alive.update(variable for variable in equation.invars if not isinstance(variable, Literal))
-    return needed[::-1]
+    return [read(variable) for variable in jaxpr.outvars]
 
 
 def _followed(equation: Any, operands: list[_Entry], features: list[Array]) -> list[_Entry]:
@@ -150,7 +138,7 @@ def _followed(equation: Any, operands: list[_Entry], features: list[Array]) -> l
         return [_Entry(_Kind.GERM if _Kind.GERM in kinds else _Kind.KNOWN, value) for value in values]
     if equation.primitive.name in _NESTED and _Kind.OTHER not in kinds:
         inner = equation.params[_NESTED[equation.primitive.name]]
-        return _walked(inner, operands, features, inner.jaxpr.outvars)
+        return _walked(inner.jaxpr, inner.consts, operands, features)
     return [_Entry(_combined(equation, operands, features))] * len(equation.outvars)
 
 

@@ -58,13 +58,6 @@ class Combined(NamedTuple):
     statistics: tuple[tuple[Float[Array, "..."], ...], ...]
 
 
-class Part(NamedTuple):
-    """Some of the collocation points, and the columns of the pseudo-inverse that belong to them."""
-
-    points: Float[np.ndarray, "points variables"]
-    fit: Float[np.ndarray, "terms points"]
-
-
 def share_of(
     problem: Problem,
     functionals: tuple[AbstractFunctional, ...],
@@ -116,13 +109,11 @@ def combined(
     return Combined(values, tuple(one.T for one in derivatives), taken)
 
 
-def added(shares: tuple[Any, ...]) -> Any:
-    """The sum over all parts of terms or slopes."""
-    return reduce(lambda one, other: jax.tree.map(jnp.add, one, other), shares)
-
-
-def parts_of(problem: Problem, collocation: Collocation, constants: Constants) -> tuple[Part, ...]:
-    """The collocation points in parts of one size if simulating them takes long enough, else one part.
+def parts_of(
+    problem: Problem, collocation: Collocation, constants: Constants
+) -> list[tuple[Float[np.ndarray, "points variables"], Float[np.ndarray, "terms points"]]]:
+    """The collocation points in parts of one size if simulating them takes long enough, else one part; each with the
+    columns of the pseudo-inverse that belong to it.
 
     The number of parts follows from the problem alone, so that digits do not depend on the number of cores. The last
     part is filled up with copies of its last point, which contribute nothing.
@@ -132,15 +123,13 @@ def parts_of(problem: Problem, collocation: Collocation, constants: Constants) -
     tangents = 1 + problem.placements.size
     whole = not (problem.is_integrated and isinstance(grid, Grid)) or constants.scenarios is not None
     if whole or count < 2 * _FEWEST_POINTS or count * grid.steps * tangents < _FEWEST_NUMBERS:
-        return (Part(points, fit),)
+        return [(points, fit)]
     number = min(max(2, count // _POINTS_OF_A_PART), _MOST_PARTS)
     size = -(-count // number)
     missing = size * number - count
     points = np.concatenate([points, np.repeat(points[-1:], missing, axis=0)])
     fit = np.concatenate([fit, np.zeros((len(fit), missing))], axis=1)
-    return tuple(
-        Part(one, columns) for one, columns in zip(np.split(points, number), np.split(fit, number, axis=1), strict=True)
-    )
+    return list(zip(np.split(points, number), np.split(fit, number, axis=1), strict=True))
 
 
 class Blocks(NamedTuple):
@@ -233,8 +222,10 @@ class _Shares(NamedTuple):
 
 
 def _combine(problem: Problem, constants: Constants, shares: _Shares) -> tuple[Any, ...]:
-    terms, slopes, finite, decisions = shares
-    parts = combined(problem, problem.expressions, constants, added(terms), added(slopes), decisions)
+    first, *others = zip(shares.terms, shares.slopes, strict=True)
+    terms, slopes = reduce(lambda one, other: jax.tree.map(jnp.add, one, other), others, first)
+    finite, decisions = shares.finite, shares.decisions
+    parts = combined(problem, problem.expressions, constants, terms, slopes, decisions)
     return _points_together(problem, parts, jnp.array(finite).all(), decisions)
 
 

@@ -182,7 +182,7 @@ class _Instant:
         now, chosen = jnp.split(numbers, [numbers.size - len(self.direct)])
         system = realise(self.frozen.simulation, point, chosen).traced
         assert isinstance(system, System)
-        system = system.focused(_needed(functionals))
+        system = system.focused({name for one in functionals for name in one.outputs})
         taken = Taken(observed_at(system, self.known, now), {})
         return numbers_of(functionals, taken, self.frozen.grid)
 
@@ -231,7 +231,3 @@ def _known(problem: Problem, direct: np.ndarray, decisions: Float[Array, " n"]) 
     known = known_at({**system.signals(), **simulation.inputs}, grid)
     chosen = jnp.broadcast_to(decisions[direct], (len(known.rows), len(direct)))
     return Known(jnp.concatenate([known.rows, chosen], axis=1), known.inputs)
-
-
-def _needed(functionals: Sequence[AbstractFunctional]) -> set[str]:
-    return {name for one in functionals for name in one.outputs}

@@ -23,7 +23,7 @@ from aleator.design import AbstractFunctional, Problem, functionals_of
 from aleator.expansion import Collocation
 from aleator.nlp import Hessian, NonlinearProgram, with_entries
 from aleator.statistics import Constants, Std
-from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning, Meanwhile, Texts
+from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning, Meanwhile
 from aleator.transcription._constraints import (
     Sizing,
     decision_scales,
@@ -45,17 +45,6 @@ from aleator.transcription.sequential._population import Population
 
 # How many points near the start show which derivatives are zero everywhere, and how far away they are.
 _NEARBY, _DISTANCE = 3, 0.1
-
-
-def _nearby(
-    start: Float[np.ndarray, " n"],
-    lower: Float[np.ndarray, " n"],
-    upper: Float[np.ndarray, " n"],
-    size: Float[np.ndarray, " n"],
-) -> list[Float[np.ndarray, " n"]]:
-    """Decisions near the start, by a part of their typical magnitudes; few derivatives vanish at all of them."""
-    steps = _DISTANCE * np.random.default_rng(0).uniform(-1, 1, (_NEARBY, len(start)))
-    return list(np.clip(start + size * steps, lower, upper))
 
 
 def _sparsity(nonzero: Bool[np.ndarray, "rows n"], paths: Sequence[slice], instants: int) -> Bool[np.ndarray, "rows n"]:
@@ -200,7 +189,9 @@ class Sequential(AbstractTranscription):
             # Compiled on another core, and meanwhile the check on this one.
             evaluator.begin(start, lambda: meanwhile(problem, discretisation)())
         decision_scale = decision_scales(start, lower, upper)
-        around = _nearby(start, lower, upper, decision_scale)
+        # Few derivatives vanish at all of these.
+        steps = _DISTANCE * np.random.default_rng(0).uniform(-1, 1, (_NEARBY, len(start)))
+        around = list(np.clip(start + decision_scale * steps, lower, upper))
         beside = [evaluator(one) for one in around] if instantaneous(problem) else []
         # The start comes last, so that the evaluator still remembers it when it is needed again.
         at_start = evaluator(start)
@@ -251,7 +242,6 @@ class Sequential(AbstractTranscription):
             program,
             rows,
             tuple(sizes),
-            Texts.of(problem),
             scenarios,
             evaluator=evaluator,
             sizing=sizing,

@@ -13,10 +13,10 @@ from aleator.design import (
     AbstractIntegral,
     Expression,
     Problem,
+    Value,
     beside_integrals,
     expanded_functionals,
     extreme_functionals,
-    functionals_of,
     time_integrals,
 )
 from aleator.dynamics import AbstractMeanRate
@@ -191,7 +191,8 @@ def _limit(
     - `totals`: its integrals over time.
     """
     samples, beside = layout.samples(variables), beside_integrals(expression)
-    decisions = variables.decisions if _speaks_of_numbers(beside) else variables.decisions[:0]
+    speaks_of_numbers = any(isinstance(one, Value) for one in beside.leaves)
+    decisions = variables.decisions if speaks_of_numbers else variables.decisions[:0]
     parts = [(one, True, coefficients[one]) for one in expanded_functionals((beside,))]
     parts += [(one, False, samples[one][layout.plan.points :]) for one in extreme_functionals((beside,))]
     moving, still = [], []
@@ -230,8 +231,3 @@ def _expression(
 def _taken(parts: list[_Part], numbers: Array) -> list[tuple[_Part, Array]]:
     """Parts with their values, from these side by side."""
     return list(zip(parts, apart(numbers, [one.shape for one in parts]), strict=True))
-
-
-def _speaks_of_numbers(expression: Expression) -> bool:
-    """Whether the numbers of the model stand in an expression, beside statistics."""
-    return any(not functionals_of((Expression((1.0,), (one,)),)) for one in expression.leaves)

@@ -28,7 +28,7 @@ from aleator.ensemble import inputs_at
 from aleator.nlp import HELD
 from aleator.solution import Costates, MeshError, States, Switching
 from aleator.statistics import Constants
-from aleator.transcription._abstract import AbstractTranscribed, Meaning, Remembered, Texts
+from aleator.transcription._abstract import AbstractTranscribed, Meaning, Remembered
 from aleator.transcription._expansions import Between, Discretised, ExpansionScope
 from aleator.transcription._scenarios import Scenarios
 from aleator.transcription.simultaneous._assembly import Fixed
@@ -113,7 +113,6 @@ class Recipe(NamedTuple):
             program,
             assembled.rows.own,
             sizes,
-            Texts.of(problem),
             scenarios,
             layout=layout,
             assembled=assembled,

@@ -1,0 +1,159 @@
+"""`Systems`: the uncertain systems of a design, simulated batch by batch, and the grids on which that is done."""
+
+from typing import final
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import jax_array, numbers_to_arrays
+from aleator._core.errors import ProblemError, SimulationError
+from aleator.design import (
+    Problem,
+    as_expression,
+    first_broken,
+    functionals_of,
+    grid_at,
+    history,
+    is_over_time,
+    refuse_changed_code,
+    responses,
+    uncertain,
+    unsolved,
+)
+from aleator.ensemble import fill, inputs_at, listed, parts
+from aleator.nlp import HELD
+from aleator.solution import Solution
+from aleator.validation._batches import SIMULATE, Batch, folds
+from aleator.validation._limits import is_counted
+
+# A grid whose error is this part of the tolerance is as good as exact.
+_AN_ORDER_BELOW = 0.1
+# Where nothing is uncertain, the one system is simulated on so many times as many steps.
+_ALONE = 10
+# How many systems are simulated at a time on the grid for limits over time, so that it needs no more memory.
+_FEW = 50
+
+
+def sampled_by(solution: Solution) -> int:
+    """The refinement factor, relative to a solution's own grid, of the grid for sampling systems.
+
+    1 if the error of its own grid is an order of magnitude below the tolerance; otherwise that of the grid used to
+    estimate it.
+    """
+    error = solution.certificate.grid_error
+    return 1 if error is None or error.ratio <= _AN_ORDER_BELOW else error.factor
+
+
+def finer_by(solution: Solution) -> int:
+    """The refinement factor, relative to a solution's own grid, of the grid for counting against limits over time.
+
+    It is that of the grid on which limits were held between instants, if they were; otherwise that of all samples.
+    """
+    between = solution.certificate.between
+    return between.factor if between is not None and between.is_strict else sampled_by(solution)
+
+
+@final
+class Systems:
+    """The uncertain systems of a solution, at its decisions: one for each germ point of a batch.
+
+    - `problem`: the problem with its distributions restored; `germs`: their variables;
+    - `factor`: how many times as many steps as the design's grid has that for simulations (see `al.validate`), on which
+      `sampled` is the problem; `counted`: the same of the grid on which the limits `over_time` are counted;
+    - `folds`: whether systems can be simulated without storing histories.
+
+    Raises `ProblemError`, in the name of the caller `who`, where there is nothing to simulate.
+    """
+
+    def __init__(self, solution: Solution, who: str):
+        refuse_changed_code(solution.problem)
+        self.problem = uncertain(solution.problem)
+        self.germs = tuple(self.problem.placements.germs.values())
+        if not functionals_of(self.problem.expressions):
+            raise ProblemError(
+                f"{who}: this problem contains no functional of an output, so there is nothing to simulate."
+            )
+        self._decisions = jax_array(solution.vector)
+        # So that rounding does not break a limit.
+        self._tolerances = np.array([HELD * one.scale for one in solution.constraints]).reshape(-1, 1)
+        self.factor, self.counted = sampled_by(solution), finer_by(solution)
+        if not self.germs:
+            self.factor = self.counted = _ALONE if self.problem.system.has_time else 1
+        self.sampled = _on_finer(self.problem, self.factor)
+        self.folds = folds(self.sampled)
+        limits = self.problem.constraints
+        self.over_time = [i for i, one in enumerate(limits) if is_over_time(one) and is_counted(one)]
+        self._finer = None
+        if self.over_time and self.counted != self.factor:
+            alone = as_expression(0.0), tuple(limits[i] for i in self.over_time)
+            problem = eqx.tree_at(lambda one: (one.objective, one.constraints), self.problem, alone)
+            self._finer = _on_finer(problem, self.counted)
+
+    def prepare(self, batch: int, *, is_folded: bool = False) -> None:
+        """Start compiling for batches of `batch` systems. The user's code is traced here, by one thread alone."""
+        finer = self._finer, min(_FEW, batch), 1, False
+        for problem, size, *how in ((self.sampled, batch, self.factor, is_folded), finer):
+            if problem is not None:
+                germ = jax_array(np.zeros((size, len(self.germs))))
+                SIMULATE.prepare(problem, germ, self._decisions, jax_array(size), *how)
+
+    def simulate(
+        self, germ: Float[np.ndarray, "systems variables"], batch: int, keep: int = 0, *, is_folded: bool = False
+    ) -> Batch:
+        """Simulate the systems at some germ points, at most as many as the `batch` that was prepared for.
+
+        Excess over a limit is that beyond its tolerance. Values of path constraints are those of the first `keep`
+        systems; there are none where they are folded.
+
+        Raises `SimulationError` if a system's results are not finite, naming its parameter values.
+        """
+        found = self._simulated(self.sampled, germ, batch, keep, self.factor, is_folded)
+        excess = found.excess - self._tolerances
+        if self._finer is not None:
+            few = min(_FEW, batch)
+            some = (self._simulated(self._finer, part.points, few) for part in parts(germ, few))
+            beyond = np.concatenate([one.excess for one in some], axis=1)
+            excess[self.over_time] = beyond - self._tolerances[self.over_time]
+        return found._replace(excess=excess)
+
+    def _simulated(
+        self,
+        problem: Problem,
+        germ: Float[np.ndarray, "systems variables"],
+        batch: int,
+        keep: int = 0,
+        factor: int = 1,
+        is_folded: bool = False,
+    ) -> Batch:
+        count = len(germ)
+        points = jax_array(fill(germ, batch))
+        found, finite = SIMULATE(problem, points, self._decisions, jax_array(count), factor, is_folded)
+        if not np.asarray(finite)[:count].all():
+            raise _not_finite(problem, jax_array(germ[np.argmin(finite)]), self._decisions)
+        return found.first(count, keep)
+
+
+def _on_finer(problem: Problem, factor: int) -> Problem:
+    """The problem on a grid `factor` times finer, with arrays in the place of numbers."""
+    return numbers_to_arrays(problem if factor == 1 else problem.on_grid(problem.grid.finer(factor)))
+
+
+def _not_finite(problem: Problem, point: Float[Array, " variables"], decisions: Float[Array, " n"]) -> SimulationError:
+    """The error for a system without a result: its numbers, and which output is not finite, and from when on."""
+    numbers = listed(inputs_at(problem.placements, point, decisions))
+    outputs = {name: np.asarray(values)[None] for name, values in history(problem, point, decisions).items()}
+    what = ""
+    if (broken := first_broken(outputs)) is not None:
+        instant = grid_at(problem, decisions).times[broken.instant]
+        what = f": output '{broken.name}'" + (f" from t = {instant:.4g} s on" if problem.system.has_time else "")
+    else:
+        functionals = functionals_of(problem.expressions)
+        values = zip(functionals, responses(problem, functionals, point[None], decisions), strict=True)
+        # Alone, a system may be finite that is not in a batch.
+        what = next((f": {one.text()}" for one, value in values if not np.isfinite(value).all()), "")
+    remedy = "Shorten the time step, use an implicit integrator (al.integrators.Kvaerno5), or bound the distributions."
+    return SimulationError(
+        f"Monte Carlo: the simulation of the system{numbers and ' with '}{numbers} is not finite{what}. "
+        f"{unsolved(problem, point, decisions) or remedy}"
+    )
