@@ -11,6 +11,7 @@ from aleator.certification._check import follows_trajectories as follows_traject
 from aleator.certification._check import is_checked as is_checked
 from aleator.certification._check import prepare_check as prepare_check
 from aleator.certification._grids import grid_error as grid_error
+from aleator.certification._grids import magnitudes_at as magnitudes_at
 from aleator.certification._grids import misled_at as misled_at
 from aleator.certification._grids import refinement as refinement
 from aleator.certification._grids import unconverged as unconverged

@@ -99,6 +99,7 @@ def grid_error(
 def misled_at(
     transcribed: AbstractTranscribed,
     start: Float[np.ndarray, " variables"],
+    begun: list[float],
     end: Float[np.ndarray, " variables"] | None,
     factor: int,
 ) -> str:
@@ -107,11 +108,12 @@ def misled_at(
     A step that is too long for a design makes it appear unstable. The search may then avoid it for a design at rest,
     where the grid appears exact. So the start is checked where some functional is far larger there than at the `end`,
     or the search has failed (None).
+
+    - `begun`: the magnitudes at the start, see `magnitudes_at`.
     """
     problem = transcribed.problem
-    begun = _magnitudes(transcribed, start)
     if end is not None and all(
-        own <= _FAR_OFF * later for own, later in zip(begun, _magnitudes(transcribed, end), strict=True)
+        own <= _FAR_OFF * later for own, later in zip(begun, magnitudes_at(transcribed, end), strict=True)
     ):
         return ""
     check = begin_check(transcribed, start, factor)()
@@ -127,7 +129,7 @@ def misled_at(
 
 
 @quietly
-def _magnitudes(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"]) -> list[float]:
+def magnitudes_at(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"]) -> list[float]:
     """The largest root mean square of each functional over the collocation points."""
     weights = np.abs(np.asarray(transcribed.collocation.weights))
     each = (np.asarray(samples).reshape(len(weights), -1) for samples in transcribed.at(point).samples)

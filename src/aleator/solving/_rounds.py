@@ -22,6 +22,7 @@ from aleator.certification import (
     follows_trajectories,
     idle_scenarios,
     is_checked,
+    magnitudes_at,
     margins_for,
     no_margins,
     scenarios_at_start,
@@ -41,12 +42,14 @@ _MOST_RESTARTS, _MOST_TIGHTENINGS, _MOST_SCENARIOS = 8, 12, 20
 class Held(NamedTuple):
     """The last program of a solution and its outcome, with what was found on the way.
 
-    - `first`: where the search began; `between`: how far limits break between the instants, `check`: the check at the
-      answer, `worst_case`: the worst realisations; None where these do not apply.
+    - `first`: where the search began; `begun`: the magnitudes of functionals there;
+    - `between`: how far limits break between the instants, `check`: the check at the answer, `worst_case`: the worst
+      realisations; None where these do not apply.
     """
 
     transcribed: AbstractTranscribed
     first: np.ndarray
+    begun: list[float]
     outcome: Outcome
     between: Between | None = None
     check: Check | None = None
@@ -92,11 +95,12 @@ class Rounds(NamedTuple):
             factor = check_factor(problem, self.between) if self._judges_between(transcribed) else 1
             oracle, solved = Oracle(problem, factor), None
             transcribed = transcribed.at_scenarios(scenarios_at_start(transcribed, oracle, start, known))
+        first = transcribed.program.start if start is None else start
+        begun = magnitudes_at(transcribed, first)
         solved = self._solved(transcribed, start, multipliers) if solved is None else solved
         if multipliers is None and solved.status is not Status.INTERRUPTED:
             solved = _looked_around(transcribed, self.solver.local, solved, start)
-        first = transcribed.program.start if start is None else start
-        held = self._held_between(Held(transcribed, first, solved))
+        held = self._held_between(Held(transcribed, first, begun, solved))
         return held if oracle is None else self._held_at_worst(held, oracle)
 
     def _solved(
@@ -175,7 +179,7 @@ class Rounds(NamedTuple):
             transcribed = transcribed.at_scenarios(transcribed.scenarios.joined(new, idle))
             begun = transcribed.point(transcribed.decisions(before.point))
             again = self._solved(transcribed, begun, before.multipliers, self.solver.local)
-            held = self._held_between(Held(transcribed, held.first, again))
+            held = self._held_between(Held(transcribed, held.first, held.begun, again))
             held = held._replace(outcome=held.outcome.with_effort_of(before))
             rounds += 1
         return held._replace(

@@ -93,10 +93,10 @@ class Stages(NamedTuple):
         is_judged = starts_unknown and factor > 1 and transcribed.problem.is_integrated
         error, misled = None, ""
         if check is not None and factor > 1:
-            at_start = misled_at(transcribed, held.first, outcome.point, factor) if is_judged else ""
+            at_start = misled_at(transcribed, held.first, held.begun, outcome.point, factor) if is_judged else ""
             error = replace(grid_error(transcribed, outcome.point, check, self.accuracy), at_start=at_start)
         if is_judged and outcome.status in UNSOLVED:
-            misled = misled_at(transcribed, held.first, None, factor)
+            misled = misled_at(transcribed, held.first, held.begun, None, factor)
         if outcome.status is Status.INFEASIBLE and is_judged and not misled:
             least = begin_check(transcribed, outcome.point, factor)()
             misled = grid_error(transcribed, outcome.point, least, self.accuracy).unresolved
