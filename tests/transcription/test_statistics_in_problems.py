@@ -144,3 +144,23 @@ def test_a_failed_system_leaves_a_design_without_any_value():
         found = program.evaluate(np.array([size]))
         assert np.isfinite(np.append(found.constraints, found.objective)).all() == is_finite
         assert np.isnan(found.objective) != is_finite
+
+
+class Vanishing(al.AlgebraicSystem):
+    """A cost that is least at k = 1, and a product whose spread vanishes with that of k."""
+
+    k: al.Number
+    d: al.Number
+
+    def outputs(self):
+        return {"cost": (self.k - 1.0) ** 2 + self.d**2, "product": self.k * self.d}
+
+
+@pytest.mark.parametrize("which", ["cost", "product"])
+@pytest.mark.parametrize("family", [al.Normal, lambda mean, spread: al.Uniform(mean, half_width=spread)])
+def test_a_spread_that_vanishes_at_the_optimum_is_no_reason_to_refuse_it(family, which):
+    uncertain = family(al.Decision(2.0, 0.0, 5.0), al.Decision(0.5, 0.0, 2.0))
+    model = Vanishing(uncertain, al.Decision(1.0, 0.1, 5.0))
+    solution = al.solve(al.Problem(model, minimize=al.output("cost").mean + al.output(which).std))
+    assert solution.objective == pytest.approx(0.01, rel=1e-9)
+    assert solution.decisions["d"] == pytest.approx(0.1, rel=1e-9)

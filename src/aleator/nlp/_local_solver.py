@@ -68,6 +68,8 @@ class AbstractLocalSolver(AbstractSolver):
         scaled = ScaledProgram(program, start)
         with scaled.evaluations.noting_interrupts():
             answer, verdict = self._judged(scaled, multipliers)
+            if verdict.status is Status.FAILED:
+                answer, verdict = self._with_bounds_held(program, scaled, answer, verdict)
         seconds = time.perf_counter() - began
         rows, bounds = scaled.to_user(verdict.multipliers, verdict.user)
         active, active_bounds = scaled.active(verdict.point, verdict.user, verdict.multipliers)
@@ -120,6 +122,31 @@ class AbstractLocalSolver(AbstractSolver):
         elif halt is not None:
             raise halt
         return answer, judge(scaled, answer, self.tolerance)
+
+    def _with_bounds_held(
+        self, program: NonlinearProgram, scaled: ScaledProgram, answer: Answer, verdict: Verdict
+    ) -> tuple[Answer, Verdict]:
+        """The optimum in the other variables, if that is one in all, while those at a bound stay there; else unchanged.
+
+        A function may have a kink at a bound, as a standard deviation has where it becomes zero: derivatives there say
+        nothing of those beside it, and the library makes no more progress.
+        """
+        _, at_bound = scaled.active(verdict.point, verdict.user, verdict.multipliers)
+        point = scaled.unscaled(verdict.point)
+        at_bound &= (point == program.lower) | (point == program.upper)
+        if not at_bound.any() or at_bound.all():
+            return answer, verdict
+        lower, upper = (np.where(at_bound, point, bounds) for bounds in (program.lower, program.upper))
+        held = ScaledProgram(dataclasses.replace(program, lower=lower, upper=upper), point)
+        further, _ = self._judged(held, None)
+        scaled.evaluations.visited += held.evaluations.visited
+        further = further._replace(
+            point=ScaledProgram(program, held.unscaled(further.point)).start,
+            multipliers=None,
+            iterations=answer.iterations + further.iterations,
+        )
+        again = judge(scaled, further, self.tolerance)
+        return (further, again) if again.status is Status.SOLVED else (answer, verdict)
 
     def _rounds(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         """Minimise, and repeat from the answer in the scales taken there, until it is accepted in them."""

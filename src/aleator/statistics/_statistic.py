@@ -165,15 +165,16 @@ class Variance(AbstractStatistic):
 class Std(AbstractStatistic):
     """The standard deviation, equation (33).
 
-    Where the variance is exactly zero, as for a certain initial condition, so is the derivative: the root has no finite
-    one there, and zero is the subgradient of smallest norm.
+    Where the variance is zero but for rounding, as for a certain initial condition, so is the derivative: the root has
+    no finite one there, and zero is the subgradient of smallest norm.
     """
 
     symbol: ClassVar[str] = "σ"
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
-        return root(Variance().of(coefficients, constants))
+        library, variance = in_library(Variance().of(coefficients, constants))
+        return root(library.where(varies(coefficients), variance, 0.0))
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
