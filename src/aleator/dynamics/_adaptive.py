@@ -23,8 +23,8 @@ _RELATIVE, _ABSOLUTE, _STEPS = 1e-8, 1e-10, 100_000
 # Smaller tolerances cannot be met in 64-bit arithmetic.
 _TIGHTEST_RELATIVE, _TIGHTEST_ABSOLUTE = 1e-12, 1e-14
 
-# Steps below this part of the duration advance time no more: where a state grows without bound, all further ones would.
-_SHORTEST = 1e-14
+# If the second half of the steps advances time by less than this fraction, more steps would not help.
+_STUCK = 0.01
 
 
 class AbstractAdaptive(AbstractIntegrator):
@@ -71,7 +71,7 @@ class AbstractAdaptive(AbstractIntegrator):
 
         at = grid.node_times if asked.nodes else grid.times
         saved = diffrax.SaveAt(ts=at, fn=lambda t, carried, _: jax.tree.leaves(observed(t, carried)))
-        solution = self._solved(rates, carried, grid, jumps_of(inputs), saved)
+        solution = self._solved(rates, carried, grid, jumps_of(inputs), saved, self.max_steps)
         arrived = solution.result == diffrax.RESULTS.successful
         values_at = [jnp.where(arrived, values, jnp.nan) for values in solution.ys or []]
         structure_at = jax.tree.structure(jax.eval_shape(lambda: observed(first, carried)))
@@ -91,16 +91,22 @@ class AbstractAdaptive(AbstractIntegrator):
 
         start = initial_state(system, grid.times[0], now(grid.times[0]))
 
-        solution = self._solved(rates, start, grid, jumps_of(inputs), diffrax.SaveAt(t1=True))
+        def tried(most: int) -> Any:
+            return self._solved(rates, start, grid, jumps_of(inputs), diffrax.SaveAt(t1=True), most)
+
+        solution = tried(self.max_steps)
         if bool(solution.result == diffrax.RESULTS.successful):
             return (
                 explain_algebraic(system, grid, inputs, self.course(system, grid, inputs)) if system.algebraic else ""
             )
-        name, reached = type(self).__name__, float(solution.ts[-1])
+        name, first, reached = type(self).__name__, float(grid.t_start), float(solution.ts[-1])
         arrived = jax.tree.map(lambda one: one[-1], solution.ys)
         if system.algebraic and (failure := explain_from(system, reached, arrived, float(grid.step), now)):
             return failure
-        if bool(solution.result == diffrax.RESULTS.max_steps_reached):
+        halfway = float(tried(max(self.max_steps // 2, 1)).ts[-1])
+        if bool(solution.result == diffrax.RESULTS.max_steps_reached) and reached - halfway > _STUCK * (
+            reached - first
+        ):
             return (
                 f"{name} used up its {self.max_steps} steps at t = {reached:.4g} s of {float(grid.t_final):.4g} s. "
                 f"Give it more, al.integrators.{name}(max_steps={10 * self.max_steps}), or larger tolerances."
@@ -118,13 +124,11 @@ class AbstractAdaptive(AbstractIntegrator):
         grid: Grid,
         jumps: Float[np.ndarray, " jumps"],
         saved: Any,
+        most: int,
     ) -> Any:
         import diffrax
 
-        shortest = _SHORTEST * grid.duration
-        controller = diffrax.PIDController(
-            rtol=self.rtol, atol=self.atol, dtmin=shortest, dtmax=grid.step, force_dtmin=False
-        )
+        controller = diffrax.PIDController(rtol=self.rtol, atol=self.atol, dtmax=grid.step)
         if jumps.size:
             controller = diffrax.ClipStepSizeController(controller, jump_ts=instants(jumps, grid.t_start, grid.t_final))
         return diffrax.diffeqsolve(
@@ -138,7 +142,7 @@ class AbstractAdaptive(AbstractIntegrator):
             stepsize_controller=controller,
             # Forward mode, for few decisions and many outputs.
             adjoint=diffrax.ForwardMode(),
-            max_steps=self.max_steps,
+            max_steps=most,
             throw=False,
         )
 
