@@ -81,6 +81,21 @@ def test_a_symmetry_of_two_decisions_is_left_whether_they_have_moved_or_not(star
     assert answer("alike", (start, -2.0, 2.0), b=(start, -2.0, 2.0)).objective == pytest.approx(-0.25, rel=1e-8)
 
 
+def test_three_factors_of_a_product_leave_zero_together():
+    class Box(al.AlgebraicSystem):
+        sides: Any
+
+        def outputs(self):
+            x, y, z = self.sides
+            return {"volume": x * y * z, "surface": 2 * (x * y + y * z + z * x)}
+
+    limit = al.output("surface").mean <= 6.0
+    problem = al.Problem(
+        Box([al.Decision(0.0, 0.0, 9.0) for _ in range(3)]), minimize=-al.output("volume").mean, subject_to=[limit]
+    )
+    assert al.solve(problem).objective == pytest.approx(-1.0, rel=1e-6)
+
+
 @pytest.mark.parametrize("way", [al.Sequential(), al.Simultaneous()], ids=["shooting", "collocation"])
 def test_two_controls_whose_product_drives_leave_zero_together(way):
     class Motor(al.System):

@@ -10,6 +10,7 @@ Where a solver proves that no small step meets all constraints there may still b
 saturates, or if a variable must change by many orders of magnitude from a poor start.
 """
 
+import itertools
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -111,16 +112,23 @@ def _around(program: NonlinearProgram, outcome: Outcome, begun: np.ndarray) -> R
         """The Lagrangian with the multipliers of the outcome, beside which it is the objective."""
         return there.objective + float(outcome.multipliers @ (there.constraints - here.constraints))
 
+    def lower_of(others: list[tuple[np.ndarray, Evaluation]]) -> list[np.ndarray]:
+        least = here.objective - _LOWER * abs(here.objective)
+        return [point for point, there in others if height(there) < least]
+
     idle, blind, lower = [], [], _descended(program, outcome, _unmoved(program, outcome.point - begun, still))
-    for i in np.flatnonzero(still & flat)[:_MOST].tolist():
-        others = [(point, program.evaluate(point)) for point in _across(program, outcome.point, i)]
-        others = [(point, there) for point, there in others if np.isfinite([there.objective, *there.constraints]).all()]
+    places = np.flatnonzero(still & flat)[:_MOST]
+    for i in places.tolist():
+        others = _finite(program, _across(program, outcome.point, i))
         if not any(_differs(here, there) for _, there in others):
             idle.append(i)
         elif all(_is_flat(there)[i] for _, there in others):
             blind.append(i)
         else:
-            lower += [point for point, there in others if height(there) < here.objective - _LOWER * abs(here.objective)]
+            lower += lower_of(others)
+    if len(places) > 1 and not lower:
+        # Of a product of three numbers that begin at zero, all slopes of all slopes are zero too.
+        lower += lower_of(_finite(program, _across_together(program, outcome.point, places)))
     if lower and not blind:
         start = min(lower, key=lambda point: height(program.evaluate(point)))
         return Restart(program, start, idle=tuple(idle))
@@ -180,8 +188,25 @@ def _across(program: NonlinearProgram, here: np.ndarray, which: int) -> list[np.
     return [np.where(np.arange(here.size) == which, place, here) for place in sorted(places - {float(here[which])})]
 
 
-# In typical magnitudes of a variable.
-_ACROSS = (-3.0, -1.0, -0.05, 0.05, 1.0, 3.0)
+def _across_together(program: NonlinearProgram, here: np.ndarray, which: np.ndarray) -> list[np.ndarray]:
+    """Points with several variables moved at once: all to one side, and each to a random one."""
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (_TOGETHER, which.size))
+    points = []
+    for side, step in itertools.product(np.concatenate([np.ones((1, which.size)), signs]), _ACROSS):
+        moved = here.copy()
+        moved[which] += step * side * program.variable_scale[which]
+        points.append(np.clip(moved, program.lower, program.upper))
+    return points
+
+
+def _finite(program: NonlinearProgram, points: list[np.ndarray]) -> list[tuple[np.ndarray, Evaluation]]:
+    """The points at which the program is finite, evaluated."""
+    every = [(point, program.evaluate(point)) for point in points]
+    return [(point, there) for point, there in every if np.isfinite([there.objective, *there.constraints]).all()]
+
+
+# In typical magnitudes of a variable; sets of random sides.
+_ACROSS, _TOGETHER = (-3.0, -1.0, -0.05, 0.05, 1.0, 3.0), 3
 
 
 def _differs(one: Evaluation, other: Evaluation) -> bool:
