@@ -228,10 +228,11 @@ def lost_derivatives(
 ) -> str:
     """A sentence on values around an answer that do not follow their derivatives; empty if all do.
 
-    Asked of equations alone that may lose derivatives: JAX's are exact elsewhere.
+    Asked of equations alone that may lose derivatives, and of a user's own functions: JAX's are exact elsewhere.
     """
-    equations = transcribed.problem.simulation.equations
-    if equations is None or not equations.may_lose_derivatives:
+    problem = transcribed.problem
+    equations = problem.simulation.equations
+    if not (problem.code or (equations is not None and equations.may_lose_derivatives)):
         return ""
     miss = missed_slope(transcribed.program, point, multipliers)
     if miss is None:
