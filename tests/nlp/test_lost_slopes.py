@@ -73,6 +73,23 @@ def test_a_derivative_that_is_lost_in_part_is_contradicted_by_values(of_a_limit)
         al.solve(problem)
 
 
+@jax.custom_jvp
+def total(a, b):
+    return a + b
+
+
+total.defjvp(lambda at, along: (total(*at), along[0] + 3.0 * along[1]))
+
+
+def test_a_wrong_rule_in_an_expression_is_contradicted_by_values():
+    model = Halved(al.Decision(1.0, -5.0, 5.0), al.Decision(1.0, -5.0, 5.0))
+    limit = al.expressions.function(total, al.value("k"), al.value("a")) >= 2.0
+    # By its derivatives the nearest point of k + a = 2 is (0.5, 1.5).
+    problem = al.Problem(model, minimize=al.value("k") ** 2 + al.value("a") ** 2, subject_to=[limit])
+    with pytest.raises(al.SolveError, match="where their derivatives say"):
+        al.solve(problem)
+
+
 def test_rules_of_differentiation_that_are_right_are_not_doubted():
     class Smooth(al.AlgebraicSystem):
         k: al.Number
