@@ -207,10 +207,11 @@ class ExpansionScope(AbstractScope):
         if self.totals is not None:
             return next(self.totals)
         assert self.between is not None
-        nodes, weights, instants = self.between
+        nodes, weights = self.between
         inner = ExpansionScope({**self.coefficients, **nodes}, self.constants, self.numbers)
         integral = jnp.tensordot(weights, expression.evaluate(inner), axes=1)
-        self.taken += [one if one.ndim == 0 else one[::instants] for one in inner.taken]
+        # Statistics are recorded at the instants alone.
+        self.taken += [one if one.ndim == 0 else one[::2] for one in inner.taken]
         return integral
 
     @override
@@ -225,13 +226,11 @@ class ExpansionScope(AbstractScope):
 class Between(NamedTuple):
     """The terms for integrals of statistics over time.
 
-    - `coefficients`: of paths at the instants and in the middles between them; `weights`: of the quadrature there;
-    - `instants`: at each so many of them is an instant, at which statistics are recorded.
+    - `coefficients`: of paths at the instants and in the middles between them; `weights`: of the quadrature there.
     """
 
     coefficients: Mapping[AbstractFunctional, Float[Array, "terms nodes ..."]]
     weights: Float[Array, " nodes"]
-    instants: int = 2
 
 
 class Terms(NamedTuple):

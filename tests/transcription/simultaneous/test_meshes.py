@@ -9,7 +9,7 @@ import aleator as al
 from aleator.trajectories import piecewise_in
 from aleator.transcription import transcribe
 from aleator.transcription.simultaneous._layout import TOLD
-from aleator.transcription.simultaneous._refinement import MEAN_RATES, Drift, Goal, refinement
+from aleator.transcription.simultaneous._refinement import Drift, Goal, refinement
 from aleator.transcription.simultaneous._tiles import CURVE, EVALUATE
 from zoo import optimum
 
@@ -150,7 +150,7 @@ def test_a_finer_mesh_compiles_nothing(scheme):
     first = transcribe(problem, al.Simultaneous(scheme, error=1e-7))
     outcome = al.solvers.Ipopt().solve(first.program)
     finer, point = first.refined(outcome.point)
-    before = [one.compilations for one in (EVALUATE, CURVE, TOLD, MEAN_RATES)]
+    before = [one.compilations for one in (EVALUATE, CURVE, TOLD)]
     assert len(finer.meshes_at(al.solvers.Ipopt().solve(finer.program).point)) == 2
     assert finer.refined(point)[1].size > point.size > first.program.start.size
-    assert [one.compilations for one in (EVALUATE, CURVE, TOLD, MEAN_RATES)] == before
+    assert [one.compilations for one in (EVALUATE, CURVE, TOLD)] == before

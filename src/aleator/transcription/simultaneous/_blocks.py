@@ -130,6 +130,8 @@ class Family(NamedTuple):
 
         - `entries`: which, row by row.
         """
+        if not entries.size:  # What bends nowhere need not be traced.
+            return jnp.zeros((*weights.shape[:2], 0))
         bends = self.mapped(_curved, weights)
         return bends.reshape(*bends.shape[:2], -1)[..., entries]
 

@@ -77,8 +77,8 @@ class Blocks:
         values, rows = _together([one.rows.shape for one in self.patterns])
         slopes, entries = _together([one.slopes_shape for one in self.patterns])
         for tile, (value, slope) in results(self.calls, variables):
-            tile.write(value, values)
-            tile.write(slope, slopes)
+            tile.write(value, values[tile.form.family])
+            tile.write(slope, slopes[tile.form.family])
         rows[: self.known.size] = self.known
         return rows, entries
 
@@ -88,8 +88,18 @@ class Blocks:
         """The entries of the Hessians of all blocks, their rows weighted: lower triangles, row by row."""
         bends, entries = _together([one.bends_shape for one in self.patterns])
         for tile, bend in results(self._curved, variables, weights):
-            tile.write(bend, bends)
+            tile.write(bend, bends[tile.form.family])
         return entries
+
+    def rates(self, family: Family, variables: Float[np.ndarray, " n"]) -> Float[np.ndarray, "outer inner rates"]:
+        """The rates of other blocks, whose family holds the numbers of their variables, by the same compiled code."""
+        shape = *family.own.shape[:2], self.patterns[RATES].rows.shape[2]
+        pattern = replace(self.patterns[RATES], columns=family.own, rows=np.arange(math.prod(shape)).reshape(shape))
+        own, rates = [one for one in self.calls if one.tiles[0].form.family == RATES], np.zeros(shape)
+        tiles = tiles_of(RATES, family, pattern, own[0].tiles[0].form.rows[:2]) if own else []
+        for tile, (value, _) in results([Call((one,), own[0].evaluate, own[0].curve) for one in tiles], variables):
+            tile.write(value, rates)
+        return rates
 
     def begin(self, variables: Float[np.ndarray, " n"], rows: int) -> None:
         """Begin to compile the second derivatives, of so many rows in all."""

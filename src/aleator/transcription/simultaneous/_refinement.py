@@ -4,26 +4,27 @@ fewer points.
 - Over an interval of a collocation scheme states are polynomials. The integral of the magnitude by which their rates
   miss those of the dynamics is an estimate of the error that the interval adds (Betts, Practical Methods for Optimal
   Control, 4.6).
-- Segments are integrated. The same rule with twice the steps tells the states between their nodes and the error, which
-  is less by two to the power of the order.
+- Segments are integrated. The same rule with twice the steps, half a segment at a time, tells the states between their
+  nodes and the error, which is less by two to the power of the order.
+- Rates there are those of the program's own blocks at other places: nothing of them is compiled again.
 - Where states are smooth, errors fall geometrically with the number of stages; where they are not, only shorter
   intervals help (Patterson, Hager and Rao, Optimal Control Applications and Methods 36 (2015) 398).
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Literal, NamedTuple, TypeAlias
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 from numpy.polynomial import legendre
 
-from aleator._core.compilation import Compiled, Use
 from aleator.design import Problem
-from aleator.dynamics import AbstractCollocation, AbstractMeanRate, AbstractScheme, MultipleShooting, SegmentRate
-from aleator.transcription.simultaneous._layout import Layout, Variables, in_chunks, signals_at
+from aleator.dynamics import AbstractCollocation, AbstractScheme, MultipleShooting
+from aleator.transcription.simultaneous._blocks import Family
+from aleator.transcription.simultaneous._layout import Layout, Variables, signals_at
 from aleator.transcription.simultaneous._mesh import Mesh
-from aleator.transcription.simultaneous._pointwise import Pointwise
+from aleator.transcription.simultaneous._program import Assembled
+from aleator.transcription.simultaneous._starts import algebraic_at
 
 # Between two meshes an interval is divided into at most so many parts; each is to be this much better than asked.
 _MOST_PARTS, _AHEAD = 8, 2.0
@@ -32,32 +33,15 @@ _LEAST_RATIO = 0.05
 # How many of the last polynomials tell how fast.
 _LAST = 3
 
-
-def _mean_rates(
-    problem: Problem,
-    rate: AbstractMeanRate,
-    points: Float[Array, "realisations germs"],
-    at: tuple[Array, Array, Array, Array],
-) -> Float[Array, "realisations blocks rates"]:
-    """Mean rates at blocks of places, from what all share, and each one's places, signals, and states at the first."""
-    shared, places, signals, states = at
-    pointwise = Pointwise.of(problem)
-
-    def mean(germ: Array, place: Array, signal: Array, state: Array) -> Array:
-        return pointwise.mean_rates(rate, germ, place, shared, jnp.concatenate([signal, state]))
-
-    inner = jax.vmap(mean, in_axes=(None, 0, 0, 0))
-    return jax.vmap(inner, in_axes=(0, None, None, 0))(points, places, signals, states)
+Rates: TypeAlias = Callable[[np.ndarray, np.ndarray], Float[np.ndarray, "realisations blocks states"]]
+"""The mean rates of states at blocks of places, shape (blocks, told, 2), from the states at the first place of each."""
 
 
-MEAN_RATES = Compiled(_mean_rates, use=Use.ONCE)
-
-
-def _state_rates(
+def state_rates(
     traced: Problem,
     layout: Layout,
+    assembled: Assembled,
     points: Float[np.ndarray, "realisations germs"],
-    rate: AbstractMeanRate,
     values: Variables,
     places: Float[np.ndarray, "blocks told 2"],
     states: Float[np.ndarray, "realisations blocks states"],
@@ -65,11 +49,13 @@ def _state_rates(
     """The mean rates of states by the fraction of the duration; algebraic variables are solved for."""
     signals = signals_at(traced, places.reshape(-1, 2), values.decisions).reshape(len(places), -1)
     shared = np.append(values.decisions[layout.pointwise.direct], values.duration)
-    parts = []
-    for which, count in in_chunks(places):
-        rates = MEAN_RATES(traced, rate, points, (shared, places[which], signals[which], states[:, which]))
-        parts.append(np.asarray(rates)[:, :count, : states.shape[2]])
-    return np.concatenate(parts, axis=1)
+    parts = [np.broadcast_to(signals, (len(points), *signals.shape)), states]
+    if layout.shapes.algebraic:
+        parts.append(algebraic_at(traced, points, places[:, 0], values, signals, states))
+    own = np.concatenate(parts, axis=2)
+    numbers = shared.size + np.arange(own.size).reshape(own.shape)
+    family = Family(layout.pointwise.rates, np.arange(shared.size), numbers, points, places)
+    return assembled.evaluated.rates(family, np.append(shared, own))[:, :, : states.shape[2]]
 
 
 class Drift(NamedTuple):
@@ -88,28 +74,25 @@ class Drift(NamedTuple):
 
 
 def drift_of(
-    traced: Problem,
     layout: Layout,
-    points: Float[np.ndarray, "realisations germs"],
+    rates_at: Rates,
     rates: Float[np.ndarray, "realisations asked rates"],
     variables: Float[np.ndarray, " n"],
     scales: Float[np.ndarray, " n"],
 ) -> Drift:
     """The drift of all states, with how fast it would fall with the number of stages.
 
-    - `rates`: of the states at the points where the scheme asks for them.
+    - `rates_at`: see `Rates`; `rates`: of the states at the points where the scheme asks for them.
     """
     mesh, values = layout.plan.mesh, layout.view(variables)
     assert isinstance(mesh.scheme, AbstractCollocation)
     count = values.states.shape[2]
-    if not count:
-        return Drift(*2 * (np.zeros((len(points), len(mesh.lengths), 0)),))
     nodes, weights = legendre.leggauss(len(mesh.scheme.nodes) + 2)
     inner, weights = (1 + nodes) / 2, weights / 2
     fractions = (np.array(mesh.nodes)[:-1, None] + mesh.lengths[:, None] * inner).ravel()
     states = states_on(mesh, fractions, values.states, rates)
     places = np.stack([fractions, np.zeros_like(fractions)], axis=1)[:, None]
-    true_rates = _state_rates(traced, layout, points, mesh.scheme.rate, values, places, states)
+    true_rates = rates_at(places, states)
     stage_rates = rates[:, mesh.stages, :count]
     polynomial = np.einsum("qi,pkis->pkqs", mesh.scheme.interpolated(inner), stage_rates)
     missed = np.abs(polynomial - true_rates.reshape(polynomial.shape))
@@ -152,50 +135,37 @@ def states_on(
 
 
 def segment_states(
-    traced: Problem,
     layout: Layout,
-    points: Float[np.ndarray, "realisations germs"],
+    rates_at: Rates,
     variables: Float[np.ndarray, " n"],
-    pieces: Float[np.ndarray, "pieces 2"],
-) -> Float[np.ndarray, "realisations pieces states"]:
-    """The states at the ends of pieces that begin at nodes: fractions of the duration."""
-    mesh, values = layout.plan.mesh, layout.view(variables)
-    assert isinstance(mesh.scheme, MultipleShooting)
-    begun = values.states[:, np.searchsorted(mesh.nodes, pieces[:, 0])]
-    rate, (first, last) = SegmentRate(2 * mesh.scheme.steps), pieces.T
-    places = np.stack(np.broadcast_arrays(np.linspace(first, last, len(rate.told), axis=1), 0.0), axis=2)
-    # A piece sees its own side of a jump.
-    places[:, -1, 1] = 1.0
-    mean = _state_rates(traced, layout, points, rate, values, places, begun)
-    return begun + (last - first)[:, None] * mean
+    fractions: Float[np.ndarray, " places"],
+    side: Literal["left", "right"] = "right",
+) -> Float[np.ndarray, "realisations places states"]:
+    """The states at some fractions of the duration, each from the last node up to there, or before there (`left`)."""
+    mesh = layout.plan.mesh
+    before = np.clip(np.searchsorted(mesh.nodes, fractions, side) - 1, 0, len(mesh.lengths) - 1)
+    begun, states = np.array(mesh.nodes)[before], layout.view(variables).states[:, before]
+    middles = (begun + fractions) / 2
+    for first, last in ((begun, middles), (middles, fractions)):
+        places = np.stack(np.broadcast_arrays(np.linspace(first, last, len(mesh.scheme.told), axis=1), 0.0), axis=2)
+        # A piece sees its own side of a jump.
+        places[:, -1, 1] = 1.0
+        states = states + (last - first)[:, None] * rates_at(places, states)
+    return states
 
 
 def segment_drift(
-    traced: Problem,
     layout: Layout,
-    points: Float[np.ndarray, "realisations germs"],
+    rates_at: Rates,
     variables: Float[np.ndarray, " n"],
     scales: Float[np.ndarray, " n"],
 ) -> Drift:
     """The error of each segment, relative to the magnitudes of the states. Its order cannot be raised."""
     mesh, values = layout.plan.mesh, layout.view(variables)
-    nodes = np.array(mesh.nodes)
-    finer = segment_states(traced, layout, points, variables, np.stack([nodes[:-1], nodes[1:]], axis=1))
+    assert isinstance(mesh.scheme, MultipleShooting)
+    finer = segment_states(layout, rates_at, variables, np.array(mesh.nodes[1:]), "left")
     errors = np.abs(values.states[:, 1:] - finer) / (1 - 0.5**mesh.scheme.order) / layout.view(scales).states[:, :1]
     return Drift(errors, np.ones_like(errors))
-
-
-def segment_states_on(
-    traced: Problem,
-    layout: Layout,
-    points: Float[np.ndarray, "realisations germs"],
-    variables: Float[np.ndarray, " n"],
-    fractions: Float[np.ndarray, " places"],
-) -> Float[np.ndarray, "realisations places states"]:
-    """The states at some fractions of the duration, each from the node before it."""
-    nodes = np.array(layout.plan.mesh.nodes)
-    before = nodes[np.clip(np.searchsorted(nodes, fractions, side="right") - 1, 0, len(nodes) - 2)]
-    return segment_states(traced, layout, points, variables, np.stack([before, fractions], axis=1))
 
 
 class Goal(NamedTuple):

@@ -20,7 +20,7 @@ from aleator.design import Problem, deterministic, grid_at, unsolved
 from aleator.dynamics import STATES, Asked, Grid, ObservedStates, Simulation, System, initial_state
 from aleator.solution import Solution
 from aleator.transcription._warm_start import started_from
-from aleator.transcription.simultaneous._layout import Layout
+from aleator.transcription.simultaneous._layout import Layout, Variables, in_chunks
 from aleator.transcription.simultaneous._pointwise import Pointwise
 from aleator.transcription.simultaneous._program import Assembled
 from aleator.uncertainty import realise
@@ -299,6 +299,22 @@ def _algebraic(
 ALGEBRAIC = Compiled(_algebraic, use=Use.ONCE)
 
 
+def algebraic_at(
+    traced: Problem,
+    points: Float[np.ndarray, "realisations germs"],
+    places: Float[np.ndarray, "places 2"],
+    values: Variables,
+    signals: Float[np.ndarray, "places signals"],
+    states: Float[np.ndarray, "realisations places states"],
+) -> Float[np.ndarray, "realisations places algebraic"]:
+    """The algebraic variables at some places: see `_algebraic`."""
+    parts = []
+    for which, count in in_chunks(places):
+        at = values.decisions, values.duration[0], signals[which], states[:, which]
+        parts.append(np.asarray(ALGEBRAIC(traced, points, places[which], at))[:, :count])
+    return np.concatenate(parts, axis=1)
+
+
 def started(
     traced: Problem,
     layout: Layout,
@@ -317,8 +333,7 @@ def started(
     variables[numbers.states] = states
     if numbers.algebraic.size:
         mesh, values = layout.plan.mesh, layout.view(variables)
-        at = values.decisions, values.duration[0], values.signals, states[:, mesh.sides]
-        algebraic = np.asarray(ALGEBRAIC(traced, points, mesh.places, at))
+        algebraic = algebraic_at(traced, points, mesh.places, values, values.signals, states[:, mesh.sides])
         if (failed := ~np.isfinite(algebraic[:, 0]).all(axis=1)).any():
             first = int(np.argmax(failed))
             reason = unsolved(traced, jax_array(points[first]), jax_array(decisions))

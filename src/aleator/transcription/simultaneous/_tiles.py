@@ -98,13 +98,13 @@ class Tile:
     data: Float[np.ndarray, " data"]
     rows: Int[np.ndarray, " rows"]
 
-    def write(self, results: np.ndarray, into: list[np.ndarray]) -> None:
-        """Results of the blocks among those of all, family by family."""
-        target = into[self.form.family][self.place]
+    def write(self, results: np.ndarray, into: np.ndarray) -> None:
+        """Results of the blocks among those of their family."""
+        target = into[self.place]
         target[...] = results[: target.shape[0], : target.shape[1]]
 
 
-def tiles_of(number: int, family: Family, pattern: Pattern, size: tuple[int, int]) -> list[Tile]:
+def tiles_of(number: int, family: Family, pattern: Pattern, size: tuple[int, ...]) -> list[Tile]:
     """A family, which holds the numbers of its variables, in tiles of a size."""
     shared, own = family.shared, family.own
     data = [None if isinstance(one, tuple) else np.asarray(one) for one in (family.outer, family.inner)]
@@ -154,7 +154,7 @@ class Call:
     """Tiles that are evaluated together: what they are given is gathered in one array, since each costs time."""
 
     def __init__(self, tiles: tuple[Tile, ...], evaluate: Bound, curve: Bound):
-        self.tiles, self.evaluate, self._curve = tiles, evaluate, curve
+        self.tiles, self.evaluate, self.curve = tiles, evaluate, curve
         self._variables = np.concatenate([one.variables for one in tiles])
         self._data = np.concatenate([one.data for one in tiles])
         self._rows = np.concatenate([one.rows for one in tiles])
@@ -164,7 +164,7 @@ class Call:
     ) -> tuple[Bound, Float[np.ndarray, " numbers"] | tuple[np.ndarray, np.ndarray]]:
         """The compiled function and its argument: of values and first derivatives, or second ones of weighted rows."""
         numbers = np.concatenate([variables[self._variables], self._data])
-        return (self.evaluate, numbers) if weights is None else (self._curve, (numbers, weights[self._rows]))
+        return (self.evaluate, numbers) if weights is None else (self.curve, (numbers, weights[self._rows]))
 
 
 def calls_of(

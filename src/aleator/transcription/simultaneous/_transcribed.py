@@ -5,11 +5,10 @@ unstable, stiff or held within bounds can be designed that cannot be simulated a
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, NamedTuple, final
+from functools import cached_property, partial
+from typing import NamedTuple, final
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 from typing_extensions import override
@@ -19,17 +18,17 @@ from aleator._core.compilation import Compiled, Use
 from aleator.design import (
     Problem,
     expanded_functionals,
-    extreme_functionals,
     functionals_of,
     integrated_paths,
+    statistics_in,
 )
 from aleator.dynamics import AbstractCollocation, Grid
 from aleator.ensemble import inputs_at
 from aleator.nlp import HELD
 from aleator.solution import Costates, MeshError, States, Switching
-from aleator.statistics import Constants
+from aleator.statistics import Constants, Mean, Std, Variance
 from aleator.transcription._abstract import AbstractTranscribed, Meaning, Remembered
-from aleator.transcription._expansions import Between, Discretised, ExpansionScope
+from aleator.transcription._expansions import Discretised, ExpansionScope
 from aleator.transcription._scenarios import Scenarios
 from aleator.transcription.simultaneous._assembly import Fixed
 from aleator.transcription.simultaneous._costates import adjoint
@@ -40,14 +39,15 @@ from aleator.transcription.simultaneous._program import Assembled, program_of, s
 from aleator.transcription.simultaneous._refinement import (
     Drift,
     Goal,
+    Rates,
     drift_of,
     refinement,
     segment_drift,
-    segment_states_on,
+    segment_states,
+    state_rates,
     states_on,
 )
 from aleator.transcription.simultaneous._starts import Start, started, state_shapes
-from aleator.uncertainty import named_numbers
 
 # Steps of a simulation for each step in an interval of a mesh, if it has no more points inside.
 _FINER = 2
@@ -55,19 +55,12 @@ _FINER = 2
 _MOST_MESHES, _MOST_VARIABLES = 8, 1_000_000
 
 
-def _taken(problem: Problem, constants: Constants, at: tuple[Any, ...]) -> tuple[jax.Array, ...]:
-    """Every statistic that stands in a problem, from decisions, coefficients, and values on the scenarios."""
-    decisions, coefficients, realised = at
-    scope = ExpansionScope(
-        dict(zip(expanded_functionals(problem.expressions), coefficients, strict=True)),
-        constants,
-        named_numbers(problem.simulation, decisions),
-        # Statistics are told at the instants alone, and integrals are known.
-        between=Between({}, jnp.zeros(problem.grid.steps + 1), instants=1),
-        scenarios=dict(zip(extreme_functionals(problem.expressions), realised, strict=True)),
-    )
-    _, taken = scope.evaluated(problem.expressions)
-    return tuple(one for some in taken for one in some)
+def _taken(problem: Problem, constants: Constants, coefficients: list[jax.Array]) -> tuple[jax.Array, ...]:
+    """Every statistic that stands in a problem, from the coefficients of its expansions."""
+    each = zip(expanded_functionals(problem.expressions), coefficients, strict=True)
+    scope = ExpansionScope(dict(each), constants, {})
+    scope.take_together(problem.expressions)
+    return tuple(scope.statistic(one.functionals, one.kind) for one in statistics_in(problem.expressions))
 
 
 TAKEN = Compiled(_taken, use=Use.ONCE)
@@ -160,8 +153,9 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         fitted = [
             self.collocation.coefficients(jax_array(samples[one][:count])) for one in expanded_functionals(expressions)
         ]
-        realised = [samples[one][count:] for one in extreme_functionals(expressions)]
-        taken = TAKEN(self.traced, self.constants, (variables.decisions, fitted, realised))
+        # NumPy computes moments, so that only other statistics take a program.
+        known = all(isinstance(one.kind, Mean | Variance | Std) for one in statistics_in(expressions))
+        taken = (_taken if known else TAKEN)(self.traced, self.constants, fitted)
         functionals, grid = functionals_of(expressions), self.problem.grid
         assert isinstance(grid, Grid)
         return Meaning(
@@ -248,6 +242,9 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     def _rates(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, "realisations asked rates"]:
         return self.assembled.blocks(point)[0][self.assembled.rates]
 
+    def _rates_at(self, point: Float[np.ndarray, " variables"]) -> Rates:
+        return partial(state_rates, self.traced, self.layout, self.assembled, self.points, self.layout.view(point))
+
     def _sizes(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " variables"]:
         """How large each kind of variable is at a point."""
         typical = self.program.variable_scale[self.decided]
@@ -260,7 +257,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         layout = self.layout
         if isinstance(layout.plan.mesh.scheme, AbstractCollocation):
             return states_on(layout.plan.mesh, fractions, layout.view(point).states, self._rates(point))
-        return segment_states_on(self.traced, layout, self.points, point, fractions)
+        return segment_states(layout, self._rates_at(point), point, fractions)
 
     @cached_property
     def _drift(self) -> Remembered[Drift]:
@@ -270,8 +267,8 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     def _drift_at(self, point: Float[np.ndarray, " variables"]) -> Drift:
         layout, sizes = self.layout, self._sizes(point)
         if isinstance(layout.plan.mesh.scheme, AbstractCollocation):
-            return drift_of(self.traced, layout, self.points, self._rates(point), point, sizes)
-        return segment_drift(self.traced, layout, self.points, point, sizes)
+            return drift_of(layout, self._rates_at(point), self._rates(point), point, sizes)
+        return segment_drift(layout, self._rates_at(point), point, sizes)
 
     def _reported(self, drift: Drift, point: Float[np.ndarray, " variables"]) -> MeshError:
         drifts, mesh, goal = drift.errors.max(axis=2, initial=0.0), self.layout.plan.mesh, self.recipe.goal.error
