@@ -7,7 +7,7 @@ from scipy.interpolate import BSpline
 
 import aleator as al
 from aleator.certification import begin_check
-from aleator.certification._between import excess_between, jumps, tightened
+from aleator.certification._limits import excess_between, jumps, tightened
 from aleator.design import is_over_time
 from aleator.nlp import FilterSQP, Status
 from aleator.transcription import transcribe
@@ -73,10 +73,10 @@ def test_a_plan_whose_torque_jumps_between_instants_holds_on_both_sides_of_the_j
 def test_the_sides_of_a_jump_are_continued_to_it():
     fine = np.arange(21.0)
     values = np.where(fine < 7.3, 2.0 + 0.1 * fine, -1.0 + 0.2 * fine)[:, None]
-    (jump,) = jumps(values, np.array([7.3 / 20]))
-    assert jump.place == pytest.approx(7.3)
-    assert jump.before == pytest.approx([2.73])
-    assert jump.after == pytest.approx([0.46])
+    ((place, before, after),) = jumps(values, np.array([7.3 / 20]))
+    assert place == pytest.approx(7.3)
+    assert before == pytest.approx([2.73])
+    assert after == pytest.approx([0.46])
     assert jumps(np.sin(fine / 5)[:, None], np.array([0.3, 0.7])) == []
 
 

@@ -50,12 +50,10 @@ def solution_of(
     worst_case: WorstCase | None,
     misled: str,
     check: Check | None,
-    compiled: float,
 ) -> Solution:
-    """The solution of a problem for an outcome of its program.
+    """The solution of a problem for an outcome of its program, but for the time of compilations.
 
-    `between`, `error`, `worst_case`, `misled`: parts of its `Certificate`; `check`: at its point, if it is solved;
-    `compiled`: time of its compilations, s.
+    `between`, `error`, `worst_case`, `misled`: parts of its `Certificate`; `check`: at its point, if it is solved.
     """
     problem, places = transcribed.problem, transcribed.places
     meaning, resolved = transcribed.at(outcome.point), transcribed.resolve(outcome.point)
@@ -97,7 +95,7 @@ def solution_of(
             solver=outcome.solver,
             iterations=outcome.iterations,
             evaluations=outcome.evaluations,
-            times=Times(_core.import_seconds, compiled, outcome.seconds),
+            times=Times(_core.import_seconds, 0.0, outcome.seconds),
             searched=outcome.searched,
             visited=outcome.visited,
         ),
