@@ -3,8 +3,8 @@
 from aleator.certification._check import Check as Check
 from aleator.certification._check import begin_check as begin_check
 from aleator.certification._check import check_factor as check_factor
-from aleator.certification._check import follows_trajectories as follows_trajectories
 from aleator.certification._check import is_checked as is_checked
+from aleator.certification._check import pieces as pieces
 from aleator.certification._check import prepare_check as prepare_check
 from aleator.certification._grids import grid_error as grid_error
 from aleator.certification._grids import magnitudes_at as magnitudes_at

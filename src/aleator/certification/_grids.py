@@ -21,7 +21,7 @@ from aleator.certification._limits import OWN_ERROR, limits_at, reach_of
 from aleator.design import Problem, functionals_of, is_over_time
 from aleator.dynamics import Grid
 from aleator.nlp import Status
-from aleator.solution import TOLERATED, Deviation, GridError, Solution
+from aleator.solution import COSTLY, TOLERATED, Deviation, GridError, Solution
 from aleator.transcription import AbstractTranscribed
 
 # A magnitude below this part of its possible size is zero up to integration error.
@@ -135,17 +135,16 @@ def refinement(solutions: Sequence[Solution]) -> Problem | None:
     last, problem = solutions[-1], solutions[-1].problem
     error = last.certificate.grid_error
     between = last.certificate.between
-    is_enough = between is None or (between.worst <= TOLERATED and not between.is_costly)
+    is_enough = between is None or (between.holds and not between.is_costly)
     if error is None or (error.is_met and is_enough) or last.status is not Status.SOLVED:
         return None
     grid, begun = problem.grid, solutions[0].problem.grid
     if not (isinstance(grid, Grid) and isinstance(begun, Grid)):
         return None
     # Limits may be exceeded between the instants even if the error of the grid is tolerated.
-    steps = error.with_whole_pieces(2 * grid.steps) if error.is_met else error.steps_needed
-    if steps > _FINEST * begun.steps or _does_not_help(solutions):
+    if error.next_steps > _FINEST * begun.steps or _does_not_help(solutions):
         return None
-    return problem.on_grid(grid.divided(steps), problem.integrator.refined())
+    return problem.on_grid(grid.divided(error.next_steps), problem.integrator.refined())
 
 
 def _does_not_help(solutions: Sequence[Solution]) -> bool:
@@ -157,7 +156,8 @@ def _does_not_help(solutions: Sequence[Solution]) -> bool:
     for one in solutions[-3:]:
         error, between = one.certificate.grid_error, one.certificate.between
         beyond = 0.0 if between is None or between.holds else between.worst / TOLERATED
-        ratios.append(max(np.inf if error is None else error.ratio, beyond, between.cost_ratio if between else 0.0))
+        cost = between.cost / COSTLY if between else 0.0
+        ratios.append(max(np.inf if error is None else error.ratio, beyond, cost))
     return len(ratios) == 3 and min(ratios[1:]) > _FALLS * ratios[0]
 
 

@@ -5,6 +5,7 @@ At the knots of trajectories outputs may jump, such as torques of a motion of de
 side of a jump only, so that the sides before and after it are judged separately.
 """
 
+import functools
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -12,11 +13,12 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import jax_array
-from aleator.certification._check import Check, row_sizes, splines_in
+from aleator.certification._check import Check, parts_in, row_sizes
 from aleator.design import Constraint, Expression, Peak, Problem, Statistic, functionals_of, is_over_time
 from aleator.nlp import NonlinearProgram
+from aleator.solution import Between
 from aleator.statistics import Std, Variance
-from aleator.trajectories import piecewise_in
+from aleator.trajectories import BSpline, piecewise_in
 from aleator.transcription import AbstractTranscribed, bound_size
 from aleator.uncertainty import at_means, realise
 
@@ -99,13 +101,13 @@ class Limit(NamedTuple):
 
 def limits_at(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check) -> list[Limit]:
     """All limits of a problem at a point, on both grids."""
-    meaning, rows = transcribed.at(point), row_sizes(transcribed, point)
+    meaning, rows = transcribed.at(point), functools.cache(lambda: row_sizes(transcribed, point))
     reaches = dict(zip(functionals_of(transcribed.problem.expressions), check.reaches, strict=True))
     limits = []
     each = zip(transcribed.problem.constraints, meaning.constraints, check.values[1:], transcribed.rows, strict=True)
     for one, own, fine, place in each:
         times = meaning.times if one.is_path else np.full(1, np.nan)
-        size = bound_size(one) or max(reach_of(one.expression, reaches), float(np.max(rows[place])))
+        size = bound_size(one) or max(reach_of(one.expression, reaches), float(np.max(rows()[place])))
         by_row = own.reshape(len(times), -1), fine.reshape(len(fine) if one.is_path else 1, -1)
         limits.append(Limit(one, *by_row, check.factor, size, times))
     return limits
@@ -130,29 +132,19 @@ def reach_of(expression: Expression, reaches: dict[Any, float]) -> float:
 # --- Between the instants --------------------------------------------------------------------------------------------
 
 Margins = tuple[Float[np.ndarray, " instants"] | None, ...]
-"""By how much the bounds of each constraint are moved inwards at each instant; None for limits on no path or peak."""
+"""By how much the bounds of each constraint are moved inwards at each instant; None for limits on no path or peak, and
+for equalities, of which no margin can enforce both sides.
+"""
 
 
-class Excess(NamedTuple):
-    """How far limits over time are exceeded on a finer grid.
-
-    - `shifts`: for each constraint that limits a path or a peak, how far its bound must move inwards at each instant
-      so that the worst value near it meets the bound, negative if it may move outwards; None for other constraints,
-      and for equalities, of which no margin can enforce both sides;
-    - `worst`: the largest excess of a limit over time, relative to its bound (to the constraint's scale if that is
-      zero), or zero; `where`: its constraint; `when`: its time, s, NaN for a peak.
+def excess_between(
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check
+) -> tuple[Between, Margins]:
+    """How far a problem's limits over time are exceeded on a finer grid at most, and how far each bound must move
+    inwards so that the worst value near each instant meets it, negative where it may move outwards.
     """
-
-    shifts: Margins
-    worst: float = 0.0
-    where: str = ""
-    when: float = 0.0
-
-
-def excess_between(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check) -> Excess:
-    """How far a problem's limits over time are exceeded on a finer grid."""
     knots = _knots(transcribed.problem, transcribed.decisions(point))
-    excess, shifts = Excess(()), []
+    between, shifts = Between(check.factor, 0.0, "", 0.0), []
     for limit, scale in zip(limits_at(transcribed, point, check), transcribed.scales, strict=True):
         one, rows, shift = limit.constraint, limit.beyond, None
         if is_over_time(one):
@@ -161,16 +153,16 @@ def excess_between(transcribed: AbstractTranscribed, point: Float[np.ndarray, " 
                 (place, float(_excess(one, before[None])[0]), float(_excess(one, after[None])[0]))
                 for place, before, after in (jumps(limit.fine, knots) if one.is_path else [])
             ]
-            if one.lower != one.upper:
+            if float(one.lower) != float(one.upper):
                 shift = _shifts(rows, limit.factor, sides) if one.is_path else rows
             # NaN counts as the largest excess.
             candidates = [(float(rows.max()), int(np.argmax(rows))), *((max(side[1:]), int(side[0])) for side in sides)]
             largest, place = max((np.inf if np.isnan(most) else most, place) for most, place in candidates)
             largest /= bound_size(one) or scale
-            if largest > excess.worst:
-                excess = Excess((), largest, one.name, float(limit.times[place // limit.factor]))
+            if largest > between.worst:
+                between = Between(check.factor, largest, one.name, float(limit.times[place // limit.factor]))
         shifts.append(shift)
-    return excess._replace(shifts=tuple(shifts))
+    return between, tuple(shifts)
 
 
 def _excess(constraint: Constraint, values: Float[np.ndarray, "rows entries"]) -> Float[np.ndarray, " rows"]:
@@ -181,7 +173,7 @@ def _knots(problem: Problem, decisions: Float[np.ndarray, " n"]) -> Float[np.nda
     """The interior knots of splines and nodes of controls at some decisions, as fractions of a problem's time."""
     model = realise(at_means(problem.simulation), jax_array(np.zeros(0)), jax_array(decisions))
     parts = model.system, model.inputs
-    ends = (one.breaks() for one in (*splines_in(parts), *piecewise_in(parts)))
+    ends = (one.breaks() for one in (*parts_in(parts, BSpline), *piecewise_in(parts)))
     fractions = np.concatenate([np.zeros(0), *ends])
     return np.unique(fractions[(fractions > 0) & (fractions < 1)])
 
@@ -230,12 +222,12 @@ def _shifts(
     return np.maximum(np.append(first, -np.inf), np.append(-np.inf, last))
 
 
-def margins_for(margins: Margins | None, excess: Excess, *, relax: bool) -> Margins:
-    """Margins updated by the excess, None for none yet. With `relax` they shrink where limits hold with slack."""
-    before = [0.0] * len(excess.shifts) if margins is None else margins
+def margins_for(margins: Margins | None, shifts: Margins, *, relax: bool) -> Margins:
+    """Margins updated by shifts, None for none yet. With `relax` they shrink where limits hold with slack."""
+    before = [0.0] * len(shifts) if margins is None else margins
     return tuple(
         None if old is None or new is None else np.maximum(old + (new if relax else 1.2 * np.maximum(new, 0.0)), 0.0)
-        for old, new in zip(before, excess.shifts, strict=True)
+        for old, new in zip(before, shifts, strict=True)
     )
 
 

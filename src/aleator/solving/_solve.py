@@ -26,7 +26,7 @@ from aleator.certification import doubts, refinement, unconverged
 from aleator.design import Problem, deterministic
 from aleator.nlp import AbstractSearch, AbstractSolver, Status
 from aleator.solution import AtMeans, Solution
-from aleator.solving._stages import UNSOLVED, Stages
+from aleator.solving._stages import Stages, with_opinion
 from aleator.transcription import DEFAULT, AbstractTranscription, started_from
 
 # The finest accuracy of a grid that may be asked for.
@@ -113,25 +113,6 @@ def check_search(
         )
 
 
-def first_decisions(
-    problem: Problem,
-    transcription: AbstractTranscription,
-    warm_start: Solution | None,
-    start: Mapping[str, Any] | None,
-) -> np.ndarray | None:
-    """The decisions to start from; None for their own initial values."""
-    places = problem.placements
-    if start is None:
-        return None if warm_start is None else started_from(problem, warm_start)
-    # What is given is checked first.
-    moved = places.moved(transcription.first(problem) if warm_start is None else places.vector("initial"), start)
-    return moved if warm_start is None else places.moved(started_from(problem, warm_start, start), start)
-
-
-# Ends of the deterministic problem that start nothing.
-_NO_START = (*UNSOLVED, Status.EVALUATION_FAILED)
-
-
 def solve(
     problem: Problem,
     solver: AbstractSolver | None = None,
@@ -195,7 +176,12 @@ def _solved(call: Call) -> Solution:
     """The solution, whatever its status: see `solve`."""
     problem, warm, transcription = call.problem, call.warm_start, call.transcription
     transcription = transcription if warm is None else transcription.starting_from(warm)
-    first, before = first_decisions(problem, transcription, warm, call.start), Compiled.seconds
+    places, first, before = problem.placements, None, Compiled.seconds
+    if call.start is not None:  # What the user says is checked first.
+        first = places.moved(transcription.first(problem) if warm is None else places.vector("initial"), call.start)
+    if warm is not None:
+        first = started_from(problem, warm, call.start or ())
+        first = first if call.start is None else places.moved(first, call.start)
     known = (None, None) if warm is None else (warm.multipliers, warm.certificate.worst_case)
     # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
     with heeding() as heed, dropped_on_failure():
@@ -203,14 +189,13 @@ def _solved(call: Call) -> Solution:
         at_means = None
         if call.deterministic_first and problem.placements.germs:
             stages, first, at_means = _from_means(stages, problem, first)
-        answer = stages.answer(problem, first, *known)
-        solutions = [answer.solution]
+        solution, held = stages.answer(problem, first, *known)
+        solutions = [solution]
         while call.refine and (plan := refinement(solutions)) is not None:
-            stages = stages._replace(transcription=stages.transcription.starting_from(solutions[-1]))
-            answer = stages.answer(plan, solutions[-1].vector)
-            solutions.append(answer.solution)
-        reason = unconverged(solutions)
-        solution = answer.with_opinion()
+            stages = stages._replace(transcription=stages.transcription.starting_from(solution))
+            solution, held = stages.answer(plan, solution.vector)
+            solutions.append(solution)
+        reason, solution = unconverged(solutions), with_opinion(solution, held)
         times = replace(solution.effort.times, compile_=Compiled.seconds - before)
         effort = replace(solution.effort, at_means=at_means, times=times)
         solution = replace(solution, effort=effort, message=reason or solution.message)
@@ -223,12 +208,12 @@ def _from_means(
 ) -> tuple[Stages, np.ndarray | None, AtMeans | None]:
     """The stages and the decisions that start from the answer to the deterministic problem, if it has one."""
     try:
-        mean = stages._replace(between=1).answer(deterministic(problem), first).solution
+        mean, _ = stages._replace(between=1).answer(deterministic(problem), first)
     except ProblemError:
         # Without spreads a limit may be impossible that the problem itself can meet. What is wrong with both is told by
         # the problem itself.
         return stages, first, AtMeans(Status.INFEASIBLE, starts=False, iterations=0, evaluations=0)
-    starts = mean.status not in _NO_START
+    starts = mean.status in (Status.SOLVED, Status.INTERRUPTED)
     at_means = AtMeans(mean.status, starts, mean.effort.iterations, mean.effort.evaluations)
     if not starts:
         return stages, first, at_means

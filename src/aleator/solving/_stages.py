@@ -21,7 +21,6 @@ from aleator.certification import (
     check_factor,
     diagnose,
     excess_between,
-    follows_trajectories,
     grid_error,
     idle_scenarios,
     is_checked,
@@ -30,6 +29,7 @@ from aleator.certification import (
     margins_for,
     misled_at,
     moved_correlations,
+    pieces,
     prepare_check,
     scenarios_at_start,
     second_opinion,
@@ -41,7 +41,7 @@ from aleator.certification import (
 )
 from aleator.design import Problem, is_over_time
 from aleator.nlp import HELD, AbstractSearch, AbstractSolver, NonlinearProgram, Outcome, Status, restart_of
-from aleator.solution import TOLERATED, Between, Solution, WorstCase
+from aleator.solution import Between, Solution, WorstCase
 from aleator.transcription import (
     AbstractTranscribed,
     AbstractTranscription,
@@ -72,30 +72,6 @@ class Held(NamedTuple):
     worst_case: WorstCase | None = None
 
 
-class Answer(NamedTuple):
-    """A solution, the program that it was found by, the point of that program that it stands for, and its check."""
-
-    solution: Solution
-    transcribed: AbstractTranscribed
-    point: np.ndarray
-    check: Check | None
-
-    def with_opinion(self) -> Solution:
-        """The solution with what fresh systems say of its expansions, unless its grid is no good already."""
-        solution, problem, transcribed = self.solution, self.solution.problem, self.transcribed
-        if not solution.ok:
-            return solution
-        certificate = replace(
-            solution.certificate,
-            opinion=None if self.check is None else second_opinion(transcribed, self.point, self.check),
-            # A search has compared values.
-            lost="" if solution.effort.searched else lost_derivatives(transcribed, self.point, solution.multipliers),
-            untrusted=untrusted(problem, solution.certificate.expansion),
-            correlations=moved_correlations(problem, solution.vector),
-        )
-        return replace(solution, certificate=certificate)
-
-
 class Stages(NamedTuple):
     """The stages of a solution, the same on each grid: `between` and `accuracy` as in `solve`.
 
@@ -115,12 +91,13 @@ class Stages(NamedTuple):
         start: np.ndarray | None,
         multipliers: np.ndarray | None = None,
         known: WorstCase | None = None,
-    ) -> Answer:
-        """The answer to a problem on its grid.
+    ) -> tuple[Solution, Held]:
+        """The solution of a problem on its grid, and what it was found by.
 
         - `start`: decisions; `multipliers`: None where nothing is known; `known`: the worst case of an earlier
           solution.
         """
+        # Transcribe.
         prepare = functools.partial(prepare_check, check_factor(problem, self.between))
         transcribed = transcribe(problem, self.transcription, prepare)
         point, outcome = None if start is None else transcribed.point(start), None
@@ -130,11 +107,13 @@ class Stages(NamedTuple):
         if worst_case_limits(problem) and problem.placements.germs:
             oracle, outcome = Oracle(problem, factor if self._judges_between(problem) else 1), None
             transcribed = transcribed.at_scenarios(scenarios_at_start(transcribed, oracle, point, known))
+        # Search.
         first = transcribed.program.start if point is None else point
         begun = magnitudes_at(transcribed, first)
         outcome = self._searched(transcribed, point, multipliers) if outcome is None else outcome
         if multipliers is None and outcome.status is not Status.INTERRUPTED:
             outcome = _looked_around(transcribed, self.solver.local, outcome, first)
+        # Hold limits between the instants, and in the worst case.
         held = self._held_between(Held(transcribed, outcome), factor)
         held = held if oracle is None else self._held_at_worst(held, oracle, factor)
         transcribed, outcome, check = held.transcribed, held.outcome, held.check
@@ -142,6 +121,7 @@ class Stages(NamedTuple):
             raise KeyboardInterrupt
         if outcome.failed_at is not None:
             outcome = replace(outcome, message=diagnose(transcribed, transcribed.decisions(outcome.failed_at)))
+        # Judge the grid.
         is_solved, misled = outcome.status is Status.SOLVED, ""
         is_unknown = multipliers is None and not self.transcription.is_guessed
         if is_unknown and factor > 1 and problem.is_integrated and (is_solved or outcome.status in UNSOLVED):
@@ -153,8 +133,7 @@ class Stages(NamedTuple):
         if check is not None and factor > 1:
             error = replace(grid_error(transcribed, outcome.point, check, self.accuracy), at_start=misled)
         misled = "" if is_solved else misled
-        solution = solution_of(transcribed, outcome, held.between, error, held.worst_case, misled, check)
-        return Answer(solution, transcribed, outcome.point, check)
+        return solution_of(transcribed, outcome, held.between, error, held.worst_case, misled, check), held
 
     def _searched(
         self,
@@ -204,32 +183,31 @@ class Stages(NamedTuple):
         check = begin_check(transcribed, outcome.point, factor)()
         if factor == 1 or not self._judges_between(transcribed.problem):
             return held._replace(check=check)
-        excess, margins = excess_between(transcribed, outcome.point, check), None
-        rounds = [(outcome, check, excess)]
-        best = rounds[0]
-        while HELD < excess.worst < np.inf and len(rounds) <= _MOST_TIGHTENINGS:
+        between, shifts = excess_between(transcribed, outcome.point, check)
+        best = outcome, check, between
+        rounds, margins, latest = [outcome], None, between
+        while HELD < latest.worst < np.inf and len(rounds) <= _MOST_TIGHTENINGS:
             # Margins may shrink in the first rounds; later they only grow, so that the iteration ends.
-            margins = margins_for(margins, excess, relax=len(rounds) <= _MOST_TIGHTENINGS // 2)
-            program, last = tightened(transcribed, margins), rounds[-1][0]
+            margins = margins_for(margins, shifts, relax=len(rounds) <= _MOST_TIGHTENINGS // 2)
+            program, last = tightened(transcribed, margins), rounds[-1]
             again = self._searched(transcribed, last.point, last.multipliers, program, goes_on=True)
             if again.status is Status.INTERRUPTED:
                 return held._replace(outcome=again)
             if again.status is not Status.SOLVED:
                 break
             check = begin_check(transcribed, again.point, factor)()
-            excess = excess_between(transcribed, again.point, check)
-            rounds.append((again, check, excess))
-            if excess.worst <= best[2].worst:
-                best = rounds[-1]
-            elif best[2].worst <= TOLERATED:
+            latest, shifts = excess_between(transcribed, again.point, check)
+            rounds.append(again)
+            if latest.worst <= best[2].worst:
+                best = again, check, latest
+            elif best[2].holds:
                 break  # Tighter bounds may make the plan bulge more between them.
-        answer, check, excess = best
-        is_strict = self.between is not None or len(rounds) > 1 or follows_trajectories(transcribed.problem)
+        answer, check, between = best
         loosest, tightest = outcome.evaluation.objective, answer.evaluation.objective
         cost = (tightest - loosest) / max(abs(loosest), abs(tightest)) if tightest > loosest else 0.0
-        between = Between(factor, excess.worst, excess.where, excess.when, is_strict, cost)
-        others = [one[0] for one in rounds if one is not best]
-        return held._replace(outcome=answer.with_effort_of(*others), between=between, check=check)
+        is_strict = self.between is not None or len(rounds) > 1 or pieces(transcribed.problem) > 0
+        answer = answer.with_effort_of(*(one for one in rounds if one is not answer))
+        return held._replace(outcome=answer, between=replace(between, is_strict=is_strict, cost=cost), check=check)
 
     def _held_at_worst(self, held: Held, oracle: Oracle, factor: int) -> Held:
         """Impose limits at realisations that break them, and solve again, until none is found."""
@@ -252,6 +230,22 @@ class Stages(NamedTuple):
             rounds += 1
         worst_case = worst_case_of(held.transcribed, held.outcome, oracle, worst, rounds, is_found=is_found)
         return held._replace(worst_case=worst_case)
+
+
+def with_opinion(solution: Solution, held: Held) -> Solution:
+    """A solution with what fresh systems say of its expansions, unless its grid is no good already."""
+    if not solution.ok:
+        return solution
+    transcribed, point = held.transcribed, held.outcome.point
+    certificate = replace(
+        solution.certificate,
+        opinion=None if held.check is None else second_opinion(transcribed, point, held.check),
+        # A search has compared values.
+        lost="" if solution.effort.searched else lost_derivatives(transcribed, point, solution.multipliers),
+        untrusted=untrusted(solution.problem, solution.certificate.expansion),
+        correlations=moved_correlations(solution.problem, solution.vector),
+    )
+    return replace(solution, certificate=certificate)
 
 
 def _looked_around(
