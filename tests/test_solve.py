@@ -175,8 +175,8 @@ def test_a_simulation_that_blows_up_at_one_point_only_is_named():
     with pytest.raises(al.SimulationError) as caught:
         al.solve(problem)
     message = str(caught.value)
-    assert f"collocation point 6 of 6 (rate={rates[5]:.6g})" in message
-    assert "gain=1" in message
+    assert f"collocation point 6 of 6 (rate = {rates[5]:.6g})" in message
+    assert "gain = 1" in message
     told = float(message.split("output 'x' from t = ")[1].split(" s")[0])
     assert told == pytest.approx(1 / rates[5], rel=0.02)
 

@@ -7,7 +7,7 @@ from scipy.interpolate import BSpline
 
 import aleator as al
 from aleator.certification import begin_check
-from aleator.certification._between import excess_between, jumps, tightened
+from aleator.certification._limits import excess_between, jumps, tightened
 from aleator.design import is_over_time
 from aleator.nlp import FilterSQP, Status
 from aleator.transcription import transcribe
@@ -73,10 +73,10 @@ def test_a_plan_whose_torque_jumps_between_instants_holds_on_both_sides_of_the_j
 def test_the_sides_of_a_jump_are_continued_to_it():
     fine = np.arange(21.0)
     values = np.where(fine < 7.3, 2.0 + 0.1 * fine, -1.0 + 0.2 * fine)[:, None]
-    (jump,) = jumps(values, np.array([7.3 / 20]))
-    assert jump.place == pytest.approx(7.3)
-    assert jump.before == pytest.approx([2.73])
-    assert jump.after == pytest.approx([0.46])
+    ((place, before, after),) = jumps(values, np.array([7.3 / 20]))
+    assert place == pytest.approx(7.3)
+    assert before == pytest.approx([2.73])
+    assert after == pytest.approx([0.46])
     assert jumps(np.sin(fine / 5)[:, None], np.array([0.3, 0.7])) == []
 
 
@@ -117,12 +117,12 @@ def answer(between=None, **options):
 def test_paths_and_peaks_are_compared_with_their_limits_on_the_finer_grid():
     transcribed, level = transcribe(rippled(high=1.9, peak=1.2, ripple=50.0)), np.array([1.0])
     factor = answer(high=1.5, ripple=100.0).certificate.between.factor
-    excess = excess_between(transcribed, level, begin_check(transcribed, level, factor)())
+    between, shifts = excess_between(transcribed, level, begin_check(transcribed, level, factor)())
     wave = np.sin(2 * np.pi * 50.0 * np.linspace(0.0, 1.0, 100 * factor + 1))
     assert wave.max() > 0.9 > wave[::factor].max()
-    np.testing.assert_allclose(excess.shifts[2], [1 + 0.5 * wave.max() - 1.2], rtol=1e-9)
-    assert excess.where == transcribed.problem.names[2]
-    assert excess.worst == pytest.approx((0.5 * wave.max() - 0.2) / 1.2)
+    np.testing.assert_allclose(shifts[2], [1 + 0.5 * wave.max() - 1.2], rtol=1e-9)
+    assert between.name == transcribed.problem.names[2]
+    assert between.worst == pytest.approx((0.5 * wave.max() - 0.2) / 1.2)
     assert all(is_over_time(one) for one in transcribed.problem.constraints)
 
 

@@ -9,7 +9,7 @@ import pytest
 from scipy import optimize
 
 import aleator as al
-from aleator.solving import _rounds
+from aleator.solving import _stages
 from aleator.transcription import transcribe
 from aleator.transcription.sequential import EVALUATE
 from zoo import Decay, optimum
@@ -98,7 +98,7 @@ def test_other_bounds_compile_nothing_and_a_solution_hands_its_scenarios_to_the_
 
 
 def test_a_search_that_comes_to_no_end_is_said_so(monkeypatch):
-    monkeypatch.setattr(_rounds, "_MOST_SCENARIOS", 1)
+    monkeypatch.setattr(_stages, "_MOST_SCENARIOS", 1)
     with pytest.raises(al.SolveError, match=r"After 1 rounds y reaches .* with a = .* beyond its bound"):
         al.solve(largest_gain("a place that moves with the design"))
 

@@ -1,20 +1,19 @@
 """Checks of an answer: between the instants, on a finer grid, in the worst case, and on fresh systems."""
 
-from aleator.certification._between import excess_between as excess_between
-from aleator.certification._between import margins_for as margins_for
-from aleator.certification._between import no_margins as no_margins
-from aleator.certification._between import tightened as tightened
 from aleator.certification._check import Check as Check
 from aleator.certification._check import begin_check as begin_check
 from aleator.certification._check import check_factor as check_factor
-from aleator.certification._check import follows_trajectories as follows_trajectories
 from aleator.certification._check import is_checked as is_checked
+from aleator.certification._check import pieces as pieces
 from aleator.certification._check import prepare_check as prepare_check
 from aleator.certification._grids import grid_error as grid_error
 from aleator.certification._grids import magnitudes_at as magnitudes_at
 from aleator.certification._grids import misled_at as misled_at
 from aleator.certification._grids import refinement as refinement
 from aleator.certification._grids import unconverged as unconverged
+from aleator.certification._limits import excess_between as excess_between
+from aleator.certification._limits import margins_for as margins_for
+from aleator.certification._limits import tightened as tightened
 from aleator.certification._second_opinion import second_opinion as second_opinion
 from aleator.certification._solution import diagnose as diagnose
 from aleator.certification._solution import doubts as doubts

@@ -6,7 +6,7 @@ are in no phase with those of the problem's: what is constant at these, such as 
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +32,8 @@ from aleator.statistics import Constants, Mean, Std
 from aleator.trajectories import AbstractTrajectory, BSpline, least_steps, piecewise_in
 from aleator.transcription import AbstractTranscribed, Discretised, scope_from, simulated
 from aleator.uncertainty import AbstractGerm
+
+_Part = TypeVar("_Part")
 
 # Fresh systems in one check: enough for a standard error, and cheap beside one evaluation with derivatives.
 _FRESH = 32
@@ -62,22 +64,18 @@ def fresh_systems(germs: Collection[AbstractGerm], count: int, generator: np.ran
     undo the choice (multiple importance sampling with the balance heuristic of Veach and Guibas, 1995); none exceeds 2.
     """
     levels = random_levels(generator, count, len(germs))
-    tails = np.arange(count - count // 2) % (2 * len(germs))
-    which, upper = tails // 2, tails % 2 == 1
-    depths = _depths(tails, generator)
-    levels[count // 2 + np.arange(len(tails)), which] = np.where(upper, 1 - depths, depths)
-    drawn = np.bincount(tails, minlength=2 * len(germs)) / count
-    density = count // 2 / count + _tail_density(levels) @ drawn[::2] + _tail_density(1 - levels) @ drawn[1::2]
-    return FreshSystems(at_levels(germs, levels), 1 / density)
-
-
-def _depths(tails: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    """A depth for each system, one in each of the equal parts of its tail's logarithmic range."""
+    place = np.arange(count - count // 2)
+    tails = place % (2 * len(germs))
+    which, upper, drawn = tails // 2, tails % 2 == 1, np.bincount(tails, minlength=2 * len(germs))
+    # One in each of the equal parts of its tail's logarithmic range.
     parts = np.empty(len(tails))
-    for tail in np.unique(tails):
-        those = np.flatnonzero(tails == tail)
-        parts[those] = (np.arange(len(those)) + generator.random(len(those))) / len(those)
-    return _DEEPEST * (_SHALLOWEST / _DEEPEST) ** parts
+    parts[np.argsort(tails, kind="stable")] = generator.random(len(tails))
+    parts = (place // (2 * len(germs)) + parts) / drawn[tails]
+    depths = _DEEPEST * (_SHALLOWEST / _DEEPEST) ** parts
+    levels[count // 2 + place, which] = np.where(upper, 1 - depths, depths)
+    in_tails = _tail_density(levels) @ drawn[::2] + _tail_density(1 - levels) @ drawn[1::2]
+    density = (count // 2 + in_tails) / count
+    return FreshSystems(at_levels(germs, levels), 1 / density)
 
 
 def _tail_density(depths: np.ndarray) -> np.ndarray:
@@ -108,11 +106,6 @@ class Check(NamedTuple):
     systems: FreshSystems
     factor: int
     integrator: str
-
-    @property
-    def is_finite(self) -> bool:
-        """Whether the moments of every functional are numbers."""
-        return all(np.isfinite(one).all() for one in (*self.means, *self.stds))
 
 
 def _check(
@@ -183,9 +176,9 @@ def begin_check(
         # Asked for next; computed here while the check runs on another core.
         transcribed.resolve(point)
         check = explicit()
-        if check.is_finite or transcribed.fineness == 1 or not problem.is_integrated:
-            return check
-        return begun(Kvaerno5())()
+        is_finite = all(np.isfinite(one).all() for one in (*check.means, *check.stds))
+        is_confirmed = is_finite or transcribed.fineness == 1 or not problem.is_integrated
+        return check if is_confirmed else begun(Kvaerno5())()
 
     return checked
 
@@ -222,8 +215,7 @@ def _arguments(
     problem: Problem, discretised: Discretised, systems: FreshSystems, decisions: Float[np.ndarray, " n"]
 ) -> tuple[Any, ...]:
     _, collocation, constants = discretised
-    parts = map(jax_array, (systems.points, decisions))
-    return numbers_to_arrays(problem), collocation, constants, *parts
+    return numbers_to_arrays(problem), collocation, constants, jax_array(systems.points), jax_array(decisions)
 
 
 def check_factor(problem: Problem, between: int | None) -> int:
@@ -238,12 +230,8 @@ def check_factor(problem: Problem, between: int | None) -> int:
         return FINER if simulates_inside(problem) else 1
     parts = pieces(problem)
     chosen = between if between is not None else _FOLLOWING if parts else _PLAIN
-    return _odd_prime_from(max(chosen, -(-_FEWEST // grid.steps), -(-_BY_PIECE * parts // grid.steps)))
-
-
-def _odd_prime_from(number: int) -> int:
-    candidates = range(max(number, 3), 2 * max(number, 3))
-    return next(one for one in candidates if all(one % k for k in range(2, int(one**0.5) + 1)))
+    least = max(chosen, -(-_FEWEST // grid.steps), -(-_BY_PIECE * parts // grid.steps), 3)
+    return next(one for one in range(least, 2 * least) if all(one % k for k in range(2, int(one**0.5) + 1)))
 
 
 def rounding_at(
@@ -299,27 +287,18 @@ def certain(
     )
 
 
-def follows_trajectories(problem: Problem) -> bool:
-    """Whether a problem's system follows trajectories, which are arbitrary between two instants."""
-    return pieces(problem) > 0
-
-
 def pieces(problem: Problem) -> int:
-    """The largest number of polynomial pieces of the trajectories that a problem's system follows; 0 for none."""
+    """The largest number of polynomial pieces of the trajectories that a problem's system follows; 0 for none.
 
-    def is_trajectory(node: Any) -> bool:
-        return isinstance(node, AbstractTrajectory)
-
+    What follows trajectories is arbitrary between two instants.
+    """
     parts = problem.system, problem.inputs
-    followed = any(map(is_trajectory, jax.tree.leaves(parts, is_leaf=is_trajectory)))
     whole = least_steps(parts) if piecewise_in(parts) else 0
-    return max([followed, whole, *(one.count - one.degree for one in splines_in(parts))])
+    splines = (one.count - one.degree for one in parts_in(parts, BSpline))
+    return max([bool(parts_in(parts, AbstractTrajectory)), whole, *splines])
 
 
-def splines_in(tree: Any) -> list[BSpline]:
-    """All splines in a model or a part of it, including those inside other trajectories."""
-
-    def is_spline(node: Any) -> bool:
-        return isinstance(node, BSpline)
-
-    return [one for one in jax.tree.leaves(tree, is_leaf=is_spline) if is_spline(one)]
+def parts_in(tree: Any, kind: type[_Part]) -> list[_Part]:
+    """All parts of a model that are of a kind, including those inside parts of other kinds."""
+    leaves = jax.tree.leaves(tree, is_leaf=lambda node: isinstance(node, kind))
+    return [one for one in leaves if isinstance(one, kind)]

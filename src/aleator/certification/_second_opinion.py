@@ -7,8 +7,10 @@ that the error of the grid is none of the expansion's.
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from statistics import NormalDist
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -31,7 +33,7 @@ from aleator.statistics import (
     Supremum,
     Variance,
 )
-from aleator.transcription import AbstractTranscribed, Meaning
+from aleator.transcription import AbstractTranscribed
 from aleator.uncertainty import named_numbers
 
 # The two-sided probability of four standard deviations of a normal variable.
@@ -48,7 +50,9 @@ _OUTLIER, _MORE, _SHOWN = 10.0, 32, math.erfc(2 / math.sqrt(2))
 _FOLLOW_THE_SPREAD = (Quantile, CornishFisher, ConditionalValueAtRisk, Supremum, Infimum)
 
 
-class _Fresh(NamedTuple):
+@final
+@dataclass(frozen=True)
+class _Fresh:
     """A functional at the fresh points, simulated and predicted, with its mean and variance by the expansion.
 
     `weights`: those of the fresh points, with an axis for each of the values.
@@ -70,10 +74,10 @@ class _Fresh(NamedTuple):
     @property
     def has_outlier(self) -> bool:
         """Whether some system is missed by many standard deviations."""
-        missed = np.abs(self.values - self.predicted).reshape(len(self.values), -1)
-        return bool((missed > _OUTLIER * float(np.sqrt(np.max(self.variance)))).any())
+        return bool((np.abs(self.values - self.predicted) > _OUTLIER * np.sqrt(np.max(self.variance))).any())
 
-    def corrections(self) -> dict[type[AbstractStatistic], Float[np.ndarray, "... replicates"]]:
+    @cached_property
+    def off(self) -> dict[type[AbstractStatistic], Float[np.ndarray, "... replicates"]]:
         """The errors of mean, variance and standard deviation by the fresh systems, in all replicates."""
         shift = self.means(self.values - self.predicted)
         squares = self.means((self.values - self.mean) ** 2 - (self.predicted - self.mean) ** 2) - shift**2
@@ -86,6 +90,25 @@ class _Fresh(NamedTuple):
         every = weighted.sum(axis=0) / weight
         rest = (weighted.sum(axis=0) - weighted) / (weight - self.weights)
         return np.moveaxis(np.concatenate([0 * every[None], every[None], rest]), 0, -1)
+
+    def corrected(self, kind: AbstractStatistic, expanded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A statistic in all replicates, and its change by one standard deviation of the functional.
+
+        Quantiles and the like are shifted and scaled with mean and spread.
+        """
+        std, base = np.sqrt(self.variance), expanded[..., None]
+        if type(kind) in self.off:
+            return base + self.off[type(kind)], self.variance if isinstance(kind, Variance) else std
+        if isinstance(kind, _FOLLOW_THE_SPREAD):
+            safe = np.where(std > 0, std, 1.0)[..., None]
+            return base + self.off[Mean] + (base - self.mean[..., None]) / safe * self.off[Std], std
+        if isinstance(kind, Probability):
+            above = -np.inf if kind.above is None else float(kind.above)
+            below = np.inf if kind.below is None else float(kind.below)
+            seen, predicted = ((part > above) & (part < below) for part in (self.values, self.predicted))
+            spread = np.sqrt(np.clip(expanded * (1 - expanded), 0.0, None))
+            return base + self.means(seen.astype(float) - predicted.astype(float)), spread
+        return base + 0 * self.off[Mean], 0 * std
 
 
 @final
@@ -115,18 +138,38 @@ def second_opinion(
     """
     if not len(check.systems.points) or not functionals_of(transcribed.problem.expressions):
         return None
-    opinion = _opinion(transcribed, point, [check], _RARE)
-    has_outlier = any(one.has_outlier for one in _fresh(transcribed, point, [check]).values())
+    opinion, has_outlier = _opinion(transcribed, point, [check], _RARE)
     if opinion.broken or (opinion.agrees and not has_outlier):
         return opinion
     waiting = [begin_check(transcribed, point, check.factor, draw) for draw in range(1, _MORE)]
-    return _opinion(transcribed, point, [check, *(one() for one in waiting)], _SHOWN)
+    return _opinion(transcribed, point, [check, *(one() for one in waiting)], _SHOWN)[0]
 
 
-def _without_values(
+def _opinion(
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], checks: list[Check], chance: float
+) -> tuple[SecondOpinion, bool]:
+    """The opinion by the systems of some checks, and whether it rests on outliers.
+
+    `chance`: with which probability an expression that has not changed may seem to have.
+    """
+    if without_value := _without_value(transcribed, point, checks):
+        return SecondOpinion(len(checks[0].systems.points), {}, (without_value,), without_value), False
+    fresh, count = _fresh(transcribed, point, checks), sum(len(one.systems.points) for one in checks)
+    missed = [
+        f"the expansion predicts fresh simulations of {text} with an error of {one.miss:.2g} of their standard "
+        "deviation"
+        for text, one in fresh.items()
+        if not one.miss <= 2 * transcribed.problem.expansion.tolerance
+    ]
+    shifts, broken = _judged(transcribed, fresh, point, checks[0], chance) if fresh else ([], "")
+    misses = {text: one.miss for text, one in fresh.items()}
+    return SecondOpinion(count, misses, (*missed, *shifts), broken), any(one.has_outlier for one in fresh.values())
+
+
+def _without_value(
     transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], checks: list[Check]
-) -> SecondOpinion | None:
-    """The opinion if some fresh systems have no value, with the numbers of one; None if all have."""
+) -> str:
+    """A sentence on a functional without values in some fresh systems, with the numbers of one; empty if all have."""
     for check in checks:
         for functional, values in zip(functionals_of(transcribed.problem.expressions), check.fresh, strict=True):
             broken = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
@@ -135,28 +178,8 @@ def _without_values(
                 named = listed(inputs_at(transcribed.places, jax_array(germ), jax_array(decisions)))
                 share = float(check.systems.weights[broken].sum() / check.systems.weights.sum())
                 of_all = f"about {100 * share:.2g} % of all systems, such as that with {named}"
-                sentence = f"{functional.text()} is not finite in {of_all}"
-                return SecondOpinion(len(values), {}, (sentence,), sentence)
-    return None
-
-
-def _opinion(
-    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], checks: list[Check], chance: float
-) -> SecondOpinion:
-    """`chance`: with which probability an expression that has not changed may seem to have."""
-    if (without_values := _without_values(transcribed, point, checks)) is not None:
-        return without_values
-    fresh, count = _fresh(transcribed, point, checks), sum(len(one.systems.points) for one in checks)
-    if not fresh:
-        return SecondOpinion(count, {}, (), "")
-    missed = [
-        f"the expansion predicts fresh simulations of {text} with an error of {one.miss:.2g} of their standard "
-        "deviation"
-        for text, one in fresh.items()
-        if not one.miss <= 2 * transcribed.problem.expansion.tolerance
-    ]
-    shifts, broken = _judged(transcribed, fresh, point, checks[0], chance)
-    return SecondOpinion(count, {text: one.miss for text, one in fresh.items()}, (*missed, *shifts), broken)
+                return f"{functional.text()} is not finite in {of_all}"
+    return ""
 
 
 def _fresh(
@@ -165,48 +188,16 @@ def _fresh(
     """The expanded functionals that vary, by their texts; limits on the worst case rely on no expansion."""
     expressions, first = transcribed.problem.expressions, checks[0]
     expanded, constant = expanded_functionals(expressions), certain(transcribed, point, first)
-    fresh = {}
+    all_weights, fresh = np.concatenate([check.systems.weights for check in checks]), {}
     for i, one in enumerate(functionals_of(expressions)):
         if one not in expanded or one in constant:
             continue
         own = np.s_[:: first.factor] if one.is_path else ...
-        values, predicted = (
-            np.concatenate([part[i] for part in parts])[:, own]
-            for parts in ([check.fresh for check in checks], [check.predicted for check in checks])
-        )
-        weights = np.concatenate([check.systems.weights for check in checks]).reshape(-1, *[1] * (values.ndim - 1))
-        mean, std = (part[i][own] for part in (first.means, first.stds))
-        fresh[one.text()] = _Fresh(values, predicted, weights, mean, std**2)
+        values = np.concatenate([check.fresh[i] for check in checks])[:, own]
+        predicted = np.concatenate([check.predicted[i] for check in checks])[:, own]
+        weights = all_weights.reshape(-1, *[1] * (values.ndim - 1))
+        fresh[one.text()] = _Fresh(values, predicted, weights, first.means[i][own], first.stds[i][own] ** 2)
     return fresh
-
-
-def _corrected(
-    kind: AbstractStatistic,
-    expanded: np.ndarray,
-    one: _Fresh,
-    off: Mapping[type[AbstractStatistic], Float[np.ndarray, "... replicates"]],
-) -> tuple[np.ndarray, np.ndarray]:
-    """A statistic in all replicates, and its change by one standard deviation of its functional.
-
-    - `off`: the corrections of the functional. Quantiles and the like are shifted and scaled with mean and spread;
-      joint statistics are not corrected.
-    """
-    std, base = np.sqrt(one.variance), np.asarray(expanded)[..., None]
-    if type(kind) in off:
-        return base + off[type(kind)], one.variance if isinstance(kind, Variance) else std
-    if isinstance(kind, _FOLLOW_THE_SPREAD):
-        safe = np.where(std > 0, std, 1.0)[..., None]
-        return base + off[Mean] + (base - one.mean[..., None]) / safe * off[Std], std
-    if isinstance(kind, Probability):
-        inside = [_inside(kind, part) for part in (one.values, one.predicted)]
-        return base + one.means(inside[0] - inside[1]), np.sqrt(np.clip(base[..., 0] * (1 - base[..., 0]), 0.0, None))
-    return base + 0 * off[Mean], 0 * std
-
-
-def _inside(kind: Probability, values: np.ndarray) -> np.ndarray:
-    above = -np.inf if kind.above is None else float(kind.above)
-    below = np.inf if kind.below is None else float(kind.below)
-    return ((values > above) & (values < below)).astype(float)
 
 
 def _judged(
@@ -216,25 +207,25 @@ def _judged(
     check: Check,
     chance: float,
 ) -> tuple[list[str], str]:
-    """The expressions that change beyond chance, a sentence each, and what the correction breaks, if anything."""
+    """The expressions that change beyond chance, a sentence each, and what the correction breaks, if anything: a limit,
+    by a twentieth of a spread, or the whole gain.
+    """
     problem, meaning = transcribed.problem, transcribed.at(point)
     known, spreads = {}, {}
-    corrections = {text: one.corrections() for text, one in fresh.items()}
-    replicates = next(one[Mean].shape[-1] for one in corrections.values())
-    # Statistics that occur in several expressions are equal in all.
+    replicates = next(one.off[Mean].shape[-1] for one in fresh.values())
+    # Statistics that occur in several expressions are equal in all; joint ones are not corrected.
     for atom, statistic in zip(statistics_in(problem.expressions), check.statistics, strict=True):
         text, one = atom.text(), atom.functionals[0].text()
-        base = statistic[:: check.factor] if atom.functionals[0].is_path else statistic
+        base = np.asarray(statistic)[:: check.factor] if atom.functionals[0].is_path else np.asarray(statistic)
         if len(atom.functionals) == 1 and one in fresh:
-            known[text], spreads[text] = _corrected(atom.kind, base, fresh[one], corrections[one])
+            known[text], spreads[text] = fresh[one].corrected(atom.kind, base)
         else:
-            known[text], spreads[text] = np.repeat(np.asarray(base)[..., None], replicates, axis=-1), 0 * base
+            known[text], spreads[text] = np.repeat(base[..., None], replicates, axis=-1), 0 * base
     for i, (text, values) in enumerate(known.items()):
         moved = np.repeat(values[..., :1], len(spreads), axis=-1)
         moved[..., i] += spreads[text]
         known[text] = np.concatenate([values, moved], axis=-1)
-    times = meaning.times
-    step = float(times[1] - times[0]) if len(times) > 1 else 1.0
+    step = float(meaning.times[1] - meaning.times[0]) if len(meaning.times) > 1 else 1.0
     scope = _Replicated(known, lambda: named_numbers(problem.simulation, jax_array(meaning.decisions)), step)
     sentences, broken = [], ""
     for which, expression in enumerate(problem.expressions):
@@ -243,22 +234,30 @@ def _judged(
         shift = _shift(np.asarray(expression.evaluate(scope)), replicates, chance)
         if shift is None:
             continue
-        sentences.append(f"{expression} differs by {shift.by:+.3g} ± {shift.error:.2g} in fresh simulations")
-        broken = broken or _break(transcribed, which, shift, meaning)
+        by, error, scale, where = shift
+        sentences.append(f"{expression} differs by {by:+.3g} ± {error:.2g} in fresh simulations")
+        if broken:
+            continue
+        if which == 0:
+            gained = abs(transcribed.at(transcribed.program.start).objective - meaning.objective)
+            if abs(by) > max(gained, _BREAKS * scale):
+                broken = f"the objective differs by {by:+.3g} ± {error:.2g}, more than was gained ({gained:.3g})"
+            continue
+        limit = problem.constraints[which - 1]
+        value = float(meaning.constraints[which - 1][where]) + by
+        beyond = max(value - float(limit.upper), float(limit.lower) - value)
+        if beyond > _BREAKS * scale:
+            corrected = f"{by:+.3g} ± {error:.2g}"
+            broken = f"'{limit.name}' is broken by {beyond:.3g} once the expansion is corrected by {corrected}"
     return sentences, broken
 
 
-class _Shift(NamedTuple):
-    """The largest error of an expression, in the entry `where`, and its change by one standard deviation."""
-
-    by: float
-    error: float
-    scale: float
-    where: int
-
-
-def _shift(values: Float[np.ndarray, "... moved"], replicates: int, chance: float) -> _Shift | None:
-    """The change of an expression by fresh simulations, if beyond chance and not negligible; else None."""
+def _shift(
+    values: Float[np.ndarray, "... moved"], replicates: int, chance: float
+) -> tuple[float, float, float, int] | None:
+    """The largest change of an expression by fresh simulations, its standard error, the change by one standard
+    deviation, and the entry; None if by chance or negligible.
+    """
     rows = values.reshape(-1, values.shape[-1])
     rest = rows[:, 2:replicates]
     by, count = rows[:, 1] - rows[:, 0], replicates - 2
@@ -268,7 +267,7 @@ def _shift(values: Float[np.ndarray, "... moved"], replicates: int, chance: floa
     floor = max(_NONE * scale, _ROUNDING * float(np.max(np.abs(rows))))
     ratio = np.abs(by) / np.maximum(np.maximum(reach * error, floor), np.finfo(float).tiny)
     i = int(np.argmax(ratio))
-    return _Shift(float(by[i]), float(error[i]), scale, i) if not ratio[i] <= 1 else None
+    return (float(by[i]), float(error[i]), scale, i) if not ratio[i] <= 1 else None
 
 
 def _quantile(freedom: int, chance: float) -> float:
@@ -285,20 +284,3 @@ def _quantile(freedom: int, chance: float) -> float:
         (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
     )
     return z + sum(term / freedom**power for power, term in enumerate(terms, 1))
-
-
-def _break(transcribed: AbstractTranscribed, which: int, shift: _Shift, meaning: Meaning) -> str:
-    """What a shift breaks: a limit, by a twentieth of a spread, or the whole gain; empty if nothing."""
-    problem, margin = transcribed.problem, _BREAKS * shift.scale
-    if which == 0:
-        gained = abs(transcribed.at(transcribed.program.start).objective - meaning.objective)
-        if abs(shift.by) <= max(gained, margin):
-            return ""
-        return f"the objective differs by {shift.by:+.3g} ± {shift.error:.2g}, more than was gained ({gained:.3g})"
-    limit = problem.constraints[which - 1]
-    value = float(meaning.constraints[which - 1][shift.where]) + shift.by
-    beyond = max(value - float(limit.upper), float(limit.lower) - value)
-    if beyond <= margin:
-        return ""
-    corrected = f"{shift.by:+.3g} ± {shift.error:.2g}"
-    return f"'{limit.name}' is broken by {beyond:.3g} once the expansion is corrected by {corrected}"

@@ -2,7 +2,6 @@
 simulation failed.
 """
 
-from collections.abc import Mapping
 from typing import Any
 
 import jax.numpy as jnp
@@ -13,10 +12,11 @@ from aleator import _core
 from aleator.certification._check import Check, certain
 from aleator.design import Problem, expanded_functionals, first_broken, grid_at, statistics_in, unsolved
 from aleator.dynamics import Grid
-from aleator.ensemble import inputs_at, listed
+from aleator.ensemble import inputs_at
 from aleator.expansion import ILL_CONDITIONED, unseen
 from aleator.nlp import Outcome, Status, missed_slope
 from aleator.solution import (
+    MOST_NUMBERS,
     Between,
     Certificate,
     ConstraintResult,
@@ -28,18 +28,16 @@ from aleator.solution import (
     Solution,
     Times,
     WorstCase,
+    system_text,
 )
 from aleator.statistics import Covariance, Mean, Std, Variance
-from aleator.transcription import AbstractTranscribed, Meaning, Resolved, as_read
+from aleator.transcription import AbstractTranscribed, Meaning, as_read
 from aleator.uncertainty import correlations_at
 
-_UNFINISHED = (Status.INFEASIBLE, Status.ITERATION_LIMIT, Status.EVALUATION_FAILED, Status.FAILED)
 # The relative error of an expansion that is tolerated for moments.
 _TRUSTED = {Mean: 1 / 3, Std: 1 / 3, Variance: 1 / 3, Covariance: 1 / 3}
 # Differences that no data would show.
 _TOLERATED = 0.01
-# Most numbers in a message.
-_MOST_NUMBERS = 5
 
 
 def solution_of(
@@ -50,24 +48,19 @@ def solution_of(
     worst_case: WorstCase | None,
     misled: str,
     check: Check | None,
-    compiled: float,
 ) -> Solution:
-    """The solution of a problem for an outcome of its program.
+    """The solution of a problem for an outcome of its program, but for the time of compilations.
 
-    `between`, `error`, `worst_case`, `misled`: parts of its `Certificate`; `check`: at its point, if it is solved;
-    `compiled`: time of its compilations, s.
+    `between`, `error`, `worst_case`, `misled`: parts of its `Certificate`; `check`: at its point, if it is solved.
     """
     problem, places = transcribed.problem, transcribed.places
     meaning, resolved = transcribed.at(outcome.point), transcribed.resolve(outcome.point)
     names, decided = places.entry_names(), transcribed.decided
     entries = dict(zip(decided.tolist(), names, strict=True))
+    costates, switching = None, None
     # Multipliers of a search that was not finished say nothing of what a push would change.
-    is_unfinished = outcome.status in _UNFINISHED
-    duals = (None, None) if is_unfinished else transcribed.costates_at(outcome.point, outcome.multipliers)
-    costates, switching = duals
-    # Limits on the worst case use the model itself.
-    texts = {one.text() for one in expanded_functionals(problem.expressions)}
-    expanded = {text: one for text, one in resolved.items() if text in texts}
+    if outcome.status in (Status.SOLVED, Status.INTERRUPTED):
+        costates, switching = transcribed.costates_at(outcome.point, outcome.multipliers)
     return Solution(
         problem=problem,
         status=outcome.status,
@@ -75,7 +68,7 @@ def solution_of(
         decisions=_plain(places.named(meaning.decisions)),
         vector=meaning.decisions,
         objective=meaning.objective,
-        constraints=_constraint_results(transcribed, outcome, meaning),
+        constraints=tuple(_constraint_results(transcribed, outcome, meaning)),
         moments={text: Moments(np.asarray(one.mean), np.asarray(one.std)) for text, one in resolved.items()},
         statistics=transcribed.statistics(outcome.point),
         at_bounds=tuple(np.array(names)[outcome.active_bounds[decided]].tolist()),
@@ -86,7 +79,7 @@ def solution_of(
             violation=outcome.violation,
             stationarity=outcome.stationarity,
             complementarity=outcome.complementarity,
-            expansion=quality_of(transcribed, expanded, outcome.point, check),
+            expansion=quality_of(transcribed, outcome.point, check),
             between=between,
             grid_error=error,
             worst_case=worst_case,
@@ -97,7 +90,7 @@ def solution_of(
             solver=outcome.solver,
             iterations=outcome.iterations,
             evaluations=outcome.evaluations,
-            times=Times(_core.import_seconds, compiled, outcome.seconds),
+            times=Times(_core.import_seconds, 0.0, outcome.seconds),
             searched=outcome.searched,
             visited=outcome.visited,
         ),
@@ -112,47 +105,29 @@ def _plain(named: dict[str, Any]) -> dict[str, Any]:
     return {name: float(value) if np.ndim(value) == 0 else value for name, value in named.items()}
 
 
-def _constraint_results(
-    transcribed: AbstractTranscribed, outcome: Outcome, meaning: Meaning
-) -> tuple[ConstraintResult, ...]:
+def _constraint_results(transcribed: AbstractTranscribed, outcome: Outcome, meaning: Meaning) -> list[ConstraintResult]:
+    each = transcribed.problem.constraints, transcribed.texts.constraints, transcribed.rows, meaning.constraints
     results = []
-    each = transcribed.texts.constraints, transcribed.rows, meaning.constraints
-    for constraint, text, rows, own in zip(transcribed.problem.constraints, *each, strict=True):
-        instants = meaning.times if constraint.is_path else None
-        parts = own, outcome.multipliers[rows], outcome.active[rows]
-        values, multipliers, active = (
-            _shaped(part, instants) for part in as_read(constraint, transcribed.scenarios, *parts)
-        )
-        results.append(
-            ConstraintResult(
-                name=constraint.name,
-                text=text,
-                lower=float(constraint.lower),
-                upper=float(constraint.upper),
-                values=values,
-                times=instants,
-                multipliers=multipliers,
-                active=active,
-                scale=float(outcome.sizes[rows].max()),
-            )
-        )
-    return tuple(results)
-
-
-def _shaped(rows: np.ndarray, times: np.ndarray | None) -> np.ndarray:
-    """A constraint's rows by instant, if it has several at each."""
-    return rows if times is None or len(rows) == len(times) else rows.reshape(len(times), -1)
+    for one, text, rows, own in zip(*each, strict=True):
+        times = meaning.times if one.is_path else None
+        parts = as_read(one, transcribed.scenarios, own, outcome.multipliers[rows], outcome.active[rows])
+        if times is not None:  # rows by instant, if there are several at each
+            parts = (part if len(part) == len(times) else part.reshape(len(times), -1) for part in parts)
+        values, multipliers, active = parts
+        bounds, size = (float(one.lower), float(one.upper)), float(outcome.sizes[rows].max())
+        results.append(ConstraintResult(one.name, text, *bounds, values, times, multipliers, active, size))
+    return results
 
 
 def quality_of(
-    transcribed: AbstractTranscribed,
-    resolved: Mapping[str, Resolved],
-    point: Float[np.ndarray, " variables"],
-    check: Check | None,
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check | None
 ) -> ExpansionQuality:
-    """The quality of the expansions at a point, from `resolved` there. Errors of what is constant count as zero."""
-    basis, collocation = transcribed.basis, transcribed.collocation
-    tolerance, meaning = transcribed.problem.expansion.tolerance, transcribed.at(point)
+    """The quality of the expansions at a point. Errors of what is constant count as zero."""
+    problem, basis, collocation = transcribed.problem, transcribed.basis, transcribed.collocation
+    tolerance, times = problem.expansion.tolerance, transcribed.at(point).times
+    # Limits on the worst case use the model itself.
+    expanded = {one.text() for one in expanded_functionals(problem.expressions)}
+    resolved = {text: one for text, one in transcribed.resolve(point).items() if text in expanded}
     constant = [] if check is None else [one.text() for one in certain(transcribed, point, check)]
     varying = {text: one for text, one in resolved.items() if text not in constant}
     return ExpansionQuality(
@@ -162,7 +137,7 @@ def quality_of(
         condition_number=float(collocation.condition_number),
         leave_one_out={text: float(one.leave_one_out) if text in varying else 0.0 for text, one in resolved.items()},
         unresolved_from={
-            text: float(meaning.times[int(np.argmax(late))])
+            text: float(times[int(np.argmax(late))])
             for text, one in varying.items()
             if one.history is not None and (late := ~(np.asarray(one.history) <= tolerance)).any()
         },
@@ -264,37 +239,28 @@ def moved_correlations(problem: Problem, decisions: Float[np.ndarray, " n"]) -> 
 
 def diagnose(transcribed: AbstractTranscribed, decisions: Float[np.ndarray, " n"]) -> str:
     """A message on the first point, output and instant whose value is not finite: the reason, then a few numbers."""
-    outputs = {name: np.asarray(values) for name, values in transcribed.outputs(decisions).items()}
-    times = grid_at(transcribed.problem, jnp.asarray(decisions)).times
-    broken = first_broken(outputs)
-    numbers = dict(zip(transcribed.places.entry_names(), decisions.tolist(), strict=True))
+    broken = first_broken({name: np.asarray(values) for name, values in transcribed.outputs(decisions).items()})
+    numbers, x = dict(zip(transcribed.places.entry_names(), decisions.tolist(), strict=True)), jnp.asarray(decisions)
     if broken is None:
         return (
             "Where the solver stopped, every simulation is finite, but the objective, a constraint or its derivative "
             "is not: look for a root or logarithm of zero, or a division by zero, in outputs or cost curves. The "
-            f"decisions are {_few(numbers, _MOST_NUMBERS)}."
+            f"decisions are {system_text(numbers)}."
         )
     name, point, instant = broken
-    uncertain = inputs_at(transcribed.places, transcribed.points[point], jnp.asarray(decisions))
-    # The realisation's numbers take precedence: one of many failed, while all have the same decisions.
-    realised = min(len(uncertain), _MOST_NUMBERS - min(len(numbers), 2))
-    count = len(transcribed.collocation.points)
-    place = f"collocation point {point + 1} of {count}" if point < count else "a scenario of the worst case"
-    who = f"{place} ({_few(uncertain, realised)})" if uncertain else ""
-    where = f"The decisions are {_few(numbers, _MOST_NUMBERS - realised)}."
     germ = jnp.asarray(transcribed.points[point])
-    if reason := unsolved(transcribed.problem, germ, jnp.asarray(decisions)):
+    uncertain, count = inputs_at(transcribed.places, germ, x), len(transcribed.collocation.points)
+    # The realisation's numbers take precedence: one of many failed, while all have the same decisions.
+    realised = min(len(uncertain), MOST_NUMBERS - min(len(numbers), 2))
+    place = f"collocation point {point + 1} of {count}" if point < count else "a scenario of the worst case"
+    who = f"{place} ({system_text(uncertain, realised)})" if uncertain else ""
+    where = f"The decisions are {system_text(numbers, MOST_NUMBERS - realised)}."
+    if reason := unsolved(transcribed.problem, germ, x):
         return f"{reason.rstrip('.')}.{who and f' This is {who}.'} {where}"
     what = f"The simulation{who and ' of ' + who} is not finite: output '{name}'"
     if not isinstance(transcribed.problem.grid, Grid):
         return f"{what}. Look for a root or logarithm of zero, or a division by zero. {where}"
-    remedy = (
-        "Shorten the time step, tighten the decisions' bounds or use an implicit integrator (al.integrators.Kvaerno5)."
+    return (
+        f"{what} from t = {grid_at(transcribed.problem, x).times[instant]:.4g} s on. Shorten the time step, tighten "
+        f"the decisions' bounds or use an implicit integrator (al.integrators.Kvaerno5). {where}"
     )
-    return f"{what} from t = {times[instant]:.4g} s on. {remedy} {where}"
-
-
-def _few(numbers: dict[str, float], most: int) -> str:
-    """The first of some numbers, and how many more there are."""
-    shown = listed(dict(list(numbers.items())[:most]))
-    return f"{shown} and {len(numbers) - most} more" if len(numbers) > most else shown

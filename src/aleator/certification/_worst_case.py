@@ -32,9 +32,6 @@ from aleator.uncertainty import named_numbers
 Points: TypeAlias = Float[np.ndarray, "points variables"]
 """Points of the box, scaled to between 0 and 1 in each variable."""
 
-ExcessAt: TypeAlias = Callable[[Points], Float[np.ndarray, "points limits"]]
-"""The model's excess over each limit at some points; NaN where it has no value."""
-
 # Points spread over the box in each search, and the most corners that are tried.
 _SPREAD, _MOST_CORNERS = 128, 128
 # From how many points the search continues for each limit, and their least distance.
@@ -50,52 +47,38 @@ _IDLE = 1e-3
 _RANKED_INSTANTS, _RANKED = 200, 16
 
 
-class WorstPoints(NamedTuple):
-    """The worst points of each limit, the worst first, and their excess over it: one array per limit."""
-
-    points: tuple[Points, ...]
-    beyond: tuple[Float[np.ndarray, " points"], ...]
-
-
-def candidates(variables: int, seed: int, rank: Callable[[Points], np.ndarray]) -> Points:
-    """Initial points of the search: the middle, corners, ends of each variable, and some points inside.
-
-    - `rank`: gives the indices of the worst of many points by a cheap model, the expansion.
-    """
-    generator = np.random.default_rng(seed)
-    middle = np.full((1, variables), 0.5)
-    ends = np.repeat(middle, 2 * variables, axis=0)
-    ends[np.arange(2 * variables), np.repeat(np.arange(variables), 2)] = np.tile([0.0, 1.0], variables)
-    if 2**variables <= _MOST_CORNERS:
-        corners = np.indices((2,) * variables).reshape(variables, -1).T.astype(float)
-    else:
-        corners = generator.integers(0, 2, (_MOST_CORNERS, variables)).astype(float)
-    inside = scipy.stats.qmc.Sobol(variables, rng=generator).random(16 * _SPREAD)
-    many = np.concatenate([inside, np.round(inside), np.round(generator.random(inside.shape))])
-    return np.concatenate([middle, ends, corners, inside[:_SPREAD], many[rank(many)]])
-
-
-def search(excess_at: ExcessAt, tried: Points, beyond: Float[np.ndarray, "points limits"], seed: int) -> WorstPoints:
-    """Search from the worst of the points tried to a local worst point near each, for every limit.
+def search(
+    excess_at: Callable[[Points], np.ndarray], tried: Points, beyond: Float[np.ndarray, "points limits"], seed: int
+) -> list[tuple[Points, Float[np.ndarray, " points"]]]:
+    """Search from the worst of the points tried to a local worst point near each: for every limit, the worst first, and
+    their excess over it.
 
     It tries points along the axes and in random directions, with steps that shrink if nothing worse is found. It needs
     no derivatives, tolerates kinks, and stops at faces and corners of the box.
+
+    `excess_at`: gives the model's excess over each limit, shape (points, limits), NaN where it has no value.
     """
     generator = np.random.default_rng(seed)
     starts = [_apart(tried, column) for column in np.nan_to_num(beyond, nan=np.inf).T]
-    limit = np.repeat(np.arange(len(starts)), [len(one) for one in starts])
-    which = np.concatenate(starts)
+    limit, which = np.repeat(np.arange(len(starts)), list(map(len, starts))), np.concatenate(starts)
     at, best = tried[which], np.nan_to_num(beyond[which, limit], nan=np.inf)
     step = np.full(len(at), _FIRST_STEP)
+
+    def values_at(places: np.ndarray, going: np.ndarray) -> np.ndarray:
+        """The excess of each start's points over its own limit; infinite where there is no value."""
+        excess = excess_at(places.reshape(-1, places.shape[-1])).reshape(*places.shape[:2], -1)
+        return np.nan_to_num(np.take_along_axis(excess, limit[going, None, None], axis=2)[..., 0], nan=np.inf)
+
     for _ in range(_MOST_SWEEPS):
         going = np.flatnonzero((step > _LAST_STEP) & np.isfinite(best))
         if not going.size:
             break
-        places = _beside(at[going], step[going], generator)
-        values = _values(excess_at, places, limit[going])
-        leap = _leaps(at[going], step[going], best[going], places, values)
-        places = np.concatenate([places, leap[:, None]], axis=1)
-        values = np.concatenate([values, _values(excess_at, leap[:, None], limit[going])], axis=1)
+        axes = generator.permutation(at.shape[1])[:_MOST_AXES]
+        places = _beside(at[going], step[going], axes, generator)
+        values = values_at(places, going)
+        leap = _leaps(at[going], step[going], best[going], axes, places, values)[:, None]
+        places = np.concatenate([places, leap], axis=1)
+        values = np.concatenate([values, values_at(leap, going)], axis=1)
         k = np.argmax(values, axis=1)
         reached, where = values[np.arange(len(going)), k], places[np.arange(len(going)), k]
         better = reached > best[going]
@@ -105,7 +88,7 @@ def search(excess_at: ExcessAt, tried: Points, beyond: Float[np.ndarray, "points
         at[going] = np.where(better[:, None], where, at[going])
         best[going] = np.maximum(best[going], reached)
     order = [np.flatnonzero(limit == i)[np.argsort(-best[limit == i])] for i in range(len(starts))]
-    return WorstPoints(tuple(at[one] for one in order), tuple(best[one] for one in order))
+    return [(at[one], best[one]) for one in order]
 
 
 def _apart(points: Points, beyond: Float[np.ndarray, " points"]) -> np.ndarray:
@@ -119,46 +102,33 @@ def _apart(points: Points, beyond: Float[np.ndarray, " points"]) -> np.ndarray:
     return np.array(chosen)
 
 
-def _beside(at: Points, step: Float[np.ndarray, " starts"], generator: np.random.Generator) -> np.ndarray:
-    """Points near each: one step up and down along (some of) the axes, and some in other directions."""
+def _beside(at: Points, step: np.ndarray, axes: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """Points near each: one step up and one down along some axes, one after the other, and some in other directions."""
     starts, variables = at.shape
-    axes = generator.permutation(variables)[:_MOST_AXES]
-    moves = np.zeros((starts, 2 * len(axes) + _BESIDE, variables))
-    for i, axis in enumerate(axes):
-        moves[:, 2 * i, axis], moves[:, 2 * i + 1, axis] = 1.0, -1.0
+    along = np.kron(np.eye(variables)[axes], [[1.0], [-1.0]])
     if variables > 1:
-        moves[:, 2 * len(axes) :] = generator.normal(size=(starts, _BESIDE, variables)) / np.sqrt(variables)
+        others = generator.normal(size=(starts, _BESIDE, variables)) / np.sqrt(variables)
     else:
-        moves[:, 2:, 0] = np.linspace(-0.75, 0.75, _BESIDE)
+        others = np.repeat(np.linspace(-0.75, 0.75, _BESIDE)[None, :, None], starts, axis=0)
+    moves = np.concatenate([np.repeat(along[None], starts, axis=0), others], axis=1)
     return np.clip(at[:, None] + step[:, None, None] * moves, 0.0, 1.0)
 
 
-def _values(excess_at: ExcessAt, places: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """The excess of each start's points over its own limit; infinite where there is no value."""
-    excess = excess_at(places.reshape(-1, places.shape[-1])).reshape(*places.shape[:2], -1)
-    own = np.take_along_axis(excess, limit[:, None, None], axis=2)[..., 0]
-    return np.nan_to_num(own, nan=np.inf)
-
-
 def _leaps(
-    at: Points, step: np.ndarray, best: np.ndarray, places: np.ndarray, values: np.ndarray
+    at: Points, step: np.ndarray, best: np.ndarray, axes: np.ndarray, places: np.ndarray, values: np.ndarray
 ) -> Float[np.ndarray, "starts variables"]:
     """Leaps to the vertices of the parabolas along all axes at once; a full step uphill along straight ones."""
-    leap = at.copy()
-    for start in range(len(at)):
-        for i in range(0, places.shape[1] - _BESIDE, 2):
-            up, down = places[start, i], places[start, i + 1]
-            axis = int(np.argmax(np.abs(up - at[start]) + np.abs(down - at[start])))
-            a, b = up[axis] - at[start, axis], at[start, axis] - down[axis]
-            rise, fall = values[start, i] - best[start], values[start, i + 1] - best[start]
-            if not (np.isfinite(rise) and np.isfinite(fall)):
-                continue
-            if a > 0 and b > 0 and (rise / a + fall / b) < 0:
-                bend, slope = (rise / a + fall / b) / (a + b), (rise * b / a - fall * a / b) / (a + b)
-                leap[start, axis] += np.clip(-slope / (2 * bend), -2 * step[start], 2 * step[start])
-            elif max(rise, fall) > 0:
-                leap[start, axis] = up[axis] if rise >= fall else down[axis]
-    return np.clip(leap, 0.0, 1.0)
+    up, down = (np.arange(first, 2 * len(axes), 2) for first in (0, 1))
+    a, b = places[:, up, axes] - at[:, axes], at[:, axes] - places[:, down, axes]
+    rise, fall = values[:, up] - best[:, None], values[:, down] - best[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bend, slope = (rise / a + fall / b) / (a + b), (rise * b / a - fall * a / b) / (a + b)
+        vertex = np.clip(-slope / (2 * bend), -2 * step[:, None], 2 * step[:, None])
+    uphill = np.where(np.maximum(rise, fall) > 0, np.where(rise >= fall, a, -b), 0.0)
+    leap = np.where((a > 0) & (b > 0) & (bend < 0), vertex, uphill)
+    there = at.copy()
+    there[:, axes] += np.where(np.isfinite(rise) & np.isfinite(fall), leap, 0.0)
+    return np.clip(there, 0.0, 1.0)
 
 
 def worst_case_limits(problem: Problem) -> tuple[Constraint, ...]:
@@ -246,36 +216,33 @@ def scenarios_at_start(
 
 
 def _candidates(transcribed: AbstractTranscribed, oracle: Oracle, point: np.ndarray, seed: int) -> Points:
-    """The initial points of the search: see `candidates`; the collocation points; the present scenarios."""
+    """Initial points of the search: present scenarios, collocation points, the middle, ends of each variable, corners,
+    some points inside, and those of many more that the expansions call the worst.
+    """
     assert transcribed.scenarios is not None
-    germ = np.concatenate([transcribed.scenarios.held, np.asarray(transcribed.collocation.points)])
-    expanded = _expansions(transcribed, point)
-
-    def rank(points: Points) -> np.ndarray:
-        matrix = transcribed.basis.matrix(oracle.germ(points))
-        worst = [np.argsort(-_largest(np.tensordot(matrix, terms, axes=1)))[:_RANKED] for terms in expanded]
-        return np.unique(np.concatenate(worst))
-
-    return np.concatenate([oracle.unit(germ), candidates(germ.shape[1], seed, rank)])
-
-
-def _largest(values: Float[np.ndarray, "points ..."]) -> Float[np.ndarray, " points"]:
-    return np.nan_to_num(values.reshape(len(values), -1), nan=-np.inf).max(axis=1)
-
-
-def _expansions(transcribed: AbstractTranscribed, point: np.ndarray) -> list[Float[np.ndarray, "terms ..."]]:
-    """The coefficients of how far each limit on the worst case is exceeded, at some of its instants."""
-    functionals = functionals_of(transcribed.problem.expressions)
-    samples = transcribed.at(point).samples
-    expansions = []
+    present = oracle.unit(np.concatenate([transcribed.scenarios.held, np.asarray(transcribed.collocation.points)]))
+    variables, generator = present.shape[1], np.random.default_rng(seed)
+    middle = np.full((1, variables), 0.5)
+    ends = middle + np.kron(np.eye(variables), [[-0.5], [0.5]])
+    if 2**variables <= _MOST_CORNERS:
+        corners = np.indices((2,) * variables).reshape(variables, -1).T.astype(float)
+    else:
+        corners = generator.integers(0, 2, (_MOST_CORNERS, variables)).astype(float)
+    inside = scipy.stats.qmc.Sobol(variables, rng=generator).random(16 * _SPREAD)
+    many = np.concatenate([inside, np.round(inside), np.round(generator.random(inside.shape))])
+    matrix, ranked = transcribed.basis.matrix(oracle.germ(many)), []
+    functionals, samples = functionals_of(transcribed.problem.expressions), transcribed.at(point).samples
     for limit in worst_case_limits(transcribed.problem):
         (functional,) = functionals_of((limit.expression,))
         values = samples[functionals.index(functional)]
         if limit.is_path:
             values = values[:, :: max(1, values.shape[1] // _RANKED_INSTANTS)]
         side = 1.0 if np.isfinite(float(limit.upper)) else -1.0
-        expansions.append(side * np.asarray(transcribed.collocation.coefficients(jnp.asarray(values))))
-    return expansions
+        terms = side * np.asarray(transcribed.collocation.coefficients(jnp.asarray(values)))
+        largest = np.tensordot(matrix, terms, axes=1).reshape(len(many), -1).max(axis=1)
+        ranked.append(np.argsort(-np.nan_to_num(largest, nan=-np.inf))[:_RANKED])
+    worst = np.unique(np.concatenate(ranked))
+    return np.concatenate([present, middle, ends, corners, inside[:_SPREAD], many[worst]])
 
 
 def broken_at(
@@ -286,15 +253,17 @@ def broken_at(
     decisions = transcribed.decisions(outcome.point)
     points = _candidates(transcribed, oracle, outcome.point, seed)
     beyond = oracle(oracle.germ(points), decisions).beyond
-    worst_points = search(lambda places: oracle(oracle.germ(places), decisions).beyond, points, beyond, seed)
+    searched = search(lambda places: oracle(oracle.germ(places), decisions).beyond, points, beyond, seed)
+    # The magnitudes of the limits, to which their violations are relative.
+    pairs = zip(transcribed.problem.constraints, transcribed.rows, strict=True)
+    sizes = np.array([outcome.sizes[rows].max() for one, rows in pairs if is_worst_case(one)])
     # Present scenarios may exceed a limit between instants too: margins have to enforce it there.
-    at_hand = beyond[: len(transcribed.scenarios.held)].max(axis=0)
-    allowed = np.maximum(at_hand, 0.0) + HELD / 2 * _sizes(transcribed, outcome)
+    allowed = np.maximum(beyond[: len(transcribed.scenarios.held)].max(axis=0), 0.0) + HELD / 2 * sizes
     new = [
         some[(excess > allowance) & (excess >= _WORTH * excess[0])][:_NEW]
-        for some, excess, allowance in zip(*worst_points, allowed, strict=True)
+        for (some, excess), allowance in zip(searched, allowed, strict=True)
     ]
-    worst = np.stack([some[0] for some in worst_points.points])
+    worst = np.stack([some[0] for some, _ in searched])
     return oracle.germ(np.unique(np.concatenate(new), axis=0)), oracle.germ(worst)
 
 
@@ -326,12 +295,6 @@ def worst_case_of(
             )
         )
     return WorstCase(tuple(realisations), transcribed.scenarios.found, rounds, oracle.simulated, is_found)
-
-
-def _sizes(transcribed: AbstractTranscribed, outcome: Outcome) -> Float[np.ndarray, " limits"]:
-    """The magnitudes of the limits on the worst case, to which their violations are relative."""
-    pairs = zip(transcribed.problem.constraints, transcribed.rows, strict=True)
-    return np.array([outcome.sizes[rows].max() for one, rows in pairs if is_worst_case(one)])
 
 
 def idle_scenarios(transcribed: AbstractTranscribed, point: np.ndarray) -> Bool[np.ndarray, " slots"]:

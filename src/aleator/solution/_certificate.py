@@ -1,7 +1,8 @@
 """How far an answer can be trusted: expansions, limits between instants, worst cases, fresh simulations; all in one."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import starmap
 from typing import NamedTuple, final
 
 import numpy as np
@@ -106,13 +107,11 @@ class ExpansionQuality(Printed):
         worst = self.worst_tangent
         if worst is None:
             return ""
-        said = f"by distribution parameters: worst {worst}"
-        if worst.error <= self.tolerance:
-            return said
-        return (
-            f"{said}: not resolved, so shadow prices and stationarity are those of the expansion; raise the order "
-            "for the model's"
+        unresolved = (
+            ": not resolved, so shadow prices and stationarity are those of the expansion; raise the order for the "
+            "model's"
         )
+        return f"by distribution parameters: worst {worst}{'' if worst.error <= self.tolerance else unresolved}"
 
     def __str__(self) -> str:
         if self.points == 1:
@@ -126,7 +125,8 @@ class ExpansionQuality(Printed):
 TOLERATED = 1e-3
 """Largest relative excess of a limit between instants with which a design still counts as a solution."""
 
-_COSTLY = 0.05
+COSTLY = 0.05
+"""The largest cost of margins that is accepted without a warning."""
 
 
 @final
@@ -158,12 +158,7 @@ class Between(Printed):
     @property
     def is_costly(self) -> bool:
         """Whether bounds were tightened at instants so much that a finer grid may have a considerably better design."""
-        return self.cost_ratio > 1
-
-    @property
-    def cost_ratio(self) -> float:
-        """The cost over the largest that is accepted without a warning."""
-        return self.cost / _COSTLY
+        return self.cost > COSTLY
 
     def __str__(self) -> str:
         if self.holds:
@@ -197,14 +192,9 @@ class WorstRealisation(Printed):
     time: float | None
     numbers: Mapping[str, float]
 
-    @property
-    def system(self) -> str:
-        """The system by its uncertain numbers, the first few if there are many."""
-        return system_text(self.numbers)
-
     def __str__(self) -> str:
         when = "" if self.time is None else f" at t = {self.time:.4g} s"
-        return f"{self.name} reaches {self.value:.6g}{when} with {self.system}"
+        return f"{self.name} reaches {self.value:.6g}{when} with {system_text(self.numbers)}"
 
 
 @final
@@ -224,18 +214,6 @@ class WorstCase(Printed):
     rounds: int
     searched: int
     is_found: bool = True
-
-    def of(self, text: str) -> WorstRealisation | None:
-        """The worst realisation of the constraint with this text; None if it is no limit on the worst case."""
-        return next((one for one in self.realisations if one.text == text), None)
-
-    def broken(self) -> str:
-        """The realisation that breaks its limit most, with the remedy if the search did not converge."""
-        worst = max(self.realisations, key=lambda one: one.beyond)
-        return (
-            f"After {self.rounds} rounds {worst}, {worst.beyond:.3g} beyond its bound: each new design "
-            "breaks it at another realisation. Narrow the distributions, or give the optimiser fewer decisions."
-        )
 
     def rows(self) -> list[str]:
         """A line for each limit, then how they were found."""
@@ -331,36 +309,37 @@ class Certificate(Printed):
     @property
     def objection(self) -> Objection | None:
         """Why the optimum of the program is no answer to the model; None if it is one."""
+        return next(starmap(Objection, self._objections()), None)
+
+    def _objections(self) -> Iterator[tuple[str, str]]:
         between, error, opinion, worst_case = self.between, self.grid_error, self.opinion, self.worst_case
         if between is not None and not between.holds:
-            return Objection(
-                "limits break between the instants",
-                f"solved at the instants of the grid, but {between}, or between=1 to check the instants alone",
-            )
+            remedy = "or between=1 to check the instants alone"
+            yield "limits break between the instants", f"solved at the instants of the grid, but {between}, {remedy}"
         if error is not None and not error.is_usable:
-            on = f" on {error.steps} steps" if error.steps else ""
-            return Objection("the grid is too coarse", f"solved{on}, but {error}")
+            yield "the grid is too coarse", f"solved{f' on {error.steps} steps' if error.steps else ''}, but {error}"
         if self.lost:
-            return Objection("values do not follow their derivatives", f"solved by its derivatives, but {self.lost}")
+            yield "values do not follow their derivatives", f"solved by its derivatives, but {self.lost}"
         if opinion is not None and opinion.broken:
-            return Objection(
+            yield (
                 "fresh simulations contradict the expansion",
                 f"solved for the expansion, but {opinion.samples} fresh simulations contradict it: {opinion.broken}. "
                 f"{opinion.remedy}",
             )
         if self.untrusted:
-            return Objection(
+            yield (
                 "the expansion is too coarse for the statistics asked of it",
                 f"solved for the expansion of order {self.expansion.order}, but {self.untrusted}. Raise the order; or "
                 "say that you accept it, al.Expansion(order, tolerance=...), and trust al.validate alone",
             )
         if worst_case is not None and not worst_case.is_found:
-            return Objection(
+            worst = max(worst_case.realisations, key=lambda one: one.beyond)
+            yield (
                 "the worst case breaks a limit",
-                "solved for the realisations found so far, but others break a limit on the worst case. "
-                f"{worst_case.broken()}",
+                "solved for the realisations found so far, but others break a limit on the worst case. After "
+                f"{worst_case.rounds} rounds {worst}, {worst.beyond:.3g} beyond its bound: each new design breaks it "
+                "at another realisation. Narrow the distributions, or give the optimiser fewer decisions.",
             )
-        return None
 
     @property
     def holds(self) -> bool:
@@ -373,17 +352,19 @@ class Certificate(Printed):
             f"violation {self.violation:.1e}, stationarity {self.stationarity:.1e}, "
             f"complementarity {self.complementarity:.1e} (scaled)"
         )
-        return [
-            *([] if self.between is None else [("between", str(self.between))]),
-            *([] if self.grid_error is None else [("grid", str(self.grid_error))]),
-            *(("worst case", row) for row in (self.worst_case.rows() if self.worst_case else ())),
+        expansion, worst_case = self.expansion, self.worst_case
+        rows = [
+            ("between", self.between),
+            ("grid", self.grid_error),
+            *(("worst case", row) for row in (worst_case.rows() if worst_case else ())),
             ("certificate", residuals),
-            ("expansion", str(self.expansion)),
-            *([("derivatives", self.expansion.tangent_sentence())] if self.expansion.worst_tangent else []),
-            *([("fresh", str(self.opinion))] if self.opinion else []),
-            *([("correlated", self.correlations)] if self.correlations else []),
-            *([("not seen", self.expansion.unseen.sentence())] if self.expansion.unseen else []),
+            ("expansion", expansion),
+            ("derivatives", expansion.tangent_sentence()),
+            ("fresh", self.opinion),
+            ("correlated", self.correlations),
+            ("not seen", expansion.unseen and expansion.unseen.sentence()),
         ]
+        return [(label, str(text)) for label, text in rows if text]
 
     def __str__(self) -> str:
         return lines(self.rows())

@@ -11,15 +11,15 @@ from aleator._core.border import refusal
 from aleator._core.leaves import Drawn, Printed
 from aleator.dynamics import AbstractScheme
 
-# Messages list at most this many numbers.
-_MOST_NUMBERS = 5
+MOST_NUMBERS = 5
+"""Messages list at most this many numbers."""
 
 
-def system_text(numbers: Mapping[str, float]) -> str:
+def system_text(numbers: Mapping[str, float], most: int = MOST_NUMBERS) -> str:
     """A system by its uncertain numbers, the first few if there are many."""
     shown = [f"{name} = {number:.6g}" for name, number in numbers.items()]
-    left = len(shown) - _MOST_NUMBERS
-    return ", ".join(shown[:_MOST_NUMBERS]) + (f" and {left} more" if left > 0 else "")
+    left = len(shown) - most
+    return ", ".join(shown[:most]) + (f" and {left} more" if left > 0 else "")
 
 
 # Limits on the factor of steps from one grid to the next, since the error of a very coarse grid predicts no number of
@@ -99,7 +99,7 @@ class GridError(Printed):
     @property
     def ratio(self) -> float:
         """The largest deviation of a functional or of the objective over its tolerance."""
-        return max([self.objective.ratio, *(one.ratio for one in self.functionals.values())])
+        return max(one.ratio for one in (self.objective, *self.functionals.values()))
 
     @property
     def is_met(self) -> bool:
@@ -116,50 +116,44 @@ class GridError(Printed):
 
     @property
     def steps_needed(self) -> int:
-        """The number of steps of the next grid, which `solve(refine=True)` takes.
+        """The number that meets the tolerance by the orders of convergence, at most eight times the present one."""
+        return self.steps if self.is_met else self.next_steps
 
-        It meets the tolerance by the orders of convergence, but is at most eight times the present number.
+    @property
+    def next_steps(self) -> int:
+        """The number of steps that `solve(refine=True)` takes next: at least twice the present one, and a multiple of
+        the pieces of splines, so that steps end where these do and no order is lost.
         """
-        if self.is_met:
-            return self.steps
-        return self.with_whole_pieces(min(max(_LEAST, self._finer), _MOST) * self.steps)
-
-    def with_whole_pieces(self, steps: float) -> int:
-        """The least number of steps from `steps` on that ends one at each end of a spline's pieces: no order is lost
-        there.
-        """
-        return self.pieces * int(np.ceil(steps / self.pieces))
+        return self.pieces * int(np.ceil(self._times * self.steps / self.pieces))
 
     @property
     def _finer(self) -> float:
-        return _AHEAD * max([self.objective.finer, *(one.finer for one in self.functionals.values())])
+        return _AHEAD * max(one.finer for one in (self.objective, *self.functionals.values()))
 
-    def sentence(self) -> str:
-        """What deviates most, by how much, and how much would be tolerated."""
-        if self.broken or self.unresolved:
-            return self.broken or self.unresolved
-        if self.at_start and self.ratio <= 1:
-            return self.at_start
-        if self.objective.ratio > 1 or not self.functionals:
-            what, one = "the objective", self.objective
-        else:
-            what, one = f"'{self.worst}'", self.functionals[self.worst]
-        return f"{what} is {one}"
+    @property
+    def _times(self) -> float:
+        return min(max(_LEAST, self._finer), _MOST)
 
     def __str__(self) -> str:
         where = f"seen on {self.factor} times as many steps{'' if self.steps else ' of what the model simulates'}"
         if self.is_met:
             other = f"'{self.worst}' by {self.functionals[self.worst].error:.1e}" if self.worst else "nothing else"
             return f"objective off by {self.objective.error:.1e}, {other}; {where}"
+        is_objective = self.objective.ratio > 1 or not self.worst
+        off = (
+            f"the objective is {self.objective}"
+            if is_objective
+            else f"'{self.worst}' is {self.functionals[self.worst]}"
+        )
+        sentence = self.broken or self.unresolved or (self.at_start if self.ratio <= 1 else "") or off
         told = "about" if self.ratio > 1 and self._finer <= _MOST else "at least"
         remedies = []
         if self.steps:
             also = " and smaller tolerances of the integrator" if self.by_tolerances else ""
             remedies = [f"use {told} {self.steps_needed} steps{also}, or refine=True"]
         if self.inside:
-            times = min(max(_LEAST, self._finer), _MOST)
-            remedies.append(f"give the grids inside the model {told} {times:.2g} times as many")
-        return f"{self.sentence()}; {where}: {'; '.join(remedies)}"
+            remedies.append(f"give the grids inside the model {told} {self._times:.2g} times as many")
+        return f"{sentence}; {where}: {'; '.join(remedies)}"
 
 
 @final

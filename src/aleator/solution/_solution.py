@@ -12,7 +12,7 @@ from aleator._core.leaves import Drawn, Printed
 from aleator.design import Problem, grid_at, problem_text
 from aleator.nlp import HELD, Searched, Status
 from aleator.solution._certificate import Certificate, Moments, Objection, lines
-from aleator.solution._grid import Costates, MeshError, States, Switching
+from aleator.solution._grid import Costates, MeshError, States, Switching, system_text
 
 
 @final
@@ -120,37 +120,36 @@ class ConstraintResult(Printed):
         return float(self.times[np.argmax(self.excess.reshape(len(self.times), -1).max(axis=1))])
 
     @property
+    def worst(self) -> float:
+        """The value that is closest to, or furthest beyond, its bound."""
+        return float(self.values.flat[int(np.argmax(self.excess))])
+
+    @property
     def shadow_price(self) -> float:
         """How much the objective falls for each unit by which the bound is relaxed, summed over its active instants.
 
         For an equality: how much the objective falls for each unit by which its right-hand side is raised, which may be
         negative.
         """
-        if self.lower == self.upper:
-            return float(np.sum(self.multipliers))
-        return float(np.sum(np.abs(self.multipliers)))
+        return float(np.sum(self.multipliers if self.lower == self.upper else np.abs(self.multipliers)))
 
     @property
-    def worst(self) -> float:
-        """The value that is closest to, or furthest beyond, its bound."""
-        return float(self.values.flat[int(np.argmax(self.excess))])
+    def _when(self) -> str:
+        return "" if self.worst_time is None else f" at t = {self.worst_time:.4g} s"
 
     def sentence(self) -> str:
         """Which constraint is violated, by how much and when, with its text."""
-        when = "" if self.worst_time is None else f" at t = {self.worst_time:.4g} s"
-        worst = self.worst
-        bound, relation = (self.upper, "≤") if worst > self.upper else (self.lower, "≥")
+        bound, relation = (self.upper, "≤") if self.worst > self.upper else (self.lower, "≥")
         relation = "=" if self.lower == self.upper else relation
-        asked = f"{worst:.6g} where {relation} {bound:.6g} is asked ({self.text})"
-        return f"'{self.name}' is violated by {self.violation:.4g}{when}: {asked}"
+        asked = f"{self.worst:.6g} where {relation} {bound:.6g} is asked ({self.text})"
+        return f"'{self.name}' is violated by {self.violation:.4g}{self._when}: {asked}"
 
     def __str__(self) -> str:
         if not self.holds:
             return self.sentence()
-        when = "" if self.worst_time is None else f" at t = {self.worst_time:.4g} s"
-        if np.any(self.active):
-            return f"{self.name}: {self.text}: active{when}, shadow price {self.shadow_price:.4g}"
-        return f"{self.name}: {self.text}: slack {-float(np.max(self.excess)):.4g}{when}"
+        active = f"active{self._when}, shadow price {self.shadow_price:.4g}"
+        slack = f"slack {-float(np.max(self.excess)):.4g}{self._when}"
+        return f"{self.name}: {self.text}: {active if np.any(self.active) else slack}"
 
 
 @final
@@ -250,25 +249,26 @@ class Solution(Drawn):
         """Why it is not solved: the constraints that do not hold, where and by how much."""
         if self.ok:
             return "The problem is solved."
-        return f"{self.effort.solver}: {self._reason()}"
-
-    def _reason(self) -> str:
-        found = self.certificate
         if self.objection is not None:
-            return f"{self.objection.sentence.rstrip('.')}. {self.message}".strip()
-        broken = "; ".join(one.sentence() + self._realisation(one) for one in self.violated)
-        coarse = f" Perhaps for its grid: {found.misled}. Use more steps." if found.misled else ""
-        said = ". ".join(part.rstrip(".") for part in (self.status.value, broken, self.message) if part)
-        return f"{said}.{coarse}"
-
-    def _realisation(self, one: ConstraintResult) -> str:
-        """The system that breaks a limit on the worst case, in words; empty for other constraints."""
-        worst_case = self.certificate.worst_case
-        worst = None if worst_case is None else worst_case.of(one.text)
-        return "" if worst is None else f" (with {worst.system})"
+            reason = f"{self.objection.sentence.rstrip('.')}. {self.message}".strip()
+        else:
+            worst_case, misled = self.certificate.worst_case, self.certificate.misled
+            # The systems that break limits on the worst case, by the texts of these.
+            systems = {one.text: system_text(one.numbers) for one in (worst_case.realisations if worst_case else ())}
+            broken = "; ".join(
+                one.sentence() + (f" (with {systems[one.text]})" if one.text in systems else "")
+                for one in self.violated
+            )
+            said = (part.rstrip(".") for part in (self.status.value, broken, self.message) if part)
+            coarse = f" Perhaps for its grid: {misled}. Use more steps." if misled else ""
+            reason = f"{'. '.join(said)}.{coarse}"
+        return f"{self.effort.solver}: {reason}"
 
     def __str__(self) -> str:
-        decisions = (f"{name} = {_shown(value)}{self._at_bound(name)}" for name, value in self.decisions.items())
+        decisions = (
+            f"{name} = {np.array2string(np.asarray(value), precision=7, separator=', ')}{self._at_bound(name)}"
+            for name, value in self.decisions.items()
+        )
         return lines(
             [
                 ("status", f"{self.verdict} by {self.effort.solver}"),
@@ -286,10 +286,6 @@ class Solution(Drawn):
         if idle:
             return f" (at its start: nothing in the problem was found to depend on {', '.join(idle)})"
         return " (at its bound)" if self.is_at_bound(name) else ""
-
-
-def _shown(value: Any) -> str:
-    return np.array2string(np.asarray(value), precision=7, separator=", ")
 
 
 def in_brief(solution: Solution) -> str:

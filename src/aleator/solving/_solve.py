@@ -1,14 +1,14 @@
 """`solve`: its arguments, and the whole of a solution, stage by stage."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from aleator._core.border import one_of, whole
+from aleator._core.border import one_of, refusal, whole
 from aleator._core.compilation import Compiled
 from aleator._core.errors import (
     CorrelationWarning,
@@ -26,8 +26,7 @@ from aleator.certification import doubts, refinement, unconverged
 from aleator.design import Problem, deterministic
 from aleator.nlp import AbstractSearch, AbstractSolver, Status
 from aleator.solution import AtMeans, Solution
-from aleator.solving._rounds import Rounds
-from aleator.solving._stages import UNSOLVED, Answer, Stages
+from aleator.solving._stages import Stages, with_opinion
 from aleator.transcription import DEFAULT, AbstractTranscription, started_from
 
 # The finest accuracy of a grid that may be asked for.
@@ -51,7 +50,7 @@ class Call(NamedTuple):
     @property
     def chosen_solver(self) -> AbstractSolver:
         """That of the call, or of its transcription."""
-        return self.solver or self.transcription.solver
+        return self.transcription.solver if self.solver is None else self.solver
 
     @property
     def causes(self) -> dict[str, Any]:
@@ -62,25 +61,22 @@ class Call(NamedTuple):
 
 def check_arguments(call: Call) -> None:
     """Raise `ProblemError` unless the arguments are what `solve` expects."""
-    problem, solver, warm_start, accuracy = call.problem, call.solver, call.warm_start, call.accuracy
-    one_of("solve: transcription", call.transcription, AbstractTranscription, "al.Sequential()")
-    if not isinstance(problem, Problem):
-        raise ProblemError(f"solve: expected a Problem; received {type(problem).__name__}.")
-    if not isinstance(solver, AbstractSolver | None):
-        raise ProblemError(f"solve: expected a solver, such as al.solvers.Ipopt(); received {solver!r}.")
+    problem, solver, warm_start, accuracy = call.problem, call.chosen_solver, call.warm_start, call.accuracy
+    one_of("solve: problem", problem, Problem)
+    one_of("solve: solver", solver, AbstractSolver, "al.solvers.Ipopt()")
+    one_of("solve: deterministic_first", call.deterministic_first, bool)
     if call.between is not None:
         whole("solve: between", call.between)
     if isinstance(accuracy, bool) or not isinstance(accuracy, int | float) or not _FINEST <= accuracy < 1:
-        raise ProblemError(
-            f"solve: expected `accuracy` as a number from {_FINEST:g} (64-bit arithmetic gives no more) to below 1; "
-            f"received {accuracy!r}."
-        )
+        raise refusal("solve: accuracy", f"a number from {_FINEST:g} (64-bit arithmetic gives no more) to 1", accuracy)
     if isinstance(solver, AbstractSearch):
         check_search("solve", problem, solver)
-    _check_shared(call.chosen_solver, call.executor)
-    if not isinstance(call.deterministic_first, bool):
+    check_executor("solve", call.executor)
+    if call.executor is not None and not (isinstance(solver, AbstractSearch) and solver.at_once):
         raise ProblemError(
-            f"solve: expected True or False as `deterministic_first`; received {call.deterministic_first!r}."
+            "solve: executor: expected a solver that evaluates many designs at once, such as "
+            f"al.solvers.DifferentialEvolution(); received {type(solver).__name__}, which goes from one design to the "
+            "next. al.multistart, al.portfolio and al.pareto share several solves."
         )
     if warm_start is None:
         return
@@ -88,23 +84,10 @@ def check_arguments(call: Call) -> None:
         raise ProblemError(
             "solve: expected either `warm_start` or `deterministic_first`, for each says where to start; received both."
         )
-    if not isinstance(warm_start, Solution):
-        raise ProblemError(f"solve: expected a Solution as `warm_start`; received {type(warm_start).__name__}.")
-    if warm_start.problem.names != problem.names:
+    if one_of("solve: warm_start", warm_start, Solution).problem.names != problem.names:
         raise ProblemError(
             "solve: a warm start is a solution of a problem with the same constraints; expected "
             f"{list(problem.names)}; received {list(warm_start.problem.names)}."
-        )
-
-
-def _check_shared(solver: AbstractSolver, executor: Executor | None) -> None:
-    """Refuse an executor that would have nothing to do."""
-    check_executor("solve", executor)
-    if executor is not None and not (isinstance(solver, AbstractSearch) and solver.at_once):
-        raise ProblemError(
-            "solve: executor: expected a solver that evaluates many designs at once, such as "
-            f"al.solvers.DifferentialEvolution(); received {type(solver).__name__}, which goes from one design to the "
-            "next. al.multistart, al.portfolio and al.pareto share several solves."
         )
 
 
@@ -128,25 +111,6 @@ def check_search(
             f"{what}: {who} without polishing cannot hold an equality: expected limits alone, or polish=True; received "
             f"'{equal[0].name}' ({equal[0]})."
         )
-
-
-def first_decisions(
-    problem: Problem,
-    transcription: AbstractTranscription,
-    warm_start: Solution | None,
-    start: Mapping[str, Any] | None,
-) -> np.ndarray | None:
-    """The decisions to start from; None for their own initial values."""
-    places = problem.placements
-    if start is None:
-        return None if warm_start is None else started_from(problem, warm_start)
-    # What is given is checked first.
-    moved = places.moved(transcription.first(problem) if warm_start is None else places.vector("initial"), start)
-    return moved if warm_start is None else places.moved(started_from(problem, warm_start, start), start)
-
-
-# Ends of the deterministic problem that start nothing.
-_NO_START = (*UNSOLVED, Status.EVALUATION_FAILED)
 
 
 def solve(
@@ -194,26 +158,17 @@ def solve(
     contradict it (where that breaks a limit, the solution has failed: see `SecondOpinion`), with `GridWarning` if the
     grid is too coarse.
     """
-    call = Call(
-        problem,
-        solver,
-        transcription,
-        warm_start,
-        start,
-        deterministic_first,
-        between,
-        accuracy,
-        refine,
-        executor,
-    )
+    one_of("solve: transcription", transcription, AbstractTranscription, "al.Sequential()")
+    each = problem, solver, transcription, warm_start, start, deterministic_first, between, accuracy, refine, executor
+    call = Call(*each)
     check_arguments(call)
     solution = journalled("solve", call.causes, lambda: _solved(call))
     if throw and solution.status is Status.EVALUATION_FAILED:
         raise SimulationError(solution.message)
     if throw and not solution.ok:
         raise SolveError(solution.why(), solution)
-    _warn_of_doubts(solution)
-    _warn_if_coarse(solution)
+    for kind, text in _doubts(solution):
+        warnings.warn(f"{text[0].upper()}{text[1:]}.", kind, stacklevel=2)
     return solution
 
 
@@ -221,21 +176,29 @@ def _solved(call: Call) -> Solution:
     """The solution, whatever its status: see `solve`."""
     problem, warm, transcription = call.problem, call.warm_start, call.transcription
     transcription = transcription if warm is None else transcription.starting_from(warm)
-    first = first_decisions(problem, transcription, warm, call.start)
+    places, first, before = problem.placements, None, Compiled.seconds
+    if call.start is not None:  # What the user says is checked first.
+        first = places.moved(transcription.first(problem) if warm is None else places.vector("initial"), call.start)
+    if warm is not None:
+        first = started_from(problem, warm, call.start or ())
+        first = first if call.start is None else places.moved(first, call.start)
     known = (None, None) if warm is None else (warm.multipliers, warm.certificate.worst_case)
     # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
     with heeding() as heed, dropped_on_failure():
-        rounds = Rounds(call.solver or transcription.solver, call.between, heed, call.executor)
-        stages = Stages(transcription, rounds, call.accuracy, Compiled.seconds)
+        stages = Stages(transcription, call.chosen_solver, call.between, call.accuracy, call.executor, heed)
         at_means = None
-        if call.deterministic_first:
+        if call.deterministic_first and problem.placements.germs:
             stages, first, at_means = _from_means(stages, problem, first)
-        answer = stages.answer(problem, first, *known)
-        if call.refine:
-            answer = _refined(stages, answer)
-        solution = answer.with_opinion()
-        times = replace(solution.effort.times, compile_=stages.compiled)
-        solution = replace(solution, effort=replace(solution.effort, at_means=at_means, times=times))
+        solution, held = stages.answer(problem, first, *known)
+        solutions = [solution]
+        while call.refine and (plan := refinement(solutions)) is not None:
+            stages = stages._replace(transcription=stages.transcription.starting_from(solution))
+            solution, held = stages.answer(plan, solution.vector)
+            solutions.append(solution)
+        reason, solution = unconverged(solutions), with_opinion(solution, held)
+        times = replace(solution.effort.times, compile_=Compiled.seconds - before)
+        effort = replace(solution.effort, at_means=at_means, times=times)
+        solution = replace(solution, effort=effort, message=reason or solution.message)
         heed()
     return solution
 
@@ -244,16 +207,13 @@ def _from_means(
     stages: Stages, problem: Problem, first: np.ndarray | None
 ) -> tuple[Stages, np.ndarray | None, AtMeans | None]:
     """The stages and the decisions that start from the answer to the deterministic problem, if it has one."""
-    if not problem.placements.germs:
-        return stages, first, None
     try:
-        at_instants = stages._replace(rounds=stages.rounds._replace(between=1))
-        mean = at_instants.answer(deterministic(problem), first, None).solution
+        mean, _ = stages._replace(between=1).answer(deterministic(problem), first)
     except ProblemError:
         # Without spreads a limit may be impossible that the problem itself can meet. What is wrong with both is told by
         # the problem itself.
         return stages, first, AtMeans(Status.INFEASIBLE, starts=False, iterations=0, evaluations=0)
-    starts = mean.status not in _NO_START
+    starts = mean.status in (Status.SOLVED, Status.INTERRUPTED)
     at_means = AtMeans(mean.status, starts, mean.effort.iterations, mean.effort.evaluations)
     if not starts:
         return stages, first, at_means
@@ -262,39 +222,25 @@ def _from_means(
     return stages, started_from(problem, mean), at_means
 
 
-def _refined(stages: Stages, answer: Answer) -> Answer:
-    """The answer on finer grids, until the error is tolerated or does not fall any more."""
-    solutions = [answer.solution]
-    while (plan := refinement(solutions)) is not None:
-        stages = stages._replace(transcription=stages.transcription.starting_from(solutions[-1]))
-        answer = stages.answer(plan, solutions[-1].vector, None)
-        solutions.append(answer.solution)
-    reason = unconverged(solutions)
-    return answer._replace(solution=replace(answer.solution, message=reason)) if reason else answer
-
-
-def _warn_of_doubts(solution: Solution) -> None:
-    found = solution.certificate
-    sentences = [] if solution.status is Status.EVALUATION_FAILED else doubts(found.expansion, found.opinion)
-    if sentences:
-        warnings.warn(f"{'. '.join(sentences)}, and compare with al.validate.", ExpansionWarning, stacklevel=3)
-    if found.correlations:
-        warnings.warn(f"{found.correlations[0].upper()}{found.correlations[1:]}.", CorrelationWarning, stacklevel=3)
-
-
-def _warn_if_coarse(solution: Solution) -> None:
-    if solution.ok and not all(one.is_met for one in solution.meshes[-1:]):
-        warnings.warn(
-            f"The mesh does not reach the error that was asked for: {solution.meshes[-1]}. If the model jumps in time "
-            "there, let the jump fall on an instant of the grid or make it smooth; or ask for less.",
+def _doubts(solution: Solution) -> Iterator[tuple[type[Warning], str]]:
+    """What is warned of: sentences with the kinds of their warnings."""
+    certificate = solution.certificate
+    if solution.status is not Status.EVALUATION_FAILED:
+        sentences = doubts(certificate.expansion, certificate.opinion)
+        if sentences:
+            yield ExpansionWarning, f"{'. '.join(sentences)}, and compare with al.validate"
+    if certificate.correlations:
+        yield CorrelationWarning, certificate.correlations
+    if not solution.ok:
+        return
+    mesh, error, between = solution.mesh, certificate.grid_error, certificate.between
+    if mesh is not None and not mesh.is_met:
+        yield (
             GridWarning,
-            stacklevel=3,
+            f"the mesh does not reach the error that was asked for: {mesh}. If the model jumps in time there, let the "
+            "jump fall on an instant of the grid or make it smooth; or ask for less",
         )
-    error = solution.certificate.grid_error
-    if error is not None and solution.ok and not error.is_met:
-        on = f"On {error.steps} steps" if error.steps else "In what the model simulates"
-        warnings.warn(f"{on} {error}.", GridWarning, stacklevel=3)
-    between = solution.certificate.between
-    if between is not None and solution.ok and between.is_costly:
-        said = str(between)
-        warnings.warn(f"{said[0].upper()}{said[1:]}.", GridWarning, stacklevel=3)
+    if error is not None and not error.is_met:
+        yield GridWarning, f"{f'on {error.steps} steps' if error.steps else 'in what the model simulates'} {error}"
+    if between is not None and between.is_costly:
+        yield GridWarning, str(between)

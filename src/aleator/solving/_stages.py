@@ -1,104 +1,275 @@
-"""The stages of one solution: transcribe, search and hold limits, judge the grid, say."""
+"""The stages of one solution, in which every call of a solver is made: transcribe, search, hold limits, judge, say.
+
+The mesh is refined until it is fine enough; an answer is left for a better one nearby; bounds are tightened where
+limits break between the instants; realisations that break a limit on the worst case are imposed. Each search starts
+from the last one.
+"""
 
 import functools
+from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from aleator._core.compilation import Compiled
 from aleator.certification import (
     Check,
+    Oracle,
     begin_check,
+    broken_at,
     check_factor,
     diagnose,
+    excess_between,
     grid_error,
+    idle_scenarios,
+    is_checked,
     lost_derivatives,
+    magnitudes_at,
+    margins_for,
     misled_at,
     moved_correlations,
+    pieces,
     prepare_check,
+    scenarios_at_start,
     second_opinion,
     solution_of,
+    tightened,
     untrusted,
+    worst_case_limits,
+    worst_case_of,
 )
-from aleator.design import Problem
-from aleator.nlp import Status
-from aleator.solution import Solution, WorstCase
-from aleator.solving._rounds import Rounds
-from aleator.transcription import AbstractTranscribed, AbstractTranscription, transcribe
+from aleator.design import Problem, is_over_time
+from aleator.nlp import HELD, AbstractSearch, AbstractSolver, NonlinearProgram, Outcome, Status, restart_of
+from aleator.solution import Between, Solution, WorstCase
+from aleator.transcription import (
+    AbstractTranscribed,
+    AbstractTranscription,
+    blind_decisions,
+    refuse_blind,
+    transcribe,
+    valued_by,
+)
 
 UNSOLVED = (Status.INFEASIBLE, Status.FAILED, Status.ITERATION_LIMIT)
 """Ends of a search that a grid which is far off may have led astray."""
 
+# How often at most: an answer is left for a better one, bounds are tightened, and scenarios are added.
+_MOST_RESTARTS, _MOST_TIGHTENINGS, _MOST_SCENARIOS = 8, 12, 20
 
-class Answer(NamedTuple):
-    """A solution, the program that it was found by, the point of that program that it stands for, and its check."""
 
-    solution: Solution
+class Held(NamedTuple):
+    """The last program of a solution and its outcome.
+
+    `between`: how far limits break between the instants; `check`: that of the answer; `worst_case`: the worst
+    realisations; None where these do not apply.
+    """
+
     transcribed: AbstractTranscribed
-    point: np.ndarray
-    check: Check | None
-
-    def with_opinion(self) -> Solution:
-        """The solution with what fresh systems say of its expansions, unless its grid is no good already."""
-        solution, problem, transcribed = self.solution, self.solution.problem, self.transcribed
-        if not solution.ok:
-            return solution
-        certificate = replace(
-            solution.certificate,
-            opinion=None if self.check is None else second_opinion(transcribed, self.point, self.check),
-            # A search has compared values.
-            lost="" if solution.effort.searched else lost_derivatives(transcribed, self.point, solution.multipliers),
-            untrusted=untrusted(problem, solution.certificate.expansion),
-            correlations=moved_correlations(problem, solution.vector),
-        )
-        return replace(solution, certificate=certificate)
+    outcome: Outcome
+    between: Between | None = None
+    check: Check | None = None
+    worst_case: WorstCase | None = None
 
 
 class Stages(NamedTuple):
-    """The stages of one solution, the same on each grid."""
+    """The stages of a solution, the same on each grid: `between` and `accuracy` as in `solve`.
+
+    `heed`: raises if the user interrupts; `executor`: simulates the generations of searches.
+    """
 
     transcription: AbstractTranscription
-    rounds: Rounds
+    solver: AbstractSolver
+    between: int | None
     accuracy: float
-    compiled_before: float
-
-    @property
-    def compiled(self) -> float:
-        """How long compilations have taken since the first stage, s."""
-        return Compiled.seconds - self.compiled_before
+    executor: Executor | None
+    heed: Callable[[], None]
 
     def answer(
         self,
         problem: Problem,
         start: np.ndarray | None,
-        multipliers: np.ndarray | None,
+        multipliers: np.ndarray | None = None,
         known: WorstCase | None = None,
-    ) -> Answer:
-        """Optimise, hold limits between the instants and in the worst case, find the error of the grid, report.
+    ) -> tuple[Solution, Held]:
+        """The solution of a problem on its grid, and what it was found by.
 
-        `start`: decisions, None for their own initial values.
+        - `start`: decisions; `multipliers`: None where nothing is known; `known`: the worst case of an earlier
+          solution.
         """
-        prepare = functools.partial(prepare_check, check_factor(problem, self.rounds.between))
+        # Transcribe.
+        prepare = functools.partial(prepare_check, check_factor(problem, self.between))
         transcribed = transcribe(problem, self.transcription, prepare)
-        begun = None if start is None else transcribed.point(start)
-        held = self.rounds.held(transcribed, begun, multipliers, known, refines=self.transcription.refines)
+        point, outcome = None if start is None else transcribed.point(start), None
+        if self.transcription.refines:
+            transcribed, point, outcome = self._on_fine_mesh(transcribed, point)
+        problem, factor, oracle = transcribed.problem, check_factor(transcribed.problem, self.between), None
+        if worst_case_limits(problem) and problem.placements.germs:
+            oracle, outcome = Oracle(problem, factor if self._judges_between(problem) else 1), None
+            transcribed = transcribed.at_scenarios(scenarios_at_start(transcribed, oracle, point, known))
+        # Search.
+        first = transcribed.program.start if point is None else point
+        begun = magnitudes_at(transcribed, first)
+        outcome = self._searched(transcribed, point, multipliers) if outcome is None else outcome
+        if multipliers is None and outcome.status is not Status.INTERRUPTED:
+            outcome = _looked_around(transcribed, self.solver.local, outcome, first)
+        # Hold limits between the instants, and in the worst case.
+        held = self._held_between(Held(transcribed, outcome), factor)
+        held = held if oracle is None else self._held_at_worst(held, oracle, factor)
         transcribed, outcome, check = held.transcribed, held.outcome, held.check
         if outcome.status is Status.INTERRUPTED and outcome.searched is None:
             raise KeyboardInterrupt
         if outcome.failed_at is not None:
             outcome = replace(outcome, message=diagnose(transcribed, transcribed.decisions(outcome.failed_at)))
-        factor = check_factor(transcribed.problem, self.rounds.between)
-        starts_unknown = multipliers is None and not self.transcription.is_guessed
-        is_judged = starts_unknown and factor > 1 and transcribed.problem.is_integrated
-        error, misled = None, ""
+        # Judge the grid.
+        is_solved, misled = outcome.status is Status.SOLVED, ""
+        is_unknown = multipliers is None and not self.transcription.is_guessed
+        if is_unknown and factor > 1 and problem.is_integrated and (is_solved or outcome.status in UNSOLVED):
+            misled = misled_at(transcribed, first, begun, outcome.point if is_solved else None, factor)
+            if outcome.status is Status.INFEASIBLE and not misled:
+                least = begin_check(transcribed, outcome.point, factor)()
+                misled = grid_error(transcribed, outcome.point, least, self.accuracy).unresolved
+        error = None
         if check is not None and factor > 1:
-            at_start = misled_at(transcribed, held.first, held.begun, outcome.point, factor) if is_judged else ""
-            error = replace(grid_error(transcribed, outcome.point, check, self.accuracy), at_start=at_start)
-        if is_judged and outcome.status in UNSOLVED:
-            misled = misled_at(transcribed, held.first, held.begun, None, factor)
-        if outcome.status is Status.INFEASIBLE and is_judged and not misled:
-            least = begin_check(transcribed, outcome.point, factor)()
-            misled = grid_error(transcribed, outcome.point, least, self.accuracy).unresolved
-        solution = solution_of(transcribed, outcome, held.between, error, held.worst_case, misled, check, self.compiled)
-        return Answer(solution, transcribed, outcome.point, check)
+            error = replace(grid_error(transcribed, outcome.point, check, self.accuracy), at_start=misled)
+        misled = "" if is_solved else misled
+        return solution_of(transcribed, outcome, held.between, error, held.worst_case, misled, check), held
+
+    def _searched(
+        self,
+        transcribed: AbstractTranscribed,
+        start: np.ndarray | None,
+        multipliers: np.ndarray | None,
+        program: NonlinearProgram | None = None,
+        *,
+        goes_on: bool = False,
+    ) -> Outcome:
+        """One search: of a transcribed program, or of another in its place. One that goes on stays near its start."""
+        self.heed()
+        solver, program = self.solver.local if goes_on else self.solver, program or transcribed.program
+        # Multipliers at the instants of another grid say nothing here.
+        fits = multipliers is not None and multipliers.shape == program.constraint_lower.shape
+        executor = self.executor if isinstance(solver, AbstractSearch) else None
+        program = valued_by(executor, program, "solve")
+        return solver.solve(program, start=start, multipliers=multipliers if fits else None)
+
+    def _on_fine_mesh(
+        self, transcribed: AbstractTranscribed, start: np.ndarray | None
+    ) -> tuple[AbstractTranscribed, np.ndarray | None, Outcome]:
+        """The problem on a mesh that is fine enough, where its search began, and the outcome."""
+        while True:
+            outcome = self._searched(transcribed, start, None)
+            if outcome.status is Status.INTERRUPTED:
+                raise KeyboardInterrupt
+            if outcome.status is not Status.SOLVED:
+                return transcribed, start, outcome
+            start = outcome.point
+            if (finer := transcribed.refined(start)) is None:
+                return transcribed, start, outcome
+            transcribed, start = finer
+
+    def _judges_between(self, problem: Problem) -> bool:
+        return self.between != 1 and any(map(is_over_time, problem.constraints))
+
+    def _held_between(self, held: Held, factor: int) -> Held:
+        """Tighten bounds at instants between which limits break, and solve again, until they hold.
+
+        An outcome that is not solved is returned unchanged.
+        """
+        self.heed()
+        transcribed, outcome = held.transcribed, held.outcome
+        if outcome.status is not Status.SOLVED or not is_checked(transcribed.problem):
+            return held
+        check = begin_check(transcribed, outcome.point, factor)()
+        if factor == 1 or not self._judges_between(transcribed.problem):
+            return held._replace(check=check)
+        between, shifts = excess_between(transcribed, outcome.point, check)
+        best = outcome, check, between
+        rounds, margins, latest = [outcome], None, between
+        while HELD < latest.worst < np.inf and len(rounds) <= _MOST_TIGHTENINGS:
+            # Margins may shrink in the first rounds; later they only grow, so that the iteration ends.
+            margins = margins_for(margins, shifts, relax=len(rounds) <= _MOST_TIGHTENINGS // 2)
+            program, last = tightened(transcribed, margins), rounds[-1]
+            again = self._searched(transcribed, last.point, last.multipliers, program, goes_on=True)
+            if again.status is Status.INTERRUPTED:
+                return held._replace(outcome=again)
+            if again.status is not Status.SOLVED:
+                break
+            check = begin_check(transcribed, again.point, factor)()
+            latest, shifts = excess_between(transcribed, again.point, check)
+            rounds.append(again)
+            if latest.worst <= best[2].worst:
+                best = again, check, latest
+            elif best[2].holds:
+                break  # Tighter bounds may make the plan bulge more between them.
+        answer, check, between = best
+        loosest, tightest = outcome.evaluation.objective, answer.evaluation.objective
+        cost = (tightest - loosest) / max(abs(loosest), abs(tightest)) if tightest > loosest else 0.0
+        is_strict = self.between is not None or len(rounds) > 1 or pieces(transcribed.problem) > 0
+        answer = answer.with_effort_of(*(one for one in rounds if one is not answer))
+        return held._replace(outcome=answer, between=replace(between, is_strict=is_strict, cost=cost), check=check)
+
+    def _held_at_worst(self, held: Held, oracle: Oracle, factor: int) -> Held:
+        """Impose limits at realisations that break them, and solve again, until none is found."""
+        rounds, worst, is_found = 1, np.zeros((0, len(oracle.low))), True
+        while held.outcome.status is Status.SOLVED:
+            transcribed, before = held.transcribed, held.outcome
+            new, worst = broken_at(transcribed, oracle, before, rounds)
+            if not len(new):
+                break
+            if rounds == _MOST_SCENARIOS:
+                is_found = False
+                break
+            assert transcribed.scenarios is not None
+            idle = idle_scenarios(transcribed, before.point)
+            transcribed = transcribed.at_scenarios(transcribed.scenarios.joined(new, idle))
+            start = transcribed.point(transcribed.decisions(before.point))
+            again = self._searched(transcribed, start, before.multipliers, goes_on=True)
+            held = self._held_between(Held(transcribed, again), factor)
+            held = held._replace(outcome=held.outcome.with_effort_of(before))
+            rounds += 1
+        worst_case = worst_case_of(held.transcribed, held.outcome, oracle, worst, rounds, is_found=is_found)
+        return held._replace(worst_case=worst_case)
+
+
+def with_opinion(solution: Solution, held: Held) -> Solution:
+    """A solution with what fresh systems say of its expansions, unless its grid is no good already."""
+    if not solution.ok:
+        return solution
+    transcribed, point = held.transcribed, held.outcome.point
+    certificate = replace(
+        solution.certificate,
+        opinion=None if held.check is None else second_opinion(transcribed, point, held.check),
+        # A search has compared values.
+        lost="" if solution.effort.searched else lost_derivatives(transcribed, point, solution.multipliers),
+        untrusted=untrusted(solution.problem, solution.certificate.expansion),
+        correlations=moved_correlations(solution.problem, solution.vector),
+    )
+    return replace(solution, certificate=certificate)
+
+
+def _looked_around(
+    transcribed: AbstractTranscribed, solver: AbstractSolver, outcome: Outcome, begun: np.ndarray
+) -> Outcome:
+    """The outcome of a start of which nothing is known, or a better one found by points elsewhere."""
+    program, found = transcribed.program, outcome
+    for _ in range(_MOST_RESTARTS):
+        restart = restart_of(program, outcome, begun)
+        outcome = replace(outcome, idle=restart.idle, blind=restart.blind)
+        if restart.start is None:
+            break
+        further = solver.solve(restart.program, start=restart.start)
+        if not restart.is_better(outcome, further):
+            outcome = outcome.with_effort_of(further)
+            break
+        # Led away from a saddle, all of its variables may have ended on another one.
+        outcome, begun = further.with_effort_of(outcome), further.point
+    if outcome.searched is None:
+        refuse_blind(outcome, transcribed)
+        return outcome
+    if outcome.status is Status.INTERRUPTED:
+        return replace(found, status=Status.INTERRUPTED)
+    # A search has compared values, so that it has chosen, though derivatives cannot confirm it.
+    names = blind_decisions(outcome, transcribed)
+    end = f"{outcome.searched.end}; its values alone chose {names}, by which its derivatives are zero"
+    return replace(outcome, searched=replace(outcome.searched, end=end)) if names else outcome
