@@ -130,3 +130,26 @@ def test_as_many_points_as_terms_leave_nothing_to_check_by():
     with pytest.warns(al.ExpansionWarning, match="5 points for 5 terms leave nothing to check the expansion"):
         solution = al.solve(bent_problem("smooth", 4, points=5))
     assert not solution.certificate.expansion.can_be_checked
+
+
+def test_a_derivative_that_does_not_vary_is_resolved_whatever_an_integrator_makes_of_it():
+    class Rising(al.System):
+        states = ("x",)
+        a: al.Number
+
+        def rhs(self, t, z):
+            return (self.a - z.x,)
+
+        def outputs(self, t, z):
+            return {"x": z.x}
+
+    problem = al.Problem(
+        Rising(al.Uniform(al.Decision(1.0, 0.1, 5.0), half_width=0.05)),
+        grid=al.Grid(1.0, 20),
+        integrator=al.integrators.Tsit5(),
+        minimize=al.value("a.mean"),
+        subject_to=[al.terminal("x").mean >= 0.5],
+    )
+    solution = al.solve(problem)
+    assert solution.objective == pytest.approx(0.5 / (1 - np.exp(-1.0)), rel=1e-6)
+    assert solution.certificate.expansion.worst_tangent.error == 0.0

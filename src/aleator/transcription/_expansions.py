@@ -43,7 +43,6 @@ from aleator.expansion import (
     Sparse,
     collocate,
     error_history,
-    leave_one_out,
     mean_squares,
     relative_error,
 )
@@ -51,6 +50,8 @@ from aleator.statistics import AbstractStatistic, Constants, Mean, Preparation, 
 from aleator.transcription._scenarios import Scenarios
 from aleator.uncertainty import AbstractGerm, named_numbers
 
+# A derivative that varies by less than this part of itself does not vary.
+_INTEGRATED = 1e-6
 # Kept discretisations: enough for the problems of a session; a front or a calibration needs one.
 _KEPT = 16
 
@@ -343,14 +344,23 @@ def resolved(
     known = jax_array(samples)
     terms = collocation.coefficients(known)
     squares = mean_squares(collocation, known, terms)
-    # A fit is linear, so that the derivatives of its coefficients are the coefficients of the derivative.
-    slopes = None if tangents is None else map(jax_array, np.moveaxis(tangents, -1, 0))
     return Resolved(
         mean=np.asarray(Mean().of(terms, ())),
         std=np.asarray(Std().of(terms, ())),
         leave_one_out=float(relative_error(*(part.sum() for part in squares))),
         history=np.asarray(error_history(squares, known.shape[1])) if functional.is_path else None,
         tangents=None
-        if slopes is None
-        else np.array([leave_one_out(collocation, one, collocation.coefficients(one)) for one in slopes]),
+        if tangents is None
+        else np.array([_error_of(collocation, jax_array(one)) for one in np.moveaxis(tangents, -1, 0)]),
     )
+
+
+def _error_of(collocation: Collocation, tangents: Float[Array, "points ..."]) -> float:
+    """The leave-one-out error of a derivative; zero where it varies by no more than the error of an integrator.
+
+    A fit is linear, so that the derivatives of its coefficients are the coefficients of the derivative.
+    """
+    error, variance, square = (
+        float(part.sum()) for part in mean_squares(collocation, tangents, collocation.coefficients(tangents))
+    )
+    return 0.0 if variance <= _INTEGRATED**2 * square else float(np.sqrt(error / variance))
