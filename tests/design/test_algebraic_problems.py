@@ -112,6 +112,7 @@ def test_equations_without_a_solution_are_reported_with_point_and_residual():
         al.solve(problem)
     message = str(caught.value)
     assert re.match(
-        r"Fold: Newton found no solution.*collocation point \d+ of 12 \(a = 1\.[345]\d*\).*decisions are b = 1\.3", message
+        r"Fold: Newton found no solution.*collocation point \d+ of 12 \(a = 1\.[345]\d*\).*decisions are b = 1\.3",
+        message,
     )
     assert "residual" in message
