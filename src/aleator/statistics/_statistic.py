@@ -173,8 +173,9 @@ class Std(AbstractStatistic):
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
-        library, variance = in_library(Variance().of(coefficients, constants))
-        return root(library.where(varies(coefficients), variance, 0.0))
+        library, coefficients = in_library(coefficients)
+        mean = coefficients[0] if library is np else jax.lax.stop_gradient(coefficients[0])
+        return root(Variance().of(coefficients, constants), (ROUNDING * mean) ** 2)
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
@@ -191,11 +192,11 @@ def varies(coefficients: Float[Array, "terms *shape"]) -> Bool[Array, "*shape"]:
 
 
 @quietly
-def root(square: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """The square root, with derivative zero at zero; zero for negative numbers, which only rounding causes."""
+def root(square: Float[Array, "*shape"], rounding: Any = 0.0) -> Float[Array, "*shape"]:
+    """The square root, with derivative zero at zero; zero for numbers up to `rounding`, negative ones among them."""
     # Compared with `<=` so that NaN propagates.
-    library, square = in_library(square)
-    zero = square <= 0
+    library, square, rounding = in_library(square, rounding)
+    zero = square <= rounding
     return jax_array(library.where(zero, 0.0, library.sqrt(library.where(zero, 1.0, square))))
 
 
