@@ -85,18 +85,24 @@ _TEAM = _Team(_wanted())
 def beside(function: Callable[..., _Result], *arguments: object) -> Callable[[], _Result]:
     """Begin `function(*arguments)` on another core; the function returned waits for the result or raises its exception.
 
-    With a single thread, it begins when the result is requested.
+    What no other thread has begun by then, the caller computes: with a single thread, everything.
 
     Not for functions that themselves call `beside`: with all threads waiting, none would end.
     """
-    if working() > 1:
-        return _begun(function, *arguments).result
     context = contextvars.copy_context()
-    return lambda: context.run(_unless_dropped, function, *arguments)
+    begun = _begun(function, *arguments) if working() > 1 else Future()
+
+    def result() -> _Result:
+        return context.run(_unless_dropped, function, *arguments) if begun.cancel() else begun.result()
+
+    return result
 
 
 def _begun(function: Callable[..., _Result], *arguments: object) -> "Future[_Result]":
-    return _TEAM.others.submit(contextvars.copy_context().run, _unless_dropped, function, *arguments)
+    try:
+        return _TEAM.others.submit(contextvars.copy_context().run, _unless_dropped, function, *arguments)
+    except RuntimeError:
+        return Future()  # The interpreter is ending: no thread begins anything any more.
 
 
 def _unless_dropped(function: Callable[..., _Result], *arguments: object) -> _Result:

@@ -269,7 +269,8 @@ def keep(name: str, lowered: jax.stages.Lowered, executable: jax.stages.Compiled
     executable that it has read has lost its code.
     """
     if _folder is not None and not jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
-        _WRITER.submit(_written, name, lowered, executable, layout)
+        with contextlib.suppress(RuntimeError):  # while the interpreter ends, nothing more is written
+            _WRITER.submit(_written, name, lowered, executable, layout)
 
 
 def _written(name: str, lowered: jax.stages.Lowered, executable: jax.stages.Compiled, layout: Any) -> None:
