@@ -101,3 +101,22 @@ def test_an_expansion_that_is_no_number_does_not_pass_for_resolved():
     expanded = al.expand(lambda m: m["x"] ** 2, {"x": al.Uniform(1.0, half_width=0.1)}, al.Expansion(order=2))
     spoilt = eqx.tree_at(lambda one: one.coefficients, expanded, expanded.coefficients * jnp.nan)
     assert np.isnan(spoilt.highest_degree_share)
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "exact"),
+    [
+        ([1.0, 3.0, 4.0], 5.0),
+        ([1.0, 1e-9, 0.0], 1e-9),
+        ([1.0, 1e-14, 0.0], 0.0),
+        ([1e170, 1e150, 0.0], 0.0),
+        ([1e180, 1e180, 0.0], np.inf),
+        ([np.inf, np.inf, 0.0], np.inf),
+        ([np.inf, np.nan, 0.0], np.nan),
+    ],
+)
+def test_a_spread_that_overflows_is_none_of_rounding(coefficients, exact):
+    for values in (np.array(coefficients), jnp.array(coefficients)):
+        np.testing.assert_allclose(np.asarray(Std().of(values, ())), exact, rtol=1e-12)
+    traced = jax.jit(lambda values: Std().of(values, ()))(jnp.array(coefficients))
+    np.testing.assert_allclose(np.asarray(traced), exact, rtol=1e-12)

@@ -148,13 +148,14 @@ class Compiled:
             def function(*inputs: Any) -> Any:
                 return self._function(*read(list(inputs)))
 
-            trace = functools.partial(self._traced, program, function, inputs, use, name, packed=packed)
+            trace = functools.partial(self._traced, function, inputs, use, name, packed=packed)
             if not programs.is_kept(name):
-                return functools.partial(self._timed, trace())
+                compiled, program.results = trace()
+                return functools.partial(self._timed, compiled)
 
             def loaded() -> Executable:
                 earlier = programs.load(name, inputs)
-                return trace()() if earlier is None else _ready(*earlier)
+                return trace()[0]() if earlier is None else _ready(*earlier)
 
             return functools.partial(self._timed, loaded)
 
@@ -172,16 +173,9 @@ class Compiled:
         return executable
 
     def _traced(
-        self,
-        program: Program,
-        function: Callable[..., Any],
-        inputs: list[Any],
-        use: Use,
-        name: str | None,
-        *,
-        packed: bool,
-    ) -> Callable[[], Executable]:
-        """Trace a function: what is returned compiles it."""
+        self, function: Callable[..., Any], inputs: list[Any], use: Use, name: str | None, *, packed: bool
+    ) -> tuple[Callable[[], Executable], Pytree | None]:
+        """Trace a function: what compiles it, and the shapes of its results, None if these are packed."""
         started = time.perf_counter()
         layouts: list[Layout] = []
 
@@ -193,7 +187,6 @@ class Compiled:
         with _explained():
             traced = jax.jit(flat).trace(*inputs)
             use, lowered = use.of(traced.jaxpr), traced.lower()
-        program.results = None if packed else layouts[0].read(traced.out_info)
         # Asked here, because what JAX is told of devices holds for one thread.
         bound_to = placed(inputs)
         platform, moves = (bound_to or home()).platform, bound_to is None and len(devices()) > 1
@@ -212,7 +205,7 @@ class Compiled:
             again = traced.lower()
             return _ready(undisturbed(lambda: compiled_for(use, again, platform)), layouts[0])
 
-        return compiled
+        return compiled, None if packed else layouts[0].read(traced.out_info)
 
 
 def compiled_for(use: Use, lowered: jax.stages.Lowered, platform: str) -> jax.stages.Compiled:

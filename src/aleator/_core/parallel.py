@@ -4,6 +4,7 @@ Parts of a computation are shared among devices, each as a whole, on one device 
 from the same program whichever device computes it, and sums over parts are formed in their order on one device.
 """
 
+import contextlib
 import contextvars
 import itertools
 import os
@@ -89,20 +90,15 @@ def beside(function: Callable[..., _Result], *arguments: object) -> Callable[[],
 
     Not for functions that themselves call `beside`: with all threads waiting, none would end.
     """
-    context = contextvars.copy_context()
-    begun = _begun(function, *arguments) if working() > 1 else Future()
+    context, begun = contextvars.copy_context(), Future[_Result]()
+    if working() > 1:
+        with contextlib.suppress(RuntimeError):  # while the interpreter ends, no thread begins anything any more
+            begun = _TEAM.others.submit(contextvars.copy_context().run, _unless_dropped, function, *arguments)
 
     def result() -> _Result:
         return context.run(_unless_dropped, function, *arguments) if begun.cancel() else begun.result()
 
     return result
-
-
-def _begun(function: Callable[..., _Result], *arguments: object) -> "Future[_Result]":
-    try:
-        return _TEAM.others.submit(contextvars.copy_context().run, _unless_dropped, function, *arguments)
-    except RuntimeError:
-        return Future()  # The interpreter is ending: no thread begins anything any more.
 
 
 def _unless_dropped(function: Callable[..., _Result], *arguments: object) -> _Result:
@@ -143,10 +139,9 @@ def in_order(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterat
     """
     items = iter(items)
     while some := list(islice(items, working())):
-        others = [_begun(work, one) for one in some[1:]]
+        others = [beside(work, one) for one in some[1:]]
         yield work(some[0])
-        for one, other in zip(some[1:], others, strict=True):
-            yield work(one) if other.cancel() else other.result()
+        yield from (result() for result in others)
 
 
 Device: TypeAlias = Any

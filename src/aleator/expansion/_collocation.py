@@ -131,12 +131,12 @@ def _missed(
 
 @quietly
 def relative_error(
-    error: Float[Array, "*n"], variance: Float[Array, "*n"], square: Float[Array, "*n"]
+    error: Float[Array, "*n"], variance: Float[Array, "*n"], square: Float[Array, "*n"], *, rounding: float = ROUNDING
 ) -> Float[Array, "*n"]:
-    """The root of error over variance; zero where the variance is rounding."""
+    """The root of error over variance; zero where a spread is rounding, as a part of the root mean square."""
     # Compared with `<=` so that NaN propagates and non-finite samples do not pass for constant.
     library, error, variance, square = in_library(error, variance, square)
-    constant = variance <= ROUNDING**2 * square
+    constant = variance <= rounding**2 * square
     return library.where(constant, 0.0, library.sqrt(error / library.where(constant, 1.0, variance)))
 
 

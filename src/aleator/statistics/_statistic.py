@@ -175,7 +175,7 @@ class Std(AbstractStatistic):
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
         library, coefficients = in_library(coefficients)
         mean = coefficients[0] if library is np else jax.lax.stop_gradient(coefficients[0])
-        return root(Variance().of(coefficients, constants), (ROUNDING * mean) ** 2)
+        return root(Variance().of(coefficients, constants), ROUNDING * abs(mean))
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
@@ -192,12 +192,16 @@ def varies(coefficients: Float[Array, "terms *shape"]) -> Bool[Array, "*shape"]:
 
 
 @quietly
-def root(square: Float[Array, "*shape"], rounding: Any = 0.0) -> Float[Array, "*shape"]:
-    """The square root, with derivative zero at zero; zero for numbers up to `rounding`, negative ones among them."""
-    # Compared with `<=` so that NaN propagates.
-    library, square, rounding = in_library(square, rounding)
-    zero = square <= rounding
-    return jax_array(library.where(zero, 0.0, library.sqrt(library.where(zero, 1.0, square))))
+def root(square: Float[Array, "*shape"], rounding: Any = None) -> Float[Array, "*shape"]:
+    """The square root, with derivative zero at zero; zero for negative numbers, which only rounding causes.
+
+    - `rounding`: a root below this is zero too, if it is given.
+    """
+    # Compared such that what is not finite stays so.
+    library, square = in_library(square)
+    none = square <= 0
+    size = library.sqrt(library.where(none, 1.0, square))
+    return jax_array(library.where(none if rounding is None else none | (size < rounding), 0.0, size))
 
 
 @final

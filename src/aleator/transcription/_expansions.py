@@ -360,7 +360,5 @@ def _error_of(collocation: Collocation, tangents: Float[Array, "points ..."]) ->
 
     A fit is linear, so that the derivatives of its coefficients are the coefficients of the derivative.
     """
-    error, variance, square = (
-        float(part.sum()) for part in mean_squares(collocation, tangents, collocation.coefficients(tangents))
-    )
-    return 0.0 if variance <= _INTEGRATED**2 * square else float(np.sqrt(error / variance))
+    squares = mean_squares(collocation, tangents, collocation.coefficients(tangents))
+    return float(relative_error(*(part.sum() for part in squares), rounding=_INTEGRATED))
