@@ -11,7 +11,7 @@ import pytest
 from small_expansions import basis_of, random_coefficients
 
 from aleator import statistics
-from aleator.statistics import AbstractStatistic, _lines, prepare
+from aleator.statistics import AbstractStatistic, prepare
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 from compiling import compiled
 
@@ -52,12 +52,6 @@ CASES = [
     (statistics.Infimum(), BOUNDED),
     (statistics.Quantile(0.9), MIXED),
 ]
-
-
-@pytest.fixture(autouse=True)
-def few_lines(monkeypatch):
-    """What is differentiated is the average over the lines that there are."""
-    monkeypatch.setattr(_lines, "_LINES", 2**8)
 
 
 def central_difference(function, x, step):

@@ -24,8 +24,7 @@ from aleator.statistics import (
     prepare,
     together,
 )
-from aleator.statistics._lines import finite_ends, line_distribution
-from aleator.statistics._output_distribution import extrema, horner, roots_between
+from aleator.statistics._roots import extrema, horner, roots_between
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 from compiling import compiled
 
@@ -43,25 +42,6 @@ DISTRIBUTIONS = {
     "gamma": (LaguerreGerm(3.0), stats.gamma(3)),
     "gamma with an infinite density": (LaguerreGerm(0.6), stats.gamma(0.6)),
 }
-
-
-@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
-def test_partial_moments_of_tabulated_distributions_are_those_of_the_special_functions(distribution):
-    germ, oracle = DISTRIBUTIONS[distribution]
-    table = line_distribution([germ], 3)
-    levels = np.array([1e-6, 0.01, 0.2, 0.5, 0.77, 0.999, 1 - 1e-6])
-    low, high = finite_ends(germ)
-    x = (2 * oracle.ppf(levels) - low - high) / (high - low)
-    moments = compiled(lambda x: table.partial_moments(x, 3))(x[:, None, None])
-    moments = np.asarray(moments)[:, 0, 0]
-    assert moments[:, 0] == pytest.approx(levels, abs=2e-9)
-
-    def integrand(level, k):
-        return germ.polynomials(2, germ.quantile(np.array([level])))[0, k]
-
-    for k in (1, 2):
-        expected = [integrate.quad(integrand, 0, level, args=(k,), epsabs=1e-11)[0] for level in levels[:5]]
-        assert moments[:5, k] == pytest.approx(np.array(expected), abs=1e-8)
 
 
 @pytest.mark.parametrize("distribution", DISTRIBUTIONS)

@@ -22,7 +22,6 @@ from aleator.statistics import (
     Supremum,
     TotalSobol,
     Variance,
-    _lines,
     prepare,
     root,
 )
@@ -35,11 +34,6 @@ OF_SAMPLES = [
     *(Probability(above=0.1), Probability(above=-0.5, below=0.5), ConditionalValueAtRisk(0.9), Supremum()),
 ]
 BY_LINES = [Quantile(0.9), Probability(above=-0.5, below=0.5), ConditionalValueAtRisk(0.9), Supremum()]
-
-
-@pytest.fixture(autouse=True)
-def few_lines(monkeypatch):
-    monkeypatch.setattr(_lines, "_LINES", 2**8)
 
 
 def shape_of(statistic):

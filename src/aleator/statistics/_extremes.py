@@ -20,7 +20,7 @@ from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.expansion import Basis
-from aleator.statistics._output_distribution import extrema, horner
+from aleator.statistics._roots import extrema, horner
 from aleator.statistics._statistic import AbstractStatistic, in_blocks
 from aleator.uncertainty import AbstractGerm
 

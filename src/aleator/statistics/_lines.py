@@ -1,14 +1,18 @@
-"""Lines through the germ space, along which an expansion is a polynomial of one variable.
+"""Lines through the space of normal variables, along which the distribution of an output is integrated.
 
 Probabilities of an output are integrals of a step function, which points alone resolve poorly. Along a line the
-integral between the crossings of a threshold is exact, and the average over the lines is that of a smooth function
-(Griewank, Kuo, Leövey and Sloan, 2018, High dimensional integration of kinks and jumps). Lines run along each variable
-in turn. Standard normal variables may be rotated: their lines run along the direction in which the output varies most,
-so that every single line gives the exact result for an output that is linear in normal variables.
+integral is that of a function of one variable, exact between the crossings of a threshold, and the average over the
+lines is that of a smooth function (Griewank, Kuo, Leövey and Sloan, 2018, High dimensional integration of kinks and
+jumps). Every germ variable is a function of a standard normal one, at equal probability. Lines run in the direction in
+which the output is smallest at a distance of some standard deviations, so that a single line gives the result for an
+output that is nearly linear in the tail. They lie where a mixture of normal distributions puts them: the given one,
+two wider ones, and one around each of several such minima; the ratio of the densities is the weight of a line
+(importance sampling; Owen and Zhou, 2000, on mixtures that keep the given distribution).
 """
 
 from typing import final
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,233 +23,185 @@ from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.expansion import Basis
+from aleator.statistics._roots import horner
 from aleator.statistics._statistic import root
-from aleator.uncertainty import AbstractGerm, HermiteGerm, LegendreGerm, SampleGerm
+from aleator.uncertainty import AbstractGerm, HermiteGerm, SampleGerm
 
-# Lines for a single number; many numbers at once share fewer, see `_output_distribution`.
-_LINES = 2**14
+# Lines of one replicate by the distribution that places them: the given one, two wider ones, and one around each
+# minimum. All are powers of two: with the replicates, each has a digital net of its own.
+_SIZES, _MINIMA = (64, 64, 64, 16, 16, 16, 16), 4
+REPLICATES = 8
 
-# How much lines through normal variables are preferred to others of the same share: they determine the tails.
-_NORMAL_PREFERENCE = 10.0
+# Distances from the origin, in standard deviations: one tail probability in 4000, in 30 000, and the reach of the two
+# wider distributions.
+_SEARCHED, _CENTRE, _REACHES = 3.5, 4.0, (3.0, 5.0)
+_DESCENTS, _STARTS = 12, 64
+_APART = 0.7  # cosine between minima that are told apart
 
-# The higher this is, the less weight lines have along which the output hardly varies.
-_SHARPNESS = 3
+# The part of a line that counts, beyond which lies 3e-12. Cells of it: of the only line of one variable, of each of the
+# equidistant lines of two variables, and of others.
+_END, _CELLS, _FEWEST_CELLS = 7.0, {1: 4096, 2: 280}, 35
+_ON_A_GRID, _GRID = 2, 257
 
-_CELLS = 2048
-_POWER = 4  # two square roots, see `LineDistribution`
+# Beyond this, double precision cannot tell a distribution function from 0 or 1. Cells of the table of a germ.
+_LAST, _TABLED = 8.2, 1024
 
-# Unbounded distributions are cut where double precision cannot tell the distribution function from 0 or 1.
-_LEAST_LEVEL = 2.0**-53
-
-# Keeps the derivative of the root finite at the ends, where it is not used.
-_LEAST_DISTANCE = 1e-60
-
-
-@final
-class LineDistribution(Module):
-    """The distributions of several variables, each scaled to [-1, 1], with `orders` polynomials of each.
-
-    A germ has its distribution function in NumPy only. Here it is tabulated on an interval, `x` from -1 to 1, together
-    with the partial moments `G_k(x)`, the integrals of the orthonormal polynomials `p_k` over the probability up to `x`
-    (`G_0` is the distribution function). Tables are cubic splines in the fourth root of the distance from the nearer
-    end, in which distributions with a singular density at an end (Beta, Gamma) are smooth. Their error is below 1e-9.
-
-    - `table`: of the partial moments, shape (variables, 2 ends, cells, 4, orders);
-    - `monomials[v, k, m]`: the coefficient of `x^m` in `p_k`;
-    - `from_powers[v, m, k]`: powers of the germ variable itself as sums of `p_k`.
-    """
-
-    table: Float[Array, "variables 2 cells 4 orders"]
-    monomials: Float[Array, "variables orders orders"]
-    from_powers: Float[Array, "variables orders orders"]
-
-    def partial_moments(self, x: Float[Array, "*points variables lines"], orders: int) -> Float[Array, "..."]:
-        """`G_k(x)` for the first `orders` polynomials, along a new last axis. Not differentiable."""
-        cubic, within, _ = self._spline(x, orders)
-        return _value(jnp.moveaxis(cubic, -2, 0), within[..., None])
-
-    def level_and_density(self, x: Float[Array, "*points variables lines"]) -> tuple[Array, Array]:
-        """The distribution function, and the probability density with respect to the scaled variable `x`."""
-        cubic, within, root = self._spline(x, 1)
-        cubic = jnp.moveaxis(cubic[..., 0], -1, 0)
-        by_root = (3 * cubic[0] * within + 2 * cubic[1]) * within + cubic[2]
-        density = -jnp.where(x > 0, 1.0, -1.0) * by_root * _CELLS / (_POWER * root ** (_POWER - 1))
-        return _value(cubic, within), density
-
-    def _spline(self, x: Array, orders: int) -> tuple[Array, Array, Array]:
-        """For each point: the cubic's coefficients in its cell, its place in the cell, and the root of its distance."""
-        root = jnp.sqrt(jnp.sqrt(jnp.maximum(1 - jnp.abs(x), _LEAST_DISTANCE)))
-        cell = jnp.clip((root * _CELLS).astype(int), 0, _CELLS - 1)
-        variable = jax.lax.broadcasted_iota(int, x.shape, x.ndim - 2)
-        return self.table[variable, (x > 0).astype(int), cell, :, :orders], root * _CELLS - cell, root
-
-
-def _value(cubic: Float[Array, "4 ..."], within: Array) -> Array:
-    return ((cubic[0] * within + cubic[1]) * within + cubic[2]) * within + cubic[3]
-
-
-def line_distribution(germs: list[AbstractGerm], orders: int) -> LineDistribution:
-    """Tabulate the distributions of some germ variables."""
-    ends = [finite_ends(germ) for germ in germs]
-    both = list(zip(germs, ends, strict=True))
-    monomials = [_monomials(germ, *end, orders) for germ, end in both]
-    powers = [np.linalg.inv(_monomials(germ, -1.0, 1.0, orders)) for germ in germs]
-    table = [_table(germ, *end, orders) for germ, end in both]
-    return LineDistribution(*(jax_array(np.stack(parts)) for parts in (table, monomials, powers)))
-
-
-def finite_ends(germ: AbstractGerm) -> tuple[float, float]:
-    """The support of a germ; an unbounded one is cut at a level of 1e-16."""
-    low, high = germ.support()
-    if np.isinf(low):
-        low = float(germ.quantile(np.array(_LEAST_LEVEL)))
-    if np.isinf(high):
-        high = float(germ.quantile(np.array(1 - _LEAST_LEVEL)))
-    return low, high
-
-
-def _monomials(germ: AbstractGerm, low: float, high: float, orders: int) -> Float[np.ndarray, "orders orders"]:
-    """The coefficients of the orthonormal polynomials by powers of `x`, where `low` is -1 and `high` is 1."""
-    a, b = germ.recurrence(orders)
-    middle, half = (low + high) / 2, (high - low) / 2
-    rows = np.zeros((orders + 1, orders))
-    rows[0, 0] = 1.0
-    for n in range(orders - 1):
-        times_x = np.concatenate([[0.0], rows[n, :-1]])
-        rows[n + 1] = (half * times_x + (middle - a[n]) * rows[n] - b[n] * rows[n - 1]) / b[n + 1]
-    return rows[:orders]
-
-
-def _table(germ: AbstractGerm, low: float, high: float, orders: int) -> Float[np.ndarray, "2 cells 4 orders"]:
-    """Splines of the partial moments from either end to the middle, by the root of the distance from that end.
-
-    By parts, `G_k = p_k F - integral of F p_k'` for the distribution function `F`, and so for `1 - F` from above. The
-    integral is taken by Gauss quadrature in each cell.
-    """
-    roots = np.linspace(0.0, 1.0, _CELLS + 1)
-    nodes, weights = np.polynomial.legendre.leggauss(4)
-    inner = (roots[:-1, None] + (nodes + 1) / (2 * _CELLS)).ravel()
-    half = (high - low) / 2
-    splines = []
-    for end, sign in ((low, 1.0), (high, -1.0)):
-        at, between = (end + sign * half * root**_POWER for root in (roots, inner))
-        steps = half * _POWER * inner ** (_POWER - 1) * np.tile(weights, _CELLS) / (2 * _CELLS)
-        beyond = _beyond(germ, at, sign)[:, None] * _with_slopes(germ, at, orders)[0]
-        parts = (steps * _beyond(germ, between, sign))[:, None] * _with_slopes(germ, between, orders)[1]
-        sums = np.concatenate([np.zeros((1, orders)), parts.reshape(_CELLS, 4, orders).sum(axis=1).cumsum(axis=0)])
-        moments = beyond - sign * sums
-        total = (np.arange(orders) == 0).astype(float)
-        values = moments if sign > 0 else total - moments
-        # The unit of length is a cell, not the whole interval.
-        scale = float(_CELLS) ** -np.arange(3, -1, -1)
-        splines.append(np.moveaxis(scipy.interpolate.CubicSpline(roots, values).c * scale[:, None, None], 0, 1))
-    return np.stack(splines)
-
-
-def _beyond(germ: AbstractGerm, at: Float[np.ndarray, " n"], sign: float) -> Float[np.ndarray, " n"]:
-    """The probability between an end of the support and some germ values."""
-    level = germ.cumulative(at)
-    return level if sign > 0 else 1 - level
-
-
-def _with_slopes(germ: AbstractGerm, at: Float[np.ndarray, " n"], orders: int) -> tuple[np.ndarray, np.ndarray]:
-    """The orthonormal polynomials and their derivatives, each of shape (n, orders)."""
-    a, b = germ.recurrence(orders)
-    values = germ.polynomials(orders - 1, at)
-    slopes = np.zeros(values.shape)
-    for n in range(orders - 1):
-        slopes[:, n + 1] = (values[:, n] + (at - a[n]) * slopes[:, n] - b[n] * slopes[:, n - 1]) / b[n + 1]
-    return values, slopes
+# So many points are evaluated at once, for the cache.
+_TOGETHER = 2**12
 
 
 @final
-class Rotation(Module):
-    """Lines through the standard normal variables along a direction that depends on the coefficients.
+class LowerTail(Module):
+    """An output along lines that are chosen for its small values.
 
-    Derivatives of an expansion in Hermite polynomials are expansions in the same polynomials. So the Taylor series
-    along a line follows from the values of the polynomials at one point of it.
-
-    - `points`: normal variables of a point on each line; `matrix`: the basis polynomials there;
-    - `raised`, `factors`: the derivative by variable `i` has the coefficients `factors[i] * c[raised[i]]`;
-    - `linear`, `contributing`: one where a term is variable `i` itself, or depends on it.
+    - `points`: in the normal variables: where each line passes the origin's plane, shape (variables, lines);
+    - `direction`: of all lines; `weights`: of each line, with sum one in each replicate;
+    - `cubics`: the output in each cell by powers of the place in it, from 0 to 1.
     """
 
-    points: Float[Array, "lines normals"]
-    matrix: Float[Array, "lines terms"]
-    raised: Int[Array, "normals terms"]
-    factors: Float[Array, "normals terms"]
-    linear: Float[Array, "normals terms"]
-    contributing: Float[Array, "normals terms"]
-
-    def direction(self, coefficients: Float[Array, " terms"]) -> Float[Array, " normals"]:
-        """The mean gradient; nonlinear variables weigh more, so that they count even if their mean slope is zero."""
-        gradient = self.linear @ coefficients
-        variance = self.contributing @ coefficients**2
-        std = root(jnp.sum(coefficients[1:] ** 2))
-        raw = gradient + (variance - gradient**2) / jnp.where(std > 0, std, 1.0)
-        length = root(jnp.sum(raw**2))
-        first = jnp.zeros(len(raw)).at[0].set(1.0)
-        return jnp.where(length > 0, raw / jnp.where(length > 0, length, 1.0), first)
-
-    def powers(self, coefficients: Float[Array, " terms"], degree: int, lines: int) -> Float[Array, "orders lines"]:
-        """The expansion along each line, by powers of the standard normal variable along it."""
-        # The derivatives have more terms than the expansion where the basis lacks divisors of its terms.
-        coefficients = jnp.pad(coefficients, (0, self.matrix.shape[1] - len(coefficients)))
-        direction = self.direction(coefficients)
-        taylor = [coefficients]
-        for order in range(1, degree + 1):
-            slopes = self.factors * taylor[-1][self.raised]
-            taylor.append(direction @ slopes / order)
-        rows = list(jnp.stack(taylor) @ self.matrix[:lines].T)
-        # Shift the powers: from the distance from the point to the distance from the foot of the origin.
-        at = self.points[:lines] @ direction
-        for done in range(degree):
-            for order in range(degree - 1, done - 1, -1):
-                rows[order] = rows[order] - at * rows[order + 1]
-        return jnp.stack(rows)
+    points: Float[Array, "variables lines"]
+    direction: Float[Array, " variables"]
+    weights: Float[Array, "replicates lines_of_one"]
+    cubics: Float[Array, "4 lines cells"]
 
 
 @final
 class Lines(Module):
-    """Lines along some directions: one for each non-normal variable, and one for all normal variables together.
+    """What lines through the normal variables need of a basis, in the variables that it contains.
 
-    - `others`: the basis polynomials without the factor of the line's own variable, shape (variables, lines, terms);
-    - `degrees`: one where a term has degree `k` in that variable, shape (variables, orders, terms);
-    - `rotation`: the lines through the normal variables, the last direction; None if there are none;
-    - `contributing`: one where a term varies along a direction; `preference`: of each direction;
-    - `distribution`: of the variable along each direction.
+    - `table`: the germ variables as cubic splines of the normal ones; `is_normal`: those that are normal themselves;
+    - `recurrence`: the coefficients `a[n]`, `b[n]` and `b[n + 1]` of their polynomials, shape (orders, 3, variables);
+    - `factors`: of each term, by degree and variable, filled up with the constant polynomial;
+    - `normals`: the lines' points by a standard normal distribution; `starts`: directions at
+      which a search begins; `at_starts`: the terms there;
+    - `cells`: along each line.
     """
 
-    others: Float[Array, "variables lines terms"]
-    degrees: Float[Array, "variables orders terms"]
-    rotation: Rotation | None
-    contributing: Float[Array, "directions terms"]
-    preference: Float[Array, " directions"]
-    distribution: LineDistribution
-
-    def weights(self, coefficients: Float[Array, " terms"]) -> Float[Array, " directions"]:
-        """The weight of each direction: they add up to one, and are zero for lines along which nothing varies."""
-        shares = self.contributing @ coefficients**2 * self.preference
-        largest = jnp.max(shares)
-        raw = (shares / jnp.where(largest > 0, largest, 1.0)) ** _SHARPNESS
-        total = jnp.sum(raw)
-        return jnp.where(total > 0, raw / jnp.where(total > 0, total, 1.0), 1 / len(raw))
-
-    def polynomials(self, coefficients: Float[Array, " terms"], lines: int) -> Float[Array, "orders directions lines"]:
-        """The expansion along the first `lines` lines of each direction, in their orthonormal polynomials."""
-        orders = self.distribution.monomials.shape[1]
-        by_degree = self.degrees * coefficients[None, None]
-        along = jnp.einsum("vkt,vnt->kvn", by_degree, self.others[:, :lines])
-        if self.rotation is None:
-            return along
-        powers = self.rotation.powers(coefficients, orders - 1, lines)
-        rotated = jnp.einsum("mk,mn->kn", self.distribution.from_powers[-1], powers)
-        return jnp.concatenate([along, rotated[:, None]], axis=1)
+    table: Float[Array, "variables cells 4"]
+    is_normal: Float[Array, "variables 1"]
+    recurrence: Float[Array, "orders 3 variables"]
+    factors: Int[Array, "factors terms"]
+    normals: Float[Array, "variables replicates lines_of_one"]
+    starts: Float[Array, "variables starts"]
+    at_starts: Float[Array, "terms starts"]
+    cells: int = eqx.field(static=True)
 
     @property
-    def count(self) -> int:
-        """How many lines there are along each direction."""
-        return self.others.shape[1] if self.rotation is None else len(self.rotation.points)
+    def orders(self) -> int:
+        """How many polynomials of one variable there are."""
+        return len(self.recurrence)
+
+    @property
+    def step(self) -> float:
+        """The length of a cell, in standard deviations."""
+        return 2 * _END / self.cells
+
+    def values(self, coefficients: Float[Array, " terms"], normal: Float[Array, "variables n"]) -> Float[Array, " n"]:
+        """The expansion at points of the normal variables."""
+        count = normal.shape[1]
+        if count <= _TOGETHER:
+            return coefficients @ self._terms(normal)
+        blocks = -(-count // _TOGETHER)
+        filled = jnp.pad(normal, ((0, 0), (0, blocks * _TOGETHER - count)), mode="edge")
+        split = jnp.moveaxis(filled.reshape(len(normal), blocks, _TOGETHER), 1, 0)
+        return jax.lax.map(lambda some: coefficients @ self._terms(some), split).ravel()[:count]
+
+    def _terms(self, normal: Float[Array, "variables n"]) -> Float[Array, "terms n"]:
+        germ = self._germ(normal)
+
+        def following(
+            state: tuple[Array, Array], row: Float[Array, "3 variables"]
+        ) -> tuple[tuple[Array, Array], Array]:
+            previous, current = state
+            a, b, after = row[..., None]
+            return (current, ((germ - a) * current - b * previous) / after), current
+
+        _, polynomials = jax.lax.scan(following, (jnp.zeros(germ.shape), jnp.ones(germ.shape)), self.recurrence)
+        flat = polynomials.reshape(-1, germ.shape[1])
+        product = flat[self.factors[0]]
+        for others in self.factors[1:]:
+            product = product * flat[others]
+        return product
+
+    def _germ(self, normal: Float[Array, "variables n"]) -> Float[Array, "variables n"]:
+        place = jnp.clip((normal + _LAST) * (_TABLED / (2 * _LAST)), 0.0, float(_TABLED))
+        cell = jnp.minimum(place.astype(int), _TABLED - 1)
+        cubic = self.table[jax.lax.broadcasted_iota(int, cell.shape, 0), cell]
+        return jnp.where(self.is_normal > 0, normal, horner(jnp.moveaxis(cubic, -1, 0), (place - cell)[None])[0])
+
+    def first_of(self, cell: Int[Array, "*cells"]) -> Float[Array, "*cells"]:
+        """Where a cell begins, in standard deviations."""
+        return (cell - self.cells / 2) * self.step
+
+    def lower_tail(self, coefficients: Float[Array, " terms"], replicates: int) -> LowerTail:
+        """An output with mean zero along lines for its small values."""
+        minima = self._minima(coefficients)
+        direction = minima[:, 0]
+        points, weights = _placed(self.normals[:, :replicates], direction, _CENTRE * minima)
+        # Slopes at the ends of cells take two more nodes beyond either end.
+        along = self.first_of(np.arange(-2, self.cells + 3))
+        nodes = points[..., None] + direction[:, None, None] * along[None, None]
+        values = self.values(coefficients, nodes.reshape(len(points), -1)).reshape(nodes.shape[1:])
+        return LowerTail(points, direction, weights, _cubics(values))
+
+    def _minima(self, coefficients: Float[Array, " terms"]) -> Float[Array, "variables minima"]:
+        """Directions in which the expansion is smallest at some distance, the best one first."""
+
+        def chosen(left: Float[Array, " starts"], _: None) -> tuple[Array, Array]:
+            best = self.starts[:, jnp.argmin(left)]
+            return jnp.where(best @ self.starts > _APART, jnp.inf, left), best
+
+        def heights(at: Float[Array, "variables minima"]) -> tuple[Array, Array]:
+            values = self.values(coefficients, _SEARCHED * at)
+            return jnp.sum(values), values
+
+        def descend(_: int, state: tuple[Array, Array]) -> tuple[Array, Array]:
+            slope, values = jax.grad(heights, has_aux=True)(state[0])
+            return _unit(state[0] - _unit(slope)), values
+
+        starts = jax.lax.scan(chosen, coefficients @ self.at_starts, None, _MINIMA)[1].T
+        minima, values = jax.lax.fori_loop(0, _DESCENTS, descend, (starts, jnp.zeros(_MINIMA)))
+        return minima[:, jnp.argsort(values)]
+
+
+def _placed(
+    normals: Float[Array, "variables replicates lines_of_one"],
+    direction: Float[Array, " variables"],
+    centres: Float[Array, "variables minima"],
+) -> tuple[Float[Array, "variables lines"], Float[Array, "replicates lines_of_one"]]:
+    """Points of lines in the plane across their direction, and their weights."""
+    variables, replicates, count = normals.shape
+    # Householder's reflection of the last axis to the direction.
+    mirror = _unit(jnp.zeros((variables, 1)).at[-1].set(1.0) - direction[:, None])[:, 0]
+    flat = normals.reshape(variables, -1)
+    flat = flat - 2 * jnp.outer(mirror, mirror @ flat)
+    if variables <= _ON_A_GRID:
+        weights = jnp.exp(-jnp.sum(normals**2, axis=0) / 2)
+        return flat, weights / jnp.sum(weights)
+    sizes = np.array(_SIZES)
+    spreads = np.array([1.0, *(np.sqrt(1 + reach**2 / variables) for reach in _REACHES), *[1.0] * _MINIMA])
+    across = centres - jnp.outer(direction, direction @ centres)
+    middles = jnp.concatenate([jnp.zeros((variables, 1 + len(_REACHES))), across], axis=1)
+    which = np.tile(np.repeat(np.arange(len(sizes)), sizes), replicates)
+    points = middles[:, which] + spreads[which][None] * flat
+    distances = jnp.sum((points[:, None] - middles[..., None]) ** 2, axis=0)
+    logs = -distances / (2 * spreads[:, None] ** 2) + np.log(sizes / spreads ** (variables - 1))[:, None]
+    weights = jnp.exp(logs[0] - jax.scipy.special.logsumexp(logs, axis=0)).reshape(replicates, count)
+    return points, weights * (replicates / jnp.sum(weights))
+
+
+def _cubics(values: Float[Array, "lines nodes"]) -> Float[Array, "4 lines cells"]:
+    """Hermite's cubics between nodes, with slopes by differences of fourth order; constant term first."""
+    slopes = (8 * (values[:, 3:-1] - values[:, 1:-3]) - (values[:, 4:] - values[:, :-4])) / 12
+    values = values[:, 2:-2]
+    first, last, rise = slopes[:, :-1], slopes[:, 1:], jnp.diff(values, axis=1)
+    return jnp.stack([values[:, :-1], first, 3 * rise - 2 * first - last, first + last - 2 * rise])
+
+
+def _unit(vectors: Float[Array, "variables n"]) -> Float[Array, "variables n"]:
+    """Columns of length one; those of no length stay."""
+    length = root(jnp.sum(vectors**2, axis=0, keepdims=True))
+    return vectors / jnp.where(length > 0, length, 1.0)
 
 
 def refuse_steps(basis: Basis) -> None:
@@ -260,83 +216,83 @@ def refuse_steps(basis: Basis) -> None:
 
 
 def lines_through(basis: Basis) -> Lines:
-    """Preparation: lines through the germ of a basis, for the distribution of an output."""
+    """Preparation: lines through the normal variables of a basis, for the distribution of an output."""
     refuse_steps(basis)
-    active = [i for i, degree in enumerate(basis.degrees) if degree > 0]
-    if not active:
-        return _nowhere()
-    germs = list(basis.germs.values())
-    normal = [i for i in active if isinstance(germs[i], HermiteGerm)]
-    single = [i for i in active if i not in normal]
-    directions = [[i] for i in single] + ([normal] if normal else [])
-    orders = 1 + max(int(basis.indices[:, group].sum(axis=1).max()) for group in directions)
-    # Each direction has its own points: their errors then average out.
-    points = [_points(basis, active, len(directions), seed) for seed in range(len(directions))]
-    without = [_without(basis, i, at) for i, at in zip(single, points, strict=False)]
-    by_degree = [basis.indices[:, i] == np.arange(orders)[:, None] for i in single]
-    terms = basis.terms
+    # A constant output needs a variable too.
+    active = [i for i, degree in enumerate(basis.degrees) if degree > 0][: basis.variables] or [0][: basis.variables]
+    germs: list[AbstractGerm] = [list(basis.germs.values())[i] for i in active] or [HermiteGerm()]
+    indices = basis.indices[:, active] if active else np.zeros((basis.terms, 1), dtype=int)
+    orders = int(indices.max(initial=0)) + 1
+    starts = _starts(len(germs))
     return Lines(
-        others=jax_array(np.reshape(without, (len(single), len(points[0]), terms))),
-        degrees=jax_array(np.reshape(by_degree, (len(single), orders, terms)), float),
-        rotation=_rotation(basis, normal, points[-1]) if normal else None,
-        contributing=jax_array([np.any(basis.indices[:, group] > 0, axis=1) for group in directions], float),
-        preference=jax_array([1.0] * len(single) + [_NORMAL_PREFERENCE] * bool(normal)),
-        distribution=line_distribution([germs[group[0]] for group in directions], orders),
+        table=jax_array(np.stack([_table(germ) for germ in germs])),
+        is_normal=jax_array([[float(isinstance(germ, HermiteGerm))] for germ in germs]),
+        recurrence=jax_array(np.stack([_recurrence(germ, orders) for germ in germs], axis=-1)),
+        factors=jax_array(_factors(indices)),
+        normals=jax_array(_normals(len(germs))),
+        starts=jax_array(starts),
+        at_starts=jax_array(_at(basis, active, germs, _SEARCHED * starts)),
+        cells=_CELLS.get(len(germs), _FEWEST_CELLS),
     )
 
 
-def _nowhere() -> Lines:
-    """For constant outputs: one line along which nothing varies."""
-    ones = jnp.ones((1, 1, 1))
-    return Lines(ones, ones, None, jnp.zeros((1, 1)), jnp.ones(1), line_distribution([LegendreGerm()], 1))
+def _at(
+    basis: Basis, active: list[int], germs: list[AbstractGerm], normal: Float[np.ndarray, "variables n"]
+) -> Float[np.ndarray, "terms n"]:
+    """The terms of a basis at points of the normal variables."""
+    points = (
+        np.stack([germ.quantile(np.full(normal.shape[1], 0.5)) for germ in basis.germs.values()], axis=1)
+        if basis.germs
+        else np.zeros((normal.shape[1], 0))
+    )
+    for i, germ, row in zip(active, germs, normal, strict=False):
+        points[:, i] = germ.quantile(scipy.special.ndtr(row))
+    return basis.matrix(points).T
 
 
-def _points(basis: Basis, active: list[int], directions: int, seed: int) -> Float[np.ndarray, "lines variables"]:
-    """A point on each line: a scrambled Sobol net (Owen, 1995) in the active variables, the middle in the others."""
-    levels = np.full((1, basis.variables), 0.5)
-    if len(active) > 1:
-        size = int(np.log2(_LINES / directions))
-        net = scipy.stats.qmc.Sobol(len(active), bits=30, rng=np.random.default_rng(seed)).random_base2(size)
-        levels = np.full((len(net), basis.variables), 0.5)
+def _table(germ: AbstractGerm) -> Float[np.ndarray, "cells 4"]:
+    """A germ variable by a standard normal one of the same level: cubics by powers of the place in a cell."""
+    normal = np.linspace(-_LAST, _LAST, _TABLED + 1)
+    values = germ.quantile(scipy.special.ndtr(normal))
+    spline = scipy.interpolate.CubicSpline(np.arange(_TABLED + 1.0), values)
+    return spline.c[::-1].T
+
+
+def _recurrence(germ: AbstractGerm, orders: int) -> Float[np.ndarray, "orders 3"]:
+    a, b = germ.recurrence(orders)
+    return np.stack([a[:orders], b[:orders], b[1 : orders + 1]], axis=1)
+
+
+def _factors(indices: Int[np.ndarray, "terms variables"]) -> Int[np.ndarray, "factors terms"]:
+    """The places of each term's factors among the polynomials by degree and variable; 0 is a constant."""
+    variables = indices.shape[1]
+    most = max(int((indices > 0).sum(axis=1).max(initial=0)), 1)
+    places = np.zeros((most, len(indices)), dtype=int)
+    for term, degrees in enumerate(indices):
+        own = [int(degree) * variables + i for i, degree in enumerate(degrees) if degree > 0]
+        places[: len(own), term] = own
+    return places
+
+
+def _normals(variables: int) -> Float[np.ndarray, "variables replicates lines_of_one"]:
+    """Scrambled Sobol nets (Owen, 1995), of which each replicate is a part, across the last axis."""
+    if variables <= _ON_A_GRID:
+        # One line through the origin, or equidistant ones: the trapezoidal rule.
+        across = np.linspace(-_END, _END, _GRID)
+        return np.zeros((1, 1, 1)) if variables == 1 else np.stack([across, 0 * across])[:, None]
+    parts = []
+    for seed, size in enumerate(_SIZES):
+        net = scipy.stats.qmc.Sobol(variables - 1, bits=30, rng=np.random.default_rng(seed))
         # Scrambled points are multiples of 2^-30, 0 among them.
-        levels[:, active] = net + 2.0**-31
-    return basis.map_to_germ(levels)
+        levels = net.random_base2(int(np.log2(REPLICATES * size))) + 2.0**-31
+        parts.append(scipy.special.ndtri(levels).T.reshape(variables - 1, REPLICATES, size))
+    across = np.concatenate(parts, axis=2)
+    return np.concatenate([across, np.zeros((1, *across.shape[1:]))])
 
 
-def _without(basis: Basis, variable: int, points: np.ndarray) -> Float[np.ndarray, "lines terms"]:
-    """The basis polynomials without the factor of one variable."""
-    indices = basis.indices.copy()
-    indices[:, variable] = 0
-    return Basis(basis.germs, indices).matrix(points)
-
-
-def _rotation(basis: Basis, normal: list[int], points: np.ndarray) -> Rotation:
-    """The derivatives of each term by the normal variables, `p_n' = sqrt(n) p_{n-1}`, as maps of coefficients."""
-    closed = Basis(basis.germs, _with_divisors(basis.indices, normal))
-    place = {tuple(row): t for t, row in enumerate(closed.indices.tolist())}
-    raised = np.zeros((len(normal), closed.terms), dtype=int)
-    factors = np.zeros((len(normal), closed.terms))
-    for row, variable in enumerate(normal):
-        higher = closed.indices.copy()
-        higher[:, variable] += 1
-        at = np.array([place.get(tuple(term), -1) for term in higher.tolist()])
-        raised[row], factors[row] = np.maximum(at, 0), np.where(at >= 0, np.sqrt(higher[:, variable]), 0.0)
-    varies = closed.indices[:, normal].T > 0
-    linear = varies & (closed.indices.sum(axis=1) == 1)
-    columns = (points[:, normal], closed.matrix(points), raised, factors, linear.astype(float), varies.astype(float))
-    return Rotation(*map(jax_array, columns))
-
-
-def _with_divisors(
-    indices: Int[np.ndarray, "terms variables"], variables: list[int]
-) -> Int[np.ndarray, "more variables"]:
-    """The terms, followed by missing ones that arise when a degree of these variables is lowered."""
-    known = dict.fromkeys(map(tuple, indices.tolist()))
-    waiting = list(known)
-    while waiting:
-        term = waiting.pop()
-        lower = [(*term[:i], term[i] - 1, *term[i + 1 :]) for i in variables if term[i] > 0]
-        new = [divisor for divisor in lower if divisor not in known]
-        known.update(dict.fromkeys(new))
-        waiting += new
-    return np.array(list(known), dtype=int).reshape(len(known), indices.shape[1])
+def _starts(variables: int) -> Float[np.ndarray, "variables starts"]:
+    """Directions along each variable, and some between them."""
+    between = np.random.default_rng(0).standard_normal((variables, _STARTS))
+    axes = np.eye(variables)
+    every = np.concatenate([axes, -axes, between], axis=1)
+    return every / np.linalg.norm(every, axis=0)

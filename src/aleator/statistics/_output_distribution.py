@@ -1,6 +1,8 @@
-"""The distributions of some outputs, from their expansions along lines through the germ space (see `_lines`).
+"""The distribution of an output, from its expansion along lines through the normal variables (see `_lines`).
 
-First derivatives are exact. Second derivatives are not available, because the search for crossings has none.
+Small probabilities of either tail come from lines of their own: with the probability `A` of less than a threshold by
+the lines for small values, and `B` of more than it by those for large ones, the distribution function is `A / (A + B)`.
+First derivatives are exact up to the error of the integral. Second derivatives are not available.
 """
 
 import math
@@ -14,216 +16,317 @@ from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.arrays import Scalar
 from aleator._core.leaves import Module
-from aleator.statistics._lines import LineDistribution, Lines
-from aleator.statistics._statistic import in_blocks, root
+from aleator.statistics._lines import REPLICATES, Lines, LowerTail
+from aleator.statistics._statistic import root
 
 T = TypeVar("T")
 
-# Most steps in the search for a quantile; four are usual.
-_MOST_STEPS = 60
+# Of a search for a quantile: most steps, and the error of the normal score at which it ends; the last step, which
+# carries the derivative, squares the error.
+_MOST_STEPS, _CLOSE, _NARROW = 100, 1e-8, 1e-13
+# Steps of Newton's method, with bisection where one leaves its bracket by more than a part of it: at a root, rounding
+# may put a value and a step on different sides.
+_TO_A_CROSSING, _AT_THE_EDGE = 10, 1e-6
+# Paths of more entries than this share the lines of a single number.
+_SINGLE = 4
+# Student's t for the means of all replicates: 95 % on both sides.
+_COVERS = 2.365
 
-# Tolerance of the search in standard deviations; the last step, which carries the derivative, squares the error.
-_CLOSE = 1e-8
+_NODES, _WEIGHTS = (np.asarray(each) / 2 for each in np.polynomial.legendre.leggauss(3))
+_NODES = _NODES + 0.5
 
-# Entries times lines: at most so many at once, for the cache, and so many in all, for time.
-_AT_ONCE = 2**12
-_IN_ALL = 2**19
-_FEWEST = 64
+_SIGNS = np.array([1.0, -1.0])
 
-# Newton's method within a bracket, bisection where a step leaves it. It ends when the last root moves by no more than
-# this, after which the error of a simple root, which a step squares, is rounding.
-_MOST_ITERATIONS, _AT_REST = 30, 1e-9
-# At a root, rounding may put a value and a step on different sides. A step that leaves the bracket by less than this
-# part of it, or by rounding, ends at its edge: bisection would lose the digits found so far.
-_AT_THE_EDGE, _ROUNDING = 1e-6, 1e-14
+
+class Crossings(NamedTuple):
+    """Where an output crosses a threshold, without derivatives.
+
+    - `fractions`: the probability below the threshold on each line; `below`: of all; `density`: of the output there;
+    - `line`, `cell`, `along`: of each crossing, in standard deviations; `densities`: of the output there on its line,
+      zero for places without a crossing;
+    - `start`, `length`: the part of the cell that is below the threshold.
+    """
+
+    fractions: Float[Array, " lines"]
+    below: Float[Array, ""]
+    density: Float[Array, ""]
+    line: Int[Array, " crossings"]
+    cell: Int[Array, " crossings"]
+    along: Float[Array, " crossings"]
+    densities: Float[Array, " crossings"]
+    start: Float[Array, " crossings"]
+    length: Float[Array, " crossings"]
+
+
+@final
+class TailDistribution(Module):
+    """What lies below a threshold: of an output, or of its negative.
+
+    - `signed`: the coefficients of the output or of its negative; `tail`: its lines;
+    - `ends`, `heights`: places in each cell between which the output rises or falls, and its values there;
+    - `masses`: the probability of each such interval on its line.
+    """
+
+    signed: Float[Array, " terms"]
+    tail: LowerTail
+    ends: Float[Array, "3 lines cells"]
+    heights: Float[Array, "3 lines cells"]
+    masses: Float[Array, "2 lines cells"]
+
+    def crossings(self, threshold: Float[Array, ""], lines: Lines) -> Crossings:
+        """The crossings of a threshold. Not differentiable."""
+        is_below = self.heights < threshold
+        low, high = is_below[:-1], is_below[1:]
+        _, count, cells = self.heights.shape
+        (intervals,) = jnp.nonzero((low != high).ravel(), size=lines.orders * count, fill_value=low.size)
+        at = jnp.minimum(intervals, low.size - 1)
+        cell, line = at % cells, (at // cells) % count
+        left, right = (side.ravel()[at] for side in (self.ends[:-1], self.ends[1:]))
+        is_falling = high.ravel()[at]
+        cubic = self.tail.cubics[:, line, cell].at[0].add(-threshold)
+        place = _root(cubic, left, right, is_falling)
+        start, end = jnp.where(is_falling, place, left), jnp.where(is_falling, right, place)
+        first = lines.first_of(cell)
+        along = first + place * lines.step
+        parts = _mass(first + start * lines.step, first + end * lines.step)
+        is_crossing = intervals < low.size
+        whole = jnp.sum(jnp.where(low & high, self.masses, 0.0), axis=(0, 2))
+        slope = jnp.abs(_slope(cubic, place)) / lines.step
+        regular = is_crossing & (slope > 0)
+        densities = jnp.where(regular, _normal(along) / jnp.where(regular, slope, 1.0), 0.0)
+        fractions = whole + jax.ops.segment_sum(jnp.where(is_crossing, parts, 0.0), line, count)
+        weights = self.tail.weights.ravel() / len(self.tail.weights)
+        return Crossings(
+            fractions=fractions,
+            below=weights @ fractions,
+            density=weights[line] @ densities,
+            line=line,
+            cell=cell,
+            along=along,
+            densities=densities,
+            start=start,
+            length=jnp.where(is_crossing, end - start, 0.0),
+        )
+
+    def below(self, threshold: Float[Array, ""], at: Crossings, lines: Lines) -> Float[Array, ""]:
+        """The probability below a threshold. Its derivative is that of the crossings times the density there."""
+        points = self.tail.points[:, at.line] + jnp.outer(self.tail.direction, at.along)
+        heights = lines.values(self.signed, points) - threshold
+        change = heights - jax.lax.stop_gradient(heights)
+        weights = self.tail.weights.ravel()
+        replicates = len(self.tail.weights)
+        return (weights @ at.fractions - (weights[at.line] * at.densities) @ change) / replicates
+
+    def shortfall(self, threshold: Float[Array, ""], at: Crossings, lines: Lines) -> Float[Array, ""]:
+        """The expected shortfall below a threshold, zero for values above it.
+
+        It is zero at the crossings, so that their movement does not contribute to its derivative.
+        """
+        is_below = jax.lax.stop_gradient(self.heights < threshold)
+        inside = jnp.where(is_below[:-1] & is_below[1:], self.ends[1:] - self.ends[:-1], 0.0)
+        everywhere = lines.first_of(jnp.arange(self.heights.shape[2]))[None, None]
+        cubics, weights = self.tail.cubics, self.tail.weights.ravel()
+        whole = _shortfall(cubics[:, None], self.ends[:-1], inside, everywhere, threshold, lines.step)
+        parts = _shortfall(
+            cubics[:, at.line, at.cell], at.start, at.length, lines.first_of(at.cell), threshold, lines.step
+        )
+        return (weights @ jnp.sum(whole, axis=(0, 2)) + weights[at.line] @ parts) / len(self.tail.weights)
+
+
+def _shortfall(
+    cubic: Float[Array, "4 ..."], start: Array, length: Array, first: Array, threshold: Array, step: float
+) -> Array:
+    """The integral of the shortfall over a part of each cell, by Gauss's rule."""
+    total = jnp.zeros(start.shape)
+    for node, weight in zip(_NODES, _WEIGHTS, strict=True):
+        place = start + node * length
+        density = weight * length * step * _normal(first + place * step)
+        total = total + density * (threshold - _height(cubic, place))
+    return total
+
+
+def _tail_distribution(signed: Float[Array, " terms"], lines: Lines, replicates: int) -> TailDistribution:
+    tail = lines.lower_tail(signed, replicates)
+    fixed = jax.lax.stop_gradient(tail.cubics)
+    _, slope, bend, rest = fixed
+    # A cubic between ends with slopes of different signs has one extremum there.
+    turns = slope * (slope + 2 * bend + 3 * rest) < 0
+    radicand = root(bend**2 - 3 * rest * slope)
+    larger = -(bend + jnp.where(bend < 0, -1.0, 1.0) * radicand)
+    near, far = _ratio(slope, larger), _ratio(larger, 3 * rest)
+    middle = jnp.where(turns, jnp.clip(jnp.where((near > 0) & (near < 1), near, far), 0.0, 1.0), 1.0)
+    ends = jnp.stack([0 * middle, middle, 1 + 0 * middle])
+    along = lines.first_of(jnp.arange(ends.shape[2]))[None, None] + ends * lines.step
+    return TailDistribution(signed, tail, ends, _height(fixed[:, None], ends), _mass(along[:-1], along[1:]))
+
+
+def _ratio(above: Array, below: Array) -> Array:
+    return jnp.where(below == 0, 2.0, above / jnp.where(below == 0, 1.0, below))
+
+
+def _normal(at: Array) -> Array:
+    return jnp.exp(-(at**2) / 2) / math.sqrt(2 * math.pi)
+
+
+def _height(cubic: Float[Array, "4 ..."], at: Array) -> Array:
+    return cubic[0] + at * (cubic[1] + at * (cubic[2] + at * cubic[3]))
+
+
+def _slope(cubic: Float[Array, "4 ..."], at: Array) -> Array:
+    return cubic[1] + at * (2 * cubic[2] + 3 * at * cubic[3])
+
+
+def _root(cubic: Float[Array, "4 n"], low: Array, high: Array, is_falling: Array) -> Float[Array, " n"]:
+    """The root of each cubic between two places, at which its values have different signs."""
+
+    def narrow(_: int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        low, high, at = state
+        value, slope = _height(cubic, at), _slope(cubic, at)
+        before = (value < 0) != is_falling
+        low, high = jnp.where(before, at, low), jnp.where(before, high, at)
+        newton, edge = at - value / slope, _AT_THE_EDGE * (high - low)
+        usable = (newton >= low - edge) & (newton <= high + edge)
+        return low, high, jnp.where(usable, jnp.clip(newton, low, high), (low + high) / 2)
+
+    return jax.lax.fori_loop(0, _TO_A_CROSSING, narrow, (low, high, (low + high) / 2))[2]
+
+
+def _mass(low: Array, high: Array) -> Array:
+    """The probability of a normal variable between two numbers, without loss of digits in the upper tail."""
+    flip = low > 0
+    low, high = jnp.where(flip, low, -high), jnp.where(flip, high, -low)
+    return (jax.lax.erfc(low / math.sqrt(2)) - jax.lax.erfc(high / math.sqrt(2))) / 2
+
+
+def _score(probability: Array) -> Array:
+    """The normal quantile of a probability."""
+    return math.sqrt(2) * jax.lax.erf_inv(2 * probability - 1)
 
 
 @final
 class OutputDistribution(Module):
-    """Some outputs along lines, in arrays of one loop: a vectorised loop over each would copy its state in every step.
+    """The distribution of an output: its mean and spread, and both of its tails, the upper one as that of its negative.
 
-    - `mean`, `std`: of their expansions;
-    - `series`, `powers`: how each differs from its mean along each line, in orthonormal polynomials and in powers of
-      the line's variable, which goes from -1 to 1;
-    - `edges`: between which it rises or falls along a line; `heights`: how it differs from its mean there;
-    - `edge_levels`: the distribution function there;
-    - `weights`: of each line.
+    Thresholds are distances from the mean.
     """
 
-    mean: Float[Array, " entries"]
-    std: Float[Array, " entries"]
-    series: Float[Array, "orders entries directions lines"]
-    powers: Float[Array, "orders entries directions lines"]
-    edges: Float[Array, "edges entries directions lines"]
-    heights: Float[Array, "edges entries directions lines"]
-    edge_levels: Float[Array, "edges entries directions lines"]
-    weights: Float[Array, "entries directions"]
-    distribution: LineDistribution
+    mean: Float[Array, ""]
+    std: Float[Array, ""]
+    tails: TailDistribution
+    lines: Lines
 
-    def below(self, threshold: Float[Array, " entries"]) -> Float[Array, " entries"]:
-        """The probability of less than the mean plus `threshold`."""
-        return self._probability(threshold, self._part_below(threshold))
-
-    def _part_below(self, threshold: Array, start: Array | None = None) -> "_Part":
-        """The part of each line below a threshold, without derivatives; `start`: guesses of its crossings."""
+    def crossings(self, threshold: Float[Array, ""]) -> Crossings:
+        """The crossings in both tails: of the output below a threshold, and of its negative below the negative."""
         fixed, threshold = jax.lax.stop_gradient((self, threshold))
-        crossings = fixed._crossings(threshold, start)
-        levels, densities = fixed.distribution.level_and_density(crossings)
-        below = jnp.sum(_differences(fixed.edge_levels, levels, fixed._rising), axis=0)
-        return _Part(crossings, fixed._of_output(densities, crossings), jnp.mean(below, axis=2))
+        return jax.vmap(TailDistribution.crossings, (0, 0, None))(fixed.tails, _SIGNS * threshold, self.lines)
 
-    def _probability(self, threshold: Array, part: "_Part") -> Float[Array, " entries"]:
+    def sides(self, threshold: Float[Array, ""], at: Crossings) -> Float[Array, "2"]:
+        """The probabilities below and above a threshold, each by the lines of its tail."""
+        return jax.vmap(TailDistribution.below, (0, 0, 0, None))(self.tails, _SIGNS * threshold, at, self.lines)
+
+    def below(self, threshold: Float[Array, ""]) -> Float[Array, ""]:
         """The probability of less than the mean plus a threshold."""
-        # Its derivative is that of the crossings times the density there, so that no table is differentiated.
-        heights = horner(self._beyond(threshold), part.crossings)
-        change = heights - jax.lax.stop_gradient(heights)
-        return jnp.sum(self.weights * (part.below - jnp.mean(jnp.sum(part.densities * change, axis=0), axis=2)), axis=1)
+        return _share(self.sides(threshold, self.crossings(threshold)))
 
-    def density(self, threshold: Float[Array, " entries"]) -> Float[Array, " entries"]:
-        """The probability density at the mean plus `threshold`."""
-        crossings = self._crossings(threshold)
-        # The crossings with their derivatives, by the implicit function theorem.
-        heights, slopes = horner(self._beyond(threshold), crossings), slope(self.powers, crossings)
-        regular = self._is_inside(crossings) & (slopes != 0)
-        step = jnp.where(regular, heights / jnp.where(regular, jax.lax.stop_gradient(slopes), 1.0), 0.0)
-        moved = crossings - step
-        densities = self.distribution.level_and_density(moved)[1]
-        return self._average(jnp.sum(self._of_output(densities, moved), axis=0))
+    def above(self, threshold: Float[Array, ""]) -> Float[Array, ""]:
+        """The probability of more than the mean plus a threshold, without loss of digits where it is small."""
+        return _share(self.sides(threshold, self.crossings(threshold))[::-1])
 
-    def excess(self, threshold: Float[Array, " entries"]) -> Float[Array, " entries"]:
-        """The expected excess over the mean plus `threshold`, zero for values below it."""
-        below = self._all_below(threshold)
-        above = jnp.eye(len(below))[:, 0, None, None, None] - below
-        return self._average(jnp.sum(self.series * above, axis=0) - _across(threshold) * above[0])
+    def density(self, threshold: Float[Array, ""]) -> Float[Array, ""]:
+        """The probability density at the mean plus a threshold. Not differentiable."""
+        return _density(self.crossings(threshold))
 
-    def shortfall(self, threshold: Float[Array, " entries"]) -> Float[Array, " entries"]:
-        """The expected shortfall below the mean plus `threshold`, zero for values above it."""
-        below = self._all_below(threshold)
-        return self._average(_across(threshold) * below[0] - jnp.sum(self.series * below, axis=0))
+    def error(self, threshold: Float[Array, ""]) -> Float[Array, ""]:
+        """The 95 % half-width of `below` and `above`, by the scatter of the replicates.
 
-    def _all_below(self, threshold: Array) -> Float[Array, "orders entries directions lines"]:
-        """The partial moments of each line's distribution over the part where the output is below the threshold."""
-        # The excess is zero at the crossings, so that their movement does not contribute to the derivative.
-        crossings = self._crossings(threshold)
-        at_edges, at_crossings = (
-            self.distribution.partial_moments(x, len(self.series)) for x in (self.edges, crossings)
-        )
-        return jnp.moveaxis(jnp.sum(_differences(at_edges, at_crossings, self._rising[..., None]), axis=0), -1, 0)
+        All of them together are more accurate than that, as parts of one net. Zero where one line is exact.
+        """
+        weights = self.tails.tail.weights
+        replicates = weights.shape[1]
+        if replicates == 1:
+            return jnp.zeros(())
+        fractions = self.crossings(threshold).fractions.reshape(weights.shape)
+        each = _share(jnp.sum(weights * fractions, axis=2))
+        return _COVERS * jnp.std(each, ddof=1) / math.sqrt(replicates)
 
-    def quantile(self, level: Scalar) -> Float[Array, " entries"]:
-        """How far the quantile lies from the mean, by the implicit function theorem."""
-        end = self._search(level)
-        probability = self._probability(end.at, end.part)
-        density = jax.lax.stop_gradient(self)._average(jnp.sum(end.part.densities, axis=0))
-        regular = density > 0
-        return end.at - jnp.where(regular, (probability - level) / jnp.where(regular, density, 1.0), 0.0)
+    def quantile(self, level: Scalar) -> Float[Array, ""]:
+        """How far the quantile lies from the mean."""
+        return self._quantile(level)[0]
 
-    def nearly_quantile(self, level: Scalar) -> Float[Array, " entries"]:
-        """The quantile to 1e-8 standard deviations, without derivatives."""
-        return self._search(level).at
+    def mean_beyond(self, level: Scalar, *, lower: bool) -> Float[Array, ""]:
+        """How far the mean of the values beyond a quantile lies from that of all, in the lower or the upper tail."""
+        quantile, sides, at = self._quantile(level)
+        side = 0 if lower else 1
+        tail, own = jax.tree.map(lambda leaf: leaf[side], (self.tails, at))
+        # What the integral finds beyond the quantile, which is the level but for its error.
+        total = jnp.sum(sides)
+        beyond = (level if lower else 1 - level) * jnp.where(total > 0, total, 1.0)
+        return quantile - _SIGNS[side] * tail.shortfall(_SIGNS[side] * quantile, own, self.lines) / beyond
 
-    def _search(self, level: Scalar) -> "_Search":
-        return jax.lax.stop_gradient(jax.lax.stop_gradient(self)._searched(jax.lax.stop_gradient(level)))
+    def _quantile(self, level: Scalar) -> tuple[Array, Float[Array, "2"], Crossings]:
+        """The quantile by the implicit function theorem, the probabilities of both sides, and the crossings."""
+        fixed = jax.lax.stop_gradient(self)
+        end = jax.lax.stop_gradient(fixed._searched(jax.lax.stop_gradient(level)))
+        density, sides = _density(end.crossings), self.sides(end.last, end.crossings)
+        step = (_share(sides) - level) / jnp.where(density > 0, density, 1.0)
+        return end.last - jnp.where(density > 0, step, 0.0), sides, end.crossings
 
     def _searched(self, level: Scalar) -> "_Search":
         """Newton's method on the normal scale, on which most distribution functions are nearly straight.
 
-        Bisection where a step leaves the bracket; the first bracket is that of Cantelli's inequality.
+        Bisection where a step leaves the bracket or does not halve the error: near an extremum of the output the
+        density is without bound, and steps are short far from the quantile. The first bracket is that of Cantelli's
+        inequality.
         """
-        target = jax.scipy.special.ndtri(level)
-        reach = 1.01 * self.std
+        target, reach = _score(level), 1.01 * self.std
         low, high = -reach * jnp.sqrt((1 - level) / level), reach * jnp.sqrt(level / (1 - level))
 
         def unfinished(state: _Search) -> Bool[Array, ""]:
-            return ~jnp.all(state.done) & (state.steps < _MOST_STEPS)
+            is_wide = state.high - state.low > _NARROW * self.std
+            return (jnp.abs(state.off) > _CLOSE) & is_wide & (state.steps < _MOST_STEPS)
 
         def narrow(state: _Search) -> _Search:
-            at = state.at + state.step
-            # Thresholds move little, and crossings with them.
-            part = self._part_below(at, state.part.crossings)
-            probability = jnp.sum(self.weights * part.below, axis=1)
-            density = self._average(jnp.sum(part.densities, axis=0))
-            low, high = jnp.where(probability < level, at, state.low), jnp.where(probability < level, state.high, at)
-            inside = (probability > 0) & (probability < 1)
-            score = jax.scipy.special.ndtri(jnp.where(inside, probability, 0.5))
-            pace = density / jax.scipy.stats.norm.pdf(score)
-            newton = at - (score - target) / jnp.where(pace > 0, pace, 1.0)
-            usable = inside & (pace > 0) & (newton >= low) & (newton <= high)
+            at = state.following
+            crossings = self.crossings(at)
+            probability, density = _share(crossings.below), _density(crossings)
+            is_low = probability < level
+            low, high = jnp.where(is_low, at, state.low), jnp.where(is_low, state.high, at)
+            score = _score(probability)
+            off = jnp.where(jnp.isfinite(score), score - target, jnp.inf)
+            newton = at - off * _normal(score) / density
+            usable = (newton > low) & (newton < high) & (jnp.abs(off) <= jnp.abs(state.off) / 2)
             following = jnp.where(usable, newton, (low + high) / 2)
-            # The last pass is at the end of a small step. One more would move an entry by rounding, or bisect.
-            done = state.done | ~((jnp.abs(state.step) > _CLOSE * self.std) & (high > low))
-            step = jnp.where(done, 0.0, following - at)
-            return _Search(low, high, at, step, part, done, state.steps + 1)
+            return _Search(low, high, following, at, off, crossings, state.steps + 1)
 
         start = jnp.clip(self.std * target, low, high)
-        guess = secants(self.edges, self.heights - _across(start)[None])
-        nothing = _Part(guess, guess, self.weights)
-        first = _Search(
-            low, high, start - self.std, self.std, nothing, jnp.zeros(self.std.shape, bool), jnp.zeros((), int)
-        )
+        nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(self.crossings, start))
+        first = _Search(low, high, start, start, jnp.asarray(jnp.inf), nothing, jnp.zeros((), int))
         return jax.lax.while_loop(unfinished, narrow, first)
-
-    def _crossings(self, threshold: Array, start: Array | None = None) -> Float[Array, "intervals *lines"]:
-        """Crossings of a threshold between neighbouring edges, without derivatives."""
-        fixed, threshold = jax.lax.stop_gradient((self, threshold))
-        return roots_between(fixed._beyond(threshold), fixed.edges, fixed.heights - _across(threshold)[None], start)
-
-    def _beyond(self, threshold: Array) -> Float[Array, "orders *lines"]:
-        """The polynomials less a threshold."""
-        return self.powers.at[0].add(-_across(threshold))
-
-    @property
-    def _rising(self) -> Bool[Array, "intervals *lines"]:
-        return self.heights[1:] >= self.heights[:-1]
-
-    def _is_inside(self, crossings: Float[Array, "intervals *lines"]) -> Bool[Array, "intervals *lines"]:
-        """Whether there is a crossing: if there is none, the root was set to an edge."""
-        return (crossings > self.edges[:-1]) & (crossings < self.edges[1:])
-
-    def _of_output(self, densities: Array, crossings: Array) -> Float[Array, "intervals *lines"]:
-        """The probability density of the output that each crossing contributes, from that of the line's variable."""
-        slopes = jnp.abs(slope(self.powers, crossings))
-        regular = self._is_inside(jax.lax.stop_gradient(crossings)) & (slopes > 0)
-        return jnp.where(regular, densities / jnp.where(regular, slopes, 1.0), 0.0)
-
-    def _average(self, of_lines: Float[Array, "entries directions lines"]) -> Float[Array, " entries"]:
-        return jnp.sum(self.weights * jnp.mean(of_lines, axis=2), axis=1)
-
-
-class _Part(NamedTuple):
-    """The part of each line below a threshold.
-
-    - `crossings`: of the threshold; `densities`: of the output there; `below`: the mean probability below it.
-    """
-
-    crossings: Float[Array, "intervals entries directions lines"]
-    densities: Float[Array, "intervals entries directions lines"]
-    below: Float[Array, "entries directions"]
 
 
 class _Search(NamedTuple):
-    """The state of the search for quantiles: brackets, thresholds, their next steps, and the parts below them."""
+    """The state of the search for a quantile: a bracket, the thresholds to come and last, how far the normal score of
+    the last one is off, and its crossings.
+    """
 
-    low: Float[Array, " entries"]
-    high: Float[Array, " entries"]
-    at: Float[Array, " entries"]
-    step: Float[Array, " entries"]
-    part: _Part
-    done: Bool[Array, " entries"]
+    low: Float[Array, ""]
+    high: Float[Array, ""]
+    following: Float[Array, ""]
+    last: Float[Array, ""]
+    off: Float[Array, ""]
+    crossings: Crossings
     steps: Int[Array, ""]
 
 
-def _across(threshold: Float[Array, " entries"]) -> Float[Array, "entries 1 1"]:
-    return jnp.asarray(threshold)[..., None, None]
+def _share(sides: Float[Array, "2 *replicates"]) -> Float[Array, "*replicates"]:
+    """The distribution function, from the probabilities below and above a threshold."""
+    total = sides[0] + sides[1]
+    return sides[0] / jnp.where(total > 0, total, 1.0)
 
 
-def _differences(
-    at_edges: Float[Array, "edges ..."],
-    at_crossings: Float[Array, "intervals ..."],
-    rising: Bool[Array, "intervals ..."],
-) -> Float[Array, "intervals ..."]:
-    """The increase of a distribution function over the part of each interval in which the output is below."""
-    return jnp.where(rising, at_crossings - at_edges[:-1], at_edges[1:] - at_crossings)
+def _density(at: Crossings) -> Float[Array, ""]:
+    """The derivative of `_share` by the threshold."""
+    return at.below[::-1] @ at.density / jnp.maximum(jnp.sum(at.below), np.finfo(float).tiny) ** 2
 
 
 def by_lines(
@@ -235,156 +338,29 @@ def by_lines(
 ) -> Float[Array, "..."]:
     """A function of the distributions of entries, with these along its first axis.
 
-    A single number uses all prepared lines. The more entries a path has, the fewer lines each uses, but at least 64 in
-    each direction.
+    A single number uses all prepared lines; the more entries a path has, the fewer each uses.
 
     - `numbers`: what the function is given besides, a tree of arrays of the entries' shape; `sharing`: so many paths
       are in one array of coefficients.
     """
     leaves, structure = jax.tree.flatten(numbers)
-    entries, directions = math.prod(coefficients.shape[1:]) // sharing, len(lines.preference)
-    share = max(_IN_ALL // (max(entries, 1) * directions), _FEWEST)
-    count = min(lines.count, 2 ** int(math.log2(share)))
-    together = max(1, _AT_ONCE // (count * directions))
-    terms = len(coefficients)
+    shape, terms = coefficients.shape[1:], len(coefficients)
+    entries = math.prod(shape) // sharing
+    replicates = min(lines.normals.shape[1], max(1, _SINGLE * REPLICATES // max(entries, 1)))
 
-    def of_rows(rows: Float[Array, "entries columns"]) -> Array:
-        own = jax.tree.unflatten(structure, list(rows[:, terms:].T))
-        return of_distribution(own, output_distribution(rows[:, :terms], lines, count))
+    def of_row(row: Float[Array, " columns"]) -> Array:
+        return of_distribution(
+            jax.tree.unflatten(structure, list(row[terms:])), output_distribution(row[:terms], lines, replicates)
+        )
 
     # The numbers of an entry follow its coefficients.
-    return in_blocks(of_rows, jnp.concatenate([coefficients, *(leaf[None] for leaf in leaves)]), together)
+    rows = jnp.concatenate([coefficients, *(leaf[None] for leaf in leaves)]).reshape(terms + len(leaves), -1).T
+    values = of_row(rows[0])[None] if len(rows) == 1 else jax.lax.map(of_row, rows)
+    return values.reshape(*shape, *values.shape[1:])
 
 
-def output_distribution(coefficients: Float[Array, "entries terms"], lines: Lines, count: int) -> OutputDistribution:
-    """The distributions of some outputs, by up to `count` lines in each direction."""
-    varying = coefficients.at[:, 0].set(0.0)
-    series = jax.vmap(lambda terms: lines.polynomials(terms, count), out_axes=1)(varying)
-    powers = jnp.einsum("vkm,kevn->mevn", lines.distribution.monomials, series)
-    fixed = jax.lax.stop_gradient(powers)
-    edges = extrema(fixed)
-    return OutputDistribution(
-        mean=coefficients[:, 0],
-        std=root(jnp.sum(varying**2, axis=1)),
-        series=series,
-        powers=powers,
-        edges=edges,
-        heights=horner(fixed, edges),
-        edge_levels=lines.distribution.level_and_density(edges)[0],
-        weights=jax.vmap(lines.weights)(varying),
-        distribution=lines.distribution,
-    )
-
-
-def extrema(powers: Float[Array, "orders *lines"]) -> Float[Array, "edges *lines"]:
-    """The edges between which each polynomial is monotone: -1, its extrema, 1.
-
-    The extrema are the roots of the derivative, found in the same way from those of the second derivative, and so on,
-    down to a quadratic one. Between neighbouring edges a polynomial has at most one root, which bisection cannot miss:
-    unlike a search on a grid, this misses none.
-
-    Polynomials are given by their coefficients of `x^0, x^1, ...`. If one has fewer extrema, edges coincide.
-    """
-    degree = len(powers) - 1
-    end = jnp.ones((1, *powers.shape[1:]))
-    inner = _lowest(_derivative(powers, max(degree - 2, 1))) if degree > 1 else end[:0]
-    edges = jnp.concatenate([-end, inner, end])
-    for order in range(degree - 3, 0, -1):
-        slopes = _derivative(powers, order)
-        edges = jnp.concatenate([-end, roots_between(slopes, edges, horner(slopes, edges)), end])
-    return edges
-
-
-def _lowest(powers: Float[Array, "orders *lines"]) -> Float[Array, "roots *lines"]:
-    """The roots of polynomials of degree one or two in rising order: 1 for those that are not real, none beyond ±1."""
-    constant, linear = powers[:2]
-    if len(powers) == 2:
-        return jnp.clip(_ratio(-constant, linear), -1.0, 1.0)[None]
-    # One of the two by its sum with the other would lose digits.
-    radicand = linear**2 - 4 * powers[2] * constant
-    half = -(linear + jnp.where(linear < 0, -1.0, 1.0) * jnp.sqrt(jnp.maximum(radicand, 0.0))) / 2
-    first, second = (
-        jnp.where(radicand < 0, 1.0, jnp.clip(root, -1.0, 1.0))
-        for root in (_ratio(half, powers[2]), _ratio(constant, half))
-    )
-    return jnp.stack([jnp.minimum(first, second), jnp.maximum(first, second)])
-
-
-def _ratio(above: Array, below: Array) -> Array:
-    return jnp.where(below == 0, 1.0, above / jnp.where(below == 0, 1.0, below))
-
-
-def roots_between(
-    powers: Float[Array, "orders *lines"],
-    edges: Float[Array, "edges *lines"],
-    values: Float[Array, "edges *lines"],
-    start: Float[Array, "intervals *lines"] | None = None,
-) -> Float[Array, "intervals *lines"]:
-    """The root between each pair of neighbouring edges, at which the polynomials have known values.
-
-    Where there is no root, it is the edge at which the value is nearest to zero. The search begins at `start`, or where
-    straight lines between the edges have their roots.
-    """
-    low, high = edges[:-1], edges[1:]
-    rising = values[1:] >= values[:-1]
-    is_below = jnp.maximum(values[:-1], values[1:]) <= 0
-    is_above = (jnp.minimum(values[:-1], values[1:]) >= 0) & ~is_below
-    # A bracket without a root is empty.
-    at_low, at_high = jnp.where(rising, is_above, is_below), jnp.where(rising, is_below, is_above)
-    low, high = jnp.where(at_high, high, low), jnp.where(at_low, low, high)
-
-    def is_moving(state: tuple[Array, ...]) -> Bool[Array, ""]:
-        *_, moving, count = state
-        return moving & (count < _MOST_ITERATIONS)
-
-    def narrow(state: tuple[Array, ...]) -> tuple[Array, ...]:
-        low, high, x, _, count = state
-        value, slope = _with_slope(powers, x)
-        below = (value < 0) == rising
-        low, high = jnp.where(below, x, low), jnp.where(below, high, x)
-        newton = x - value / jnp.where(slope == 0, 1.0, slope)
-        edge = _AT_THE_EDGE * (high - low) + _ROUNDING
-        usable = (newton >= low - edge) & (newton <= high + edge) & (slope != 0)
-        closer = jnp.where(usable, jnp.clip(newton, low, high), (low + high) / 2)
-        return low, high, closer, jnp.any(jnp.abs(closer - x) > _AT_REST), count + 1
-
-    x = jnp.clip(secants(edges, values) if start is None else start, low, high)
-    return jax.lax.while_loop(is_moving, narrow, (low, high, x, jnp.array(True), jnp.zeros((), int)))[2]
-
-
-def secants(
-    edges: Float[Array, "edges *lines"], values: Float[Array, "edges *lines"]
-) -> Float[Array, "intervals *lines"]:
-    """The roots of the straight lines between neighbouring edges, at which polynomials have some values."""
-    rise = values[1:] - values[:-1]
-    return edges[:-1] - values[:-1] * (edges[1:] - edges[:-1]) / jnp.where(rise == 0, 1.0, rise)
-
-
-def horner(powers: Float[Array, "orders *lines"], x: Float[Array, "points *lines"]) -> Float[Array, "points *lines"]:
-    """The values of polynomials, each at its own points."""
-    value = jnp.zeros(x.shape)
-    for coefficient in powers[::-1]:
-        value = value * x + coefficient[None]
-    return value
-
-
-def slope(powers: Float[Array, "orders *lines"], x: Float[Array, "points *lines"]) -> Float[Array, "points *lines"]:
-    """The first derivatives of polynomials, each at its own points."""
-    return _with_slope(powers, x)[1]
-
-
-def _with_slope(powers: Array, x: Array) -> tuple[Array, Array]:
-    value, slope = jnp.zeros(x.shape), jnp.zeros(x.shape)
-    for coefficient in powers[::-1]:
-        slope = slope * x + value
-        value = value * x + coefficient[None]
-    return value, slope
-
-
-def _derivative(powers: Float[Array, "orders *lines"], order: int) -> Float[Array, "fewer *lines"]:
-    """The coefficients of a derivative, up to a common factor."""
-    exponents = np.arange(order, len(powers))
-    factors = np.ones(len(exponents))
-    for step in range(order):
-        factors *= (exponents - step) / (order - step)
-    return powers[order:] * jnp.asarray(factors).reshape(-1, *[1] * (powers.ndim - 1))
+def output_distribution(coefficients: Float[Array, " terms"], lines: Lines, replicates: int) -> OutputDistribution:
+    """The distribution of an output, by lines of some replicates."""
+    varying = coefficients.at[0].set(0.0)
+    tails = jax.vmap(lambda sign: _tail_distribution(sign * varying, lines, replicates))(_SIGNS)
+    return OutputDistribution(coefficients[0], root(jnp.sum(varying**2)), tails, lines)
