@@ -166,6 +166,14 @@ def test_a_new_study_runs_as_it_is(here: Path):
     assert {one["status"] for one in designs.values()} == {al.Status.SOLVED.value}
 
 
+def test_a_new_study_is_begun_beside_no_folder_of_its_name(here: Path):
+    (here / "plate").mkdir()
+    code, said = aleator("new", "plate")
+    assert code == 2
+    assert "'plate' is a folder: name a file in it, such as plate/bracket.py." in said
+    assert not (here / "plate.py").exists()
+
+
 WRONG = {
     "a slip": (
         "wrong.py",

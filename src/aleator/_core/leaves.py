@@ -13,7 +13,7 @@ from jax.core import Tracer
 from jax.tree_util import DictKey, GetAttrKey, SequenceKey, keystr, tree_flatten_with_path
 
 from aleator._core.arrays import Pytree
-from aleator._core.border import real_array, refusal
+from aleator._core.border import real_array, refuse_not_finite
 from aleator._core.errors import ProblemError
 
 
@@ -112,11 +112,11 @@ def realised_shape(number: Any) -> tuple[int, ...]:
     return number.shape if isinstance(number, AbstractLeaf) else np.shape(number)
 
 
-def stored_numbers(what: str, value: Any) -> Any:
+def stored_numbers(what: str, value: Any, **place: Any) -> Any:
     """Numbers of a model as they are stored: known ones as a new array, for an integer would be static.
 
     Leaves and traced numbers stay as they are, and a sequence that holds any becomes a tuple. Raises `ProblemError` for
-    anything else, for numbers that are not finite, and for parts that form no array.
+    anything else, for numbers that are not finite (see `refuse_not_finite`), and for parts that form no array.
     """
     if isinstance(value, AbstractLeaf | Tracer):
         return value
@@ -127,8 +127,7 @@ def stored_numbers(what: str, value: Any) -> Any:
             raise ProblemError(f"{what}: expected numbers that form an array; received parts of the shapes {shapes}.")
         return parts
     numbers = real_array(what, value, "numbers, distributions or decisions")
-    if not np.isfinite(numbers).all():
-        raise refusal(what, "finite numbers", value)
+    refuse_not_finite(what, numbers, **place)
     return numbers
 
 

@@ -108,7 +108,13 @@ class Simulation(Module):
             return self.record(asked).history
         self._refuse_at_start(self.system)
         try:
-            return _HISTORY(numbers_to_arrays(self.declared()), asked)
+            declared = self.declared()
+        except Exception:
+            return self.record(asked).history
+        assert declared.equations is not None
+        declared.equations.refuse_large_history(self.system.title, self.grid.steps, asked.instants)
+        try:
+            return _HISTORY(numbers_to_arrays(declared), asked)
         except Exception:
             return self.record(asked).history
 

@@ -15,6 +15,7 @@ import numpy as np
 from aleator import solvers, uncertainty
 from aleator._core.border import meant
 from aleator._core.errors import AleatorError, ProblemError
+from aleator._core.files import content_of
 from aleator.design import Problem, declared_anew, deterministic, units_of
 from aleator.dynamics import Grid
 from aleator.nlp import AbstractSolver
@@ -111,7 +112,7 @@ def _changed(file: _File, data: Any, problem: Problem) -> Problem:
 
 def _read(path: Path) -> _File:
     try:
-        return _File(path, path.read_bytes().decode("utf-8"))
+        return _File(path, content_of(path).decode("utf-8"))
     except FileNotFoundError as error:
         raise ProblemError(f"There is no file '{path}'.") from error
     except (OSError, UnicodeDecodeError) as error:
