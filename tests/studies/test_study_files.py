@@ -153,6 +153,8 @@ def test_what_is_done_is_told_before_anything_is_spent(here: Path):
     assert re.search(r"decisions │ 1 ", said)
     assert "agree with differences" in said
     assert "6 solves in all" in said
+    (here / "alone.py").write_text(SWEPT[: SWEPT.index("study")] + "study = al.Study(problem)\n")
+    assert "1 solve in all" in aleator("check", "alone.py")[1]
     assert not (here / "results").exists()
 
 
