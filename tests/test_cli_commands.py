@@ -129,7 +129,7 @@ def test_fresh_evidence_is_counted_on_the_designs_of_a_folder(finished: Path, no
     share = designs["nominal"]["violations"]["stress"]
     assert share["lower"] < 0.5 < share["upper"]
     assert designs["robust"]["violations"]["stress"]["count"] == 0
-    assert not designs["robust"]["solved"]
+    assert not designs["robust"]["solved_anew"]
     assert document(aleator(*arguments))["designs"] == designs
 
 
@@ -138,11 +138,11 @@ def test_designs_that_are_not_there_are_solved_before_they_are_sampled(here: Pat
     arguments = ("--samples", "200", "--design", "robust", "--json")
     told = document(aleator("validate", "bar.py", *arguments))["designs"]
     assert list(told) == ["robust"]
-    assert told["robust"]["solved"]
+    assert told["robust"]["solved_anew"]
     assert states("results/bar")["robust"] == "done"
     (lost,) = (entry.file for entry in al.load("results").entries if entry.name == "designs/robust")
     (finished / lost).unlink()
-    assert document(aleator("validate", "results", *arguments))["designs"]["robust"]["solved"]
+    assert document(aleator("validate", "results", *arguments))["designs"]["robust"]["solved_anew"]
 
 
 def test_a_run_whose_study_was_edited_is_stale_until_it_runs_again(here: Path, finished: Path, interrupted_at):
@@ -157,9 +157,9 @@ def test_a_run_whose_study_was_edited_is_stale_until_it_runs_again(here: Path, f
     assert aleator("resume", "results").exit_code == 130
     interrupted_at(0)
     robust = document(aleator(*arguments))["designs"]["robust"]
-    assert robust["solved"], "no design of the earlier form goes by the name of this one"
+    assert robust["solved_anew"], "no design of the earlier form goes by the name of this one"
     assert robust["decisions"]["width"]["value"] == pytest.approx(NEEDED_NOW / 0.5, rel=1e-6)
     assert aleator("resume", "results").exit_code == 0
     again = document(aleator(*arguments))["designs"]
     assert list(again) == ["robust"]
-    assert not again["robust"]["solved"]
+    assert not again["robust"]["solved_anew"]

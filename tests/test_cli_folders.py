@@ -4,8 +4,10 @@ import shutil
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 import aleator as al
+from aleator import cli
 from aleator.cli._folder import Record
 from aleator.journalling import FILE, Entry
 from aleator.reporting import only_writer
@@ -118,6 +120,12 @@ def test_runs_are_compared_by_their_numbers(here: Path, finished: Path):
     told = said(aleator("compare", "results", "copy"))
     assert "designs/robust: results and copy are equal." in told
     assert "Systems that violate stress" in told
+
+
+def test_what_is_said_is_printed_in_any_encoding(here: Path, finished: Path):
+    printed = CliRunner(charset="ascii").invoke(cli.application, ["check", "bar.py"])
+    assert printed.exit_code == 0
+    assert r"\u03bc[mass]" in printed.output
 
 
 def test_a_point_of_a_sweep_stands_beside_the_design_of_the_same_problem(here: Path, finished: Path):

@@ -67,6 +67,7 @@ def test_what_stops_a_gradient_solver_is_named_with_its_decision_in_objective_an
     assert by_limit.startswith("limit") or by_limit.startswith("μ[y] ≤ 9, by a")
     assert not any(kinds.values())
     assert not told.ok
+    assert ("switching time" in str(told)) == (what.split()[0] != "kink")
 
 
 STEEP = {

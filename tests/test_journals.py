@@ -116,9 +116,10 @@ def test_a_cut_line_is_ignored_and_a_broken_one_is_named(tmp_path: Path, solved:
         al.solve(bar_problem(load=1.1))
     assert len(solved) == 2
     assert states(tmp_path) == ["done", "done"]
-    path.write_bytes(b'{"key": "nonsense"}\n' + whole)
-    with pytest.raises(al.ProblemError, match=r"journal.jsonl', line 1: expected an entry"):
-        al.load(tmp_path)
+    for line in (b'{"key": "nonsense"}\n', b"[" * 100_000 + b"\n"):
+        path.write_bytes(line + whole)
+        with pytest.raises(al.ProblemError, match=r"journal.jsonl', line 1: expected an entry"):
+            al.load(tmp_path)
 
 
 def test_a_file_that_is_damaged_is_told_and_computed_again(tmp_path: Path, solved: list):

@@ -1,5 +1,6 @@
 """What would not fit into memory is refused by a count, before it is asked for."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -89,6 +90,31 @@ def test_a_solve_and_evidence_that_do_not_fit_are_refused(monkeypatch):
     with pytest.raises(al.ProblemError, match="Take a smaller batch"):
         al.validate(solution, 10_000, batch=10_000)
     assert al.validate(solution, 10_000, batch=100).samples == 10_000
+
+
+@pytest.mark.parametrize("steps", [HUGE**2, 2**63, 10**400])
+def test_a_grid_that_does_not_fit_is_refused_where_it_is_made(steps):
+    with pytest.raises(al.ProblemError, match=r"steps would need .* GiB"):
+        al.Grid(1.0, steps)
+
+
+class Wide(Decay):
+    """A decay with an output of many numbers."""
+
+    def outputs(self, t, z):
+        return {"x": z.x, "wide": z.x * jnp.ones(10**6)}
+
+
+def test_outputs_of_many_numbers_are_counted_before_they_are_computed(monkeypatch):
+    # 1e6 numbers of 8 bytes at 11 instants and twice; of the other output there is one at each.
+    monkeypatch.setattr(arrays, "memory", lambda: 2 * 8 * 11 * 10**6)
+    with pytest.raises(al.ProblemError, match=r"Wide: outputs of 1e\+06 numbers at 11 instants would need"):
+        al.Problem(Wide(al.Decision(1.0, 0.5, 2.0)), grid=al.Grid(1.0, 10), minimize=al.terminal("x").mean)
+    with pytest.raises(al.ProblemError, match=r"Wide: outputs of 1e\+06 numbers at 11 instants would need"):
+        al.simulate(Wide(1.0), al.Grid(1.0, 10))
+    assert set(al.simulate(Wide(1.0), al.Grid(1.0, 10), only=["x"])) == {"x"}
+    with pytest.raises(al.ProblemError, match=r"1.2e\+07 numbers at 12 points would need"):
+        al.expand(lambda at: at["a"] * jnp.ones(10**6), {"a": al.Normal(0.0, 1.0)}, al.Expansion(3, points=12))
 
 
 def test_the_limit_of_a_container_counts(tmp_path, monkeypatch):

@@ -5,6 +5,7 @@ import enum
 import functools
 import inspect
 import math
+import os
 import typing
 import warnings
 from collections.abc import Callable, Iterator
@@ -17,9 +18,9 @@ import sympy
 import sympy.physics.mechanics
 
 import aleator as al
-from aleator._core import border
+from aleator._core import arrays, border
 from test_public_names import TOPICS
-from zoo import Crane, Decay, Pendulum, bar_problem, oscillator_problem
+from zoo import STRESS, Crane, Decay, Pendulum, bar_problem, oscillator_problem
 
 LONGEST = 400
 
@@ -315,6 +316,49 @@ def test_a_checked_number_is_stored_as_a_plain_one():
     assert stored[0] == 1.0, "a later change of the user's array changed what was declared"
 
 
+# --- Words that lead on ----------------------------------------------------------------------------------------------
+
+HINTS: dict[str, tuple[Callable[[], Any], str]] = {
+    "a name of other libraries": (lambda: al.Normal(1.0, **{"sigma": 0.1}), "'sigma'. Did you mean 'std'?"),
+    "a name of a problem": (
+        lambda: al.Problem(**typing.cast(Any, {"objective": STRESS.mean})),
+        "'objective'. Did you mean 'minimize'?",
+    ),
+    "a slip in a model of one's own": (lambda: Decay(**typing.cast(Any, {"rat": 1.0})), "Did you mean 'rate'?"),
+    "an integrator by its place": (
+        lambda: al.simulate(Decay(1.0), al.Grid(1.0, 1), typing.cast(Any, al.integrators.Tsit5())),
+        "integrator=Tsit5(",
+    ),
+    "a velocity in a start": (
+        lambda: al.ForwardDynamics(Crane(), start={"sway": (0.0, 0.5)}),
+        "Give its velocity as 'sway_rate'.",
+    ),
+    "an expression as a number": (
+        lambda: al.Decision(typing.cast(Any, al.value("width")), 0.0, 1.0),
+        "received Expression(width)",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", HINTS)
+def test_a_refusal_says_what_to_write(what):
+    call, words = HINTS[what]
+    refuses(call, words)
+
+
+def test_an_error_of_a_models_own_code_is_no_wrong_argument():
+    with pytest.raises(TypeError, match="of its own"):
+        type("Own", (Decay,), {"__init__": _of_its_own})(1.0)
+
+
+def _of_its_own(self, rate):
+    raise TypeError("of its own")
+
+
+def test_a_solution_is_one_line_where_only_its_name_is_asked_for():
+    assert repr(solution()) == f"<Solution of Bar: objective {solution().objective:.6g}, feasible>"
+
+
 def test_a_long_value_is_shortened_and_a_misspelt_name_leads_to_the_right_one():
     assert len(str(border.refusal("it", "a number", "x" * 10_000))) < LONGEST
     assert border.meant("stifness", ["stiffness", "mass"]) == " Did you mean 'stiffness'?"
@@ -406,6 +450,20 @@ def test_a_missing_number_of_a_model_is_refused_where_it_stands():
         refuses(lambda value=value: al.simulate(Decay(value), al.Grid(1.0, 1)), *words)
     refuses(lambda: al.simulate(algebraic(guess=lambda self: {"x": math.nan})), "nan")
     refuses(lambda: al.Normal(0.0, 1.0).shared(3), "3")
+    refuses(lambda: al.expand(lambda at: at[""], {"": al.Normal(0.0, 1.0)}), "expected a name; received ''")
+    refuses(lambda: al.Sample([1.0, 2.0, math.nan]), "received nan at entry 2")
+    refuses(lambda: al.Normal(0.0, 5e-324), "at least 2.3e-308")
+
+
+def test_an_objective_that_no_design_changes_is_refused_without_limits():
+    model, number = bar_problem().system, typing.cast(Any, 3.0)
+    refuses(lambda: al.Problem(model, minimize=number), "minimize: expected an expression")
+    al.Problem(model, minimize=number, subject_to=[STRESS.mean <= 0.5])  # any design that holds
+
+
+def test_instants_of_an_expanded_function_are_finite():
+    inputs, instants = {"a": al.Uniform(0.0, half_width=1.0)}, [0.0, math.nan]
+    refuses(lambda: al.expand(lambda at: at["a"] * np.ones(2), inputs, times=instants), "received nan at entry 1")
 
 
 def refuses(call: Callable[[], Any], *words: str) -> None:
@@ -437,3 +495,16 @@ def test_a_file_that_is_no_table_of_a_signal_is_refused_by_name(content, word, t
     if content is not None:
         path.write_bytes(content)
     refuses(lambda: al.Tabulated.from_csv(path, "t", "x"), word)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes of POSIX")
+def test_what_need_not_end_is_read_nowhere(tmp_path, monkeypatch):
+    pipe = tmp_path / "journal.jsonl"
+    os.mkfifo(pipe)
+    refuses(lambda: al.Tabulated.from_csv(pipe, "t", "x"), "a pipe or a device")
+    refuses(lambda: al.Tabulated.from_csv("/dev/zero", "t", "x"), "a pipe or a device")
+    refuses(lambda: al.foreign.read_urdf(pipe), "a pipe or a device")
+    refuses(lambda: al.journal(tmp_path).__enter__(), "a pipe or a device")
+    (tmp_path / "table.csv").write_bytes(b"t,x\n0,1\n1,2\n")
+    monkeypatch.setattr(arrays, "memory", lambda: 10)
+    refuses(lambda: al.Tabulated.from_csv(tmp_path / "table.csv", "t", "x"), "larger than half of this machine's")

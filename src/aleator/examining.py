@@ -21,6 +21,10 @@ _WEAK, _STRONG = 1e-6, 1e6
 # Effects, and instants, that are named at most.
 _NAMED = 3
 
+_SWITCH = (
+    "Make it smooth, or use a solver without derivatives. A switching time that the equations compare with t is one: "
+    "blend both sides over a step, as jax.nn.sigmoid((t - T) / width) does"
+)
 _ROUND = "Round it (smoothing=...), or limit each part of a largest or absolute value"
 _TAILS = (
     "Tails are found along lines that end where bounded numbers do: limit cornish_fisher(level), or mean and spread "
@@ -66,9 +70,9 @@ class Examination(Printed):
     def __str__(self) -> str:
         found = [
             *(f"kink: {one}. {_TAILS if one.startswith(self.tails) else _ROUND}" for one in self.kinks),
-            *(f"jump: {one}. Make it smooth, or use a solver without derivatives" for one in self.jumps),
+            *(f"jump: {one}. {_SWITCH}" for one in self.jumps),
             *(
-                f"wrong derivative: {one}. Look for stop_gradient, rounding or a custom rule there"
+                f"wrong derivative: {one}. Look for stop_gradient, rounding, a custom rule or a switching time there"
                 for one in self.wrong
             ),
             *(

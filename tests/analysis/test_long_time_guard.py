@@ -61,3 +61,6 @@ def test_a_start_that_is_certain_and_crossings_do_not_count_as_unresolved():
 def test_the_warning_names_the_instant_and_the_output():
     with pytest.warns(al.ExpansionWarning, match=r"x \(error .*resolved until t = 1[0-9.]* only\)"):
         al.expand(lambda m: {"x": wave(m), "w": m["w"] * TIMES}, FREQUENCY, al.Expansion(6), times=TIMES)
+    late = TIMES[-20:]
+    with pytest.warns(al.ExpansionWarning, match="resolved at no instant"):
+        al.expand(lambda m: wave(m)[-20:], FREQUENCY, al.Expansion(6), times=late)

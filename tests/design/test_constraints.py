@@ -6,7 +6,7 @@ import pytest
 import aleator as al
 from aleator.design import statistics_in
 from aleator.reporting._numbers import unit_of_statistic
-from zoo import HALF_WIDTH, LOSS, ONE_STEP, RESPONSE, Gain, gain_problem
+from zoo import HALF_WIDTH, LOSS, MASS, ONE_STEP, RESPONSE, SPREAD, STRESS, Gain, bar_problem, gain_problem, optimum
 
 Y, PATH = al.rms("y"), al.path("y")
 
@@ -164,3 +164,23 @@ def test_the_unit_of_a_statistic_follows_from_what_it_is():
     for expression, unit in units:
         (atom,) = statistics_in((expression,))
         assert unit_of_statistic(atom, problem) == unit
+
+
+@pytest.mark.parametrize(
+    ("limit", "width", "printed"),
+    [
+        (STRESS.mean.equals(al.value("width")), 1.0, "μ[stress] − width = 0"),
+        (STRESS.within(0.0, al.value("width")), 1.0, "μ[stress] ≥ 0 and μ[stress] − width ≤ 0"),
+        (
+            STRESS.within(-al.value("width"), 4 * al.value("width"), sigmas=3.0),
+            np.sqrt((1.0 + 3.0 * SPREAD) / 4.0),
+            "μ[stress] − 3 σ[stress] + width ≥ 0 and μ[stress] + 3 σ[stress] − 4 width ≤ 0",
+        ),
+    ],
+)
+def test_a_bound_may_be_a_number_of_the_model(limit, width, printed):
+    # The mean stress is 1 / width, its standard deviation SPREAD / width.
+    model = bar_problem().system
+    problem = al.Problem(model, minimize=MASS.mean, subject_to=[limit])
+    assert str(limit) == printed
+    assert float(optimum(problem).decisions["width"]) == pytest.approx(width, rel=1e-6)

@@ -39,8 +39,10 @@ def test_a_table_is_read_from_named_columns_of_a_file_with_comments(table):
     [
         ("t,height\n0,1\n1,2\n", r"road\.csv: expected one column 'z'; received \['t', 'height'\]"),
         ("t,z\n0,1\n2,1\n1,1\n", r"road\.csv.*times must increase, but sample 2 is not after"),
-        ("t,z\n0,1\n1,inf\n", r"road\.csv.*values: expected finite numbers"),
-        ("t,z\n0,1\n1,high\n", r"road\.csv.*'high'"),
+        ("t,z\n0,1\n1,inf\n", r"road\.csv.*values: expected finite numbers; received inf at t = 1 s"),
+        ("t,z\n0,1\n1,high\n", r"road\.csv: row 2.*'high'"),
+        ("t;z\n0;1\n1;2\n", r"road\.csv: expected commas between columns.*received semicolons"),
+        ("t\tz\n0\t1\n1\t2\n", "received tabs"),
     ],
 )
 def test_a_file_that_is_no_table_is_refused_by_name(table, text, message):
@@ -53,6 +55,7 @@ def test_a_file_that_is_no_table_is_refused_by_name(table, text, message):
     [
         ([0.0, 1.0], [1.0, 2.0, 3.0], r"times \(2,\) and values \(3,\)"),
         ([1.0, 0.5], [1.0, 2.0], "sample 1 is not after"),
+        ([0.0, np.nan], [1.0, 2.0], "times: expected finite numbers; received nan at entry 1"),
         (
             [0.0, 1.0],
             [al.Decision(np.zeros(2), -1, 1), 1.0],

@@ -1,9 +1,12 @@
 """Wrong names of parameters of FMUs, and runs that fail: one sentence each, with the FMU's name."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import aleator as al
+from aleator.foreign._fmu._description import kind_of
 from rods import here
 
 GRID = al.Grid(2.0, 4)
@@ -46,6 +49,11 @@ def test_a_run_that_fails_says_when_and_what_the_fmu_said(rods, version, kind, b
     # Another run begins anew.
     if behaviour != FAILURES["no start"][0]:
         assert np.isfinite(run({"fail_at": 9.0})["angle"]).all()
+
+
+def test_a_kind_that_is_misspelt_is_told_the_nearest():
+    with pytest.raises(al.ProblemError, match=r"received 'model-exchange'\. Did you mean 'model exchange'\?"):
+        kind_of("rod", SimpleNamespace(modelExchange=True, coSimulation=True), "model-exchange")
 
 
 def test_a_failure_among_uncertain_parameters_names_them(rods):

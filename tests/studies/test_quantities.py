@@ -3,7 +3,7 @@
 import pytest
 
 import aleator as al
-from aleator.studies._toml import amount, plain
+from aleator.studies._quantities import amount, plain
 
 # Each by hand: a turn is 6.283185307179586 rad, a degree 0.017453292519943295 rad, a minute 60 s.
 PAIRS = {
@@ -24,6 +24,8 @@ PAIRS = {
     ("5 m s-1", "km/h"): 18.0,
     ("12e-6 /K", "1/K"): 12e-6,
     ("5 %", "-"): 0.05,
+    ("0.4 %/degC", "1/K"): 0.004,
+    ("30 mV/%", "V/%"): 0.03,
     ("1 W/(m² K)", "mW/(mm^2 K)"): 1e-3,
     ("20 °C", "degC"): 20.0,
     ("1 1/degC", "1/K"): 1.0,
@@ -41,7 +43,10 @@ def test_quantities_are_converted_with_their_angles():
         ("1 kg2", "kg", "Write factors apart, powers with '^'"),
         ("1 J/kg K", "J/(kg K)", "received 'J/kg K'. Write factors apart, powers with '^', and brackets"),
         ("1/8 in", "mm", "expected one number, with a decimal point"),
-        ("20 degC", "K", "expected a unit whose zero is that of 'K'; received 'degC': convert it."),
+        ("1,5 V", "V", "expected one number, with a decimal point"),
+        ("25 degC", "K", "received 'degC'. Write '298.15 K', or '25 K' if it is a difference or a spread."),
+        ("9 degF", "K", "or '5 K' if it is a difference"),
+        ("20 % V", "V", "expected an absolute amount, such as '3 V', no percentage"),
         ("1 ± 0.1 mm", "mm", "without tolerances"),
     ],
 )
@@ -49,6 +54,28 @@ def test_quantities_that_have_two_meanings_or_none_are_refused(text: str, unit: 
     with pytest.raises(al.ProblemError) as refused:
         plain(text, unit)
     assert word in str(refused.value)
+
+
+# A percentage before a unit is one of the value to people, and a factor of the unit to pint.
+@pytest.mark.parametrize(
+    ("text", "unit", "written"),
+    [
+        ("50 ± 20 % V", "V", "Write '50 ± 10 V'."),
+        ("50 ± 20 %", "V", "Write '50 ± 10 V'."),
+        ("50 V ± 20 %", "V", "Write '50 ± 10 V'."),
+        ("50 ± 2 ppm V", "V", "Write '50 ± 0.0001 V'."),
+        ("300 ± 2 % K", "K", "Write '300 ± 6 K'."),
+        ("50 +20/-10 % V", "V", "Write '50 +10/-5 V'."),
+        ("0.9 ± 5 %", "-", "Write '0.9 ± 0.045' or '0.009 ± 0.05'."),
+        ("25 ± 5 degC", "K", "Write '298.15 ± 5 K'."),
+        ("77 ± 9 degF", "K", "Write '298.15 ± 5 K'."),
+        ("50,0 ± 10 V", "V", "Write decimals with a point: '50.0 ± 10 V'."),
+    ],
+)
+def test_refused_tolerances_say_what_to_write(text: str, unit: str, written: str):
+    with pytest.raises(al.ProblemError) as refused:
+        amount(text, unit)
+    assert str(refused.value).endswith(written)
 
 
 ZONES = {
@@ -61,6 +88,9 @@ ZONES = {
     "20 +1e-1/-2e-1 mm": (19.8, 20.1),
     "2 ± 0.01 cm": (19.9, 20.1),
     "20 ±0.1": (19.9, 20.1),
+    "20 mm +/- 0.1 mm": (19.9, 20.1),
+    "20 \N{MINUS SIGN}0.1/+0.1 mm": (19.9, 20.1),
+    "2 ±0.01 cm": (19.9, 20.1),
 }
 
 
@@ -69,6 +99,9 @@ def test_tolerances_are_those_of_drawings():
         zone = amount(text, "mm")
         assert isinstance(zone, al.Toleranced), text
         assert [float(one) for one in zone.limits()] == pytest.approx(limits, rel=1e-12), text
+    share = amount("5 % ± 1 %", "-")
+    assert isinstance(share, al.Toleranced)
+    assert [float(one) for one in share.limits()] == pytest.approx([0.04, 0.06], rel=1e-12)
     for unit in ("1/min", "m s-1"):  # a unit may begin with a number, or end in a power
         zone = amount(f"20 ± 0.5 {unit}", unit)
         assert isinstance(zone, al.Toleranced)

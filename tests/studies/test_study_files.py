@@ -153,6 +153,8 @@ def test_what_is_done_is_told_before_anything_is_spent(here: Path):
     assert re.search(r"decisions │ 1 ", said)
     assert "agree with differences" in said
     assert "6 solves in all" in said
+    (here / "alone.py").write_text(SWEPT[: SWEPT.index("study")] + "study = al.Study(problem)\n")
+    assert "1 solve in all" in aleator("check", "alone.py")[1]
     assert not (here / "results").exists()
 
 
@@ -164,6 +166,14 @@ def test_a_new_study_runs_as_it_is(here: Path):
     assert code == 0, said
     designs = json.loads((here / "results/bracket/designs.json").read_text())
     assert {one["status"] for one in designs.values()} == {al.Status.SOLVED.value}
+
+
+def test_a_new_study_is_begun_beside_no_folder_of_its_name(here: Path):
+    (here / "plate").mkdir()
+    code, said = aleator("new", "plate")
+    assert code == 2
+    assert "'plate' is a folder: name a file in it, such as plate/bracket.py." in said
+    assert not (here / "plate.py").exists()
 
 
 WRONG = {

@@ -68,8 +68,15 @@ def test_positive_fields_are_found_anywhere_in_a_model_and_the_lowest_value_is_t
         ([Mass(1.0), Mass(al.Uniform(1.0, half_width=1.5))], r"^'1.m' must stay .*half_width=1.5\) can reach -0.5"),
         (
             Holder({"a": (Mass(al.Normal(1e6, 1.0)),)}),
-            r"^'inside.a.0.m' must stay .*unbounded below\. Reduce its spread",
+            r"^'inside.a.0.m' must stay .* below\. Write TruncatedNormal\(location=1000000, scale=1, lower=999994\)",
         ),
+        (
+            [Mass(al.TruncatedNormal(22e3, 1500.0, upper=23e3))],
+            r"Write TruncatedNormal\(location=22000, scale=1500, lower=13000, upper=23000\)",
+        ),
+        ([Mass(al.Normal(3.0, 1.0))], r"Write LogNormal\(mean=3, std=1\), which has the same mean"),
+        ([Mass(al.Normal(-3.0, 1.0))], "Give a distribution above zero"),
+        ([Mass(al.Normal(al.Decision(3.0, 1.0, 5.0), 1.0))], "Raise its lower bound, or those of the decisions in it"),
         (Whole(Mass("heavy"), {}), "^'system.m' must stay .*expected a number.*received str 'heavy'"),
     ]:
         with pytest.raises(ProblemError, match=message):

@@ -97,12 +97,16 @@ def refuse_beyond_memory(what: str, size: int, advice: str) -> None:
 
     `advice`: a sentence with the remedy. Check counts before anything is enumerated.
     """
-    there = memory()
-    if size > _SHARE * there:
+    if not may_hold(size):
         raise ProblemError(
-            f"{what} would need {_gibibytes(size)} of memory; this machine has {_gibibytes(there)}, of which half may "
-            f"be used. {advice}"
+            f"{what} would need {_gibibytes(size)} of memory; this machine has {_gibibytes(memory())}, of which half "
+            f"may be used. {advice}"
         )
+
+
+def may_hold(size: int) -> bool:
+    """Whether so many bytes are at most the share of the machine's memory that one thing may take."""
+    return size <= _SHARE * memory()
 
 
 @lru_cache(maxsize=1)

@@ -65,6 +65,20 @@ def real_array(what: str, value: Any, expected: str = "real numbers") -> Float[n
     return np.array(array, dtype=float)
 
 
+def _entry(place: tuple[int, ...]) -> str:
+    return f"entry {', '.join(map(str, place))}"
+
+
+def refuse_not_finite(
+    what: str, numbers: Float[np.ndarray, "..."], at: Callable[[tuple[int, ...]], str] = _entry
+) -> None:
+    """Raise `ProblemError` for the first number that is not finite; `at`: a place in the array in words."""
+    if not np.isfinite(numbers).all():
+        place = tuple(int(one) for one in np.argwhere(~np.isfinite(numbers))[0])
+        where = f" at {at(place)}" if place else ""
+        raise ProblemError(f"{what}: expected finite numbers; received {numbers[place]:g}{where}.")
+
+
 def real(what: str, value: Any, expected: str = "a finite number") -> float:
     """One finite number."""
     array = real_array(what, value, expected)

@@ -5,7 +5,6 @@ journal, and where. A long one is kept part by part, every few seconds; files of
 """
 
 import abc
-import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,6 +13,8 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, final
 
 from typing_extensions import override
+
+from aleator._core.files import content_of, json_of
 
 Result = TypeVar("Result")
 
@@ -263,7 +264,7 @@ def read_lines(path: Path) -> Lines:
     Raises `OSError` if it cannot be read.
     """
     try:
-        content = path.read_bytes()
+        content = content_of(path)
     except FileNotFoundError:
         return Lines((), 0, b"")
     *whole, cut = content.split(b"\n")
@@ -273,6 +274,6 @@ def read_lines(path: Path) -> Lines:
 
 def _value(text: bytes) -> Any:
     try:
-        return json.loads(text)
+        return json_of(text)
     except ValueError:  # UnicodeDecodeError is one
         return None

@@ -2,6 +2,7 @@
 
 import abc
 import importlib
+import inspect
 from collections import Counter
 from collections.abc import Callable
 from typing import Any, ClassVar, TypeVar
@@ -13,11 +14,32 @@ from jax.core import Tracer
 from jax.tree_util import DictKey, GetAttrKey, SequenceKey, keystr, tree_flatten_with_path
 
 from aleator._core.arrays import Pytree
-from aleator._core.border import real_array, refusal
+from aleator._core.border import meant, real_array, refuse_not_finite
 from aleator._core.errors import ProblemError
 
+# What other libraries call our arguments.
+_ELSEWHERE = {"mu": "mean", "sigma": "std", "objective": "minimize", "constraints": "subject_to"}
 
-class Module(eqx.Module):
+
+class _NamingArguments(type(eqx.Module)):
+    """Has a class refuse arguments that it does not know with the name that was meant."""
+
+    def __call__(cls, *args: Any, **kwargs: Any) -> Any:
+        try:
+            return super().__call__(*args, **kwargs)
+        except TypeError:
+            known = [name for name, one in inspect.signature(cls).parameters.items() if one.kind is not one.VAR_KEYWORD]
+            takes_any = len(known) < len(inspect.signature(cls).parameters)
+            strange = next((name for name in kwargs if name not in known and not takes_any), None)
+            if strange is None:
+                raise
+            hint = f" Did you mean '{other}'?" if (other := _ELSEWHERE.get(strange)) in known else meant(strange, known)
+            raise ProblemError(
+                f"{cls.__name__}: expected arguments among {', '.join(known)}; received '{strange}'.{hint}"
+            ) from None
+
+
+class Module(eqx.Module, metaclass=_NamingArguments):
     """An Equinox module whose methods are plain ones.
 
     Equinox makes a module of each method at each access, for those who give methods to compiled functions as arguments.
@@ -112,11 +134,11 @@ def realised_shape(number: Any) -> tuple[int, ...]:
     return number.shape if isinstance(number, AbstractLeaf) else np.shape(number)
 
 
-def stored_numbers(what: str, value: Any) -> Any:
+def stored_numbers(what: str, value: Any, **place: Any) -> Any:
     """Numbers of a model as they are stored: known ones as a new array, for an integer would be static.
 
     Leaves and traced numbers stay as they are, and a sequence that holds any becomes a tuple. Raises `ProblemError` for
-    anything else, for numbers that are not finite, and for parts that form no array.
+    anything else, for numbers that are not finite (see `refuse_not_finite`), and for parts that form no array.
     """
     if isinstance(value, AbstractLeaf | Tracer):
         return value
@@ -127,8 +149,7 @@ def stored_numbers(what: str, value: Any) -> Any:
             raise ProblemError(f"{what}: expected numbers that form an array; received parts of the shapes {shapes}.")
         return parts
     numbers = real_array(what, value, "numbers, distributions or decisions")
-    if not np.isfinite(numbers).all():
-        raise refusal(what, "finite numbers", value)
+    refuse_not_finite(what, numbers, **place)
     return numbers
 
 

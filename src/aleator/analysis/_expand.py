@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from aleator._core.arrays import Pytree, in_library, jax_array
-from aleator._core.border import real_array
+from aleator._core.border import real_array, refuse_not_finite
 from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator.analysis._abstract_expanded import extrapolates
@@ -144,7 +144,7 @@ def _warn_of_doubts(expanded: Expanded, collocation: Collocation, times: Any) ->
         if last is None and extrapolates(concrete(loo), concrete(left), expanded.tolerance):
             open_ended.append(f"{name} (error {float(known):.2g})")
             continue
-        since = "" if last is None else f", resolved until t = {last:.4g} only"
+        since = "" if last is None else f", resolved {last}"
         bad.append(f"{name} (error {float(known):.2g}{since})")
     sentences = []
     condition = concrete(collocation.condition_number)
@@ -175,8 +175,9 @@ def _resolved_instants(tolerance: float) -> Callable[..., Array]:
     return partial(evaluate, partial(resolved_instants, tolerance=tolerance), use=Use.ONCE)
 
 
-def _resolved_until(expanded: Expanded, times: np.ndarray) -> list[float | None]:
-    """The last resolved instant of each output that is not resolved throughout; None for the others."""
+def _resolved_until(expanded: Expanded, times: np.ndarray) -> list[str | None]:
+    """Until when each output is resolved that is not resolved throughout, in words; None for the others."""
+    refuse_not_finite("expand: times", times)
     for leaf in jax.tree.leaves(expanded.samples):
         if times.ndim != 1 or leaf.ndim < 2 or leaf.shape[1] != len(times):
             raise ProblemError(
@@ -185,4 +186,5 @@ def _resolved_until(expanded: Expanded, times: np.ndarray) -> list[float | None]
             )
     counts = [concrete(count) for count in jax.tree.leaves(expanded.checked(_resolved_instants(expanded.tolerance)))]
     known = [len(times) if count is None else int(count) for count in counts]
-    return [None if count == len(times) else float(times[max(count - 1, 0)]) for count in known]
+    until = [f"until t = {times[count - 1]:.4g} only" if count else "at no instant" for count in known]
+    return [None if count == len(times) else word for count, word in zip(known, until, strict=True)]

@@ -5,7 +5,6 @@ the model's code.
 """
 
 import hashlib
-import json
 import os
 import re
 import sys
@@ -22,6 +21,7 @@ import numpy as np
 import aleator
 from aleator import studies
 from aleator._core.errors import AleatorError, ProblemError
+from aleator._core.files import content_of, json_of
 from aleator.reporting import json_text, values_text, write_whole
 from aleator.solution import Solution
 from aleator.studies import AbstractStudy, SweptStudy
@@ -166,7 +166,7 @@ def _source(study: str) -> str:
             file = getattr(find_spec(study.partition(":")[0]), "origin", "") or ""
     digest = hashlib.sha256(f"{aleator.__version__} {version('jax')} ".encode())
     with suppress(OSError):
-        digest.update(Path(file).read_bytes())
+        digest.update(content_of(file))
     return digest.hexdigest()
 
 
@@ -195,7 +195,7 @@ def _read(folder: Path) -> Record:
     """What began the run of a folder, as it was noted. Raises `ProblemError` if the folder does not say."""
     path = folder / RECORD
     try:
-        data = json.loads(path.read_bytes())
+        data = json_of(content_of(path))
         return Record(**{name: _checked(data[name], name) for name in (field.name for field in fields(Record))})
     except FileNotFoundError:
         raise ProblemError(
@@ -260,7 +260,7 @@ def written_designs(folder: Path) -> Mapping[str, Any]:
     if not path.is_file():
         return {}
     try:
-        designs = json.loads(path.read_bytes())
+        designs = json_of(content_of(path))
         return {name: design for name, design in designs.items() if isinstance(design["decisions"], dict)}
     except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise ProblemError(

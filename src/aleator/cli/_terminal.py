@@ -3,7 +3,9 @@
 Results go to stdout, errors to stderr; or one JSON document to stdout, and all else to stderr.
 """
 
+import io
 import os
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -30,6 +32,9 @@ class Terminal:
     """
 
     def __init__(self, command: str, as_json: bool = False):
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, io.TextIOWrapper):  # of whatever encoding, perhaps one without μ and ξ
+                stream.reconfigure(errors="backslashreplace")
         self._errors = _console(stderr=True)
         self.console = self._errors if as_json else _console()
         self._document: dict[str, Any] | None = {"command": command} if as_json else None

@@ -146,7 +146,7 @@ class _Sampling:
         designs = {name: solution_document(sampled.solution) for name, sampled in self.evidence.items()}
         documents = {
             name: {
-                "solved": self._solved[name],
+                "solved_anew": self._solved[name],
                 "decisions": design["decisions"],
                 "objective": design["objective"],
                 **evidence_document(self.evidence[name]),

@@ -74,6 +74,11 @@ def _check_types(problem: AbstractProblem) -> None:
                 f"Problem: '{name}' must be a {' or '.join(kind.__name__ for kind in kinds)}; "
                 f"received {type(value).__name__} {value!r}.{remedy}"
             )
+    if not (problem.objective.atoms or problem.constraints):
+        raise ProblemError(
+            f"Problem: minimize: expected an expression, such as al.output('y').mean; received {problem.objective}, "
+            "which no design changes."
+        )
     if has_no_time:
         return
     # A system without states evolves only by a motion that is given to it.

@@ -21,7 +21,7 @@ from aleator.design._functionals import AbstractIntegral
 from aleator.design._response import AbstractProblem, grid_at
 from aleator.design._scope import AbstractScope
 from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, joined, statistics_in
-from aleator.dynamics import Equations, Grid, called
+from aleator.dynamics import Equations, called
 from aleator.statistics import AbstractStatistic
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import named_numbers, realise, uncertain_again
@@ -43,8 +43,9 @@ def declared(problem: AbstractProblem) -> Declared:
     whole = eqx.tree_at(lambda one: one.simulation, problem, uncertain_again(problem.simulation))
     equations, realisation = _traced(whole)
     refuse_unsteady(type(problem.system).__name__, equations.digest, lambda: _traced(whole)[0].digest)
-    instants = len(whole.grid.fractions) if isinstance(whole.grid, Grid) else 1
-    outputs = {name: np.zeros((instants, *shape)) for name, shape in equations.output_shapes().items()}
+    steps = whole.grid.steps
+    equations.refuse_large_history(type(problem.system).__name__, steps)
+    outputs = {name: np.zeros((steps + 1, *shape)) for name, shape in equations.output_shapes().items()}
     for name in (name for functional in functionals_of(whole.expressions) for name in functional.outputs):
         if name not in outputs:
             raise ProblemError(unknown(f"output of {type(whole.system).__name__}", name, list(outputs)))

@@ -95,10 +95,10 @@ class Expression(Module):
         return as_expression(other) + -self
 
     def __le__(self, other: Any) -> "Constraint":
-        return _compare(self - other, upper=True)
+        return _compare(self - other, "upper")
 
     def __ge__(self, other: Any) -> "Constraint":
-        return _compare(self - other, upper=False)
+        return _compare(self - other, "lower")
 
     def __lt__(self, other: Any) -> "Constraint":
         raise ProblemError(
@@ -116,9 +116,11 @@ class Expression(Module):
 
     __float__ = __int__ = __round__ = __mod__ = __rmod__ = __floordiv__ = __rfloordiv__ = __rpow__ = _no_number
 
-    def equals(self, number: float) -> "Constraint":
-        """The constraint that the expression equals a number."""
-        return Constraint(self, lower=number, upper=number)
+    def equals(self, other: "float | Expression") -> "Constraint":
+        """The constraint that the expression equals a number, or another expression."""
+        if isinstance(other, Expression):
+            return _compare(self - other, "lower", "upper")
+        return Constraint(self, lower=other, upper=other)
 
     def __bool__(self) -> bool:
         raise ProblemError(
@@ -153,6 +155,9 @@ class Expression(Module):
 
     def _terms(self) -> zip:
         return zip(self.factors, self.atoms, strict=True)
+
+    def __repr__(self) -> str:
+        return f"Expression({self})"
 
     def __str__(self) -> str:
         parts = [(float(factor), atom.text()) for factor, atom in self._terms() if float(factor) != 0]
@@ -312,11 +317,10 @@ def _plain(value: Any) -> Any:
     return value.constant if isinstance(value, Expression) and not value.atoms else value
 
 
-def _compare(difference: Expression, *, upper: bool) -> "Constraint":
-    """`difference <= 0` (or `>= 0`), with its constant moved to the right-hand side as the bound."""
-    bound = -difference.constant + 0.0
-    left = Expression(difference.factors, difference.atoms)
-    return Constraint(left, upper=bound) if upper else Constraint(left, lower=bound)
+def _compare(difference: Expression, *sides: str) -> "Constraint":
+    """`difference <= 0` ("upper"), `>= 0` ("lower") or both, with its constant as the bound on the right-hand side."""
+    left, bound = Expression(difference.factors, difference.atoms), -difference.constant + 0.0
+    return Constraint(left, **dict.fromkeys(sides, bound))
 
 
 def value(name: str) -> Expression:

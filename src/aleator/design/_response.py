@@ -1,5 +1,6 @@
 """The parts of a problem, and the response of its system: realisation by realisation, one system, its own numbers."""
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple, final
 
@@ -23,6 +24,10 @@ from aleator.expansion import Expansion
 from aleator.statistics import AbstractStatistic
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import Placements, at_means, named_numbers, placements, realise
+
+# Numbers at each instant besides: the inputs at all stages, and 32 systems on three times as many steps in the check of
+# an answer.
+_AT_INSTANT = 128
 
 
 class AbstractProblem(Module, Printed):
@@ -215,14 +220,18 @@ def value_at(expression: Expression, problem: AbstractProblem, decisions: Any) -
 def refuse_large_histories(problem: AbstractProblem, systems: int, derivatives: int, advice: str) -> None:
     """Raise `ProblemError` if the outputs of `systems` systems would not fit into memory together.
 
-    Outputs are stored at every instant where a functional needs them there, each with its `derivatives`.
+    Outputs are stored at every instant where a functional needs them there, each with its `derivatives`; besides, the
+    inputs and the check of an answer take memory at each.
     """
     histories = [one for one in functionals_of(problem.expressions) if not isinstance(one, AbstractIntegral)]
-    outputs = len({name for one in histories for name in one.outputs})
+    names = {name for one in histories for name in one.outputs}
+    equations = problem.simulation.equations
+    shapes = {} if equations is None else equations.output_shapes()
+    outputs = sum(math.prod(shapes.get(name, ())) for name in names)
     instants = problem.grid.steps + 1
     what = f"{systems} systems with {outputs} outputs at {instants} instants"
     what += f" and their derivatives by {derivatives} decisions" if derivatives else ""
-    refuse_beyond_memory(what, NUMBER * systems * outputs * instants * (1 + derivatives), advice)
+    refuse_beyond_memory(what, NUMBER * instants * (_AT_INSTANT + systems * outputs * (1 + derivatives)), advice)
 
 
 class Estimated(NamedTuple):

@@ -122,7 +122,7 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
 
     def at_most(
         self,
-        upper: float,
+        upper: float | Expression,
         *,
         sigmas: float = 0.0,
         probability: float | None = None,
@@ -144,7 +144,7 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
 
     def at_least(
         self,
-        lower: float,
+        lower: float | Expression,
         *,
         sigmas: float = 0.0,
         probability: float | None = None,
@@ -163,8 +163,8 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
 
     def within(
         self,
-        lower: float,
-        upper: float,
+        lower: float | Expression,
+        upper: float | Expression,
         *,
         sigmas: float = 0.0,
         probability: float | None = None,
@@ -177,8 +177,10 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
 
         Raises `ProblemError` for bounds in the wrong order.
         """
-        lower, upper = ordered(", ".join(self.outputs), lower, upper)
-        margin = sigmas, probability, worst_case, at_points
+        name, margin = ", ".join(self.outputs), (sigmas, probability, worst_case, at_points)
+        if isinstance(lower, Expression) or isinstance(upper, Expression):
+            return Range(self._end(1, *margin) <= upper, self._end(-1, *margin) >= lower).named(name)
+        lower, upper = ordered(name, lower, upper)
         return Range(self._end(1, *margin) <= upper, self._end(-1, *margin) >= lower)
 
     def _end(

@@ -4,6 +4,7 @@ A user's methods are called for this alone. Code that changes later cannot matte
 problems apart, in this process and in any other.
 """
 
+import math
 from collections.abc import Callable, Collection, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
@@ -15,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 from typing_extensions import override
 
+from aleator._core.arrays import NUMBER, refuse_beyond_memory
 from aleator._core.equations import Digest, TracedFunction, digest_of, joint_digest, may_lose_derivatives
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
@@ -113,10 +115,19 @@ class Equations:
         return TracedSystem(system, self)
 
     def output_shapes(self) -> dict[str, tuple[int, ...]]:
-        """The shape of each output at one instant, by name."""
+        """The shape of each output at one instant, by name; none where the equations have to be traced again."""
+        if self._functions is None:
+            return {}
         function = self["instant"]
         outputs = jax.tree.unflatten(function.results, function.closed.out_avals).outputs
         return {name: one.shape for name, one in zip(function.rest.names, outputs, strict=True)}
+
+    def refuse_large_history(self, who: str, steps: int, only: Collection[str] | None = None) -> None:
+        """Raise `ProblemError` if the outputs of one system, or some of them, would not fit into memory twice."""
+        shapes = self.output_shapes()
+        entries = sum(math.prod(shape) for name, shape in shapes.items() if only is None or name in only)
+        what = f"{who}: outputs of {entries:.3g} numbers at {steps + 1:.3g} instants"
+        refuse_beyond_memory(what, 2 * NUMBER * entries * (steps + 1), "Take fewer steps, or return fewer numbers.")
 
     @property
     def may_lose_derivatives(self) -> bool:

@@ -13,8 +13,8 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Scalar
-from aleator._core.border import is_masked, whole
+from aleator._core.arrays import NUMBER, Scalar, refuse_beyond_memory
+from aleator._core.border import is_masked, shown, whole
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf, Module, highest, lowest, realised_shape
 from aleator.dynamics._system import System, check_inputs
@@ -55,7 +55,7 @@ class Grid(AbstractGrid):
     t_start: Scalar
 
     def __init__(self, t_final: Any, steps: int, t_start: float = 0.0):
-        self.steps = whole("Grid: steps", steps)
+        self.steps = _steps(steps)
         t_final, t_start = _scalar(t_final), _scalar(t_start)
         free = _is_decided(t_final)
         earliest: Any = lowest(t_final) if free else t_final
@@ -83,7 +83,7 @@ class Grid(AbstractGrid):
     def divided(self, steps: int) -> "Grid":
         """The same time span with `steps` steps."""
         grid = copy(self)  # its times may be traced, and were checked
-        object.__setattr__(grid, "steps", whole("Grid: steps", steps))
+        object.__setattr__(grid, "steps", _steps(steps))
         return grid
 
     @property
@@ -148,6 +148,13 @@ class Instant(AbstractGrid):
     @override
     def times(self) -> Float[Array, " instants"]:
         return jnp.zeros(1)
+
+
+def _steps(steps: Any) -> int:
+    """A number of steps of which the instants fit into memory, with the middles of the steps."""
+    steps = whole("Grid: steps", steps)
+    refuse_beyond_memory(f"Grid: {shown(steps)} steps", 3 * NUMBER * steps, "Take fewer steps.")
+    return steps
 
 
 def _is_decided(t_final: Any) -> bool:

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from aleator._core.arrays import in_library, jax_array, numbers_to_arrays
-from aleator._core.border import one_of, refusal, refuse_missing
+from aleator._core.border import one_of, refusal, refuse_missing, shown
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError, SimulationWarning
 from aleator._core.leaves import Module, is_leaf, is_traced, named_leaves, transparent
@@ -108,7 +108,13 @@ class Simulation(Module):
             return self.record(asked).history
         self._refuse_at_start(self.system)
         try:
-            return _HISTORY(numbers_to_arrays(self.declared()), asked)
+            declared = self.declared()
+        except Exception:
+            return self.record(asked).history
+        assert declared.equations is not None
+        declared.equations.refuse_large_history(self.system.title, self.grid.steps, asked.instants)
+        try:
+            return _HISTORY(numbers_to_arrays(declared), asked)
         except Exception:
             return self.record(asked).history
 
@@ -211,6 +217,8 @@ def simulate(
     does not have.
     """
     one_of("simulate: system", system, (System, AlgebraicSystem))
+    if isinstance(inputs, AbstractIntegrator):
+        raise ProblemError(f"simulate: an integrator is given by name: integrator={shown(inputs)}.")
     if not isinstance(inputs, Mapping | None):
         raise refusal("simulate: inputs", "signals by name, such as {'road': ...}", inputs)
     if integrator is not None:

@@ -6,6 +6,7 @@ the same program. They share levels, batches and messages with this package, and
 """
 
 import abc
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, ClassVar, NamedTuple, TypeAlias, final
 
@@ -17,7 +18,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Pytree, jax_array
+from aleator._core.arrays import NUMBER, Pytree, jax_array, refuse_beyond_memory
 from aleator._core.compilation import evaluate_traced, traced_once
 from aleator._core.equations import TracedFunction
 from aleator._core.errors import ProblemError
@@ -208,12 +209,17 @@ class TracedEnsemble(AbstractEnsemble):
         points = np.zeros((size, len(self.places.germs)))
         arguments = outputs, self._numbers, self._decisions, points
         try:
-            return traced_once((self._function, self._rest), *arguments, who=self._name)
+            traced = traced_once((self._function, self._rest), *arguments, who=self._name)
         except UNTRACEABLE as error:
             raise ProblemError(
                 f"{self._name} cannot be traced by JAX ({str(error).splitlines()[0]}) Write it with jax.numpy, or "
                 "pass traced=False: it is then called with plain numbers, point by point, without derivatives."
             ) from error
+        entries = sum(math.prod(one.shape) for one in traced.closed.out_avals)
+        refuse_beyond_memory(
+            f"{self._name}: {entries:.3g} numbers at {size} points", 2 * NUMBER * entries, "Return fewer numbers."
+        )
+        return traced
 
 
 @final

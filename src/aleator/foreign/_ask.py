@@ -20,7 +20,7 @@ from aleator.analysis import Expanded, expand
 from aleator.ensemble import AbstractBox, Realisation, inputs_at, listed
 from aleator.expansion import Expansion, candidate_terms
 from aleator.foreign._campaign import drop_given, most_of, sound, warn_of_dropped
-from aleator.trajectories import entry, read_table
+from aleator.trajectories import entry, numbers_in, read_table
 from aleator.uncertainty import placements
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def _from_table(path: Any) -> dict[str, np.ndarray]:
         if name.lower() in _COMMENTS and not _is_all_numbers(rows, column):
             continue
         try:
-            values = np.array([entry(row, column) for row in rows])
+            values = numbers_in(rows, column)
         except ValueError as error:
             raise ProblemError(
                 f"{path}: expected numbers in the column {name!r}, empty where there is no response; {error}. "

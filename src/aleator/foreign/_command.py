@@ -15,6 +15,7 @@ from aleator._core import border
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.executors import ended_with, endings, exit_told, in_group
+from aleator._core.files import json_of
 from aleator.foreign._runs import refuse_traced
 
 # A placeholder in an argument, such as {mass}.
@@ -170,8 +171,8 @@ def _numbers(text: str, source: str) -> Pytree:
     *before, last = [line.strip() for line in text.splitlines() if line.strip()] or [""]
     for part in (text, last):
         try:
-            parsed = json.loads(part, object_pairs_hook=_once_each)
-        except (ValueError, RecursionError):
+            parsed = json_of(part, object_pairs_hook=_once_each)
+        except ValueError:
             continue
         if part is last and (other := _rival(before, parsed)) is not None:
             raise SimulationError(
@@ -199,8 +200,8 @@ def _begins(line: str, *, lists: bool) -> bool:
     if line == "[":
         return True
     try:
-        return isinstance(json.loads(line), list)
-    except (ValueError, RecursionError):
+        return isinstance(json_of(line), list)
+    except ValueError:
         return False
 
 

@@ -17,6 +17,7 @@ from typing_extensions import override
 
 from aleator._core.border import members
 from aleator._core.errors import ProblemError
+from aleator._core.files import content_of
 from aleator._core.leaves import Module, transparent
 from aleator.mechanics import Body, Closure, Multibody
 
@@ -191,7 +192,7 @@ def broken(path: str | Path, where: str, what: str) -> ProblemError:
 def root_of(reader: str, path: str | Path, outermost: str) -> Element:
     """The outermost element of a file. Raises `ProblemError` where it cannot be read, or has another name."""
     try:
-        root = _parsed(Path(path).read_bytes())
+        root = _parsed(content_of(path))
     except TypeError as error:
         raise ProblemError(f"{reader}: expected the path of a file; received {path!r}.") from error
     except (OSError, ValueError, LookupError) as error:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from aleator._core.errors import ProblemError
+from aleator._core.files import content_of
 from aleator._core.programs import is_private
 from aleator.reporting import KINDS, tree, write_whole
 
@@ -41,7 +42,7 @@ def write(path: Path, result: Any, key: str) -> str:
 def damage(path: Path, digest: str) -> str:
     """What is wrong with the file of a result, without reading the result; empty if it is what was written."""
     try:
-        content = path.read_bytes()
+        content = content_of(path)
     except OSError as error:
         return f"its file cannot be read: {error.strerror}"
     return "" if hashlib.sha256(content).hexdigest() == digest else "its file is not what was written"

@@ -124,9 +124,9 @@ def checked_start(model: AbstractMechanical, names: tuple[str, ...], start: Any,
         raise ProblemError(f"{what}: there is no {unknown} to start; expected some of {list(names)}.")
     for name, number in given.items():
         if realised_shape(number) != ():
-            raise ProblemError(
-                f"{what}: expected one number as the start of '{name}'; received shape {realised_shape(number)}."
-            )
+            received = f"shape {realised_shape(number)}"
+            rate = f" Give its velocity as '{name}_rate'." if f"{name}_rate" in names else ""
+            raise ProblemError(f"{what}: expected one number as the start of '{name}'; received {received}.{rate}")
     return {name: stored_numbers(f"{what}: start of '{name}'", number) for name, number in given.items()}
 
 

@@ -153,7 +153,7 @@ class ConstraintResult(Printed):
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Solution(Drawn):
     """An optimal design and its certificate. `print(solution)` shows both.
 
@@ -263,6 +263,9 @@ class Solution(Drawn):
             coarse = f" Perhaps for its grid: {misled}. Use more steps." if misled else ""
             reason = f"{'. '.join(said)}.{coarse}"
         return f"{self.effort.solver}: {reason}"
+
+    def __repr__(self) -> str:
+        return f"<Solution of {self.problem.system.title}: {in_brief(self)}>"
 
     def __str__(self) -> str:
         decisions = (

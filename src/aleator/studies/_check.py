@@ -84,7 +84,8 @@ class Check:
         """A column for each problem."""
         columns = [_column(one) for one in self.facts.values()]
         rows = [[row, *(one[row] for one in columns)] for row in columns[0]]
-        solves = f", and {self._study.solves} solves in all" if isinstance(self._study, Study) else ""
+        count = self._study.solves if isinstance(self._study, Study) else 0
+        solves = f", and {count} {'solve' if count == 1 else 'solves'} in all" if count else ""
         note = f"Times on this machine, at the start: {_EVALUATIONS} evaluations for a solve{solves}."
         return Table("What will be done", ["", *self.facts], rows, note)
 

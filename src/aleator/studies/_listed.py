@@ -76,6 +76,8 @@ def begin_file(path: Path) -> Path:
     """Write a commented study to begin with. Raises `ProblemError` for a file that exists or cannot be written, and
     for odd names.
     """
+    if path.is_dir():
+        raise ProblemError(f"new: '{path}' is a folder: name a file in it, such as {path / 'bracket.py'}.")
     path = path.with_suffix(".py")
     if not re.fullmatch(r"[A-Za-z_]\w*", path.stem):
         raise ProblemError(

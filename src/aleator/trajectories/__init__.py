@@ -18,4 +18,5 @@ from aleator.trajectories._signals import Stack as Stack
 from aleator.trajectories._signals import Tabulated as Tabulated
 from aleator.trajectories._signals import instants as instants
 from aleator.trajectories._tables import entry as entry
+from aleator.trajectories._tables import numbers_in as numbers_in
 from aleator.trajectories._tables import read_table as read_table

@@ -15,10 +15,10 @@ from jaxtyping import Array, Float, Int
 from typing_extensions import override
 
 from aleator._core.arrays import in_library, jax_array
-from aleator._core.border import real_array
+from aleator._core.border import real_array, refuse_not_finite
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, realised_shape, stored_numbers
-from aleator.trajectories._tables import entry, read_table
+from aleator.trajectories._tables import numbers_in, read_table
 
 Fractions = Float[np.ndarray, " n"] | Float[Array, " n"]
 
@@ -216,18 +216,22 @@ class Tabulated(AbstractSignal):
 
     def __init__(self, times: Any, values: Any):
         self.times = real_array("Tabulated: times", times, "plain numbers")
-        self.values = stored_numbers("Tabulated: values", values)
+        refuse_not_finite("Tabulated: times", self.times)
+        self.values = stored_numbers("Tabulated: values", values, at=self._instant)
         length = realised_shape(self.values)
         if self.times.ndim != 1 or self.times.shape != length or self.times.size < 2:
             raise ProblemError(
                 "Tabulated: expected two vectors of the same length, of at least 2; "
                 f"received times {self.times.shape} and values {length}."
             )
-        if not np.isfinite(self.times).all():
-            raise ProblemError("Tabulated: times must be finite.")
         if not np.all(np.diff(self.times) > 0):
             at = int(np.argmin(np.diff(self.times) > 0)) + 1
             raise ProblemError(f"Tabulated: times must increase, but sample {at} is not after the one before it.")
+
+    def _instant(self, place: tuple[int, ...]) -> str:
+        """The instant of a value in words, or its number where there are too few times."""
+        times = self.times.ravel()
+        return f"t = {times[place[0]]:g} s" if place[0] < times.size else f"entry {place[0]}"
 
     @classmethod
     def from_csv(cls, path: str | Path, time: str, value: str) -> Self:
@@ -240,7 +244,7 @@ class Tabulated(AbstractSignal):
             if names.count(name) != 1:
                 raise ProblemError(f"{path}: expected one column '{name}'; received {names}.")
         try:
-            return cls(*(np.array([entry(row, names.index(name)) for row in rows]) for name in (time, value)))
+            return cls(*(numbers_in(rows, names.index(name)) for name in (time, value)))
         except ValueError as error:
             raise ProblemError(f"{path}: {error}") from error
 

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar
-from aleator._core.border import real_array, refusal
+from aleator._core.border import real_array, refusal, refuse_not_finite
 from aleator._core.errors import ProblemError
 from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
 from aleator.uncertainty._measure import AbstractDensityGerm, recurrence_of
@@ -244,9 +244,10 @@ class Sample(AbstractDistribution):
 
 def _data(data: Any) -> Float[np.ndarray, " n"]:
     values = real_array("Sample", data, "a list or vector of numbers")
-    if values.ndim != 1 or not np.all(np.isfinite(values)) or np.unique(values).size < 2:
+    refuse_not_finite("Sample: data", values)
+    if values.ndim != 1 or np.unique(values).size < 2:
         raise ProblemError(
-            "Sample: data: expected a vector of finite numbers of which at least two differ; received an array of "
-            f"shape {values.shape} with {np.sum(~np.isfinite(values))} non-finite numbers."
+            "Sample: data: expected a vector of numbers of which at least two differ; received an array of shape "
+            f"{values.shape}."
         )
     return values

@@ -158,6 +158,8 @@ class AbstractDistribution(AbstractLeaf):
         location, spread, shape = self._numbers(start)
         if not (np.all(np.isfinite([location, spread])) and spread > 0 and self._is_possible(start, shape)):
             raise ProblemError(f"{type(self).__name__} needs {self.REQUIRES}; received {self}.")
+        if spread < np.finfo(float).tiny:  # which compiled programs round to zero
+            raise ProblemError(f"{type(self).__name__}: expected a spread of at least 2.3e-308; received {self}.")
         own = type(self)
         if shape and own.transport is AbstractDistribution.transport and own.value is AbstractDistribution.value:
             raise ProblemError(

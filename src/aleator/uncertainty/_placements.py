@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree, in_library, is_number, jax_array
-from aleator._core.border import refuse_missing
+from aleator._core.border import refusal, refuse_missing
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf, is_leaf, is_traced, named_leaves
 from aleator.uncertainty._copula import pearson
@@ -167,6 +167,8 @@ def placements(model: Pytree) -> Placements:
     size = 0
     for name, leaf in named_leaves(model):
         refuse_missing(name, leaf)
+        if not (all(name.split(".")) or leaf is model):
+            raise refusal("The key of a number in the model", "a name", name)
         if name in named:
             _refuse_conflict(name, named[name], leaf)
             continue

@@ -13,8 +13,14 @@ from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_leaf, is_transparent, lowest, shown
 from aleator.trajectories import AbstractSignal
+from aleator.uncertainty._bounded_families import TruncatedNormal
+from aleator.uncertainty._distribution import AbstractDistribution
+from aleator.uncertainty._families import Normal
 from aleator.uncertainty._placements import free
 from aleator.uncertainty._toleranced import Toleranced
+
+# Standard deviations below the mean beyond which one system in a billion lies.
+_FAR = 6
 
 
 def parameter(unit: str = "", *, positive: bool = False, **options: Any) -> Any:
@@ -91,13 +97,29 @@ def _message(name: str, leaf: Any, least: float | None) -> str:
             f"'{name}' must stay positive: expected a number, a distribution or a Decision; "
             f"received {type(leaf).__name__} {leaf!r}. Give a number."
         )
-    if isinstance(leaf, Toleranced) and not any(map(is_leaf, leaf.parameters.values())):
+    is_known = isinstance(leaf, AbstractDistribution) and not any(map(is_leaf, leaf.parameters.values()))
+    if isinstance(leaf, Toleranced) and is_known:
         return _message_of_tolerance(name, leaf)
     reach = "is unbounded below" if least == -np.inf else f"can reach {least:g}"
-    return (
-        f"'{name}' must stay positive, but {leaf} {reach}. "
-        "Reduce its spread, choose a bounded distribution, or raise the lower bound of its decisions."
-    )
+    remedy = _replacement(leaf) if is_known else "Raise its lower bound, or those of the decisions in it."
+    return f"'{name}' must stay positive, but {leaf} {reach}. {remedy}"
+
+
+def _replacement(leaf: AbstractDistribution) -> str:
+    """What to write for a distribution of known numbers that reaches zero."""
+    mean, spread = float(leaf.mean()), float(leaf.std())
+    if not mean > 0:
+        return "Give a distribution above zero."
+    if isinstance(leaf, Normal | TruncatedNormal):
+        location, scale = (float(leaf.parameters.get(*one)) for one in (("location", mean), ("scale", spread)))
+        upper = float(leaf.parameters.get("upper", np.inf))
+        end = f", upper={upper:.9g}" if upper < np.inf else ""
+        if (lower := location - _FAR * scale) > 0:
+            return (
+                f"Write TruncatedNormal(location={location:.9g}, scale={scale:.9g}, lower={lower:.9g}{end}), which "
+                f"leaves out what is further than {_FAR} standard deviations below."
+            )
+    return f"Write LogNormal(mean={mean:.9g}, std={spread:.9g}), which has the same mean and standard deviation."
 
 
 def _message_of_tolerance(name: str, leaf: Toleranced) -> str:

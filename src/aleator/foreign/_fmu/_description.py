@@ -103,7 +103,8 @@ def kind_of(name: str, description: Any, kind: Any) -> str:
             f"FMU '{name}': expected {MODEL_EXCHANGE} or {CO_SIMULATION}; it offers scheduled execution alone."
         )
     if kind is not None and kind not in list(offered):
-        raise ProblemError(f"FMU '{name}': expected as its kind one of {list(offered)}; received {shown(kind)}.")
+        hint = meant(kind, offered) if isinstance(kind, str) else ""
+        raise ProblemError(f"FMU '{name}': expected as its kind one of {list(offered)}; received {shown(kind)}.{hint}")
     return next(iter(offered)) if kind is None else kind
 
 
