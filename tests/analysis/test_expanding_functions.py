@@ -69,10 +69,11 @@ def test_a_function_that_jax_cannot_trace_is_called_point_by_point_on_request():
         jax.grad(lambda s: al.expand(call_by_call, {"u": al.Normal(1.5, s), "b": 0.1}, traced=False).std["y"][0])(0.2)
 
 
-@pytest.mark.parametrize("traced", [True, False])
-def test_an_output_that_is_not_finite_names_the_point_and_the_inputs(traced):
+@pytest.mark.parametrize(("traced", "bad"), [(True, "10 of 20"), (False, "7 of 14")])
+def test_an_output_that_is_not_finite_names_the_point_and_the_inputs(traced, bad):
     library = jnp if traced else np
-    with np.errstate(all="ignore"), pytest.raises(al.SimulationError, match=r"not finite at 6 of 12 .*'z'.* \(b=0\.1"):
+    told = rf"not finite at {bad} .*'z'.* \(b=0\.1"
+    with np.errstate(all="ignore"), pytest.raises(al.SimulationError, match=told):
         al.expand(lambda m: {"z": library.sqrt(m["b"] - 0.15)}, {"b": DECAY["b"]}, traced=traced)
 
 

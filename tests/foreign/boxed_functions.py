@@ -11,6 +11,8 @@ import black_boxes as boxes
 
 TWO = {"x": al.Uniform.bounds(-1.0, 1.0), "z": al.Uniform.bounds(1.0, 3.0)}
 ORDER = al.Expansion(order=3)
+# Fresh points of a called function, beside the 30 of that order.
+FRESH = 2
 
 
 def directly(function=boxes.smooth, expansion=ORDER):

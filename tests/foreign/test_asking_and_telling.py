@@ -123,7 +123,7 @@ def renumbered(table):
     [
         (
             lambda table: [*table[:4], table[4] | {"z": 2.01}, *table[5:]],
-            "at sample 5, as asked; received 2.01 (1 of 30 rows differ)",
+            "at sample 5, as asked; received 2.01 (1 of 32 rows differ)",
         ),
         (renumbered, "points changed or rows reordered"),
         (lambda table: rounded(table, 3), "points changed or rows reordered"),
@@ -158,11 +158,11 @@ def test_missing_rows_leave_the_least_squares_that_a_box_would_have(tell, asked)
             raise ValueError("lost")
         return boxes.smooth(at)
 
-    with pytest.raises(al.SimulationError, match=r"2 of 30 samples .* allows 0: first sample 1 \(x=.*no response"):
+    with pytest.raises(al.SimulationError, match=r"2 of 32 samples .* allows 0: first sample 1 \(x=.*no response"):
         tell(emptied)
-    with pytest.warns(al.SimulationWarning, match="2 of 30 samples .* first sample 1 .* it has no response"):
+    with pytest.warns(al.SimulationWarning, match="2 of 32 samples .* first sample 1 .* it has no response"):
         told = tell(emptied, drop=0.1)
-    with pytest.warns(al.SimulationWarning, match="2 of 30 samples of 'failing'"):
+    with pytest.warns(al.SimulationWarning, match="2 of 32 samples of 'failing'"):
         direct = al.expand(al.foreign.BlackBox(failing, drop=0.1), TWO, ORDER)
     assert len(told.collocation.points) == 28
     assert_same(told, direct)

@@ -55,7 +55,7 @@ def test_a_smooth_design_is_confirmed_and_told_so():
         solution = al.solve(gain_problem())
     assert solution.certificate.opinion is not None
     assert solution.certificate.opinion.agrees
-    assert "32 fresh simulations agree" in str(solution)
+    assert "256 fresh simulations agree" in str(solution)
 
 
 def test_a_limit_that_only_the_expansion_meets_is_no_solution():
@@ -98,7 +98,7 @@ def test_small_teeth_are_warned_of_and_leave_a_design_a_solution():
 )
 def test_weights_of_fresh_systems_give_the_moments_of_all(germs):
     basis, draws = [one.germ() for one in germs], 200
-    several = [fresh_systems(basis, 32, np.random.default_rng(seed)) for seed in range(draws)]
+    several = [fresh_systems(basis, 32, draw) for draw in range(draws)]
     weights, first = (
         np.array(part) for part in ([one.weights for one in several], [one.points[:, 0] for one in several])
     )
@@ -140,6 +140,73 @@ def test_a_rare_event_that_breaks_a_limit_is_drawn_more_often_before_the_design_
     assert true.mean() + sigmas * true.std() > 1.2 * 5.0
     assert not solution.ok
     assert "fresh simulations contradict" in solution.why()
+
+
+def test_all_fresh_systems_of_one_or_two_germs_cover_their_range_evenly():
+    one, two = (
+        np.concatenate(
+            [fresh_systems([al.Uniform(0.5, half_width=0.5).germ()] * germs, 32, draw).points for draw in range(8)]
+        )
+        for germs in (1, 2)
+    )
+    assert np.diff(np.sort(one[:, 0]), prepend=-1.0, append=1.0).max() / 2 < 0.015
+    # In each cell of a grid over both.
+    cells = np.floor((two + 1) / 2 * np.array([[7, 7]]) * (1 - 1e-12)).astype(int)
+    assert len(np.unique(cells, axis=0)) == 49
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_narrow_part_that_the_first_fresh_systems_do_not_meet_is_found_over_time_too():
+    class Part(al.System):
+        """At rest, with a price at the end in a narrow part of the germ alone."""
+
+        states = ("nothing",)
+        d: al.Number
+        u: al.Number
+        place: float
+
+        def rhs(self, t, z):
+            return (0.0 * z.nothing,)
+
+        def outputs(self, t, z):
+            return {"cost": jnp.where(jnp.abs(self.u - self.place) < 0.0075, 100.0 * self.d**2, 0.0) - self.d}
+
+    uniform = al.Uniform.bounds(0.0, 1.0)
+    levels = (1 + fresh_systems([uniform.germ()], 32, 0).points[:, 0]) / 2
+    # In the middle between two of the twelve collocation points, away from the first fresh systems.
+    place = max(np.arange(1, 12) / 12, key=lambda middle: np.abs(levels - middle).min())
+    assert np.abs(levels - place).min() > 0.0075
+    model = Part(al.Decision(1.0, 0.0, 10.0), uniform, float(place))
+    solution = al.solve(al.Problem(model, grid=ONE_STEP, minimize=al.terminal("cost").mean), throw=False)
+    assert solution.objective == pytest.approx(-10.0)
+    assert not solution.ok
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("slope", [0.0, 1.0])
+@pytest.mark.parametrize("place", [0.05, 0.3, 0.5, 0.77])
+def test_a_part_of_one_and_a_half_percent_of_the_only_germ_that_costs_dearly_is_found(place, slope):
+    class Part(al.AlgebraicSystem):
+        """A gain, and a price in a narrow part of the germ that no collocation point meets."""
+
+        d: al.Number
+        u: al.Number
+        place: float
+        slope: float
+
+        def outputs(self):
+            hit = jnp.abs(self.u - self.place) < 0.0075
+            return {"cost": jnp.where(hit, 100.0 * self.d**2, 0.0) + self.slope * self.u - self.d}
+
+    model = Part(al.Decision(1.0, 0.0, 10.0), al.Uniform.bounds(0.0, 1.0), place, slope)
+    solution = al.solve(al.Problem(model, minimize=al.output("cost").mean), throw=False)
+    # E[cost] = 1.5 d² - d + slope / 2: at d = 10 it is 140, the expansion says -10.
+    assert solution.objective == pytest.approx(slope / 2 - 10.0)
+    assert not solution.ok
+    by, error = (
+        float(part) for part in solution.certificate.opinion.broken.split("differs by ")[1].split(",")[0].split(" ± ")
+    )
+    assert abs(by - 150.0) < 3 * error < 150.0
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -49,7 +49,7 @@ IMPOSSIBLE = [
     (lambda: al.Exponential(mean=1.0, lower=2.0), "finite mean above lower.*lower=2"),
     (lambda: al.Triangular(1.0, 0.5, 2.0), "mode=0.5"),
     (lambda: al.TruncatedNormal(0.0, 1.0, lower=40.0), "within 37 scales.*lower=40"),
-    (lambda: al.Density(np.sin, 0.0, 7.0), "not negative.*received -0"),
+    (lambda: al.Density(np.sin, 0.0, 7.0), "not negative.*received -"),
     (lambda: al.Density(lambda x: 1 / x, 0.0, 1.0), "converge towards its end 0"),
     (lambda: al.Density(lambda x: (1 - x) ** -0.5, 0.0, 1.0), "grows without bound towards its end 1.*location"),
     (lambda: al.Density(lambda x: 1 / (1 + x**2), -np.inf, np.inf), "moments"),

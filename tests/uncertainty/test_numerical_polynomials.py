@@ -40,6 +40,17 @@ def test_the_recurrence_does_not_lose_digits_to_a_narrow_density_far_from_zero()
     assert b == pytest.approx(0.05 * exact, rel=1e-10)
 
 
+@pytest.mark.parametrize(("centre", "width"), [(0.91234, 1e-5), (0.618, 1e-4), (0.2345, 1e-3)])
+def test_a_narrow_peak_that_holds_most_of_a_density_is_found(centre, width):
+    # A uniform density, and a normal one of √π times its mass.
+    germ = DensityGerm(lambda x: 1 + np.exp(-(((x - centre) / width) ** 2)) / width, 0.0, 1.0)
+    a, b = germ.recurrence(1)
+    mass, mean = np.sqrt(np.pi), (0.5 + np.sqrt(np.pi) * centre) / (1 + np.sqrt(np.pi))
+    square = (1 / 3 + mass * (centre**2 + width**2 / 2)) / (1 + mass)
+    assert a[0] == pytest.approx(mean, rel=1e-12)
+    assert b[1] == pytest.approx(np.sqrt(square - mean**2), rel=1e-10)
+
+
 # germ, SciPy's distribution
 GERMS = {
     "triangular": (TriangularGerm(0.3), stats.triang(0.3, -1, 2)),

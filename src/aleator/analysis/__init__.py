@@ -6,6 +6,7 @@ from aleator.analysis._elements import MultiElement as MultiElement
 from aleator.analysis._expand import expand as expand
 from aleator.analysis._expanded import Expanded as Expanded
 from aleator.analysis._galerkin import galerkin as galerkin
+from aleator.analysis._sampling import fresh_points as fresh_points
 from aleator.analysis._tolerance import Contribution as Contribution
 from aleator.analysis._tolerance import ToleranceAnalysis as ToleranceAnalysis
 from aleator.analysis._tolerance import Zone as Zone

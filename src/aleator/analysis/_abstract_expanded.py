@@ -246,6 +246,8 @@ def trust(leave_one_out: Any, jackknife: Any, error: Any, tolerance: float) -> s
     """How well the expansion is resolved: by its leave-one-out error or, without samples, by its last terms."""
     if extrapolates(leave_one_out, jackknife, tolerance):
         return f"jackknife error {float(jackknife):.1e} (EXTRAPOLATED, take al.points.InducedPoints())"
+    if np.isfinite(leave_one_out) and leave_one_out <= tolerance < error:
+        return f"error at fresh points {float(error):.1e} (NOT RESOLVED, take more points)"
     if not np.isfinite(leave_one_out):
         by, shown = "error by the decay of its degrees", error
     else:

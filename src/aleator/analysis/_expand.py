@@ -28,6 +28,7 @@ from aleator.expansion import (
     Sparse,
     at_fewer_points,
     collocate,
+    fresh_error,
     resolved_instants,
 )
 from aleator.uncertainty import AbstractGerm
@@ -69,6 +70,9 @@ def expand(
     miss jumps that move between them. The derivative by the shape parameter of a distribution has a weak singularity at
     the ends of its support, which `al.points.GaussPoints` integrates best.
 
+    Besides its collocation points the function is evaluated at a few random ones, by which the expansion is checked: 8
+    or a tenth as many, two with `traced=False` or for a black box.
+
     Raises `ProblemError` if nothing is uncertain or the function cannot be traced, `SimulationError` if an output is
     not finite. Warns with `ExpansionWarning` if an output is not resolved, or if the condition number of the
     collocation matrix exceeds a million.
@@ -80,11 +84,17 @@ def expand(
         raise ProblemError(f"expand: expected an Expansion or a MultiElement; received {expansion!r}.")
     expansion = expansion or Expansion()
     basis, collocation = _discretised(sampler, expansion)
-    samples, present = sampler.present(collocation.points)
-    if not present.all():
-        collocation = at_fewer_points(basis, collocation, expansion.fit, present)
+    library, fitted = in_library(collocation.points)
+    count, fresh = len(fitted), sampler.fresh(len(fitted))
+    outputs, present = sampler.present(jax_array(library.concatenate([fitted, fresh])))
+    if not present[:count].all():
+        collocation = at_fewer_points(basis, collocation, expansion.fit, present[:count])
+    kept, (_, outputs) = int(np.sum(present[:count])), in_library(outputs)
+    samples = jax.tree.map(lambda values: jax_array(values[:kept]), outputs)
     coefficients = jax.tree.map(collocation.coefficients, samples)
-    expanded = Expanded(sampler.distributions, basis, coefficients, collocation, samples, expansion.tolerance)
+    error = partial(fresh_error, basis.matrix(fresh[present[count:]]))
+    errors = jax.tree.map(lambda values, terms: error(values[kept:], terms), outputs, coefficients)
+    expanded = Expanded(sampler.distributions, basis, coefficients, collocation, samples, errors, expansion.tolerance)
     _warn_of_doubts(expanded, collocation, times)
     return expanded
 

@@ -46,6 +46,8 @@ class Expanded(AbstractExpanded):
     - `distributions`: the distribution of each uncertain input, by name; `basis`: the orthonormal polynomials;
     - `coefficients`: of each output, shape (terms, *shape);
     - `collocation`, `samples`: the points, and the outputs there, shape (points, *shape); None for a Galerkin solution;
+    - `fresh_error`: of each output, the rms error at fresh points, which no coefficient follows from, over the spread;
+      None where there are none;
     - `tolerance`: the error up to which an output counts as resolved, as set in the `Expansion`.
     """
 
@@ -54,14 +56,14 @@ class Expanded(AbstractExpanded):
     coefficients: Pytree
     collocation: Collocation | None
     samples: Pytree | None
+    fresh_error: Pytree | None = None
     tolerance: float = UNRESOLVED
 
     @override
     def __getitem__(self, name: str) -> "Expanded":
-        samples = None if self.samples is None else part(self.samples, name)
-        return Expanded(
-            self.distributions, self.basis, part(self.coefficients, name), self.collocation, samples, self.tolerance
-        )
+        coefficients = part(self.coefficients, name)
+        samples, error = (None if tree is None else part(tree, name) for tree in (self.samples, self.fresh_error))
+        return Expanded(self.distributions, self.basis, coefficients, self.collocation, samples, error, self.tolerance)
 
     def _both(self, first: str, second: str) -> "Expanded":
         return Expanded(self.distributions, self.basis, paired(self.coefficients, first, second), None, None)
@@ -120,16 +122,17 @@ class Expanded(AbstractExpanded):
     def error(self) -> Pytree:
         """The estimated relative error of each output, to be compared with `tolerance`.
 
-        It is the leave-one-out or the jackknife error, whichever is larger. Sparse grids, interpolation and Galerkin
-        projection have neither: there the error is extrapolated from the decay of the degrees. If each degree is a
-        fraction `r` of the one before, `highest_degree_share` is `r**(2 (order - step))`, and the error about
-        `r**order`, both relative to the spread (`step` is 1 up to order 2, else 2).
+        It is the largest of the leave-one-out, the jackknife and the fresh error. Sparse grids, interpolation and
+        Galerkin projection have none of the former two: there the error is extrapolated from the decay of the degrees.
+        If each degree is a fraction `r` of the one before, `highest_degree_share` is `r**(2 (order - step))`, and the
+        error about `r**order`, both relative to the spread (`step` is 1 up to order 2, else 2).
         """
         order = self.basis.order
         exponent = order / (2 * max(order - _step(self.basis), 1))
         worst = jax.tree.map(_larger, self.leave_one_out, self.jackknife)
         pairs = worst, self.highest_degree_share
-        return jax.tree.map(lambda error, share: _or_decayed(error, share, exponent), *pairs)
+        error = jax.tree.map(lambda error, share: _or_decayed(error, share, exponent), *pairs)
+        return error if self.fresh_error is None else jax.tree.map(_larger, error, self.fresh_error)
 
     def checked(self, check: Callable[..., Any]) -> Pytree:
         """`check(collocation, samples, coefficients)` of each output; NaN if there are no samples."""

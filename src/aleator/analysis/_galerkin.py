@@ -228,7 +228,7 @@ def galerkin(
     use = Use.ONCE if isinstance(system, AlgebraicSystem) else Use.LOOPS
     coefficients = evaluate(projected, numbers, quadrature, use=use)
     distributions = {name: distribution.initial() for name, distribution in places.distributions.items()}
-    expanded = Expanded(distributions, basis, coefficients, None, None, expansion.tolerance)
+    expanded = Expanded(distributions, basis, coefficients, None, None, tolerance=expansion.tolerance)
     if isinstance(grid, Grid):
         _refuse_diverged(expanded, np.asarray(grid.times))
     else:

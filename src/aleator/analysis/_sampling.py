@@ -1,6 +1,6 @@
 """A function of uncertain inputs, ready to be expanded: its outputs at the germ points of an expansion."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, final
 
 import jax
@@ -14,11 +14,26 @@ from aleator.ensemble import (
     CalledEnsemble,
     Function,
     TracedEnsemble,
+    at_levels,
     concrete,
     ensemble_for,
+    even_levels,
     uncertain_places,
 )
-from aleator.uncertainty import AbstractDistribution
+from aleator.uncertainty import AbstractDistribution, AbstractGerm
+
+# Fresh points of a traced function: so many, and at least this part of the collocation points; of a called one, which
+# may take long.
+_FRESH, _PART, _CALLED = 8, 10, 2
+
+
+def fresh_points(
+    germs: Mapping[str, AbstractGerm], collocation_points: int, *, traced: bool
+) -> Float[np.ndarray, "fresh variables"]:
+    """Random germ points at which an expansion is checked, the same at every call: of no lattice, and of no fit."""
+    count = max(_FRESH, collocation_points // _PART) if traced else _CALLED
+    levels = even_levels(np.random.default_rng([1, count]), count, len(germs))
+    return at_levels(germs.values(), levels)
 
 
 @final
@@ -39,9 +54,18 @@ class Sampler:
         self._outputs: Callable[[Any], Pytree] = ensemble if isinstance(ensemble, TracedEnsemble) else _Once(ensemble)
 
     @property
+    def is_traced(self) -> bool:
+        """Whether many points cost little more than one."""
+        return not isinstance(self._outputs, _Once)
+
+    @property
     def distributions(self) -> dict[str, AbstractDistribution]:
         """The distribution of each uncertain input by name, with its decisions at their initial values."""
         return {name: distribution.initial() for name, distribution in self.places.distributions.items()}
+
+    def fresh(self, collocation_points: int) -> Float[np.ndarray, "fresh variables"]:
+        """The fresh points at which an expansion by so many collocation points is checked."""
+        return fresh_points(self.places.germs, collocation_points, traced=self.is_traced)
 
     def samples(self, points: Float[Array, "points variables"]) -> Pytree:
         """The function at germ points: its outputs with a leading axis for the points.

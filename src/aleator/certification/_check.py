@@ -37,6 +37,11 @@ _Part = TypeVar("_Part")
 
 # Fresh systems in one check: enough for a standard error, and cheap beside one evaluation with derivatives.
 _FRESH = 32
+# Fresh systems of an answer where these leave a doubt. Of one or two germ variables they cover the range densely, as
+# many as this at least; more, and all in one check, where nothing is simulated.
+_MOST, _DENSE, _MOST_DENSE, _AT_ONCE = 1024, 256, 2048, 1024
+# What two successive points of an even sequence differ by, in one and in two variables: the golden ratio and its next.
+_EVEN_STEPS = {1: (0.6180339887498949,), 2: (0.7548776662466927, 0.5698402909980532)}
 
 # Factor of steps for systems that follow trajectories, whose limits are enforced between instants, and for others;
 # then the least number of steps in all, and between two knots.
@@ -55,16 +60,30 @@ class FreshSystems(NamedTuple):
     points: Float[np.ndarray, "fresh variables"]
     weights: Float[np.ndarray, " fresh"]
 
+    @property
+    def draws(self) -> tuple[int, int]:
+        """How many draws of so many systems an answer deserves, and how many where these leave a doubt."""
+        count, variables = self.points.shape
+        least, most = (_DENSE, _MOST_DENSE) if variables in _EVEN_STEPS else (_FRESH, _MOST)
+        return max(least // count, 1), most // count
 
-def fresh_systems(germs: Collection[AbstractGerm], count: int, generator: np.random.Generator) -> FreshSystems:
+
+def fresh_systems(germs: Collection[AbstractGerm], count: int, draw: int) -> FreshSystems:
     """Half of the systems drawn at random, in the others one germ after the other in its lower or its upper tail.
+
+    Of one or two germs the former half goes on evenly from draw to draw (Kronecker sequences by the golden ratio and
+    its generalisation, begun at random): 256 systems leave no part of more than 1.5 % of one germ's range without any.
 
     An output may owe much of its spread to the one system in a hundred that no collocation point and none of a few
     random systems resembles. Depths within a tail are log-uniform, spread evenly over the systems of that tail. Weights
     undo the choice (multiple importance sampling with the balance heuristic of Veach and Guibas, 1995); none exceeds 2.
     """
+    generator, half = np.random.default_rng(2 + draw), count // 2
     levels = random_levels(generator, count, len(germs))
-    place = np.arange(count - count // 2)
+    if steps := _EVEN_STEPS.get(len(germs)):
+        begun = np.random.default_rng(2).random(len(steps))
+        levels[:half] = (begun + np.outer(draw * half + np.arange(1, half + 1), steps)) % 1
+    place = np.arange(count - half)
     tails = place % (2 * len(germs))
     which, upper, drawn = tails // 2, tails % 2 == 1, np.bincount(tails, minlength=2 * len(germs))
     # One in each of the equal parts of its tail's logarithmic range.
@@ -72,9 +91,9 @@ def fresh_systems(germs: Collection[AbstractGerm], count: int, generator: np.ran
     parts[np.argsort(tails, kind="stable")] = generator.random(len(tails))
     parts = (place // (2 * len(germs)) + parts) / drawn[tails]
     depths = _DEEPEST * (_SHALLOWEST / _DEEPEST) ** parts
-    levels[count // 2 + place, which] = np.where(upper, 1 - depths, depths)
+    levels[half + place, which] = np.where(upper, 1 - depths, depths)
     in_tails = _tail_density(levels) @ drawn[::2] + _tail_density(1 - levels) @ drawn[1::2]
-    density = (count // 2 + in_tails) / count
+    density = (half + in_tails) / count
     return FreshSystems(at_levels(germs, levels), 1 / density)
 
 
@@ -107,6 +126,11 @@ class Check(NamedTuple):
     factor: int
     integrator: str
 
+    def spread(self, functional: int) -> Float[np.ndarray, "..."]:
+        """The standard deviation of a functional in the fresh systems about the mean by its expansion."""
+        squares, weights = (self.fresh[functional] - self.means[functional]) ** 2, self.systems.weights
+        return np.sqrt(np.tensordot(weights, squares, axes=1) / max(weights.sum(), 1.0))
+
 
 def _check(
     problem: Problem,
@@ -134,8 +158,11 @@ def _check(
     return values, tuple(scope.taken), reaches, tuple(coefficients[one] for one in functionals), fresh
 
 
-def _use(problem: Problem, collocation: Collocation, *_: Any) -> Use:
-    steps = problem.grid.steps * (len(collocation.points) + _FRESH)
+def _use(
+    problem: Problem, collocation: Collocation, constants: Constants, systems: Float[Array, "fresh variables"], *_: Any
+) -> Use:
+    del constants
+    steps = problem.grid.steps * (len(collocation.points) + len(systems))
     return Use.BRIEF if steps <= _BRIEF else Use.ROWS
 
 
@@ -208,7 +235,8 @@ def _systems(problem: Problem, draw: int) -> FreshSystems:
     germs = problem.placements.germs.values()
     if not germs:
         return FreshSystems(np.zeros((0, 0)), np.zeros(0))
-    return fresh_systems(germs, _FRESH, np.random.default_rng(2 + draw))
+    is_dense = len(germs) in _EVEN_STEPS and not (isinstance(problem.grid, Grid) or simulates_inside(problem))
+    return fresh_systems(germs, _AT_ONCE if is_dense else _FRESH, draw)
 
 
 def _arguments(
@@ -271,20 +299,21 @@ def spread_functionals(problem: Problem) -> tuple[AbstractFunctional, ...]:
 
 
 def certain(
-    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check, *further: Check
 ) -> tuple[AbstractFunctional, ...]:
-    """The functionals whose spread is rounding or, where none stands in the problem, the error of an integrator.
+    """The functionals whose spread is rounding or, where none stands in the problem, the error of an integrator: by
+    the expansion, and in the fresh systems of all checks as far as they have values.
 
     For example, the rate at the end of a motion that comes to rest is zero in every system, up to rounding.
     """
-    rounding = rounding_at(transcribed, point, check.reaches)
-    judged = spread_functionals(transcribed.problem)
-    each = zip(functionals_of(transcribed.problem.expressions), check.stds, check.reaches, strict=True)
-    return tuple(
-        one
-        for one, std, reach in each
-        if np.max(std) <= max(rounding[one], 0.0 if one in judged else NEGLIGIBLE_SPREAD * reach)
-    )
+    rounding, judged = rounding_at(transcribed, point, check.reaches), spread_functionals(transcribed.problem)
+
+    def is_certain(i: int, one: AbstractFunctional) -> bool:
+        negligible = max(rounding[one], 0.0 if one in judged else NEGLIGIBLE_SPREAD * check.reaches[i])
+        spreads = [np.max(other.spread(i), initial=0.0) for other in (check, *further)]
+        return bool(np.max(check.stds[i]) <= negligible) and not any(spread > negligible for spread in spreads)
+
+    return tuple(one for i, one in enumerate(functionals_of(transcribed.problem.expressions)) if is_certain(i, one))
 
 
 def pieces(problem: Problem) -> int:

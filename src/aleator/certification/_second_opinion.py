@@ -43,9 +43,9 @@ _RARE = math.erfc(4 / math.sqrt(2))
 _NONE, _BREAKS = 0.01, 0.05
 # Expressions that change by less than this part of their size have not changed.
 _ROUNDING = 1e-11
-# A system that is missed by more standard deviations than this is a rare event, of which a few systems say little: so
-# many times as many are drawn, and two standard errors show a shift.
-_OUTLIER, _MORE, _SHOWN = 10.0, 32, math.erfc(2 / math.sqrt(2))
+# A system that is missed by more standard deviations than this is a rare event, of which a few systems say little: more
+# are drawn, and two standard errors show a shift.
+_OUTLIER, _SHOWN = 10.0, math.erfc(2 / math.sqrt(2))
 
 _FOLLOW_THE_SPREAD = (Quantile, CornishFisher, ConditionalValueAtRisk, Supremum, Infimum)
 
@@ -66,10 +66,13 @@ class _Fresh:
 
     @property
     def miss(self) -> float:
-        """The rms error of the predictions over the standard deviation, summed over entries."""
-        total = float(np.sum(self.variance))
+        """The rms error of the predictions over the standard deviation, that which they miss included, summed over
+        entries.
+        """
         squares = self.weights * (self.values - self.predicted) ** 2
-        return float(np.sqrt(np.sum(squares) / np.sum(self.weights) / total)) if total > 0 else np.inf
+        missed = float(np.sum(squares) / np.sum(self.weights))
+        total = float(np.sum(self.variance)) + missed
+        return float(np.sqrt(missed / total)) if total > 0 else 0.0
 
     @property
     def has_outlier(self) -> bool:
@@ -136,13 +139,21 @@ def second_opinion(
     Where these disagree, or one system is missed by far, as in a rare event that none of the collocation points sees,
     more systems are drawn, and a limit counts as broken if two standard errors show it.
     """
-    if not len(check.systems.points) or not functionals_of(transcribed.problem.expressions):
+    systems = check.systems
+    if not len(systems.points) or not functionals_of(transcribed.problem.expressions):
         return None
-    opinion, has_outlier = _opinion(transcribed, point, [check], _RARE)
+
+    def drawn(first: int, last: int) -> list[Check]:
+        waiting = [begin_check(transcribed, point, check.factor, draw) for draw in range(first, last)]
+        return [one() for one in waiting]
+
+    least, most = systems.draws
+    checks = [check, *drawn(1, least)]
+    opinion, has_outlier = _opinion(transcribed, point, checks, _RARE)
     if opinion.broken or (opinion.agrees and not has_outlier):
         return opinion
-    waiting = [begin_check(transcribed, point, check.factor, draw) for draw in range(1, _MORE)]
-    return _opinion(transcribed, point, [check, *(one() for one in waiting)], _SHOWN)[0]
+    checks += drawn(least, most)
+    return _opinion(transcribed, point, checks, _SHOWN)[0]
 
 
 def _opinion(
@@ -187,7 +198,7 @@ def _fresh(
 ) -> dict[str, _Fresh]:
     """The expanded functionals that vary, by their texts; limits on the worst case rely on no expansion."""
     expressions, first = transcribed.problem.expressions, checks[0]
-    expanded, constant = expanded_functionals(expressions), certain(transcribed, point, first)
+    expanded, constant = expanded_functionals(expressions), certain(transcribed, point, *checks)
     all_weights, fresh = np.concatenate([check.systems.weights for check in checks]), {}
     for i, one in enumerate(functionals_of(expressions)):
         if one not in expanded or one in constant:

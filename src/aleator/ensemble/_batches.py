@@ -32,6 +32,12 @@ def random_levels(generator: np.random.Generator, *shape: int) -> Float[np.ndarr
     return generator.uniform(np.finfo(float).tiny, 1.0, shape)
 
 
+def even_levels(generator: np.random.Generator, count: int, variables: int) -> Float[np.ndarray, "count variables"]:
+    """Random probability levels, one in each of `count` equal parts of every variable (a Latin hypercube)."""
+    parts = generator.permuted(np.tile(np.arange(count)[:, None], variables), axis=0)
+    return np.minimum((parts + random_levels(generator, count, variables)) / count, 1 - np.finfo(float).eps)
+
+
 def draw(
     germs: Collection[AbstractGerm], count: int, generator: np.random.Generator
 ) -> Float[np.ndarray, "count variables"]:

@@ -10,6 +10,7 @@ from aleator.expansion._collocation import ROUNDING as ROUNDING
 from aleator.expansion._collocation import UNRESOLVED as UNRESOLVED
 from aleator.expansion._collocation import Collocation as Collocation
 from aleator.expansion._collocation import error_history as error_history
+from aleator.expansion._collocation import fresh_error as fresh_error
 from aleator.expansion._collocation import jackknife as jackknife
 from aleator.expansion._collocation import leave_one_out as leave_one_out
 from aleator.expansion._collocation import leave_one_out_by_entry as leave_one_out_by_entry

@@ -88,6 +88,23 @@ def jackknife(
     return relative_error(library.where(predictable, change.sum(), jnp.inf), variance.sum(), square.sum())
 
 
+@quietly
+def fresh_error(
+    matrix: Float[np.ndarray, "fresh terms"],
+    samples: Float[Array, "fresh *shape"],
+    coefficients: Float[Array, "terms *shape"],
+) -> Float[Array, ""]:
+    """Relative error of an expansion at fresh points, from which no coefficient follows, summed over the entries.
+
+    It is the root mean squared error over the spread, whose square is the variance of the expansion plus the mean
+    square that it misses. Collocation points do not show what is constant at them, such as a ripple of their pitch.
+    """
+    library, samples, terms = in_library(samples, coefficients)
+    misses = samples - library.tensordot(matrix, terms, axes=1)
+    missed, square = (library.sum(one**2) / max(len(one), 1) for one in (misses, samples))
+    return jax_array(relative_error(missed, library.sum(terms[1:] ** 2) + missed, square))
+
+
 def leave_one_out_by_entry(
     collocation: Collocation,
     samples: Float[Array, "points *shape"],

@@ -17,7 +17,6 @@ from aleator.expansion._fit import AbstractFit, LeastSquares, Respond
 from aleator.expansion._points import (
     AbstractCountedPoints,
     AbstractPoints,
-    HammersleyPoints,
     Nodes,
     SobolPoints,
     UsualPoints,
@@ -46,8 +45,9 @@ class Expansion(Module):
     - `order`: by default 3; for an `Adaptive` index set its limit, by default 20;
     - `index_set`: which products to keep, by default all up to that total degree; `Adaptive(error, budget)` finds them;
     - `points`: where to evaluate the model: a point set, or a number of points, by default three per term, as the
-      dissertation advises after equation (29). A number means Hammersley points if every germ is bounded; otherwise
-      least squares takes `InducedPoints`, which cover the tails. `Adaptive` takes Sobol points;
+      dissertation advises after equation (29). A number means Hammersley points if every germ is bounded, in more than
+      eight variables Sobol points; otherwise least squares takes `InducedPoints`, which cover the tails. `Adaptive`
+      takes Sobol points;
     - `fit`: how to find the coefficients, by default by least squares;
     - `tolerance`: the relative leave-one-out error up to which an output counts as resolved, by default 0.05: a new
       sample is then predicted to a twentieth of the standard deviation, and all but 1/400 of the variance is explained.
@@ -88,8 +88,8 @@ class Expansion(Module):
             "Expansion: fit", LeastSquares() if fit is None else fit, AbstractFit, "al.fits.LeastSquares()"
         )
         if not isinstance(points, AbstractPoints):
-            even = UsualPoints if isinstance(self.fit, LeastSquares) else HammersleyPoints
-            points = SobolPoints(points) if adaptive else even(points)
+            tails = isinstance(self.fit, LeastSquares)
+            points = SobolPoints(points) if adaptive else UsualPoints(points, tails)
         self.points = points
         self.tolerance = _checked_tolerance(tolerance)
         if adaptive and not isinstance(self.fit, LeastSquares):

@@ -24,6 +24,10 @@ _SOBOL_BITS = 30
 # Candidates per selected point.
 _CANDIDATES = 10
 
+# Most variables of Hammersley points by default: the columns of two large prime bases depend on each other until there
+# are about as many points as their product, and 165 points in nine variables have a singular matrix of order 2.
+_FEW_VARIABLES = 8
+
 # Roots of a rule beyond twice the degree, so that a distribution is nearly uniform between two of them.
 _FINE = 60
 
@@ -92,6 +96,7 @@ class HammersleyPoints(AbstractEvenPoints):
 
     `count`: by default as many points as the fit needs, for least squares three per term.
     The half and the start at 1 keep every coordinate away from 0 and 1, where unbounded distributions are infinite.
+    Beyond eight variables its columns may depend on each other, as those of `HaltonPoints`: take `SobolPoints` there.
     Source: Hammersley (1960), Annals of the New York Academy of Sciences 86.
     """
 
@@ -167,6 +172,10 @@ class RandomPoints(AbstractDrawnPoints):
         return np.random.default_rng(self.seed).random((count, variables))
 
 
+def _even(variables: int, count: int | None = None) -> AbstractEvenPoints:
+    return HammersleyPoints(count) if variables <= _FEW_VARIABLES else SobolPoints(count)
+
+
 def _halton(index: np.ndarray, variables: int) -> Float[np.ndarray, "count variables"]:
     columns = [radical_inverse(index, base) for base in _primes(variables)]
     return np.stack(columns, axis=1) if columns else np.zeros((len(index), 0))
@@ -195,9 +204,10 @@ def _primes(count: int) -> list[int]:
 
 @final
 class InducedPoints(AbstractCountedPoints):
-    """Hammersley points mapped by the quantiles of the densities `Psi_j^2 f` of the terms in turn, weighted by `1 / K`.
+    """Even points mapped by the quantiles of the densities `Psi_j^2 f` of the terms in turn, weighted by `1 / K`.
 
-    `count`: by default as many points as the fit needs, for least squares three per term.
+    `count`: by default as many points as the fit needs, for least squares three per term. Even points are those of
+    Hammersley or, in more than eight variables, of Sobol.
     They have the density of `ChristoffelPoints`, but are even and not random, and cover the tails of unbounded
     distributions, where polynomials are large. Quantiles of evenly spread levels do not reach into the tails, so that a
     polynomial fitted to them extrapolates there unchecked. Source: Cohen and Migliorati (2017), Optimal weighted
@@ -207,18 +217,22 @@ class InducedPoints(AbstractCountedPoints):
     @override
     def nodes(self, basis: Basis, usual: int) -> Nodes:
         count = self.count or usual
-        levels = HammersleyPoints().levels(count, basis.variables)
+        levels = _even(basis.variables).levels(count, basis.variables)
         return _weighted(basis, np.arange(count) % basis.terms, levels)
 
 
 @final
 class UsualPoints(AbstractCountedPoints):
-    """The default: `HammersleyPoints` if every germ is bounded, otherwise `InducedPoints`."""
+    """The default: even points (`HammersleyPoints` or, in more than eight variables, `SobolPoints`), and with `tails`
+    `InducedPoints` if a germ is unbounded.
+    """
+
+    tails: bool = eqx.field(static=True, default=True)
 
     @override
     def of(self, germs: Mapping[str, AbstractGerm]) -> AbstractPoints:
         bounded = all(np.all(np.isfinite(germ.support())) for germ in germs.values())
-        return HammersleyPoints(self.count) if bounded else InducedPoints(self.count)
+        return _even(len(germs), self.count) if bounded or not self.tails else InducedPoints(self.count)
 
     @override
     def nodes(self, basis: Basis, usual: int) -> Nodes:

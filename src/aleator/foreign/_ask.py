@@ -16,7 +16,7 @@ from aleator._core import border
 from aleator._core.arrays import Pytree, jax_array
 from aleator._core.border import real_array
 from aleator._core.errors import ProblemError, SimulationError
-from aleator.analysis import Expanded, expand
+from aleator.analysis import Expanded, expand, fresh_points
 from aleator.ensemble import AbstractBox, Realisation, inputs_at, listed
 from aleator.expansion import Expansion, candidate_terms
 from aleator.foreign._campaign import drop_given, most_of, sound, warn_of_dropped
@@ -211,7 +211,8 @@ def ask(model: Pytree, expansion: Expansion | None = None) -> "Asked":
     expansion = expansion or Expansion()
     _, nodes = candidate_terms(places.germs, expansion)
     decisions = jax_array(places.vector("initial"))
-    rows = [inputs_at(places, point, decisions) for point in nodes.points]
+    every = np.concatenate([nodes.points, fresh_points(places.germs, len(nodes.points), traced=False)])
+    rows = [inputs_at(places, point, decisions) for point in every]
     points = {name: np.array([row[name] for row in rows]) for name in places.distributions}
     for values in points.values():
         values.setflags(write=False)
@@ -317,4 +318,5 @@ class _Responses(AbstractBox):
             )
         if failures:
             warn_of_dropped(self.__name__, realisations, failures)
-        return [None if index in failures else outputs for index, outputs in enumerate(self._rows)]
+        asked = (realisation.number - 1 for realisation in realisations)
+        return [None if index in failures else self._rows[index] for index in asked]

@@ -107,6 +107,9 @@ class Density(AbstractDistribution):
     floating-point numbers are dense only there. Its polynomials come from a discretised Stieltjes procedure. `location`
     and `scale` may be decisions; nothing inside `function` may be.
 
+    Peaks are sought on 65 536 evenly spread points. One that is narrower than 1e-5 of the range between the bounds, or
+    under an infinite bound than a thousandth of the spread, may be missed: nothing else tells of its mass.
+
     Raises `ProblemError` if `function` is not a density, or if the mean or standard deviation does not exist.
     """
 

@@ -2,7 +2,8 @@
 
 The line is mapped to a finite range of `t` by the double exponential maps of Takahasi and Mori (1974), which spread out
 singular ends and decaying tails. That range is subdivided into panels until Gauss quadrature is accurate on each, which
-also locates kinks and jumps of the density.
+also locates kinks and jumps of the density. Around peaks that lie between the nodes of the first panels, a scan puts
+narrower ones.
 
 The recurrence of any measure's polynomials follows by a discretised Stieltjes procedure (Gautschi, Orthogonal
 Polynomials: Computation and Approximation, 2004, sections 2.2.3 and 2.2.4). Its inner products are taken on the nodes
@@ -24,6 +25,9 @@ from aleator.uncertainty._polynomials import AbstractGerm
 
 _RULE = np.polynomial.legendre.leggauss(20)
 _FIRST_PANELS = 64
+# Evenly spread points at which peaks are sought that are too narrow for the first panels: those whose second difference
+# exceeds this part of their height, the highest ones only. Panels around them double in width as often.
+_SCANNED, _SHARP, _PEAKS, _DOUBLINGS = 2**16, 1e-4, 32, 16
 _MOST_PANELS = 20_000
 _TOLERANCE = 1e-11  # of each panel; the nodes of its halves are kept, which are far more accurate
 _NARROWEST = 2.0**-46
@@ -187,8 +191,9 @@ class Measure:
         """Edges of the panels in `t`, halved until Gauss quadrature on each agrees with that on its halves."""
         narrowest = (self._map.last - self._map.first) * _NARROWEST
         edges = np.linspace(self._map.first, self._map.last, _FIRST_PANELS + 1)
+        edges = np.union1d(edges, self._around_peaks())
         starts, ends, accepted = edges[:-1], edges[1:], [edges]
-        count = _FIRST_PANELS
+        count = starts.size
         while starts.size:
             middles = (starts + ends) / 2
             whole, left, right = (
@@ -212,6 +217,23 @@ class Measure:
             if not np.all(np.isfinite(fine)):
                 raise ProblemError("A density could not be integrated: its integral is not finite. Rescale it.")
         return np.unique(np.concatenate(accepted))
+
+    def _around_peaks(self) -> np.ndarray:
+        """Values of `t` at sharp peaks of the density and, at doubling distances, around them."""
+        (low, high), (first, last) = self._ends, self._map[:2]
+        places = (np.arange(_SCANNED) + 0.5) / _SCANNED
+        is_finite = np.isfinite(high - low)
+        t = first + (last - first) * places
+        x = low + (high - low) * places if is_finite else self._map.to_x(t)
+        heights = self._values(x) * (1.0 if is_finite else self._map.slope(t))
+        before, middle, after = heights[:-2], heights[1:-1], heights[2:]
+        sharp = (middle > (1 + _SHARP) * (before / 2 + after / 2)) & (middle >= before) & (middle >= after)
+        peaks = 1 + np.flatnonzero(sharp)
+        peaks = peaks[np.argsort(-heights[peaks], kind="stable")[:_PEAKS]]
+        near = [self._map.to_t(x[peaks + k]) if is_finite else t[peaks + k] for k in (-1, 0, 1)]
+        steps = (near[2] - near[0])[:, None] / 2 * 2.0 ** np.arange(_DOUBLINGS)
+        around = near[1][:, None] + np.concatenate([-steps, 0 * steps[:, :1], steps], axis=1)
+        return around[(around > first) & (around < last)]
 
     def _noise(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
         """The possible rounding error of each panel's integral: coordinates resolve the distance to an end poorly."""
