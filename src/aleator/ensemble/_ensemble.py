@@ -19,9 +19,9 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree, jax_array
 from aleator._core.compilation import evaluate_traced, traced_once
-from aleator._core.equations import TracedFunction
+from aleator._core.equations import TIME, TracedFunction, switches
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import named_leaves
+from aleator._core.leaves import is_traced, named_leaves
 from aleator.ensemble._batches import Part, at_levels, each, fill, parts
 from aleator.ensemble._outputs import (
     UNTRACEABLE,
@@ -208,12 +208,16 @@ class TracedEnsemble(AbstractEnsemble):
         points = np.zeros((size, len(self.places.germs)))
         arguments = outputs, self._numbers, self._decisions, points
         try:
-            return traced_once((self._function, self._rest), *arguments, who=self._name)
+            traced = traced_once((self._function, self._rest), *arguments, who=self._name)
         except UNTRACEABLE as error:
             raise ProblemError(
                 f"{self._name} cannot be traced by JAX ({str(error).splitlines()[0]}) Write it with jax.numpy, or "
                 "pass traced=False: it is then called with plain numbers, point by point, without derivatives."
             ) from error
+        if any(TIME in one for one in switches(traced.closed.jaxpr)) and not is_traced(self._model):
+            # What it simulates may jump: `simulate` tells, if it is given plain numbers.
+            self._at(self._model, self._decisions, points[0], jnp)
+        return traced
 
 
 @final
