@@ -245,8 +245,8 @@ def _doubts(solution: Solution) -> Iterator[tuple[type[Warning], str]]:
     if mesh is not None and not mesh.is_met:
         yield (
             GridWarning,
-            f"the mesh does not reach the error that was asked for: {mesh}. If the model jumps in time there, let the "
-            "jump fall on an instant of the grid or make it smooth; or ask for less",
+            f"the mesh does not reach the error that was asked for: {mesh}. If the model jumps in time there, "
+            "declare the jump (al.StepFunction) or make it smooth; or ask for less",
         )
     if error is not None and not error.is_met:
         yield GridWarning, f"{f'on {error.steps} steps' if error.steps else 'in what the model simulates'} {error}"
