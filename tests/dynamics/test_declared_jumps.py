@@ -194,6 +194,16 @@ def test_a_jump_at_a_decided_time_is_refused_by_name_and_a_ramp_is_none():
     staged(jump=0.0)
 
 
+def test_signals_are_read_as_equations_are_and_kinks_are_no_jumps():
+    def pushed(function):
+        push = al.processes.signal(function, t_1=al.Decision(0.5, 0.3, 0.9))
+        return al.Problem(Block(), grid=GRID, inputs={"push": push}, minimize=al.terminal("x").mean)
+
+    with pytest.raises(al.ProblemError, match=r"jump at t = 0\.5 s, a time that follows from 'inputs\.push\.p\.t_1'"):
+        pushed(lambda t, p: jnp.sign(p.t_1 - t))
+    pushed(lambda t, p: jnp.interp(t, jnp.array([0.0, p.t_1, 1.0]), jnp.array([0.0, 1.0, 0.0])))
+
+
 @pytest.mark.parametrize("times", [[0, 0, 1], [0, 1, 1], [0, 0.5, 0.5, 0.5, 1], [0, 0.5, 0.4, 1]])
 def test_tables_whose_pieces_have_no_length_are_refused(times):
     with pytest.raises(al.ProblemError, match=r"Tabulated: times must increase, but sample \d is not after"):
