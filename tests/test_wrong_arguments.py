@@ -104,6 +104,7 @@ USUAL: dict[str, Any] = {
     "links": [al.shapes.Sphere(np.zeros(3))] * 3,
     "kane": _kane(),
     "lagrange": _lagrange(),
+    "levels": [0.0, 1.0, 0.0],
     "lower": 0.0,
     "mass": 1.0,
     "minimize": al.terminal("x").mean,

@@ -93,6 +93,7 @@ from .trajectories import AbstractSignal as AbstractSignal
 from .trajectories import AbstractTrajectory as AbstractTrajectory
 from .trajectories import BSpline as BSpline
 from .trajectories import PowerSeries as PowerSeries
+from .trajectories import StepFunction as StepFunction
 from .trajectories import Tabulated as Tabulated
 from .trajectories import fit_control_points as fit_control_points
 from .transcription import Sequential as Sequential

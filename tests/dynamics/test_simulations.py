@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.dynamics._simulation import _HISTORY
+from aleator.dynamics._simulate import _HISTORY
 from compiling import compiled
 from zoo import Decay
 

@@ -7,7 +7,7 @@ import sympy as sp
 from sympy.physics.mechanics import dynamicsymbols
 
 import aleator as al
-from aleator.dynamics._simulation import _HISTORY
+from aleator.dynamics._simulate import _HISTORY
 from aleator.foreign._sympy_program import written
 from compiling import compiled
 from zoo import Oscillator

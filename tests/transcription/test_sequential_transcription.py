@@ -118,3 +118,27 @@ def test_a_problem_whose_numbers_were_changed_in_place_is_transcribed_anew():
     assert al.solve(problem).objective == pytest.approx(0.5)
     problem.system.weights[...] = 3.0
     assert al.solve(problem).objective == pytest.approx(1.5)
+
+
+class Cell(al.System):
+    """A charge in coulomb that grows by some electrons more than two."""
+
+    states = ("q",)
+    electrons: al.Number
+
+    def rhs(self, t, z):
+        return (1.602e-19 * (self.electrons - 2.0),)
+
+    def outputs(self, t, z):
+        return {"q": z.q}
+
+
+def test_a_limit_of_zero_on_what_may_be_rounding_is_told():
+    problem = al.Problem(
+        Cell(al.Decision(0.5, 0.0, 10.0)),
+        grid=al.Grid(1.0, 2),
+        minimize=-1 * al.value("electrons"),
+        subject_to=[al.path("q").at_most(0.0)],
+    )
+    with pytest.warns(al.AleatorWarning, match=r"'q' is taken to hold: its values, 1\.3e-18 at most, count"):
+        al.solve(problem)

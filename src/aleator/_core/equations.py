@@ -3,17 +3,18 @@
 import hashlib
 import inspect
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from types import FunctionType
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, TypeAlias, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.ad_checkpoint import checkpoint_name
 from jax.core import Tracer, eval_jaxpr
-from jax.extend.core import ClosedJaxpr
+from jax.extend.core import ClosedJaxpr, Literal
 from jax.interpreters.partial_eval import dce_jaxpr
 
 from aleator._core.arrays import Pytree, numbers_to_arrays
@@ -103,10 +104,61 @@ _LOSING = ("stop_gradient", "round", "floor", "ceil", "sign", "custom_jvp_call",
 
 def may_lose_derivatives(jaxpr: Any) -> bool:
     """Whether derivatives may be others than those of the values: elsewhere JAX's are exact."""
-    return any(
-        one.primitive.name in _LOSING
-        or (one.primitive.name == "convert_element_type" and jnp.issubdtype(one.params["new_dtype"], jnp.integer))
-        for one in _every(jaxpr)
+    return any(one.primitive.name in _LOSING or _is_cast(one) for one in _every(jaxpr))
+
+
+# Equations whose values jump where those that they are made of do not.
+_JUMPING = ("lt", "le", "gt", "ge", "eq", "ne", "sign", "floor", "ceil", "round")
+# How loops and branches are called, whose inner variables are other ones than their own.
+_FLOW = ("scan", "while", "cond")
+
+Marks: TypeAlias = frozenset[str]
+TIME = "time"
+"""The mark of what depends on the time."""
+
+
+def as_time(t: Any) -> Any:
+    """The same time, marked in the equations of functions that are traced later."""
+    return checkpoint_name(t, TIME)
+
+
+def switches(jaxpr: Any, given: Sequence[Marks] | None = None) -> set[Marks]:
+    """The marks of what decides jumps: of the operands of comparisons, signs and rounding, inner ones included.
+
+    `given`: those of the arguments, in order. What depends on anything marked has its marks; so has `as_time`.
+    """
+    found = set[Marks]()
+    _marked(jaxpr, [frozenset[str]()] * len(jaxpr.invars) if given is None else given, found)
+    return found
+
+
+def _marked(jaxpr: Any, given: Sequence[Marks], found: set[Marks]) -> list[Marks]:
+    """The marks of the results; those that decide jumps join `found`."""
+    known: dict[Any, Marks] = dict(zip(jaxpr.invars, given, strict=True))
+
+    def read(variable: Any) -> Marks:
+        return frozenset() if isinstance(variable, Literal) else known.get(variable, frozenset())
+
+    for equation in jaxpr.eqns:
+        name, own = equation.primitive.name, [read(one) for one in equation.invars]
+        every = frozenset[str]().union(*own, [TIME] if name == "name" and equation.params["name"] == TIME else [])
+        results = [every] * len(equation.outvars)
+        for part in jax.tree.leaves(equation.params):
+            inner = getattr(part, "jaxpr", part)
+            if hasattr(inner, "eqns"):
+                is_same = name not in _FLOW and len(inner.invars) == len(own)
+                outcome = _marked(inner, own if is_same else [every] * len(inner.invars), found)
+                results = outcome if is_same and len(outcome) == len(results) else results
+        if every and (name in _JUMPING or name == "cond" or _is_cast(equation)):
+            found.add(every)
+        known.update(zip(equation.outvars, results, strict=True))
+    return [read(one) for one in jaxpr.outvars]
+
+
+def _is_cast(equation: Any) -> bool:
+    """Whether numbers become whole ones."""
+    return equation.primitive.name == "convert_element_type" and jnp.issubdtype(
+        equation.params["new_dtype"], jnp.integer
     )
 
 

@@ -171,5 +171,5 @@ def unconverged(solutions: Sequence[Solution]) -> str:
     when = f", perhaps near t = {max(paths, key=lambda one: one.ratio).time:.4g} s" if paths else ""
     return (
         f"With up to {error.steps} steps the error does not reach the tolerance: the model seems to jump in "
-        f"time{when}. Put the jump on an instant of the grid, make it smooth, or ask for less accuracy"
+        f"time{when}. Declare the jump (al.StepFunction), make it smooth, or ask for less accuracy"
     )

@@ -1,6 +1,7 @@
 """The equations of a declared problem: traced once, with its expressions, whose outputs and shapes they must match."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -21,10 +22,13 @@ from aleator.design._functionals import AbstractIntegral
 from aleator.design._response import AbstractProblem, grid_at
 from aleator.design._scope import AbstractScope
 from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, joined, statistics_in
-from aleator.dynamics import Equations, called
+from aleator.dynamics import Equations, called, jump_times, time_switches
 from aleator.statistics import AbstractStatistic
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import named_numbers, realise, uncertain_again
+
+# How far from the initial decisions others are tried, as a part of their ranges.
+_BESIDE = 1e-2
 
 
 class Declared(NamedTuple):
@@ -41,8 +45,10 @@ def declared(problem: AbstractProblem) -> Declared:
     Raises `ProblemError` if two traces differ, or if outputs and expressions do not match.
     """
     whole = eqx.tree_at(lambda one: one.simulation, problem, uncertain_again(problem.simulation))
-    equations, realisation = _traced(whole)
+    equations, realisation, switching = _traced(whole)
     refuse_unsteady(type(problem.system).__name__, equations.digest, lambda: _traced(whole)[0].digest)
+    if switching:
+        _refuse_moving_jumps(whole, equations, switching)
     steps = whole.grid.steps
     equations.refuse_large_history(type(problem.system).__name__, steps)
     outputs = {name: np.zeros((steps + 1, *shape)) for name, shape in equations.output_shapes().items()}
@@ -88,19 +94,49 @@ def _code_of(problem: AbstractProblem) -> str:
     return own_code((inside, simulation.inputs, simulation.integrator, problem.objective, problem.constraints))
 
 
-def _traced(problem: AbstractProblem) -> tuple[Equations, Digest]:
-    """The equations of a realised system, and the digest of how its numbers and signals follow from the problem's."""
-    places, equations = problem.placements, list[Equations]()
+def _traced(problem: AbstractProblem) -> tuple[Equations, Digest, set[str]]:
+    """The equations of a realised system, the digest of how its numbers and signals follow from the problem's, and the
+    decided numbers with which it compares the time.
+    """
+    places, equations, switching = problem.placements, list[Equations](), set[str]()
     numbers, static = eqx.partition(numbers_to_arrays(problem.simulation), eqx.is_array)
 
     def realised(numbers: Any, germ: jax.Array, decisions: jax.Array) -> Any:
         simulation = realise(eqx.combine(numbers, static), germ, decisions)
         equations.append(simulation.traced_equations())
+        if isinstance(simulation.grid, Grid):
+            switching.update(time_switches(replace(simulation, equations=equations[0]), problem.simulation) - {""})
         return eqx.filter(numbers_to_arrays((simulation, simulation.start())), eqx.is_array)
 
     germ, decisions = (jax.ShapeDtypeStruct((size,), float) for size in (len(places.germ_names), places.size))
     closed = jax.make_jaxpr(realised)(numbers, germ, decisions)
-    return equations[0], digest_of(closed)
+    return equations[0], digest_of(closed), switching
+
+
+def _refuse_moving_jumps(problem: AbstractProblem, equations: Equations, names: set[str]) -> None:
+    """Raise `ProblemError` if the equations jump at times that move with the decided numbers `names`.
+
+    Where the time is compared with them, they may as well go on without a jump, as a ramp does: so jumps are sought at
+    the initial decisions and at others.
+    """
+    places, germ = problem.placements, jax_array(np.zeros(len(problem.placements.germ_names)))
+    start, lower, upper = map(places.vector, ("initial", "lower", "upper"))
+    step = _BESIDE * np.maximum(np.abs(start), np.where(np.isfinite(upper - lower), upper - lower, 1.0))
+    beside = np.clip(np.where(start + step <= upper, start + step, start - step), lower, upper)
+    each = (realise(problem.simulation, germ, jax_array(one)) for one in (start, beside))
+    both = [replace(one, equations=equations) for one in each]
+    first, second = (jump_times(one, in_outputs=True) for one in both)
+    end = min(float(one.grid.t_final) for one in both)
+    moved = [t for t in first if t < end and not np.isclose(second, t, rtol=1e-9, atol=0.0).any()]
+    if moved:
+        listed = " and ".join(f"'{name}'" for name in sorted(names))
+        raise ProblemError(
+            f"{type(problem.system).__name__}: its equations jump at t = {moved[0]:.4g} s, a time that follows from "
+            f"{listed} by a comparison such as jnp.where(t < self.t_1, a, b). The derivative by that time is lost, and "
+            "no solver could choose it. Declare the jump: let the equations take an input and choose by it, "
+            "jnp.where(stage > 0.5, a, b), with inputs={'stage': al.StepFunction([t_1], [1.0, 0.0])}. For a number "
+            "that stands in several places write t_1 = al.Decision(...).shared('t_1')."
+        )
 
 
 def _check_shapes(problem: AbstractProblem, outputs: Mapping[str, np.ndarray]) -> ClosedJaxpr:

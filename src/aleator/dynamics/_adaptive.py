@@ -6,8 +6,7 @@ from typing import Any, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 from typing_extensions import override
 
 from aleator._core import border
@@ -16,7 +15,7 @@ from aleator.dynamics._grid import Grid, Inputs, inputs_on
 from aleator.dynamics._integrators import AbstractIntegrator
 from aleator.dynamics._record import Asked, Record
 from aleator.dynamics._system import System
-from aleator.trajectories import instants, jumps_of
+from aleator.trajectories import jumps_of
 
 _RELATIVE, _ABSOLUTE, _STEPS = 1e-8, 1e-10, 100_000
 
@@ -71,7 +70,7 @@ class AbstractAdaptive(AbstractIntegrator):
 
         at = grid.node_times if asked.nodes else grid.times
         saved = diffrax.SaveAt(ts=at, fn=lambda t, carried, _: jax.tree.leaves(observed(t, carried)))
-        solution = self._solved(rates, carried, grid, jumps_of(inputs), saved, self.max_steps)
+        solution = self._solved(rates, carried, grid, inputs, saved, self.max_steps)
         arrived = solution.result == diffrax.RESULTS.successful
         values_at = [jnp.where(arrived, values, jnp.nan) for values in solution.ys or []]
         structure_at = jax.tree.structure(jax.eval_shape(lambda: observed(first, carried)))
@@ -92,7 +91,7 @@ class AbstractAdaptive(AbstractIntegrator):
         start = initial_state(system, grid.times[0], now(grid.times[0]))
 
         def tried(most: int) -> Any:
-            return self._solved(rates, start, grid, jumps_of(inputs), diffrax.SaveAt(t1=True), most)
+            return self._solved(rates, start, grid, inputs, diffrax.SaveAt(t1=True), most)
 
         solution = tried(self.max_steps)
         if bool(solution.result == diffrax.RESULTS.successful):
@@ -122,15 +121,15 @@ class AbstractAdaptive(AbstractIntegrator):
         rates: Callable[..., Any],
         start: Any,
         grid: Grid,
-        jumps: Float[np.ndarray, " jumps"],
+        inputs: Inputs,
         saved: Any,
         most: int,
     ) -> Any:
         import diffrax
 
         controller = diffrax.PIDController(rtol=self.rtol, atol=self.atol, dtmax=grid.step)
-        if jumps.size:
-            controller = diffrax.ClipStepSizeController(controller, jump_ts=instants(jumps, grid.t_start, grid.t_final))
+        if (jumps := jumps_of(inputs, grid.t_start, grid.t_final)).size:
+            controller = diffrax.ClipStepSizeController(controller, jump_ts=jumps)
         return diffrax.diffeqsolve(
             diffrax.ODETerm(lambda *at: jax.tree.map(_slopes_of_numbers, rates(*at))),
             getattr(diffrax, type(self).__name__)(),

@@ -5,7 +5,6 @@ evaluated at the same instants.
 """
 
 import abc
-import itertools
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple, final
 
@@ -18,12 +17,14 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree
 from aleator._core.compilation import Use, evaluate
+from aleator._core.equations import as_time
 from aleator._core.leaves import Module
 from aleator.dynamics._evaluation import completed, derivative, explain_algebraic, initial_state
-from aleator.dynamics._grid import Grid, Inputs, sampled
+from aleator.dynamics._grid import Grid, Inputs
 from aleator.dynamics._record import Asked, Record
+from aleator.dynamics._steps import Steps, steps_of
 from aleator.dynamics._system import System
-from aleator.trajectories import AbstractSignal, before_jumps, has_jumps
+from aleator.trajectories import AbstractSignal, jumping_in
 
 STATES = "states"
 
@@ -77,16 +78,27 @@ class AbstractFixedStep(AbstractIntegrator):
 
     @override
     def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
+        inner = sorted({node for node in (*self.tableau.nodes, *([0.5] if asked.nodes else [])) if 0 < node < 1})
+        if not jumping_in(inputs):
+            return self._taken(system, asked, inner, *steps_of(grid, inputs, inner))
+        # A step that a jump divides has its middle anywhere: middles are instants of a finer grid instead.
+        parts = 2 if asked.nodes else 1
+        steps, places = steps_of(grid.finer(parts), inputs, inner)
+        every = asked._replace(instants=asked.instants and asked.instants | asked.nodes, nodes=frozenset(), fold=None)
+        record = self._taken(system, every, inner, steps, places)
+        nodes = {name: values[places] for name, values in record.history.items()}
+        history = {name: values[::parts] for name, values in nodes.items()}
+        if asked.fold is None:
+            return Record(history, {name: nodes[name] for name in asked.nodes}, record.integrals)
+        folded, first = asked.fold(None, {name: values[0] for name, values in history.items()})
+        folded, rest = jax.lax.scan(asked.fold, folded, {name: values[1:] for name, values in history.items()})
+        return Record(_joined(first, rest), {}, record.integrals, folded)
+
+    def _taken(self, system: System, asked: Asked, inner: list[float], steps: Steps, places: Any) -> Record:
+        """The record of some steps, whose signals are known at `inner` fractions of each: see `steps_of`."""
         nodes, couplings, weights = self.tableau
-        h, inner = grid.step, sorted({node for node in (*nodes, *([0.5] if asked.nodes else [])) if 0 < node < 1})
-        # A table or a spline is looked up once for all stages.
-        inside = [grid.fractions[:-1] + node / grid.steps for node in inner]
-        looked_up = sampled(inputs, grid, np.concatenate([grid.fractions, *inside]))
-        ends = np.cumsum([grid.steps + 1, *(len(one) for one in inside)])[:-1]
-        at_instants, *between = _split(looked_up, ends)
-        arriving = sampled(before_jumps(inputs), grid, grid.fractions[1:]) if has_jumps(inputs) else {}
-        now = {name: values[0] for name, values in at_instants.items()}
-        start = initial_state(system, grid.times[0], now)
+        t_start, now = steps.t[0], {name: values[places[0]] for name, values in steps.first.items()}
+        start = initial_state(system, t_start, now)
 
         # Traced once for all stages.
         @jax.jit
@@ -94,15 +106,13 @@ class AbstractFixedStep(AbstractIntegrator):
             z = completed(system, t, z, u)
             return asked.slopes(system, t, z, u)
 
-        def advance(carried: tuple[Pytree, ...], now: tuple) -> tuple[tuple[Pytree, ...], tuple[Any, Any]]:
-            (z, integrals, folded), (t, first, after, before, *middle) = carried, now
-            # A step sees the side of a jump that is its own.
-            last = {**after, **before}
+        def advance(carried: tuple[Pytree, ...], step: Steps) -> tuple[tuple[Pytree, ...], tuple[Any, Any]]:
+            (z, integrals, folded), (t, h, first, middle, last, after) = carried, step
             signals = {0.0: first, 1.0: last, **dict(zip(inner, middle, strict=True))}
             slopes: list[Pytree] = []
             growths: list[Pytree] = []
             for node, coupling in zip(nodes, couplings, strict=True):
-                stage = rates(t + node * h, _moved(z, h, coupling, slopes), signals[node])
+                stage = rates(as_time(t + node * h), _moved(z, h, coupling, slopes), signals[node])
                 slopes.append(stage[0])
                 growths.append(stage[1])
             end = _moved(z, h, weights, slopes)
@@ -116,18 +126,11 @@ class AbstractFixedStep(AbstractIntegrator):
                 halfway = asked.at_node(system, t + h / 2, centre, signals[0.5])
             return (end, _moved(integrals, h, weights, growths), folded), (outputs, halfway)
 
-        shapes = jax.eval_shape(lambda: asked.rates(system, grid.times[0], start, now))
+        shapes = jax.eval_shape(lambda: asked.rates(system, t_start, start, now))
         zeros = jax.tree.map(lambda one: jnp.zeros(one.shape), shapes)
-        spans = (
-            grid.times[:-1],
-            _rows(at_instants, slice(None, -1)),
-            _rows(at_instants, slice(1, None)),
-            arriving,
-            *between,
-        )
-        folded, first = asked.folded(None, asked.at_instant(system, grid.times[0], start, now))
-        (_, integrals, folded), (rest, middles) = jax.lax.scan(advance, (start, zeros, folded), spans)
-        history = jax.tree.map(lambda start, later: jnp.concatenate([start[None], later]), first, rest)
+        folded, first = asked.folded(None, asked.at_instant(system, t_start, start, now))
+        (_, integrals, folded), (rest, middles) = jax.lax.scan(advance, (start, zeros, folded), steps)
+        history = _joined(first, rest)
         return Record(history, _interleaved(history, middles), integrals, folded)
 
     @override
@@ -147,6 +150,10 @@ def _moved(z: Pytree, h: Any, weights: tuple[float, ...], slopes: list[Pytree]) 
         z,
         *(slope for _, slope in used),
     )
+
+
+def _joined(first: Pytree, rest: Pytree) -> Pytree:
+    return jax.tree.map(lambda one, later: jnp.concatenate([one[None], later]), first, rest)
 
 
 def _interleaved(history: dict[str, Array], middles: dict[str, Array]) -> dict[str, Array]:
@@ -197,15 +204,6 @@ class DormandPrince5(AbstractFixedStep):
     @override
     def reference(self) -> AbstractIntegrator:
         return RungeKutta4()
-
-
-def _split(signals: dict[str, Array], ends: np.ndarray) -> list[dict[str, Array]]:
-    """Signals in parts, each of which ends before a row, and the rest."""
-    return [_rows(signals, slice(*part)) for part in itertools.pairwise([0, *ends.tolist(), None])]
-
-
-def _rows(signals: dict[str, Array], rows: slice) -> dict[str, Array]:
-    return {name: values[rows] for name, values in signals.items()}
 
 
 @final

@@ -19,8 +19,9 @@ from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.dynamics._evaluation import derivative, derivative_and_observation, initial_state, observation
 from aleator.dynamics._grid import Grid, Inputs, sampled
+from aleator.dynamics._steps import steps_of
 from aleator.dynamics._system import System
-from aleator.trajectories import before_jumps, has_jumps, instants
+from aleator.trajectories import has_jumps, instants
 
 History: TypeAlias = dict[str, Float[Array, "instants ..."]]
 Integrand: TypeAlias = Callable[[Mapping[str, Array]], Float[Array, "..."]]
@@ -131,9 +132,12 @@ class Known(Module):
 def known_at(inputs: Inputs, grid: Grid, fractions: Fractions | None = None) -> Known:
     """The data at each instant of a grid, or at some fractions of it; `inputs` include the system's own signals."""
     fractions = grid.fractions if fractions is None else fractions
-    at = sampled(inputs, grid, fractions)
+    return known_of(instants(fractions, grid.t_start, grid.t_final), sampled(inputs, grid, fractions))
+
+
+def known_of(times: Float[Array, " instants"], at: Mapping[str, Float[Array, "instants ..."]]) -> Known:
+    """The data of some times and the inputs there."""
     columns = [values.reshape(len(values), -1) for values in at.values()]
-    times = instants(fractions, grid.t_start, grid.t_final)
     rows = jnp.concatenate([times[:, None], *columns], axis=1)
     return Known(rows, tuple((name, values.shape[1:]) for name, values in at.items()))
 
@@ -150,25 +154,26 @@ def observed(system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record
     Integrals are taken by Simpson's rule, which sees midpoints of steps.
     """
 
-    def over(fractions: Fractions, take: Take, inputs: Inputs = inputs) -> Pytree:
-        known = known_at(inputs, grid, fractions)
-
+    def over(known: Known, take: Take) -> Pytree:
         def one(realised: System, row: Array) -> Pytree:
             t, now = known.unpack(row)
             return take(realised, t, initial_state(realised, t, now), now)
 
         return at_each_instant(one, system, known.rows)
 
-    history = over(grid.fractions, asked.at_instant)
-    nodes = over(grid.node_fractions, asked.at_node) if asked.nodes else {}
-    rates = over(grid.node_fractions, asked.rates) if asked.integrands else ()
-    integrals = tuple(jnp.tensordot(grid.node_weights, one, axes=1) for one in rates)
+    history = over(known_at(inputs, grid), asked.at_instant)
+    if not (asked.nodes or asked.integrands):
+        return Record(history, {}, ())
+    middles = known_at(inputs, grid, grid.node_fractions)
+    nodes = over(middles, asked.at_node) if asked.nodes else {}
     if asked.integrands and has_jumps(inputs):
-        # Each step ends on the side of a jump that is its own.
-        before = over(grid.fractions[1:], asked.rates, before_jumps(inputs))
-        ends = (after[2::2] for after in rates)
-        missed = (jnp.sum(one - other, axis=0) for one, other in zip(before, ends, strict=True))
-        integrals = tuple(one + grid.step / 6 * more for one, more in zip(integrals, missed, strict=True))
+        (t, h, first, (middle,), last, _), _ = steps_of(grid, inputs, [0.5])
+        sides = ((t, first), (t + h / 2, middle), (t + h, last))
+        every = zip(*(over(known_of(*one), asked.rates) for one in sides), strict=True)
+        integrals = tuple(jnp.tensordot(h / 6, one + 4 * two + three, axes=1) for one, two, three in every)
+    else:
+        rates = over(middles, asked.rates) if asked.integrands else ()
+        integrals = tuple(jnp.tensordot(grid.node_weights, one, axes=1) for one in rates)
     return Record(history, nodes, integrals)
 
 

@@ -1,25 +1,22 @@
-"""`Simulation`: a system with everything needed to simulate it. `simulate`: outputs of one realised system."""
+"""`Simulation`: a system with everything needed to simulate it."""
 
 import math
-import warnings
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, final
 
 import equinox as eqx
 import jax
-import numpy as np
 
 from aleator._core.arrays import in_library, jax_array, numbers_to_arrays
-from aleator._core.border import one_of, refusal, refuse_missing, shown
-from aleator._core.compilation import Compiled, Use
-from aleator._core.errors import ProblemError, SimulationWarning
-from aleator._core.leaves import Module, is_leaf, is_traced, named_leaves, transparent
+from aleator._core.border import refuse_missing
+from aleator._core.errors import ProblemError
+from aleator._core.leaves import Module, is_leaf, named_leaves, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, explain_failure
-from aleator.dynamics._equations import INSIDE, Equations, Start
+from aleator.dynamics._equations import Equations, Start
 from aleator.dynamics._evaluation import initial_state
-from aleator.dynamics._grid import AbstractGrid, Grid, Inputs, Instant, check_signals, sampled
+from aleator.dynamics._grid import AbstractGrid, Grid, Instant, check_signals, sampled
 from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator, RungeKutta4
 from aleator.dynamics._record import Asked, History, Record, chosen, observed
 from aleator.dynamics._system import AbstractSystem, System, check_variables
@@ -92,32 +89,6 @@ class Simulation(Module):
         """Steps that are taken in the place of each: none may cross a node of a control, where order would be lost."""
         return math.lcm(least_steps((self.system, self.inputs)), grid.steps) // grid.steps
 
-    def recorded(self, asked: Asked) -> History:
-        """The outputs of `record`, by a program that serves the same equations with any other numbers.
-
-        What no program can be compiled of, such as code that branches on a number, is simulated as it stands. Inside a
-        model that is checked, on a finer grid.
-        """
-        inside = INSIDE.get()
-        if inside is not None and isinstance(self.grid, Grid):
-            inside.is_met = True
-            if inside.factor > 1:
-                finer = self.on(self.grid.finer(inside.factor), self.integrator.reference())
-                return finer.record(asked).thinned(inside.factor).history
-        if is_traced(self) or not isinstance(self.system, System):
-            return self.record(asked).history
-        self._refuse_at_start(self.system)
-        try:
-            declared = self.declared()
-        except Exception:
-            return self.record(asked).history
-        assert declared.equations is not None
-        declared.equations.refuse_large_history(self.system.title, self.grid.steps, asked.instants)
-        try:
-            return _HISTORY(numbers_to_arrays(declared), asked)
-        except Exception:
-            return self.record(asked).history
-
     def declared(self) -> "Simulation":
         """The same simulation with the equations of its realised system, traced now."""
         numbers, static = eqx.partition(numbers_to_arrays(self), eqx.is_array)
@@ -154,7 +125,7 @@ class Simulation(Module):
         inside = equations if equations is None or equations.finer is None else equations.finer
         return replace(self.on(self.grid.finer(factor), integrator), equations=inside)
 
-    def _refuse_at_start(self, system: System) -> None:
+    def refuse_at_start(self, system: System) -> None:
         """Raise `ProblemError` for what can be told of the start with known numbers, without tracing any rate."""
         refuse_unrealised(system=system, grid=self.grid, inputs=self.inputs)
         grid, start = self._checked_grid(system), self.start()
@@ -186,69 +157,6 @@ class Simulation(Module):
         if self.inputs:
             raise ProblemError(f"{name} is algebraic and takes no inputs; received {sorted(self.inputs)}.")
         return {output: value[None] for output, value in algebraic_outputs(system).items()}
-
-
-def _history(simulation: Simulation, asked: Asked) -> History:
-    return simulation.record(asked).history
-
-
-_HISTORY = Compiled(_history, use=Use.BRIEF)
-
-
-def simulate(
-    system: AbstractSystem,
-    grid: AbstractGrid | None = None,
-    inputs: Inputs | None = None,
-    integrator: AbstractIntegrator | None = None,
-    *,
-    only: Collection[str] | None = None,
-) -> History:
-    """Simulate one realised system (plain numbers in its fields): all outputs at every instant, by name.
-
-    Returns a dict of arrays of shape (instants, ...). The default integrator is `RungeKutta4`. An `AlgebraicSystem` has
-    one instant and takes no grid, inputs or integrator: `simulate(system)`. A system without states is not integrated
-    either: its outputs follow from its inputs at each instant. `only` lists the names of the outputs wanted (default:
-    all). Where equations could not be solved, or an adaptive integrator gives up, the outputs are NaN, and a
-    `SimulationWarning` says so. Equations are traced at each call and compiled once: the same with other numbers take
-    milliseconds.
-
-    Raises `ProblemError` if system, grid or inputs contain a distribution or a decision, if grid or inputs do not match
-    the system, if a signal is not known on the whole grid (unless traced), or if `only` names an output that the system
-    does not have.
-    """
-    one_of("simulate: system", system, (System, AlgebraicSystem))
-    if isinstance(inputs, AbstractIntegrator):
-        raise ProblemError(f"simulate: an integrator is given by name: integrator={shown(inputs)}.")
-    if not isinstance(inputs, Mapping | None):
-        raise refusal("simulate: inputs", "signals by name, such as {'road': ...}", inputs)
-    if integrator is not None:
-        one_of("simulate: integrator", integrator, AbstractIntegrator, "al.integrators.RungeKutta4()")
-    if only is not None and (isinstance(only, str) or not isinstance(only, Collection)):
-        raise refusal("simulate: only", "a list of outputs by name, such as ['x']", only)
-    simulation = simulation_of(system, grid, inputs, integrator)
-    history = simulation.recorded(Asked(None if only is None else frozenset(only)))
-    if not is_traced(history):
-        _warn_of_what_is_not_finite(simulation, history)
-    return history
-
-
-def _warn_of_what_is_not_finite(simulation: Simulation, history: History) -> None:
-    """Warn (`SimulationWarning`) if an output is not finite: the first one, when, and why if anything can tell."""
-    broken = {name: ~np.isfinite(np.asarray(one)).reshape(len(one), -1).all(axis=1) for name, one in history.items()}
-    first = {name: int(np.argmax(bad)) for name, bad in broken.items() if bad.any()}
-    if not first:
-        return
-    name = min(first, key=lambda one: first[one])
-    grid = simulation.grid
-    when = f" at t = {float(np.asarray(grid.times)[first[name]]):.4g} s" if isinstance(grid, Grid) else ""
-    when = " at any instant" if isinstance(grid, Grid) and np.all(broken[name]) else when
-    why = simulation.explain() or (simulation.system.diagnose(grid) if isinstance(grid, Grid) else "")
-    warnings.warn(
-        f"{simulation.system.title}: output '{name}' is not finite{when}. "
-        f"{why or 'Check the equations and their numbers there, or take more steps.'}",
-        SimulationWarning,
-        stacklevel=3,
-    )
 
 
 def simulation_of(

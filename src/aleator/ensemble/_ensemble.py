@@ -20,9 +20,9 @@ from typing_extensions import override
 
 from aleator._core.arrays import NUMBER, Pytree, jax_array, refuse_beyond_memory
 from aleator._core.compilation import evaluate_traced, traced_once
-from aleator._core.equations import TracedFunction
+from aleator._core.equations import TIME, TracedFunction, switches
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import named_leaves
+from aleator._core.leaves import is_traced, named_leaves
 from aleator.ensemble._batches import Part, at_levels, each, fill, parts
 from aleator.ensemble._outputs import (
     UNTRACEABLE,
@@ -219,6 +219,9 @@ class TracedEnsemble(AbstractEnsemble):
         refuse_beyond_memory(
             f"{self._name}: {entries:.3g} numbers at {size} points", 2 * NUMBER * entries, "Return fewer numbers."
         )
+        if any(TIME in one for one in switches(traced.closed.jaxpr)) and not is_traced(self._model):
+            # What it simulates may jump: `simulate` tells, if it is given plain numbers.
+            self._at(self._model, self._decisions, points[0], jnp)
         return traced
 
 

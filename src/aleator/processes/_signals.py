@@ -243,7 +243,11 @@ class Total(AbstractSignal):
 
     @override
     def over(self, t_start: Any, t_final: Any) -> "Total":
-        return Total(part.over(t_start, t_final) for part in self.parts)
+        def is_part(node: Any) -> bool:
+            return isinstance(node, AbstractSignal) and node is not self
+
+        # They were checked, and may be traced.
+        return jax.tree.map(lambda part: part.over(t_start, t_final), self, is_leaf=is_part)
 
     @override
     def sampled(self, fractions: Float[np.ndarray | Array, " n"], t_start: Any, t_final: Any) -> Float[Array, "n ..."]:

@@ -11,6 +11,7 @@ import numpy as np
 from aleator._core.border import one_of, refusal, whole
 from aleator._core.compilation import Compiled
 from aleator._core.errors import (
+    AleatorWarning,
     CorrelationWarning,
     ExpansionWarning,
     GridWarning,
@@ -27,7 +28,7 @@ from aleator.design import Problem, deterministic
 from aleator.nlp import AbstractSearch, AbstractSolver, Status
 from aleator.solution import AtMeans, Solution
 from aleator.solving._stages import Stages, with_opinion
-from aleator.transcription import DEFAULT, AbstractTranscription, started_from
+from aleator.transcription import DEFAULT, OF_ROUNDING, AbstractTranscription, started_from
 
 # The finest accuracy of a grid that may be asked for.
 _FINEST = 1e-9
@@ -233,12 +234,19 @@ def _doubts(solution: Solution) -> Iterator[tuple[type[Warning], str]]:
         yield CorrelationWarning, certificate.correlations
     if not solution.ok:
         return
+    for one in solution.constraints:
+        if one.scale == OF_ROUNDING and (largest := float(np.max(np.abs(one.values)))) > 0:
+            yield (
+                AleatorWarning,
+                f"constraint '{one.name}' is taken to hold: its values, {largest:.2g} at most, count as rounding of "
+                "zero. If they mean something, let the output be in a smaller unit",
+            )
     mesh, error, between = solution.mesh, certificate.grid_error, certificate.between
     if mesh is not None and not mesh.is_met:
         yield (
             GridWarning,
-            f"the mesh does not reach the error that was asked for: {mesh}. If the model jumps in time there, let the "
-            "jump fall on an instant of the grid or make it smooth; or ask for less",
+            f"the mesh does not reach the error that was asked for: {mesh}. If the model jumps in time there, "
+            "declare the jump (al.StepFunction) or make it smooth; or ask for less",
         )
     if error is not None and not error.is_met:
         yield GridWarning, f"{f'on {error.steps} steps' if error.steps else 'in what the model simulates'} {error}"

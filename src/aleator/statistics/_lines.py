@@ -129,7 +129,7 @@ class Lines(Module):
         cubic = self.table[jax.lax.broadcasted_iota(int, cell.shape, 0), cell]
         return jnp.where(self.is_normal > 0, normal, horner(jnp.moveaxis(cubic, -1, 0), (place - cell)[None])[0])
 
-    def first_of(self, cell: Int[Array, "*cells"]) -> Float[Array, "*cells"]:
+    def first_of(self, cell: Int[Array | np.ndarray, "*cells"]) -> Float[Array, "*cells"]:
         """Where a cell begins, in standard deviations."""
         return (cell - self.cells / 2) * self.step
 

@@ -35,8 +35,6 @@ _COVERS = 2.365
 _NODES, _WEIGHTS = (np.asarray(each) / 2 for each in np.polynomial.legendre.leggauss(3))
 _NODES = _NODES + 0.5
 
-_SIGNS = np.array([1.0, -1.0])
-
 
 class Crossings(NamedTuple):
     """Where an output crosses a threshold, without derivatives.
@@ -198,9 +196,9 @@ def _mass(low: Array, high: Array) -> Array:
     return (jax.lax.erfc(low / math.sqrt(2)) - jax.lax.erfc(high / math.sqrt(2))) / 2
 
 
-def _score(probability: Array) -> Array:
+def _score(probability: Scalar) -> Array:
     """The normal quantile of a probability."""
-    return math.sqrt(2) * jax.lax.erf_inv(2 * probability - 1)
+    return math.sqrt(2) * jax.lax.erf_inv(2 * jnp.asarray(probability) - 1)
 
 
 @final
@@ -218,11 +216,15 @@ class OutputDistribution(Module):
     def crossings(self, threshold: Float[Array, ""]) -> Crossings:
         """The crossings in both tails: of the output below a threshold, and of its negative below the negative."""
         fixed, threshold = jax.lax.stop_gradient((self, threshold))
-        return jax.vmap(TailDistribution.crossings, (0, 0, None))(fixed.tails, _SIGNS * threshold, self.lines)
+        return jax.vmap(TailDistribution.crossings, (0, 0, None))(
+            fixed.tails, jnp.stack([threshold, -threshold]), self.lines
+        )
 
     def sides(self, threshold: Float[Array, ""], at: Crossings) -> Float[Array, "2"]:
         """The probabilities below and above a threshold, each by the lines of its tail."""
-        return jax.vmap(TailDistribution.below, (0, 0, 0, None))(self.tails, _SIGNS * threshold, at, self.lines)
+        return jax.vmap(TailDistribution.below, (0, 0, 0, None))(
+            self.tails, jnp.stack([threshold, -threshold]), at, self.lines
+        )
 
     def below(self, threshold: Float[Array, ""]) -> Float[Array, ""]:
         """The probability of less than the mean plus a threshold."""
@@ -256,12 +258,12 @@ class OutputDistribution(Module):
     def mean_beyond(self, level: Scalar, *, lower: bool) -> Float[Array, ""]:
         """How far the mean of the values beyond a quantile lies from that of all, in the lower or the upper tail."""
         quantile, sides, at = self._quantile(level)
-        side = 0 if lower else 1
+        side, sign = (0, 1.0) if lower else (1, -1.0)
         tail, own = jax.tree.map(lambda leaf: leaf[side], (self.tails, at))
         # What the integral finds beyond the quantile, which is the level but for its error.
         total = jnp.sum(sides)
         beyond = (level if lower else 1 - level) * jnp.where(total > 0, total, 1.0)
-        return quantile - _SIGNS[side] * tail.shortfall(_SIGNS[side] * quantile, own, self.lines) / beyond
+        return quantile - sign * tail.shortfall(sign * quantile, own, self.lines) / beyond
 
     def _quantile(self, level: Scalar) -> tuple[Array, Float[Array, "2"], Crossings]:
         """The quantile by the implicit function theorem, the probabilities of both sides, and the crossings."""
@@ -362,5 +364,5 @@ def by_lines(
 def output_distribution(coefficients: Float[Array, " terms"], lines: Lines, replicates: int) -> OutputDistribution:
     """The distribution of an output, by lines of some replicates."""
     varying = coefficients.at[0].set(0.0)
-    tails = jax.vmap(lambda sign: _tail_distribution(sign * varying, lines, replicates))(_SIGNS)
+    tails = jax.vmap(lambda sign: _tail_distribution(sign * varying, lines, replicates))(jnp.array([1.0, -1.0]))
     return OutputDistribution(coefficients[0], root(jnp.sum(varying**2)), tails, lines)

@@ -5,6 +5,10 @@ Knows no physics.
 
 from aleator.trajectories._bspline import BSpline as BSpline
 from aleator.trajectories._bspline import fit_control_points as fit_control_points
+from aleator.trajectories._jumping import StepFunction as StepFunction
+from aleator.trajectories._jumping import Tabulated as Tabulated
+from aleator.trajectories._jumping import jumping_in as jumping_in
+from aleator.trajectories._jumping import on_pieces as on_pieces
 from aleator.trajectories._polynomials import Piecewise as Piecewise
 from aleator.trajectories._polynomials import PowerSeries as PowerSeries
 from aleator.trajectories._polynomials import before_jumps as before_jumps
@@ -15,7 +19,6 @@ from aleator.trajectories._polynomials import piecewise_in as piecewise_in
 from aleator.trajectories._signals import AbstractSignal as AbstractSignal
 from aleator.trajectories._signals import AbstractTrajectory as AbstractTrajectory
 from aleator.trajectories._signals import Stack as Stack
-from aleator.trajectories._signals import Tabulated as Tabulated
 from aleator.trajectories._signals import instants as instants
 from aleator.trajectories._tables import entry as entry
 from aleator.trajectories._tables import numbers_in as numbers_in

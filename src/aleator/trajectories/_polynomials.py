@@ -16,12 +16,14 @@ from typing_extensions import override
 from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import highest, lowest, realised_shape, stored_numbers, transparent
+from aleator.trajectories._jumping import jumping_in
 from aleator.trajectories._signals import (
     AbstractTrajectory,
     Derivative,
     Fractions,
     as_array,
     conditions,
+    instants,
 )
 
 _KIND = "PowerSeries"
@@ -179,19 +181,21 @@ def least_steps(tree: Any) -> int:
 
 
 def has_jumps(signals: Any) -> bool:
-    """Whether any of some signals jumps at a node: a derivative does where its trajectory has a corner."""
+    """Whether any of some signals jumps: the derivative of a trajectory does where this has a corner."""
 
     def is_seen(node: Any) -> bool:
         return isinstance(node, Piecewise | Derivative)
 
     seen = [node for node in jax.tree.leaves(signals, is_leaf=is_seen) if is_seen(node)]
-    return any(node.degree == 0 if isinstance(node, Piecewise) else bool(piecewise_in(node)) for node in seen)
+    at_nodes = (node.degree == 0 if isinstance(node, Piecewise) else bool(piecewise_in(node)) for node in seen)
+    return any(at_nodes) or bool(jumping_in(signals))
 
 
-def jumps_of(signals: Any) -> Float[np.ndarray, " jumps"]:
-    """The fractions of the duration at which any of some signals may jump; none if none does."""
+def jumps_of(signals: Any, t_start: Any, t_final: Any) -> Float[Array, " jumps"]:
+    """The times at which any of some signals may jump, s; none if none does."""
     nodes = [piecewise.nodes[1:-1] for piecewise in piecewise_in(signals)] if has_jumps(signals) else []
-    return np.unique(np.concatenate([np.zeros(0), *nodes]))
+    at_nodes = instants(np.unique(np.concatenate([np.zeros(0), *nodes])), t_start, t_final)
+    return jnp.concatenate([at_nodes, *(one.jumps for one in jumping_in(signals))])
 
 
 def before_jumps(signals: Tree) -> Tree:

@@ -1,24 +1,22 @@
-"""Functions of time: signals (inputs of a system, prescribed motions), tables of them, and trajectories.
+"""Functions of time: signals (inputs of a system, prescribed motions), and trajectories.
 
 Trajectories are functions over a duration that is set elsewhere, with their derivatives.
 """
 
 import abc
-from pathlib import Path
-from typing import Any, ClassVar, Self, final
+from typing import Any, ClassVar, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import in_library, jax_array
-from aleator._core.border import real_array, refuse_not_finite
+from aleator._core.equations import as_time
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, realised_shape, stored_numbers
-from aleator.trajectories._tables import numbers_in, read_table
 
 Fractions = Float[np.ndarray, " n"] | Float[Array, " n"]
 
@@ -26,10 +24,12 @@ Fractions = Float[np.ndarray, " n"] | Float[Array, " n"]
 class AbstractSignal(Module):
     """An input of a system as a function of time. It is part of the model: its numbers may be uncertain or decided.
 
-    `unbounded` says that its values have no bound whatever its numbers are, as for a Gaussian process.
+    `unbounded` says that its values have no bound whatever its numbers are, as for a Gaussian process, and
+    `declares_jumps` that it has no jumps but those that it declares.
     """
 
     unbounded: ClassVar[bool] = False
+    declares_jumps: ClassVar[bool] = False
 
     @abc.abstractmethod
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
@@ -46,11 +46,8 @@ class AbstractSignal(Module):
 
     def sampled(self, fractions: Fractions, t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
         """Its values at some fractions of the time from `t_start` to `t_final`."""
-        return jax.vmap(self.over(t_start, t_final))(instants(fractions, t_start, t_final))
-
-
-def _row(table: Float[Array, "rows columns"], place: Int[Array, ""]) -> Float[Array, " columns"]:
-    return table.at[place].get(mode="promise_in_bounds", wrap_negative_indices=False)
+        over, times = self.over(t_start, t_final), instants(fractions, t_start, t_final)
+        return jax.vmap(over)(times if self.declares_jumps else as_time(times))
 
 
 def instants(fractions: Fractions, t_start: Any, t_final: Any) -> Float[Array, " n"]:
@@ -68,6 +65,7 @@ class AbstractTrajectory(AbstractSignal):
     curve is affine, to which a solution of a coarser problem can be refitted.
     """
 
+    declares_jumps: ClassVar[bool] = True
     curve_fields: ClassVar[tuple[str, ...]] = ()
 
     @abc.abstractmethod
@@ -197,67 +195,3 @@ def conditions(kind: str, where: str, values: Any, shape: tuple[int, ...]) -> tu
             )
         stored.append(np.zeros(shape) if is_zero else stored_numbers(f"{kind}: {name} at the {where}", number))
     return tuple(stored)
-
-
-@final
-class Tabulated(AbstractSignal):
-    """A table of times (s) and values, linear between its samples.
-
-    Times are plain numbers. The values may be one array-valued `Decision`, or a list in which any value is a
-    distribution or a `Decision`: `Tabulated([0.0, 1.0], [Uniform(2.0, half_width=0.1), 3.0])`. A caller's arrays are
-    copied.
-
-    Raises `ProblemError` if the two differ in length, if there are fewer than two samples, if a number is not finite or
-    if the times do not increase.
-    """
-
-    times: Float[np.ndarray, " samples"]
-    values: Any
-
-    def __init__(self, times: Any, values: Any):
-        self.times = real_array("Tabulated: times", times, "plain numbers")
-        refuse_not_finite("Tabulated: times", self.times)
-        self.values = stored_numbers("Tabulated: values", values, at=self._instant)
-        length = realised_shape(self.values)
-        if self.times.ndim != 1 or self.times.shape != length or self.times.size < 2:
-            raise ProblemError(
-                "Tabulated: expected two vectors of the same length, of at least 2; "
-                f"received times {self.times.shape} and values {length}."
-            )
-        if not np.all(np.diff(self.times) > 0):
-            at = int(np.argmin(np.diff(self.times) > 0)) + 1
-            raise ProblemError(f"Tabulated: times must increase, but sample {at} is not after the one before it.")
-
-    def _instant(self, place: tuple[int, ...]) -> str:
-        """The instant of a value in words, or its number where there are too few times."""
-        times = self.times.ravel()
-        return f"t = {times[place[0]]:g} s" if place[0] < times.size else f"entry {place[0]}"
-
-    @classmethod
-    def from_csv(cls, path: str | Path, time: str, value: str) -> Self:
-        """Read the columns `time` and `value` of a CSV file; lines that start with `#` are comments.
-
-        Raises `ProblemError` if the file does not exist, is not a table, or does not have each of the two columns once.
-        """
-        names, rows = read_table("Tabulated.from_csv", path)
-        for name in (time, value):
-            if names.count(name) != 1:
-                raise ProblemError(f"{path}: expected one column '{name}'; received {names}.")
-        try:
-            return cls(*(numbers_in(rows, names.index(name)) for name in (time, value)))
-        except ValueError as error:
-            raise ProblemError(f"{path}: {error}") from error
-
-    @override
-    def __call__(self, t: Float[Array, ""]) -> Float[Array, ""]:
-        # Not by `jnp.interp`, which is three times as many equations.
-        values, after = as_array(self.values), jnp.searchsorted(self.times[1:-1], t, side="right") + 1
-        table = jnp.stack([jnp.asarray(self.times), values], axis=-1)
-        (left, low), (right, high) = (_row(table, place) for place in (after - 1, after))
-        part = (t - left) / (right - left)
-        # Constant outside; `jnp.clip` would halve derivatives at both ends.
-        return jnp.where(part < 0, low, jnp.where(part > 1, high, low + part * (high - low)))
-
-    @override
-    def span(self) -> tuple[float, float]:
-        return float(self.times[0]), float(self.times[-1])

@@ -39,6 +39,8 @@ _MOST_SPREADS = 1e4
 _ROUNDINGS = 4.0
 # A constraint with zero bounds whose values are nowhere larger than this is zero up to rounding.
 _NOISE = 1e-13
+OF_ROUNDING = _NOISE / HELD
+"""The size of a constraint of which all that is seen may be rounding: it holds."""
 # A value at the start that is less than this part of its change does not show how large values are.
 _LITTLE = 1e-6
 
@@ -74,7 +76,7 @@ def constraint_size(
         size = float(np.clip(largest, bound, _MOST_BOUNDS * bound))
     else:
         size = max(largest, min(change, _BEYOND * away) if away > 0 else change)
-        size = size if max(size, change, away) > _NOISE else _NOISE / HELD
+        size = size if max(size, change, away) > _NOISE else OF_ROUNDING
     size = min(size, max(_MOST_SPREADS * spread, _ROUNDINGS * np.finfo(float).eps / HELD * largest))
     rounded = _ROUNDINGS * np.finfo(float).eps / HELD * rounding
     # One extremely steep row must not loosen the tolerance of the others.

@@ -29,7 +29,10 @@ Block: TypeAlias = Callable[[Pytree, Pytree, Array, Array], Float[Array, " rows"
 """Of the data of the outer and of the inner index, of the shared and of the block's own variables."""
 
 # Of one number each: linear in all operands together; bent.
-_LINEAR = {"add", "add_any", "sub", "neg", "copy", "real", "convert_element_type", "reduce_precision", "select_n"}
+_LINEAR = {
+    *("add", "add_any", "sub", "neg", "copy", "name", "real"),
+    *("convert_element_type", "reduce_precision", "select_n"),
+}
 _BENT = {
     *("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "atan2"),
     *("exp", "exp2", "expm1", "log", "log1p", "logistic", "erf", "erfc", "erf_inv", "lgamma", "digamma"),

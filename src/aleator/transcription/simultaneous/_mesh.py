@@ -7,9 +7,11 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int, Num
 
+from aleator._core.errors import ProblemError
+from aleator._core.leaves import is_leaf
 from aleator.design import Problem, declared_anew, integrated_paths
 from aleator.dynamics import AbstractScheme, Grid
-from aleator.trajectories import Piecewise, piecewise_in
+from aleator.trajectories import Piecewise, jumping_in, piecewise_in
 from aleator.uncertainty import Decision
 
 # Nodes closer than this are the same, up to rounding.
@@ -132,13 +134,23 @@ class Mesh:
 
 def first_nodes(problem: Problem) -> tuple[float, ...]:
     """The nodes of a problem's first mesh, as fractions of the duration: the instants of its grid, the middles between
-    them where statistics are integrated over time, and all nodes of its controls.
+    them where statistics are integrated over time, all nodes of its controls, and the jumps of its signals.
+
+    Raises `ProblemError` for jumps that are not at a fixed fraction of the duration.
     """
     assert isinstance(problem.grid, Grid)
     grid, is_integrated = problem.grid, bool(integrated_paths(problem.expressions))
     nodes = np.array(grid.node_fractions if is_integrated else grid.fractions)
-    for one in piecewise_in(problem.simulation):
-        added = np.array(one.nodes)
+    jumping = jumping_in(problem.simulation)
+    moving = [one.times for one in jumping], grid.t_final
+    if jumping and any(map(is_leaf, jax.tree.leaves(moving, is_leaf=is_leaf))):
+        raise ProblemError(
+            "Simultaneous: a signal jumps at a time that is uncertain or decided, or while the final time is: "
+            "intervals of a mesh end at jumps, and so these have to stay. Use al.Sequential(), whose steps follow them."
+        )
+    jumps = [(np.asarray(one.jumps) - grid.t_start) / grid.duration for one in jumping]
+    for added in (*(np.array(one.nodes) for one in piecewise_in(problem.simulation)), *jumps):
+        added = added[(added > 0) & (added < 1)]
         away = np.abs(added[:, None] - nodes).min(axis=1)
         nodes = np.sort(np.append(nodes, added[away > _SAME]))
     return tuple(nodes.tolist())

@@ -17,6 +17,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
+from aleator._core.arrays import in_library
 from aleator.design import (
     AbstractFunctional,
     AbstractIntegral,
@@ -47,8 +48,11 @@ from aleator.dynamics import (
     solved_algebraic,
     with_algebraic,
 )
-from aleator.trajectories import before_jumps, has_jumps
+from aleator.trajectories import has_jumps
 from aleator.uncertainty import realise
+
+# How far from a jump its sides are told, as a part of the duration: more than rounding of times.
+_BESIDE = 1e-11
 
 
 class Signals(NamedTuple):
@@ -180,13 +184,17 @@ class Pointwise:
         """All signals at some places, see `Mesh.places`, side by side; none where they are uncertain."""
         if self.is_random:
             return jnp.zeros((len(places), 0))
-        fractions, is_before = places[:, 0], places[:, 1:] > 0
         system, grid, inputs = self._known_parts(decisions)
         every = {**system.signals(), **inputs}
-        signals = known_at(every, grid, fractions).rows[:, 1:]
-        if not has_jumps(every):
-            return signals
-        return jnp.where(is_before, known_at(before_jumps(every), grid, fractions).rows[:, 1:], signals)
+        return known_at(every, grid, self._told_at(places)).rows[:, 1:]
+
+    def _told_at(self, places: Any) -> Any:
+        """Places as fractions of the duration; where signals jump, a little off on the side that is theirs."""
+        if not self.signals.have_jumps:
+            return places[..., 0]
+        xp, places = in_library(places)
+        beside = xp.where(places[..., 1] > 0, -_BESIDE, _BESIDE)
+        return xp.clip(places[..., 0] + beside, 0.0, 1.0)
 
     def duration(self, decisions: Float[Array, " n"]) -> Float[Array, ""]:
         """From the first instant to the last, s."""
@@ -297,19 +305,16 @@ class Pointwise:
 
     def _now(self, germ: Array, place: Array, shared: Array, signals: Array) -> tuple[System, Array, dict[str, Any]]:
         """A realised system with its time and inputs at one mesh point; what follows the signals is left alone."""
-        (fraction, is_before), direct, duration = place, shared[:-1], shared[-1]
+        direct, duration = shared[:-1], shared[-1]
         system, _, inputs = self._realised(self.frozen, germ, direct)
-        t = jnp.asarray(self.grid.t_start + fraction * duration)
+        t = jnp.asarray(self.grid.t_start + place[0] * duration)
         if not self.is_random:
             # Their values are not needed: a spline would be evaluated in every block.
             known = Known(jnp.zeros((0, 1)), tuple(self.signals.shapes.items()))
             return system, t, known.unpack(jnp.concatenate([t[None], signals]))[1]
         each, span = {**system.signals(), **inputs}, (self.grid.t_start, self.grid.t_start + duration)
-        now = {name: one.over(*span)(t) for name, one in each.items()}
-        if has_jumps(each):
-            before = {name: one.over(*span)(t) for name, one in before_jumps(each).items()}
-            now = {name: jnp.where(is_before > 0, before[name], value) for name, value in now.items()}
-        return system, t, now
+        told_at = jnp.asarray(self.grid.t_start + self._told_at(place) * duration)
+        return system, t, {name: one.over(*span)(told_at) for name, one in each.items()}
 
     def _at(self, germ: Array, place: Array, shared: Array, own: Array) -> tuple[System, Array, Any, dict[str, Any]]:
         """A realised system with its time, states (and algebraic variables, if given) and inputs at one mesh point."""

@@ -1,0 +1,83 @@
+"""The steps of a grid, each with the signals on its own side of every jump."""
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from aleator.dynamics._grid import Grid, Inputs, sampled
+from aleator.trajectories import before_jumps, has_jumps, instants, jumping_in, on_pieces
+
+
+class Steps(NamedTuple):
+    """Steps one after the other, with the signals that each sees: at a jump, those on its own side.
+
+    - `t`, `h`: where each begins and how long it is, s; `first`, `last`: signals at its ends; `between`: at each of
+      some fractions inside; `after`: those that the next step sees at its beginning.
+    """
+
+    t: Float[Array, " steps"]
+    h: Float[Array, " steps"]
+    first: dict[str, Array]
+    between: list[dict[str, Array]]
+    last: dict[str, Array]
+    after: dict[str, Array]
+
+
+def steps_of(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> tuple[Steps, Int[Any, " instants"]]:
+    """The steps of a grid, with signals at `inner` fractions of each, and the places of its instants among their ends.
+
+    A declared jump divides the step in which it lies.
+    """
+    if jumping_in(inputs):
+        return _divided(grid, inputs, inner)
+    return _whole(grid, inputs, inner), np.arange(grid.steps + 1)
+
+
+def _whole(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> Steps:
+    """The steps of a grid that ends one at each jump."""
+    # A table or a spline is looked up once for all stages.
+    inside = [grid.fractions[:-1] + node / grid.steps for node in inner]
+    looked_up = sampled(inputs, grid, np.concatenate([grid.fractions, *inside]))
+    ends = np.cumsum([grid.steps + 1, *(len(one) for one in inside)])[:-1].tolist()
+    at_instants, *between = (_rows(looked_up, slice(*part)) for part in itertools.pairwise([0, *ends, None]))
+    after = _rows(at_instants, slice(1, None))
+    last = sampled(before_jumps(inputs), grid, grid.fractions[1:]) if has_jumps(inputs) else after
+    h = jnp.broadcast_to(grid.step, grid.steps)
+    return Steps(grid.times[:-1], h, _rows(at_instants, slice(None, -1)), between, last, after)
+
+
+def _divided(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> tuple[Steps, Int[Array, " instants"]]:
+    """The steps of a grid with one more for each declared jump, and the places of its instants among their ends.
+
+    The jumps may be anywhere, in any order, so that the steps that they divide are data. Each step is told by its rank
+    on which piece of a signal it is: times differ by rounding, and a step of no length has a side too, that of the
+    derivative by the time of the jump.
+    """
+    jumps = [(one.jumps - grid.t_start) / grid.duration for one in jumping_in(inputs)]
+    every = jnp.concatenate([*jumps, jnp.asarray(grid.fractions)])
+    order = jnp.argsort(every)  # stable: outputs at a jump are those of the step that begins there
+    ends, ranks = jnp.clip(every[order], 0.0, 1.0), jnp.argsort(order)
+    *own, places = jnp.split(ranks, np.cumsum([one.size for one in jumps]))
+    steps = np.arange(every.size - 1)
+    pieces = [jnp.sum(one[None] <= steps[:, None], axis=1) for one in own]
+
+    def seen(first: Array, length: Array, pieces: list[Array]) -> tuple[dict[str, Array], dict[str, Array]]:
+        held = on_pieces(inputs, pieces)
+        inside = sampled(held, grid, first + length * np.array([0.0, *inner]))
+        return inside, {name: one[0] for name, one in sampled(before_jumps(held), grid, (first + length)[None]).items()}
+
+    lengths = jnp.diff(ends)
+    inside, last = jax.vmap(seen)(ends[:-1], lengths, pieces)
+    first, *between = ({name: rows[:, i] for name, rows in inside.items()} for i in range(len(inner) + 1))
+    after = {name: jnp.concatenate([rows[1:], last[name][-1:]]) for name, rows in first.items()}
+    times = instants(ends[:-1], grid.t_start, grid.t_final)
+    return Steps(times, jnp.asarray(grid.duration) * lengths, first, between, last, after), places
+
+
+def _rows(signals: dict[str, Array], rows: slice) -> dict[str, Array]:
+    return {name: values[rows] for name, values in signals.items()}
