@@ -22,7 +22,7 @@ from aleator.design._functionals import AbstractIntegral
 from aleator.design._response import AbstractProblem, grid_at
 from aleator.design._scope import AbstractScope
 from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, joined, statistics_in
-from aleator.dynamics import Equations, called, jump_times, time_switches
+from aleator.dynamics import Equations, Grid, called, jump_times, time_switches
 from aleator.statistics import AbstractStatistic
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import named_numbers, realise, uncertain_again

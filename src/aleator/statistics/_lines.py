@@ -129,7 +129,7 @@ class Lines(Module):
         cubic = self.table[jax.lax.broadcasted_iota(int, cell.shape, 0), cell]
         return jnp.where(self.is_normal > 0, normal, horner(jnp.moveaxis(cubic, -1, 0), (place - cell)[None])[0])
 
-    def first_of(self, cell: Int[Array | np.ndarray, "*cells"]) -> Float[Array, "*cells"]:
+    def first_of(self, cell: Int[Array, "*cells"]) -> Float[Array, "*cells"]:
         """Where a cell begins, in standard deviations."""
         return (cell - self.cells / 2) * self.step
 
@@ -139,7 +139,7 @@ class Lines(Module):
         direction = minima[:, 0]
         points, weights = _placed(self.normals[:, :replicates], direction, _CENTRE * minima)
         # Slopes at the ends of cells take two more nodes beyond either end.
-        along = self.first_of(np.arange(-2, self.cells + 3))
+        along = self.first_of(jnp.arange(-2, self.cells + 3))
         nodes = points[..., None] + direction[:, None, None] * along[None, None]
         values = self.values(coefficients, nodes.reshape(len(points), -1)).reshape(nodes.shape[1:])
         return LowerTail(points, direction, weights, _cubics(values))
