@@ -50,6 +50,7 @@ def test_no_limit_is_evaded_between_the_points_of_a_finer_mesh():
         lambda t, x: np.interp(t, mesh.nodes, levels) - 20 * x**3, (0.0, 1.0), [1.2], rtol=1e-9, max_step=1e-3
     )
     assert course.y.min() > 1.0 - 2e-3
+    np.testing.assert_array_equal(al.reporting.dataset(solution)["times of limits"], limit.times)
 
 
 def unstable(scheme, steps=200, **options):
