@@ -5,6 +5,7 @@ with an integrator of another order. The finer grid has an odd prime number of t
 are in no phase with those of the problem's: what is constant at these, such as a ripple of their period, shows there.
 """
 
+import math
 from collections.abc import Callable, Collection, Iterable, Iterator
 from typing import Any, NamedTuple, TypeVar
 
@@ -50,6 +51,8 @@ _FOLLOWING, _PLAIN, _FEWEST, _BY_PIECE = 11, 3, 1000, 4
 _BRIEF = 500_000
 # Rounding as a part of the magnitude of an output and of a constraint, and integration error as a part of an output's.
 _ROUNDING, ROUNDING, NEGLIGIBLE_SPREAD = 1e-12, 1e-9, 1e-6
+# A simulation that departs from a mesh by so many times what it simulates; fractions of the duration that are the same.
+_DEPARTED, _SAME = 10.0, 1e-9
 # The depths of tails, as parts of all systems: more than 4 standard deviations of a normal germ, and the median.
 _DEEPEST, _SHALLOWEST = 1e-5, 0.5
 
@@ -110,7 +113,9 @@ class Check(NamedTuple):
     - `statistics`, `means`, `stds`: each statistic in the expressions; the moments of each functional;
     - `reaches`: how large each functional could be, see `AbstractFunctional.reach`;
     - `fresh`: each functional at the fresh systems; `predicted`: what its expansion predicts there;
-    - `systems`: the fresh systems; `factor`: how many times as many steps the finer grid has; `integrator`: its name.
+    - `systems`: the fresh systems; `factor`: how many times as many steps the finer grid has; `integrator`: its name;
+    - `departed`: by how much a simulation from the first instant departs from a mesh, in a sentence, if by so much that
+      each step was simulated from the mesh's own state; else empty.
 
     Statistics, moments and functionals of paths are at every instant of the finer grid.
     """
@@ -125,6 +130,12 @@ class Check(NamedTuple):
     systems: FreshSystems
     factor: int
     integrator: str
+    departed: str = ""
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all moments are."""
+        return all(np.isfinite(one).all() for one in (*self.means, *self.stds))
 
     def spread(self, functional: int) -> Float[np.ndarray, "..."]:
         """The standard deviation of a functional in the fresh systems about the mean by its expansion."""
@@ -138,6 +149,7 @@ def _check(
     constants: Constants,
     systems: Float[Array, "fresh variables"],
     decisions: Float[Array, " n"],
+    courses: Float[Array, "systems parts states"] | None,
 ) -> tuple[Any, ...]:
     """Values, statistics and reaches as in `Check`; coefficients of each functional, and its fresh samples."""
     functionals = functionals_of(problem.expressions)
@@ -145,7 +157,8 @@ def _check(
     peaks = tuple(Peak((name,)) for name in names)
     every = tuple(dict.fromkeys((*functionals, *peaks)))
     points = jnp.concatenate([collocation.points, systems])
-    samples, terms = simulated(problem, every, points, collocation.pseudo_inverse, constants.scenarios, decisions)
+    fit, scenarios = collocation.pseudo_inverse, constants.scenarios
+    samples, terms = simulated(problem, every, points, fit, scenarios, decisions, courses)
     scope = scope_from(problem, every, terms, constants, decisions)
     scope.take_together(problem.expressions)
     values = tuple(jnp.asarray(one.evaluate(scope)) for one in problem.expressions)
@@ -177,15 +190,17 @@ def begin_check(
     `factor`: see `check_factor`; `draw`: which fresh systems, the same at every call, so that answers are repeatable.
 
     Where states are variables, a stiff model has an answer that no explicit method confirms: what is not finite is
-    simulated again by an implicit one.
+    simulated again by an implicit one. Nor does a simulation from the first instant confirm the answer to an unstable
+    one: where it departs by orders of magnitude, each step of the grid is simulated from the state that the mesh has.
     """
     problem, decisions = transcribed.problem, transcribed.decisions(point)
     systems = _systems(problem, draw)
 
-    def begun(integrator: AbstractIntegrator) -> Callable[[], Check]:
+    def begun(integrator: AbstractIntegrator, departed: str = "") -> Callable[[], Check]:
         finer = problem.finer(factor, integrator)
         named = type(integrator).__name__ if problem.is_integrated else "Simpson's rule"
-        wait = CHECK.begin(*_arguments(finer, transcribed.discretised, systems, decisions))
+        courses = _courses(transcribed, point, systems) if departed else None
+        wait = CHECK.begin(*_arguments(finer, transcribed.discretised, systems, decisions, courses))
 
         def result() -> Check:
             values, statistics, reaches, coefficients, fresh = jax.tree.map(np.asarray, wait())
@@ -193,21 +208,61 @@ def begin_check(
             predict = transcribed.discretised.basis.matrix(systems.points)
             predicted = tuple(np.tensordot(predict, one, axes=1) for one in coefficients)
             largest = tuple(map(float, reaches))
-            return Check(values, statistics, means, stds, largest, fresh, predicted, systems, factor, named)
+            numbers = values, statistics, means, stds, largest, fresh, predicted
+            return Check(*numbers, systems, factor, named, departed)
 
         return result
 
-    explicit = begun(problem.integrator.reference())
+    reference = problem.integrator.reference()
+    explicit = begun(reference)
 
     def checked() -> Check:
         # Asked for next; computed here while the check runs on another core.
         transcribed.resolve(point)
         check = explicit()
-        is_finite = all(np.isfinite(one).all() for one in (*check.means, *check.stds))
-        is_confirmed = is_finite or transcribed.fineness == 1 or not problem.is_integrated
-        return check if is_confirmed else begun(Kvaerno5())()
+        if transcribed.fineness == 1 or not problem.is_integrated:
+            return check
+        if not check.is_finite:
+            check = begun(Kvaerno5())()
+        if not (departed := _departed(transcribed, point, check)):
+            return check
+        again = begun(reference, departed)()
+        return again if again.is_finite else begun(Kvaerno5(), departed)()
 
     return checked
+
+
+def _departed(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check) -> str:
+    """By how much a simulation departs most from what a program says of its point, in a sentence; empty unless that is
+    by orders of magnitude.
+    """
+    functionals, resolved = functionals_of(transcribed.problem.expressions), transcribed.resolve(point)
+    bounds = rounding_at(transcribed, point, [0.0] * len(functionals))
+    furthest, sentence = _DEPARTED, ""
+    for one, mean in zip(functionals, check.means, strict=True):
+        own = np.asarray(resolved[one.text()].mean)
+        away = float(np.max(np.abs(mean[:: check.factor] - own if one.is_path else mean - own)))
+        size = max(float(np.max(np.abs(own))), bounds[one] / ROUNDING)
+        # NaN departs furthest.
+        if size > 0 and not away <= furthest * size:
+            furthest, sentence = away / size, f"{one.text()} departs by {away:.2g}, where its magnitude is {size:.2g}"
+    return sentence
+
+
+def _courses(
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], systems: FreshSystems
+) -> Float[np.ndarray, "systems steps states"]:
+    """The states of a mesh at the beginning of each step of the grid: at the collocation points, at the fresh systems
+    as their expansions predict them, and at the scenarios.
+    """
+    states, (basis, collocation, _) = transcribed.states_at(point), transcribed.discretised
+    assert states is not None
+    begins = np.searchsorted(states.fractions, transcribed.limited[transcribed.declared][:-1] - _SAME)
+    every = [one[:, begins].reshape(len(one), len(begins), -1) for one in states.values.values()]
+    rows, count = np.concatenate(every, axis=2), len(collocation.points)
+    fitted = np.tensordot(np.asarray(collocation.pseudo_inverse), rows[:count], axes=1)
+    predicted = np.tensordot(np.asarray(basis.matrix(systems.points)), fitted, axes=1)
+    return np.concatenate([rows[:count], predicted, rows[count:]])
 
 
 def prepare_check(factor: int, problem: Problem, discretised: Discretised) -> Callable[[], object]:
@@ -240,14 +295,20 @@ def _systems(problem: Problem, draw: int) -> FreshSystems:
 
 
 def _arguments(
-    problem: Problem, discretised: Discretised, systems: FreshSystems, decisions: Float[np.ndarray, " n"]
+    problem: Problem,
+    discretised: Discretised,
+    systems: FreshSystems,
+    decisions: Float[np.ndarray, " n"],
+    courses: Float[np.ndarray, "systems steps states"] | None = None,
 ) -> tuple[Any, ...]:
     _, collocation, constants = discretised
-    return numbers_to_arrays(problem), collocation, constants, jax_array(systems.points), jax_array(decisions)
+    known = jax_array(systems.points), jax_array(decisions), None if courses is None else jax_array(courses)
+    return numbers_to_arrays(problem), collocation, constants, *known
 
 
 def check_factor(problem: Problem, between: int | None) -> int:
-    """How many times as many steps the finer grid of a problem has, an odd prime number; 1 without time.
+    """How many times as many steps the finer grid of a problem has, an odd prime number times what reaches the nodes of
+    its controls; 1 without time.
 
     `between`: the least number, see `solve`.
     """
@@ -259,7 +320,11 @@ def check_factor(problem: Problem, between: int | None) -> int:
     parts = pieces(problem)
     chosen = between if between is not None else _FOLLOWING if parts else _PLAIN
     least = max(chosen, -(-_FEWEST // grid.steps), -(-_BY_PIECE * parts // grid.steps), 3)
-    return next(one for one in range(least, 2 * least) if all(one % k for k in range(2, int(one**0.5) + 1)))
+    # Steps end at each node of a control.
+    whole = math.lcm(least_steps((problem.system, problem.inputs)), grid.steps) // grid.steps
+    least = max(3, -(-least // whole))
+    prime = next(one for one in range(least, 2 * least) if all(one % k for k in range(2, int(one**0.5) + 1)))
+    return whole * prime
 
 
 def rounding_at(

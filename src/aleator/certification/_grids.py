@@ -28,6 +28,8 @@ from aleator.transcription import AbstractTranscribed
 _NEGLIGIBLE_VALUE = 1e-3
 # A spread that stands in the problem counts so many times itself: nobody acts on a hundredth of a standard deviation.
 _OF_A_SPREAD = 10.0
+# Errors of all intervals together may be so many times the accuracy: most of them die away.
+_IN_ALL = 3.0
 # Avoids a division of zero by zero.
 _TINY = 1e-30
 # A grid is far off if it makes a quantity this many times too large.
@@ -80,10 +82,22 @@ def grid_error(
         objective=Deviation(OWN_ERROR * away, max(tolerated, _TINY), order=order),
         functionals=deviations,
         broken=max(broken, default=(0.0, ""))[1],
-        unresolved=max([one.unresolved() for one in limits], default=(0.0, ""))[1],
+        unresolved=max([one.unresolved() for one in limits], default=(0.0, ""))[1]
+        or (_drifted(transcribed, point, accuracy) if finer.departed else ""),
         pieces=pieces(problem) or 1,
         by_tolerances=problem.integrator.refined() is not problem.integrator,
         inside=simulates_inside(problem),
+    )
+
+
+def _drifted(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], accuracy: float) -> str:
+    """A sentence on errors that add up over a mesh, which no check of single steps sees; empty if they are small."""
+    drift = float(transcribed.meshes_at(point)[-1].drifts.sum(axis=1).max())
+    if drift <= _IN_ALL * accuracy:
+        return ""
+    return (
+        f"states drift by {drift:.2g} of their magnitude in all, and no simulation confirms an unstable plan: ask for "
+        "a smaller error of each interval, al.Simultaneous(error=...)"
     )
 
 

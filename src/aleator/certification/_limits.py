@@ -6,6 +6,7 @@ side of a jump only, so that the sides before and after it are judged separately
 """
 
 import functools
+import itertools
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -39,7 +40,7 @@ _AT = 1e-6
 class Limit(NamedTuple):
     """A limit on both grids, a path with a row for each instant, others with one row.
 
-    - `own`, `fine`: its values on the problem's grid, and on that with `factor` times as many steps;
+    - `own`, `fine`: its values at the instants of the problem's grid, and of that with `factor` times as many steps;
     - `size`: its smaller bound or, where that is zero, how large its expression may be;
     - `times`: the instants of its own rows, s; NaN for a limit that is no path.
     """
@@ -108,6 +109,7 @@ def limits_at(transcribed: AbstractTranscribed, point: Float[np.ndarray, " varia
     for one, own, fine, place in each:
         times = meaning.times if one.is_path else np.full(1, np.nan)
         size = bound_size(one) or max(reach_of(one.expression, reaches), float(np.max(rows()[place])))
+        own = transcribed.at_instants(one, own)
         by_row = own.reshape(len(times), -1), fine.reshape(len(fine) if one.is_path else 1, -1)
         limits.append(Limit(one, *by_row, check.factor, size, times))
     return limits
@@ -131,9 +133,9 @@ def reach_of(expression: Expression, reaches: dict[Any, float]) -> float:
 
 # --- Between the instants --------------------------------------------------------------------------------------------
 
-Margins = tuple[Float[np.ndarray, " instants"] | None, ...]
-"""By how much the bounds of each constraint are moved inwards at each instant; None for limits on no path or peak, and
-for equalities, of which no margin can enforce both sides.
+Margins = tuple[Float[np.ndarray, " limited"] | None, ...]
+"""By how much the bounds of each constraint are moved inwards wherever limits over time are imposed; None for limits on
+no path or peak, and for equalities, of which no margin can enforce both sides.
 """
 
 
@@ -145,6 +147,7 @@ def excess_between(
     """
     knots = _knots(transcribed.problem, transcribed.decisions(point))
     between, shifts = Between(check.factor, 0.0, "", 0.0), []
+    places = transcribed.limited * check.factor * transcribed.problem.grid.steps
     for limit, scale in zip(limits_at(transcribed, point, check), transcribed.scales, strict=True):
         one, rows, shift = limit.constraint, limit.beyond, None
         if is_over_time(one):
@@ -154,7 +157,7 @@ def excess_between(
                 for place, before, after in (jumps(limit.fine, knots) if one.is_path else [])
             ]
             if float(one.lower) != float(one.upper):
-                shift = _shifts(rows, limit.factor, sides) if one.is_path else rows
+                shift = _shifts(rows, places, sides) if one.is_path else rows
             # NaN counts as the largest excess.
             candidates = [(float(rows.max()), int(np.argmax(rows))), *((max(side[1:]), int(side[0])) for side in sides)]
             largest, place = max((np.inf if np.isnan(most) else most, place) for most, place in candidates)
@@ -196,22 +199,26 @@ def jumps(
 
 
 def _shifts(
-    beyond: Float[np.ndarray, " finer"], factor: int, sides: list[tuple[float, float, float]]
-) -> Float[np.ndarray, " instants"]:
+    beyond: Float[np.ndarray, " finer"],
+    places: Float[np.ndarray, " limited"],
+    sides: list[tuple[float, float, float]],
+) -> Float[np.ndarray, " limited"]:
     """The shifts at both ends of each interval that its worst value requires, in proportion to their proximity.
+
+    - `places`: the ends of the intervals, in steps of the finer grid.
 
     Shifts `e (1 - s)` and `e s`, divided by `(1 - s)² + s²`, change a straight line between them by `e` at the fraction
     `s`. In an interval with jumps, each end answers for its own side of them only.
     """
-    inside = beyond[np.arange(0, len(beyond) - 1, factor)[:, None] + np.arange(factor + 1)[None, :]]
-    worst = np.argmax(inside, axis=1)
-    excess = inside[np.arange(len(inside)), worst]
-    s = worst / factor
+    low, high = np.ceil(places[:-1] - _AT).astype(int), np.floor(places[1:] + _AT).astype(int)
+    which = np.minimum(low[:, None] + np.arange((high - low).max() + 1), high[:, None])
+    inside = np.where((low <= high)[:, None], beyond[which], -np.inf)
+    worst = (np.arange(len(low)), np.argmax(inside, axis=1))
+    excess, s = inside[worst], np.clip((which[worst] - places[:-1]) / np.diff(places), 0.0, 1.0)
     share = np.stack([1 - s, s]) / ((1 - s) ** 2 + s**2)
     first, last = np.where(excess > 0, share * excess, excess)
     fine = np.arange(len(beyond))
-    for i in range(len(inside)) if sides else ():
-        begin, end = i * factor, (i + 1) * factor
+    for i, (begin, end) in enumerate(itertools.pairwise(places)) if sides else ():
         here = [side for side in sides if begin - _AT <= side[0] <= end + _AT]
         if here:
             (earliest, before, _), (latest, _, after) = here[0], here[-1]

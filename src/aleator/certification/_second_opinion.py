@@ -255,7 +255,7 @@ def _judged(
                 broken = f"the objective differs by {by:+.3g} ± {error:.2g}, more than was gained ({gained:.3g})"
             continue
         limit = problem.constraints[which - 1]
-        value = float(meaning.constraints[which - 1][where]) + by
+        value = float(transcribed.at_instants(limit, meaning.constraints[which - 1])[where]) + by
         beyond = max(value - float(limit.upper), float(limit.lower) - value)
         if beyond > _BREAKS * scale:
             corrected = f"{by:+.3g} ± {error:.2g}"

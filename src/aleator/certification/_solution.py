@@ -84,6 +84,7 @@ def solution_of(
             grid_error=error,
             worst_case=worst_case,
             misled=misled,
+            departed="" if check is None else check.departed,
             reaches={} if check is None else dict(zip(transcribed.texts.functionals, check.reaches, strict=True)),
         ),
         effort=Effort(
@@ -109,7 +110,7 @@ def _constraint_results(transcribed: AbstractTranscribed, outcome: Outcome, mean
     each = transcribed.problem.constraints, transcribed.texts.constraints, transcribed.rows, meaning.constraints
     results = []
     for one, text, rows, own in zip(*each, strict=True):
-        times = meaning.times if one.is_path else None
+        times = transcribed.times_limited(outcome.point) if one.is_path else None
         parts = as_read(one, transcribed.scenarios, own, outcome.multipliers[rows], outcome.active[rows])
         if times is not None:  # rows by instant, if there are several at each
             parts = (part if len(part) == len(times) else part.reshape(len(times), -1) for part in parts)

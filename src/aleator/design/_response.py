@@ -139,8 +139,12 @@ def sampled(
     paths: tuple[AbstractFunctional, ...],
     germ: Float[Array, "points variables"],
     decisions: Float[Array, " n"],
+    courses: Float[Array, "points parts states"] | None = None,
 ) -> Sampled:
-    """Functionals at each germ point; those in `paths` at the midpoints of steps too."""
+    """Functionals at each germ point; those in `paths` at the midpoints of steps too.
+
+    - `courses`: the states from which parts of the time are simulated, see `Asked.course`.
+    """
     integrals = tuple(one for one in functionals if isinstance(one, AbstractIntegral))
     asked = Asked(
         instants=_outputs([one for one in functionals if not isinstance(one, AbstractIntegral)]),
@@ -149,9 +153,9 @@ def sampled(
         integrated=_outputs(integrals),
     )
 
-    def one(point: Float[Array, " variables"]) -> Sampled:
+    def one(point: Float[Array, " variables"], course: Float[Array, "parts states"] | None) -> Sampled:
         realised = realise(problem.simulation, point, decisions)
-        record = realised.record(asked)
+        record = realised.record(asked._replace(course=course))
         taken = Taken(record.history, dict(zip(integrals, record.integrals, strict=True)))
         between = Taken(record.nodes, {})
         return Sampled(
@@ -159,7 +163,7 @@ def sampled(
             numbers_of(paths, between, realised.grid),
         )
 
-    return jax.vmap(one)(germ)
+    return jax.vmap(one)(germ, courses)
 
 
 def _outputs(functionals: Iterable[AbstractFunctional]) -> frozenset[str]:

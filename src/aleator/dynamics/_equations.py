@@ -13,7 +13,8 @@ from typing import Any, NamedTuple, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import NUMBER, refuse_beyond_memory
@@ -218,7 +219,8 @@ def _evaluated(
 class TracedSystem(System):
     """A realised system by its equations.
 
-    - `only`: the outputs that are needed; None for all.
+    - `only`: the outputs that are needed; None for all;
+    - `begun`: the states, side by side, that it starts from; None for those of its equations.
     """
 
     system: System
@@ -226,9 +228,10 @@ class TracedSystem(System):
     only: frozenset[str] | None = eqx.field(static=True)
     states: tuple[str, ...] = eqx.field(static=True)  # type: ignore[misc]
     algebraic: tuple[str, ...] = eqx.field(static=True)  # type: ignore[misc]
+    begun: Float[Array, " states"] | None
 
-    def __init__(self, system: System, equations: Equations, only: frozenset[str] | None = None):
-        self.system, self.equations, self.only = system, equations, only
+    def __init__(self, system: System, equations: Equations, only: frozenset[str] | None = None, begun: Any = None):
+        self.system, self.equations, self.only, self.begun = system, equations, only, begun
         self.states, self.algebraic = system.states, system.algebraic  # type: ignore[misc]
 
     @property
@@ -259,7 +262,8 @@ class TracedSystem(System):
 
     @override
     def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
-        return self.equations["initial"](self.system, t, dict(inputs))._asdict()
+        first = self.equations["initial"](self.system, t, dict(inputs))
+        return (first if self.begun is None else ravel_pytree(first)[1](self.begun))._asdict()
 
     @override
     def signals(self) -> Mapping[str, AbstractSignal]:
@@ -267,7 +271,11 @@ class TracedSystem(System):
 
     @override
     def focused(self, only: Collection[str]) -> System:
-        return TracedSystem(self.system, self.equations, frozenset(only))
+        return TracedSystem(self.system, self.equations, frozenset(only), self.begun)
+
+    def beginning(self, states: Float[Array, " states"]) -> "TracedSystem":
+        """The same system from other states."""
+        return TracedSystem(self.system, self.equations, self.only, states)
 
 
 @final

@@ -40,7 +40,9 @@ class Asked(NamedTuple):
     - `nodes`: those of them to record at the midpoints of the steps too, for statistics that are integrated over time;
     - `integrands`: functions integrated over time along the realisation, as accurately as its states; `integrated`: the
       outputs that they depend on;
-    - `fold`: what is made of the outputs at every instant instead of keeping them, where `Simulation.folds`.
+    - `fold`: what is made of the outputs at every instant instead of keeping them, where `Simulation.folds`;
+    - `course`: the states, side by side, from which each of so many equal parts of the time is simulated; None for one
+      simulation from the first instant. Integrators are asked for one part at a time.
     """
 
     instants: frozenset[str] | None = None
@@ -48,6 +50,7 @@ class Asked(NamedTuple):
     integrands: tuple[Integrand, ...] = ()
     integrated: frozenset[str] = frozenset()
     fold: Fold | None = None
+    course: Float[Array, "parts states"] | None = None
 
     def folded(self, carried: Any, outputs: dict[str, Array]) -> tuple[Any, dict[str, Array]]:
         """What is carried on from an instant, and what is recorded of the outputs there: without a fold, all."""

@@ -8,15 +8,17 @@ from typing import Any, final
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from aleator._core.arrays import in_library, jax_array, numbers_to_arrays
 from aleator._core.border import refuse_missing
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, is_leaf, named_leaves, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, explain_failure
-from aleator.dynamics._equations import Equations, Start
+from aleator.dynamics._equations import Equations, Start, TracedSystem
 from aleator.dynamics._evaluation import initial_state
-from aleator.dynamics._grid import AbstractGrid, Grid, Instant, check_signals, sampled
+from aleator.dynamics._grid import AbstractGrid, Grid, Inputs, Instant, check_signals, sampled
 from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator, RungeKutta4
 from aleator.dynamics._record import Asked, History, Record, chosen, observed
 from aleator.dynamics._system import AbstractSystem, System, check_variables
@@ -71,11 +73,33 @@ class Simulation(Module):
         if asked.instants is not None:
             system = system.focused(asked.instants | asked.nodes | asked.integrated)
         inputs = {**system.signals(), **self.inputs}
+        if asked.course is not None:
+            assert isinstance(system, TracedSystem)
+            return self._in_parts(system, grid, inputs, asked, asked.course)
         return (
             self.integrator.record(system, grid, inputs, asked)
             if system.states
             else observed(system, grid, inputs, asked)
         )
+
+    def _in_parts(
+        self, system: TracedSystem, grid: Grid, inputs: Inputs, asked: Asked, course: Float[Array, "parts states"]
+    ) -> Record:
+        """The record of equal parts of the time, each simulated from states of its own."""
+        steps = grid.steps // len(course)
+        whole = {name: signal.over(grid.t_start, grid.t_final) for name, signal in inputs.items()}
+
+        def part(states: Array, first: Array, last: Array) -> Record:
+            own = eqx.tree_at(lambda one: (one.t_start, one.t_final), grid.divided(steps), (first, last))
+            return self.integrator.record(system.beginning(states), own, whole, asked._replace(course=None))
+
+        def joined(rows: Float[Array, "parts ends ..."]) -> Float[Array, "instants ..."]:
+            return jnp.concatenate([rows[0, :1], rows[:, 1:].reshape(-1, *rows.shape[2:])])
+
+        ends = grid.times[::steps]
+        parts = jax.vmap(part)(course, ends[:-1], ends[1:])
+        history, nodes = jax.tree.map(joined, (parts.history, parts.nodes))
+        return Record(history, nodes, tuple(one.sum(axis=0) for one in parts.integrals))
 
     @property
     def folds(self) -> bool:

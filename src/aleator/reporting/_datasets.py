@@ -61,6 +61,9 @@ def solution_dataset(solution: Solution) -> "xarray.Dataset":
     for i, (one, declared) in enumerate(zip(solution.constraints, problem.constraints, strict=True)):
         unit, label = unit_of_expression(declared.expression, problem), f"constraint {i} {_key(one.name)}"
         axes = _axes(one.values, one.times is not None)
+        if one.times is not None and len(one.times) > len(solution.instants):  # Limits on a mesh have more instants.
+            axes = ("point of limits", *axes[1:])
+            data["times of limits"] = variable(axes[0], one.times, "instants of limits over time", "s")
         data[label] = variable(axes, one.values, one.text, unit, lower=f"{one.lower:g}", upper=f"{one.upper:g}")
         data[f"{label} multiplier"] = variable(axes, one.multipliers, "minus the objective per bound", "")
         data[f"{label} active"] = variable(axes, np.asarray(one.active, dtype=np.int8), "1 where active", "")

@@ -289,7 +289,9 @@ class Certificate(Printed):
       infeasible problem, on a limit that the grid does not resolve at the least violated point; else empty;
     - `lost`: a sentence on values that do not follow their derivatives around the answer; empty if there are none;
     - `reaches`: how large each functional could be, to which its rounding is relative; empty if nothing was checked;
-    - `correlations`: which correlations of uncertain numbers are not those given, for decisions set their shapes.
+    - `correlations`: which correlations of uncertain numbers are not those given, for decisions set their shapes;
+    - `departed`: how far a simulation from the first instant departs from the states of an unstable plan, which then
+      were checked step by step, each from the plan's own state; empty if it does not depart by orders of magnitude.
     """
 
     violation: float
@@ -305,6 +307,7 @@ class Certificate(Printed):
     lost: str = ""
     reaches: Mapping[str, float] = field(default_factory=dict)
     correlations: str = ""
+    departed: str = ""
 
     @property
     def objection(self) -> Objection | None:
@@ -356,6 +359,12 @@ class Certificate(Printed):
         rows = [
             ("between", self.between),
             ("grid", self.grid_error),
+            (
+                "open loop",
+                self.departed
+                and f"unstable: simulated from its first instant, {self.departed}; so each step of the grid was "
+                "checked from the plan's own state, and the plan needs feedback",
+            ),
             *(("worst case", row) for row in (worst_case.rows() if worst_case else ())),
             ("certificate", residuals),
             ("expansion", expansion),

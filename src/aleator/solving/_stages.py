@@ -56,6 +56,8 @@ UNSOLVED = (Status.INFEASIBLE, Status.FAILED, Status.ITERATION_LIMIT)
 
 # How often at most: an answer is left for a better one, bounds are tightened, and scenarios are added.
 _MOST_RESTARTS, _MOST_TIGHTENINGS, _MOST_SCENARIOS = 8, 12, 20
+# The tolerance of answers by which meshes are chosen.
+_ROUGH = 1e-3
 
 
 class Held(NamedTuple):
@@ -156,17 +158,25 @@ class Stages(NamedTuple):
     def _on_fine_mesh(
         self, transcribed: AbstractTranscribed, start: np.ndarray | None
     ) -> tuple[AbstractTranscribed, np.ndarray | None, Outcome]:
-        """The problem on a mesh that is fine enough, where its search began, and the outcome."""
+        """The problem on a mesh that is fine enough, where its search began, and the outcome.
+
+        Meshes are chosen by rough answers, since the last digits of one are those of its mesh alone.
+        """
+        rough = replace(self.solver, tolerance=max(self.solver.tolerance, _ROUGH))
+        stages, multipliers = self._replace(solver=rough), None
         while True:
-            outcome = self._searched(transcribed, start, None)
+            outcome, finer = stages._searched(transcribed, start, multipliers), None
             if outcome.status is Status.INTERRUPTED:
                 raise KeyboardInterrupt
-            if outcome.status is not Status.SOLVED:
+            if outcome.status is Status.SOLVED:
+                start, multipliers = outcome.point, outcome.multipliers
+                finer = transcribed.refined(start)
+            if finer is not None:
+                (transcribed, start), multipliers = finer, None
+            elif stages.solver == self.solver:
                 return transcribed, start, outcome
-            start = outcome.point
-            if (finer := transcribed.refined(start)) is None:
-                return transcribed, start, outcome
-            transcribed, start = finer
+            else:
+                stages = self
 
     def _judges_between(self, problem: Problem) -> bool:
         return self.between != 1 and any(map(is_over_time, problem.constraints))

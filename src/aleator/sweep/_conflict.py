@@ -164,7 +164,7 @@ def _limit(
     for i in pushing:
         constraint = transcribed.problem.constraints[i]
         if constraint.is_path:
-            instants = transcribed.at(together.point).times
+            instants = transcribed.times_limited(together.point)
             times.update(instants[in_the_way[i].reshape(len(instants), -1).any(axis=1)].tolist())
         if scenarios is not None and (is_worst_case(constraint) or is_at_points(constraint)):
             slots = in_the_way[i].reshape(-1, len(scenarios.used)).any(axis=0)

@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from aleator._core.compilation import Compiled, Use
-from aleator.design import Problem, functionals_of, history, statistics_in
+from aleator.design import Constraint, Problem, functionals_of, history, statistics_in
+from aleator.dynamics import Grid
 from aleator.expansion import Basis, Collocation
 from aleator.nlp import AbstractSolver, NonlinearProgram, default_solver
 from aleator.solution import Costates, MeshError, Solution, States, Switching
@@ -23,6 +24,8 @@ from aleator.uncertainty import Placements
 
 # The start of a search or its latest point, and the one before.
 _KEPT = 2
+# Fractions of the duration closer than this are the same, up to rounding.
+_SAME = 1e-12
 
 _Result = TypeVar("_Result")
 
@@ -66,7 +69,7 @@ class Meaning(NamedTuple):
     - `tangents`: the derivatives of the samples (of a path at a few instants, see `seen`) by the decisions that are
       parameters of distributions; None if they are not computed;
     - `statistics`: all statistics in the expressions, in the order of `statistics_in`;
-    - `times`: the instants of the grid, s.
+    - `times`: the instants of the grid, s. Limits over time may have further rows, see `limited`.
     """
 
     decisions: Float[np.ndarray, " n"]
@@ -123,6 +126,27 @@ class AbstractTranscribed(abc.ABC):
     @abc.abstractmethod
     def at_scenarios(self, scenarios: Scenarios) -> Self:
         """The same problem with its limits on the worst case imposed at other scenarios."""
+
+    @property
+    def limited(self) -> Float[np.ndarray, " limited"]:
+        """Where limits over time are imposed, as fractions of the duration: at the instants of the grid, and on a mesh
+        at its nodes between these.
+        """
+        return self.problem.grid.fractions if isinstance(self.problem.grid, Grid) else np.zeros(1)
+
+    @property
+    def declared(self) -> Int[np.ndarray, " instants"]:
+        """Which of the places in `limited` are the instants of the grid."""
+        grid = self.problem.grid
+        return np.searchsorted(self.limited, grid.fractions - _SAME) if isinstance(grid, Grid) else np.zeros(1, int)
+
+    def at_instants(self, limit: Constraint, rows: Float[np.ndarray, " rows"]) -> Float[np.ndarray, " some"]:
+        """The rows of a limit without those between the instants of the grid."""
+        return rows.reshape(len(self.limited), -1)[self.declared].ravel() if limit.is_path else rows
+
+    def times_limited(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " limited"]:
+        """The places in `limited` as times, s."""
+        return np.interp(self.limited, self.limited[self.declared], self.at(point).times)
 
     @property
     def fineness(self) -> int:

@@ -271,15 +271,18 @@ def simulated(
     fit: Float[Array, "terms fitted"],
     scenarios: Float[Array, "scenarios variables"] | None,
     decisions: Float[Array, " n"],
+    courses: Float[Array, "systems parts states"] | None = None,
 ) -> tuple[tuple[Float[Array, "points ..."], ...], Terms]:
     """Functionals at some points, and the contribution of the collocation points among these to the coefficients.
 
-    - `fit`: the columns of the collocation's `pseudo_inverse` that belong to the first points; others have none.
+    - `fit`: the columns of the collocation's `pseudo_inverse` that belong to the first points; others have none;
+    - `courses`: the states from which parts of the time are simulated, of the points, then of the scenarios.
     """
     if not functionals:
         return (), Terms((), (), ())
     count, every = len(points), points if scenarios is None else jnp.concatenate([points, scenarios])
-    sampling, fitted = sampled(problem, functionals, _integrated(problem, functionals), every, decisions), fit.shape[1]
+    paths, fitted = _integrated(problem, functionals), fit.shape[1]
+    sampling = sampled(problem, functionals, paths, every, decisions, courses)
     return tuple(values[:count] for values in sampling.values), Terms(
         coefficients=tuple(jnp.tensordot(fit, values[:fitted], axes=1) for values in sampling.values),
         nodes=tuple(jnp.tensordot(fit, values[:fitted], axes=1) for values in sampling.nodes),

@@ -36,7 +36,8 @@ class Families(NamedTuple):
     - `initial`: the initial states of each realisation, at the first mesh point;
     - `rates`: the blocks of the scheme, mean rates of states, then of integrands; `equations`: those of the algebraic
       variables, wherever signals are told;
-    - `paths`, `ends`: outputs at every instant, and at the last; `composed`: functionals of histories and integrals;
+    - `paths`, `ends`: outputs wherever paths are recorded, and at the last instant; `composed`: functionals of
+      histories and integrals;
     - `nodes`: outputs at the nodes of integrals over time;
     - `expressions`: the objective, then the constraints; `integrands`: of integrals of statistics, by the fraction of
       the duration.
@@ -76,16 +77,18 @@ def families(
     - `points`: the germ points of the realisations.
     """
     pointwise, mesh, grid = layout.pointwise, layout.plan.mesh, layout.pointwise.grid
-    instants, sides = mesh.instants(grid.fractions), mesh.instant_sides(grid.fractions)
+    recorded = layout.plan.recorded(grid)
+    instants, sides = mesh.instants(recorded), mesh.instant_sides(recorded)
+    declared = np.searchsorted(instants, mesh.instants(grid.fractions))
     nodes, node_sides = mesh.instants(grid.node_fractions), mesh.instant_sides(grid.node_fractions)
     places, every = mesh.places, np.arange(len(mesh.sides))
     model = np.concatenate([variables.decisions[pointwise.direct], variables.duration])
     none = variables.decisions[None, None, :0]
     integrals = variables.integrals.shape[2]
-    histories = variables.paths.reshape(len(variables.paths), -1)
+    histories = variables.paths[:, declared].reshape(len(variables.paths), -1)
     summed = variables.integrals[:, -1]
     needs_histories = any(not isinstance(one, AbstractIntegral) for one in pointwise.composed)
-    recorded = np.concatenate([summed, histories if needs_histories else histories[:, :0]], axis=1)
+    composing = np.concatenate([summed, histories if needs_histories else histories[:, :0]], axis=1)
 
     def at(which: np.ndarray, sides: np.ndarray) -> np.ndarray:
         """Signals, states and algebraic variables at some mesh points of every realisation."""
@@ -121,7 +124,7 @@ def families(
         Family(residuals, model, at(mesh.sides, every), points, places),
         observed(pointwise.paths, instants, sides),
         observed(pointwise.ends, instants[-1:], sides[-1:]),
-        Family(composed, variables.duration, recorded[:, None]),
+        Family(composed, variables.duration, composing[:, None]),
         observed(pointwise.nodes, nodes, node_sides),
         tuple(_limits(layout, problem, constants, variables)),
         tuple(_integrand(layout, problem, constants, one, variables) for one in integrals_over_time(problem)),

@@ -35,7 +35,7 @@ from aleator.design import (
     integrated_paths,
     time_integrals,
 )
-from aleator.dynamics import AbstractScheme
+from aleator.dynamics import AbstractScheme, Grid
 from aleator.nlp import SparseMatrix
 from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._pointwise import Pointwise, Shapes, apart
@@ -54,8 +54,8 @@ class Variables(NamedTuple):
       variables);
     - `integrals`: from the beginning to the end of each interval, shape (realisations, intervals, ...): summed one by
       one, because a row of all would couple all points, and a factorisation would fill;
-    - `paths`, `ends`, `composed`: what is recorded of each realisation, the first axis; of `paths` the second are the
-      instants;
+    - `paths`, `ends`, `composed`: what is recorded of each realisation, the first axis; of `paths` the second is that
+      of `Plan.recorded`;
     - `nodes`: what is recorded of each realisation at instants and in the middles between, the second axis;
     - `totals`: of expressions that are integrated over time;
     - `coefficients`: of each functional that is expanded, shape (terms, ...), then of those whose statistics are
@@ -88,6 +88,7 @@ class Plan:
     - `scheme`: of the first mesh;
     - `points`, `scenarios`: how many collocation points there are, and realisations at which the worst case is held;
     - `terms`: of the expansions;
+    - `is_everywhere`: whether limits over time hold at all points of the mesh, or at the instants of the grid alone;
     - `is_affine`: whether signals and duration depend on the decisions in an affine way.
     """
 
@@ -96,7 +97,12 @@ class Plan:
     points: int
     scenarios: int
     terms: int
+    is_everywhere: bool
     is_affine: bool
+
+    def recorded(self, grid: Grid) -> Float[np.ndarray, " recorded"]:
+        """Where paths are recorded, as fractions of the duration."""
+        return self.mesh.fractions if self.is_everywhere else grid.fractions
 
     @property
     def realisations(self) -> int:
@@ -124,6 +130,7 @@ class Layout:
             shapes = replace(shapes, algebraic=0)
         composed = tuple(_shape(one, pointwise, shapes) for one in pointwise.composed)
         every, points, instants = plan.realisations, len(plan.mesh.fractions), pointwise.grid.steps + 1
+        recorded = len(plan.recorded(pointwise.grid))
         sizes = Variables(
             decisions=(problem.placements.size,),
             duration=(1,),
@@ -131,7 +138,7 @@ class Layout:
             states=(every, points, shapes.states),
             algebraic=(every, len(plan.mesh.sides), shapes.algebraic),
             integrals=(every, len(plan.mesh.lengths), sum(map(math.prod, shapes.integrals))),
-            paths=(every, instants, shapes.size(pointwise.paths)),
+            paths=(every, recorded, shapes.size(pointwise.paths)),
             ends=(every, shapes.size(pointwise.ends)),
             composed=(every, sum(map(math.prod, composed))),
             nodes=(every, 2 * instants - 1, shapes.size(pointwise.nodes)),

@@ -102,12 +102,12 @@ class Mesh:
         return Mesh((*np.concatenate(inside).tolist(), self.nodes[-1]), scheme, self.has_jumps)
 
     def instants(self, fractions: Float[np.ndarray, " instants"]) -> Int[np.ndarray, " instants"]:
-        """The numbers of the points that the instants of a grid are."""
-        return self._nearest(fractions) * (len(self.scheme.points) - 1)
+        """The numbers of the points that some instants are."""
+        return np.searchsorted(self.fractions, fractions - _SAME)
 
     def instant_sides(self, fractions: Float[np.ndarray, " instants"]) -> Int[np.ndarray, " instants"]:
         """Which of the `places` are those of these points: at a jump, that of the interval which begins."""
-        return np.append(self._sides[:, 0], self._sides[-1, -1])[self._nearest(fractions)]
+        return np.searchsorted(self.places[:, 0], fractions + _SAME) - 1
 
     @property
     def _sides(self) -> Int[np.ndarray, "intervals told"]:
@@ -127,9 +127,6 @@ class Mesh:
         """Which of all intervals' blocks there are: of two that begin at the same point one, if nothing jumps there."""
         every = self.points[:, self.scheme.asked].ravel()
         return np.arange(every.size) if self.has_jumps else np.unique(every, return_index=True)[1]
-
-    def _nearest(self, fractions: Float[np.ndarray, " instants"]) -> Int[np.ndarray, " instants"]:
-        return np.abs(np.array(self.nodes) - np.asarray(fractions)[:, None]).argmin(axis=1)
 
 
 def first_nodes(problem: Problem) -> tuple[float, ...]:

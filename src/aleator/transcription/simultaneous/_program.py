@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from aleator.design import Problem
+from aleator.design import Problem, Value
 from aleator.nlp import Evaluation, Hessian, NonlinearProgram, SparseMatrix
 from aleator.statistics import Constants
 from aleator.transcription._abstract import Remembered
@@ -49,15 +49,21 @@ def _calls(
     """
     nodes, scheme = tuple(layout.pointwise.grid.fractions.tolist()), layout.plan.scheme
     first = replace(layout.plan, mesh=replace(layout.plan.mesh, nodes=nodes, scheme=scheme))
-    sizes = [(len(one.own), one.own.shape[1]) for one in every]
+    recorded, begun = (len(one.recorded(layout.pointwise.grid)) for one in (layout.plan, first))
+    sizes = [(len(one.own), begun if one.own.shape[1] == recorded else one.own.shape[1]) for one in every]
     sizes[RATES] = tile_size(sizes[RATES][0], len(first.mesh.asked))
     sizes[EQUATIONS] = tile_size(sizes[EQUATIONS][0], len(first.mesh.sides))
     tiles = [tiles_of(i, one, patterns[i], sizes[i]) for i, one in enumerate(every)]
     rows = [one.rows.size for one in patterns]
     moving = [calls_of(equations, None, scheme.rate, [(one,) for one in tiles[i]]) for i in _MOVING if rows[i]]
     known = [] if layout.plan.is_affine else calls_of(traced, constants, layout.plan, [tuple(tiles[KNOWN])])
-    rest = [some[0] for i, some in enumerate(tiles) if i not in (KNOWN, *_MOVING) and rows[i]]
-    still = calls_of(traced, constants, first, [tuple(rest)])
+    rest = [some for i, some in enumerate(tiles) if i not in (KNOWN, *_MOVING) and rows[i]]
+    # Few of them grow with the mesh, where paths are recorded: with more tiles of these the others are repeated.
+    count = max(map(len, rest))
+    together = [tuple(some[min(k, len(some) - 1)] for some in rest) for k in range(count)]
+    # Numbers by name are those of the problem's own decisions, whose number grows with those of its controls.
+    has_names = any(isinstance(leaf, Value) for one in traced.expressions for leaf in one.leaves)
+    still = calls_of(traced if has_names else equations, constants, first, together)
     return [call for some in (*moving, known, still) for call in some]
 
 

@@ -38,8 +38,8 @@ class Simultaneous(AbstractTranscription):
 
     - `scheme`: how states follow their rates, such as `al.schemes.Radau(3)`;
     - `error`: the error of the states that is asked of every interval of the mesh, relative to their magnitudes. The
-      mesh begins as the steps of the grid; intervals that err more are divided until all are as accurate. None leaves
-      it as it is;
+      mesh begins as the steps of the grid; intervals that err more are divided until all are as accurate. Limits over
+      time then hold at all points of the mesh, not at the instants alone. None leaves the mesh as it is;
     - `most_stages`: schemes with as many stages as are asked for (`al.schemes.Radau`, `GaussLegendre`) may be given
       more, up to so many: on each finer mesh that takes the least points, dividing intervals or raising the order of
       all. Then few long intervals follow smooth states; controls on the mesh are not made finer where intervals are not

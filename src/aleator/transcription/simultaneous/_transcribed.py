@@ -6,7 +6,7 @@ unstable, stiff or held within bounds can be designed that cannot be simulated a
 
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import jax
 import numpy as np
@@ -16,6 +16,7 @@ from typing_extensions import override
 from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
 from aleator.design import (
+    AbstractFunctional,
     Problem,
     expanded_functionals,
     functionals_of,
@@ -89,9 +90,9 @@ class Recipe(NamedTuple):
         points, fit = np.asarray(collocation.points), np.asarray(collocation.pseudo_inverse)
         every = points if scenarios is None else np.concatenate([points, scenarios.points])
         pointwise = Pointwise.of(problem)
-        plan = Plan(
-            mesh, self.goal.schemes[0], len(points), len(every) - len(points), len(fit), are_affine(pointwise, mesh)
-        )
+        is_everywhere = np.isfinite(self.goal.error) and any(one.is_path for one in problem.constraints)
+        counts = len(points), len(every) - len(points), len(fit)
+        plan = Plan(mesh, self.goal.schemes[0], *counts, is_everywhere, are_affine(pointwise, mesh))
         layout, fixed = Layout.of(problem, plan), Fixed.of(pointwise)
         assembled = Assembled.of(layout, self.traced, self.equations, constants, every, fit, fixed)
         if start is None:
@@ -146,7 +147,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
 
     def _meaning(self, point: Float[np.ndarray, " variables"]) -> Meaning:
         evaluation, variables = self.assembled(point), self.layout.view(point)
-        every, numbers = self.layout.samples(variables), self.layout.samples(self.layout.numbers)
+        every, numbers = (self._at_instants(self.layout.samples(one)) for one in (variables, self.layout.numbers))
         count, expressions = len(self.collocation.points), self.problem.expressions
         sizes = self._sizes(point)
         samples = {one: self._apart(values, numbers[one], sizes) for one, values in every.items()}
@@ -167,6 +168,15 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
             statistics=tuple(np.asarray(one) for one in taken),
             times=self._instants(point, grid.fractions),
         )
+
+    @property
+    @override
+    def limited(self) -> Float[np.ndarray, " limited"]:
+        return self.layout.plan.recorded(self.layout.pointwise.grid)
+
+    def _at_instants(self, samples: dict[AbstractFunctional, Any]) -> dict[AbstractFunctional, Any]:
+        """Functionals on every realisation, paths at the instants of the grid alone."""
+        return {one: values[:, self.declared] if one.is_path else values for one, values in samples.items()}
 
     @staticmethod
     def _apart(samples: np.ndarray, numbers: np.ndarray, sizes: np.ndarray) -> np.ndarray:
