@@ -149,6 +149,16 @@ def test_a_spread_is_optimal_at_zero_where_it_has_its_kink(solver):
     assert solution.objective == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("limit", "price"), [(RESPONSE.std <= 0.0, np.sqrt(3) / 0.1), (RESPONSE.at_most(0.0, sigmas=2.0), np.sqrt(3) / 0.2)]
+)
+def test_the_price_of_a_limit_on_a_spread_that_is_zero_is_that_of_its_slope_beside_the_kink(limit, price):
+    gain = Gain(gain=al.Decision(0.7, -1.0, 2.0), theta=al.Uniform(0.0, half_width=0.1))
+    solution = al.solve(al.Problem(gain, grid=ONE_STEP, minimize=-1.0 * al.value("gain"), subject_to=[limit]))
+    assert solution.decisions["gain"] == pytest.approx(0.0, abs=1e-7)
+    assert solution.multipliers[0] == pytest.approx(price, rel=1e-5)
+
+
 SQUARE = al.output("square").mean
 CASES = {
     "stopped": (lambda: plane("valley"), {"max_iterations": 3}, "Allow the solver more iterations"),

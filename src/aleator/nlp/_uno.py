@@ -151,10 +151,11 @@ class FilterSQP(_AbstractUno):
     the trust region.
 
     - `tolerance`, `max_iterations`: see `AbstractLocalSolver`;
-    - `radius`: initial trust region, in typical magnitudes of the variables.
+    - `radius`: initial trust region, in typical magnitudes of the variables. Long first steps, made before anything is
+      known of curvature, carry durations to zero and controls to their bounds, where searches for feasibility creep.
     """
 
-    radius: float = 10.0
+    radius: float = 0.25
 
     preset: ClassVar[str] = "filtersqp"
     method: ClassVar[str] = "filterSQP"
