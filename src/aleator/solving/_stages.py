@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from aleator._core.errors import ProblemError
 from aleator.certification import (
     Check,
     Oracle,
@@ -40,13 +41,24 @@ from aleator.certification import (
     worst_case_of,
 )
 from aleator.design import Problem, is_over_time
-from aleator.nlp import HELD, AbstractSearch, AbstractSolver, NonlinearProgram, Outcome, Status, restart_of
+from aleator.nlp import (
+    HELD,
+    AbstractSearch,
+    AbstractSolver,
+    Ipopt,
+    NonlinearProgram,
+    Outcome,
+    Status,
+    least_excess,
+    restart_of,
+)
 from aleator.solution import Between, Solution, WorstCase
 from aleator.transcription import (
     AbstractTranscribed,
     AbstractTranscription,
     blind_decisions,
     refuse_blind,
+    rows_by_name,
     transcribe,
     valued_by,
 )
@@ -111,6 +123,7 @@ class Stages(NamedTuple):
         first = transcribed.program.start if point is None else point
         begun = magnitudes_at(transcribed, first)
         outcome = self._searched(transcribed, point, multipliers) if outcome is None else outcome
+        outcome = self._with_limits_met(transcribed, outcome)
         if multipliers is None and outcome.status is not Status.INTERRUPTED:
             outcome = _looked_around(transcribed, self.solver.local, outcome, first)
         # Hold limits between the instants, and in the worst case.
@@ -152,6 +165,35 @@ class Stages(NamedTuple):
         executor = self.executor if isinstance(solver, AbstractSearch) else None
         program = valued_by(executor, program, "solve")
         return solver.solve(program, start=start, multipliers=multipliers if fits else None)
+
+    def _with_limits_met(self, transcribed: AbstractTranscribed, outcome: Outcome) -> Outcome:
+        """An outcome whose search broke off where limits do not hold: goes on from a design at which they do.
+
+        That is one of least excess whatever the objective, states being simulated. If no step lowers the excess there,
+        limits contradict one another, which no further iteration would mend.
+        """
+        broke_off = outcome.status in (Status.ITERATION_LIMIT, Status.FAILED) and not outcome.strayed
+        if not broke_off or not outcome.violation > HELD:
+            return outcome
+        try:
+            simulated = transcribe(transcribed.problem)
+        except ProblemError:  # Histories on a fine mesh may not fit into memory.
+            return outcome
+        groups, program = rows_by_name(simulated), simulated.program
+        least = least_excess(Ipopt(), program, groups, (), range(len(groups)), [program.start])
+        if least.total <= HELD:
+            start = transcribed.point(simulated.decisions(least.point))
+            further = self._searched(transcribed, start, None, goes_on=True)
+            found, other = (further, outcome) if further.violation <= HELD else (outcome, further)
+            return found.with_effort_of(other)
+        if not least.is_shown:
+            return outcome
+        pushing = (name for name, rows in zip(simulated.problem.names, least.pushing, strict=True) if len(rows))
+        message = (
+            f"no design was found that meets these limits together, whatever the objective: {', '.join(pushing)}. "
+            "al.conflict names the fewest of them, and by how much each would have to be relaxed"
+        )
+        return replace(outcome, status=Status.INFEASIBLE, message=message)
 
     def _on_fine_mesh(
         self, transcribed: AbstractTranscribed, start: np.ndarray | None
