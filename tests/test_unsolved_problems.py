@@ -194,4 +194,4 @@ def test_a_search_that_breaks_off_goes_on_from_a_design_that_holds_or_names_the_
         assert solution.objective == pytest.approx(3 / inverse[0] ** 2 / (1 - 0.05**2), rel=1e-6)
     else:
         assert solution.status is al.Status.INFEASIBLE
-        assert re.search(r"no design was found .*: x, spread\. al\.conflict", solution.why())
+        assert re.search(r"no design was found .*: x, spread; al\.conflict", solution.why())

@@ -123,9 +123,9 @@ class Stages(NamedTuple):
         first = transcribed.program.start if point is None else point
         begun = magnitudes_at(transcribed, first)
         outcome = self._searched(transcribed, point, multipliers) if outcome is None else outcome
-        outcome = self._with_limits_met(transcribed, outcome)
         if multipliers is None and outcome.status is not Status.INTERRUPTED:
             outcome = _looked_around(transcribed, self.solver.local, outcome, first)
+        outcome = self._with_limits_met(transcribed, outcome)
         # Hold limits between the instants, and in the worst case.
         held = self._held_between(Held(transcribed, outcome), factor)
         held = held if oracle is None else self._held_at_worst(held, oracle, factor)
@@ -167,13 +167,15 @@ class Stages(NamedTuple):
         return solver.solve(program, start=start, multipliers=multipliers if fits else None)
 
     def _with_limits_met(self, transcribed: AbstractTranscribed, outcome: Outcome) -> Outcome:
-        """An outcome whose search broke off where limits do not hold: goes on from a design at which they do.
+        """An outcome whose search ended where limits do not hold: goes on from a design at which they do.
 
         That is one of least excess whatever the objective, states being simulated. If no step lowers the excess there,
-        limits contradict one another, which no further iteration would mend.
+        limits contradict one another, which no further iteration would mend. Where a program with states as variables
+        has shown that already, nothing is compiled to ask again.
         """
-        broke_off = outcome.status in (Status.ITERATION_LIMIT, Status.FAILED) and not outcome.strayed
-        if not broke_off or not outcome.violation > HELD:
+        is_asked = outcome.status in UNSOLVED and not outcome.strayed and outcome.violation > HELD
+        is_shown = outcome.status is Status.INFEASIBLE and transcribed.states_at(outcome.point) is not None
+        if not is_asked or is_shown:
             return outcome
         try:
             simulated = transcribe(transcribed.problem)
@@ -189,11 +191,12 @@ class Stages(NamedTuple):
         if not least.is_shown:
             return outcome
         pushing = (name for name, rows in zip(simulated.problem.names, least.pushing, strict=True) if len(rows))
+        said = f" (the solver said: {outcome.visited.end})" if outcome.visited else ""
         message = (
-            f"no design was found that meets these limits together, whatever the objective: {', '.join(pushing)}. "
-            "al.conflict names the fewest of them, and by how much each would have to be relaxed"
+            f"Relax a limit: no design was found that meets all of these, whatever it costs: {', '.join(pushing)}; "
+            "al.conflict names the fewest, and by how much each would have to be relaxed"
         )
-        return replace(outcome, status=Status.INFEASIBLE, message=message)
+        return replace(outcome, status=Status.INFEASIBLE, message=message + said)
 
     def _on_fine_mesh(
         self, transcribed: AbstractTranscribed, start: np.ndarray | None
