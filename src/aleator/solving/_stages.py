@@ -186,8 +186,10 @@ class Stages(NamedTuple):
         if least.total <= HELD:
             start = transcribed.point(simulated.decisions(least.point))
             further = self._searched(transcribed, start, None, goes_on=True)
-            found, other = (further, outcome) if further.violation <= HELD else (outcome, further)
-            return found.with_effort_of(other)
+            if further.violation <= HELD:
+                return further.with_effort_of(outcome)
+            missed = "A design meets all limits, but the search leaves it: start from al.conflict(problem).nearest"
+            return replace(outcome, status=Status.FAILED, message=missed).with_effort_of(further)
         if not least.is_shown:
             return outcome
         pushing = (name for name, rows in zip(simulated.problem.names, least.pushing, strict=True) if len(rows))
