@@ -9,7 +9,7 @@ import pytest
 
 import aleator as al
 from aleator.nlp import DifferentialEvolution
-from zoo import ONE_STEP, RESPONSE, Gain
+from zoo import ONE_STEP, RESPONSE, Gain, block_problem
 
 FILTER, IPOPT, SLSQP = al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()
 
@@ -149,6 +149,16 @@ def test_a_spread_is_optimal_at_zero_where_it_has_its_kink(solver):
     assert solution.objective == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("limit", "price"), [(RESPONSE.std <= 0.0, np.sqrt(3) / 0.1), (RESPONSE.at_most(0.0, sigmas=2.0), np.sqrt(3) / 0.2)]
+)
+def test_the_price_of_a_limit_on_a_spread_that_is_zero_is_that_of_its_slope_beside_the_kink(limit, price):
+    gain = Gain(gain=al.Decision(0.7, -1.0, 2.0), theta=al.Uniform(0.0, half_width=0.1))
+    solution = al.solve(al.Problem(gain, grid=ONE_STEP, minimize=-1.0 * al.value("gain"), subject_to=[limit]))
+    assert solution.decisions["gain"] == pytest.approx(0.0, abs=1e-7)
+    assert solution.multipliers[0] == pytest.approx(price, rel=1e-5)
+
+
 SQUARE = al.output("square").mean
 CASES = {
     "stopped": (lambda: plane("valley"), {"max_iterations": 3}, "Allow the solver more iterations"),
@@ -169,3 +179,19 @@ def test_a_reason_comes_with_a_remedy_and_the_words_of_the_solver_stand_in_paren
     if name != "root":
         assert re.search(r"[^ ] \(the solver said: [a-z][^()]*\)\.$", why), why
         assert why.index(remedy) < why.index("(the solver said")
+
+
+@pytest.mark.parametrize(("share", "holds"), [(1.05, True), (0.95, False)])
+def test_a_search_that_breaks_off_goes_on_from_a_design_that_holds_or_names_the_limits_that_contradict(share, holds):
+    """Where a mass is uncertain, the spread of a place is a part of its mean that no force changes."""
+    inverse = np.log(1.1 / 0.9) / 0.2, 1 / (1.1 * 0.9)  # the mean of 1 / m and that of its square
+    part = np.sqrt(inverse[1] / inverse[0] ** 2 - 1)
+    limits = [al.terminal("x").mean.equals(1.0), (al.terminal("x").std <= share * part).named("spread")]
+    problem = block_problem(al.Uniform(1.0, half_width=0.1), subject_to=limits)
+    solution = al.solve(problem, al.solvers.FilterSQP(max_iterations=2), throw=False)
+    if holds:
+        assert not solution.violated, solution.why()
+        assert solution.objective == pytest.approx(3 / inverse[0] ** 2 / (1 - 0.05**2), rel=1e-6)
+    else:
+        assert solution.status is al.Status.INFEASIBLE
+        assert re.search(r"no design was found .*: x, spread; al\.conflict", solution.why())

@@ -99,3 +99,18 @@ def coope_watson(points=3000):
         return evaluation(x[0] ** 2 / 3 + x[1] ** 2 + x[0] / 2, [2 * x[0] / 3 + 0.5, 2 * x[1]], rows, jacobian)
 
     return program(evaluate, [-0.2, -1.0], rows=[(-INF, 0)] * points)
+
+
+def folded(curve, start):
+    """The largest `x + y` for which `y + 2 |x - y**(1 + curve)| <= 1`: at (1, 1), where the limit has its kink.
+
+    Of the limits `y ± 2 (x - y**(1 + curve)) <= 1` both hold there, with multipliers of 5/4 and 3/4 on the line, of 7/4
+    and 5/4 on the parabola.
+    """
+
+    def evaluate(x):
+        away, side = x[0] - x[1] ** (1 + curve), np.array([1.0, -(1 + curve) * x[1] ** curve])
+        row = np.array([0.0, 1.0]) + 2 * np.sign(away) * side
+        return evaluation(-x[0] - x[1], [-1, -1], [x[1] + 2 * abs(away)], [row])
+
+    return program(evaluate, start, lower=[-3.0, 0], upper=[3.0, 3], rows=[(-INF, 1)])

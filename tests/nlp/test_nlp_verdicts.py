@@ -128,3 +128,20 @@ def test_the_answer_to_an_infeasible_program_says_so_whatever_it_is_divided_by(s
         )
         assert outcome.status is Status.INFEASIBLE
         assert outcome.violation == pytest.approx(0.7 if sign > 0 else 1.7, abs=1e-3)
+
+
+@pytest.mark.parametrize("make", [FilterSQP, Slsqp])
+@pytest.mark.parametrize(("curve", "price"), [(0, 2.0), (1, 3.0)])
+def test_the_kink_of_a_limit_is_an_optimum_if_its_sides_together_hold_it(make, curve, price):
+    outcome = make().solve(problems.folded(curve, [0.9, 0.95]))
+    assert outcome.status is Status.SOLVED
+    np.testing.assert_allclose(outcome.point, 1.0, atol=1e-6)
+    np.testing.assert_allclose(outcome.multipliers, price, rtol=1e-5)
+
+
+def test_a_solver_without_iterations_left_has_shown_nothing_infeasible():
+    contradicted = problems.hs35()
+    contradicted = replace(contradicted, constraint_lower=np.full(1, 20.0), constraint_upper=np.full(1, 20.0))
+    few, many = (FilterSQP(max_iterations=count).solve(replace(contradicted, upper=np.ones(3))) for count in (1, 100))
+    assert few.status is Status.ITERATION_LIMIT
+    assert many.status is Status.INFEASIBLE

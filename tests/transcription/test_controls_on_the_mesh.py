@@ -142,3 +142,48 @@ def test_least_time_to_move_a_block_is_bang_bang(way):
     prices = solution.bound_multipliers["inputs.force"]
     assert np.abs(prices).sum() == pytest.approx(np.sqrt(distance), rel=1e-5)
     assert (prices * np.repeat([prices[0], -prices[0]], 5) >= 0).all()
+
+
+@pytest.mark.parametrize("shortest", [1e-9, 0.5])
+def test_a_free_duration_is_not_carried_to_its_bound_by_the_first_steps(shortest):
+    problem = al.Problem(
+        Launched(),
+        grid=al.Grid(al.Decision(3.0, shortest, 10.0), 20),
+        inputs={"force": al.Control(0.0, -1.0, 1.0)},
+        minimize=al.objectives.final_time(),
+        subject_to=[al.terminal("x").mean.equals(1.0), al.terminal("v").mean.equals(0.0)],
+    )
+    assert al.solve(problem).objective == pytest.approx(2.0, rel=1e-8)
+
+
+class Crane(al.System):
+    """A trolley on which a force acts, and the load that hangs from it on a rope of 1 m."""
+
+    states = ("x", "v", "angle", "rate")
+    load: al.Number
+
+    def rhs(self, t, z, force):
+        sine, cosine = jnp.sin(z.angle), jnp.cos(z.angle)
+        push = (force + self.load * sine * (z.rate**2 + 9.81 * cosine)) / (1.0 + self.load * sine**2)
+        return z.v, push, z.rate, -push * cosine - 9.81 * sine
+
+    def outputs(self, t, z, force):
+        return z._asdict()
+
+
+def test_the_least_time_of_a_swinging_load_is_found_from_rest_as_ipopt_finds_it():
+    ends = {"x": 1.0, "v": 0.0, "angle": 0.0, "rate": 0.0}
+    problem = al.Problem(
+        Crane(load=al.Uniform(0.3, half_width=0.05)),
+        grid=al.Grid(al.Decision(2.0, 0.5, 5.0), 30),
+        inputs={"force": al.Control(0.0, -5.0, 5.0, degree=1)},
+        minimize=al.objectives.final_time(),
+        subject_to=[
+            *(al.terminal(name).mean.equals(value) for name, value in ends.items()),
+            al.terminal("angle").std <= 0.01,
+        ],
+    )
+    program = transcribe(problem).program
+    found, other = (solver.solve(program) for solver in (al.solvers.FilterSQP(), al.solvers.Ipopt()))
+    assert found.ok
+    assert found.evaluation.objective == pytest.approx(other.evaluation.objective, rel=1e-6)

@@ -2,12 +2,12 @@
 
 import contextlib
 from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 import scipy
 
-from aleator.nlp._evaluations import NotFiniteError
+from aleator.nlp._evaluations import HaltedError, NotFiniteError
 from aleator.nlp._matrices import Matrix, above_identity, largest_term, nonnegative_fit
 from aleator.nlp._program import Evaluation
 from aleator.nlp._scaling import Multipliers, ScaledProgram
@@ -18,6 +18,8 @@ _ACTIVE = 1e-5
 # that is longer, to this many magnitudes, by the other. A step is believed that brings half of what it promises, or a
 # tenth of it does.
 _STATIONARY, _FALL, _FARTHEST, _SHARES = 1e-3, 0.05, 1e5, (1.0, 0.1)
+# A step across a kink, in magnitudes of the variables, and the least part by which a slope along it rises there.
+_ACROSS, _BENDS = 1e-7, 0.1
 # Steps of the simplex method after which a proof is given up.
 _MOST_PIVOTS, _MANY = 100_000, 2000
 
@@ -91,6 +93,48 @@ def fit_multipliers(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation
         slopes = _signed(above_identity(evaluation.jacobian), active, signs)
         np.add.at(weights, active, signs * nonnegative_fit(slopes, -evaluation.gradient))
     return Multipliers(*np.split(weights, [scaled.rows]))
+
+
+class Kinks(NamedTuple):
+    """Rows that have a kink at a point, which opens towards their bound, as that of a spread that becomes zero.
+
+    - `rows`: which of all, shape (k,); `normals`: by how much their slopes change across it, shape (k, n), user units;
+    - `evaluation`: of the point in user units, with slopes of these rows mixed from both sides.
+
+    Such a row is the larger one of two smooth ones. Both hold the point, so that any mixture of their slopes serves in
+    the conditions of optimality: the one that fits best is taken.
+    """
+
+    rows: np.ndarray
+    normals: np.ndarray
+    evaluation: Evaluation
+
+
+def kinks_at(scaled: ScaledProgram, z: np.ndarray) -> Kinks | None:
+    """The kinks at `z` that the descent of the Lagrangian runs into; None if there are none, or rows are sparse."""
+    try:
+        evaluation = scaled.evaluate(z)
+        if not isinstance(evaluation.jacobian, np.ndarray):
+            return None
+        slope = fit_multipliers(scaled, z, evaluation).slope(evaluation)
+        length = _ACROSS * np.maximum(1.0, np.abs(z)) / (_largest(slope) or 1.0)
+        across = np.clip(z - length * slope, scaled.lower, scaled.upper)
+        beyond = scaled.evaluate(across)
+    except (NotFiniteError, HaltedError):
+        return None
+    active, signs, _ = scaled.sides.within(np.append(evaluation.constraints, z), _ACTIVE)
+    slopes, others = (_signed(above_identity(one.jacobian), active, signs) for one in (evaluation, beyond))
+    first, last = slopes @ (across - z), others @ (across - z)
+    bends = last - first > _BENDS * np.maximum(np.abs(first), np.abs(last))
+    if not bends.any():
+        return None
+    fit = nonnegative_fit(np.concatenate([slopes, others[bends]]), -evaluation.gradient)
+    own, other = fit[: active.size][bends], fit[active.size :]
+    shares = np.divide(other, own + other, out=np.zeros_like(other), where=other > 0)
+    here, there, rows = scaled.user(z), scaled.user(across), np.flatnonzero(scaled.useful)[active[bends]]
+    jacobian, normals = np.array(here.jacobian), there.jacobian[rows] - here.jacobian[rows]
+    jacobian[rows] += shares[:, None] * normals
+    return Kinks(rows, normals, here._replace(jacobian=jacobian))
 
 
 def _signed(matrix: Matrix, rows: np.ndarray, signs: np.ndarray) -> Matrix:

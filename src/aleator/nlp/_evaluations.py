@@ -57,6 +57,7 @@ class Evaluations:
         self._shapes = ((variables,), (constraints,), (constraints, variables))
         self._sparsity: Any = None if isinstance(program.sparsity, np.ndarray) else program.sparsity
         self._points: OrderedDict[bytes, Evaluation] = OrderedDict()
+        self._kept: dict[bytes, Evaluation] = {}
         self._failed = b""
         self._failures = 0
         self._recent: deque[bool] = deque(maxlen=_RECENT)
@@ -73,12 +74,16 @@ class Evaluations:
         Raises `HaltedError` if an exception ended the solve, now or before.
         """
         key = x.tobytes()
-        if self.halt is not None or key not in self._points:
+        if self.halt is not None or (key not in self._points and key not in self._kept):
             self.asked(lambda: self._compute(key, x))
-        self.last = self._points[key]
+        self.last = self._kept[key] if key in self._kept else self._points[key]
         if key == self._failed:
             self.failed_at = x.copy()
         return self.last
+
+    def keep(self, x: np.ndarray, evaluation: Evaluation) -> None:
+        """Answer with this evaluation wherever `x` is asked for from now on."""
+        self._kept[x.tobytes()] = evaluation
 
     def asked(self, question: Callable[[], Any]) -> Any:
         """Call the model for something else, such as second derivatives. Raises `HaltedError` as `at` does."""

@@ -10,8 +10,9 @@ from typing_extensions import override
 
 from aleator._core import border
 from aleator._core.errors import ProblemError
+from aleator.nlp._certificate import kinks_at
 from aleator.nlp._evaluations import HaltedError, NotFiniteError, NowhereFiniteError
-from aleator.nlp._program import NonlinearProgram
+from aleator.nlp._program import Evaluation, NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
 from aleator.nlp._solver import AbstractSolver, Outcome, Searched, Status, checked
 from aleator.nlp._verdict import Answer, Verdict, has_run_away, judge, settle
@@ -69,7 +70,7 @@ class AbstractLocalSolver(AbstractSolver):
         with scaled.evaluations.noting_interrupts():
             answer, verdict = self._judged(scaled, multipliers)
             if verdict.status is Status.FAILED:
-                answer, verdict = self._with_bounds_held(program, scaled, answer, verdict)
+                answer, verdict = self._with_kinks_held(program, scaled, answer, verdict)
         seconds = time.perf_counter() - began
         rows, bounds = scaled.to_user(verdict.multipliers, verdict.user)
         active, active_bounds = scaled.active(verdict.point, verdict.user, verdict.multipliers)
@@ -123,21 +124,27 @@ class AbstractLocalSolver(AbstractSolver):
             raise halt
         return answer, judge(scaled, answer, self.tolerance)
 
-    def _with_bounds_held(
+    def _with_kinks_held(
         self, program: NonlinearProgram, scaled: ScaledProgram, answer: Answer, verdict: Verdict
     ) -> tuple[Answer, Verdict]:
-        """The optimum in the other variables, if that is one in all, while those at a bound stay there; else unchanged.
+        """The optimum along the kinks at an answer, if that is one in all; else the answer unchanged.
 
-        A function may have a kink at a bound, as a standard deviation has where it becomes zero: derivatives there say
-        nothing of those beside it, and the library makes no more progress.
+        A function may have a kink, as a standard deviation has where it becomes zero: at a bound, or in a limit.
+        Derivatives there say nothing of those beside it, and the library makes no more progress. So the variables at a
+        bound stay there, and none moves across a kink of a row.
         """
+        kinks = kinks_at(scaled, verdict.point)
         _, at_bound = scaled.active(verdict.point, verdict.user, verdict.multipliers)
         point = scaled.unscaled(verdict.point)
         at_bound &= (point == program.lower) | (point == program.upper)
-        if not at_bound.any() or at_bound.all():
+        if kinks is not None:
+            along = _along(program, kinks.normals, point)
+        elif at_bound.any() and not at_bound.all():
+            lower, upper = (np.where(at_bound, point, bounds) for bounds in (program.lower, program.upper))
+            along = dataclasses.replace(program, lower=lower, upper=upper)
+        else:
             return answer, verdict
-        lower, upper = (np.where(at_bound, point, bounds) for bounds in (program.lower, program.upper))
-        held = ScaledProgram(dataclasses.replace(program, lower=lower, upper=upper), point)
+        held = ScaledProgram(along, point)
         further, _ = self._judged(held, None)
         scaled.evaluations.visited += held.evaluations.visited
         further = further._replace(
@@ -201,3 +208,25 @@ class AbstractLocalSolver(AbstractSolver):
                 f"`scaled.start`; received shape {point.shape}."
             )
         return answer._replace(point=point)
+
+
+def _along(program: NonlinearProgram, normals: np.ndarray, point: np.ndarray) -> NonlinearProgram:
+    """The program of which no point leaves the planes through `point` with some normals, shape (k, n)."""
+
+    def evaluate(x: np.ndarray) -> Evaluation:
+        there = program.evaluate(x)
+        constraints = np.append(there.constraints, normals @ (x - point))
+        return there._replace(constraints=constraints, jacobian=np.concatenate([there.jacobian, normals]))
+
+    zeros, sizes = np.zeros(len(normals)), np.abs(normals) @ program.variable_scale
+    own = program.sizes or (lambda *_: program.constraint_scale)
+    return dataclasses.replace(
+        program,
+        evaluate=evaluate,
+        constraint_lower=np.append(program.constraint_lower, zeros),
+        constraint_upper=np.append(program.constraint_upper, zeros),
+        constraint_scale=np.append(program.constraint_scale, sizes),
+        sizes=lambda x, there: np.append(own(x, there), sizes),
+        sparsity=None,
+        hessian=None,
+    )

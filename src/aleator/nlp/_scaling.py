@@ -196,6 +196,11 @@ class ScaledProgram:
         """The evaluation of `z` in user units, which may be non-finite."""
         return self.evaluations.at(self.unscaled(z))
 
+    def keep(self, z: np.ndarray, user: Evaluation) -> None:
+        """Let an evaluation in user units be that of `z` from now on."""
+        self.evaluations.keep(self.unscaled(z), user)
+        self._last = None
+
     def evaluate(self, z: np.ndarray) -> Evaluation:
         """Evaluate `z`, scaled.
 

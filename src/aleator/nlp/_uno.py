@@ -136,6 +136,8 @@ class _AbstractUno(AbstractLocalSolver):
         )
 
 
+# Initial trust regions without and with second derivatives.
+_RADII = 0.25, 10.0
 # With more pairs, the limited-memory Hessian costs more than it gains.
 _LARGEST_MEMORY = 20
 
@@ -151,24 +153,27 @@ class FilterSQP(_AbstractUno):
     the trust region.
 
     - `tolerance`, `max_iterations`: see `AbstractLocalSolver`;
-    - `radius`: initial trust region, in typical magnitudes of the variables.
+    - `radius`: initial trust region, in typical magnitudes of the variables. By default 10 where second derivatives are
+      known and 1/4 where they are not: longer first steps carry durations to zero and controls to their bounds, where
+      searches for feasibility creep.
     """
 
-    radius: float = 10.0
+    radius: float | None = None
 
     preset: ClassVar[str] = "filtersqp"
     method: ClassVar[str] = "filterSQP"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        border.positive("FilterSQP: radius", self.radius)
+        if self.radius is not None:
+            border.positive("FilterSQP: radius", self.radius)
 
     @override
     def _options(self, scaled: ScaledProgram) -> dict[str, Any]:
         return {
             "QP_solver": "BQPD",
             "quasi_newton_memory_size": int(np.clip(2 * scaled.size, 6, _LARGEST_MEMORY)),
-            "TR_radius": float(self.radius),
+            "TR_radius": float(self.radius or _RADII[scaled.curved is not None]),
         }
 
 

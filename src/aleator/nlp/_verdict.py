@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from aleator.nlp._certificate import Certificate, certify, complementary, fit_multipliers, is_least_violated
+from aleator.nlp._certificate import Certificate, certify, complementary, fit_multipliers, is_least_violated, kinks_at
 from aleator.nlp._curvature import descent
 from aleator.nlp._evaluations import NotFiniteError, changes_of
 from aleator.nlp._program import Evaluation, NonlinearProgram
@@ -82,6 +82,8 @@ def settle(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Ans
         answer = _framed(scaled, _examined(scaled, answer, user, tolerance), user)
         verdict = _at(scaled, answer, user, tolerance)
         if verdict.certificate.violation <= _held(tolerance):
+            if not verdict.certificate.within(np.inf, tolerance) and kinks_at(scaled, answer.point):
+                return answer, True  # Slopes change at once there, so that their changes are no scale.
             size = _size_of_gradient(scaled, answer.point, verdict.multipliers, tolerance)
             answer = _rescaled(scaled, answer, scaled.scales._replace(objective=scaled.scales.objective * size))
             verdict = _at(scaled, answer, user, tolerance)
@@ -151,10 +153,9 @@ def _status(scaled: ScaledProgram, answer: Answer, certificate: Certificate, tol
 
 
 def _is_least_violated(scaled: ScaledProgram, answer: Answer) -> bool:
-    # A solver without iterations left was on its way, and for a large program the proof takes its time.
-    if answer.claim is Status.ITERATION_LIMIT and _is_large(scaled):
-        return False
-    return is_least_violated(scaled, answer.point, scaled.evaluate(answer.point))
+    # A solver without iterations left was on its way.
+    is_final = answer.claim is not Status.ITERATION_LIMIT
+    return is_final and is_least_violated(scaled, answer.point, scaled.evaluate(answer.point))
 
 
 def _examined(scaled: ScaledProgram, answer: Answer, user: Evaluation, tolerance: float) -> Answer:
@@ -201,6 +202,14 @@ def _at(scaled: ScaledProgram, answer: Answer, user: Evaluation, tolerance: floa
             least = Certificate(flat.violation, scaled.above_least(user), 0.0)
             known += [(certify(scaled, z, evaluation, fitted), fitted), (least, none)]
     certificate, multipliers = min(known, key=lambda pair: max(pair[0].stationarity, pair[0].complementarity))
+    if certificate.violation <= _held(tolerance) and not certificate.within(np.inf, tolerance):
+        kinks = kinks_at(scaled, z)
+        if kinks is not None:
+            evaluation = scaled.scale(kinks.evaluation)
+            fitted = fit_multipliers(scaled, z, evaluation)
+            if (mixed := certify(scaled, z, evaluation, fitted)).within(np.inf, tolerance):
+                scaled.keep(z, kinks.evaluation)
+                user, certificate, multipliers = kinks.evaluation, mixed, fitted
     return Verdict(answer.claim, z, user, multipliers, certificate, answer.message)
 
 

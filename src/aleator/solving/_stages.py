@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from aleator._core.errors import ProblemError
 from aleator.certification import (
     Check,
     Oracle,
@@ -40,13 +41,24 @@ from aleator.certification import (
     worst_case_of,
 )
 from aleator.design import Problem, is_over_time
-from aleator.nlp import HELD, AbstractSearch, AbstractSolver, NonlinearProgram, Outcome, Status, restart_of
+from aleator.nlp import (
+    HELD,
+    AbstractSearch,
+    AbstractSolver,
+    Ipopt,
+    NonlinearProgram,
+    Outcome,
+    Status,
+    least_excess,
+    restart_of,
+)
 from aleator.solution import Between, Solution, WorstCase
 from aleator.transcription import (
     AbstractTranscribed,
     AbstractTranscription,
     blind_decisions,
     refuse_blind,
+    rows_by_name,
     transcribe,
     valued_by,
 )
@@ -115,6 +127,7 @@ class Stages(NamedTuple):
         outcome = self._searched(transcribed, point, multipliers) if outcome is None else outcome
         if multipliers is None and outcome.status is not Status.INTERRUPTED:
             outcome = _looked_around(transcribed, self.solver.local, outcome, first)
+        outcome = self._with_limits_met(transcribed, outcome)
         # Hold limits between the instants, and in the worst case.
         held = self._held_between(Held(transcribed, outcome), factor)
         held = held if oracle is None else self._held_at_worst(held, oracle, factor)
@@ -154,6 +167,40 @@ class Stages(NamedTuple):
         executor = self.executor if isinstance(solver, AbstractSearch) else None
         program = valued_by(executor, program, "solve")
         return solver.solve(program, start=start, multipliers=multipliers if fits else None)
+
+    def _with_limits_met(self, transcribed: AbstractTranscribed, outcome: Outcome) -> Outcome:
+        """An outcome whose search ended where limits do not hold: goes on from a design at which they do.
+
+        That is one of least excess whatever the objective, states being simulated. If no step lowers the excess there,
+        limits contradict one another, which no further iteration would mend. Where a program with states as variables
+        has shown that already, nothing is compiled to ask again.
+        """
+        is_asked = outcome.status in UNSOLVED and not outcome.strayed and outcome.violation > HELD
+        is_shown = outcome.status is Status.INFEASIBLE and transcribed.states_at(outcome.point) is not None
+        if not is_asked or is_shown:
+            return outcome
+        try:
+            simulated = transcribe(transcribed.problem)
+        except ProblemError:  # Histories on a fine mesh may not fit into memory.
+            return outcome
+        groups, program = rows_by_name(simulated), simulated.program
+        least = least_excess(Ipopt(), program, groups, (), range(len(groups)), [program.start])
+        if least.total <= HELD:
+            start = transcribed.point(simulated.decisions(least.point))
+            further = self._searched(transcribed, start, None, goes_on=True)
+            if further.violation <= HELD:
+                return further.with_effort_of(outcome)
+            missed = "A design meets all limits, but the search leaves it: start from al.conflict(problem).nearest"
+            return replace(outcome, status=Status.FAILED, message=missed).with_effort_of(further)
+        if not least.is_shown:
+            return outcome
+        pushing = (name for name, rows in zip(simulated.problem.names, least.pushing, strict=True) if len(rows))
+        said = f" (the solver said: {outcome.visited.end})" if outcome.visited else ""
+        message = (
+            f"Relax a limit: no design was found that meets all of these, whatever it costs: {', '.join(pushing)}; "
+            "al.conflict names the fewest, and by how much each would have to be relaxed"
+        )
+        return replace(outcome, status=Status.INFEASIBLE, message=message + said)
 
     def _on_fine_mesh(
         self, transcribed: AbstractTranscribed, start: np.ndarray | None

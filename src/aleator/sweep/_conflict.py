@@ -18,7 +18,7 @@ from aleator.ensemble import inputs_at
 from aleator.nlp import HELD, AbstractSolver, Excess, Ipopt, least_excess, variable_range
 from aleator.solution import system_text
 from aleator.sweep._runner import running
-from aleator.transcription import DEFAULT, AbstractTranscribed, bound_size, germ_box, transcribe
+from aleator.transcription import DEFAULT, AbstractTranscribed, germ_box, rows_by_name, transcribe
 
 # Added where a claim rests on searches that were stopped.
 _NOT_SHOWN = "not shown: some searches were stopped, as where the model is not finite; a design may exist all the same"
@@ -116,9 +116,7 @@ def conflict(problem: Problem, *, solver: AbstractSolver | None = None, progress
     starts, names, constraints = _finite_starts(transcribed), problem.names, transcribed.problem.constraints
     # Groups are the constraints of one name; excesses are relative to the largest of their magnitudes.
     of_name = [[i for i, one in enumerate(constraints) if one.name == name] for name in names]
-    sizes = [max(bound_size(constraints[i]) or transcribed.scales[i] for i in own) for own in of_name]
-    rows = [np.concatenate([_rows(transcribed, i) for i in own]) for own in of_name]
-    groups = list(zip(rows, sizes, strict=True))
+    groups = rows_by_name(transcribed)
     every, left, done = list(range(len(names))), list[int](), 0
     with running("conflict", lambda: False, progress) as run:
 
@@ -141,7 +139,7 @@ def conflict(problem: Problem, *, solver: AbstractSolver | None = None, progress
         together, bounds = searches[-1], searches[-1].bounds[transcribed.decided]
         alone = [least((which,), [other for other in every if other != which]) for which in left]
     limits = [
-        _limit(transcribed, names[which], of_name[which], together, excess, sizes[which])
+        _limit(transcribed, names[which], of_name[which], together, excess, groups[which][1])
         for which, excess in zip(left, alone, strict=True)
     ]
     return Conflict(

@@ -8,6 +8,7 @@ from ._constraints import as_read as as_read
 from ._constraints import blind_decisions as blind_decisions
 from ._constraints import bound_size as bound_size
 from ._constraints import refuse_blind as refuse_blind
+from ._constraints import rows_by_name as rows_by_name
 from ._expansions import Discretised as Discretised
 from ._expansions import Resolved as Resolved
 from ._expansions import scope_from as scope_from

@@ -164,6 +164,20 @@ def bound_size(constraint: Constraint) -> float:
     return min((bound for bound in bounds if np.isfinite(bound) and bound != 0), default=0.0)
 
 
+def rows_by_name(transcribed: AbstractTranscribed) -> list[tuple[Int[np.ndarray, " rows"], float]]:
+    """The rows of each name of constraints, in the order of `Problem.names`, and the largest of their magnitudes."""
+    problem, rows = transcribed.problem, transcribed.rows
+    every = list(zip(problem.constraints, rows, transcribed.scales, strict=True))
+    of_name = [[part for part in every if part[0].name == name] for name in problem.names]
+    return [
+        (
+            np.concatenate([np.arange(where.start, where.stop) for _, where, _ in parts]),
+            max(bound_size(one) or scale for one, _, scale in parts),
+        )
+        for parts in of_name
+    ]
+
+
 def needs_more(
     constraints: Iterable[Constraint], values: Values, derivatives: Values, decision_scale: Float[np.ndarray, " n"]
 ) -> bool:
