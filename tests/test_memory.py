@@ -113,7 +113,7 @@ def test_outputs_of_many_numbers_are_counted_before_they_are_computed(monkeypatc
     with pytest.raises(al.ProblemError, match=r"Wide: outputs of 1e\+06 numbers at 11 instants would need"):
         al.simulate(Wide(1.0), al.Grid(1.0, 10))
     assert set(al.simulate(Wide(1.0), al.Grid(1.0, 10), only=["x"])) == {"x"}
-    with pytest.raises(al.ProblemError, match=r"1.2e\+07 numbers at 12 points would need"):
+    with pytest.raises(al.ProblemError, match=r"2e\+07 numbers at 20 points would need"):
         al.expand(lambda at: at["a"] * jnp.ones(10**6), {"a": al.Normal(0.0, 1.0)}, al.Expansion(3, points=12))
 
 

@@ -132,15 +132,17 @@ class Root(al.AlgebraicSystem):
     a: al.Number
     off: al.Number
     beside: al.Number
+    third: al.Number
 
     def outputs(self):
         corner = (self.off > 0.35) & (self.beside > 0.35) & (self.a < 5.0)
-        return {"x": jnp.where(corner, jnp.nan, self.a + self.off)}
+        return {"x": jnp.where(corner, jnp.nan, self.a + self.off + self.third)}
 
 
 def least(bound):
     """The smallest `a` above a bound; two points of collocation are too few to see the end of the model."""
-    root = Root(al.Decision(8.5, bound, 9.0), al.Normal(0.0, 0.2), al.Normal(0.0, 0.2))
+    normals = [al.Normal(0.0, 0.2) for _ in range(3)]
+    root = Root(al.Decision(8.5, bound, 9.0), *normals)
     with warnings.catch_warnings(action="ignore"):
         return al.solve(al.Problem(root, minimize=al.output("x").mean, expansion=al.Expansion(order=1)), throw=False)
 

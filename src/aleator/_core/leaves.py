@@ -2,7 +2,6 @@
 
 import abc
 import importlib
-import inspect
 from collections import Counter
 from collections.abc import Callable
 from typing import Any, ClassVar, TypeVar
@@ -14,32 +13,11 @@ from jax.core import Tracer
 from jax.tree_util import DictKey, GetAttrKey, SequenceKey, keystr, tree_flatten_with_path
 
 from aleator._core.arrays import Pytree
-from aleator._core.border import meant, real_array, refuse_not_finite
+from aleator._core.border import real_array, refuse_not_finite
 from aleator._core.errors import ProblemError
 
-# What other libraries call our arguments.
-_ELSEWHERE = {"mu": "mean", "sigma": "std", "objective": "minimize", "constraints": "subject_to"}
 
-
-class _NamingArguments(type(eqx.Module)):
-    """Has a class refuse arguments that it does not know with the name that was meant."""
-
-    def __call__(cls, *args: Any, **kwargs: Any) -> Any:
-        try:
-            return super().__call__(*args, **kwargs)
-        except TypeError:
-            known = [name for name, one in inspect.signature(cls).parameters.items() if one.kind is not one.VAR_KEYWORD]
-            takes_any = len(known) < len(inspect.signature(cls).parameters)
-            strange = next((name for name in kwargs if name not in known and not takes_any), None)
-            if strange is None:
-                raise
-            hint = f" Did you mean '{other}'?" if (other := _ELSEWHERE.get(strange)) in known else meant(strange, known)
-            raise ProblemError(
-                f"{cls.__name__}: expected arguments among {', '.join(known)}; received '{strange}'.{hint}"
-            ) from None
-
-
-class Module(eqx.Module, metaclass=_NamingArguments):
+class Module(eqx.Module):
     """An Equinox module whose methods are plain ones.
 
     Equinox makes a module of each method at each access, for those who give methods to compiled functions as arguments.
