@@ -320,8 +320,8 @@ def _plain(value: Any) -> Any:
 def _compare(difference: Expression, *sides: str) -> "Constraint":
     """`difference <= 0` ("upper"), `>= 0` ("lower") or both, with its constant as the bound on the right-hand side."""
     left, bound = Expression(difference.factors, difference.atoms), -difference.constant + 0.0
-    lower, upper = (bound if side in sides else None for side in ("lower", "upper"))
-    return Constraint(left, lower=lower, upper=upper)
+    bounds: dict[str, Any] = dict.fromkeys(sides, bound)
+    return Constraint(left, **bounds)
 
 
 def value(name: str) -> Expression:
