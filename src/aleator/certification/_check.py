@@ -112,6 +112,7 @@ class Check(NamedTuple):
     - `values`: the objective, then the constraints, those of paths at every instant of the finer grid;
     - `statistics`, `means`, `stds`: each statistic in the expressions; the moments of each functional;
     - `reaches`: how large each functional could be, see `AbstractFunctional.reach`;
+    - `coefficients`: of the expansion of each functional;
     - `fresh`: each functional at the fresh systems; `predicted`: what its expansion predicts there;
     - `systems`: the fresh systems; `factor`: how many times as many steps the finer grid has; `integrator`: its name;
     - `departed`: by how much a simulation from the first instant departs from a mesh, in a sentence, if by so much that
@@ -125,6 +126,7 @@ class Check(NamedTuple):
     means: tuple[Float[np.ndarray, "..."], ...]
     stds: tuple[Float[np.ndarray, "..."], ...]
     reaches: tuple[float, ...]
+    coefficients: tuple[Float[np.ndarray, "terms ..."], ...]
     fresh: tuple[Float[np.ndarray, "fresh ..."], ...]
     predicted: tuple[Float[np.ndarray, "fresh ..."], ...]
     systems: FreshSystems
@@ -183,18 +185,21 @@ CHECK = Compiled(_check, use=_use)
 
 
 def begin_check(
-    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], factor: int, draw: int = 0
+    transcribed: AbstractTranscribed,
+    point: Float[np.ndarray, " variables"],
+    factor: int,
+    systems: FreshSystems | None = None,
 ) -> Callable[[], Check]:
     """Begin to check a problem at a point, on another core; the function returned waits for the result.
 
-    `factor`: see `check_factor`; `draw`: which fresh systems, the same at every call, so that answers are repeatable.
+    `factor`: see `check_factor`; `systems`: fresh ones, as many as those of the first draw, which are the default.
 
     Where states are variables, a stiff model has an answer that no explicit method confirms: what is not finite is
     simulated again by an implicit one. Nor does a simulation from the first instant confirm the answer to an unstable
     one: where it departs by orders of magnitude, each step of the grid is simulated from the state that the mesh has.
     """
     problem, decisions = transcribed.problem, transcribed.decisions(point)
-    systems = _systems(problem, draw)
+    systems = systems_of(problem, 0) if systems is None else systems
 
     def begun(integrator: AbstractIntegrator, departed: str = "") -> Callable[[], Check]:
         finer = problem.finer(factor, integrator)
@@ -208,7 +213,7 @@ def begin_check(
             predict = transcribed.discretised.basis.matrix(systems.points)
             predicted = tuple(np.tensordot(predict, one, axes=1) for one in coefficients)
             largest = tuple(map(float, reaches))
-            numbers = values, statistics, means, stds, largest, fresh, predicted
+            numbers = values, statistics, means, stds, largest, coefficients, fresh, predicted
             return Check(*numbers, systems, factor, named, departed)
 
         return result
@@ -271,7 +276,7 @@ def prepare_check(factor: int, problem: Problem, discretised: Discretised) -> Ca
         return lambda: None
     finer = problem.finer(factor, problem.integrator.reference())
     start = problem.placements.vector("initial")
-    return CHECK.prepare(*_arguments(finer, discretised, _systems(problem, 0), start))
+    return CHECK.prepare(*_arguments(finer, discretised, systems_of(problem, 0), start))
 
 
 def is_checked(problem: Problem) -> bool:
@@ -286,7 +291,8 @@ def simulates_inside(problem: Problem) -> bool:
     return equations is not None and equations.finer is not None
 
 
-def _systems(problem: Problem, draw: int) -> FreshSystems:
+def systems_of(problem: Problem, draw: int) -> FreshSystems:
+    """Fresh systems of a problem, the same at every call, so that answers are repeatable."""
     germs = problem.placements.germs.values()
     if not germs:
         return FreshSystems(np.zeros((0, 0)), np.zeros(0))

@@ -6,19 +6,19 @@ that the error of the grid is none of the expansion's.
 """
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from statistics import NormalDist
 from typing import final
 
 import numpy as np
-from jaxtyping import Array, Float
-from typing_extensions import override
+from jaxtyping import Float
 
 from aleator._core.arrays import jax_array
-from aleator.certification._check import Check, begin_check, certain
-from aleator.design import AbstractScopeOfInstants, Statistic, expanded_functionals, functionals_of, statistics_in
+from aleator.certification._check import Check, begin_check, certain, systems_of
+from aleator.certification._tails import KnownStatistics, tail_objections
+from aleator.design import Statistic, expanded_functionals, functionals_of, statistics_in
 from aleator.ensemble import inputs_at, listed
 from aleator.solution import SecondOpinion
 from aleator.statistics import (
@@ -34,7 +34,6 @@ from aleator.statistics import (
     Variance,
 )
 from aleator.transcription import AbstractTranscribed
-from aleator.uncertainty import named_numbers
 
 # The two-sided probability of four standard deviations of a normal variable.
 _RARE = math.erfc(4 / math.sqrt(2))
@@ -114,23 +113,6 @@ class _Fresh:
         return base + 0 * self.off[Mean], 0 * std
 
 
-@final
-class _Replicated(AbstractScopeOfInstants):
-    """Statistics with a last axis of replicates: those of `_Fresh.means`, then one for each statistic that is moved."""
-
-    def __init__(self, known: Mapping[str, np.ndarray], numbers: Callable[[], Mapping[str, Array]], step: float):
-        # The model's numbers take longer than all the rest, and few problems need any.
-        self._known, self._numbers, self.step = known, numbers, step
-
-    @override
-    def statistic(self, functionals: tuple, kind: AbstractStatistic) -> Array:
-        return self._known[Statistic(functionals, kind).text()]  # type: ignore[return-value]
-
-    @override
-    def value(self, name: str) -> Array:
-        return self._numbers()[name]
-
-
 def second_opinion(
     transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check
 ) -> SecondOpinion | None:
@@ -144,16 +126,22 @@ def second_opinion(
         return None
 
     def drawn(first: int, last: int) -> list[Check]:
-        waiting = [begin_check(transcribed, point, check.factor, draw) for draw in range(first, last)]
+        draws = (systems_of(transcribed.problem, draw) for draw in range(first, last))
+        waiting = [begin_check(transcribed, point, check.factor, systems) for systems in draws]
         return [one() for one in waiting]
 
     least, most = systems.draws
     checks = [check, *drawn(1, least)]
     opinion, has_outlier = _opinion(transcribed, point, checks, _RARE)
-    if opinion.broken or (opinion.agrees and not has_outlier):
+    if not opinion.broken and (has_outlier or not opinion.agrees):
+        checks += drawn(least, most)
+        opinion, _ = _opinion(transcribed, point, checks, _SHOWN)
+    if opinion.broken:
         return opinion
-    checks += drawn(least, most)
-    return _opinion(transcribed, point, checks, _SHOWN)[0]
+    objections = list(tail_objections(transcribed, point, check))
+    broken = next((sentence for sentence, hangs in objections if hangs), "")
+    sentences = tuple(sentence for sentence, _ in objections)
+    return replace(opinion, contradictions=(*opinion.contradictions, *sentences), broken=broken)
 
 
 def _opinion(
@@ -236,8 +224,7 @@ def _judged(
         moved = np.repeat(values[..., :1], len(spreads), axis=-1)
         moved[..., i] += spreads[text]
         known[text] = np.concatenate([values, moved], axis=-1)
-    step = float(meaning.times[1] - meaning.times[0]) if len(meaning.times) > 1 else 1.0
-    scope = _Replicated(known, lambda: named_numbers(problem.simulation, jax_array(meaning.decisions)), step)
+    scope = KnownStatistics(transcribed, point, known)
     sentences, broken = [], ""
     for which, expression in enumerate(problem.expressions):
         if not any(isinstance(leaf, Statistic) for leaf in expression.leaves):

@@ -2,6 +2,7 @@
 
 from aleator.statistics._extremes import Infimum as Infimum
 from aleator.statistics._extremes import Supremum as Supremum
+from aleator.statistics._lines import Lines as Lines
 from aleator.statistics._lines import lines_through as lines_through
 from aleator.statistics._measured import AbstractMeasured as AbstractMeasured
 from aleator.statistics._shape import CornishFisher as CornishFisher

@@ -74,7 +74,7 @@ class Lines(Module):
     - `factors`: of each term, by degree and variable, filled up with the constant polynomial;
     - `normals`: the lines' points by a standard normal distribution; `starts`: directions at
       which a search begins; `at_starts`: the terms there;
-    - `cells`: along each line.
+    - `active`: the variables among those of the basis; `cells`: along each line.
     """
 
     table: Float[Array, "variables cells 4"]
@@ -84,6 +84,7 @@ class Lines(Module):
     normals: Float[Array, "variables replicates lines_of_one"]
     starts: Float[Array, "variables starts"]
     at_starts: Float[Array, "terms starts"]
+    active: tuple[int, ...] = eqx.field(static=True)
     cells: int = eqx.field(static=True)
 
     @property
@@ -135,7 +136,7 @@ class Lines(Module):
 
     def lower_tail(self, coefficients: Float[Array, " terms"], replicates: int) -> LowerTail:
         """An output with mean zero along lines for its small values."""
-        minima = self._minima(coefficients)
+        minima = self.minima(coefficients)
         direction = minima[:, 0]
         points, weights = _placed(self.normals[:, :replicates], direction, _CENTRE * minima)
         # Slopes at the ends of cells take two more nodes beyond either end.
@@ -144,7 +145,7 @@ class Lines(Module):
         values = self.values(coefficients, nodes.reshape(len(points), -1)).reshape(nodes.shape[1:])
         return LowerTail(points, direction, weights, _cubics(values))
 
-    def _minima(self, coefficients: Float[Array, " terms"]) -> Float[Array, "variables minima"]:
+    def minima(self, coefficients: Float[Array, " terms"]) -> Float[Array, "variables minima"]:
         """Directions in which the expansion is smallest at some distance, the best one first."""
 
         def chosen(left: Float[Array, " starts"], _: None) -> tuple[Array, Array]:
@@ -232,6 +233,7 @@ def lines_through(basis: Basis) -> Lines:
         normals=jax_array(_normals(len(germs))),
         starts=jax_array(starts),
         at_starts=jax_array(_at(basis, active, germs, _SEARCHED * starts)),
+        active=tuple(active),
         cells=_CELLS.get(len(germs), _FEWEST_CELLS),
     )
 
