@@ -1,5 +1,6 @@
 """Tolerance analysis: stacks of plates with closed forms, the published clutch, and mistakes refused."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
@@ -83,3 +84,15 @@ def test_rejects_of_the_clutch_are_those_of_its_closed_form():
     distribution = stats.norm(MEANS["a"], TOLERANCES["a"] / 3)
     assert one.rejects_low == pytest.approx(1e6 * np.sum(weight * distribution.sf(at_limit[0])), rel=2e-3)
     assert one.rejects_high == pytest.approx(1e6 * np.sum(weight * distribution.cdf(at_limit[1])), rel=2e-3)
+
+
+def test_rejects_in_a_tail_that_the_expansion_misses_are_those_of_the_assembly():
+    """A lognormal gap, whose expansion of order 3 has four times as many rejects below."""
+    gap = al.Normal(0.0, 0.3)
+    analysis = al.tolerance_analysis(
+        {"a": gap, "b": al.Normal(1.0, 0.05)}, lambda at: jnp.exp(at["a"]) + 0 * at["b"], lower=0.3, upper=3.0
+    )
+    exact = 1e6 * np.array([stats.norm.cdf(np.log(0.3) / 0.3), stats.norm.sf(np.log(3.0) / 0.3)])
+    found = np.array([analysis.rejects_low, analysis.rejects_high])
+    assert np.abs(found - exact).max() < analysis.rejects_error
+    assert analysis.rejects_error < 0.2 * exact.sum()

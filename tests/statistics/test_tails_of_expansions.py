@@ -110,6 +110,41 @@ def test_the_sum_of_two_uniform_numbers_follows_the_triangular_distribution():
         assert value(Probability(below=threshold), coefficients, basis) == pytest.approx(exact, rel=1e-4)
 
 
+def test_tails_on_two_sides_and_around_are_those_of_closed_forms():
+    """A product of two normals is as often below a number as above its negative (SciPy's K0), a sum of squares is
+    chi-square.
+    """
+    basis = basis_of([HermiteGerm()] * 2, 2)
+    product = coefficients_of_polynomial(basis, lambda a, b: a * b)
+    squares = coefficients_of_polynomial(basis, lambda a, b: a**2 + b**2)
+    for size in (5.0, 9.0):
+        exact = integrate.quad(lambda x: special.k0(x) / np.pi, size, 60, epsabs=0)[0]
+        assert value(Probability(above=size), product, basis) == pytest.approx(exact, rel=1e-4)
+        assert value(Probability(below=-size), product, basis) == pytest.approx(exact, rel=1e-4)
+    assert value(Probability(above=25.0), squares, basis) == pytest.approx(np.exp(-12.5), rel=5e-3)
+    mean_beyond = 2 - 2 * np.log(1e-4)
+    assert value(ConditionalValueAtRisk(1 - 1e-4), squares, basis) == pytest.approx(mean_beyond, rel=1e-4)
+
+
+@pytest.mark.parametrize("variables", [5, pytest.param(20, marks=pytest.mark.slow)])
+def test_tails_of_sums_of_exponential_numbers_are_within_what_their_error_says(variables):
+    inputs = {f"x{i}": al.Gamma(shape=1.0, scale=1.0) for i in range(variables)}
+    expanded = al.expand(lambda at: sum(at.values()), inputs, al.Expansion(order=1))
+    gamma, lines = stats.gamma(variables), lines_through(expanded.basis)
+    for chance in (1e-3, 1e-7):
+        for kind in (Probability(above=gamma.isf(chance)), Probability(below=gamma.ppf(chance))):
+            estimate, error = map(float, kind.estimated(expanded.coefficients, lines))
+            assert abs(estimate - chance) < max(error, 0.02 * chance)
+
+
+def test_a_median_between_two_extremes_is_found():
+    """Of x^4 - 3 x^2 of a normal x: the roots of the polynomial give its distribution function."""
+    basis = basis_of([HermiteGerm()], 4)
+    found = float(value(Quantile(0.5), coefficients_of_polynomial(basis, lambda x: x**4 - 3 * x**2), basis))
+    inner, outer = (np.sqrt((3 + sign * np.sqrt(9 + 4 * found)) / 2) for sign in (-1, 1))
+    assert 2 * (stats.norm.cdf(outer) - stats.norm.cdf(inner)) == pytest.approx(0.5, abs=1e-6)
+
+
 def test_density_and_cdf_are_those_of_the_distribution_and_of_each_entry_and_have_the_quantiles():
     basis = basis_of([HermiteGerm()] * 2, 2)
     single = np.asarray(coefficients_of_polynomial(basis, lambda a, b: 1 + 3 * a + 4 * b))

@@ -1,6 +1,7 @@
 """`Expanded`: one expansion of a function of uncertain inputs, with its statistics, errors and Shapley effects."""
 
 import math
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from itertools import combinations
@@ -15,7 +16,8 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree, in_library, jax_array
 from aleator._core.compilation import Use, evaluate, evaluate_traced, traced_once
-from aleator._core.errors import ProblemError
+from aleator._core.errors import ExpansionWarning, ProblemError
+from aleator._core.leaves import is_traced
 from aleator.analysis._abstract_expanded import (
     AbstractExpanded,
     as_lines,
@@ -30,13 +32,28 @@ from aleator.analysis._abstract_expanded import (
 )
 from aleator.ensemble import concrete, part
 from aleator.expansion import ROUNDING, UNRESOLVED, Basis, Collocation, jackknife, leave_one_out, unseen
-from aleator.statistics import AbstractStatistic, a_statistic, cdf, lines_through, pdf, refuse_correlated, varies
+from aleator.statistics import (
+    AbstractStatistic,
+    AbstractTail,
+    Probability,
+    Std,
+    a_statistic,
+    cdf,
+    lines_through,
+    pdf,
+    refuse_correlated,
+    varies,
+)
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
 
 # Statistics of so few numbers take less time than a program that is any faster.
 _FEW = 16
 
 _MOST_INPUTS = 12
+
+# The error of an integral that is told: as a part of a probability or of a spread. Probabilities below the second
+# number are those of no tail.
+_INTEGRATED, _NO_TAIL = 0.05, 1e-12
 
 
 @final
@@ -74,12 +91,16 @@ class Expanded(AbstractExpanded):
         refuse_correlated(self.distributions, a_statistic(kind))
         constants = prepared(kind.preparation, self.basis)
 
-        def of(terms: Array) -> Array:
+        outputs, structure = jax.tree.flatten(self.coefficients)
+        values = []
+        for terms in outputs:
             arguments = kind, constants, terms
             traced = traced_once((type(kind), _statistic_of), _statistic_of, *arguments)
-            return evaluate_traced(traced, *arguments, use=_use(terms))
-
-        return jax.tree.map(of, self.coefficients)
+            value, error = evaluate_traced(traced, *arguments, use=_use(terms))
+            if error is not None and not is_traced(error):
+                _warn_of_integral(kind, np.asarray(value), np.asarray(error), np.asarray(Std().of(terms, ())))
+            values.append(value)
+        return jax.tree.unflatten(structure, values)
 
     @override
     def cdf(self, values: Float[Array, " n"]) -> Pytree:
@@ -214,8 +235,22 @@ def _part_of_variance(terms: Float[Array, "terms *shape"], matrix: Float[Array, 
     return jnp.where(spreads, part / jnp.where(spreads, total, 1.0), 0.0)
 
 
-def _statistic_of(kind: AbstractStatistic, constants: Pytree, terms: Array) -> Array:
-    return kind.of(terms, constants)
+def _statistic_of(kind: AbstractStatistic, constants: Pytree, terms: Array) -> tuple[Array, Array | None]:
+    """A statistic, and the error of its integral where it is one of a tail."""
+    return kind.estimated(terms, constants) if isinstance(kind, AbstractTail) else (kind.of(terms, constants), None)
+
+
+def _warn_of_integral(kind: AbstractStatistic, value: np.ndarray, error: np.ndarray, std: np.ndarray) -> None:
+    """Warn (`ExpansionWarning`) of a statistic of a tail whose integral has an error that one would act on."""
+    size = np.maximum(np.minimum(value, 1 - value) if isinstance(kind, Probability) else std, _NO_TAIL)
+    worst = np.unravel_index(int(np.argmax(error / size)), error.shape)
+    if error[worst] > _INTEGRATED * size[worst]:
+        warnings.warn(
+            f"{kind.text('output')} of the expansion is {value[worst]:.3g} ± {error[worst]:.1g} (95 %): few of the "
+            "lines along which it is integrated meet that tail.",
+            ExpansionWarning,
+            stacklevel=4,
+        )
 
 
 def _use(terms: Float[Array, "terms *shape"]) -> Use:

@@ -13,13 +13,14 @@ from aleator._core.arrays import Pytree, jax_array
 from aleator._core.border import one_of, real_array
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.leaves import Drawn, Printed
+from aleator.analysis._abstract_expanded import prepared
 from aleator.analysis._expand import expand
 from aleator.analysis._expanded import Expanded
 from aleator.analysis._sampling import Sampler
 from aleator.dynamics import AlgebraicSystem, explain_failure, simulate
 from aleator.expansion import Expansion
 from aleator.references import Linearised, linearise
-from aleator.statistics import Kurtosis, Mean, Skewness, Std, Supremum, TotalSobol
+from aleator.statistics import Kurtosis, Mean, Skewness, Std, Supremum, TotalSobol, lines_through, points_in_tail
 from aleator.uncertainty import (
     AbstractDistribution,
     Placements,
@@ -37,6 +38,10 @@ PARTS_PER_MILLION = 1e6
 
 # Up to this many dimensions all corners of the zones are evaluated: 4096.
 _MOST_CORNERS = 12
+
+# Assemblies that are drawn in each tail, and the least probability of the expansion there that leads to a tail.
+_IN_TAIL, _LEAST_CHANCE = 4096, 1e-12
+_WORTH_SAYING = 0.01  # an error of rejects, as a part of them
 
 
 class Zone(NamedTuple):
@@ -121,7 +126,8 @@ class ToleranceAnalysis(Drawn):
 
     - `nominal`: the output with every dimension at its mean; `mean`, `std`, `skewness`, `kurtosis` (3 if normal);
     - `lower`, `upper`: its limits;
-    - `rejects_low`, `rejects_high`: assemblies beyond them in parts per million, by the distribution of the expansion;
+    - `rejects_low`, `rejects_high`: assemblies beyond them in parts per million, by the distribution of the expansion,
+      corrected by assemblies that are drawn in either tail; `rejects_error`: the 95 % half-width of both together;
     - `worst_case`: the range of the output over all dimensions within their zones: the enclosure by the expansion,
       widened to the values at the corners of the zones;
     - `rss`: half-width by root sum square; `linear_std`: standard deviation by direct linearisation;
@@ -138,6 +144,7 @@ class ToleranceAnalysis(Drawn):
     upper: float
     rejects_low: float
     rejects_high: float
+    rejects_error: float
     worst_case: tuple[float, float]
     rss: float
     linear_std: float
@@ -199,7 +206,7 @@ def tolerance_analysis(
     if not isinstance(expanded.mean, jax.Array) or expanded.mean.ndim:
         raise ProblemError("tolerance_analysis: expected an output that is one number; received an array or a dict.")
     linear = linearise(function, model)
-    low, high = _beyond(expanded, lower, upper)
+    low, high = _beyond(expanded, Sampler(function, model, traced=True), lower, upper)
     return ToleranceAnalysis(
         output=name,
         nominal=float(linear.mean),
@@ -209,8 +216,9 @@ def tolerance_analysis(
         kurtosis=_number(expanded, Kurtosis()),
         lower=float(lower),
         upper=float(upper),
-        rejects_low=PARTS_PER_MILLION * low,
-        rejects_high=PARTS_PER_MILLION * high,
+        rejects_low=PARTS_PER_MILLION * low[0],
+        rejects_high=PARTS_PER_MILLION * high[0],
+        rejects_error=PARTS_PER_MILLION * float(np.hypot(low[1], high[1])),
         worst_case=_worst_case(function, in_zones(model, zones), expansion),
         rss=float(linear.rss({name: zone.half_width for name, zone in zones.items()})),
         linear_std=float(linear.std),
@@ -277,11 +285,30 @@ def _range(expanded: Expanded) -> tuple[float, float]:
     return -float(low), float(high)
 
 
-def _beyond(expanded: Expanded, lower: float, upper: float) -> tuple[float, float]:
-    """The probabilities of less than the lower limit, and of more than the upper one."""
+def _beyond(
+    expanded: Expanded, sampler: Sampler, lower: float, upper: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The probabilities of less than the lower limit and of more than the upper one, with their 95 % half-widths."""
     limits = [limit for limit in (lower, upper) if np.isfinite(limit)]
     levels = dict(zip(limits, np.asarray(expanded.cdf(jax_array(limits, float))).tolist(), strict=True))
-    return levels.get(lower, 0.0), 1 - levels.get(upper, 1.0)
+    low = _in_tail(expanded, sampler, lower, levels[lower], is_lower=True) if lower in levels else (0.0, 0.0)
+    high = _in_tail(expanded, sampler, upper, 1 - levels[upper], is_lower=False) if upper in levels else (0.0, 0.0)
+    return low, high
+
+
+def _in_tail(
+    expanded: Expanded, sampler: Sampler, limit: float, chance: float, *, is_lower: bool
+) -> tuple[float, float]:
+    """The probability beyond a limit: that of the expansion, corrected by the assemblies' own values in that tail."""
+    coefficients, lines = np.asarray(expanded.coefficients), prepared(lines_through, expanded.basis)
+    if not expanded.basis.variables or not np.any(coefficients[1:]):
+        return chance, 0.0
+    at = max(chance, _LEAST_CHANCE)
+    points, weights = points_in_tail(expanded.basis, lines, coefficients, at, _IN_TAIL, lower=is_lower, seed=0)
+    values = np.asarray(sampler.samples(jax_array(points)))
+    each = [(one < limit) == is_lower for one in (values, expanded.basis.matrix(points) @ coefficients)]
+    missed = weights * (1.0 * each[0] - 1.0 * each[1])
+    return max(chance + float(missed.mean()), 0.0), float(2 * missed.std() / np.sqrt(len(missed)))
 
 
 def _contributions(expanded: Expanded, linear: Linearised, zones: Mapping[str, Zone]) -> dict[str, Contribution]:
@@ -299,11 +326,12 @@ def _contributions(expanded: Expanded, linear: Linearised, zones: Mapping[str, Z
 def _text(analysis: ToleranceAnalysis) -> str:
     """The analysis as lines: output, limits, rejects, worst case, then the contributions, largest first."""
     low, high = analysis.worst_case
+    error = f", ± {analysis.rejects_error:.2g} ppm" if analysis.rejects_error > _WORTH_SAYING * analysis.rejects else ""
     rows = [
         (analysis.output, f"nominal {analysis.nominal:.6g}, mean {analysis.mean:.6g}, 3σ {3 * analysis.std:.5g}"),
         ("shape", f"skewness {analysis.skewness:.3g}, kurtosis {analysis.kurtosis:.4g} (0 and 3 if normal)"),
         ("limits", f"{analysis.lower:g} to {analysis.upper:g}: Cp {analysis.cp:.3g}, Cpk {analysis.cpk:.3g}"),
-        ("rejects", f"{analysis.rejects_low:.3g} ppm low, {analysis.rejects_high:.3g} ppm high"),
+        ("rejects", f"{analysis.rejects_low:.3g} ppm low, {analysis.rejects_high:.3g} ppm high{error}"),
         ("worst case", f"{low:.6g} to {high:.6g}; root sum square ± {analysis.rss:.5g}"),
     ]
     largest = sorted(analysis.contributions.items(), key=lambda item: -item[1].linear)

@@ -15,11 +15,9 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import jax_array
-from aleator._core.compilation import Use, evaluate
 from aleator.certification._check import Check, FreshSystems, begin_check, certain
 from aleator.design import AbstractScopeOfInstants, Expression, Statistic, functionals_of, statistics_in
-from aleator.ensemble import at_levels
-from aleator.statistics import AbstractStatistic, AbstractTail, ConditionalValueAtRisk, Lines, Probability
+from aleator.statistics import AbstractStatistic, AbstractTail, ConditionalValueAtRisk, Probability, points_in_tail
 from aleator.transcription import AbstractTranscribed
 from aleator.uncertainty import named_numbers
 
@@ -28,8 +26,6 @@ from aleator.uncertainty import named_numbers
 _TOLERATED, _OF_A_CHANCE = 0.01, 0.1
 # Fresh systems in a tail: so many at first, and so many at most, four times as many each time.
 _FIRST, _LAST = 128, 2048
-# The share of the given distribution, and the distances of tails from the origin in standard deviations.
-_GIVEN, _NEAREST, _FURTHEST = 0.25, 0.5, 7.0
 # How far around a quantile its density is taken, as a part of its distance from the mean.
 _AROUND = 0.1
 
@@ -166,13 +162,11 @@ def _error(
     """The error of a statistic by fresh systems in its tail, its standard error, and their number."""
     size, least = len(check.systems.points), _FIRST
     values, predicted, weights = (np.zeros(0) for _ in range(3))
-    directions = _directions(transcribed, check, tail)
+    coefficients = check.coefficients[tail.functional][(slice(None), *tail.entry)]
     while True:
         draws = range(len(values) // size, -(-max(least, size) // size))
-        waiting = [
-            begin_check(transcribed, point, check.factor, _systems(transcribed, directions, tail.chance, size, draw))
-            for draw in draws
-        ]
+        systems = (_systems(transcribed, coefficients, tail, size, draw) for draw in draws)
+        waiting = [begin_check(transcribed, point, check.factor, one) for one in systems]
         for one in (begun() for begun in waiting):
             of = (slice(None), *tail.entry)
             values = np.concatenate([values, one.fresh[tail.functional][of]])
@@ -187,36 +181,11 @@ def _error(
         least = 4 * len(values)
 
 
-def _directions(transcribed: AbstractTranscribed, check: Check, tail: _Tail) -> Float[np.ndarray, "germs directions"]:
-    """Directions of the normal variables of all germs in which the expansion reaches furthest into the tail."""
-    lines: Lines = transcribed.constants.of(tail.atom.kind)
-    coefficients = check.coefficients[tail.functional][(slice(None), *tail.entry)]
-    signed = (1.0 if tail.is_lower else -1.0) * np.where(np.arange(len(coefficients)) > 0, coefficients, 0.0)
-    found = np.asarray(evaluate(_minima, lines, jax_array(signed), use=Use.BRIEF))
-    every = np.zeros((transcribed.discretised.basis.variables, found.shape[1]))
-    every[list(lines.active)] = found
-    return every
-
-
-def _minima(lines: Lines, coefficients: Array) -> Array:
-    return lines.minima(coefficients)
-
-
 def _systems(
-    transcribed: AbstractTranscribed, directions: np.ndarray, chance: float, count: int, draw: int
+    transcribed: AbstractTranscribed, coefficients: np.ndarray, tail: _Tail, count: int, draw: int
 ) -> FreshSystems:
-    """Fresh systems, as many by the given distribution as its share, the others around the directions."""
-    import scipy
-
-    distance = np.clip(-scipy.special.ndtri(chance), _NEAREST, _FURTHEST)
-    centres = distance * np.concatenate([np.zeros((1, len(directions))), directions.T])
-    many = len(centres) - 1
-    shares = np.array([_GIVEN, *[(1 - _GIVEN) / many] * many])
-    which = np.searchsorted(np.cumsum(shares), (np.arange(count) + 0.5) / count)
-    points = centres[which] + np.random.default_rng([3, draw]).standard_normal((count, len(directions)))
-    logs = points @ centres.T - np.sum(centres**2, axis=1) / 2
-    levels = np.clip(scipy.special.ndtr(points), np.finfo(float).tiny, 1 - np.finfo(float).epsneg)
-    return FreshSystems(at_levels(transcribed.problem.placements.germs.values(), levels), 1 / (np.exp(logs) @ shares))
+    basis, lines = transcribed.discretised.basis, transcribed.constants.of(tail.atom.kind)
+    return FreshSystems(*points_in_tail(basis, lines, coefficients, tail.chance, count, lower=tail.is_lower, seed=draw))
 
 
 def _effect(

@@ -20,6 +20,7 @@ import scipy
 from jaxtyping import Array, Float, Int
 
 from aleator._core.arrays import jax_array
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.expansion import Basis
@@ -45,6 +46,9 @@ _ON_A_GRID, _GRID = 2, 257
 
 # Beyond this, double precision cannot tell a distribution function from 0 or 1. Cells of the table of a germ.
 _LAST, _TABLED = 8.2, 1024
+
+# Of points in a tail: the share of the given distribution, and the distances of tails from the origin.
+_PLAIN, _NEAREST, _FURTHEST = 0.25, 0.5, 7.0
 
 # So many points are evaluated at once, for the cache.
 _TOGETHER = 2**12
@@ -298,3 +302,31 @@ def _starts(variables: int) -> Float[np.ndarray, "variables starts"]:
     axes = np.eye(variables)
     every = np.concatenate([axes, -axes, between], axis=1)
     return every / np.linalg.norm(every, axis=0)
+
+
+def points_in_tail(
+    basis: Basis,
+    lines: Lines,
+    coefficients: Float[np.ndarray, " terms"],
+    chance: float,
+    count: int,
+    *,
+    lower: bool,
+    seed: int,
+) -> tuple[Float[np.ndarray, "count variables"], Float[np.ndarray, " count"]]:
+    """Random germ points in a tail of an expansion, and the weights with which they stand for the distribution.
+
+    A quarter is drawn from the given distribution, so that no weight exceeds four; the others around the minima (or
+    maxima) of the expansion at the distance that has the probability `chance` in one normal variable.
+    """
+    signed = (1.0 if lower else -1.0) * np.where(np.arange(len(coefficients)) > 0, coefficients, 0.0)
+    minima = np.asarray(evaluate(Lines.minima, lines, jax_array(signed), use=Use.BRIEF))
+    distance = np.clip(-scipy.special.ndtri(chance), _NEAREST, _FURTHEST)
+    centres = np.zeros((1 + _MINIMA, basis.variables))
+    centres[1:, list(lines.active)] = distance * minima.T
+    shares = np.array([_PLAIN, *[(1 - _PLAIN) / _MINIMA] * _MINIMA])
+    which = np.searchsorted(np.cumsum(shares), (np.arange(count) + 0.5) / count)
+    normal = centres[which] + np.random.default_rng([3, seed]).standard_normal((count, basis.variables))
+    ratio = np.exp(normal @ centres.T - np.sum(centres**2, axis=1) / 2) @ shares
+    levels = np.clip(scipy.special.ndtr(normal), np.finfo(float).tiny, 1 - np.finfo(float).epsneg)
+    return basis.map_to_germ(levels), 1 / ratio

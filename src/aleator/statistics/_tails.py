@@ -28,7 +28,7 @@ from aleator.statistics._statistic import AbstractStatistic, Constants, level_gi
 class AbstractTail(AbstractStatistic):
     """A statistic of an output's distribution along lines; all such statistics share the prepared lines.
 
-    It has first derivatives only. `error` is the 95 % half-width of its integral over the expansion.
+    It has first derivatives only.
     """
 
     @property
@@ -40,9 +40,25 @@ class AbstractTail(AbstractStatistic):
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Lines) -> Float[Array, "*shape"]:
         return tails_together([self], [coefficients], constants)[0]
 
+    def estimated(
+        self, coefficients: Float[Array, "terms *shape"], constants: Lines
+    ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+        """The statistic, and the 95 % half-width of its integral over the expansion."""
+
+        def both(kind: AbstractTail, output: OutputDistribution) -> Float[Array, "2"]:
+            return jnp.stack([kind.of_distribution(output), kind.error_of(output)])
+
+        numbers = jax.tree.map(lambda number: jnp.full(coefficients.shape[1:], number, dtype=float), self)
+        found = by_lines(both, numbers, coefficients, constants)
+        return found[..., 0], found[..., 1]
+
     @abc.abstractmethod
     def of_distribution(self, distribution: OutputDistribution) -> Float[Array, ""]:
-        """The statistic of some outputs."""
+        """The statistic of an output."""
+
+    @abc.abstractmethod
+    def error_of(self, distribution: OutputDistribution) -> Float[Array, ""]:
+        """The 95 % half-width of its integral."""
 
 
 def tails_together(
@@ -69,6 +85,12 @@ class Quantile(AbstractTail):
     @override
     def of_distribution(self, distribution: OutputDistribution) -> Float[Array, ""]:
         return distribution.mean + distribution.quantile(self.level)
+
+    @override
+    def error_of(self, distribution: OutputDistribution) -> Float[Array, ""]:
+        at = distribution.quantile(self.level)
+        density = distribution.density(at)
+        return distribution.error(at) / jnp.where(density > 0, density, jnp.inf)
 
     @override
     @quietly
@@ -101,6 +123,13 @@ class ConditionalValueAtRisk(AbstractTail):
     @override
     def of_distribution(self, distribution: OutputDistribution) -> Float[Array, ""]:
         return distribution.mean + distribution.mean_beyond(self.level, lower=self.lower)
+
+    @override
+    def error_of(self, distribution: OutputDistribution) -> Float[Array, ""]:
+        # By the derivative of the mean beyond a quantile by the level.
+        at = distribution.quantile(self.level)
+        beyond = jnp.abs(distribution.mean_beyond(self.level, lower=self.lower) - at)
+        return distribution.error(at) * beyond / (self.level if self.lower else 1 - self.level)
 
     @override
     @quietly
@@ -149,6 +178,12 @@ class Probability(AbstractTail):
         if self.below is None:
             return above
         return above - distribution.above(jnp.asarray(self.below) - distribution.mean)
+
+    @override
+    def error_of(self, distribution: OutputDistribution) -> Float[Array, ""]:
+        thresholds = [limit for limit in (self.above, self.below) if limit is not None]
+        errors = [distribution.error(jnp.asarray(limit) - distribution.mean) for limit in thresholds]
+        return jnp.sum(jnp.stack(errors))
 
     @override
     @quietly

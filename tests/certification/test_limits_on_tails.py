@@ -1,0 +1,87 @@
+"""Limits on quantiles, probabilities and means beyond quantiles, against closed forms: the optimum, or not ok."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import aleator as al
+
+U = stats.norm.ppf
+# Responses of two normal numbers, with the quantile of each at a level.
+RESPONSES = {
+    "exponential": (lambda u, v: jnp.exp(0.3 * u), lambda p: np.exp(0.3 * U(p))),
+    "reciprocal": (lambda u, v: 1 / (1 + 0.12 * u), lambda p: 1 / (1 - 0.12 * U(p))),
+    "square of a reciprocal": (lambda u, v: 1 / (1 + 0.1 * u) ** 2, lambda p: 1 / (1 - 0.1 * U(p)) ** 2),
+    "squares": (lambda u, v: u**2 + v**2, lambda p: -2 * np.log(1 - p)),
+    # Bessel's K0 is the density of a product: the distribution function by SciPy's quadrature, inverted.
+    "product": (lambda u, v: 4 + u * v, {0.9: 5.0344, 0.99: 6.9838, 0.9999: 11.2278}.get),
+}
+
+
+class Rod(al.AlgebraicSystem):
+    """A size `d` times a response that is limited."""
+
+    d: al.Number
+    u: al.Number
+    v: al.Number
+    response: str = "exponential"
+
+    def outputs(self):
+        return {"y": self.d * RESPONSES[self.response][0](self.u, self.v), "d": self.d}
+
+
+def largest(response, limit, order):
+    """The largest size whose response keeps a limit of 10."""
+    rod = Rod(al.Decision(1.0, 0.01, 50.0), al.Normal(0.0, 1.0), al.Normal(0.0, 1.0), response)
+    problem = al.Problem(
+        rod, minimize=-1 * al.output("d").mean, subject_to=[limit], expansion=al.Expansion(order=order)
+    )
+    return al.solve(problem, throw=False)
+
+
+SLOW = [(response, level, order) for response in RESPONSES for level in (0.9, 0.99, 0.9999) for order in (2, 3, 4)]
+
+
+@pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")
+@pytest.mark.parametrize(
+    ("response", "level", "order"),
+    [("squares", 0.9999, 2), *(pytest.param(*case, marks=pytest.mark.slow) for case in SLOW)],
+)
+def test_a_limit_on_a_quantile_is_at_its_optimum_or_not_ok(response, level, order):
+    solution = largest(response, al.output("y").at_most(10.0, probability=level), order)
+    exact = 10 / RESPONSES[response][1](level)
+    assert not solution.ok or float(solution.decisions["d"]) == pytest.approx(exact, rel=1e-2)
+    if response in ("squares", "product"):
+        assert solution.ok
+
+
+@pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")
+def test_an_expansion_that_is_wrong_in_a_tail_is_contradicted_by_systems_there():
+    limit = al.output("y").at_most(10.0, probability=0.9999)
+    wrong, right = largest("exponential", limit, 2), largest("exponential", limit, 5)
+    assert not wrong.ok
+    assert "systems in its tail" in wrong.certificate.opinion.broken
+    assert right.ok
+    assert float(right.decisions["d"]) == pytest.approx(10 / np.exp(0.3 * U(0.9999)), rel=2e-3)
+
+
+@pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")
+@pytest.mark.parametrize(
+    ("limit", "order", "exact"),
+    [
+        # Below -9 a product has as much as above 9: 1e-5 at the size 9 / 9.4138.
+        (al.output("y").probability(above=10.0) <= 1e-3, 4, 10 / np.exp(0.3 * U(0.999))),
+        pytest.param(
+            al.output("y").conditional_value_at_risk(0.99) <= 10.0,
+            5,
+            10 / (np.exp(0.045) * stats.norm.sf(U(0.99) - 0.3) / 0.01),
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_probabilities_and_means_beyond_quantiles_are_confirmed_too(limit, order, exact):
+    assert not largest("exponential", limit, 2).ok
+    solution = largest("exponential", limit, order)
+    assert solution.ok
+    assert float(solution.decisions["d"]) == pytest.approx(exact, rel=1e-2)
