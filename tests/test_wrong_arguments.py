@@ -320,12 +320,6 @@ def test_a_checked_number_is_stored_as_a_plain_one():
 # --- Words that lead on ----------------------------------------------------------------------------------------------
 
 HINTS: dict[str, tuple[Callable[[], Any], str]] = {
-    "a name of other libraries": (lambda: al.Normal(1.0, **{"sigma": 0.1}), "'sigma'. Did you mean 'std'?"),
-    "a name of a problem": (
-        lambda: al.Problem(**typing.cast(Any, {"objective": STRESS.mean})),
-        "'objective'. Did you mean 'minimize'?",
-    ),
-    "a slip in a model of one's own": (lambda: Decay(**typing.cast(Any, {"rat": 1.0})), "Did you mean 'rate'?"),
     "an integrator by its place": (
         lambda: al.simulate(Decay(1.0), al.Grid(1.0, 1), typing.cast(Any, al.integrators.Tsit5())),
         "integrator=Tsit5(",
