@@ -8,7 +8,7 @@ import pytest
 import scipy.stats
 
 import aleator as al
-from aleator.certification._check import fresh_systems
+from aleator.certification._fresh import fresh_systems
 from aleator.certification._second_opinion import _quantile
 from zoo import LOSS, ONE_STEP, gain_problem
 

@@ -6,7 +6,7 @@ are in no phase with those of the problem's: what is constant at these, such as 
 """
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
+from aleator.certification._fresh import FreshSystems, simulates_inside, systems_of
 from aleator.design import (
     AbstractFunctional,
     Constraint,
@@ -27,22 +28,12 @@ from aleator.design import (
     statistics_in,
 )
 from aleator.dynamics import FINER, AbstractIntegrator, Grid, Kvaerno5
-from aleator.ensemble import at_levels, random_levels
 from aleator.expansion import Collocation
 from aleator.statistics import Constants, Mean, Std
 from aleator.trajectories import AbstractTrajectory, BSpline, least_steps, piecewise_in
 from aleator.transcription import AbstractTranscribed, Discretised, scope_from, simulated
-from aleator.uncertainty import AbstractGerm
 
 _Part = TypeVar("_Part")
-
-# Fresh systems in one check: enough for a standard error, and cheap beside one evaluation with derivatives.
-_FRESH = 32
-# Fresh systems of an answer where these leave a doubt. Of one or two germ variables they cover the range densely, as
-# many as this at least; more, and all in one check, where nothing is simulated.
-_MOST, _DENSE, _MOST_DENSE, _AT_ONCE = 1024, 256, 2048, 1024
-# What two successive points of an even sequence differ by, in one and in two variables: the golden ratio and its next.
-_EVEN_STEPS = {1: (0.6180339887498949,), 2: (0.7548776662466927, 0.5698402909980532)}
 
 # Factor of steps for systems that follow trajectories, whose limits are enforced between instants, and for others;
 # then the least number of steps in all, and between two knots.
@@ -53,57 +44,6 @@ _BRIEF = 500_000
 _ROUNDING, ROUNDING, NEGLIGIBLE_SPREAD = 1e-12, 1e-9, 1e-6
 # A simulation that departs from a mesh by so many times what it simulates; fractions of the duration that are the same.
 _DEPARTED, _SAME = 10.0, 1e-9
-# The depths of tails, as parts of all systems: more than 4 standard deviations of a normal germ, and the median.
-_DEEPEST, _SHALLOWEST = 1e-5, 0.5
-
-
-class FreshSystems(NamedTuple):
-    """Germ points, and the weights with which their mean stands for all systems."""
-
-    points: Float[np.ndarray, "fresh variables"]
-    weights: Float[np.ndarray, " fresh"]
-
-    @property
-    def draws(self) -> tuple[int, int]:
-        """How many draws of so many systems an answer deserves, and how many where these leave a doubt."""
-        count, variables = self.points.shape
-        least, most = (_DENSE, _MOST_DENSE) if variables in _EVEN_STEPS else (_FRESH, _MOST)
-        return max(least // count, 1), most // count
-
-
-def fresh_systems(germs: Collection[AbstractGerm], count: int, draw: int) -> FreshSystems:
-    """Half of the systems drawn at random, in the others one germ after the other in its lower or its upper tail.
-
-    Of one or two germs the former half goes on evenly from draw to draw (Kronecker sequences by the golden ratio and
-    its generalisation, begun at random): 256 systems leave no part of more than 1.5 % of one germ's range without any.
-
-    An output may owe much of its spread to the one system in a hundred that no collocation point and none of a few
-    random systems resembles. Depths within a tail are log-uniform, spread evenly over the systems of that tail. Weights
-    undo the choice (multiple importance sampling with the balance heuristic of Veach and Guibas, 1995); none exceeds 2.
-    """
-    generator, half = np.random.default_rng(2 + draw), count // 2
-    levels = random_levels(generator, count, len(germs))
-    if steps := _EVEN_STEPS.get(len(germs)):
-        begun = np.random.default_rng(2).random(len(steps))
-        levels[:half] = (begun + np.outer(draw * half + np.arange(1, half + 1), steps)) % 1
-    place = np.arange(count - half)
-    tails = place % (2 * len(germs))
-    which, upper, drawn = tails // 2, tails % 2 == 1, np.bincount(tails, minlength=2 * len(germs))
-    # One in each of the equal parts of its tail's logarithmic range.
-    parts = np.empty(len(tails))
-    parts[np.argsort(tails, kind="stable")] = generator.random(len(tails))
-    parts = (place // (2 * len(germs)) + parts) / drawn[tails]
-    depths = _DEEPEST * (_SHALLOWEST / _DEEPEST) ** parts
-    levels[half + place, which] = np.where(upper, 1 - depths, depths)
-    in_tails = _tail_density(levels) @ drawn[::2] + _tail_density(1 - levels) @ drawn[1::2]
-    density = (half + in_tails) / count
-    return FreshSystems(at_levels(germs, levels), 1 / density)
-
-
-def _tail_density(depths: np.ndarray) -> np.ndarray:
-    """The density of a level at a depth below the median, relative to a random one."""
-    inside = (depths >= _DEEPEST) & (depths <= _SHALLOWEST)
-    return np.where(inside, 1 / (np.maximum(depths, _DEEPEST) * np.log(_SHALLOWEST / _DEEPEST)), 0.0)
 
 
 class Check(NamedTuple):
@@ -283,21 +223,6 @@ def is_checked(problem: Problem) -> bool:
     """Whether a problem simulates something that has a grid, or that is uncertain."""
     has_parts = isinstance(problem.grid, Grid) or bool(problem.placements.germs) or simulates_inside(problem)
     return has_parts and bool(functionals_of(problem.expressions))
-
-
-def simulates_inside(problem: Problem) -> bool:
-    """Whether the model itself calls `simulate`."""
-    equations = problem.simulation.equations
-    return equations is not None and equations.finer is not None
-
-
-def systems_of(problem: Problem, draw: int) -> FreshSystems:
-    """Fresh systems of a problem, the same at every call, so that answers are repeatable."""
-    germs = problem.placements.germs.values()
-    if not germs:
-        return FreshSystems(np.zeros((0, 0)), np.zeros(0))
-    is_dense = len(germs) in _EVEN_STEPS and not (isinstance(problem.grid, Grid) or simulates_inside(problem))
-    return fresh_systems(germs, _AT_ONCE if is_dense else _FRESH, draw)
 
 
 def _arguments(

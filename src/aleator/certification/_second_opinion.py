@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import jax_array
-from aleator.certification._check import Check, begin_check, certain, systems_of
+from aleator.certification._check import Check, begin_check, certain
+from aleator.certification._fresh import systems_of
 from aleator.certification._tails import KnownStatistics, tail_objections
 from aleator.design import Statistic, expanded_functionals, functionals_of, statistics_in
 from aleator.ensemble import inputs_at, listed

@@ -15,7 +15,8 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import jax_array
-from aleator.certification._check import Check, FreshSystems, begin_check, certain
+from aleator.certification._check import Check, begin_check, certain
+from aleator.certification._fresh import FreshSystems
 from aleator.design import AbstractScopeOfInstants, Expression, Statistic, functionals_of, statistics_in
 from aleator.statistics import AbstractStatistic, AbstractTail, ConditionalValueAtRisk, Probability, points_in_tail
 from aleator.transcription import AbstractTranscribed
