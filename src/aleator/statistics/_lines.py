@@ -10,6 +10,7 @@ two wider ones, and one around each of several such minima; the ratio of the den
 (importance sampling; Owen and Zhou, 2000, on mixtures that keep the given distribution).
 """
 
+from dataclasses import replace
 from typing import final
 
 import equinox as eqx
@@ -42,7 +43,7 @@ _APART = 0.7  # cosine between minima that are told apart
 # The part of a line that counts, beyond which lies 3e-12. Cells of it: of the only line of one variable, of each of the
 # equidistant lines of two variables, and of others.
 _END, _CELLS, _FEWEST_CELLS = 7.0, {1: 4096, 2: 280}, 35
-_ON_A_GRID, _GRID = 2, 257
+_ON_A_GRID, _GRID, _COARSER = 2, 257, 4
 
 # Beyond this, double precision cannot tell a distribution function from 0 or 1. Cells of the table of a germ.
 _LAST, _TABLED = 8.2, 1024
@@ -101,6 +102,12 @@ class Lines(Module):
         """The length of a cell, in standard deviations."""
         return 2 * _END / self.cells
 
+    def fewer(self, replicates: int) -> "Lines":
+        """Lines for one of many outputs: some replicates, or a coarser grid."""
+        if len(self.normals) > _ON_A_GRID:
+            return replace(self, normals=self.normals[:, :replicates])
+        return replace(self, normals=self.normals[:, :, ::_COARSER], cells=self.cells // _COARSER)
+
     def values(self, coefficients: Float[Array, " terms"], normal: Float[Array, "variables n"]) -> Float[Array, " n"]:
         """The expansion at points of the normal variables."""
         count = normal.shape[1]
@@ -138,11 +145,11 @@ class Lines(Module):
         """Where a cell begins, in standard deviations."""
         return (cell - self.cells / 2) * self.step
 
-    def lower_tail(self, coefficients: Float[Array, " terms"], replicates: int) -> LowerTail:
+    def lower_tail(self, coefficients: Float[Array, " terms"]) -> LowerTail:
         """An output with mean zero along lines for its small values."""
         minima = self.minima(coefficients)
         direction = minima[:, 0]
-        points, weights = _placed(self.normals[:, :replicates], direction, _CENTRE * minima)
+        points, weights = _placed(self.normals, direction, _CENTRE * minima)
         # Slopes at the ends of cells take two more nodes beyond either end.
         along = self.first_of(jnp.arange(-2, self.cells + 3))
         nodes = points[..., None] + direction[:, None, None] * along[None, None]

@@ -27,7 +27,7 @@ _MOST_STEPS, _CLOSE, _NARROW = 100, 1e-8, 1e-13
 # Steps of Newton's method, with bisection where one leaves its bracket by more than a part of it: at a root, rounding
 # may put a value and a step on different sides.
 _TO_A_CROSSING, _AT_THE_EDGE = 10, 1e-6
-# Paths of more entries than this share the lines of a single number.
+# Paths of more entries than this take fewer lines than a single number.
 _SINGLE = 4
 # Student's t for the means of all replicates: 95 % on both sides.
 _COVERS = 2.365
@@ -143,8 +143,8 @@ def _shortfall(
     return total
 
 
-def _tail_distribution(signed: Float[Array, " terms"], lines: Lines, replicates: int) -> TailDistribution:
-    tail = lines.lower_tail(signed, replicates)
+def _tail_distribution(signed: Float[Array, " terms"], lines: Lines) -> TailDistribution:
+    tail = lines.lower_tail(signed)
     fixed = jax.lax.stop_gradient(tail.cubics)
     _, slope, bend, rest = fixed
     # A cubic between ends with slopes of different signs has one extremum there.
@@ -348,11 +348,11 @@ def by_lines(
     leaves, structure = jax.tree.flatten(numbers)
     shape, terms = coefficients.shape[1:], len(coefficients)
     entries = math.prod(shape) // sharing
-    replicates = min(lines.normals.shape[1], max(1, _SINGLE * REPLICATES // max(entries, 1)))
+    lines = lines if entries <= _SINGLE else lines.fewer(max(1, _SINGLE * REPLICATES // entries))
 
     def of_row(row: Float[Array, " columns"]) -> Array:
         return of_distribution(
-            jax.tree.unflatten(structure, list(row[terms:])), output_distribution(row[:terms], lines, replicates)
+            jax.tree.unflatten(structure, list(row[terms:])), output_distribution(row[:terms], lines)
         )
 
     # The numbers of an entry follow its coefficients.
@@ -361,8 +361,8 @@ def by_lines(
     return values.reshape(*shape, *values.shape[1:])
 
 
-def output_distribution(coefficients: Float[Array, " terms"], lines: Lines, replicates: int) -> OutputDistribution:
-    """The distribution of an output, by lines of some replicates."""
+def output_distribution(coefficients: Float[Array, " terms"], lines: Lines) -> OutputDistribution:
+    """The distribution of an output."""
     varying = coefficients.at[0].set(0.0)
-    tails = jax.vmap(lambda sign: _tail_distribution(sign * varying, lines, replicates))(jnp.array([1.0, -1.0]))
+    tails = jax.vmap(lambda sign: _tail_distribution(sign * varying, lines))(jnp.array([1.0, -1.0]))
     return OutputDistribution(coefficients[0], root(jnp.sum(varying**2)), tails, lines)
