@@ -53,7 +53,7 @@ _MOST_INPUTS = 12
 
 # The error of an integral that is told: as a part of a probability or of a spread. Probabilities below the second
 # number are those of no tail.
-_INTEGRATED, _NO_TAIL = 0.05, 1e-12
+_INTEGRATED, _NO_TAIL = 0.1, 1e-12
 
 
 @final

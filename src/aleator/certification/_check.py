@@ -81,8 +81,9 @@ class Check(NamedTuple):
 
     def spread(self, functional: int) -> Float[np.ndarray, "..."]:
         """The standard deviation of a functional in the fresh systems about the mean by its expansion."""
-        squares, weights = (self.fresh[functional] - self.means[functional]) ** 2, self.systems.weights
-        return np.sqrt(np.tensordot(weights, squares, axes=1) / max(weights.sum(), 1.0))
+        away, weights = self.fresh[functional] - self.means[functional], self.systems.weights
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.sqrt(np.tensordot(weights, away**2, axes=1) / max(weights.sum(), 1.0))
 
 
 def _check(

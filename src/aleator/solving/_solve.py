@@ -25,7 +25,7 @@ from aleator._core.journalled import journalled
 from aleator._core.parallel import dropped_on_failure
 from aleator.certification import doubts, refinement, unconverged
 from aleator.design import Problem, deterministic
-from aleator.nlp import AbstractSearch, AbstractSolver, Status
+from aleator.nlp import HELD, AbstractSearch, AbstractSolver, Status
 from aleator.solution import AtMeans, Solution
 from aleator.solving._stages import Stages, with_opinion
 from aleator.transcription import DEFAULT, OF_ROUNDING, AbstractTranscription, started_from
@@ -235,7 +235,8 @@ def _doubts(solution: Solution) -> Iterator[tuple[type[Warning], str]]:
     if not solution.ok:
         return
     for one in solution.constraints:
-        if one.scale == OF_ROUNDING and (largest := float(np.max(np.abs(one.values)))) > 0:
+        largest = float(np.max(np.abs(one.values)))
+        if one.scale == OF_ROUNDING and 0 < largest <= HELD * OF_ROUNDING:
             yield (
                 AleatorWarning,
                 f"constraint '{one.name}' is taken to hold: its values, {largest:.2g} at most, count as rounding of "
