@@ -124,7 +124,9 @@ def test_the_lightest_speed_reducer_under_tolerances():
     assert found == pytest.approx([3.577957, 0.7, 17.0, 7.3, 7.754026, 3.365101, 5.301593], rel=1e-4)
     assert solution.at_bounds == ("x2.mean", "x3.mean", "x4.mean")
     assert {one.name for one in solution.constraints if np.any(one.active)} == {"g5", "g6", "g8", "g11"}
-    expanded = al.expand(lambda one: one.outputs()["weight"], Reducer(**dimensions(found), ratio=True), al.Expansion(order=2))
+    expanded = al.expand(
+        lambda one: one.outputs()["weight"], Reducer(**dimensions(found), ratio=True), al.Expansion(order=2)
+    )
     assert (expanded.mean, expanded.std) == pytest.approx((3039.32893, 23.4495), rel=1e-4)
 
 
