@@ -6,7 +6,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any, ClassVar, final
 
 import equinox as eqx
@@ -19,7 +19,7 @@ from jaxtyping import Array
 
 from aleator._core import programs
 from aleator._core.arrays import Layout, Pytree, is_real
-from aleator._core.equations import TracedFunction, digest_of, ends_by_condition, refuse_unsteady
+from aleator._core.equations import TracedFunction, digest_of, ends_by_condition, must_run_alone, refuse_unsteady
 from aleator._core.errors import ProblemError
 from aleator._core.identity import identity_of, lasting_name
 from aleator._core.parallel import Device, beside, devices, elsewhere, home, placed, undisturbed
@@ -155,7 +155,7 @@ class Compiled:
 
             def loaded() -> Executable:
                 earlier = programs.load(name, inputs)
-                return trace()[0]() if earlier is None else _ready(*earlier)
+                return trace()[0]() if earlier is None else _ready(earlier[0], *earlier[1])
 
             return functools.partial(self._timed, loaded)
 
@@ -187,6 +187,7 @@ class Compiled:
         with _explained():
             traced = jax.jit(flat).trace(*inputs)
             use, lowered = use.of(traced.jaxpr), traced.lower()
+        alone = must_run_alone(traced.jaxpr.jaxpr)
         # Asked here, because what JAX is told of devices holds for one thread.
         bound_to = placed(inputs)
         platform, moves = (bound_to or home()).platform, bound_to is None and len(devices()) > 1
@@ -196,14 +197,14 @@ class Compiled:
         def compiled() -> Executable:
             executable = compiled_for(use, lowered, platform)
             if name is not None:
-                programs.keep(name, lowered, executable, layouts[0])
-            ready = _ready(executable, layouts[0])
+                programs.keep(name, lowered, executable, (layouts[0], alone))
+            ready = _ready(executable, layouts[0], alone)
             return _OnEach(ready, lambda: self._timed(here)) if moves else ready
 
         def here() -> Executable:
             PROGRAMS.make_room()
             again = traced.lower()
-            return _ready(undisturbed(lambda: compiled_for(use, again, platform)), layouts[0])
+            return _ready(undisturbed(lambda: compiled_for(use, again, platform)), layouts[0], alone)
 
         return compiled, None if packed else layouts[0].read(traced.out_info)
 
@@ -237,11 +238,15 @@ def _shapes_alone(tree: Pytree) -> Pytree:
     )
 
 
-def _ready(executable: Executable, layout: Layout) -> Executable:
-    """An executable that returns results in their own layout."""
+_ALONE = threading.Lock()
+
+
+def _ready(executable: Executable, layout: Layout, alone: bool) -> Executable:
+    """An executable that returns results in their own layout; see `must_run_alone`."""
 
     def ready(*inputs: Any) -> Any:
-        results = _run(executable, *inputs)
+        with _ALONE if alone else nullcontext():
+            results = _run(executable, *inputs)
         return layout.read([np.asarray(one) for one in results] if layout.is_packed else results)
 
     return ready

@@ -98,6 +98,16 @@ def ends_by_condition(jaxpr: Any) -> bool:
     return any(one.primitive.name == "while" for one in _every(jaxpr))
 
 
+def must_run_alone(jaxpr: Any) -> bool:
+    """Whether two runs at once may wait for each other forever.
+
+    JAX 0.10 shares out the factorisations of many matrices among XLA's threads, each of which waits for the others.
+    Equations that call Python are left out, because that may run another program.
+    """
+    names = {one.primitive.name for one in _every(jaxpr)}
+    return not names.isdisjoint(("lu", "cholesky")) and "pure_callback" not in names
+
+
 # Equations that may change with a number by which they have no derivative, or have one of their own.
 _LOSING = ("stop_gradient", "round", "floor", "ceil", "sign", "custom_jvp_call", "pure_callback")
 

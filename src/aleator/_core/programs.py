@@ -235,7 +235,7 @@ def is_kept(name: str | None) -> bool:
 
 
 def load(name: str | None, inputs: list[Any]) -> tuple[Any, Any] | None:
-    """The executable that an earlier run has kept under a name, and the layout of its results; None if there is none.
+    """The executable that an earlier run has kept under a name, and how it is run; None if there is none.
 
     - `inputs`: arrays like those that it is called with.
     """
@@ -262,7 +262,7 @@ def load(name: str | None, inputs: list[Any]) -> tuple[Any, Any] | None:
 
 
 def keep(name: str, lowered: jax.stages.Lowered, executable: jax.stages.Compiled, layout: Any) -> None:
-    """Keep an executable with the layout of its results for later runs; another thread writes it.
+    """Keep an executable, with the layout of its results and whether it runs alone; another thread writes it.
 
     What cannot be written is skipped silently, and so is what calls anything outside XLA other than LAPACK, such as
     Python code, for such a function may not exist in another run; and everything while JAX's own cache is on: an

@@ -205,10 +205,11 @@ class Basis:
         Raises `ProblemError` if it would not fit into memory.
         """
         self.refuse_beyond_memory(len(points), _MATRICES)
-        matrix = np.ones((len(points), self.terms))
+        terms = np.ones((self.terms, len(points)))
         for i, (germ, degree) in enumerate(zip(self.germs.values(), self.degrees, strict=True)):
-            matrix *= germ.polynomials(degree, points[:, i])[:, self.indices[:, i]]
-        return matrix
+            in_it = np.flatnonzero(self.indices[:, i])  # of many variables, a small part of the terms
+            terms[in_it] *= germ.polynomials(degree, points[:, i]).T[self.indices[in_it, i]]
+        return np.ascontiguousarray(terms.T)
 
     def refuse_beyond_memory(self, points: int, matrices: int) -> None:
         """Raise `ProblemError` if this number of matrices of points by terms would not fit into memory."""
