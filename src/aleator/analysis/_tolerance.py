@@ -41,6 +41,7 @@ _MOST_CORNERS = 12
 
 # Assemblies that are drawn in each tail, and the least probability of the expansion there that leads to a tail.
 _IN_TAIL, _LEAST_CHANCE = 4096, 1e-12
+_DIFFERS = 1.0  # shares of the variance, in points
 _WORTH_SAYING = 0.01  # an error of rejects, as a part of them
 
 
@@ -113,6 +114,16 @@ class Contribution(Printed):
     sensitivity: float
     linear: float
     total: float
+
+    @property
+    def share(self) -> float:
+        """Its share of the variance in percent: the total one, or the linear one of a correlated dimension."""
+        return self.linear if np.isnan(self.total) else self.total
+
+    @property
+    def aside(self) -> str:
+        """The linear share in words where it is another one."""
+        return f" ({self.linear:.3g} % linearly)" if abs(self.share - self.linear) > _DIFFERS else ""
 
     def __str__(self) -> str:
         shares = f"{self.linear:.1f} % of the variance linearly, {self.total:.1f} % in all"
@@ -334,9 +345,9 @@ def _text(analysis: ToleranceAnalysis) -> str:
         ("rejects", f"{analysis.rejects_low:.3g} ppm low, {analysis.rejects_high:.3g} ppm high{error}"),
         ("worst case", f"{low:.6g} to {high:.6g}; root sum square ± {analysis.rss:.5g}"),
     ]
-    largest = sorted(analysis.contributions.items(), key=lambda item: -item[1].linear)
+    largest = sorted(analysis.contributions.items(), key=lambda item: -item[1].share)
     rows += [
-        (name, f"{part.linear:.3g} % of the variance, zone {part.zone}, sensitivity {part.sensitivity:.4g}")
+        (name, f"{part.share:.3g} % of the variance{part.aside}, zone {part.zone}, sensitivity {part.sensitivity:.4g}")
         for name, part in largest
     ]
     width = max(len(label) for label, _ in rows)

@@ -8,13 +8,14 @@ simulated and that of what the expansion predicts of the same systems corrects t
 """
 
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import jax_array
+from aleator._core.compilation import Use, evaluate
 from aleator.certification._check import Check, begin_check, certain
 from aleator.certification._fresh import FreshSystems
 from aleator.design import AbstractScopeOfInstants, Expression, Statistic, functionals_of, statistics_in
@@ -164,6 +165,7 @@ def _error(
     size, least = len(check.systems.points), _FIRST
     values, predicted, weights = (np.zeros(0) for _ in range(3))
     coefficients = check.coefficients[tail.functional][(slice(None), *tail.entry)]
+    lines = transcribed.constants.of(tail.atom.kind)
     while True:
         draws = range(len(values) // size, -(-max(least, size) // size))
         systems = (_systems(transcribed, coefficients, tail, size, draw) for draw in draws)
@@ -178,8 +180,14 @@ def _error(
         uncertainty = float(np.sqrt(np.sum((share * (each - error)) ** 2)))
         is_clear = abs(abs(error) - tail.tolerated) > 2 * uncertainty
         if is_clear or len(values) >= _LAST or not np.isfinite(error):
-            return error, uncertainty, len(values)
+            # What the integral over the expansion may be off by is none of the systems' doing.
+            _, half = evaluate(_estimated, tail.atom.kind, jax_array(coefficients), lines, use=Use.BRIEF)
+            return error, float(np.hypot(uncertainty, float(half) / 2)), len(values)
         least = 4 * len(values)
+
+
+def _estimated(kind: AbstractTail, coefficients: Array, lines: Any) -> tuple[Array, Array]:
+    return kind.estimated(coefficients, lines)
 
 
 def _systems(

@@ -43,7 +43,7 @@ _APART = 0.7  # cosine between minima that are told apart
 # The part of a line that counts, beyond which lies 3e-12. Cells of it: of the only line of one variable, of each of the
 # equidistant lines of two variables, and of others.
 _END, _CELLS, _FEWEST_CELLS = 7.0, {1: 4096, 2: 280}, 35
-_ON_A_GRID, _GRID, _COARSER = 2, 257, 4
+_ON_A_GRID, _GRID, _COARSER = 2, 256, 4
 
 # Beyond this, double precision cannot tell a distribution function from 0 or 1. Cells of the table of a germ.
 _LAST, _TABLED = 8.2, 1024
@@ -189,7 +189,7 @@ def _placed(
     flat = flat - 2 * jnp.outer(mirror, mirror @ flat)
     if variables <= _ON_A_GRID:
         weights = jnp.exp(-jnp.sum(normals**2, axis=0) / 2)
-        return flat, weights / jnp.sum(weights)
+        return flat, weights * (replicates / jnp.sum(weights))
     sizes = np.array(_SIZES)
     spreads = np.array([1.0, *(np.sqrt(1 + reach**2 / variables) for reach in _REACHES), *[1.0] * _MINIMA])
     across = centres - jnp.outer(direction, direction @ centres)
@@ -290,9 +290,9 @@ def _factors(indices: Int[np.ndarray, "terms variables"]) -> Int[np.ndarray, "fa
 def _normals(variables: int) -> Float[np.ndarray, "variables replicates lines_of_one"]:
     """Scrambled Sobol nets (Owen, 1995), of which each replicate is a part, across the last axis."""
     if variables <= _ON_A_GRID:
-        # One line through the origin, or equidistant ones: the trapezoidal rule.
-        across = np.linspace(-_END, _END, _GRID)
-        return np.zeros((1, 1, 1)) if variables == 1 else np.stack([across, 0 * across])[:, None]
+        # One line through the origin, or equidistant ones: the trapezoidal rule. Every other one is a replicate.
+        across = np.linspace(-_END, _END, _GRID).reshape(-1, 2).T
+        return np.zeros((1, 1, 1)) if variables == 1 else np.stack([across, 0 * across])
     parts = []
     for seed, size in enumerate(_SIZES):
         net = scipy.stats.qmc.Sobol(variables - 1, bits=30, rng=np.random.default_rng(seed))
