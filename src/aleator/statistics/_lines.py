@@ -43,7 +43,7 @@ _APART = 0.7  # cosine between minima that are told apart
 # The part of a line that counts, beyond which lies 3e-12. Cells of it: of the only line of one variable, of each of the
 # equidistant lines of two variables, and of others.
 _END, _CELLS, _FEWEST_CELLS = 7.0, {1: 4096, 2: 280}, 35
-_ON_A_GRID, _GRID, _COARSER = 2, 256, 4
+_ON_A_GRID, _GRID, _TURNS, _COARSER = 2, 256, 4, 4
 
 # Beyond this, double precision cannot tell a distribution function from 0 or 1. Cells of the table of a germ.
 _LAST, _TABLED = 8.2, 1024
@@ -290,8 +290,8 @@ def _factors(indices: Int[np.ndarray, "terms variables"]) -> Int[np.ndarray, "fa
 def _normals(variables: int) -> Float[np.ndarray, "variables replicates lines_of_one"]:
     """Scrambled Sobol nets (Owen, 1995), of which each replicate is a part, across the last axis."""
     if variables <= _ON_A_GRID:
-        # One line through the origin, or equidistant ones: the trapezoidal rule. Every other one is a replicate.
-        across = np.linspace(-_END, _END, _GRID).reshape(-1, 2).T
+        # One line through the origin, or equidistant ones: the trapezoidal rule. Replicates take turns.
+        across = np.linspace(-_END, _END, _GRID).reshape(-1, _TURNS).T
         return np.zeros((1, 1, 1)) if variables == 1 else np.stack([across, 0 * across])
     parts = []
     for seed, size in enumerate(_SIZES):
