@@ -128,3 +128,10 @@ def test_a_quantile_over_elements_moves_with_the_spread_as_in_closed_form():
     value, slope = jax.value_and_grad(quantile)(0.1)
     assert float(value) == pytest.approx(0.8 * 0.1 + 0.06, abs=1e-3)
     assert float(slope) == pytest.approx(0.8, rel=0.02)
+
+
+def test_tails_in_which_few_points_lie_are_told():
+    expanded = al.expand(lambda at: jnp.abs(at["x"]), {"x": al.Normal(0.0, 1.0)}, al.MultiElement(order=2, error=1e-2))
+    with pytest.warns(al.ExpansionWarning, match="fewer than 100 lie in that tail"):
+        assert float(expanded.probability(above=4.5)) < 1e-3
+    assert float(expanded.probability(above=2.0)) == pytest.approx(0.0455, rel=0.05)

@@ -96,3 +96,14 @@ def test_rejects_in_a_tail_that_the_expansion_misses_are_those_of_the_assembly()
     found = np.array([analysis.rejects_low, analysis.rejects_high])
     assert np.abs(found - exact).max() < analysis.rejects_error
     assert analysis.rejects_error < 0.2 * exact.sum()
+
+
+def test_shares_of_the_variance_are_total_ones():
+    """Of (a - 1)^2 + 0.01 b with deviations of 0.1: 2e-4 from a, whose slope is zero, and 1e-6 from b."""
+    parts = {"a": al.Normal(1.0, 0.1), "b": al.Normal(0.0, 0.1)}
+    analysis = al.tolerance_analysis(parts, lambda at: (at["a"] - 1) ** 2 + 0.01 * at["b"], lower=-0.05, upper=0.2)
+    assert analysis.contributions["a"].share == pytest.approx(100 * 2e-4 / 2.01e-4, rel=1e-6)
+    first, second = str(analysis).splitlines()[-2:]
+    assert first.startswith("a ")
+    assert "99.5 % of the variance (0 % linearly)" in first
+    assert second.startswith("b ")

@@ -39,11 +39,12 @@ from aleator.analysis._abstract_expanded import (
     paired,
     prepared,
 )
-from aleator.analysis._elements import Partition, restricted
+from aleator.analysis._elements import Partition, restricted, warn_of_few_points
 from aleator.ensemble import inputs_at, part
 from aleator.expansion import Basis
 from aleator.statistics import (
     AbstractStatistic,
+    AbstractTail,
     Covariance,
     Infimum,
     Kurtosis,
@@ -104,7 +105,10 @@ class ElementExpanded(AbstractExpanded):
     def statistic(self, kind: AbstractStatistic) -> Pytree:
         """Raises `ProblemError` for Sobol indices of correlated inputs."""
         refuse_correlated(self.distributions, kind)
-        return jax.tree.map(self._rule(kind), self.coefficients)
+        values = jax.tree.map(self._rule(kind), self.coefficients)
+        if isinstance(kind, AbstractTail):
+            warn_of_few_points(kind, jax.tree.leaves(values))
+        return values
 
     def _rule(self, kind: AbstractStatistic) -> Callable[[Array], Array]:
         """The function that computes a statistic from the coefficients in all elements."""

@@ -1,6 +1,7 @@
 """Elements of a germ's domain, each a cell with an expansion of its own: multi-element gPC, [11]-[16]."""
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, final
@@ -13,10 +14,12 @@ from typing_extensions import override
 
 from aleator._core import border
 from aleator._core.arrays import Pytree, in_library, jax_array
-from aleator._core.leaves import Module
+from aleator._core.errors import ExpansionWarning
+from aleator._core.leaves import Module, is_traced
 from aleator.analysis._sampling import Sampler, plain
 from aleator.ensemble import at_levels, even_levels
 from aleator.expansion import ROUNDING, Basis, Expansion, GaussPoints, HammersleyPoints, collocate, leave_one_out
+from aleator.statistics import AbstractTail, Probability
 from aleator.uncertainty import AbstractGerm, LegendreGerm
 from aleator.uncertainty._families import tanh_sinh
 from aleator.uncertainty._measure import recurrence_of
@@ -30,6 +33,8 @@ _FRESH_POINTS, _CALLED = 1024, 128
 
 # Sample size for statistics that are no sums over elements.
 POINTS = 2**14
+# Fewer of them in a tail leave its probability uncertain by more than a tenth.
+_FEW = 100
 
 
 @final
@@ -346,3 +351,18 @@ class Partition:
 def _gauss(basis: Basis) -> tuple[np.ndarray, np.ndarray]:
     nodes = GaussPoints(2 * max(basis.degrees) + 1).nodes(basis, 0)
     return basis.matrix(nodes.points), nodes.weights
+
+
+def warn_of_few_points(kind: AbstractTail, values: Sequence[Array]) -> None:
+    """Warn (`ExpansionWarning`) of a statistic of a tail in which few of the points lie that it is counted among."""
+    levels = values if isinstance(kind, Probability) else [kind.level]  # type: ignore[attr-defined]
+    known = [np.asarray(one) for one in levels if not is_traced(one)]
+    chance = min((float(np.min(np.minimum(one, 1 - one))) for one in known), default=0.5)
+    if chance * POINTS < _FEW:
+        off = np.sqrt(max(chance, 1 / POINTS) / POINTS)
+        warnings.warn(
+            f"{kind.text('output')} is counted among {POINTS} points of the piecewise expansion, of which fewer than "
+            f"{_FEW} lie in that tail: its probability is uncertain by about {off:.1g}.",
+            ExpansionWarning,
+            stacklevel=4,
+        )
