@@ -74,3 +74,21 @@ def test_a_substance_about_to_fall_is_spread_by_half_of_its_mean():
     # Gauss-Legendre quadrature of 10 by 10 points over SciPy's LSODA.
     assert found.mean == pytest.approx(0.00709780526, rel=1e-3)
     assert found.std == pytest.approx(0.00364743977, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_collocation_finds_the_source_that_leads_to_the_published_end():
+    grid, stiff = al.Grid(321.8122, 100), al.integrators.Kvaerno5()
+    # Explicit steps of a simulated start would be unstable.
+    near = {"time": grid.times, **al.simulate(Hires(source=0.00071), grid, integrator=stiff)}
+    problem = al.Problem(
+        Hires(source=al.Decision(0.00071, 0.0006, 0.0008)),
+        grid=grid,
+        integrator=stiff,
+        minimize=al.value("source"),
+        subject_to=[al.terminal("y1").mean.equals(END[0])],
+    )
+    solution = al.solve(problem, transcription=al.Simultaneous(al.schemes.Radau(3), error=1e-8, guess=near))
+    assert solution.decisions["source"] == pytest.approx(0.0007, rel=1e-6)
+    assert solution.states is not None
+    assert [solution.states[name][0, -1] for name in Hires.states] == pytest.approx(END, rel=1e-6)
