@@ -3,14 +3,16 @@
 All systems of a size are branches of one program.
 """
 
+from collections import namedtuple
 from functools import cache
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
-from aleator.dynamics._newton import newton
+from aleator.dynamics._newton import named_root, newton
 from compiling import compiled
 
 # Equations, guess and root; no root where the search must fail.
@@ -67,6 +69,21 @@ def solved(table):
     guesses = np.array([guess for _, guess, _ in rows])
     found = [np.asarray(part) for part in compiled(jax.vmap(solve))(np.arange(len(rows)), guesses)]
     return dict(zip(TABLES[table], zip(*found, strict=True), strict=True))
+
+
+def test_terms_of_known_numbers_are_measured_where_the_search_has_come():
+    # A diode, 50 times its thermal voltage from the root: rounding at the guess exceeds all that there is at the root.
+    heated = namedtuple("heated", ("voltage", "heat"))
+
+    def equations(saturation, at):
+        current = saturation * jnp.expm1(at.voltage / 0.026)
+        return jnp.stack([(at.voltage + 0.2) / 1000 + current / 100, at.heat - 1 - current])
+
+    guess = heated(jnp.asarray(1.2), jnp.asarray(1.0))
+    found = compiled(lambda saturation: named_root(equations, saturation, guess)[0])(1e-6)
+    voltage = brentq(lambda at: (at + 0.2) / 1000 + 1e-8 * np.expm1(at / 0.026), -1.0, 0.0, xtol=1e-15)
+    assert found.converged
+    np.testing.assert_allclose(found.point, [voltage, 1 + 1e-6 * np.expm1(voltage / 0.026)], rtol=1e-13)
 
 
 @pytest.mark.parametrize("table", TABLES)

@@ -94,7 +94,7 @@ class _State(NamedTuple):
 def newton(
     function: Callable[[Vector], Vector],
     guess: Vector,
-    terms: Vector | None = None,
+    terms: Callable[[Vector], Vector] | Vector | None = None,
     kin: Int[np.ndarray, " n"] | None = None,
 ) -> Root:
     """Solve `function(unknowns) = 0` from a guess.
@@ -105,22 +105,33 @@ def newton(
     coefficients of one expansion, share the largest of theirs. An unknown that is zero up to rounding has no such
     scale, so steps within rounding error count as zero. That error is `|J⁻¹| m` times the unit roundoff (Skeel, Journal
     of the ACM 26, 1979), where `m` are the magnitudes of the equations' terms: those in the unknowns, and `terms`,
-    those independent of them (default: none). The iteration stops where rounding prevents further progress.
+    those in known numbers (default: none): as a function of the unknowns where known numbers stand in one term with
+    them. The iteration stops where rounding prevents further progress.
 
     `point` is differentiable with respect to whatever `function` closes over, in forward and reverse mode and
     repeatedly, by the implicit function theorem at the solution; everything else in the result has derivative zero. May
     be vectorised: roots are found independently. Nothing is raised: see `Root.converged`, which is for one root.
     """
-    constant = jnp.zeros_like(guess) if terms is None else jax.lax.stop_gradient(terms)
-    # Traced and differentiated once for all the places where the iteration calls it.
+
+    def known(at: Vector) -> Vector:
+        return jnp.zeros_like(at) if terms is None else jax.lax.stop_gradient(terms(at) if callable(terms) else terms)
+
+    # Traced and differentiated once for all the places where the iteration calls them.
     point, account = jax.lax.custom_root(
-        function, guess, lambda f, start: _iterate(jax.jit(f), start, constant, kin), _solve_tangent, has_aux=True
+        function,
+        guess,
+        lambda f, start: _iterate(jax.jit(f), start, jax.jit(known), kin),
+        _solve_tangent,
+        has_aux=True,
     )
     return Root(point, *account)
 
 
 def _iterate(
-    function: Callable[[Vector], Vector], guess: Vector, terms: Vector, kin: Int[np.ndarray, " n"] | None
+    function: Callable[[Vector], Vector],
+    guess: Vector,
+    terms: Callable[[Vector], Vector],
+    kin: Int[np.ndarray, " n"] | None,
 ) -> tuple[Vector, tuple[Array, ...]]:
     """The root and, as a tuple, the other fields of `Root`."""
 
@@ -140,7 +151,7 @@ def _iterate(
             return balanced.columns * (inverse @ (-function(at) / balanced.rows))
 
         direction = correction(point)
-        noise = _noise(jacobian, balanced, inverse, jnp.maximum(state.size, sizes_of(point + direction)), terms)
+        noise = _noise(jacobian, balanced, inverse, jnp.maximum(state.size, sizes_of(point + direction)), terms(point))
         # An unknown that is zero up to rounding has no scale yet, since its final magnitude is not known.
         size = jnp.where(state.size > noise, state.size, jnp.maximum(noise, sizes_of(direction)))
         step = _length(direction, size, noise)
@@ -176,10 +187,11 @@ def _iterate(
     balanced = _balanced(jacobian)
     inverse = jnp.linalg.inv(balanced.matrix)
     regularity = 1 / jnp.abs(inverse).sum(axis=1).max()
-    noise = _noise(jacobian, balanced, inverse, end.size, terms)
+    known = terms(end.point)
+    noise = _noise(jacobian, balanced, inverse, end.size, known)
     moved = jax.jacfwd(function)(end.point + noise) - jacobian
     change = jnp.abs(inverse @ (moved * balanced.columns[None, :] / balanced.rows[:, None])).sum(axis=1).max()
-    sizes = jnp.abs(jacobian) @ end.size + terms
+    sizes = jnp.abs(jacobian) @ end.size + known
     relative = residuals / jnp.where(sizes > 0, sizes, 1.0)
     return end.point, (residuals, relative, end.step, end.shrinkage, regularity, change, end.steps)
 
@@ -224,7 +236,10 @@ def named_root(
 ) -> tuple[Root, Named]:
     """Solve `equations(numbers, unknowns) = 0` from a guess, a named tuple of arrays: see `newton`."""
     start, named = ravel_pytree(guess)
-    terms = constant_terms(lambda values: equations(values, guess), numbers)
+
+    def terms(vector: Vector) -> Vector:
+        return constant_terms(lambda values: equations(values, named(vector)), numbers)
+
     return newton(lambda vector: equations(numbers, named(vector)), start, terms), named
 
 
