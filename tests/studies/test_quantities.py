@@ -1,5 +1,7 @@
 """Quantities of study files: units with angles as a dimension of their own, and tolerances as on drawings."""
 
+from collections.abc import Callable
+
 import pytest
 
 import aleator as al
@@ -36,6 +38,12 @@ def test_quantities_are_converted_with_their_angles():
     assert {pair: plain(*pair) for pair in PAIRS} == pytest.approx(PAIRS, rel=1e-12)
 
 
+def refusal_of(reader: Callable[[str, str], object], text: str, unit: str) -> str:
+    with pytest.raises(al.ProblemError) as refused:
+        reader(text, unit)
+    return str(refused.value)
+
+
 @pytest.mark.parametrize(
     ("text", "unit", "word"),
     [
@@ -51,9 +59,7 @@ def test_quantities_are_converted_with_their_angles():
     ],
 )
 def test_quantities_that_have_two_meanings_or_none_are_refused(text: str, unit: str, word: str):
-    with pytest.raises(al.ProblemError) as refused:
-        plain(text, unit)
-    assert word in str(refused.value)
+    assert word in refusal_of(plain, text, unit)
 
 
 # A percentage before a unit is one of the value to people, and a factor of the unit to pint.
@@ -73,9 +79,7 @@ def test_quantities_that_have_two_meanings_or_none_are_refused(text: str, unit: 
     ],
 )
 def test_refused_tolerances_say_what_to_write(text: str, unit: str, written: str):
-    with pytest.raises(al.ProblemError) as refused:
-        amount(text, unit)
-    assert str(refused.value).endswith(written)
+    assert refusal_of(amount, text, unit).endswith(written)
 
 
 ZONES = {

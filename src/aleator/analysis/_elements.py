@@ -19,7 +19,7 @@ from aleator._core.leaves import Module, is_traced
 from aleator.analysis._sampling import Sampler, plain
 from aleator.ensemble import at_levels, even_levels
 from aleator.expansion import ROUNDING, Basis, Expansion, GaussPoints, HammersleyPoints, collocate, leave_one_out
-from aleator.statistics import AbstractTail, Probability
+from aleator.statistics import AbstractTail
 from aleator.uncertainty import AbstractGerm, LegendreGerm
 from aleator.uncertainty._families import tanh_sinh
 from aleator.uncertainty._measure import recurrence_of
@@ -355,9 +355,10 @@ def _gauss(basis: Basis) -> tuple[np.ndarray, np.ndarray]:
 
 def warn_of_few_points(kind: AbstractTail, values: Sequence[Array]) -> None:
     """Warn (`ExpansionWarning`) of a statistic of a tail in which few of the points lie that it is counted among."""
-    levels = values if isinstance(kind, Probability) else [kind.level]  # type: ignore[attr-defined]
-    known = [np.asarray(one) for one in levels if not is_traced(one)]
-    chance = min((float(np.min(np.minimum(one, 1 - one))) for one in known), default=0.5)
+    if is_traced(kind):
+        return
+    known = [float(one) for leaf in values for one in ([np.nan] if is_traced(leaf) else np.ravel(leaf))]
+    chance = float(np.nanmin([0.5, *(kind.tail(one)[0] for one in known)]))
     if chance * POINTS < _FEW:
         off = np.sqrt(max(chance, 1 / POINTS) / POINTS)
         warnings.warn(

@@ -20,7 +20,18 @@ from aleator.analysis._sampling import Sampler
 from aleator.dynamics import AlgebraicSystem, explain_failure, simulate
 from aleator.expansion import Expansion
 from aleator.references import Linearised, linearise
-from aleator.statistics import Kurtosis, Mean, Skewness, Std, Supremum, TotalSobol, lines_through, points_in_tail
+from aleator.statistics import (
+    Kurtosis,
+    Mean,
+    Probability,
+    Skewness,
+    Std,
+    Supremum,
+    TotalSobol,
+    lines_through,
+    points_in_tail,
+    tail_proposal,
+)
 from aleator.uncertainty import (
     AbstractDistribution,
     Placements,
@@ -302,23 +313,23 @@ def _beyond(
     """The probabilities of less than the lower limit and of more than the upper one, with their 95 % half-widths."""
     limits = [limit for limit in (lower, upper) if np.isfinite(limit)]
     levels = dict(zip(limits, np.asarray(expanded.cdf(jax_array(limits, float))).tolist(), strict=True))
-    low = _in_tail(expanded, sampler, lower, levels[lower], is_lower=True) if lower in levels else (0.0, 0.0)
-    high = _in_tail(expanded, sampler, upper, 1 - levels[upper], is_lower=False) if upper in levels else (0.0, 0.0)
+    nothing = 0.0, 0.0
+    low = _in_tail(expanded, sampler, Probability(below=lower), levels[lower]) if lower in levels else nothing
+    high = _in_tail(expanded, sampler, Probability(above=upper), 1 - levels[upper]) if upper in levels else nothing
     return low, high
 
 
-def _in_tail(
-    expanded: Expanded, sampler: Sampler, limit: float, chance: float, *, is_lower: bool
-) -> tuple[float, float]:
-    """The probability beyond a limit: that of the expansion, corrected by the assemblies' own values in that tail."""
-    coefficients, lines = np.asarray(expanded.coefficients), prepared(lines_through, expanded.basis)
-    if not expanded.basis.variables or not np.any(coefficients[1:]):
+def _in_tail(expanded: Expanded, sampler: Sampler, event: Probability, chance: float) -> tuple[float, float]:
+    """The probability of rejects: that of the expansion, corrected by the assemblies' own values in that tail."""
+    basis, coefficients = expanded.basis, np.asarray(expanded.coefficients)
+    if not basis.variables or not np.any(coefficients[1:]):
         return chance, 0.0
-    at = max(chance, _LEAST_CHANCE)
-    points, weights = points_in_tail(expanded.basis, lines, coefficients, at, _IN_TAIL, lower=is_lower, seed=0)
+    is_lower, at = event.below is not None, max(chance, _LEAST_CHANCE)
+    proposal = tail_proposal(basis, prepared(lines_through, basis), coefficients, at, lower=is_lower)
+    points, weights = points_in_tail(proposal, basis, _IN_TAIL, 0)
     values = np.asarray(sampler.samples(jax_array(points)))
-    each = [(one < limit) == is_lower for one in (values, expanded.basis.matrix(points) @ coefficients)]
-    missed = weights * (1.0 * each[0] - 1.0 * each[1])
+    seen, predicted = (np.asarray(event.holds(one), float) for one in (values, basis.matrix(points) @ coefficients))
+    missed = weights * (seen - predicted)
     return max(chance + float(missed.mean()), 0.0), float(2 * missed.std() / np.sqrt(len(missed)))
 
 

@@ -74,6 +74,11 @@ class Check(NamedTuple):
     integrator: str
     departed: str = ""
 
+    def at_own(self, problem: Problem) -> dict[Statistic, Float[np.ndarray, "..."]]:
+        """The statistics in the expressions of a problem, those of paths at the instants of its own grid."""
+        each = zip(statistics_in(problem.expressions), map(np.asarray, self.statistics), strict=True)
+        return {one: value[:: self.factor] if one.functionals[0].is_path else value for one, value in each}
+
     @property
     def is_finite(self) -> bool:
         """Whether all moments are."""

@@ -19,7 +19,7 @@ from aleator._core.arrays import jax_array
 from aleator.certification._check import Check, begin_check, certain
 from aleator.certification._fresh import systems_of
 from aleator.certification._tails import KnownStatistics, tail_objections
-from aleator.design import Statistic, expanded_functionals, functionals_of, statistics_in
+from aleator.design import Statistic, expanded_functionals, functionals_of
 from aleator.ensemble import inputs_at, listed
 from aleator.solution import SecondOpinion
 from aleator.statistics import (
@@ -106,11 +106,9 @@ class _Fresh:
             safe = np.where(std > 0, std, 1.0)[..., None]
             return base + self.off[Mean] + (base - self.mean[..., None]) / safe * self.off[Std], std
         if isinstance(kind, Probability):
-            above = -np.inf if kind.above is None else float(kind.above)
-            below = np.inf if kind.below is None else float(kind.below)
-            seen, predicted = ((part > above) & (part < below) for part in (self.values, self.predicted))
+            seen, predicted = (np.asarray(kind.holds(part), float) for part in (self.values, self.predicted))
             spread = np.sqrt(np.clip(expanded * (1 - expanded), 0.0, None))
-            return base + self.means(seen.astype(float) - predicted.astype(float)), spread
+            return base + self.means(seen - predicted), spread
         return base + 0 * self.off[Mean], 0 * std
 
 
@@ -139,7 +137,7 @@ def second_opinion(
         opinion, _ = _opinion(transcribed, point, checks, _SHOWN)
     if opinion.broken:
         return opinion
-    objections = list(tail_objections(transcribed, point, check))
+    objections = list(tail_objections(transcribed, point, check, opinion.misses))
     broken = next((sentence for sentence, hangs in objections if hangs), "")
     sentences = tuple(sentence for sentence, _ in objections)
     return replace(opinion, contradictions=(*opinion.contradictions, *sentences), broken=broken)
@@ -214,9 +212,8 @@ def _judged(
     known, spreads = {}, {}
     replicates = next(one.off[Mean].shape[-1] for one in fresh.values())
     # Statistics that occur in several expressions are equal in all; joint ones are not corrected.
-    for atom, statistic in zip(statistics_in(problem.expressions), check.statistics, strict=True):
+    for atom, base in check.at_own(problem).items():
         text, one = atom.text(), atom.functionals[0].text()
-        base = np.asarray(statistic)[:: check.factor] if atom.functionals[0].is_path else np.asarray(statistic)
         if len(atom.functionals) == 1 and one in fresh:
             known[text], spreads[text] = fresh[one].corrected(atom.kind, base)
         else:

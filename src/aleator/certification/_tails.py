@@ -7,7 +7,7 @@ and are weighted by the ratio of the densities (importance sampling). The differ
 simulated and that of what the expansion predicts of the same systems corrects the expansion's own (a control variate).
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,10 +16,17 @@ from typing_extensions import override
 
 from aleator._core.arrays import jax_array
 from aleator._core.compilation import Use, evaluate
-from aleator.certification._check import Check, begin_check, certain
+from aleator.certification._check import Check, begin_check
 from aleator.certification._fresh import FreshSystems
 from aleator.design import AbstractScopeOfInstants, Expression, Statistic, functionals_of, statistics_in
-from aleator.statistics import AbstractStatistic, AbstractTail, ConditionalValueAtRisk, Probability, points_in_tail
+from aleator.statistics import (
+    AbstractStatistic,
+    AbstractTail,
+    ConditionalValueAtRisk,
+    Probability,
+    points_in_tail,
+    tail_proposal,
+)
 from aleator.transcription import AbstractTranscribed
 from aleator.uncertainty import named_numbers
 
@@ -49,34 +56,33 @@ class _Tail(NamedTuple):
     @property
     def tolerated(self) -> float:
         """How wrong the statistic may be."""
-        if isinstance(self.atom.kind, Probability):
+        if isinstance(self.kind, Probability):
             return _OF_A_CHANCE * self.chance
-        return _TOLERATED * max(abs(self.value - self.mean), 0.1 * self.std)
+        return _TOLERATED * self.reach
 
     @property
     def chance(self) -> float:
         """The probability of its tail, the smaller one."""
-        kind = self.atom.kind
-        level = self.value if isinstance(kind, Probability) else float(kind.level)  # type: ignore[attr-defined]
-        return max(min(level, 1 - level), np.finfo(float).tiny)
+        return max(self.kind.tail(self.value)[0], np.finfo(float).tiny)
 
     @property
-    def is_lower(self) -> bool:
-        """Whether its tail is that of the smaller values."""
-        kind = self.atom.kind
-        if isinstance(kind, Probability):
-            return (kind.below is not None) == (self.value < 0.5)
-        return float(kind.level) < 0.5  # type: ignore[attr-defined]
+    def reach(self) -> float:
+        """How far the statistic lies from the mean, a tenth of the spread at least."""
+        return max(abs(self.value - self.mean), 0.1 * self.std)
+
+    @property
+    def kind(self) -> AbstractTail:
+        """Its statistic."""
+        assert isinstance(self.atom.kind, AbstractTail)
+        return self.atom.kind
 
     def differences(
         self, values: Float[np.ndarray, " n"], predicted: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, " n"]:
         """The contribution of each system to the error of the statistic: their weighted mean is the error."""
-        kind = self.atom.kind
+        kind = self.kind
         if isinstance(kind, Probability):
-            above = -np.inf if kind.above is None else float(kind.above)
-            below = np.inf if kind.below is None else float(kind.below)
-            return 1.0 * ((values > above) & (values < below)) - 1.0 * ((predicted > above) & (predicted < below))
+            return np.asarray(kind.holds(values), float) - np.asarray(kind.holds(predicted), float)
         if isinstance(kind, ConditionalValueAtRisk):
             level, sign = float(kind.level), -1.0 if kind.lower else 1.0
             order = np.argsort(predicted)
@@ -84,7 +90,7 @@ class _Tail(NamedTuple):
             quantile = predicted[order[np.searchsorted(summed, level * summed[-1]).clip(max=len(order) - 1)]]
             short = [np.maximum(sign * (one - quantile), 0.0) for one in (values, predicted)]
             return sign * (short[0] - short[1]) / (level if kind.lower else 1 - level)
-        reach = _AROUND * max(abs(self.value - self.mean), 0.1 * self.std)
+        reach = _AROUND * self.reach
         density = np.average(np.abs(predicted - self.value) < reach, weights=weights) / (2 * reach)
         return (1.0 * (predicted < self.value) - 1.0 * (values < self.value)) / max(density, np.finfo(float).tiny)
 
@@ -109,53 +115,52 @@ class KnownStatistics(AbstractScopeOfInstants):
 
 
 def tail_objections(
-    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check, varying: Collection[str]
 ) -> Iterator[tuple[str, bool]]:
     """A sentence on each statistic of a tail that fresh systems in it contradict or cannot confirm, and whether the
     answer hangs on it.
+
+    `varying`: the texts of the functionals that are not certain.
     """
-    problem, meaning = transcribed.problem, transcribed.at(point)
-    statistics = dict(zip(statistics_in(problem.expressions), check.statistics, strict=True))
-    constant = certain(transcribed, point, check)
-    known = {}
+    problem, known = transcribed.problem, {}
     for which, expression in enumerate(problem.expressions):
+        gaps = _gaps(transcribed, point, which - 1) if which else None
         for atom in statistics_in((expression,)):
-            of_tail = isinstance(atom.kind, AbstractTail) and atom.functionals[0] not in constant
-            if not of_tail or (atom.functionals[0].is_path and which == 0):
+            one = atom.functionals[0]
+            if not isinstance(atom.kind, AbstractTail) or one.text() not in varying or (one.is_path and gaps is None):
                 continue
-            limit = problem.constraints[which - 1] if which else None
-            values = (
-                meaning.objective if limit is None else transcribed.at_instants(limit, meaning.constraints[which - 1])
-            )
-            gaps = np.inf if limit is None else np.minimum(float(limit.upper) - values, values - float(limit.lower))
-            entry = (int(np.argmin(gaps)),) if atom.functionals[0].is_path else ()
-            tail = _tail(transcribed, atom, entry, check, statistics)
-            if (tail.atom, entry) not in known:
-                known[tail.atom, entry] = _error(transcribed, point, check, tail)
-            error, uncertainty, count = known[tail.atom, entry]
+            entry = (int(np.argmin(gaps)),) if one.is_path and gaps is not None else ()
+            tail = _tail(transcribed, atom, entry, check)
+            if (atom, entry) not in known:
+                known[atom, entry] = _error(transcribed, point, check, tail)
+            error, uncertainty, count = known[atom, entry]
             if abs(error) + 2 * uncertainty <= 3 * tail.tolerated and abs(error) <= tail.tolerated:
                 continue
             seen = f"{tail.value + error:.4g} ± {2 * uncertainty:.2g}"
             sentence = f"{atom.text()} is {tail.value:.4g} by the expansion, and {seen} by {count} systems in its tail"
-            effect = abs(_effect(transcribed, point, check, expression, statistics, tail, abs(error) + 2 * uncertainty))
-            if limit is None:
-                hangs = effect > abs(transcribed.at(transcribed.program.start).objective - meaning.objective)
+            effect = _effect(transcribed, point, check, expression, atom, abs(error) + 2 * uncertainty)
+            if gaps is None:
+                gained = abs(transcribed.at(transcribed.program.start).objective - transcribed.at(point).objective)
+                yield sentence, effect > gained
             else:
-                hangs = float(np.min(gaps)) <= 2 * effect
-            yield (f"'{limit.name}': {sentence}" if limit is not None else sentence), hangs
+                yield f"'{problem.constraints[which - 1].name}': {sentence}", float(np.min(gaps)) <= 2 * effect
 
 
-def _tail(
-    transcribed: AbstractTranscribed,
-    atom: Statistic,
-    entry: tuple[int, ...],
-    check: Check,
-    statistics: Mapping[Statistic, np.ndarray],
-) -> _Tail:
+def _gaps(
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], number: int
+) -> Float[np.ndarray, " rows"]:
+    """How far a limit is from its nearer bound, at each instant of the grid."""
+    limit = transcribed.problem.constraints[number]
+    values = transcribed.at_instants(limit, transcribed.at(point).constraints[number])
+    return np.minimum(float(limit.upper) - values, values - float(limit.lower))
+
+
+def _tail(transcribed: AbstractTranscribed, atom: Statistic, entry: tuple[int, ...], check: Check) -> _Tail:
+    value = check.at_own(transcribed.problem)[atom][entry]
     number = functionals_of(transcribed.problem.expressions).index(atom.functionals[0])
     at = tuple(one * check.factor for one in entry)
     moments = (float(np.asarray(every[number])[at]) for every in (check.means, check.stds))
-    return _Tail(atom, number, at, float(np.asarray(statistics[atom])[at]), *moments)
+    return _Tail(atom, number, at, float(value), *moments)
 
 
 def _error(
@@ -165,10 +170,11 @@ def _error(
     size, least = len(check.systems.points), _FIRST
     values, predicted, weights = (np.zeros(0) for _ in range(3))
     coefficients = check.coefficients[tail.functional][(slice(None), *tail.entry)]
-    lines = transcribed.constants.of(tail.atom.kind)
+    basis, lines = transcribed.discretised.basis, transcribed.constants.of(tail.kind)
+    proposal = tail_proposal(basis, lines, coefficients, tail.chance, lower=tail.kind.tail(tail.value)[1])
     while True:
         draws = range(len(values) // size, -(-max(least, size) // size))
-        systems = (_systems(transcribed, coefficients, tail, size, draw) for draw in draws)
+        systems = (FreshSystems(*points_in_tail(proposal, basis, size, draw)) for draw in draws)
         waiting = [begin_check(transcribed, point, check.factor, one) for one in systems]
         for one in (begun() for begun in waiting):
             of = (slice(None), *tail.entry)
@@ -181,7 +187,7 @@ def _error(
         is_clear = abs(abs(error) - tail.tolerated) > 2 * uncertainty
         if is_clear or len(values) >= _LAST or not np.isfinite(error):
             # What the integral over the expansion may be off by is none of the systems' doing.
-            _, half = evaluate(_estimated, tail.atom.kind, jax_array(coefficients), lines, use=Use.BRIEF)
+            _, half = evaluate(_estimated, tail.kind, jax_array(coefficients), lines, use=Use.BRIEF)
             return error, float(np.hypot(uncertainty, float(half) / 2)), len(values)
         least = 4 * len(values)
 
@@ -190,26 +196,16 @@ def _estimated(kind: AbstractTail, coefficients: Array, lines: Any) -> tuple[Arr
     return kind.estimated(coefficients, lines)
 
 
-def _systems(
-    transcribed: AbstractTranscribed, coefficients: np.ndarray, tail: _Tail, count: int, draw: int
-) -> FreshSystems:
-    basis, lines = transcribed.discretised.basis, transcribed.constants.of(tail.atom.kind)
-    return FreshSystems(*points_in_tail(basis, lines, coefficients, tail.chance, count, lower=tail.is_lower, seed=draw))
-
-
 def _effect(
     transcribed: AbstractTranscribed,
     point: Float[np.ndarray, " variables"],
     check: Check,
     expression: Expression,
-    statistics: Mapping[Statistic, np.ndarray],
-    tail: _Tail,
+    moved: Statistic,
     by: float,
 ) -> float:
     """How much an expression changes with one of its statistics."""
-    known = {}
-    for atom, value in statistics.items():
-        own = np.asarray(value)[:: check.factor] if atom.functionals[0].is_path else np.asarray(value)
-        known[atom.text()] = np.stack([own, own + by * (atom == tail.atom)], axis=-1)
+    own = check.at_own(transcribed.problem)
+    known = {atom.text(): np.stack([value, value + by * (atom == moved)], axis=-1) for atom, value in own.items()}
     values = np.asarray(expression.evaluate(KnownStatistics(transcribed, point, known)))
     return float(np.max(np.abs(values[..., 1] - values[..., 0])))

@@ -3,8 +3,11 @@
 from aleator.statistics._extremes import Infimum as Infimum
 from aleator.statistics._extremes import Supremum as Supremum
 from aleator.statistics._lines import lines_through as lines_through
-from aleator.statistics._lines import points_in_tail as points_in_tail
 from aleator.statistics._measured import AbstractMeasured as AbstractMeasured
+from aleator.statistics._proposals import Proposal as Proposal
+from aleator.statistics._proposals import levels_of as levels_of
+from aleator.statistics._proposals import points_in_tail as points_in_tail
+from aleator.statistics._proposals import tail_proposal as tail_proposal
 from aleator.statistics._shape import CornishFisher as CornishFisher
 from aleator.statistics._shape import Kurtosis as Kurtosis
 from aleator.statistics._shape import Skewness as Skewness

@@ -21,7 +21,6 @@ import scipy
 from jaxtyping import Array, Float, Int
 
 from aleator._core.arrays import jax_array
-from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.expansion import Basis
@@ -47,9 +46,6 @@ _ON_A_GRID, _GRID, _TURNS, _COARSER = 2, 256, 4, 4
 
 # Beyond this, double precision cannot tell a distribution function from 0 or 1. Cells of the table of a germ.
 _LAST, _TABLED = 8.2, 1024
-
-# Of points in a tail: the share of the given distribution, and the distances of tails from the origin.
-_PLAIN, _NEAREST, _FURTHEST = 0.25, 0.5, 7.0
 
 # So many points are evaluated at once, for the cache.
 _TOGETHER = 2**12
@@ -231,7 +227,7 @@ def lines_through(basis: Basis) -> Lines:
     """Preparation: lines through the normal variables of a basis, for the distribution of an output."""
     refuse_steps(basis)
     # A constant output needs a variable too.
-    active = [i for i, degree in enumerate(basis.degrees) if degree > 0][: basis.variables] or [0][: basis.variables]
+    active = [i for i, degree in enumerate(basis.degrees) if degree > 0] or [0][: basis.variables]
     germs: list[AbstractGerm] = [list(basis.germs.values())[i] for i in active] or [HermiteGerm()]
     indices = basis.indices[:, active] if active else np.zeros((basis.terms, 1), dtype=int)
     orders = int(indices.max(initial=0)) + 1
@@ -243,24 +239,17 @@ def lines_through(basis: Basis) -> Lines:
         factors=jax_array(_factors(indices)),
         normals=jax_array(_normals(len(germs))),
         starts=jax_array(starts),
-        at_starts=jax_array(_at(basis, active, germs, _SEARCHED * starts)),
+        at_starts=jax_array(_at(basis, active, _SEARCHED * starts)),
         active=tuple(active),
         cells=_CELLS.get(len(germs), _FEWEST_CELLS),
     )
 
 
-def _at(
-    basis: Basis, active: list[int], germs: list[AbstractGerm], normal: Float[np.ndarray, "variables n"]
-) -> Float[np.ndarray, "terms n"]:
-    """The terms of a basis at points of the normal variables."""
-    points = (
-        np.stack([germ.quantile(np.full(normal.shape[1], 0.5)) for germ in basis.germs.values()], axis=1)
-        if basis.germs
-        else np.zeros((normal.shape[1], 0))
-    )
-    for i, germ, row in zip(active, germs, normal, strict=False):
-        points[:, i] = germ.quantile(scipy.special.ndtr(row))
-    return basis.matrix(points).T
+def _at(basis: Basis, active: list[int], normal: Float[np.ndarray, "variables n"]) -> Float[np.ndarray, "terms n"]:
+    """The terms of a basis at points of the active normal variables, the middle of the others."""
+    levels = np.full((normal.shape[1], basis.variables), 0.5)
+    levels[:, active] = scipy.special.ndtr(normal).T[:, : len(active)]
+    return basis.matrix(basis.map_to_germ(levels)).T
 
 
 def _table(germ: AbstractGerm) -> Float[np.ndarray, "cells 4"]:
@@ -309,31 +298,3 @@ def _starts(variables: int) -> Float[np.ndarray, "variables starts"]:
     axes = np.eye(variables)
     every = np.concatenate([axes, -axes, between], axis=1)
     return every / np.linalg.norm(every, axis=0)
-
-
-def points_in_tail(
-    basis: Basis,
-    lines: Lines,
-    coefficients: Float[np.ndarray, " terms"],
-    chance: float,
-    count: int,
-    *,
-    lower: bool,
-    seed: int,
-) -> tuple[Float[np.ndarray, "count variables"], Float[np.ndarray, " count"]]:
-    """Random germ points in a tail of an expansion, and the weights with which they stand for the distribution.
-
-    A quarter is drawn from the given distribution, so that no weight exceeds four; the others around the minima (or
-    maxima) of the expansion at the distance that has the probability `chance` in one normal variable.
-    """
-    signed = (1.0 if lower else -1.0) * np.where(np.arange(len(coefficients)) > 0, coefficients, 0.0)
-    minima = np.asarray(evaluate(Lines.minima, lines, jax_array(signed), use=Use.BRIEF))
-    distance = np.clip(-scipy.special.ndtri(chance), _NEAREST, _FURTHEST)
-    centres = np.zeros((1 + _MINIMA, basis.variables))
-    centres[1:, list(lines.active)] = distance * minima.T
-    shares = np.array([_PLAIN, *[(1 - _PLAIN) / _MINIMA] * _MINIMA])
-    which = np.searchsorted(np.cumsum(shares), (np.arange(count) + 0.5) / count)
-    normal = centres[which] + np.random.default_rng([3, seed]).standard_normal((count, basis.variables))
-    ratio = np.exp(normal @ centres.T - np.sum(centres**2, axis=1) / 2) @ shares
-    levels = np.clip(scipy.special.ndtr(normal), np.finfo(float).tiny, 1 - np.finfo(float).epsneg)
-    return basis.map_to_germ(levels), 1 / ratio

@@ -12,11 +12,13 @@ from typing import NamedTuple, TypeVar, final
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.arrays import Scalar
 from aleator._core.leaves import Module
 from aleator.statistics._lines import REPLICATES, Lines, LowerTail
+from aleator.statistics._roots import horner, root_within, with_slope
 from aleator.statistics._statistic import root
 
 T = TypeVar("T")
@@ -24,13 +26,8 @@ T = TypeVar("T")
 # Of a search for a quantile: most steps, and the error of the normal score at which it ends; the last step, which
 # carries the derivative, squares the error.
 _MOST_STEPS, _CLOSE, _NARROW = 100, 1e-8, 1e-13
-# Steps of Newton's method, with bisection where one leaves its bracket by more than a part of it: at a root, rounding
-# may put a value and a step on different sides.
-_TO_A_CROSSING, _AT_THE_EDGE = 10, 1e-6
 # Paths of more entries than this take fewer lines than a single number.
 _SINGLE = 4
-# Student's t for the mean of all replicates, of a grid or a net: 95 % on both sides.
-_COVERS = {4: 3.182, 8: 2.365}
 
 _NODES, _WEIGHTS = (np.asarray(each) / 2 for each in np.polynomial.legendre.leggauss(3))
 _NODES = _NODES + 0.5
@@ -82,14 +79,14 @@ class TailDistribution(Module):
         left, right = (side.ravel()[at] for side in (self.ends[:-1], self.ends[1:]))
         is_falling = high.ravel()[at]
         cubic = self.tail.cubics[:, line, cell].at[0].add(-threshold)
-        place = _root(cubic, left, right, is_falling)
+        place = root_within(cubic, left[None], right[None], ~is_falling[None], (left + right)[None] / 2)[0]
         start, end = jnp.where(is_falling, place, left), jnp.where(is_falling, right, place)
         first = lines.first_of(cell)
         along = first + place * lines.step
         parts = _mass(first + start * lines.step, first + end * lines.step)
         is_crossing = intervals < low.size
         whole = jnp.sum(jnp.where(low & high, self.masses, 0.0), axis=(0, 2))
-        slope = jnp.abs(_slope(cubic, place)) / lines.step
+        slope = jnp.abs(with_slope(cubic, place[None])[1][0]) / lines.step
         regular = is_crossing & (slope > 0)
         densities = jnp.where(regular, _normal(along) / jnp.where(regular, slope, 1.0), 0.0)
         fractions = whole + jax.ops.segment_sum(jnp.where(is_crossing, parts, 0.0), line, count)
@@ -124,10 +121,11 @@ class TailDistribution(Module):
         inside = jnp.where(is_below[:-1] & is_below[1:], self.ends[1:] - self.ends[:-1], 0.0)
         everywhere = lines.first_of(jnp.arange(self.heights.shape[2]))[None, None]
         cubics, weights = self.tail.cubics, self.tail.weights.ravel()
-        whole = _shortfall(cubics[:, None], self.ends[:-1], inside, everywhere, threshold, lines.step)
-        parts = _shortfall(
-            cubics[:, at.line, at.cell], at.start, at.length, lines.first_of(at.cell), threshold, lines.step
-        )
+        whole = _shortfall(cubics, self.ends[:-1], inside, everywhere, threshold, lines.step)
+        own = cubics[:, at.line, at.cell]
+        parts = _shortfall(own, at.start[None], at.length[None], lines.first_of(at.cell)[None], threshold, lines.step)[
+            0
+        ]
         return (weights @ jnp.sum(whole, axis=(0, 2)) + weights[at.line] @ parts) / len(self.tail.weights)
 
 
@@ -139,7 +137,7 @@ def _shortfall(
     for node, weight in zip(_NODES, _WEIGHTS, strict=True):
         place = start + node * length
         density = weight * length * step * _normal(first + place * step)
-        total = total + density * (threshold - _height(cubic, place))
+        total = total + density * (threshold - horner(cubic, place))
     return total
 
 
@@ -155,7 +153,7 @@ def _tail_distribution(signed: Float[Array, " terms"], lines: Lines) -> TailDist
     middle = jnp.where(turns, jnp.clip(jnp.where((near > 0) & (near < 1), near, far), 0.0, 1.0), 1.0)
     ends = jnp.stack([0 * middle, middle, 1 + 0 * middle])
     along = lines.first_of(jnp.arange(ends.shape[2]))[None, None] + ends * lines.step
-    return TailDistribution(signed, tail, ends, _height(fixed[:, None], ends), _mass(along[:-1], along[1:]))
+    return TailDistribution(signed, tail, ends, horner(fixed, ends), _mass(along[:-1], along[1:]))
 
 
 def _ratio(above: Array, below: Array) -> Array:
@@ -164,29 +162,6 @@ def _ratio(above: Array, below: Array) -> Array:
 
 def _normal(at: Array) -> Array:
     return jnp.exp(-(at**2) / 2) / math.sqrt(2 * math.pi)
-
-
-def _height(cubic: Float[Array, "4 ..."], at: Array) -> Array:
-    return cubic[0] + at * (cubic[1] + at * (cubic[2] + at * cubic[3]))
-
-
-def _slope(cubic: Float[Array, "4 ..."], at: Array) -> Array:
-    return cubic[1] + at * (2 * cubic[2] + 3 * at * cubic[3])
-
-
-def _root(cubic: Float[Array, "4 n"], low: Array, high: Array, is_falling: Array) -> Float[Array, " n"]:
-    """The root of each cubic between two places, at which its values have different signs."""
-
-    def narrow(_: int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        low, high, at = state
-        value, slope = _height(cubic, at), _slope(cubic, at)
-        before = (value < 0) != is_falling
-        low, high = jnp.where(before, at, low), jnp.where(before, high, at)
-        newton, edge = at - value / slope, _AT_THE_EDGE * (high - low)
-        usable = (newton >= low - edge) & (newton <= high + edge)
-        return low, high, jnp.where(usable, jnp.clip(newton, low, high), (low + high) / 2)
-
-    return jax.lax.fori_loop(0, _TO_A_CROSSING, narrow, (low, high, (low + high) / 2))[2]
 
 
 def _mass(low: Array, high: Array) -> Array:
@@ -249,7 +224,8 @@ class OutputDistribution(Module):
             return jnp.zeros(())
         fractions = self.crossings(threshold).fractions.reshape(weights.shape)
         each = _share(jnp.sum(weights * fractions, axis=2))
-        return _COVERS.get(replicates, _COVERS[4]) * jnp.std(each, ddof=1) / math.sqrt(replicates)
+        covers = float(scipy.special.stdtrit(replicates - 1, 0.975)) / math.sqrt(replicates)
+        return covers * jnp.std(each, ddof=1)
 
     def quantile(self, level: Scalar) -> Float[Array, ""]:
         """How far the quantile lies from the mean."""

@@ -69,6 +69,18 @@ def roots_between(
     at_low, at_high = jnp.where(rising, is_above, is_below), jnp.where(rising, is_below, is_above)
     low, high = jnp.where(at_high, high, low), jnp.where(at_low, low, high)
 
+    return root_within(powers, low, high, rising, jnp.clip(_secants(edges, values), low, high))
+
+
+def root_within(
+    powers: Float[Array, "orders *lines"],
+    low: Float[Array, "points *lines"],
+    high: Float[Array, "points *lines"],
+    rising: Bool[Array, "points *lines"],
+    start: Float[Array, "points *lines"],
+) -> Float[Array, "points *lines"]:
+    """The root of each polynomial between two places, from one to the other of which its sign changes."""
+
     def is_moving(state: tuple[Array, ...]) -> Bool[Array, ""]:
         *_, moving, count = state
         return moving & (count < _MOST_ITERATIONS)
@@ -84,8 +96,7 @@ def roots_between(
         closer = jnp.where(usable, jnp.clip(newton, low, high), (low + high) / 2)
         return low, high, closer, jnp.any(jnp.abs(closer - x) > _AT_REST), count + 1
 
-    x = jnp.clip(_secants(edges, values), low, high)
-    return jax.lax.while_loop(is_moving, narrow, (low, high, x, jnp.array(True), jnp.zeros((), int)))[2]
+    return jax.lax.while_loop(is_moving, narrow, (low, high, start, jnp.array(True), jnp.zeros((), int)))[2]
 
 
 def _secants(
@@ -98,16 +109,16 @@ def _secants(
 
 def horner(powers: Float[Array, "orders *lines"], x: Float[Array, "points *lines"]) -> Float[Array, "points *lines"]:
     """The values of polynomials, each at its own points."""
-    value = jnp.zeros(x.shape)
-    for coefficient in powers[::-1]:
+    value = jnp.broadcast_to(powers[-1][None], x.shape)
+    for coefficient in powers[-2::-1]:
         value = value * x + coefficient[None]
     return value
 
 
 def with_slope(powers: Float[Array, "orders *lines"], x: Float[Array, "points *lines"]) -> tuple[Array, Array]:
     """The values and first derivatives of polynomials, each at its own points."""
-    value, slope = jnp.zeros(x.shape), jnp.zeros(x.shape)
-    for coefficient in powers[::-1]:
+    value, slope = jnp.broadcast_to(powers[-1][None], x.shape), jnp.zeros(x.shape)
+    for coefficient in powers[-2::-1]:
         slope = slope * x + value
         value = value * x + coefficient[None]
     return value, slope

@@ -2,8 +2,8 @@
 
 All use the expansion along lines through the space of normal variables (see `_lines`). In one variable they are exact
 to about 1e-8, in two to 1e-4 of a probability. In more, probabilities of one output between 1e-7 and one have relative
-errors of about 1 %, which `error` estimates; for outputs that are nearly linear in their tail they are far smaller.
-Entries of a path use fewer lines; `CornishFisher` is cheaper there if the output is nearly normal.
+errors of about 1 %, which `AbstractTail.estimated` tells, and far smaller ones for outputs that are nearly linear in
+their tail. Entries of a path use fewer lines; `CornishFisher` is cheaper there if the output is nearly normal.
 """
 
 import abc
@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar, in_library, jax_array, quietly
@@ -60,6 +60,10 @@ class AbstractTail(AbstractStatistic):
     def error_of(self, distribution: OutputDistribution) -> Float[Array, ""]:
         """The 95 % half-width of its integral."""
 
+    @abc.abstractmethod
+    def tail(self, value: float) -> tuple[float, bool]:
+        """The probability of the tail that it speaks of where it has a value, and whether that is the lower one."""
+
 
 def tails_together(
     kinds: Sequence[AbstractTail], coefficients: Sequence[Float[Array, "terms *shape"]], constants: Lines
@@ -91,6 +95,10 @@ class Quantile(AbstractTail):
         at = distribution.quantile(self.level)
         density = distribution.density(at)
         return distribution.error(at) / jnp.where(density > 0, density, jnp.inf)
+
+    @override
+    def tail(self, value: float) -> tuple[float, bool]:
+        return _tail_at(self.level)
 
     @override
     @quietly
@@ -130,6 +138,10 @@ class ConditionalValueAtRisk(AbstractTail):
         at = distribution.quantile(self.level)
         beyond = jnp.abs(distribution.mean_beyond(self.level, lower=self.lower) - at)
         return distribution.error(at) * beyond / (self.level if self.lower else 1 - self.level)
+
+    @override
+    def tail(self, value: float) -> tuple[float, bool]:
+        return _tail_at(self.level)
 
     @override
     @quietly
@@ -186,15 +198,23 @@ class Probability(AbstractTail):
         return jnp.sum(jnp.stack(errors))
 
     @override
+    def tail(self, value: float) -> tuple[float, bool]:
+        return min(value, 1 - value), (self.below is not None) == (value < 0.5)
+
     @quietly
-    def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        """The proportion of the sample."""
+    def holds(self, values: Float[Array | np.ndarray, "*shape"]) -> Bool[Array, "*shape"]:
+        """Which of some values are in the event."""
         library, values, above, below = in_library(values, self.above, self.below)
         inside = library.ones(values.shape, bool)
         if above is not None:
             inside = inside & (values > above)
-        if below is not None:
-            inside = inside & (values < below)
+        return inside if below is None else inside & (values < below)
+
+    @override
+    @quietly
+    def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
+        """The proportion of the sample."""
+        library, values, inside = in_library(values, self.holds(values))
         return jax_array(library.mean(library.where(library.isnan(values), np.nan, inside), axis=0))
 
     @override
@@ -204,6 +224,10 @@ class Probability(AbstractTail):
             sign, threshold = (">", self.above) if self.below is None else ("<", self.below)
             return f"P[{inside} {sign} {_brief(threshold)}]"
         return f"P[{_brief(self.above)} < {inside} < {_brief(self.below)}]"
+
+
+def _tail_at(level: Scalar) -> tuple[float, bool]:
+    return min(float(level), 1 - float(level)), float(level) < 0.5
 
 
 def _brief(threshold: Scalar | None) -> str:

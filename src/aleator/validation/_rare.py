@@ -9,10 +9,9 @@ keep the given distribution.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
-import scipy
 from jaxtyping import Float, Int
 
 from aleator._core.border import Progress, check_progress, one_of, refusal, silent, whole
@@ -20,6 +19,7 @@ from aleator._core.errors import ProblemError
 from aleator._core.journalled import call_by_call, journalled, parts_so_far
 from aleator.ensemble import Part, at_levels, each, parts
 from aleator.solution import Solution
+from aleator.statistics import Proposal, levels_of
 from aleator.validation._limits import check_counted, is_counted
 from aleator.validation._shares import Share, WeightedProportion
 from aleator.validation._systems import Systems
@@ -31,32 +31,6 @@ Scores: TypeAlias = Callable[[Float[np.ndarray, "systems variables"]], Float[np.
 _PLAIN, _WIDE = 0.1, 0.2  # shares of the given and of the wide distribution in every proposal
 _MOST_LEVELS = 12
 _STALLED = 0.01  # least progress of a level, as a fraction of the first distance to a limit
-
-
-class Proposal(NamedTuple):
-    """A mixture of normal distributions, of which the first is the given one, standard normal.
-
-    - `components`: of each distribution its mean, shape (variables,), and the Cholesky factor of its covariance.
-    """
-
-    components: tuple[tuple[np.ndarray, np.ndarray], ...]
-    shares: Float[np.ndarray, " components"]
-
-    def draw(self, count: int, generator: np.random.Generator) -> Float[np.ndarray, "count variables"]:
-        """Independent points."""
-        chosen = generator.choice(len(self.shares), count, p=self.shares)
-        points = generator.standard_normal((count, len(self.components[0][0])))
-        for k, (mean, factor) in enumerate(self.components):
-            points[chosen == k] = mean + points[chosen == k] @ factor.T
-        return points
-
-    def weights(self, points: Float[np.ndarray, "systems variables"]) -> Float[np.ndarray, " systems"]:
-        """The exact ratio of the given density to the proposal's, at most the reciprocal of the given one's share."""
-        logs = []
-        for mean, factor in self.components:
-            standard = scipy.linalg.solve_triangular(factor, (points - mean).T, lower=True)
-            logs.append(-np.sum(standard**2, axis=0) / 2 - np.sum(np.log(np.diag(factor))))
-        return np.exp(logs[0] - scipy.special.logsumexp(logs, axis=0, b=self.shares[:, None]))
 
 
 def adapted(scores: Scores, variables: int, reach: float, samples: int, generator: np.random.Generator) -> Proposal:
@@ -202,8 +176,8 @@ def _estimated(
         return systems.simulate(part.points, batch).excess[rows]
 
     def beyond(normals: Float[np.ndarray, "systems variables"]) -> Float[np.ndarray, "limits systems"]:
-        levels = np.clip(scipy.special.ndtr(normals), np.finfo(float).tiny, 1 - np.finfo(float).epsneg)
-        return np.concatenate([some for _, some in each(simulated, parts(at_levels(germs, levels), batch))], axis=1)
+        every = parts(at_levels(germs, levels_of(normals)), batch)
+        return np.concatenate([some for _, some in each(simulated, every)], axis=1)
 
     def tell(done: int) -> None:
         progress("rare violations", done, samples)
