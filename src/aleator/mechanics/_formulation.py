@@ -259,7 +259,7 @@ def standard_outputs(
         raise ProblemError(
             f"{type(model).__name__}: {twice} name two outputs each; rename its coordinates, velocities or actuators."
         )
-    own = model.outputs(motion)
+    own = model.seen_at(motion.q).outputs(motion)
     if not isinstance(own, Mapping):
         raise ProblemError(
             f"{type(model).__name__}.outputs returns a dict of arrays by name; received {type(own).__name__}."

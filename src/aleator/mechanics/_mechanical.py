@@ -222,6 +222,11 @@ class AbstractMechanical(Module, Printed):
             )
         return np.array([[float(name == one) for one in actuators] for name in along]).reshape(len(along), -1)
 
+    def seen_at(self, q: Float[Array, " coordinates"]) -> Self:
+        """The model, which may have computed what its outputs ask for in a posture."""
+        del q
+        return self
+
     def outputs(self, motion: Motion) -> Mapping[str, Any]:
         """Further quantities of interest by name: positions, distances. `motion` has `q`, `v`, `torque` and more."""
         del motion

@@ -3,36 +3,40 @@
 import abc
 import weakref
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any, TypeVar
+from copy import copy
+from typing import Any, Self, TypeVar
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
-from aleator.mechanics._bodies import GROUND, Body, Tree, build_tree, sorted_bodies, with_numbers, without_numbers
+from aleator.mechanics._bodies import Body, behind, sorted_bodies, with_numbers, without_numbers
 from aleator.mechanics._instant import is_timed, later
 from aleator.mechanics._joints import AbstractJoint
 from aleator.mechanics._loops_and_loads import (
     BodyLoad,
     Closure,
     checked_closures,
+    generalised,
     refuse_moving_places,
     residuals,
-    wrenches_of,
 )
 from aleator.mechanics._mechanical import AbstractMechanical, evaluated
-from aleator.mechanics._recursions import (
+from aleator.mechanics._spatial import GROUND, Numbers, Pose, as_array
+from aleator.mechanics._tree_dynamics import (
+    Posture,
     forward_dynamics,
-    generalised,
     inverse_dynamics,
+    jacobian_at,
+    kinetic_energy,
     mass_matrix,
-    moving,
-    world_poses,
+    posture_of,
+    potential_energy,
+    unit_coordinates,
+    velocity_map,
 )
-from aleator.mechanics._spatial import Block, Numbers, Pose, as_array, composed, cross, library, momentum, plus, power
+from aleator.mechanics._trees import Tree, build_tree
 
 Result = TypeVar("Result")
 
@@ -63,9 +67,8 @@ class Multibody(AbstractMechanical):
 
     Any number in a field may be a distribution, a decision or a signal, but the set of bodies and joints is fixed.
     Masses and inertias may vary with time, as in `al.Mechanical`: mass leaves a body at the body's velocity. The places
-    of joints may not: use one more joint, with its motion prescribed in `al.HybridDynamics`. The cost of inverse and
-    forward dynamics is proportional to the number of bodies (Featherstone, Rigid Body Dynamics Algorithms, 2008), and a
-    body on `al.joints.Fixed` is free; where `bias` or `mass_matrix` is overridden, they use these instead.
+    of joints may not: use one more joint, with its motion prescribed in `al.HybridDynamics`. Where `bias` or
+    `mass_matrix` is overridden, inverse and forward dynamics use these.
 
     Raises `ProblemError` if the bodies do not form a tree.
     """
@@ -133,22 +136,23 @@ class Multibody(AbstractMechanical):
     def _closure_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
         """How the equations of the closures change with the speeds."""
         tree = self._tree()
-        poses = _poses(tree, q)
-        rows = [closure.jacobian(tree, q, poses) for closure in self._closures()]
-        return jnp.concatenate([jnp.zeros((0, tree.speeds)), *rows])
+        posture = posture_of(tree, q)
+        poses = _by_name(tree, posture)
+        rows = [closure.jacobian(tree, posture, poses) for closure in self._closures()]
+        return jnp.concatenate([jnp.zeros((0, len(self.speeds))), *rows])
 
     def mass_matrix(self, q: Float[Numbers, " coordinates"]) -> Float[Array, "speeds speeds"]:
-        """`M(q)`, by the composite-rigid-body algorithm."""
+        """`M(q)` of bodies and rotors."""
         return mass_matrix(self._tree(), q)
 
     def bias(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
-        """`C(q, v) v + N(q, v)`, with gravity, springs and dampers, by the recursive Newton-Euler algorithm."""
-        return inverse_dynamics(self._tree(), self._gravity(), q, v, jnp.zeros_like(v))
+        """`C(q, v) v + N(q, v)`, with gravity, springs and dampers, by the equations of Newton and Euler."""
+        return inverse_dynamics(self._tree(), self._gravity(), q, v)
 
     def inverse_dynamics(
         self, q: Float[Numbers, " coordinates"], v: Float[Numbers, " speeds"], v_dot: Float[Numbers, " speeds"]
     ) -> Float[Array, " speeds"]:
-        """The generalised force that a motion requires, by the recursive Newton-Euler algorithm."""
+        """The generalised force that a motion requires, by the equations of Newton and Euler."""
         if not self._is_bodies_alone():
             return super().inverse_dynamics(q, v, v_dot)
         return inverse_dynamics(self._tree(), self._gravity(), q, v, v_dot)
@@ -156,10 +160,7 @@ class Multibody(AbstractMechanical):
     def forward_dynamics(
         self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], force: Float[Array, " speeds"]
     ) -> Float[Array, " speeds"]:
-        """The acceleration `v̇` under a generalised force, by the articulated-body algorithm.
-
-        NaN where a joint moves no inertia.
-        """
+        """The acceleration `v̇` under a generalised force; NaN where a joint moves no inertia."""
         if not self._is_bodies_alone():
             return super().forward_dynamics(q, v, force)
         return forward_dynamics(self._tree(), self._gravity(), q, v, force)
@@ -177,21 +178,17 @@ class Multibody(AbstractMechanical):
     @override
     def external(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
         """The sum of `load` and the loads on the bodies."""
-        tree = self._tree()
-        wrenches = wrenches_of(type(self).__name__, tree, q, evaluated(self, "body_loads", q, v))
-        return super().external(q, v) + generalised(tree, q, wrenches)
+        loads = evaluated(self, "body_loads", q, v)
+        return super().external(q, v) + generalised(type(self).__name__, self._tree(), q, loads)
 
     def velocity_map(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates speeds"]:
         """`H(q)`, with `q̇ = H(q) v`: block diagonal, one block per joint."""
-        tree = self._tree()
-        blocks = [link.joint.velocity_map(q[link.q]) for link in tree.links]
-        return jax.scipy.linalg.block_diag(*blocks) if blocks else jnp.zeros((0, 0))
+        return velocity_map(self._tree(), q)
 
     def normalised(self, q: Float[Numbers, " coordinates"]) -> Float[Numbers, " coordinates"]:
         """The coordinates, with quaternions normalised; a zero quaternion becomes the identity."""
-        if all(type(joint).normalised is AbstractJoint.normalised for _, joint in self._joints()):
-            return q
-        return library(q).concatenate([link.joint.normalised(q[link.q]) for link in self._tree().links])
+        simple = all(joint.coordinates == ("",) for _, joint in self._joints())
+        return q if simple else unit_coordinates(self._tree(), q)
 
     @property
     @override
@@ -203,10 +200,9 @@ class Multibody(AbstractMechanical):
     @override
     def refuse_impossible(self) -> None:
         """What bodies and joints refuse themselves, such as impossible inertias, negative damping or armature."""
-        for link in self._tree().links:
-            at_rest: Any = [np.zeros(part.stop - part.start) for part in (link.q, link.v)]
-            link.joint.passive(*at_rest)
-            link.joint.rotors()
+        for body in self._tree_bodies():
+            if isinstance(body.joint, AbstractJoint):
+                body.joint.refuse_impossible()
 
     @override
     def speeds_along(self, coordinates: Collection[str]) -> tuple[int, ...]:
@@ -227,29 +223,19 @@ class Multibody(AbstractMechanical):
 
     def kinetic_energy(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, ""]:
         """The kinetic energy of the bodies and of the joints' rotors, J."""
-        tree = self._tree()
-        twists = moving(tree, q, v).twists
-        energies = [power(twist, momentum(link.inertia, twist)) for link, twist in zip(tree.links, twists, strict=True)]
-        turning = [(link.joint.rotors(), v[link.v]) for link in tree.links]
-        energies += [rates @ rotors @ rates for rotors, rates in turning if rotors is not None]
-        return 0.5 * sum(energies, start=jnp.zeros(()))
+        return kinetic_energy(self._tree(), q, v)
 
     def potential_energy(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
         """The energy of gravity (zero at the world's origin) and of springs, J."""
-        tree, gravity, total = self._tree(), self._gravity(), jnp.zeros(())
-        for link, pose in zip(tree.links, world_poses(tree, q), strict=True):
-            first = link.inertia.mass * pose.position + pose.rotation @ link.inertia.first
-            total = total + link.joint.energy(q[link.q]) - gravity @ first
-        return total
+        return potential_energy(self._tree(), self._gravity(), q)
 
     def poses(self, q: Float[Array, " coordinates"]) -> dict[str, Pose]:
         """The pose of each body in the world, by name: `rotation` (3, 3) and `position` (3,), m."""
-        return _poses(self._tree(), q)
+        return _by_name(*self._seen(q))
 
     def point(self, q: Float[Array, " coordinates"], body: str, local: Any = (0.0, 0.0, 0.0)) -> Float[Array, "3"]:
         """The position in the world of a point of a body, `local` in its frame, m."""
-        pose = _of(self.poses(q), body)
-        return jnp.asarray(pose.position + pose.rotation @ _local(local))
+        return _point(*self._seen(q), body, local)[1]
 
     def point_velocity(
         self,
@@ -259,22 +245,38 @@ class Multibody(AbstractMechanical):
         local: Any = (0.0, 0.0, 0.0),
     ) -> Float[Array, "3"]:
         """The velocity in the world of a point of a body, `local` in its frame, m/s."""
+        tree, posture = self._seen(q)
+        row, place = _point(tree, posture, body, local)
+        return jnp.asarray(jacobian_at(tree, posture, row, place).linear @ v)
+
+    @override
+    def seen_at(self, q: Float[Array, " coordinates"]) -> Self:
+        if type(self).outputs is Multibody.outputs:
+            return self
+        seen = copy(self)
+        # No field: what becomes of the model in transformations does not know this.
+        object.__setattr__(seen, "_at", (q, *self._seen(q)))
+        return seen
+
+    def _seen(self, q: Float[Array, " coordinates"]) -> tuple[Tree, Posture]:
+        """The tree and its posture; the one whose outputs are being computed is not computed again."""
+        at, tree, posture = getattr(self, "_at", (None, None, None))
+        if at is q and tree is not None and posture is not None:
+            return tree, posture
         tree = self._tree()
-        index, within = _of(tree.places, body)
-        if index == GROUND:
-            return jnp.zeros(3)
-        arm = _local(local) if within is None else within.position + within.rotation @ _local(local)
-        twist = moving(tree, q, v).twists[index]
-        return world_poses(tree, q)[index].rotation @ plus(jnp.zeros(3), twist.linear, cross(twist.angular, arm))
+        return tree, posture_of(tree, q)
 
     def _is_bodies_alone(self) -> bool:
         """Whether the equations of motion are those of the bodies alone, without overrides."""
         return type(self).bias is Multibody.bias and type(self).mass_matrix is Multibody.mass_matrix
 
     def _tree(self) -> Tree:
+        return build_tree(self._tree_bodies())
+
+    def _tree_bodies(self) -> Sequence[Body]:
         if self._when is not None:
             refuse_moving_places(type(self).__name__, lambda s: later(self, s)._bodies())
-        return build_tree(self._bodies())
+        return self._bodies()
 
     def _bodies(self) -> Sequence[Body]:
         given = evaluated(self, "bodies")
@@ -293,7 +295,7 @@ class Multibody(AbstractMechanical):
         """The closures, of which only the structure counts; also before distributions are realised."""
         return () if type(self).closures is Multibody.closures else _closures_of(self)
 
-    def _gravity(self) -> Block:
+    def _gravity(self) -> Any:
         return as_array(self.gravity, f"{type(self).__name__}.gravity", (3,))
 
 
@@ -332,22 +334,21 @@ def _closures_of(model: Multibody) -> list[Closure]:
     return [without_numbers(closure) for closure in with_numbers(model)._closures()]
 
 
-def _poses(tree: Tree, q: Array) -> dict[str, Pose]:
-    carriers = world_poses(tree, q)
-    poses: dict[str, Pose] = {}
-    for name, (index, within) in tree.places.items():
-        if within is None:
-            poses[name] = carriers[index]
-        else:
-            poses[name] = within if index == GROUND else composed(carriers[index], within)
-    return poses
+def _pose(tree: Tree, posture: Posture, body: str) -> Pose:
+    row, within = tree.places[body]
+    if row == GROUND:
+        return within  # type: ignore[return-value]
+    carrier = Pose(posture.poses.rotation[..., row], posture.poses.position[:, row])
+    return carrier if within is None else behind(carrier, within)
 
 
-def _local(given: Any) -> Block:
-    return as_array(given, "A point of a body", (3,))
+def _by_name(tree: Tree, posture: Posture) -> dict[str, Pose]:
+    return {name: _pose(tree, posture, name) for name in tree.places}
 
 
-def _of(by_name: dict[str, Any], body: str) -> Any:
-    if body not in by_name:
-        raise ProblemError(f"There is no body '{body}'; expected one of {sorted(by_name)}.")
-    return by_name[body]
+def _point(tree: Tree, posture: Posture, body: str, local: Any) -> tuple[int, Float[Array, "3"]]:
+    """A point of a body: the row that it moves with, and its place in the world."""
+    if body not in tree.places:
+        raise ProblemError(f"There is no body '{body}'; expected one of {sorted(tree.places)}.")
+    pose = _pose(tree, posture, body)
+    return tree.places[body][0], jnp.asarray(pose.position + pose.rotation @ as_array(local, "A point of a body", (3,)))
