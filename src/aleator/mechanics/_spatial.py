@@ -118,24 +118,19 @@ def scattered(parts: Sequence[tuple[Sequence[int], Any]]) -> Any:
     return columns(joined, [listed.index(place) for place in range(len(listed))])
 
 
-def _once(array: Any) -> Any:
-    """An array that is computed once. A compiler would compute a sum again wherever it is used."""
-    return array if library(array) is np else lax.optimization_barrier(array)
-
-
 def times(matrices: Float[Numbers, "i j n"], vectors: Float[Numbers, "j n"]) -> Float[Numbers, "i n"]:
     """The products of matrices and vectors, body by body."""
-    return _once((matrices * vectors[None]).sum(1))
+    return (matrices * vectors[None]).sum(1)
 
 
 def product(first: Float[Numbers, "i j n"], second: Float[Numbers, "j k n"]) -> Float[Numbers, "i k n"]:
     """The products of matrices, body by body."""
-    return _once((first[:, :, None] * second[None]).sum(1))
+    return (first[:, :, None] * second[None]).sum(1)
 
 
 def combined(tensors: Float[Numbers, "i j k n"], matrices: Float[Numbers, "j k n"]) -> Float[Numbers, "i n"]:
     """The products of tensors and matrices over both their last indices, body by body."""
-    return _once((tensors * matrices[None]).sum((1, 2)))
+    return (tensors * matrices[None]).sum((1, 2))
 
 
 def skew(vectors: Float[Numbers, "3 n"]) -> Float[Numbers, "3 3 n"]:
@@ -147,7 +142,7 @@ def skew(vectors: Float[Numbers, "3 n"]) -> Float[Numbers, "3 3 n"]:
     entries = lax.gather(
         vectors, _PLACES[..., None], numbers, (1, vectors.shape[1]), mode=lax.GatherScatterMode.PROMISE_IN_BOUNDS
     )
-    return _once(entries * _SIGNS)
+    return entries * _SIGNS
 
 
 def cross(a: Float[Numbers, "3 n"], b: Float[Numbers, "3 n"]) -> Float[Numbers, "3 n"]:
@@ -184,7 +179,7 @@ def turned(
     """
     xp, across = library(angles), product(before, skew(axes))
     sine, cosine = xp.sin(angles)[None, None], xp.cos(angles)[None, None]
-    return _once(before + sine * across + (1 - cosine) * product(across, skew(axes)))
+    return before + sine * across + (1 - cosine) * product(across, skew(axes))
 
 
 def from_angles(angles: Float[Numbers, "3 n"]) -> Float[Numbers, "3 3 n"]:

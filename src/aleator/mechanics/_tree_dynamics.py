@@ -8,13 +8,18 @@ of traced equations does not grow with that of bodies.
 """
 
 import operator
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import jax_array
+from aleator._core.equations import derived
 from aleator.mechanics._joints import Ball, Revolute
 from aleator.mechanics._matrices import solve_positive
 from aleator.mechanics._spatial import (
@@ -37,6 +42,7 @@ from aleator.mechanics._spatial import (
     turned,
     unit_quaternions,
 )
+from aleator.mechanics._tree_slopes import Slopes, slopes
 from aleator.mechanics._trees import Tree, moved
 
 
@@ -115,7 +121,102 @@ def inverse_dynamics(
 
     Forces of springs and dampers are subtracted. Gravity is represented by an upward acceleration of the ground.
     """
-    return jax_array(_force(tree, posture_of(tree, q), gravity, q, v, v_dot))
+
+    def force(system: _System, q: Any, v: Any, v_dot: Any) -> Any:
+        return _force(system.tree, posture_of(system.tree, q), system.gravity, q, v, v_dot)
+
+    def slope(system: _System, needed: Any, state: Sequence[Any], changes: Sequence[Any]) -> Array:
+        del needed
+        by = _slopes(system, *state)
+        changed = by.by_place @ _displacement(system.tree, state[0], changes[0]) + by.by_speed @ changes[1]
+        return changed if changes[2] is None else changed + by.by_acceleration @ changes[2]
+
+    return jax_array(_with_slope(force, slope, _System(tree, gravity), q, v, v_dot))
+
+
+def forward_dynamics(
+    tree: Tree,
+    gravity: Float[Numbers, " 3"],
+    q: Float[Numbers, " coordinates"],
+    v: Float[Numbers, " speeds"],
+    force: Float[Numbers, " speeds"],
+) -> Float[Array, " speeds"]:
+    """The acceleration under a generalised force. NaN where the mass matrix is singular."""
+
+    def acceleration(system: _System, q: Any, v: Any, force: Any) -> Any:
+        posture = posture_of(system.tree, q)
+        rest = force - _force(system.tree, posture, system.gravity, q, v, None)
+        return solve_positive(jax_array(_mass_matrix(system.tree, posture)), rest)
+
+    def slope(system: _System, v_dot: Any, state: Sequence[Any], changes: Sequence[Any]) -> Array:
+        by = _slopes(system, state[0], state[1], v_dot)
+        rest = changes[2] - by.by_place @ _displacement(system.tree, state[0], changes[0]) - by.by_speed @ changes[1]
+        return solve_positive(by.by_acceleration, rest)
+
+    return jax_array(_with_slope(acceleration, slope, _System(tree, gravity), q, v, force))
+
+
+class _System(NamedTuple):
+    """A tree under gravity (3,), m/s²."""
+
+    tree: Tree
+    gravity: Any
+
+
+def _with_slope(function: Callable[..., Any], slope: Callable[..., Array], system: _System, *state: Any) -> Any:
+    """A function of a system and its state, whose derivatives by the state are in closed form."""
+    numbers, rest = eqx.partition((system, state), lambda leaf: isinstance(leaf, jax.Array))
+    if not jax.tree.leaves(numbers):
+        return function(system, *state)
+
+    @jax.custom_jvp
+    def evaluated(numbers: Any) -> Any:
+        system, state = eqx.combine(numbers, rest)
+        return function(system, *state)
+
+    def tangent(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Any, Any]:
+        (numbers,), ((of_system, of_state),) = primals, tangents
+        system, state = eqx.combine(numbers, rest)
+        value = evaluated(numbers)
+        along = [
+            None if one is None else np.zeros(one.shape) if change is None or _is_still(change) else change
+            for one, change in zip(state, of_state, strict=True)
+        ]
+        change = slope(system, value, state, along)
+        if not all(map(_is_still, jax.tree.leaves(of_system, is_leaf=_is_still))):
+            moved = jax.tree.map(lambda one, by: jnp.zeros_like(one) if _is_still(by) else by, numbers[0], of_system)
+            of_numbers = jax.jvp(lambda one: function(eqx.combine(one, rest[0]), *state), (numbers[0],), (moved,))[1]
+            change = change + of_numbers
+        return value, change
+
+    evaluated.defjvp(derived(tangent), symbolic_zeros=True)
+    return evaluated(numbers)
+
+
+def _is_still(leaf: Any) -> bool:
+    return isinstance(leaf, SymbolicZero)
+
+
+def _slopes(system: _System, q: Any, v: Any, v_dot: Any) -> Slopes:
+    tree, posture = system.tree, posture_of(system.tree, q)
+    poses = Pose(posture.poses.rotation, posture.arms)
+    v_dot = np.zeros(tree.axes.shape[1]) if v_dot is None else v_dot
+    of_bodies = slopes(tree, poses, jnp.concatenate(posture.screws), system.gravity, v, v_dot)
+    passive = tree.stiffness, tree.damping, tree.armature
+    return Slopes(*(of if _is_zero(own) else of + jnp.diag(own) for of, own in zip(of_bodies, passive, strict=True)))
+
+
+def _displacement(tree: Tree, q: Any, change: Any) -> Any:
+    """A change of coordinates as one along the speeds: the inverse of the velocity map."""
+    balls = tree.rows(Ball)
+    if not balls:
+        return change
+    turning = tree.coordinates(balls)
+    others = [place for place in range(len(q)) if place not in turning]
+    lengths = jnp.sqrt((columns(q, turning).reshape(-1, 4) ** 2).sum(1, keepdims=True))
+    # Columns of a quaternion's block of the map are half as long as they are for the inverse twice as long.
+    scales = scattered([(others, np.ones(len(others))), (turning, jnp.ravel(4.0 / lengths * np.ones((1, 4))))])
+    return velocity_map(tree, q).T @ (scales * change)
 
 
 def _force(tree: Tree, posture: Posture, gravity: Any, q: Any, v: Any, v_dot: Any) -> Any:
@@ -190,19 +291,6 @@ def _mass_matrix(tree: Tree, posture: Posture) -> Any:
     carried = tree.carries[:, list(tree.carrier)]
     matrix = carried * products + (carried * (1 - carried.T) * products).T
     return matrix if _is_zero(tree.armature) else matrix + library(tree.armature).diag(tree.armature)
-
-
-def forward_dynamics(
-    tree: Tree,
-    gravity: Float[Numbers, " 3"],
-    q: Float[Numbers, " coordinates"],
-    v: Float[Numbers, " speeds"],
-    force: Float[Numbers, " speeds"],
-) -> Float[Array, " speeds"]:
-    """The acceleration under a generalised force. NaN where the mass matrix is singular."""
-    posture = posture_of(tree, q)
-    matrix = jax_array(_mass_matrix(tree, posture))
-    return solve_positive(matrix, force - _force(tree, posture, gravity, q, v, None))
 
 
 def kinetic_energy(tree: Tree, q: Float[Numbers, " coordinates"], v: Float[Numbers, " speeds"]) -> Float[Array, ""]:

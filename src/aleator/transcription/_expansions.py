@@ -191,8 +191,8 @@ class ExpansionScope(AbstractScope):
                 shape = self.coefficients[atom.functionals[0]].shape
                 alike.setdefault((atom.kind, shape), {}).setdefault(atom.functionals, []).append(atom)
         for (kind, _), outputs in alike.items():
-            terms = jax.lax.optimization_barrier(jnp.stack([self._terms(functionals) for functionals in outputs], -1))
-            values = jax.lax.optimization_barrier(kind.of(terms, None))
+            terms = jnp.stack([self._terms(functionals) for functionals in outputs], -1)
+            values = kind.of(terms, None)
             for i, some in enumerate(outputs.values()):
                 self._together |= {(atom.functionals, id(atom.kind)): values[..., i] for atom in some}
 

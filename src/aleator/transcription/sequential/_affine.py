@@ -28,7 +28,7 @@ _ROUNDING = 1e-11
 
 # Primitives that are linear in all their operands together, and primitives linear in each operand by itself.
 _LINEAR = {
-    *("add", "add_any", "sub", "neg", "copy", "reduce_sum", "cumsum", "optimization_barrier"),
+    *("add", "add_any", "sub", "neg", "copy", "reduce_sum", "cumsum"),
     *("reshape", "transpose", "broadcast_in_dim", "squeeze", "slice", "split", "stack", "concatenate", "pad", "rev"),
 }
 _BILINEAR = {"mul", "dot_general"}

@@ -125,8 +125,9 @@ def _differentiated(
 
 
 def _kept(leaf: Array) -> Array:
-    # One barrier for all would make each wait for all others: it doubles the time of an evaluation.
-    return jax.lax.optimization_barrier(leaf) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+    # Matrices are left out: as sums and products of other values, they cost more to keep than to recompute. One barrier
+    # for all would make each wait for all others: it doubles the time of an evaluation.
+    return jax.lax.optimization_barrier(leaf) if jnp.issubdtype(leaf.dtype, jnp.floating) and leaf.ndim <= 1 else leaf
 
 
 def anchors_of(problem: Problem, collocation: Collocation, decisions: Float[np.ndarray, " n"]) -> Anchors | None:

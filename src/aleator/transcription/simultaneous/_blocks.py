@@ -30,7 +30,7 @@ Block: TypeAlias = Callable[[Pytree, Pytree, Array, Array], Float[Array, " rows"
 
 # Of one number each: linear in all operands together; bent.
 _LINEAR = {
-    *("add", "add_any", "sub", "neg", "copy", "name", "real", "optimization_barrier"),
+    *("add", "add_any", "sub", "neg", "copy", "name", "real"),
     *("convert_element_type", "reduce_precision", "select_n"),
 }
 _BENT = {
