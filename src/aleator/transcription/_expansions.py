@@ -193,8 +193,8 @@ class ExpansionScope(AbstractScope):
         for (kind, _), outputs in alike.items():
             terms = jnp.stack([self._terms(functionals) for functionals in outputs], -1)
             values = kind.of(terms, None)
-            for i, some in enumerate(outputs.values()):
-                self._together |= {(atom.functionals, id(atom.kind)): values[..., i] for atom in some}
+            for own, some in zip(jnp.unstack(values, axis=-1), outputs.values(), strict=True):
+                self._together |= {(atom.functionals, id(atom.kind)): own for atom in some}
 
     def _terms(self, functionals: tuple[AbstractFunctional, ...]) -> Float[Array, "terms ..."]:
         return joined([self.coefficients[one] for one in functionals])
