@@ -191,8 +191,9 @@ class ExpansionScope(AbstractScope):
                 shape = self.coefficients[atom.functionals[0]].shape
                 alike.setdefault((atom.kind, shape), {}).setdefault(atom.functionals, []).append(atom)
         for (kind, _), outputs in alike.items():
-            terms = jnp.stack([self._terms(functionals) for functionals in outputs], -1)
-            values = kind.of(terms, None)
+            if len(outputs) == 1:
+                continue
+            values = kind.of(jnp.stack([self._terms(functionals) for functionals in outputs], axis=-1), None)
             for own, some in zip(jnp.unstack(values, axis=-1), outputs.values(), strict=True):
                 self._together |= {(atom.functionals, id(atom.kind)): own for atom in some}
 
