@@ -172,16 +172,16 @@ def checked_closures(kind: str, given: Any) -> Sequence[Closure]:
     return given
 
 
-def residuals(kind: str, closures: Sequence[Closure], poses: Mapping[str, Pose]) -> Float[Array, " constraints"]:
-    """What is left of all equations, from the poses of the bodies. Raises `ProblemError` for what is no body."""
-    for closure in closures:
-        for end in (closure.parent, closure.child):
-            if end is not None and end not in poses:
-                raise ProblemError(
-                    f"{kind}.closures: '{closure.name}' binds '{end}', which is no body; expected some of "
-                    f"{sorted(poses)}, or None for the ground."
-                )
-    return jnp.concatenate([jnp.zeros(0), *(closure.residual(poses) for closure in closures)])
+def bodies_bound(kind: str, closures: Sequence[Closure], tree: Tree) -> set[str]:
+    """The names of the bodies that closures bind. Raises `ProblemError` for what is no body."""
+    bound = {(closure.name, end) for closure in closures for end in (closure.parent, closure.child) if end is not None}
+    for name, end in sorted(bound):
+        if end not in tree.places:
+            raise ProblemError(
+                f"{kind}.closures: '{name}' binds '{end}', which is no body; expected some of "
+                f"{sorted(tree.places)}, or None for the ground."
+            )
+    return {end for _, end in bound}
 
 
 def _is_passive(joint: AbstractAxial) -> bool:

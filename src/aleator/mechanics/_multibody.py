@@ -17,10 +17,10 @@ from aleator.mechanics._joints import AbstractJoint
 from aleator.mechanics._loops_and_loads import (
     BodyLoad,
     Closure,
+    bodies_bound,
     checked_closures,
     generalised,
     refuse_moving_places,
-    residuals,
 )
 from aleator.mechanics._mechanical import AbstractMechanical, evaluated
 from aleator.mechanics._spatial import GROUND, Numbers, Pose, as_array
@@ -125,7 +125,8 @@ class Multibody(AbstractMechanical):
     @override
     def constraint(self, q: Float[Array, " coordinates"]) -> Float[Array, " constraints"]:
         """What is left of the equations of the closures, in their order."""
-        return residuals(type(self).__name__, self._closures(), self.poses(q))
+        *_, closures, poses = self._bound(q)
+        return jnp.concatenate([jnp.zeros(0), *(closure.residual(poses) for closure in closures)])
 
     @override
     def constraint_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
@@ -135,11 +136,15 @@ class Multibody(AbstractMechanical):
 
     def _closure_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
         """How the equations of the closures change with the speeds."""
-        tree = self._tree()
-        posture = posture_of(tree, q)
-        poses = _by_name(tree, posture)
-        rows = [closure.jacobian(tree, posture, poses) for closure in self._closures()]
+        tree, posture, closures, poses = self._bound(q)
+        rows = [closure.jacobian(tree, posture, poses) for closure in closures]
         return jnp.concatenate([jnp.zeros((0, len(self.speeds))), *rows])
+
+    def _bound(self, q: Float[Array, " coordinates"]) -> tuple[Tree, Posture, Sequence[Closure], dict[str, Pose]]:
+        """The tree, its posture, the closures, and the poses of the bodies that these bind."""
+        tree, closures = self._tree(), self._closures()
+        names, posture = bodies_bound(type(self).__name__, closures, tree), posture_of(tree, q)
+        return tree, posture, closures, {name: _pose(tree, posture, name) for name in names}
 
     def mass_matrix(self, q: Float[Numbers, " coordinates"]) -> Float[Array, "speeds speeds"]:
         """`M(q)` of bodies and rotors."""
