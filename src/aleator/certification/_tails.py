@@ -33,7 +33,8 @@ from aleator.uncertainty import named_numbers
 # An error of a statistic that moves an optimum: this part of its distance from the mean or of a tenth of the spread;
 # for a probability, this part of it, which is about as much.
 _TOLERATED, _OF_A_CHANCE = 0.01, 0.1
-# Fresh systems in a tail: so many at first, and so many at most, four times as many each time.
+# Fresh systems in a tail: so many at first, unless the first draw shows that a limit cannot hang on them, and so many
+# at most, four times as many each time.
 _FIRST, _LAST = 128, 2048
 # How far around a quantile its density is taken, as a part of its distance from the mean.
 _AROUND = 0.1
@@ -184,7 +185,7 @@ def _error(
 
     `matters`: whether the answer may hang on an error, below which no more systems are drawn.
     """
-    size, least = len(check.systems.points), _FIRST
+    size = least = len(check.systems.points)
     values, predicted, weights = (np.zeros(0) for _ in range(3))
     coefficients = check.coefficients[tail.functional][(slice(None), *tail.entry)]
     basis, lines = transcribed.discretised.basis, transcribed.constants.of(tail.kind)
@@ -201,13 +202,14 @@ def _error(
         each, share = tail.differences(values, predicted, weights), weights / weights.sum()
         error = float(share @ each)
         uncertainty = float(np.sqrt(np.sum((share * (each - error)) ** 2)))
-        is_clear = abs(abs(error) - tail.tolerated) > 2 * uncertainty or not matters(abs(error) + 2 * uncertainty)
-        if is_clear or len(values) >= _LAST or not np.isfinite(error):
+        is_clear = len(values) >= _FIRST and abs(abs(error) - tail.tolerated) > 2 * uncertainty
+        is_harmless = not matters(abs(error) + 2 * uncertainty)
+        if is_clear or is_harmless or len(values) >= _LAST or not np.isfinite(error):
             # What the integral over the expansion is off by, with the fewer lines and points of a path, and may be off
             # by with all lines, is none of the systems' doing.
             value, half = evaluate(_estimated, tail.kind, jax_array(coefficients), lines, use=Use.BRIEF)
             return error + float(value) - tail.value, float(np.hypot(uncertainty, float(half) / 2)), len(values)
-        least = 4 * len(values)
+        least = max(4 * len(values), _FIRST)
 
 
 def _estimated(kind: AbstractTail, coefficients: Array, lines: Any) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ hundreds; others are taken by points that all outputs share, some hundred times 
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,22 +23,8 @@ _TOGETHER = 64
 _NEAR, _NEARER = 0.1, 0.125
 
 
-class OfDistribution(Protocol):
-    """A statistic of an output's distribution."""
-
-    def of_distribution(self, distribution: OutputDistribution) -> Estimate:
-        """The statistic, and its error."""
-        ...
-
-    def apart(self, mean: Float[Array, "paths n"], std: Float[Array, "paths n"]) -> tuple[Array, Array]:
-        """How many standard deviations each entry of a path is apart from the one by which a limit would be decided,
-        and how many the statistic is away from the mean there, if entries were normally distributed.
-        """
-        ...
-
-
 def rows_of(
-    kinds: Sequence[OfDistribution], coefficients: Sequence[Float[Array, "terms *shape"]]
+    kinds: Sequence[Any], coefficients: Sequence[Float[Array, "terms *shape"]]
 ) -> Float[Array, "columns entries"]:
     """The coefficients of all entries of some paths, followed by the numbers of their statistics."""
     each = []

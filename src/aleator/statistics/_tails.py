@@ -68,13 +68,29 @@ class AbstractTail(AbstractStatistic):
         """
 
 
-@final
-class Quantile(AbstractTail):
-    """The value that the output stays below with probability `level`."""
+class AbstractAtLevel(AbstractTail):
+    """A statistic of the tail beyond the quantile at a level."""
 
     level: Scalar
 
     speaks_of_one_system: ClassVar[bool] = True
+
+    @override
+    def tail(self, value: float) -> tuple[float, bool]:
+        return min(float(self.level), 1 - float(self.level)), float(self.level) < 0.5
+
+    @override
+    def apart(self, mean: Float[Array, " n"], std: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, "*n"]]:
+        away = normal_score(self.level)
+        # The largest of quantiles above the mean, the smallest of those below it.
+        normal = jnp.where(away < 0, -1.0, 1.0) * mean + jnp.abs(away) * std
+        behind = jnp.nanmax(normal, axis=-1, keepdims=True) - normal
+        return behind / jnp.maximum(std, _NO_SPREAD * behind), jnp.abs(away)
+
+
+@final
+class Quantile(AbstractAtLevel):
+    """The value that the output stays below with probability `level`."""
 
     def __init__(self, level: Scalar):
         self.level = level_given("Quantile", level)
@@ -82,14 +98,6 @@ class Quantile(AbstractTail):
     @override
     def of_distribution(self, distribution: OutputDistribution) -> Estimate:
         return distribution.quantile(self.level)
-
-    @override
-    def apart(self, mean: Float[Array, " n"], std: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, "*n"]]:
-        return _apart(self.level, mean, std)
-
-    @override
-    def tail(self, value: float) -> tuple[float, bool]:
-        return _tail_at(self.level)
 
     @override
     @quietly
@@ -104,17 +112,14 @@ class Quantile(AbstractTail):
 
 
 @final
-class ConditionalValueAtRisk(AbstractTail):
+class ConditionalValueAtRisk(AbstractAtLevel):
     """The mean of the values above the quantile at `level`, or of those below it with `lower=True`.
 
     A level of 0.95 gives the mean of the largest 5 %; 0.05 with `lower=True` that of the smallest 5 %. Source:
     Rockafellar and Uryasev (2000), Optimization of conditional value-at-risk.
     """
 
-    level: Scalar
     lower: bool = eqx.field(static=True)
-
-    speaks_of_one_system: ClassVar[bool] = True
 
     def __init__(self, level: Scalar, *, lower: bool = False):
         self.level, self.lower = level_given("ConditionalValueAtRisk", level), bool(lower)
@@ -122,14 +127,6 @@ class ConditionalValueAtRisk(AbstractTail):
     @override
     def of_distribution(self, distribution: OutputDistribution) -> Estimate:
         return distribution.mean_beyond(self.level, lower=self.lower)
-
-    @override
-    def apart(self, mean: Float[Array, " n"], std: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, "*n"]]:
-        return _apart(self.level, mean, std)
-
-    @override
-    def tail(self, value: float) -> tuple[float, bool]:
-        return _tail_at(self.level)
 
     @override
     @quietly
@@ -215,18 +212,6 @@ class Probability(AbstractTail):
             sign, threshold = (">", self.above) if self.below is None else ("<", self.below)
             return f"P[{inside} {sign} {_brief(threshold)}]"
         return f"P[{_brief(self.above)} < {inside} < {_brief(self.below)}]"
-
-
-def _tail_at(level: Scalar) -> tuple[float, bool]:
-    return min(float(level), 1 - float(level)), float(level) < 0.5
-
-
-def _apart(level: Scalar, mean: Float[Array, " n"], std: Float[Array, " n"]) -> tuple[Array, Array]:
-    away = normal_score(level)
-    # The largest of quantiles above the mean, the smallest of those below it.
-    normal = jnp.where(away < 0, -1.0, 1.0) * mean + jnp.abs(away) * std
-    behind = jnp.nanmax(normal, axis=-1, keepdims=True) - normal
-    return behind / jnp.maximum(std, _NO_SPREAD * behind), jnp.abs(away)
 
 
 def _brief(threshold: Scalar | None) -> str:
