@@ -4,11 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 import openturns as ot
 import pytest
-import sklearn  # noqa: F401 - it sets variables of the environment as it is imported
 
 import aleator as al
 from aleator.expansion import collocate, leave_one_out
-from aleator.expansion._selection import corrected_errors
+from aleator.expansion._selection import corrected_errors, sparse_terms
 from aleator.uncertainty import HermiteGerm, LegendreGerm
 
 SOBOL_G = np.array([0, 1, 4.5, 9, 99, 99, 99, 99])
@@ -70,6 +69,22 @@ def test_the_corrected_error_is_that_of_openturns():
         method = ot.QRMethod(ot.DesignProxy(inputs, terms), list(range(count)))
         theirs = ot.CorrectedLeaveOneOut().run(method, outputs)
         assert ours[count - 1] == pytest.approx(theirs, rel=1e-8)
+
+
+def test_each_term_leaves_the_least_residual_squares_and_their_number_the_least_error():
+    rng = np.random.default_rng(5)
+    matrix = np.column_stack([np.ones(60), rng.normal(size=(60, 90)), np.zeros(60)])
+    outputs = rng.normal(size=(60, 2)) / 10 + matrix[:, [7, 20]] @ [[3.0, 1.0], [1.0, -2.0]]
+
+    def left(columns):
+        return np.sum((outputs - matrix[:, columns] @ np.linalg.lstsq(matrix[:, columns], outputs)[0]) ** 2)
+
+    greedy = [0]
+    while len(greedy) < 30:
+        greedy.append(min(set(range(91)) - set(greedy), key=lambda k: left([*greedy, k])))
+    errors = corrected_errors(matrix[:, greedy], outputs)
+    assert sparse_terms(matrix, outputs) == greedy[: 1 + np.argmin(errors)]
+    assert set(greedy[:3]) == {0, 7, 20}
 
 
 def test_all_entries_of_a_path_and_all_outputs_share_one_choice_that_resolves_each():

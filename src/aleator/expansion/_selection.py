@@ -1,18 +1,20 @@
 """Terms chosen by a model's outputs: `Adaptive` sets, which grow, and `Sparse` fits, which keep few of many."""
 
+import itertools
 import math
 import warnings
-from collections.abc import Mapping
-from typing import Any, final
+from collections.abc import Iterator, Mapping
+from typing import final
 
 import equinox as eqx
 import jax
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
 from typing_extensions import override
 
 from aleator._core import border
-from aleator._core.errors import ExpansionWarning, MissingExtraError, ProblemError
+from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator._core.leaves import Module
 from aleator.ensemble import listed, refuse_nonfinite
 from aleator.expansion._basis import Basis, TotalDegree, sorted_terms
@@ -30,14 +32,14 @@ _GROWTH = 0.3
 # Candidates whose polynomials are held in memory at a time.
 _CHUNK = 2000
 
-# Principal components are ranked until the rest holds less than this part of all squares.
-_NEGLIGIBLE = 1e-6
-
 # At most one term per this many points: with more terms the corrected error rises.
 _FEWEST_PER_TERM = 2
 
-# A column is dependent if less than this is left of it after projecting out those before it.
-_DEPENDENT = 1e-7
+# A column is dependent if less than this part of its squares is left after projecting out those before it.
+_DEPENDENT = 1e-10
+
+# Terms after which a sparse fit is first judged, and columns whose inner products with all are computed at a time.
+_FIRST, _AHEAD = 64, 32
 
 
 @final
@@ -242,20 +244,21 @@ def _warn(basis: Basis, nodes: Nodes, error: float, settings: Adaptive, limit: s
 class Sparse(AbstractFit):
     """Least squares on few terms, chosen from the candidates of a large index set: for many variables, few points.
 
-    Least angle regression ranks the candidates by the penalty at which they enter; the number of terms minimises the
-    corrected leave-one-out error ("hybrid LARS"). The constant is always kept. All outputs, and all entries of a path,
-    share one choice of terms, and so one map to coefficients: the principal components of all outputs are ranked, each
-    output weighted by its total variance, and a term takes its best rank.
+    Terms are added one by one, each the one that reduces the squared residuals of all outputs together the most
+    (orthogonal least squares, a form of orthogonal matching pursuit); their number minimises the corrected
+    leave-one-out error, and the search ends where a quarter more terms have no smaller one. The constant is always
+    kept. All outputs, and all entries of a path, share one choice of terms, and so one map to coefficients; each output
+    is weighted by its total variance.
 
     Give the number of points: `Expansion(8, points=300, index_set=HyperbolicCross(0.75), fit=Sparse())`. Terms are
-    chosen once, by the outputs at the initial decisions. Needs scikit-learn: `pip install "aleator[sparse]"`.
-    Source: Blatman and Sudret (2011), Adaptive sparse polynomial chaos expansion based on least angle regression.
+    chosen once, by the outputs at the initial decisions.
+    Source: Chen, Billings and Luo (1989), Orthogonal least squares methods and their application to non-linear system
+    identification; Blatman and Sudret (2011), Adaptive sparse polynomial chaos expansion, for the error.
     """
 
     @override
     def select(self, basis: Basis, nodes: Nodes, respond: Respond | None) -> Basis:
-        """Raises `MissingExtraError` without scikit-learn, `ProblemError` without outputs or for negative weights."""
-        linear_model = _linear_model()
+        """Raises `ProblemError` without outputs or for negative weights."""
         if respond is None:
             raise ProblemError(
                 "Sparse chooses terms by the model's outputs, which are not known here. Take al.fits.LeastSquares()."
@@ -268,16 +271,55 @@ class Sparse(AbstractFit):
         outputs = components(responses(respond, basis.names, nodes.points), nodes.weights)
         if not outputs:
             return Basis(basis.germs, basis.indices[:1])
-        matrix = basis.matrix(nodes.points) * np.sqrt(len(nodes.weights) * nodes.weights)[:, None]
-        joint = principal(np.concatenate(outputs, axis=1))
-        ranking = _ranking(linear_model, matrix, joint)
-        count = 1 + int(np.argmin(corrected_errors(matrix[:, ranking], joint)))
-        return Basis(basis.germs, basis.indices[np.sort(ranking[:count])])
+        matrix = basis.matrix(nodes.points)
+        matrix *= np.sqrt(len(nodes.weights) * nodes.weights)[:, None]
+        return Basis(
+            basis.germs, basis.indices[np.sort(sparse_terms(matrix, principal(np.concatenate(outputs, axis=1))))]
+        )
 
     @override
     def collocation(self, basis: Basis, nodes: Nodes) -> Collocation:
         """Least squares on the terms that were kept."""
         return LeastSquares().collocation(basis, nodes)
+
+
+def sparse_terms(matrix: Float[np.ndarray, "points terms"], outputs: Float[np.ndarray, "points entries"]) -> list[int]:
+    """The columns, in the order of `_entering`, with the least corrected error, which a quarter more do not lower."""
+    entering, terms = _entering(matrix, outputs), []
+    while True:
+        wanted = max(3 * len(terms) // 2, _FIRST)
+        terms += itertools.islice(entering, wanted - len(terms))
+        best = 1 + int(np.argmin(corrected_errors(matrix[:, terms], outputs)))
+        if len(terms) < wanted or 5 * best <= 4 * wanted:
+            return terms[:best]
+
+
+def _entering(matrix: Float[np.ndarray, "points terms"], outputs: Float[np.ndarray, "points entries"]) -> Iterator[int]:
+    """Columns in the order of orthogonal least squares, the first one first, until the outputs are met or dependent.
+
+    A pivoted Cholesky factorisation of the columns' inner products, with the outputs beside it. Inner products are
+    computed for the most promising columns at a time, because each pass through a large matrix takes long.
+    """
+    sizes = np.einsum("ij,ij->j", matrix, matrix)
+    least, left, products = ROUNDING**2 * np.sum(outputs**2), sizes.copy(), outputs.T @ matrix
+    factor = np.empty((min(len(matrix) // _FEWEST_PER_TERM, len(sizes)), len(sizes)))
+    known: dict[int, Float[np.ndarray, " terms"]] = {}
+    for k in range(len(factor)):
+        usable = left > _DEPENDENT * sizes
+        gains = np.sum(products**2, axis=0) / np.where(usable, left, np.inf)
+        chosen = int(np.argmax(gains)) if k else 0
+        if k and not gains[chosen] > least:
+            return
+        yield chosen
+        if chosen not in known:
+            gains[[chosen, *known]] = np.inf, *(len(known) * [-1.0])
+            some = np.argpartition(-gains, min(_AHEAD, len(gains) - 1))[:_AHEAD]
+            known |= zip(some.tolist(), (matrix[:, some].T @ matrix), strict=True)
+        row = known.pop(chosen) - factor[:k, chosen] @ factor[:k]
+        factor[k] = row = row / np.sqrt(left[chosen])
+        products -= np.outer(products[:, chosen] / row[chosen], row)
+        left -= row**2
+        left[chosen] = 0.0
 
 
 def corrected_errors(
@@ -286,60 +328,23 @@ def corrected_errors(
     """The corrected leave-one-out error of least squares on the first 1, 2, ... columns, summed over the outputs.
 
     The error is multiplied by `n / (n - P) (1 + trace of (A^T A)^-1)` for `P` terms at `n` points, against overfitting.
-    There is one entry for each number of columns, as long as they are independent and fewer than the points.
+    The columns are independent and fewer than the points.
     Source: Chapelle, Vapnik and Bengio (2002), Model selection for small sample regression.
     """
-    points = len(matrix)
-    orthogonal, triangular = np.linalg.qr(matrix)
-    sound = np.abs(np.diag(triangular)) > _DEPENDENT * np.linalg.norm(matrix, axis=0)[: len(triangular)]
-    most = min(points - 1, len(sound) if sound.all() else int(np.argmin(sound)))
-    inverse = np.linalg.inv(triangular[:most, :most])
-    terms = np.arange(1, most + 1)
-    correction = points / (points - terms) * (1 + np.cumsum(np.sum(inverse**2, axis=0)))
-    leverage, residual = np.zeros(points), outputs.copy()
-    errors = np.empty(most)
-    for k, column in enumerate(orthogonal[:, :most].T):
-        leverage += column**2
-        residual -= column[:, None] * (column @ outputs)[None, :]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            errors[k] = np.sum((residual / (1 - leverage)[:, None]) ** 2) / points
-    return np.where(np.isnan(errors), np.inf, errors) * correction
-
-
-def _ranking(
-    linear_model: Any, matrix: Float[np.ndarray, "points terms"], outputs: Float[np.ndarray, "points components"]
-) -> Int[np.ndarray, " ranked"]:
-    """Terms by the penalty at which they enter, the highest first, after the constant."""
-    constant = matrix[:, 0] / np.linalg.norm(matrix[:, 0])
-    columns = matrix - constant[:, None] * (constant @ matrix)[None, :]
-    sizes = np.linalg.norm(columns, axis=0)
-    candidates = np.flatnonzero(sizes > _DEPENDENT * np.linalg.norm(matrix, axis=0))
-    columns = columns[:, candidates] / sizes[candidates]
-    entry = np.zeros(matrix.shape[1])
-    squares = np.sum(outputs**2, axis=0)
-    left = np.cumsum(squares[::-1])[::-1]
-    for component in outputs.T[left > _NEGLIGIBLE * left[0]]:
-        with warnings.catch_warnings():
-            # If candidates are nearly dependent, the path stops early or drops a term, but still gives a ranking.
-            warnings.filterwarnings("ignore", module="sklearn")
-            penalties, active, _ = linear_model.lars_path(
-                columns, component, method="lar", max_iter=min(columns.shape[1], len(matrix) // _FEWEST_PER_TERM)
-            )
-        entered = candidates[np.array(active, dtype=int)]
-        entry[entered] = np.maximum(entry[entered], penalties[: len(entered)])
-    order = np.argsort(-entry, kind="stable")
-    return np.concatenate([[0], order[entry[order] > 0]])
-
-
-def _linear_model() -> Any:
-    try:
-        from sklearn import linear_model
-    except ImportError as error:
-        raise MissingExtraError(
-            '`Sparse` needs the library scikit-learn: install it with `pip install "aleator[sparse]"`, or take '
-            "al.fits.LeastSquares() or al.index_sets.Adaptive()."
-        ) from error
-    return linear_model
+    points, counts = len(matrix), np.arange(1, matrix.shape[1] + 1)
+    # By Cholesky's factor, whose products are several times as fast as reflections: an error needs no more digits.
+    triangular = np.linalg.cholesky(matrix.T @ matrix)
+    orthogonal, inverse = (
+        scipy.linalg.solve_triangular(triangular, right, lower=True) for right in (matrix.T, np.eye(len(counts)))
+    )
+    correction = points / (points - counts) * (1 + np.cumsum(np.sum(inverse**2, axis=1)))
+    remainder, residual, errors = np.ones(points), outputs.copy(), np.empty(len(counts))
+    for k, (column, terms) in enumerate(zip(np.ascontiguousarray(orthogonal), orthogonal @ outputs, strict=True)):
+        remainder -= column**2
+        residual -= np.outer(column, terms)
+        sound = remainder.min() > LEAST_REMAINDER
+        errors[k] = np.sum((residual / remainder[:, None]) ** 2) / points if sound else np.inf
+    return errors * correction
 
 
 def responses(
@@ -392,6 +397,6 @@ def components(
 
 
 def principal(values: Float[np.ndarray, "points entries"]) -> Float[np.ndarray, "points components"]:
-    """The principal components of a matrix, the largest first."""
+    """The principal components of a matrix beyond rounding, the largest first."""
     left, sizes, _ = np.linalg.svd(values, full_matrices=False)
-    return left * sizes[None, :]
+    return (left * sizes[None, :])[:, sizes > ROUNDING * sizes[0]]
