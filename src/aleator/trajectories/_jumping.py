@@ -19,8 +19,9 @@ from typing_extensions import override
 from aleator._core.border import real_array, refuse_not_finite
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import realised_shape, stored_numbers
-from aleator.trajectories._signals import AbstractSignal, as_array
+from aleator.trajectories._signals import AbstractSignal
 from aleator.trajectories._tables import numbers_in, read_table
+from aleator.trajectories._trajectories import as_array
 
 Tree = TypeVar("Tree")
 
@@ -117,10 +118,6 @@ class StepFunction(AbstractJumping):
     @override
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
         return as_array(self.levels)[jnp.sum(self.jumps <= t) if self.piece is None else self.piece]
-
-    @override
-    def span(self) -> tuple[float, float]:
-        return -np.inf, np.inf
 
 
 def _row(table: Float[Array, "rows columns"], place: Int[Array, ""]) -> Float[Array, " columns"]:
