@@ -4,7 +4,7 @@ import abc
 import importlib
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -73,10 +73,12 @@ class AbstractLeaf(Module):
     Leaves are recognised by this type alone, so that a model's own classes may have any fields.
     """
 
-    UNCERTAIN: ClassVar[bool]
-    """Whether realisations differ: true for distributions, false for decisions."""
-
     shared_name: eqx.AbstractVar[str | None]
+
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether realisations differ: false for decisions and for distributions that are held at their means."""
+        return False
 
     @property
     @abc.abstractmethod

@@ -49,18 +49,23 @@ class AbstractCovariance(Module):
         """
 
 
+class _AbstractOfTime(AbstractCovariance):
+    """A covariance whose only parameter is a correlation time, s."""
+
+    correlation_time: float
+
+    def __init__(self, correlation_time: float):
+        what = f"{type(self).__name__}: 'correlation_time'"
+        self.correlation_time = positive(what, plain_number(what, correlation_time))
+
+
 @final
-class ExponentialCovariance(AbstractCovariance):
+class ExponentialCovariance(_AbstractOfTime):
     """Correlation `exp(-lag / correlation_time)`: coloured noise, that is, white noise through a first-order lag.
 
     Its paths are continuous but nowhere smooth, so that its variance is spread over many modes: about
     `0.2 t_final / (correlation_time (1 - energy))`.
     """
-
-    correlation_time: float
-
-    def __init__(self, correlation_time: float):
-        self.correlation_time = _time("ExponentialCovariance", correlation_time)
 
     @override
     def correlation(self, lag: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
@@ -71,13 +76,8 @@ class ExponentialCovariance(AbstractCovariance):
 
 
 @final
-class SquaredExponentialCovariance(AbstractCovariance):
+class SquaredExponentialCovariance(_AbstractOfTime):
     """Correlation `exp(-lag² / (2 correlation_time²))`: very smooth paths, carried by few modes."""
-
-    correlation_time: float
-
-    def __init__(self, correlation_time: float):
-        self.correlation_time = _time("SquaredExponentialCovariance", correlation_time)
 
     @override
     def correlation(self, lag: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
@@ -267,11 +267,6 @@ def _functions(
     largest = np.argmax(np.abs(vectors), axis=0)
     signs = np.sign(vectors[largest, np.arange(len(shares))])
     return vectors * (signs * np.sqrt(shares))[None, :] * _norms(len(vectors))[:, None]
-
-
-def _time(owner: str, correlation_time: Any) -> float:
-    what = f"{owner}: 'correlation_time'"
-    return positive(what, plain_number(what, correlation_time))
 
 
 def plain_number(what: str, value: Any) -> float:

@@ -1,6 +1,6 @@
 """`Decision`: a number of a model that the optimiser chooses."""
 
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import equinox as eqx
 import numpy as np
@@ -26,8 +26,6 @@ class Decision(AbstractLeaf):
     Raises `ProblemError` if a number is not finite (bounds may be infinite), if the bounds are in the wrong order, or
     if the start lies outside them.
     """
-
-    UNCERTAIN: ClassVar[bool] = False
 
     initial: Scalar | np.ndarray
     lower: Scalar | np.ndarray

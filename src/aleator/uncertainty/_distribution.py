@@ -107,8 +107,9 @@ class AbstractDistribution(AbstractLeaf):
     parameters: dict[str, Any]
     dependence: Dependence | None
     shared_name: str | None = eqx.field(static=True)
+    held: bool = eqx.field(static=True)
+    """Whether it is held at its mean: it has no germ then."""
 
-    UNCERTAIN: ClassVar[bool] = True
     FORMS: ClassVar[dict[tuple[str, ...], Form]]
     REQUIRES: ClassVar[str] = "finite parameters, a positive spread and positive shape parameters"
     REACHES_ENDS: ClassVar[bool] = True
@@ -119,12 +120,21 @@ class AbstractDistribution(AbstractLeaf):
         self.parameters = {
             name: plain(name, value, type(self)) for name, value in parameters.items() if value is not None
         }
-        self.dependence = None
+        self.dependence, self.held = None, False
         self.shared_name = None if shared_name is None else a_name(f"{type(self).__name__}: shared_name", shared_name)
         self._names()
         # The numbers are known under jax.grad, and so checked; under jax.jit they are not.
         if not is_traced(constant(self.parameters)):
             self._check()
+
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether realisations differ: not those of a distribution that is held at its mean."""
+        return not self.held
+
+    def at_mean(self, held: bool = True) -> Self:
+        """The same distribution, held at its mean or again uncertain."""
+        return self._with(held=held)
 
     def shared(self, name: str) -> Self:
         """A copy whose placements are all one random variable, together with any others shared under this name."""
@@ -160,12 +170,14 @@ class AbstractDistribution(AbstractLeaf):
             raise ProblemError(f"{type(self).__name__} needs {self.REQUIRES}; received {self}.")
         if spread < np.finfo(float).tiny:  # which compiled programs round to zero
             raise ProblemError(f"{type(self).__name__}: expected a spread of at least 2.3e-308; received {self}.")
-        own = type(self)
-        if shape and own.transport is AbstractDistribution.transport and own.value is AbstractDistribution.value:
+        own, base = type(self), AbstractDistribution
+        methods = ("mean", "std", *(("transport",) if own.value is base.value else ()))
+        missing = [f"{name}()" for name in methods if getattr(own, name) is getattr(base, name)]
+        if shape and missing:
             raise ProblemError(
-                f"{own.__name__} has a shape {shape} but no transport(germ, source, target), which moves values "
-                "between shapes at equal probability: without it, derivatives with respect to the shape would be lost. "
-                "Write one."
+                f"{own.__name__} has a shape {shape} but no {' and no '.join(missing)} of its own: without it, "
+                "derivatives with respect to the shape would be lost. transport(germ, source, target) moves values "
+                "between shapes at equal probability. Write what is missing."
             )
         for corner in self.corners():
             self._check_corner(start | corner, corner)
@@ -350,17 +362,24 @@ class AbstractDistribution(AbstractLeaf):
     def germ(self) -> AbstractGerm:
         """The germ's distribution and polynomials, at the initial values of the decisions."""
 
-    @abc.abstractmethod
     def mean(self) -> Scalar:
-        """The mean, once the parameters are plain numbers."""
+        """The mean, once the parameters are plain numbers; a family with a shape has its own, as it has for `std`."""
+        return self._at(self.germ().recurrence(0)[0][0])
 
-    @abc.abstractmethod
     def std(self) -> Scalar:
         """The standard deviation, once the parameters are plain numbers."""
+        scale, spread = self.canonical().scale, self.germ().recurrence(1)[1][1]
+        return scale if spread == 1 else scale * spread
 
-    @abc.abstractmethod
     def support(self) -> tuple[Scalar, Scalar]:
         """Smallest and largest possible value, once the parameters are plain numbers."""
+        low, high = self.germ().support()
+        return self._at(low), self._at(high)
+
+    def _at(self, germ: float) -> Scalar:
+        """The number at a constant germ value, which may be infinite."""
+        location, scale, _ = self.canonical()
+        return germ if np.isinf(germ) else location + scale * germ if germ else location
 
     def __str__(self) -> str:
         inside = ", ".join(f"{name}={brief(self.parameters[name])}" for name in self._names())

@@ -76,7 +76,7 @@ class RandomProcess(AbstractSignal):
                 f"RandomProcess: t_final must be after t_start={t_start:g}; received t_final={t_final:g}."
             )
         self.std = stored_number("RandomProcess: 'std'", std)
-        least = 0.0 if getattr(std, "UNCERTAIN", False) else lowest(self.std)
+        least = 0.0 if getattr(std, "is_uncertain", False) else lowest(self.std)
         if least is not None and least < 0:
             raise ProblemError(f"RandomProcess: 'std' must not be negative; received {least:g}.")
         self.mean = mean if isinstance(mean, AbstractSignal) else stored_number("RandomProcess: 'mean'", mean)
