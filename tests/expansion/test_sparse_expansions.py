@@ -7,7 +7,7 @@ import pytest
 
 import aleator as al
 from aleator.expansion import collocate, leave_one_out
-from aleator.expansion._selection import corrected_errors, sparse_terms
+from aleator.expansion._fit import corrected_errors, sparse_terms
 from aleator.uncertainty import HermiteGerm, LegendreGerm
 
 SOBOL_G = np.array([0, 1, 4.5, 9, 99, 99, 99, 99])

@@ -133,7 +133,12 @@ def in_batches(
     if len(points) > _TOGETHER:
         # Traced here, because only the calling thread may run a user's code.
         program.prepare(model, jnp.asarray(points[:_TOGETHER]), decisions)
-    results = [values for _, values in each(outputs, parts(points, _TOGETHER))]
+    return joined(outputs, points, _TOGETHER)
+
+
+def joined(work: Callable[[Part], Pytree], points: Float[np.ndarray, "n variables"], size: int) -> Pytree:
+    """The results of `work` for parts of the points, of `size` or fewer, one after the other as NumPy arrays."""
+    results = [values for _, values in each(work, parts(points, size))]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
 
 

@@ -23,7 +23,7 @@ from aleator._core.compilation import evaluate_traced, traced_once
 from aleator._core.equations import TIME, TracedFunction, switches
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_traced, named_leaves
-from aleator.ensemble._batches import Part, at_levels, each, fill, parts
+from aleator.ensemble._batches import Part, at_levels, each, fill, joined
 from aleator.ensemble._outputs import (
     UNTRACEABLE,
     Function,
@@ -189,13 +189,8 @@ class TracedEnsemble(AbstractEnsemble):
             return super().__call__(points, before)
         evaluate = self._of_size(_TOGETHER)
         self._refuse_large(_TOGETHER, len(points))
-
-        def outputs(part: Part) -> Pytree:
-            first = before + part.first
-            return self._checked(evaluate(part.points, first), part.points, first)
-
-        results = [values for _, values in each(outputs, parts(np.asarray(points), _TOGETHER))]
-        return jax.tree.map(lambda *leaves: jax_array(np.concatenate(leaves)), *results)
+        outputs = joined(lambda part: evaluate(part.points, part.first), np.asarray(points), _TOGETHER)
+        return self._checked(jax.tree.map(jax_array, outputs), points, before)
 
     @override
     def _of_size(self, size: int) -> Callable[[Points, int], Pytree]:

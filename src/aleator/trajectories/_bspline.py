@@ -19,8 +19,7 @@ from aleator._core import border as check
 from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf, is_leaf, lowest, realised_shape, stored_numbers
-from aleator.trajectories._signals import Fractions
-from aleator.trajectories._trajectories import AbstractTrajectory, as_array, conditions
+from aleator.trajectories._signals import AbstractTrajectory, Fractions, as_array, conditions
 
 _KIND = "BSpline"
 

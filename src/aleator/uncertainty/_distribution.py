@@ -3,8 +3,8 @@
 import abc
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, ClassVar, NamedTuple, Self, final
+from collections.abc import Callable, Iterator
+from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -18,9 +18,9 @@ from aleator._core.arrays import Scalar, jax_array
 from aleator._core.border import a_name, real_array, refusal
 from aleator._core.errors import ProblemError
 from aleator._core.identity import is_library
-from aleator._core.leaves import AbstractLeaf, Module, is_traced, realised_shape
+from aleator._core.leaves import AbstractLeaf, is_traced, realised_shape
 from aleator.uncertainty._decision import Decision
-from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm
+from aleator.uncertainty._polynomials import AbstractGerm, Dependence
 
 # Probability levels at which methods of a user's own distribution are compared, and the tolerance by its spread.
 _LEVELS = np.array([0.02, 0.16, 0.5, 0.84, 0.98])
@@ -64,33 +64,6 @@ def brief(value: Any) -> str:
     if isinstance(value, Decision):
         return f"Decision({float(value.initial):g} in [{float(value.lower):g}, {float(value.upper):g}])"
     return f"{float(value):g}" if not isinstance(value, Tracer) else "traced"
-
-
-@final
-class Dependence(Module):
-    """A member's place in a group of correlated distributions.
-
-    The group has one standard normal germ variable for each member. Member `index` is a function of the normal variable
-    `factor[index] @ germs`, where `factor` is the Cholesky factor of the normals' correlation matrix. So it depends on
-    its own germ variable and on those of the members before it.
-    """
-
-    group: str = eqx.field(static=True)
-    members: tuple[str, ...] = eqx.field(static=True)
-    index: int = eqx.field(static=True)
-    factor: Float[np.ndarray, "members members"] | Float[Array, "members members"]
-
-    @property
-    def germ_names(self) -> tuple[str, ...]:
-        """The germ variables on which the member depends."""
-        return tuple(f"{self.group}.{member}" for member in self.members[: self.index + 1])
-
-    def normal(self, germs: Sequence[Float[Array, ""]]) -> Float[Array, ""]:
-        """The member's standard normal variable at the values of its germ variables."""
-        return jnp.asarray(self.factor)[self.index, : self.index + 1] @ jnp.stack(germs)
-
-    def __str__(self) -> str:
-        return f"'{self.members[self.index]}' of the correlated group '{self.group}'"
 
 
 class AbstractDistribution(AbstractLeaf):
@@ -170,18 +143,9 @@ class AbstractDistribution(AbstractLeaf):
             raise ProblemError(f"{type(self).__name__} needs {self.REQUIRES}; received {self}.")
         if spread < np.finfo(float).tiny:  # which compiled programs round to zero
             raise ProblemError(f"{type(self).__name__}: expected a spread of at least 2.3e-308; received {self}.")
-        own, base = type(self), AbstractDistribution
-        methods = ("mean", "std", *(("transport",) if own.value is base.value else ()))
-        missing = [f"{name}()" for name in methods if getattr(own, name) is getattr(base, name)]
-        if shape and missing:
-            raise ProblemError(
-                f"{own.__name__} has a shape {shape} but no {' and no '.join(missing)} of its own: without it, "
-                "derivatives with respect to the shape would be lost. transport(germ, source, target) moves values "
-                "between shapes at equal probability. Write what is missing."
-            )
         for corner in self.corners():
             self._check_corner(start | corner, corner)
-        if not is_library(own.__module__):
+        if not is_library(type(self).__module__):
             refuse_contradictions(self.initial())
 
     def _is_possible(self, parameters: dict[str, float], shape: tuple[float, ...]) -> bool:
@@ -345,9 +309,7 @@ class AbstractDistribution(AbstractLeaf):
 
     def germs(self, place: str) -> dict[str, AbstractGerm]:
         """The distribution of each germ variable that it depends on, by name, in the order of `germ_names`."""
-        if self.dependence is None:
-            return {place: self.germ()}
-        return {name: HermiteGerm() for name in self.dependence.germ_names}
+        return {place: self.germ()} if self.dependence is None else self.dependence.germs
 
     def realised(
         self, germs: tuple[Float[Array, ""], ...], reference: tuple[Scalar, ...] | None = None
@@ -387,7 +349,16 @@ class AbstractDistribution(AbstractLeaf):
 
 
 def refuse_contradictions(distribution: Any) -> None:
-    """Raise `ProblemError`, naming the method, where two methods of a distribution of plain numbers disagree."""
+    """Raise `ProblemError`, naming them, where methods of a distribution of plain numbers disagree or are missing."""
+    own, base = type(distribution), AbstractDistribution
+    needed = ("mean", "std", *(("transport",) if own.value is base.value else ()))
+    missing = [f"{name}()" for name in needed if getattr(own, name) is getattr(base, name)]
+    if missing and distribution.canonical().shape:
+        raise ProblemError(
+            f"{own.__name__} has a shape but no {' and no '.join(missing)} of its own: without it, derivatives with "
+            "respect to the shape would be lost. transport(germ, source, target) moves values between shapes at equal "
+            "probability. Write what is missing."
+        )
     with jax.ensure_compile_time_eval():
         location, scale, shape = distribution.canonical()
         germ = distribution.germ()
@@ -407,6 +378,6 @@ def refuse_contradictions(distribution: Any) -> None:
         if not (values.shape == expected.shape and np.allclose(values, expected, rtol=_SAME, atol=_SAME * size)):
             by_germ, received = (", ".join(f"{x:.6g}" for x in np.ravel(side)) for side in (expected, values))
             raise ProblemError(
-                f"{type(distribution).__name__}: its germ and its {name} contradict each other: expected "
+                f"{own.__name__}: its germ and its {name} contradict each other: expected "
                 f"{by_germ} by germ(); received {received}."
             )

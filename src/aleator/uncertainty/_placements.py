@@ -20,8 +20,8 @@ from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf, is_leaf, is_traced, named_leaves
 from aleator.uncertainty._copula import pearson
 from aleator.uncertainty._decision import Decision, start_given
-from aleator.uncertainty._distribution import AbstractDistribution, Dependence
-from aleator.uncertainty._polynomials import AbstractGerm
+from aleator.uncertainty._distribution import AbstractDistribution
+from aleator.uncertainty._polynomials import AbstractGerm, Dependence
 
 
 def at_means(model: Pytree) -> Pytree:

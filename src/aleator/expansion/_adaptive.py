@@ -1,25 +1,20 @@
-"""Terms chosen by a model's outputs: `Adaptive` sets, which grow, and `Sparse` fits, which keep few of many."""
+"""`Adaptive`: index sets that grow by a model's outputs."""
 
-import itertools
 import math
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import final
 
 import equinox as eqx
-import jax
 import numpy as np
-import scipy
 from jaxtyping import Float, Int
-from typing_extensions import override
 
 from aleator._core import border
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator._core.leaves import Module
-from aleator.ensemble import listed, refuse_nonfinite
 from aleator.expansion._basis import Basis, TotalDegree, sorted_terms
-from aleator.expansion._collocation import LEAST_REMAINDER, ROUNDING, Collocation
-from aleator.expansion._fit import WORST_CONDITION, AbstractFit, LeastSquares, Respond
+from aleator.expansion._collocation import LEAST_REMAINDER, components
+from aleator.expansion._fit import WORST_CONDITION, Respond, responses
 from aleator.expansion._points import AbstractCountedPoints, AbstractPoints, Nodes
 from aleator.uncertainty import AbstractGerm
 
@@ -31,15 +26,6 @@ _GROWTH = 0.3
 
 # Candidates whose polynomials are held in memory at a time.
 _CHUNK = 2000
-
-# At most one term per this many points: with more terms the corrected error rises.
-_FEWEST_PER_TERM = 2
-
-# A column is dependent if less than this part of its squares is left after projecting out those before it.
-_DEPENDENT = 1e-10
-
-# Terms after which a sparse fit is first judged, and columns whose inner products with all are computed at a time.
-_FIRST, _AHEAD = 64, 32
 
 
 @final
@@ -238,165 +224,3 @@ def _warn(basis: Basis, nodes: Nodes, error: float, settings: Adaptive, limit: s
         ExpansionWarning,
         stacklevel=4,
     )
-
-
-@final
-class Sparse(AbstractFit):
-    """Least squares on few terms, chosen from the candidates of a large index set: for many variables, few points.
-
-    Terms are added one by one, each the one that reduces the squared residuals of all outputs together the most
-    (orthogonal least squares, a form of orthogonal matching pursuit); their number minimises the corrected
-    leave-one-out error, and the search ends where a quarter more terms have no smaller one. The constant is always
-    kept. All outputs, and all entries of a path, share one choice of terms, and so one map to coefficients; each output
-    is weighted by its total variance.
-
-    Give the number of points: `Expansion(8, points=300, index_set=HyperbolicCross(0.75), fit=Sparse())`. Terms are
-    chosen once, by the outputs at the initial decisions.
-    Source: Chen, Billings and Luo (1989), Orthogonal least squares methods and their application to non-linear system
-    identification; Blatman and Sudret (2011), Adaptive sparse polynomial chaos expansion, for the error.
-    """
-
-    @override
-    def select(self, basis: Basis, nodes: Nodes, respond: Respond | None) -> Basis:
-        """Raises `ProblemError` without outputs or for negative weights."""
-        if respond is None:
-            raise ProblemError(
-                "Sparse chooses terms by the model's outputs, which are not known here. Take al.fits.LeastSquares()."
-            )
-        if not np.all(nodes.weights > 0):
-            raise ProblemError(
-                "Sparse: some points have weights that are not positive, so that squares cannot be weighted by them. "
-                "Take al.points.SobolPoints() or al.points.LatinHypercubePoints()."
-            )
-        outputs = components(responses(respond, basis.names, nodes.points), nodes.weights)
-        if not outputs:
-            return Basis(basis.germs, basis.indices[:1])
-        matrix = basis.matrix(nodes.points)
-        matrix *= np.sqrt(len(nodes.weights) * nodes.weights)[:, None]
-        return Basis(
-            basis.germs, basis.indices[np.sort(sparse_terms(matrix, principal(np.concatenate(outputs, axis=1))))]
-        )
-
-    @override
-    def collocation(self, basis: Basis, nodes: Nodes) -> Collocation:
-        """Least squares on the terms that were kept."""
-        return LeastSquares().collocation(basis, nodes)
-
-
-def sparse_terms(matrix: Float[np.ndarray, "points terms"], outputs: Float[np.ndarray, "points entries"]) -> list[int]:
-    """The columns, in the order of `_entering`, with the least corrected error, which a quarter more do not lower."""
-    entering, terms = _entering(matrix, outputs), []
-    while True:
-        wanted = max(3 * len(terms) // 2, _FIRST)
-        terms += itertools.islice(entering, wanted - len(terms))
-        best = 1 + int(np.argmin(corrected_errors(matrix[:, terms], outputs)))
-        if len(terms) < wanted or 5 * best <= 4 * wanted:
-            return terms[:best]
-
-
-def _entering(matrix: Float[np.ndarray, "points terms"], outputs: Float[np.ndarray, "points entries"]) -> Iterator[int]:
-    """Columns in the order of orthogonal least squares, the first one first, until the outputs are met or dependent.
-
-    A pivoted Cholesky factorisation of the columns' inner products, with the outputs beside it. Inner products are
-    computed for the most promising columns at a time, because each pass through a large matrix takes long.
-    """
-    sizes = np.einsum("ij,ij->j", matrix, matrix)
-    least, left, products = ROUNDING**2 * np.sum(outputs**2), sizes.copy(), outputs.T @ matrix
-    factor = np.empty((min(len(matrix) // _FEWEST_PER_TERM, len(sizes)), len(sizes)))
-    known: dict[int, Float[np.ndarray, " terms"]] = {}
-    for k in range(len(factor)):
-        usable = left > _DEPENDENT * sizes
-        gains = np.sum(products**2, axis=0) / np.where(usable, left, np.inf)
-        chosen = int(np.argmax(gains)) if k else 0
-        if k and not gains[chosen] > least:
-            return
-        yield chosen
-        if chosen not in known:
-            gains[[chosen, *known]] = np.inf, *(len(known) * [-1.0])
-            some = np.argpartition(-gains, min(_AHEAD, len(gains) - 1))[:_AHEAD]
-            known |= zip(some.tolist(), (matrix[:, some].T @ matrix), strict=True)
-        row = known.pop(chosen) - factor[:k, chosen] @ factor[:k]
-        factor[k] = row = row / np.sqrt(left[chosen])
-        products -= np.outer(products[:, chosen] / row[chosen], row)
-        left -= row**2
-        left[chosen] = 0.0
-
-
-def corrected_errors(
-    matrix: Float[np.ndarray, "points terms"], outputs: Float[np.ndarray, "points entries"]
-) -> Float[np.ndarray, " counts"]:
-    """The corrected leave-one-out error of least squares on the first 1, 2, ... columns, summed over the outputs.
-
-    The error is multiplied by `n / (n - P) (1 + trace of (A^T A)^-1)` for `P` terms at `n` points, against overfitting.
-    The columns are independent and fewer than the points.
-    Source: Chapelle, Vapnik and Bengio (2002), Model selection for small sample regression.
-    """
-    points, counts = len(matrix), np.arange(1, matrix.shape[1] + 1)
-    # By Cholesky's factor, whose products are several times as fast as reflections: an error needs no more digits.
-    triangular = np.linalg.cholesky(matrix.T @ matrix)
-    orthogonal, inverse = (
-        scipy.linalg.solve_triangular(triangular, right, lower=True) for right in (matrix.T, np.eye(len(counts)))
-    )
-    correction = points / (points - counts) * (1 + np.cumsum(np.sum(inverse**2, axis=1)))
-    remainder, residual, errors = np.ones(points), outputs.copy(), np.empty(len(counts))
-    for k, (column, terms) in enumerate(zip(np.ascontiguousarray(orthogonal), orthogonal @ outputs, strict=True)):
-        remainder -= column**2
-        residual -= np.outer(column, terms)
-        sound = remainder.min() > LEAST_REMAINDER
-        errors[k] = np.sum((residual / remainder[:, None]) ** 2) / points if sound else np.inf
-    return errors * correction
-
-
-def responses(
-    respond: Respond, names: tuple[str, ...], points: Float[np.ndarray, "points variables"], before: int = 0
-) -> tuple[Float[np.ndarray, "points entries"], ...]:
-    """The outputs of a model at germ points, each as a matrix with a column for each of its entries.
-
-    `before` is the number of earlier points, from which messages count on.
-
-    Raises `ProblemError` if an output lacks the leading axis for the points, `SimulationError` if one is not finite.
-    """
-    answer = respond(points)
-    leaves = jax.tree_util.tree_leaves_with_path(answer)
-    if not leaves:
-        raise ProblemError("Expansion: the model has no output to choose terms by; give it at least one.")
-    outputs = []
-    for path, leaf in leaves:
-        name = f"'{jax.tree_util.keystr(path, simple=True, separator='.')}'" if path else "of the model"
-        values = np.asarray(leaf, dtype=float)
-        if values.shape[:1] != (len(points),):
-            raise ProblemError(
-                f"Expansion: expected the output {name} to have a leading axis of {len(points)} points; received "
-                f"shape {values.shape}."
-            )
-        outputs.append(values.reshape(len(points), -1))
-
-    def germ(index: int) -> str:
-        return f"germ {listed(dict(zip(names, points[index], strict=True)))}"
-
-    refuse_nonfinite("The model", answer, germ, before)
-    return tuple(outputs)
-
-
-def components(
-    outputs: tuple[Float[np.ndarray, "points entries"], ...], weights: Float[np.ndarray, " points"]
-) -> tuple[Float[np.ndarray, "points components"], ...]:
-    """Each output that varies, in principal components, scaled so that its squares add up to the number of points.
-
-    Means are subtracted and rows weighted by the roots of the weights. In principal components an output of thousands
-    of entries has no more columns than there are points, with the same sums of squares over its entries.
-    """
-    roots = np.sqrt(weights)[:, None]
-    varying = []
-    for values in outputs:
-        deviation = roots * (values - (weights @ values)[None, :])
-        size = np.linalg.norm(deviation)
-        if size > ROUNDING * np.linalg.norm(roots * values):
-            varying.append(principal(deviation) * (np.sqrt(len(weights)) / size))
-    return tuple(varying)
-
-
-def principal(values: Float[np.ndarray, "points entries"]) -> Float[np.ndarray, "points components"]:
-    """The principal components of a matrix beyond rounding, the largest first."""
-    left, sizes, _ = np.linalg.svd(values, full_matrices=False)
-    return (left * sizes[None, :])[:, sizes > ROUNDING * sizes[0]]
