@@ -199,11 +199,6 @@ def components(
         deviation = roots * (values - (weights @ values)[None, :])
         size = np.linalg.norm(deviation)
         if size > ROUNDING * np.linalg.norm(roots * values):
-            varying.append(principal(deviation) * (np.sqrt(len(weights)) / size))
+            left, sizes, _ = np.linalg.svd(deviation * (np.sqrt(len(weights)) / size), full_matrices=False)
+            varying.append((left * sizes[None, :])[:, sizes > ROUNDING * sizes[0]])
     return tuple(varying)
-
-
-def principal(values: Float[np.ndarray, "points entries"]) -> Float[np.ndarray, "points components"]:
-    """The principal components of a matrix beyond rounding, the largest first."""
-    left, sizes, _ = np.linalg.svd(values, full_matrices=False)
-    return (left * sizes[None, :])[:, sizes > ROUNDING * sizes[0]]

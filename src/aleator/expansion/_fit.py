@@ -1,8 +1,7 @@
 """Fits: the map from samples at the collocation points to coefficients, on all terms or on few of many."""
 
 import abc
-import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import ClassVar, TypeAlias, final
 
 import jax
@@ -16,7 +15,7 @@ from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.ensemble import listed, refuse_nonfinite
 from aleator.expansion._basis import Basis
-from aleator.expansion._collocation import LEAST_REMAINDER, ROUNDING, Collocation, components, principal
+from aleator.expansion._collocation import LEAST_REMAINDER, ROUNDING, Collocation, components
 from aleator.expansion._points import Nodes
 
 Respond: TypeAlias = Callable[[Float[np.ndarray, "points variables"]], Pytree]
@@ -34,8 +33,8 @@ _FEWEST_PER_TERM = 2
 # A column is dependent if less than this part of its squares is left after projecting out those before it.
 _DEPENDENT = 1e-10
 
-# Terms after which a sparse fit is first judged, and columns whose inner products with all are computed at a time.
-_FIRST, _AHEAD = 64, 32
+# Columns whose inner products with all others are computed at a time.
+_AHEAD = 32
 
 # Germ values that agree to this many decimals are one value of a grid.
 _DIGITS = 10
@@ -150,10 +149,10 @@ class Sparse(AbstractFit):
     """Least squares on few terms, chosen from the candidates of a large index set: for many variables, few points.
 
     Terms are added one by one, each the one that reduces the squared residuals of all outputs together the most
-    (orthogonal least squares, a form of orthogonal matching pursuit); their number minimises the corrected
-    leave-one-out error, and the search ends where a quarter more terms have no smaller one. The constant is always
-    kept. All outputs, and all entries of a path, share one choice of terms, and so one map to coefficients; each output
-    is weighted by its total variance.
+    (orthogonal least squares, a form of orthogonal matching pursuit), as long as a term stands out from noise for some
+    output; their number minimises the corrected leave-one-out error. The constant is always kept. All outputs, and all
+    entries of a path, share one choice of terms, and so one map to coefficients; each output is weighted by its total
+    variance.
 
     Give the number of points: `Expansion(8, points=300, index_set=HyperbolicCross(0.75), fit=Sparse())`. Terms are
     chosen once, by the outputs at the initial decisions.
@@ -178,9 +177,7 @@ class Sparse(AbstractFit):
             return Basis(basis.germs, basis.indices[:1])
         matrix = basis.matrix(nodes.points)
         matrix *= np.sqrt(len(nodes.weights) * nodes.weights)[:, None]
-        return Basis(
-            basis.germs, basis.indices[np.sort(sparse_terms(matrix, principal(np.concatenate(outputs, axis=1))))]
-        )
+        return Basis(basis.germs, basis.indices[np.sort(sparse_terms(matrix, outputs))])
 
     @override
     def collocation(self, basis: Basis, nodes: Nodes) -> Collocation:
@@ -188,43 +185,49 @@ class Sparse(AbstractFit):
         return LeastSquares().collocation(basis, nodes)
 
 
-def sparse_terms(matrix: Float[np.ndarray, "points terms"], outputs: Float[np.ndarray, "points entries"]) -> list[int]:
-    """The columns, in the order of `_entering`, with the least corrected error, which a quarter more do not lower."""
-    entering, terms = _entering(matrix, outputs), []
-    while True:
-        wanted = max(3 * len(terms) // 2, _FIRST)
-        terms += itertools.islice(entering, wanted - len(terms))
-        best = 1 + int(np.argmin(corrected_errors(matrix[:, terms], outputs)))
-        if len(terms) < wanted or 5 * best <= 4 * wanted:
-            return terms[:best]
+def sparse_terms(
+    matrix: Float[np.ndarray, "points terms"], outputs: Sequence[Float[np.ndarray, "points entries"]]
+) -> list[int]:
+    """The columns, in the order of `_entering`, with the least corrected error of all outputs together."""
+    terms = list(_entering(matrix, outputs))
+    errors = corrected_errors(matrix[:, terms], np.concatenate(outputs, axis=1))
+    return terms[: 1 + int(np.argmin(errors))]
 
 
-def _entering(matrix: Float[np.ndarray, "points terms"], outputs: Float[np.ndarray, "points entries"]) -> Iterator[int]:
-    """Columns in the order of orthogonal least squares, the first one first, until the outputs are met or dependent.
+def _entering(
+    matrix: Float[np.ndarray, "points terms"], outputs: Sequence[Float[np.ndarray, "points entries"]]
+) -> Iterator[int]:
+    """Columns in the order of orthogonal least squares, the first one first, as long as one stands out from noise.
 
+    Its F statistic for some output is then larger than that of the best of as many columns of noise, `2 log(count)`.
     A pivoted Cholesky factorisation of the columns' inner products, with the outputs beside it. Inner products are
     computed for the most promising columns at a time, because each pass through a large matrix takes long.
     """
-    sizes = np.einsum("ij,ij->j", matrix, matrix)
-    least, left, products = ROUNDING**2 * np.sum(outputs**2), sizes.copy(), outputs.T @ matrix
+    left = sizes = np.einsum("ij,ij->j", matrix, matrix)
+    rest = np.array([np.sum(output**2) for output in outputs])
+    least, first = ROUNDING**2 * rest, np.cumsum([0, *(output.shape[1] for output in outputs[:-1])])
+    products = np.concatenate(outputs, axis=1).T @ matrix
     factor = np.empty((min(len(matrix) // _FEWEST_PER_TERM, len(sizes)), len(sizes)))
     known: dict[int, Float[np.ndarray, " terms"]] = {}
     for k in range(len(factor)):
         usable = left > _DEPENDENT * sizes
-        gains = np.sum(products**2, axis=0) / np.where(usable, left, np.inf)
-        chosen = int(np.argmax(gains)) if k else 0
-        if k and not gains[chosen] > least:
+        gains = np.add.reduceat(products**2, first) / np.where(usable, left, np.inf)
+        noise = 2 * np.log(len(sizes) - k + 1) / (len(matrix) - k - 1) * (rest[:, None] - gains)
+        outstanding = (gains > np.maximum(noise, least[:, None])).any(axis=0)
+        promise = np.where(outstanding, gains.sum(axis=0), 0.0)
+        chosen = int(np.argmax(promise)) if k else 0
+        if k and not outstanding[chosen]:
             return
         yield chosen
         if chosen not in known:
-            gains[[chosen, *known]] = np.inf, *(len(known) * [-1.0])
-            some = np.argpartition(-gains, min(_AHEAD, len(gains) - 1))[:_AHEAD]
+            promise[[chosen, *known]] = np.inf, *(len(known) * [-1.0])
+            some = np.argpartition(-promise, min(_AHEAD, len(promise) - 1))[:_AHEAD]
             known |= zip(some.tolist(), (matrix[:, some].T @ matrix), strict=True)
         row = known.pop(chosen) - factor[:k, chosen] @ factor[:k]
         factor[k] = row = row / np.sqrt(left[chosen])
+        rest = rest - gains[:, chosen]
         products -= np.outer(products[:, chosen] / row[chosen], row)
-        left -= row**2
-        left[chosen] = 0.0
+        left = np.where(np.arange(len(left)) == chosen, 0.0, left - row**2)
 
 
 def corrected_errors(
