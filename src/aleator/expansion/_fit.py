@@ -1,12 +1,11 @@
 """Fits: the map from samples at the collocation points to coefficients, on all terms or on few of many."""
 
 import abc
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import ClassVar, TypeAlias, final
 
 import jax
 import numpy as np
-import scipy
 from jaxtyping import Bool, Float
 from typing_extensions import override
 
@@ -15,7 +14,7 @@ from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.ensemble import listed, refuse_nonfinite
 from aleator.expansion._basis import Basis
-from aleator.expansion._collocation import LEAST_REMAINDER, ROUNDING, Collocation, components
+from aleator.expansion._collocation import ROUNDING, Collocation, components
 from aleator.expansion._points import Nodes
 
 Respond: TypeAlias = Callable[[Float[np.ndarray, "points variables"]], Pytree]
@@ -27,7 +26,7 @@ WORST_CONDITION = 1e8
 ILL_CONDITIONED = 1e6
 """Beyond this condition number a warning is given: coefficients lose digits, and points have very uneven influence."""
 
-# At most one term per this many points: with more terms the corrected error rises.
+# At most one term per this many points.
 _FEWEST_PER_TERM = 2
 
 # A column is dependent if less than this part of its squares is left after projecting out those before it.
@@ -150,14 +149,13 @@ class Sparse(AbstractFit):
 
     Terms are added one by one, each the one that reduces the squared residuals of all outputs together the most
     (orthogonal least squares, a form of orthogonal matching pursuit), as long as a term stands out from noise for some
-    output; their number minimises the corrected leave-one-out error. The constant is always kept. All outputs, and all
-    entries of a path, share one choice of terms, and so one map to coefficients; each output is weighted by its total
-    variance.
+    output (the risk inflation criterion). The constant is always kept. All outputs, and all entries of a path, share
+    one choice of terms, and so one map to coefficients; each output is weighted by its total variance.
 
     Give the number of points: `Expansion(8, points=300, index_set=HyperbolicCross(0.75), fit=Sparse())`. Terms are
     chosen once, by the outputs at the initial decisions.
     Source: Chen, Billings and Luo (1989), Orthogonal least squares methods and their application to non-linear system
-    identification; Blatman and Sudret (2011), Adaptive sparse polynomial chaos expansion, for the error.
+    identification; Foster and George (1994), The risk inflation criterion for multiple regression.
     """
 
     @override
@@ -188,15 +186,6 @@ class Sparse(AbstractFit):
 def sparse_terms(
     matrix: Float[np.ndarray, "points terms"], outputs: Sequence[Float[np.ndarray, "points entries"]]
 ) -> list[int]:
-    """The columns, in the order of `_entering`, with the least corrected error of all outputs together."""
-    terms = list(_entering(matrix, outputs))
-    errors = corrected_errors(matrix[:, terms], np.concatenate(outputs, axis=1))
-    return terms[: 1 + int(np.argmin(errors))]
-
-
-def _entering(
-    matrix: Float[np.ndarray, "points terms"], outputs: Sequence[Float[np.ndarray, "points entries"]]
-) -> Iterator[int]:
     """Columns in the order of orthogonal least squares, the first one first, as long as one stands out from noise.
 
     Its F statistic for some output is then larger than that of the best of as many columns of noise, `2 log(count)`.
@@ -209,16 +198,17 @@ def _entering(
     products = np.concatenate(outputs, axis=1).T @ matrix
     factor = np.empty((min(len(matrix) // _FEWEST_PER_TERM, len(sizes)), len(sizes)))
     known: dict[int, Float[np.ndarray, " terms"]] = {}
+    terms: list[int] = []
     for k in range(len(factor)):
         usable = left > _DEPENDENT * sizes
         gains = np.add.reduceat(products**2, first) / np.where(usable, left, np.inf)
         noise = 2 * np.log(len(sizes) - k + 1) / (len(matrix) - k - 1) * (rest[:, None] - gains)
-        outstanding = (gains > np.maximum(noise, least[:, None])).any(axis=0)
+        outstanding = np.any(gains > np.maximum(noise, least[:, None]), axis=0)
         promise = np.where(outstanding, gains.sum(axis=0), 0.0)
         chosen = int(np.argmax(promise)) if k else 0
         if k and not outstanding[chosen]:
-            return
-        yield chosen
+            break
+        terms.append(chosen)
         if chosen not in known:
             promise[[chosen, *known]] = np.inf, *(len(known) * [-1.0])
             some = np.argpartition(-promise, min(_AHEAD, len(promise) - 1))[:_AHEAD]
@@ -228,31 +218,7 @@ def _entering(
         rest = rest - gains[:, chosen]
         products -= np.outer(products[:, chosen] / row[chosen], row)
         left = np.where(np.arange(len(left)) == chosen, 0.0, left - row**2)
-
-
-def corrected_errors(
-    matrix: Float[np.ndarray, "points terms"], outputs: Float[np.ndarray, "points entries"]
-) -> Float[np.ndarray, " counts"]:
-    """The corrected leave-one-out error of least squares on the first 1, 2, ... columns, summed over the outputs.
-
-    The error is multiplied by `n / (n - P) (1 + trace of (A^T A)^-1)` for `P` terms at `n` points, against overfitting.
-    The columns are independent and fewer than the points.
-    Source: Chapelle, Vapnik and Bengio (2002), Model selection for small sample regression.
-    """
-    points, counts = len(matrix), np.arange(1, matrix.shape[1] + 1)
-    # By Cholesky's factor, whose products are several times as fast as reflections: an error needs no more digits.
-    triangular = np.linalg.cholesky(matrix.T @ matrix)
-    orthogonal, inverse = (
-        scipy.linalg.solve_triangular(triangular, right, lower=True) for right in (matrix.T, np.eye(len(counts)))
-    )
-    correction = points / (points - counts) * (1 + np.cumsum(np.sum(inverse**2, axis=1)))
-    remainder, residual, errors = np.ones(points), outputs.copy(), np.empty(len(counts))
-    for k, (column, terms) in enumerate(zip(np.ascontiguousarray(orthogonal), orthogonal @ outputs, strict=True)):
-        remainder -= column**2
-        residual -= np.outer(column, terms)
-        sound = remainder.min() > LEAST_REMAINDER
-        errors[k] = np.sum((residual / remainder[:, None]) ** 2) / points if sound else np.inf
-    return errors * correction
+    return terms
 
 
 def _collocation(
