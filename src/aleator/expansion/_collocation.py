@@ -105,19 +105,6 @@ def fresh_error(
     return jax_array(relative_error(missed, library.sum(terms[1:] ** 2) + missed, square))
 
 
-def leave_one_out_by_entry(
-    collocation: Collocation,
-    samples: Float[Array, "points *shape"],
-    coefficients: Float[Array, "terms *shape"],
-) -> Float[Array, "*shape"]:
-    """The error of `leave_one_out` for each entry of an output by itself, such as each instant of a path.
-
-    Entries that hardly vary have large relative errors of no consequence: weight them by their variance.
-    """
-    parts = mean_squares(collocation, samples, coefficients)
-    return relative_error(*parts).reshape(samples.shape[1:])
-
-
 @quietly
 def mean_squares(
     collocation: Collocation, samples: Float[Array, "points *shape"], coefficients: Float[Array, "terms *shape"]
@@ -196,3 +183,22 @@ def resolved_instants(
     """
     unresolved = ~(leave_one_out_history(collocation, samples, coefficients) <= tolerance)
     return jnp.where(unresolved.any(), jnp.argmax(unresolved), len(unresolved))
+
+
+def components(
+    outputs: tuple[Float[np.ndarray, "points entries"], ...], weights: Float[np.ndarray, " points"]
+) -> tuple[Float[np.ndarray, "points components"], ...]:
+    """Each output that varies, in principal components, scaled so that its squares add up to the number of points.
+
+    Means are subtracted and rows weighted by the roots of the weights. In principal components an output of thousands
+    of entries has no more columns than there are points, with the same sums of squares over its entries.
+    """
+    roots = np.sqrt(weights)[:, None]
+    varying = []
+    for values in outputs:
+        deviation = roots * (values - (weights @ values)[None, :])
+        size = np.linalg.norm(deviation)
+        if size > ROUNDING * np.linalg.norm(roots * values):
+            left, sizes, _ = np.linalg.svd(deviation * (np.sqrt(len(weights)) / size), full_matrices=False)
+            varying.append((left * sizes[None, :])[:, sizes > ROUNDING * sizes[0]])
+    return tuple(varying)

@@ -130,11 +130,6 @@ class Triangular(AbstractDistribution):
         _, scale, (mode,) = self.canonical()
         return scale * jnp.sqrt((1 - mode + mode**2) * 2 / 9)
 
-    @override
-    def support(self) -> tuple[Scalar, Scalar]:
-        location, scale, _ = self.canonical()
-        return location - scale, location + scale
-
 
 def _standardised(bound: Scalar, location: Scalar, scale: Scalar) -> Array:
     """The bound in scales from the location. Infinite bounds are kept as they are: their derivatives would be NaN."""

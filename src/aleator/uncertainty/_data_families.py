@@ -144,20 +144,6 @@ class Density(AbstractDistribution):
         del shape
         return _cubic(normal, *_quantiles_by_normal(self.xi))
 
-    @override
-    def mean(self) -> Scalar:
-        location, scale, _ = self.canonical()
-        return location + scale * self.xi.recurrence(1)[0][0]
-
-    @override
-    def std(self) -> Scalar:
-        return self.canonical().scale * self.xi.recurrence(1)[1][1]
-
-    @override
-    def support(self) -> tuple[Scalar, Scalar]:
-        location, scale, _ = self.canonical()
-        return location + scale * self.xi.low, location + scale * self.xi.high
-
     def __str__(self) -> str:
         name = getattr(self.xi.function, "__name__", "function")
         return super().__str__().replace("(", f"({name} on [{self.xi.low:g}, {self.xi.high:g}], ", 1)
@@ -225,21 +211,6 @@ class Sample(AbstractDistribution):
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
         del shape
         return jnp.asarray(self.xi.values)[jnp.searchsorted(jnp.asarray(self.xi.levels), special.ndtr(normal))]
-
-    @override
-    def mean(self) -> Scalar:
-        location, scale, _ = self.canonical()
-        return location + scale * self.xi.recurrence(1)[0][0]
-
-    @override
-    def std(self) -> Scalar:
-        return self.canonical().scale * self.xi.recurrence(1)[1][1]
-
-    @override
-    def support(self) -> tuple[Scalar, Scalar]:
-        location, scale, _ = self.canonical()
-        low, high = self.xi.support()
-        return location + scale * low, location + scale * high
 
     def __str__(self) -> str:
         return super().__str__().replace("(", f"({self.xi.values.size} distinct values, ", 1)
