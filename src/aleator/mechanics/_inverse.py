@@ -5,6 +5,7 @@ from enum import Enum
 from typing import Any, ClassVar, final
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -16,7 +17,7 @@ from aleator.dynamics import Grid
 from aleator.mechanics._arguments import Signals, checked_guess, combined_motion, followed, motions_for
 from aleator.mechanics._formulation import AbstractFormulation, a_model, standard_outputs
 from aleator.mechanics._hybrid import HybridDynamics
-from aleator.mechanics._instant import along_time, at, course
+from aleator.mechanics._instant import along_time, at, course, instants_of
 from aleator.mechanics._matrices import solve_any
 from aleator.mechanics._mechanical import (
     AbstractMechanical,
@@ -25,10 +26,15 @@ from aleator.mechanics._mechanical import (
     actuation_map,
     follow,
     jacobian_of,
+    on_manifold,
+    rate_map,
     required_force,
 )
 from aleator.mechanics._spatial import Numbers
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
+
+# Parts of the largest rate and of the largest coordinate (per second) that are rounding of a motion, not slip.
+_SLIPS, _ROUNDING = 1e-6, 1e-9
 
 
 class Actuation(Enum):
@@ -166,10 +172,10 @@ class InverseDynamics(AbstractFormulation):
         model, curve = at(self.model, t, parameters), (position, velocity, acceleration)
         if jerk is None:
             torque, path = _torques(model, *curve)
-            return standard_outputs(model, _motion_at(t, path, torque))
+            return _if_possible(model, path, standard_outputs(model, _motion_at(t, path, torque)))
         along = velocity, acceleration, jerk
         torque, torque_rate, path = along_time(_torques, model, curve, along, has_aux=True)
-        return standard_outputs(model, _motion_at(t, path, torque), torque_rate)
+        return _if_possible(model, path, standard_outputs(model, _motion_at(t, path, torque), torque_rate))
 
     @override
     def rates_and_outputs(self, t: Any, z: Any, *args: Any, **kwargs: Any) -> tuple[tuple[Array, ...], dict[str, Any]]:
@@ -179,7 +185,31 @@ class InverseDynamics(AbstractFormulation):
 
     @override
     def diagnose(self, grid: Grid) -> str:
-        return self._driven().diagnose(grid) if self.model.constraints else super().diagnose(grid)
+        if self.model.constraints:
+            return self._driven().diagnose(grid)
+        return super().diagnose(grid) or self._impossible(grid)
+
+    def _impossible(self, grid: Grid) -> str:
+        """Where the motion is none that velocities can give, as of a wheel that is pushed sideways."""
+        model, motion = self.model, self._motion()
+        if model.moves_directly:
+            return ""
+        path = [signal.sampled(grid.fractions, grid.t_start, grid.t_final) for signal in (motion, motion.derivative(1))]
+
+        def missed(now: AbstractMechanical, at: Array, along: Array) -> tuple[Array, Array]:
+            return _slip(now, *on_manifold(now, at, along, jnp.zeros_like(along))[:2])
+
+        left, allowed = map(np.asarray, jax.jit(lambda: instants_of(model, grid).each(missed, *path))())
+        excess = np.abs(left) / allowed[:, None]
+        instant, place = map(int, np.unravel_index(np.argmax(excess), excess.shape))
+        if not excess[instant, place] > 1:
+            return ""
+        return (
+            f"InverseDynamics of {type(model).__name__}: a motion that q' = H(q) v does not allow: at t = "
+            f"{float(grid.times[instant]):.4g} s '{model.coordinates[place]}' would have to change by "
+            f"{left[instant, place]:.4g} per second beyond what any velocities give. Prescribe a motion that rolls, or "
+            "fewer coordinates by al.HybridDynamics."
+        )
 
     @override
     def beginning(self, model: AbstractMechanical, grid: Grid) -> tuple[Any, Any]:
@@ -236,6 +266,21 @@ def _torques(
     """The torques that a motion requires, and the motion."""
     path = follow(model, position, velocity, acceleration)
     return torques(model, path.q, required_force(model, path.q, path.v, path.v_dot)), path
+
+
+def _slip(model: AbstractMechanical, q: Array, q_dot: Array) -> tuple[Array, Array]:
+    """The rates that no velocities give, and how large rounding may make them."""
+    H = rate_map(model, q)
+    allowed = _SLIPS * jnp.abs(q_dot).max() + _ROUNDING * (1 + jnp.abs(q).max())
+    return q_dot - H @ solve_any(H, q_dot), allowed
+
+
+def _if_possible(model: AbstractMechanical, path: Followed, outputs: dict[str, Any]) -> dict[str, Any]:
+    """The outputs; not a number where no velocities give the motion."""
+    if model.moves_directly:
+        return outputs
+    slip, allowed = _slip(model, path.q, path.q_dot)
+    return {name: jnp.where(jnp.abs(slip).max() <= allowed, value, jnp.nan) for name, value in outputs.items()}
 
 
 def _motion_at(t: Any, path: Followed, torque: Array) -> Motion:

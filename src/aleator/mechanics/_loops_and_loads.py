@@ -1,7 +1,7 @@
 """Beside the joints of a tree: `Closure`, a joint that closes a loop, and `BodyLoad`, an external load on a body."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeAlias, final
+from typing import Any, ClassVar, TypeAlias, final
 
 import equinox as eqx
 import jax
@@ -165,9 +165,37 @@ class Closure(Module):
         return tuple(f"turn_{end}" for end in ends)
 
 
-def checked_closures(kind: str, given: Any) -> Sequence[Closure]:
+@final
+class Coupling(Module):
+    """A coordinate of an `al.Multibody` that is a polynomial of another one: gears, mimic joints. `name` is its own.
+
+    `follower - rest = coefficients[0] + coefficients[1] (leader - leader_rest) + ...`, up to the fourth power; without
+    a leader the follower stays where it is. All in the units of the coordinates, rad or m.
+    """
+
+    name: str = eqx.field(static=True)
+    follower: str = eqx.field(static=True)
+    leader: str | None = eqx.field(static=True)
+    coefficients: Any = (0.0, 1.0, 0.0, 0.0, 0.0)
+    rest: Any = 0.0
+    leader_rest: Any = 0.0
+
+    units: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The name of its equation."""
+        return (self.name,)
+
+    def residual(self, at: Mapping[str, Any]) -> Float[Array, ""]:
+        """What is left of the equation, for coordinates by name."""
+        away = 0.0 if self.leader is None else at[self.leader] - self.leader_rest
+        return at[self.follower] - self.rest - jnp.polyval(jnp.flip(jnp.asarray(self.coefficients)), jnp.asarray(away))
+
+
+def checked_closures(kind: str, given: Any) -> Sequence[Closure | Coupling]:
     """What a user's `closures` gives. Raises `ProblemError` for what is none."""
-    if not isinstance(given, tuple | list) or not all(isinstance(one, Closure) for one in given):
+    if not isinstance(given, tuple | list) or not all(isinstance(one, Closure | Coupling) for one in given):
         raise ProblemError(f"{kind}.closures returns a tuple of al.joints.Closure; received {given!r}.")
     return given
 

@@ -1,7 +1,7 @@
 """`AbstractMechanical`: the interface of mechanical systems to their dynamics; their kinematics, and their `Motion`."""
 
 import abc
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
@@ -64,11 +64,31 @@ class AbstractMechanical(Module, Printed):
     """
 
     units: ClassVar[Mapping[str, str]] = {}
+    constraint_names: ClassVar[Sequence[str]] = ()
+    _declared: ClassVar[tuple[str, ...]] = ("constraint_names",)
     _rule: ClassVar[str] = ""
     _when: Any = eqx.field(default=None, init=False, repr=False)
 
+    def __init_subclass__(cls, **options: Any):
+        """Refuse names that say nothing here: of equations that would not be held, of velocities that are others'."""
+        super().__init_subclass__(**options)
+        for name, value in vars(cls).items():
+            is_list = isinstance(value, tuple | list) and all(isinstance(entry, str) for entry in value)
+            misnamed = name.endswith("names") or name in ("constraints", "velocities", "torques")
+            if is_list and misnamed and not name.startswith("_") and name not in cls._declared:
+                raise ProblemError(
+                    f"{cls.__name__}.{name} = {value!r}: such names are not known here; expected some of "
+                    f"{', '.join(cls._declared)}."
+                )
+
     def __check_init__(self):
         timed_methods(type(self))
+        is_written = type(self).constraint is not AbstractMechanical.constraint
+        if not isinstance(type(self).constraint_names, property) and bool(self.constraint_names) != is_written:
+            raise ProblemError(
+                f"{type(self).__name__}: expected constraint_names and constraint(q) together, one name for each "
+                f"equation; received {'no constraint(q)' if self.constraint_names else 'no constraint_names'}."
+            )
 
     def at(self, t: Any) -> Self:
         """The realised model at the time `t`, s: signals are replaced by values. Trajectories last one second."""
@@ -98,11 +118,26 @@ class AbstractMechanical(Module, Printed):
 
     @property
     def constraints(self) -> tuple[str, ...]:
-        """The names of the equations `g(q, t) = 0` that bind the coordinates; none by default."""
+        """The names of the equations `g(q, t) = 0` that bind coordinates: of closed loops, then `constraint_names`."""
+        return (*self.closing_names, *self.constraint_names)
+
+    @property
+    def closing_names(self) -> tuple[str, ...]:
+        """The names of the equations of closed loops; none by default."""
         return ()
 
+    def closing(self, q: Float[Array, " coordinates"]) -> Float[Array, " closing"]:
+        """What is left of the equations of closed loops."""
+        del q
+        return jnp.zeros(0)
+
+    def closing_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "closing speeds"]:
+        """How the equations of closed loops change with the speeds."""
+        del q
+        return jnp.zeros((0, len(self.speeds)))
+
     def constraint(self, q: Float[Array, " coordinates"]) -> Any:
-        """`g(q)`: what is zero in every posture that the system can take, one number for each of `constraints`.
+        """`g(q)`: what is zero in every posture that the system can take, one number for each of `constraint_names`.
 
         Its multipliers `λ` are those of `M v̇ + C v + N + Gᵀ λ = B τ + Q`, with `G v = ġ` (equation 6): positive where
         the constraint pushes towards smaller `g`.
@@ -112,7 +147,7 @@ class AbstractMechanical(Module, Printed):
 
     def constraint_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
         """`G(q)`, of `ġ = G v + ∂g/∂t`: by derivatives of `constraint(q)`."""
-        slope = jax.jacfwd(lambda at: constraint_of(self, at))(q)
+        slope = jax.jacfwd(lambda at: shaped(self, "constraint", (at,), (len(self.constraint_names),)))(q)
         return slope if self.moves_directly else slope @ rate_map(self, q)
 
     @property
@@ -247,13 +282,17 @@ def bias_of(
 
 
 def constraint_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, " constraints"]:
-    """`g(q)` as an array. Raises `ProblemError` for another shape."""
-    return shaped(model, "constraint", (q,), (len(model.constraints),))
+    """`g(q)` as an array: of closed loops, then the model's own. Raises `ProblemError` for another shape."""
+    loops, own = model.closing(q), len(model.constraint_names)
+    return jnp.concatenate([loops, shaped(model, "constraint", (q,), (own,))]) if own else loops
 
 
 def jacobian_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
     """`G(q)` as an array. Raises `ProblemError` for another shape."""
-    return shaped(model, "constraint_jacobian", (q,), (len(model.constraints), len(model.speeds)))
+    loops, own = model.closing_jacobian(q), len(model.constraint_names)
+    if not own:
+        return loops
+    return jnp.concatenate([loops, shaped(model, "constraint_jacobian", (q,), (own, len(model.speeds)))])
 
 
 def load_on(model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Any:

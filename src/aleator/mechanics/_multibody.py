@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from copy import copy
 from typing import Any, Self, TypeVar
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
@@ -17,6 +18,7 @@ from aleator.mechanics._joints import AbstractJoint
 from aleator.mechanics._loops_and_loads import (
     BodyLoad,
     Closure,
+    Coupling,
     bodies_bound,
     checked_closures,
     generalised,
@@ -63,7 +65,9 @@ class Multibody(AbstractMechanical):
     External forces, such as wind and contact, are given by `body_loads(q, v)`, as a tuple of `al.BodyLoad`, or by
     `load(q, v)`, as a generalised force; the two add up.
 
-    Loops are closed by `closures()`, a tuple of `al.joints.Closure`: joints between bodies of the tree.
+    Loops are closed by `closures()`, a tuple of `al.joints.Closure`, joints between bodies of the tree, and of
+    `al.joints.Coupling`, coordinates that follow others. Equations of your own, by `constraint_names` and
+    `constraint(q)`, are held besides.
 
     Any number in a field may be a distribution, a decision or a signal, but the set of bodies and joints is fixed.
     Masses and inertias may vary with time, as in `al.Mechanical`: mass leaves a body at the body's velocity. The places
@@ -80,8 +84,10 @@ class Multibody(AbstractMechanical):
     def bodies(self) -> Sequence[Body]:
         """The bodies, as functions of the numbers in the fields."""
 
-    def closures(self) -> Sequence[Closure]:
-        """The joints that close loops, from the numbers in the fields; none by default."""
+    def closures(self) -> Sequence[Closure | Coupling]:
+        """What binds bodies beside their joints, from the numbers in the fields; none by default: the joints that close
+        loops, and after these couplings of coordinates.
+        """
         return ()
 
     @property
@@ -114,37 +120,41 @@ class Multibody(AbstractMechanical):
                 for force in ("torque", "reaction"):
                     units[f"{speed.removesuffix('_rate')}_{force}"] = "N" if unit == "m/s" else "N·m"
         for closure in self._loops():
-            units |= {f"{name}_multiplier": unit for name, unit in zip(closure.names, closure.units, strict=True)}
+            units |= {f"{name}_multiplier": unit for name, unit in zip(closure.names, closure.units, strict=False)}
         return units
 
     @property
     @override
-    def constraints(self) -> tuple[str, ...]:
+    def closing_names(self) -> tuple[str, ...]:
         return tuple(name for closure in self._loops() for name in closure.names)
 
     @override
-    def constraint(self, q: Float[Array, " coordinates"]) -> Float[Array, " constraints"]:
-        """What is left of the equations of the closures, in their order."""
-        *_, closures, poses = self._bound(q)
-        return jnp.concatenate([jnp.zeros(0), *(closure.residual(poses) for closure in closures)])
+    def closing(self, q: Float[Array, " coordinates"]) -> Float[Array, " closing"]:
+        loops, couplings = self._closures()
+        *_, poses = self._bound(loops, q)
+        parts = [loop.residual(poses) for loop in loops] + [self._apart(coupling, q) for coupling in couplings]
+        return jnp.concatenate([jnp.zeros(0), *parts])
 
     @override
-    def constraint_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
-        if type(self).constraint is not Multibody.constraint:
-            return super().constraint_jacobian(q)
-        return self._closure_jacobian(q)
-
-    def _closure_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
-        """How the equations of the closures change with the speeds."""
-        tree, posture, closures, poses = self._bound(q)
-        rows = [closure.jacobian(tree, posture, poses) for closure in closures]
+    def closing_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "closing speeds"]:
+        loops, couplings = self._closures()
+        bound = self._bound(loops, q)
+        rows = [loop.jacobian(*bound) for loop in loops]
+        if couplings:
+            map_ = self.velocity_map(q)
+            rows += [jax.jacfwd(lambda at, one=one: self._apart(one, at))(q) @ map_ for one in couplings]
         return jnp.concatenate([jnp.zeros((0, len(self.speeds))), *rows])
 
-    def _bound(self, q: Float[Array, " coordinates"]) -> tuple[Tree, Posture, Sequence[Closure], dict[str, Pose]]:
-        """The tree, its posture, the closures, and the poses of the bodies that these bind."""
-        tree, closures = self._tree(), self._closures()
-        names, posture = bodies_bound(type(self).__name__, closures, tree), posture_of(tree, q)
-        return tree, posture, closures, {name: _pose(tree, posture, name) for name in names}
+    def _apart(self, coupling: Coupling, q: Float[Array, " coordinates"]) -> Float[Array, " 1"]:
+        return coupling.residual(dict(zip(self.coordinates, q, strict=True)))[None]
+
+    def _bound(
+        self, loops: Sequence[Closure], q: Float[Array, " coordinates"]
+    ) -> tuple[Tree, Posture, dict[str, Pose]]:
+        """The tree, its posture, and the poses of the bodies that loops bind."""
+        tree = self._tree()
+        names, posture = bodies_bound(type(self).__name__, loops, tree), posture_of(tree, q)
+        return tree, posture, {name: _pose(tree, posture, name) for name in names}
 
     def mass_matrix(self, q: Float[Numbers, " coordinates"]) -> Float[Array, "speeds speeds"]:
         """`M(q)` of bodies and rotors."""
@@ -289,14 +299,16 @@ class Multibody(AbstractMechanical):
             raise ProblemError(f"{type(self).__name__}.bodies returns a tuple of al.Body; received {given!r}.")
         return given
 
-    def _closures(self) -> Sequence[Closure]:
-        return checked_closures(type(self).__name__, evaluated(self, "closures"))
+    def _closures(self) -> tuple[list[Closure], list[Coupling]]:
+        every = checked_closures(type(self).__name__, evaluated(self, "closures"))
+        loops = [closure for closure in every if isinstance(closure, Closure)]
+        return loops, [closure for closure in every if isinstance(closure, Coupling)]
 
     def _joints(self) -> list[tuple[str, AbstractJoint]]:
         """The moving bodies with the structure of their joints; also before distributions are realised."""
         return _joints_of(self)
 
-    def _loops(self) -> Sequence[Closure]:
+    def _loops(self) -> Sequence[Closure | Coupling]:
         """The closures, of which only the structure counts; also before distributions are realised."""
         return () if type(self).closures is Multibody.closures else _closures_of(self)
 
@@ -334,9 +346,10 @@ def _joints_of(model: Multibody) -> list[tuple[str, AbstractJoint]]:
 
 
 @once_for_each
-def _closures_of(model: Multibody) -> list[Closure]:
+def _closures_of(model: Multibody) -> list[Closure | Coupling]:
     """The closures of a model; cached too."""
-    return [without_numbers(closure) for closure in with_numbers(model)._closures()]
+    loops, couplings = with_numbers(model)._closures()
+    return [without_numbers(closure) for closure in (*loops, *couplings)]
 
 
 def _pose(tree: Tree, posture: Posture, body: str) -> Pose:

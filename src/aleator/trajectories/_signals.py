@@ -255,6 +255,10 @@ class _Stretched(AbstractSignal):
     t_final: Any
 
     @override
+    def over(self, t_start: Any, t_final: Any) -> "_Stretched":
+        return self
+
+    @override
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
         duration = self.t_final - self.t_start
         return self.trajectory.values(((t - self.t_start) / duration)[None], duration)[0]

@@ -80,7 +80,7 @@ class AbstractDistribution(AbstractLeaf):
     parameters: dict[str, Any]
     dependence: Dependence | None
     shared_name: str | None = eqx.field(static=True)
-    held: bool = eqx.field(static=True)
+    held: bool = eqx.field(static=True, repr=False)
     """Whether it is held at its mean: it has no germ then."""
 
     FORMS: ClassVar[dict[tuple[str, ...], Form]]
