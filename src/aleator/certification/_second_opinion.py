@@ -72,12 +72,12 @@ class _Fresh:
         squares = self.weights * (self.values - self.predicted) ** 2
         missed = float(np.sum(squares) / np.sum(self.weights))
         total = float(np.sum(self.variance)) + missed
-        return float(np.sqrt(missed / total)) if total > 0 else 0.0
+        return 0.0 if total == 0 else float(np.sqrt(missed / total))
 
     @property
     def has_outlier(self) -> bool:
         """Whether some system is missed by many standard deviations."""
-        return bool((np.abs(self.values - self.predicted) > _OUTLIER * np.sqrt(np.max(self.variance))).any())
+        return not (np.abs(self.values - self.predicted) <= _OUTLIER * np.sqrt(np.max(self.variance))).all()
 
     @cached_property
     def off(self) -> dict[type[AbstractStatistic], Float[np.ndarray, "... replicates"]]:
@@ -236,13 +236,13 @@ def _judged(
             continue
         if which == 0:
             gained = abs(transcribed.at(transcribed.program.start).objective - meaning.objective)
-            if abs(by) > max(gained, _BREAKS * scale):
+            if not abs(by) <= max(gained, _BREAKS * scale):
                 broken = f"the objective differs by {by:+.3g} ± {error:.2g}, more than was gained ({gained:.3g})"
             continue
         limit = problem.constraints[which - 1]
         value = float(transcribed.at_instants(limit, meaning.constraints[which - 1])[where]) + by
         beyond = max(value - float(limit.upper), float(limit.lower) - value)
-        if beyond > _BREAKS * scale:
+        if not beyond <= _BREAKS * scale:
             corrected = f"{by:+.3g} ± {error:.2g}"
             broken = f"'{limit.name}' is broken by {beyond:.3g} once the expansion is corrected by {corrected}"
     return sentences, broken

@@ -141,9 +141,9 @@ def tail_objections(
             effect = _effect(transcribed, point, check, expression, atom, abs(error) + 2 * uncertainty)
             if gaps is None:
                 gained = abs(transcribed.at(transcribed.program.start).objective - transcribed.at(point).objective)
-                yield sentence, effect > gained
+                yield sentence, not effect <= gained
             else:
-                yield f"'{problem.constraints[which - 1].name}': {sentence}", float(np.min(gaps)) <= 2 * effect
+                yield f"'{problem.constraints[which - 1].name}': {sentence}", not float(np.min(gaps)) > 2 * effect
 
 
 def _gaps(
