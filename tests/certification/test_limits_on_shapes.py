@@ -40,7 +40,9 @@ def test_a_shape_that_polynomials_owe_to_what_never_occurs_is_no_answer(limit, o
     value = float(solution.constraints[0].values[0])
     assert abs(of(values) - value) > 0.4
     assert not solution.ok
-    by = float(solution.certificate.opinion.broken.split(" by ")[-1].split(" ± ")[0])
+    opinion = solution.certificate.opinion
+    assert opinion is not None
+    by = float(opinion.broken.split(" by ")[-1].split(" ± ")[0])
     assert by == pytest.approx(of(values) - value, rel=0.05)
 
 
