@@ -139,7 +139,7 @@ def tail_objections(
                 """Whether the answer may hang on an error of this size: a limit that is not nearly active does not."""
                 if gaps is None:
                     return True
-                return float(np.min(gaps)) <= 2 * _effect(transcribed, point, check, expression, atom, by)
+                return not float(np.min(gaps)) > 2 * _effect(transcribed, point, check, expression, atom, by)
 
             if (atom, entry) not in known:
                 known[atom, entry] = _error(transcribed, point, check, tail, matters)
@@ -152,7 +152,7 @@ def tail_objections(
             if gaps is None:
                 effect = _effect(transcribed, point, check, expression, atom, by)
                 gained = abs(transcribed.at(transcribed.program.start).objective - transcribed.at(point).objective)
-                yield sentence, effect > gained
+                yield sentence, not effect <= gained
             else:
                 yield f"'{problem.constraints[which - 1].name}': {sentence}", matters(by)
 

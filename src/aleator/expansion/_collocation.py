@@ -89,6 +89,27 @@ def jackknife(
 
 
 @quietly
+def left_out(
+    collocation: Collocation,
+    samples: Float[Any, "points *shape"],
+    coefficients: Float[Any, "terms *shape"],
+    most: int,
+) -> Float[np.ndarray, "terms left *shape"]:
+    """The coefficients without one of the points, of those `most` points whose absence changes them most.
+
+    None at all if some sample cannot be predicted by the others.
+    """
+    _, collocation, samples, coefficients = in_library(collocation, samples, coefficients)
+    flat, terms = samples.reshape(len(samples), -1), coefficients.reshape(len(coefficients), -1)
+    missed, predictable = map(np.asarray, _missed(collocation, flat, terms))
+    inverse = np.asarray(collocation.pseudo_inverse)
+    change = np.sum(inverse**2, axis=0) * np.sum(missed**2, axis=1)
+    which = np.argsort(-change)[: most if predictable else 0]
+    without = terms[:, None] - inverse[:, which, None] * missed[which]
+    return without.reshape(len(terms), len(which), *samples.shape[1:])
+
+
+@quietly
 def fresh_error(
     matrix: Float[np.ndarray, "fresh terms"],
     samples: Float[Array, "fresh *shape"],

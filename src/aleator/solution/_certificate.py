@@ -288,7 +288,8 @@ class Certificate(Printed):
     - `misled`: if nothing was solved, a sentence on large errors of the grid at the start of the search, or, of an
       infeasible problem, on a limit that the grid does not resolve at the least violated point; else empty;
     - `lost`: a sentence on values that do not follow their derivatives around the answer; empty if there are none;
-    - `reaches`: how large each functional could be, to which its rounding is relative; empty if nothing was checked;
+    - `reaches`: how large each functional could be in a typical system, to which its rounding is relative; empty if
+      nothing was checked;
     - `correlations`: which correlations of uncertain numbers are not those given, for decisions set their shapes;
     - `departed`: how far a simulation from the first instant departs from the states of an unstable plan, which then
       were checked step by step, each from the plan's own state; empty if it does not depart by orders of magnitude.

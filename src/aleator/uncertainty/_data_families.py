@@ -103,7 +103,7 @@ class Density(AbstractDistribution):
     """Any density: the number is `location + scale * xi`, and `xi` has the density `function` on (lower, upper).
 
     `function` takes a NumPy array of points and returns a non-negative number for each; it need not be normalised, and
-    may have kinks and jumps. Bounds may be infinite; a density may be singular only at an end that is 0, since
+    may have kinks, zeros and jumps. Bounds may be infinite; a density may be singular only at an end that is 0, since
     floating-point numbers are dense only there. Its polynomials come from a discretised Stieltjes procedure. `location`
     and `scale` may be decisions; nothing inside `function` may be.
 
