@@ -5,8 +5,8 @@ evaluated at the same instants.
 """
 
 import abc
-from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple, final
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, final
 
 import equinox as eqx
 import jax
@@ -24,6 +24,7 @@ from aleator.dynamics._grid import Grid, Inputs
 from aleator.dynamics._record import Asked, Record
 from aleator.dynamics._steps import Steps, steps_of
 from aleator.dynamics._system import System
+from aleator.dynamics._tableaux import DORMAND_PRINCE_5, RUNGE_KUTTA_4, Tableau
 from aleator.trajectories import AbstractSignal, jumping_in
 
 STATES = "states"
@@ -56,18 +57,6 @@ class AbstractIntegrator(Module):
         return self
 
 
-class Tableau(NamedTuple):
-    """An explicit Runge-Kutta method (Hairer, Nørsett and Wanner, Solving Ordinary Differential Equations I, II.1).
-
-    - `nodes`: the stages' times as fractions of a step; `couplings`: the coefficients of each stage on those before it;
-      `weights`: those of the stages in the result.
-    """
-
-    nodes: tuple[float, ...]
-    couplings: tuple[tuple[float, ...], ...]
-    weights: tuple[float, ...]
-
-
 class AbstractFixedStep(AbstractIntegrator):
     """An explicit Runge-Kutta method that takes one step between two instants.
 
@@ -81,22 +70,18 @@ class AbstractFixedStep(AbstractIntegrator):
         inner = sorted({node for node in (*self.tableau.nodes, *([0.5] if asked.nodes else [])) if 0 < node < 1})
         if not jumping_in(inputs):
             return self._taken(system, asked, inner, *steps_of(grid, inputs, inner))
-        # A step that a jump divides has its middle anywhere: middles are instants of a finer grid instead.
-        parts = 2 if asked.nodes else 1
-        steps, places = steps_of(grid.finer(parts), inputs, inner)
-        every = asked._replace(instants=asked.instants and asked.instants | asked.nodes, nodes=frozenset(), fold=None)
-        record = self._taken(system, every, inner, steps, places)
-        nodes = {name: values[places] for name, values in record.history.items()}
-        history = {name: values[::parts] for name, values in nodes.items()}
-        if asked.fold is None:
-            return Record(history, {name: nodes[name] for name in asked.nodes}, record.integrals)
-        folded, first = asked.fold(None, {name: values[0] for name, values in history.items()})
-        folded, rest = jax.lax.scan(asked.fold, folded, {name: values[1:] for name, values in history.items()})
-        return Record(_joined(first, rest), {}, record.integrals, folded)
+        # A step that a jump divides has its middle anywhere.
+        return on_grid(grid, asked, lambda *at: self._divided(system, inputs, inner, *at))
+
+    def _divided(
+        self, system: System, inputs: Inputs, inner: list[float], grid: Grid, asked: Asked
+    ) -> tuple[Record, Any]:
+        steps, places = steps_of(grid, inputs, inner)
+        return self._taken(system, asked, inner, steps, places), places
 
     def _taken(self, system: System, asked: Asked, inner: list[float], steps: Steps, places: Any) -> Record:
         """The record of some steps, whose signals are known at `inner` fractions of each: see `steps_of`."""
-        nodes, couplings, weights = self.tableau
+        nodes, couplings, weights, *_ = self.tableau
         t_start, now = steps.t[0], {name: values[places[0]] for name, values in steps.first.items()}
         start = initial_state(system, t_start, now)
 
@@ -107,7 +92,7 @@ class AbstractFixedStep(AbstractIntegrator):
             return asked.slopes(system, t, z, u)
 
         def advance(carried: tuple[Pytree, ...], step: Steps) -> tuple[tuple[Pytree, ...], tuple[Any, Any]]:
-            (z, integrals, folded), (t, h, first, middle, last, after) = carried, step
+            (z, integrals, folded), (t, h, first, middle, last, after, *_) = carried, step
             signals = {0.0: first, 1.0: last, **dict(zip(inner, middle, strict=True))}
             slopes: list[Pytree] = []
             growths: list[Pytree] = []
@@ -130,7 +115,7 @@ class AbstractFixedStep(AbstractIntegrator):
         zeros = jax.tree.map(lambda one: jnp.zeros(one.shape), shapes)
         folded, first = asked.folded(None, asked.at_instant(system, t_start, start, now))
         (_, integrals, folded), (rest, middles) = jax.lax.scan(advance, (start, zeros, folded), steps)
-        history = _joined(first, rest)
+        history = joined(first, rest)
         return Record(history, _interleaved(history, middles), integrals, folded)
 
     @override
@@ -138,6 +123,24 @@ class AbstractFixedStep(AbstractIntegrator):
         if not system.algebraic:
             return ""
         return explain_algebraic(system, grid, inputs, self.course(system, grid, inputs))
+
+
+def on_grid(grid: Grid, asked: Asked, along: Callable[[Grid, Asked], tuple[Record, Any]]) -> Record:
+    """What is asked for, from a record of steps that do not tell their middles: these are instants of a finer grid.
+
+    - `along`: the record of the outputs at the ends of all steps of a grid, and the places of its instants among these.
+    """
+    parts = 2 if asked.nodes else 1
+    every = asked._replace(instants=asked.instants and asked.instants | asked.nodes, nodes=frozenset(), fold=None)
+    record, places = along(grid.finer(parts), every)
+    is_divided = any(len(values) > len(places) for values in record.history.values())
+    nodes = {name: values[places] if is_divided else values for name, values in record.history.items()}
+    history = {name: values[::parts] for name, values in nodes.items()}
+    if asked.fold is None:
+        return Record(history, {name: nodes[name] for name in asked.nodes}, record.integrals)
+    folded, first = asked.fold(None, {name: values[0] for name, values in history.items()})
+    folded, rest = jax.lax.scan(asked.fold, folded, {name: values[1:] for name, values in history.items()})
+    return Record(joined(first, rest), {}, record.integrals, folded)
 
 
 def _moved(z: Pytree, h: Any, weights: tuple[float, ...], slopes: list[Pytree]) -> Pytree:
@@ -152,7 +155,7 @@ def _moved(z: Pytree, h: Any, weights: tuple[float, ...], slopes: list[Pytree]) 
     )
 
 
-def _joined(first: Pytree, rest: Pytree) -> Pytree:
+def joined(first: Pytree, rest: Pytree) -> Pytree:
     return jax.tree.map(lambda one, later: jnp.concatenate([one[None], later]), first, rest)
 
 
@@ -170,11 +173,7 @@ def _interleaved(history: dict[str, Array], middles: dict[str, Array]) -> dict[s
 class RungeKutta4(AbstractFixedStep):
     """The classical Runge-Kutta method of order 4, the default."""
 
-    tableau: ClassVar[Tableau] = Tableau(
-        nodes=(0.0, 0.5, 0.5, 1.0),
-        couplings=((), (1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)),
-        weights=(1 / 6, 1 / 3, 1 / 3, 1 / 6),
-    )
+    tableau: ClassVar[Tableau] = RUNGE_KUTTA_4
 
     @override
     def reference(self) -> AbstractIntegrator:
@@ -188,18 +187,7 @@ class DormandPrince5(AbstractFixedStep):
     Its stages lie at other fractions of a step than those of `RungeKutta4`, so it sees what these miss.
     """
 
-    tableau: ClassVar[Tableau] = Tableau(
-        nodes=(0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0),
-        couplings=(
-            (),
-            (1 / 5,),
-            (3 / 40, 9 / 40),
-            (44 / 45, -56 / 15, 32 / 9),
-            (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
-            (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
-        ),
-        weights=(35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
-    )
+    tableau: ClassVar[Tableau] = DORMAND_PRINCE_5
 
     @override
     def reference(self) -> AbstractIntegrator:

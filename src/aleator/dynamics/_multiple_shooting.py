@@ -13,11 +13,11 @@ from jaxtyping import Array, Float, Int
 from typing_extensions import override
 
 from aleator._core.border import refusal, whole
-from aleator.dynamics._integrators import RungeKutta4
 from aleator.dynamics._schemes import AbstractMeanRate, AbstractScheme, Rate
+from aleator.dynamics._tableaux import RUNGE_KUTTA_4
 
 _MOST_STEPS = 100
-_RULE = RungeKutta4.tableau
+_RULE = RUNGE_KUTTA_4
 
 # Each stage of this rule depends on the one before alone, and signals are told twice a step.
 _COUPLINGS = np.array([row[-1] if row else 0.0 for row in _RULE.couplings])

@@ -170,7 +170,7 @@ def observed(system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record
     middles = known_at(inputs, grid, grid.node_fractions)
     nodes = over(middles, asked.at_node) if asked.nodes else {}
     if asked.integrands and has_jumps(inputs):
-        (t, h, first, (middle,), last, _), _ = steps_of(grid, inputs, [0.5])
+        (t, h, first, (middle,), last, *_), _ = steps_of(grid, inputs, [0.5])
         sides = ((t, first), (t + h / 2, middle), (t + h, last))
         every = zip(*(over(known_of(*one), asked.rates) for one in sides), strict=True)
         integrals = tuple(jnp.tensordot(h / 6, one + 4 * two + three, axes=1) for one, two, three in every)

@@ -1,7 +1,7 @@
 """The steps of a grid, each with the signals on its own side of every jump."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -16,8 +16,9 @@ from aleator.trajectories import before_jumps, has_jumps, instants, jumping_in, 
 class Steps(NamedTuple):
     """Steps one after the other, with the signals that each sees: at a jump, those on its own side.
 
-    - `t`, `h`: where each begins and how long it is, s; `first`, `last`: signals at its ends; `between`: at each of
-      some fractions inside; `after`: those that the next step sees at its beginning.
+    - `t`, `h`: when each begins and how long it is, s; `first`, `last`: signals at its ends; `between`: at each of
+      some fractions inside; `after`: those that the next step sees at its beginning;
+    - `begin`, `length`: both as fractions of the duration; `pieces`: on which each signal with declared jumps is.
     """
 
     t: Float[Array, " steps"]
@@ -26,6 +27,9 @@ class Steps(NamedTuple):
     between: list[dict[str, Array]]
     last: dict[str, Array]
     after: dict[str, Array]
+    begin: Float[Array, " steps"]
+    length: Float[Array, " steps"]
+    pieces: list[Int[Array, " steps"]]
 
 
 def steps_of(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> tuple[Steps, Int[Any, " instants"]]:
@@ -48,7 +52,8 @@ def _whole(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> Steps:
     after = _rows(at_instants, slice(1, None))
     last = sampled(before_jumps(inputs), grid, grid.fractions[1:]) if has_jumps(inputs) else after
     h = jnp.broadcast_to(grid.step, grid.steps)
-    return Steps(grid.times[:-1], h, _rows(at_instants, slice(None, -1)), between, last, after)
+    begin, length = jnp.asarray(grid.fractions[:-1]), jnp.asarray(np.diff(grid.fractions))
+    return Steps(grid.times[:-1], h, _rows(at_instants, slice(None, -1)), between, last, after, begin, length, [])
 
 
 def _divided(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> tuple[Steps, Int[Array, " instants"]]:
@@ -69,14 +74,33 @@ def _divided(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> tuple[Steps,
     def seen(first: Array, length: Array, pieces: list[Array]) -> tuple[dict[str, Array], dict[str, Array]]:
         held = on_pieces(inputs, pieces)
         inside = sampled(held, grid, first + length * np.array([0.0, *inner]))
-        return inside, {name: one[0] for name, one in sampled(before_jumps(held), grid, (first + length)[None]).items()}
+        return inside, _at(before_jumps(held), grid, first + length)
 
     lengths = jnp.diff(ends)
     inside, last = jax.vmap(seen)(ends[:-1], lengths, pieces)
     first, *between = ({name: rows[:, i] for name, rows in inside.items()} for i in range(len(inner) + 1))
     after = {name: jnp.concatenate([rows[1:], last[name][-1:]]) for name, rows in first.items()}
     times = instants(ends[:-1], grid.t_start, grid.t_final)
-    return Steps(times, jnp.asarray(grid.duration) * lengths, first, between, last, after), places
+    h = jnp.asarray(grid.duration) * lengths
+    return Steps(times, h, first, between, last, after, ends[:-1], lengths, pieces), places
+
+
+def signals_within(grid: Grid, inputs: Inputs, step: Steps) -> Callable[[Any], dict[str, Array]]:
+    """All signals at a share of one step, on its side of every jump."""
+    held = on_pieces(inputs, step.pieces) if step.pieces else inputs
+
+    def at(share: Any) -> dict[str, Array]:
+        place = step.begin + share * step.length
+        inside = _at(held, grid, place)
+        if not has_jumps(inputs):
+            return inside
+        return jax.tree.map(lambda *sides: jnp.where(share < 1, *sides), inside, _at(before_jumps(held), grid, place))
+
+    return at
+
+
+def _at(signals: Inputs, grid: Grid, fraction: Any) -> dict[str, Array]:
+    return {name: values[0] for name, values in sampled(signals, grid, fraction[None]).items()}
 
 
 def _rows(signals: dict[str, Array], rows: slice) -> dict[str, Array]:
