@@ -21,10 +21,12 @@ from aleator.dynamics._evaluation import (
     completed,
     explain_algebraic,
     explain_from,
+    guessed_algebraic,
     initial_state,
+    variables_of,
 )
 from aleator.dynamics._grid import Grid, Inputs, inputs_on
-from aleator.dynamics._integrators import AbstractIntegrator, joined, on_grid
+from aleator.dynamics._integrators import AbstractIntegrator, on_grid, zeros
 from aleator.dynamics._record import Asked, Record
 from aleator.dynamics._steps import Steps, signals_within, steps_of
 from aleator.dynamics._system import System, state_type
@@ -113,45 +115,46 @@ class AbstractAdaptive(AbstractIntegrator):
 
     def _course(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> _Course:
         steps, places = steps_of(grid, inputs, [])
-        count = len(system.states)
-
-        def solved(t: Any, z: Any, inputs: dict[str, Array]) -> Any:
-            """Implicit methods carry algebraic variables along; explicit ones find them wherever they see states."""
-            if not self.tableau.is_implicit:
-                return z
-            near = state_type(system.algebraic)(*z[count:]) if len(z) > count else None
-            return completed(system, t, state_type(system.states)(*z[:count]), inputs, near)
-
-        t, now = steps.t[0], {name: values[places[0]] for name, values in steps.first.items()}
-        start = solved(t, initial_state(system, t, now), now)
+        t, now, count = (
+            steps.t[0],
+            {name: values[places[0]] for name, values in steps.first.items()},
+            len(system.states),
+        )
+        start = initial_state(system, t, now)
+        # Implicit methods carry algebraic variables along; explicit ones find them wherever they see states.
+        carries_algebraic = system.algebraic and self.tableau.is_implicit
+        guess = guessed_algebraic(system, t, start, now) if carries_algebraic else ()
         integrands = jax.eval_shape(lambda: asked.rates(system, t, start, now))
-        vector, named = ravel_pytree((start, jax.tree.map(lambda one: jnp.zeros(one.shape), integrands)))
-        states, algebraic = (sum(map(jnp.size, part)) for part in (start[:count], start[count:]))
+        vector, named = ravel_pytree(((*start, *guess), zeros(integrands)))
         has_rate = np.ones(vector.size)
+        states, algebraic = (sum(map(jnp.size, part)) for part in (start, guess))
         has_rate[states : states + algebraic] = 0.0
 
-        def advance(state: _State, step: Steps) -> tuple[_State, tuple[Any, Array]]:
+        def advance(state: _State, step: Steps) -> tuple[_State, tuple[Any, ...]]:
             signals = signals_within(grid, inputs, step)
 
             def rates(share: Any, vector: Vector) -> Vector:
-                t, (z, _), u = as_time(step.t + share * step.h), named(vector), signals(share)
-                z = completed(system, t, z, u)
+                t, (numbers, _), u = as_time(step.t + share * step.h), named(vector), signals(share)
+                z = completed(system, t, variables_of(system, numbers), u)
                 slopes, growths = asked.slopes(system, t, z, u)
-                residuals = algebraic_residuals(system, t, z, u) if algebraic else ()
+                residuals = algebraic_residuals(system, t, z, u) if carries_algebraic else ()
                 return ravel_pytree((slopes, residuals, growths))[0]
 
-            end = self._within(rates, state._replace(share=jnp.zeros(())), step, has_rate)
-            t, (z, integrals) = step.t + step.h, named(end.vector)
-            # Algebraic variables jump with the inputs: the next step begins with those on its own side.
-            z = solved(t, z, step.after)
-            outputs = asked.at_instant(system, t, z, step.after)
-            return end._replace(vector=ravel_pytree((z, integrals))[0]), (outputs, end.share)
+            numbers, integrals = named(state.vector)
+            z = state_type(system.states)(*numbers[:count])
+            if carries_algebraic:
+                # They jump with the inputs: the step begins with those on its own side.
+                z = completed(system, step.t, z, step.first, state_type(system.algebraic)(*numbers[count:]))
+            outputs = asked.at_instant(system, step.t, z, step.first)
+            begin = state._replace(share=jnp.zeros(()), vector=ravel_pytree(((*z,), integrals))[0])
+            end = self._within(rates, begin, step, has_rate)
+            return end, (outputs, integrals, end.share)
 
-        first = asked.at_instant(system, t, start, now)
         # The first step is the grid's, if its error is small.
         begin = _State(jnp.zeros(()), vector, stop_gradient(jnp.asarray(grid.step)), jnp.asarray(self.max_steps))
-        end, (rest, shares) = jax.lax.scan(advance, begin, steps)
-        return _Course(Record(joined(first, rest), {}, named(end.vector)[1]), steps, shares, end, places)
+        end, (history, integrals, shares) = jax.lax.scan(advance, begin, steps)
+        record = Record(history, {}, jax.tree.map(lambda one: one[-1], integrals))
+        return _Course(record, steps, shares, end, places)
 
     def _within(self, rates: Rates, begin: _State, step: Steps, has_rate: np.ndarray) -> _State:
         """The integration of one step of the grid, as far as it goes."""

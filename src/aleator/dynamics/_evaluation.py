@@ -8,7 +8,7 @@ keeps its order.
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -199,7 +199,12 @@ def solved_algebraic(system: System, t: Any, z: Any, inputs: dict[str, Array], n
 
 def with_algebraic(system: System, z: Any, y: Any) -> Any:
     """States and algebraic variables as one named tuple."""
-    return state_type((*system.states, *system.algebraic))(*z, *y)
+    return variables_of(system, (*z, *y))
+
+
+def variables_of(system: System, numbers: Sequence[Any]) -> Any:
+    """States, and algebraic variables if there are more numbers, as a named tuple."""
+    return state_type((*system.states, *system.algebraic)[: len(numbers)])(*numbers)
 
 
 def explain_algebraic(

@@ -88,35 +88,38 @@ class AbstractFixedStep(AbstractIntegrator):
         # Traced once for all stages.
         @jax.jit
         def rates(t: Array, z: Pytree, u: dict[str, Array]) -> tuple[Pytree, tuple[Array, ...]]:
-            z = completed(system, t, z, u)
-            return asked.slopes(system, t, z, u)
+            return asked.slopes(system, t, completed(system, t, z, u), u)
 
-        def advance(carried: tuple[Pytree, ...], step: Steps) -> tuple[tuple[Pytree, ...], tuple[Any, Any]]:
-            (z, integrals, folded), (t, h, first, middle, last, after, *_) = carried, step
+        def advance(carried: tuple[Pytree, ...], step: Steps) -> tuple[tuple[Pytree, ...], tuple[Any, ...]]:
+            (z, integrals, folded), (t, h, first, middle, last, *_) = carried, step
             signals = {0.0: first, 1.0: last, **dict(zip(inner, middle, strict=True))}
-            slopes: list[Pytree] = []
-            growths: list[Pytree] = []
-            for node, coupling in zip(nodes, couplings, strict=True):
+            # The first stage and the outputs are at one time and follow from the same equations.
+            slope, growth, outputs = asked.everything(system, as_time(t), completed(system, t, z, first), first)
+            slopes: list[Pytree] = [slope]
+            growths: list[Pytree] = [growth]
+            for node, coupling in zip(nodes[1:], couplings[1:], strict=True):
                 stage = rates(as_time(t + node * h), _moved(z, h, coupling, slopes), signals[node])
                 slopes.append(stage[0])
                 growths.append(stage[1])
             end = _moved(z, h, weights, slopes)
             # Outputs are taken inside the loop, so that states need not be stored.
-            folded, outputs = asked.folded(folded, asked.at_instant(system, t + h, end, after))
+            folded, outputs = asked.folded(folded, outputs)
             halfway = {}
             if asked.nodes:
                 arrived = derivative(system, t + h, end, last)
                 # Cubic Hermite interpolation between both ends, as accurate as these are.
                 centre = jax.tree.map(lambda a, b, da, db: (a + b) / 2 + h / 8 * (da - db), z, end, slopes[0], arrived)
                 halfway = asked.at_node(system, t + h / 2, centre, signals[0.5])
-            return (end, _moved(integrals, h, weights, growths), folded), (outputs, halfway)
+            return (end, _moved(integrals, h, weights, growths), folded), (outputs, halfway, integrals)
 
-        shapes = jax.eval_shape(lambda: asked.rates(system, t_start, start, now))
-        zeros = jax.tree.map(lambda one: jnp.zeros(one.shape), shapes)
-        folded, first = asked.folded(None, asked.at_instant(system, t_start, start, now))
-        (_, integrals, folded), (rest, middles) = jax.lax.scan(advance, (start, zeros, folded), steps)
-        history = joined(first, rest)
-        return Record(history, _interleaved(history, middles), integrals, folded)
+        _, growth, outputs = jax.eval_shape(
+            lambda: asked.everything(system, t_start, completed(system, t_start, start, now), now)
+        )
+        carried = start, zeros(growth), asked.unfolded(outputs)
+        (_, _, folded), (history, middles, integrals) = jax.lax.scan(advance, carried, steps)
+        return Record(
+            history, _interleaved(history, middles), jax.tree.map(lambda one: one[-1], integrals), folded and folded[1]
+        )
 
     @override
     def explain(self, system: System, grid: Grid, inputs: Inputs) -> str:
@@ -138,9 +141,8 @@ def on_grid(grid: Grid, asked: Asked, along: Callable[[Grid, Asked], tuple[Recor
     history = {name: values[::parts] for name, values in nodes.items()}
     if asked.fold is None:
         return Record(history, {name: nodes[name] for name in asked.nodes}, record.integrals)
-    folded, first = asked.fold(None, {name: values[0] for name, values in history.items()})
-    folded, rest = jax.lax.scan(asked.fold, folded, {name: values[1:] for name, values in history.items()})
-    return Record(joined(first, rest), {}, record.integrals, folded)
+    folded, history = jax.lax.scan(asked.folded, asked.unfolded({n: v[0] for n, v in history.items()}), history)
+    return Record(history, {}, record.integrals, folded and folded[1])
 
 
 def _moved(z: Pytree, h: Any, weights: tuple[float, ...], slopes: list[Pytree]) -> Pytree:
@@ -155,8 +157,9 @@ def _moved(z: Pytree, h: Any, weights: tuple[float, ...], slopes: list[Pytree]) 
     )
 
 
-def joined(first: Pytree, rest: Pytree) -> Pytree:
-    return jax.tree.map(lambda one, later: jnp.concatenate([one[None], later]), first, rest)
+def zeros(shapes: Pytree) -> Pytree:
+    """Zeros of the shapes of something that was not computed."""
+    return jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), shapes)
 
 
 def _interleaved(history: dict[str, Array], middles: dict[str, Array]) -> dict[str, Array]:
@@ -164,8 +167,7 @@ def _interleaved(history: dict[str, Array], middles: dict[str, Array]) -> dict[s
     nodes = {}
     for name, inside in middles.items():
         ends = history[name]
-        pairs = jnp.stack([ends[:-1], inside], axis=1).reshape(2 * len(inside), *inside.shape[1:])
-        nodes[name] = jnp.concatenate([pairs, ends[-1:]])
+        nodes[name] = jnp.stack([ends, inside], axis=1).reshape(2 * len(inside), *inside.shape[1:])[:-1]
     return nodes
 
 

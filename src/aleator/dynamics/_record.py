@@ -52,9 +52,21 @@ class Asked(NamedTuple):
     fold: Fold | None = None
     course: Float[Array, "parts states"] | None = None
 
+    def unfolded(self, outputs: dict[str, Any]) -> Any:
+        """What is carried to the first instant, of which the outputs or their shapes are told."""
+        if self.fold is None:
+            return ()
+        carried = jax.eval_shape(lambda outputs: self.fold(None, outputs)[0], outputs)
+        return jnp.asarray(True), jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), carried)
+
     def folded(self, carried: Any, outputs: dict[str, Array]) -> tuple[Any, dict[str, Array]]:
         """What is carried on from an instant, and what is recorded of the outputs there: without a fold, all."""
-        return ((), outputs) if self.fold is None else self.fold(carried, outputs)
+        if self.fold is None:
+            return (), outputs
+        is_first, before = carried
+        begun, further = self.fold(None, outputs), self.fold(before, outputs)
+        on, recorded = jax.tree.map(lambda *both: jnp.where(is_first, *both), begun, further)
+        return (jnp.asarray(False), on), recorded
 
     def at_instant(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> dict[str, Array]:
         """What is recorded at an instant of the grid."""
@@ -63,6 +75,13 @@ class Asked(NamedTuple):
     def at_node(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> dict[str, Array]:
         """What is recorded at the midpoint of a step, and at its ends."""
         return chosen(system, observation(system, t, z, now), self.nodes)
+
+    def everything(
+        self, system: System, t: Any, z: Any, now: dict[str, Array]
+    ) -> tuple[Any, tuple[Array, ...], dict[str, Array]]:
+        """The rates of the states, the integrands, and what is recorded at an instant of the grid."""
+        slopes, outputs = derivative_and_observation(system, t, z, now)
+        return slopes, tuple(one(outputs) for one in self.integrands), chosen(system, outputs, self.instants)
 
     def rates(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> tuple[Array, ...]:
         """The integrands at one time."""
