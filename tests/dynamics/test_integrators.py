@@ -36,6 +36,16 @@ class Pendulum(al.System):
         return {"angle": self.start}
 
 
+class LargePendulum(Pendulum):
+    """The same by many more equations."""
+
+    def rhs(self, t, z, push):
+        speed, turn = super().rhs(t, z, push)
+        for _ in range(600):
+            turn = turn * 1.0
+        return speed, turn
+
+
 def scipy_pendulum(times, damping=0.3, start=0.8):
     def rhs(t, z):
         return [z[1], np.interp(t, TIMES, PUSH) - damping * z[1] * z[0] ** 2 - 4.0 * np.sin(z[0])]
@@ -76,6 +86,14 @@ def test_runge_kutta_agrees_with_scipy_on_a_nonlinear_system_with_a_tabulated_in
     np.testing.assert_allclose(outputs["speed"][at], speed, atol=1e-10)
     np.testing.assert_allclose(outputs["energy"][at], 0.5 * speed**2 + 4 * (1 - np.cos(angle)), atol=1e-9)
     np.testing.assert_allclose(outputs["u"], np.interp(grid.times, TIMES, PUSH), atol=1e-14)
+
+
+@pytest.mark.parametrize("integrator", [al.integrators.RungeKutta4(), al.integrators.RungeKutta4().reference()])
+def test_many_equations_are_integrated_by_the_same_steps(integrator):
+    inputs = {"push": al.Tabulated(TIMES, PUSH)}
+    few, many = (al.simulate(one, al.Grid(5.0, 20), inputs, integrator) for one in (Pendulum(), LargePendulum()))
+    for name in few:
+        np.testing.assert_allclose(many[name], few[name], rtol=1e-13, atol=1e-13)
 
 
 class Clock(al.System):

@@ -19,15 +19,19 @@ from aleator._core.arrays import Pytree
 from aleator._core.compilation import Use, evaluate
 from aleator._core.equations import as_time
 from aleator._core.leaves import Module
+from aleator.dynamics._equations import TracedSystem
 from aleator.dynamics._evaluation import completed, derivative, explain_algebraic, initial_state
 from aleator.dynamics._grid import Grid, Inputs
 from aleator.dynamics._record import Asked, Record
 from aleator.dynamics._steps import Steps, steps_of
 from aleator.dynamics._system import System
-from aleator.dynamics._tableaux import DORMAND_PRINCE_5, RUNGE_KUTTA_4, Tableau
+from aleator.dynamics._tableaux import DORMAND_PRINCE_5, RUNGE_KUTTA_4, Tableau, square
 from aleator.trajectories import AbstractSignal, jumping_in
 
 STATES = "states"
+
+# Systems of more equations take longer to compile for each stage than a loop over the stages takes to run.
+_LARGE = 500
 
 
 class AbstractIntegrator(Module):
@@ -84,6 +88,7 @@ class AbstractFixedStep(AbstractIntegrator):
         nodes, couplings, weights, *_ = self.tableau
         t_start, now = steps.t[0], {name: values[places[0]] for name, values in steps.first.items()}
         start = initial_state(system, t_start, now)
+        is_large = isinstance(system, TracedSystem) and system.equations["instant"].size > _LARGE
 
         # Traced once for all stages.
         @jax.jit
@@ -95,22 +100,23 @@ class AbstractFixedStep(AbstractIntegrator):
             signals = {0.0: first, 1.0: last, **dict(zip(inner, middle, strict=True))}
             # The first stage and the outputs are at one time and follow from the same equations.
             slope, growth, outputs = asked.everything(system, as_time(t), completed(system, t, z, first), first)
-            slopes: list[Pytree] = [slope]
-            growths: list[Pytree] = [growth]
-            for node, coupling in zip(nodes[1:], couplings[1:], strict=True):
-                stage = rates(as_time(t + node * h), _moved(z, h, coupling, slopes), signals[node])
-                slopes.append(stage[0])
-                growths.append(stage[1])
-            end = _moved(z, h, weights, slopes)
+            stages = [(slope, growth)]
+            if is_large:
+                stages = _stages_in_loop(self.tableau, rates, t, h, z, signals, stages[0])
+            else:
+                for node, coupling in zip(nodes[1:], couplings[1:], strict=True):
+                    at = _moved(z, h, coupling, [slopes for slopes, _ in stages])
+                    stages.append(rates(as_time(t + node * h), at, signals[node]))
+            end, grown = _moved((z, integrals), h, weights, stages)
             # Outputs are taken inside the loop, so that states need not be stored.
             folded, outputs = asked.folded(folded, outputs)
             halfway = {}
             if asked.nodes:
                 arrived = derivative(system, t + h, end, last)
                 # Cubic Hermite interpolation between both ends, as accurate as these are.
-                centre = jax.tree.map(lambda a, b, da, db: (a + b) / 2 + h / 8 * (da - db), z, end, slopes[0], arrived)
+                centre = jax.tree.map(lambda a, b, da, db: (a + b) / 2 + h / 8 * (da - db), z, end, slope, arrived)
                 halfway = asked.at_node(system, t + h / 2, centre, signals[0.5])
-            return (end, _moved(integrals, h, weights, growths), folded), (outputs, halfway, integrals)
+            return (end, grown, folded), (outputs, halfway, integrals)
 
         _, growth, outputs = jax.eval_shape(
             lambda: asked.everything(system, t_start, completed(system, t_start, start, now), now)
@@ -143,6 +149,31 @@ def on_grid(grid: Grid, asked: Asked, along: Callable[[Grid, Asked], tuple[Recor
         return Record(history, {name: nodes[name] for name in asked.nodes}, record.integrals)
     folded, history = jax.lax.scan(asked.folded, asked.unfolded({n: v[0] for n, v in history.items()}), history)
     return Record(history, {}, record.integrals, folded and folded[1])
+
+
+def _stages_in_loop(
+    tableau: Tableau,
+    rates: Callable[..., Pytree],
+    t: Array,
+    h: Array,
+    z: Pytree,
+    signals: Mapping[float, dict[str, Array]],
+    first: Pytree,
+) -> list[Pytree]:
+    """All stages, by one copy of the rates for those after the first."""
+    count, nodes = len(tableau.nodes), tableau.nodes[1:]
+    told = jax.tree.map(lambda *each: jnp.stack(each), *(signals[node] for node in nodes))
+    rows = jnp.arange(1, count), jnp.asarray(nodes), jnp.asarray(square(tableau.couplings)[1:]), told
+
+    def stage(stages: Pytree, row: tuple[Any, ...]) -> tuple[Pytree, None]:
+        index, node, coupling, u = row
+        at = jax.tree.map(lambda x, slopes: x + h * jnp.tensordot(coupling, slopes, 1), z, stages[0])
+        own = rates(as_time(t + node * h), at, u)
+        return jax.tree.map(lambda x, one: jax.lax.dynamic_update_index_in_dim(x, one, index, 0), stages, own), None
+
+    begun = jax.tree.map(lambda one: jnp.zeros((count, *one.shape)).at[0].set(one), first)
+    stages, _ = jax.lax.scan(stage, begun, rows)
+    return [jax.tree.map(lambda one, i=i: one[i], stages) for i in range(count)]
 
 
 def _moved(z: Pytree, h: Any, weights: tuple[float, ...], slopes: list[Pytree]) -> Pytree:

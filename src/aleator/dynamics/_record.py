@@ -54,9 +54,9 @@ class Asked(NamedTuple):
 
     def unfolded(self, outputs: dict[str, Any]) -> Any:
         """What is carried to the first instant, of which the outputs or their shapes are told."""
-        if self.fold is None:
+        if (fold := self.fold) is None:
             return ()
-        carried = jax.eval_shape(lambda outputs: self.fold(None, outputs)[0], outputs)
+        carried = jax.eval_shape(lambda outputs: fold(None, outputs)[0], outputs)
         return jnp.asarray(True), jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), carried)
 
     def folded(self, carried: Any, outputs: dict[str, Array]) -> tuple[Any, dict[str, Array]]:
