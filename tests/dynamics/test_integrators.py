@@ -161,16 +161,8 @@ class Driven(al.System):
         return {"x": 1.0}
 
 
-@pytest.mark.parametrize(
-    ("integrator", "order"),
-    [
-        (al.integrators.Tsit5, 5),
-        (type(al.integrators.Tsit5().reference()), 5),
-        (al.integrators.Kvaerno5, 5),
-        (type(al.integrators.Kvaerno5().reference()), 4),
-    ],
-)
-def test_adaptive_methods_have_their_order_with_algebraic_variables_too(integrator, order):
+@pytest.mark.parametrize("integrator", [al.integrators.Tsit5, al.integrators.Kvaerno5])
+def test_adaptive_methods_have_order_five_with_algebraic_variables_too(integrator):
     def rates(t, x):
         y = np.roots([1.0, 0.0, 1.0, -x[0] * (1 + 0.5 * np.cos(2 * t))])
         return [np.sin(t) - y[np.argmin(np.abs(y.imag))].real]
@@ -179,7 +171,7 @@ def test_adaptive_methods_have_their_order_with_algebraic_variables_too(integrat
     # Tolerances that accept any step: one between two instants.
     loose, steps = integrator(1e9, 1e9), np.array([6, 12, 24])
     errors = [abs(float(al.simulate(Driven(), al.Grid(2.0, int(n)), integrator=loose)["x"][-1]) - right) for n in steps]
-    assert np.polyfit(np.log(steps), np.log(errors), 1)[0] < -order + 0.3
+    assert np.polyfit(np.log(steps), np.log(errors), 1)[0] < -4.7
 
 
 class Rod(al.System):

@@ -30,7 +30,7 @@ from aleator.dynamics._integrators import AbstractIntegrator, on_grid, zeros
 from aleator.dynamics._record import Asked, Record
 from aleator.dynamics._steps import Steps, signals_within, steps_of
 from aleator.dynamics._system import System, state_type
-from aleator.dynamics._tableaux import DORMAND_PRINCE_5_4, RODAS_4, RODAS_5P, TSITOURAS_5_4, Tableau, square
+from aleator.dynamics._tableaux import RODAS_5P, TSITOURAS_5, Tableau, square
 
 _RELATIVE, _ABSOLUTE, _STEPS = 1e-8, 1e-10, 100_000
 
@@ -171,7 +171,7 @@ class AbstractAdaptive(AbstractIntegrator):
             vector, difference = _step(self.tableau, rates, state.share, share, state.vector, step.h, has_rate)
             size = jnp.maximum(jnp.abs(state.vector), jnp.abs(vector))
             error = stop_gradient(jnp.max(jnp.abs(difference) / (self.atol + self.rtol * size)))
-            change = _MARGIN * error ** (-1 / self.tableau.error_order)
+            change = _MARGIN * error ** (-1 / self.tableau.order)
             change = jnp.where(error >= 0, jnp.clip(change, _LEAST_CHANGE, _MOST_CHANGE), _AFTER_NO_NUMBER)
             reached = jnp.where(parts == 1, 1.0, state.share + share)
             return _State(
@@ -212,15 +212,14 @@ class AbstractAdaptive(AbstractIntegrator):
 
     @override
     def refined(self) -> AbstractIntegrator:
-        return type(self)(**self.tighter())
+        return type(self)(
+            max(self.rtol / 100, _TIGHTEST_RELATIVE), max(self.atol / 100, _TIGHTEST_ABSOLUTE), 10 * self.max_steps
+        )
 
-    def tighter(self) -> dict[str, Any]:
-        """Arguments for a hundredth of the tolerances, limited by 64-bit arithmetic."""
-        return {
-            "rtol": max(self.rtol / 100, _TIGHTEST_RELATIVE),
-            "atol": max(self.atol / 100, _TIGHTEST_ABSOLUTE),
-            "max_steps": 10 * self.max_steps,
-        }
+    @override
+    def reference(self) -> AbstractIntegrator:
+        """The same with smaller tolerances, and so with other steps."""
+        return self.refined()
 
 
 def _step(
@@ -271,23 +270,7 @@ def _solver(matrix: Float[Array, "n n"]) -> Callable[[Vector], Vector]:
 class Tsit5(AbstractAdaptive):
     """Adaptive explicit Runge-Kutta of order 5 (Tsitouras, 2011), for smooth, non-stiff systems."""
 
-    tableau: ClassVar[Tableau] = TSITOURAS_5_4
-
-    @override
-    def reference(self) -> AbstractIntegrator:
-        """The method of Dormand and Prince (1980), whose stages lie elsewhere."""
-        return Dopri5(**self.tighter())
-
-
-@final
-class Dopri5(AbstractAdaptive):
-    """Adaptive explicit Runge-Kutta of order 5 (Dormand and Prince, 1980)."""
-
-    tableau: ClassVar[Tableau] = DORMAND_PRINCE_5_4
-
-    @override
-    def reference(self) -> AbstractIntegrator:
-        return Tsit5(**self.tighter())
+    tableau: ClassVar[Tableau] = TSITOURAS_5
 
 
 @final
@@ -299,19 +282,3 @@ class Kvaerno5(AbstractAdaptive):
     """
 
     tableau: ClassVar[Tableau] = RODAS_5P
-
-    @override
-    def reference(self) -> AbstractIntegrator:
-        """A method of order 4, at smaller tolerances."""
-        return Rodas4(**self.tighter())
-
-
-@final
-class Rodas4(AbstractAdaptive):
-    """Adaptive and linearly implicit, of order 4 (Hairer and Wanner, 1996)."""
-
-    tableau: ClassVar[Tableau] = RODAS_4
-
-    @override
-    def reference(self) -> AbstractIntegrator:
-        return Kvaerno5(**self.tighter())

@@ -43,7 +43,9 @@ class AbstractIntegrator(Module):
 
     @abc.abstractmethod
     def reference(self) -> "AbstractIntegrator":
-        """A more accurate integrator of another order, by which this one's error is estimated."""
+        """A more accurate integrator of another order, by which this one's error is estimated; one of smaller
+        tolerances, if it has any.
+        """
 
     def explain(self, system: System, grid: Grid, inputs: Inputs) -> str:
         """Why it fails on one realised system, with the remedy; empty if it does not fail, or cannot tell."""

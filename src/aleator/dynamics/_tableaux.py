@@ -13,8 +13,8 @@ class Tableau(NamedTuple):
     II.1, and II, IV.7, in the form without products of matrices and vectors).
 
     - `nodes`: the stages' times as fractions of a step; `couplings`: the coefficients of each stage on those before it;
-      `weights`: those of the stages in the result; `errors`: those in the estimated error of an adaptive step, which is
-      of order `error_order`;
+      `weights`: those of the stages in the result; `errors`: those in its estimated error; `order`: that of the result
+      of an adaptive method;
     - of linearly implicit methods: `diagonal`, the multiple of the Jacobian that each stage has; `implicit_couplings`,
       those of what the stages before contribute to its linear equations; `slopes`, its multiples of the rates' time
       derivatives.
@@ -24,7 +24,7 @@ class Tableau(NamedTuple):
     couplings: tuple[Row, ...]
     weights: Row
     errors: Row = ()
-    error_order: int = 0
+    order: int = 0
     diagonal: float = 0.0
     implicit_couplings: tuple[Row, ...] = ()
     slopes: Row = ()
@@ -40,39 +40,12 @@ def square(rows: tuple[Row, ...]) -> Float[np.ndarray, "stages stages"]:
     return np.array([[*row, *[0.0] * (len(rows) - len(row))] for row in rows])
 
 
-def _stiffly_accurate(
-    order: int,
-    nodes: Row,
-    couplings: tuple[Row, ...],
-    diagonal: float,
-    implicit_couplings: tuple[Row, ...],
-    slopes: Row,
-) -> Tableau:
-    """A method whose last stages, each at the end of the step, improve the result of the one before.
-
-    The last improvement is the estimated error.
-    """
-    added = len(implicit_couplings) - len(couplings)
-    last = [couplings[-1] + (1.0,) * more for more in range(1, added + 1)]
-    return Tableau(
-        nodes=nodes + (1.0,) * (added + 1),
-        couplings=(*couplings, *last),
-        weights=(*last[-1], 1.0),
-        errors=(0.0,) * len(last[-1]) + (1.0,),
-        error_order=order,
-        diagonal=diagonal,
-        implicit_couplings=implicit_couplings,
-        slopes=slopes + (0.0,) * (added + 1),
-    )
-
-
 RUNGE_KUTTA_4 = Tableau(
     nodes=(0.0, 0.5, 0.5, 1.0),
     couplings=((), (1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)),
     weights=(1 / 6, 1 / 3, 1 / 3, 1 / 6),
 )
 
-_RESULT = (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84)
 DORMAND_PRINCE_5 = Tableau(
     nodes=(0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0),
     couplings=(
@@ -83,18 +56,9 @@ DORMAND_PRINCE_5 = Tableau(
         (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
         (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
     ),
-    weights=_RESULT,
+    weights=(35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
 )
 """Dormand and Prince (1980)."""
-
-DORMAND_PRINCE_5_4 = DORMAND_PRINCE_5._replace(
-    nodes=(*DORMAND_PRINCE_5.nodes, 1.0),
-    couplings=(*DORMAND_PRINCE_5.couplings, _RESULT),
-    weights=(*_RESULT, 0.0),
-    errors=(71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40),
-    error_order=5,
-)
-"""The same with an error, by a last stage at the end of the step."""
 
 _RESULT = (
     0.09646076681806523,
@@ -104,7 +68,7 @@ _RESULT = (
     -3.290069515436081,
     2.324710524099774,
 )
-TSITOURAS_5_4 = Tableau(
+TSITOURAS_5 = Tableau(
     nodes=(0.0, 0.161, 0.327, 0.9, 0.9800255409045097, 1.0, 1.0),
     couplings=(
         (),
@@ -125,44 +89,27 @@ TSITOURAS_5_4 = Tableau(
         0.45808210592918697,
         -1 / 66,
     ),
-    error_order=5,
+    order=5,
 )
 """Tsitouras (Computers and Mathematics with Applications 62, 2011)."""
 
-RODAS_4 = _stiffly_accurate(
-    order=4,
-    nodes=(0.0, 0.386, 0.21, 0.63),
-    couplings=(
-        (),
-        (1.544,),
-        (0.9466785280815826, 0.2557011698983284),
-        (3.314825187068521, 2.896124015972201, 0.9986419139977817),
-        (1.221224509226641, 6.019134481288629, 12.53708332932087, -0.687886036105895),
-    ),
-    diagonal=0.25,
-    implicit_couplings=(
-        (),
-        (-5.6688,),
-        (-2.430093356833875, -0.2063599157091915),
-        (-0.1073529058151375, -9.594562251023355, -20.47028614809616),
-        (7.496443313967647, -10.24680431464352, -33.99990352819905, 11.7089089320616),
-        (8.083246795921522, -7.981132988064893, -31.52159432874371, 16.31930543123136, -6.058818238834054),
-    ),
-    slopes=(0.25, -0.1043, 0.1035, -0.03620000000000023),
-)
-"""RODAS (Hairer and Wanner, Solving Ordinary Differential Equations II, IV.10)."""
-
-RODAS_5P = _stiffly_accurate(
-    order=5,
-    nodes=(0.0, 0.6358126895828704, 0.4095798393397535, 0.9769306725060716, 0.4288403609558664),
+_SIXTH = (-7.502846399306121, 2.561846144803919, -11.627539656261098, -0.18268767659942256, 0.030198172008377946)
+# Each of the last stages, at the end of the step, improves the result of the one before: the last one is the error.
+RODAS_5P = Tableau(
+    nodes=(0.0, 0.6358126895828704, 0.4095798393397535, 0.9769306725060716, 0.4288403609558664, 1.0, 1.0, 1.0),
     couplings=(
         (),
         (3.0,),
         (2.849394379747939, 0.45842242204463923),
         (-6.954028509809101, 2.489845061869568, -10.358996098473584),
         (2.8029986275628964, 0.5072464736228206, -0.3988312541770524, -0.04721187230404641),
-        (-7.502846399306121, 2.561846144803919, -11.627539656261098, -0.18268767659942256, 0.030198172008377946),
+        _SIXTH,
+        (*_SIXTH, 1.0),
+        (*_SIXTH, 1.0, 1.0),
     ),
+    weights=(*_SIXTH, 1.0, 1.0, 1.0),
+    errors=(0.0,) * 7 + (1.0,),
+    order=5,
     diagonal=0.21193756319429014,
     implicit_couplings=(
         (),
@@ -180,6 +127,9 @@ RODAS_5P = _stiffly_accurate(
             *(-40.06618937091002, -54.66780262877968, -9.48861652309627),
         ),
     ),
-    slopes=(0.21193756319429014, -0.42387512638858027, -0.3384627126235924, 1.8046452872882734, 2.325825639765069),
+    slopes=(
+        *(0.21193756319429014, -0.42387512638858027, -0.3384627126235924, 1.8046452872882734, 2.325825639765069),
+        *(0.0, 0.0, 0.0),
+    ),
 )
 """Rodas5P (Steinebach, BIT Numerical Mathematics 63, 2023)."""
