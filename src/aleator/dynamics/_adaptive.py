@@ -19,7 +19,6 @@ from aleator._core.equations import as_time
 from aleator.dynamics._evaluation import (
     algebraic_residuals,
     completed,
-    explain_algebraic,
     explain_from,
     guessed_algebraic,
     initial_state,
@@ -190,9 +189,7 @@ class AbstractAdaptive(AbstractIntegrator):
             lambda: self._course(system, grid, inputs, Asked(frozenset())), use=Use.ONCE
         )
         if np.all(np.asarray(shares) == 1.0):
-            return (
-                explain_algebraic(system, grid, inputs, self.course(system, grid, inputs)) if system.algebraic else ""
-            )
+            return super().explain(system, grid, inputs)
         name, now = type(self).__name__, inputs_on(grid, inputs)
         reached, last = float(grid.t_start + np.asarray(shares) @ np.asarray(steps.h)), float(grid.t_final)
         states, named = ravel_pytree(initial_state(system, grid.times[0], now(grid.times[0])))

@@ -8,11 +8,10 @@ import abc
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree
@@ -22,13 +21,11 @@ from aleator._core.leaves import Module
 from aleator.dynamics._equations import TracedSystem
 from aleator.dynamics._evaluation import completed, derivative, explain_algebraic, initial_state
 from aleator.dynamics._grid import Grid, Inputs
-from aleator.dynamics._record import Asked, Record
+from aleator.dynamics._record import ONLY_STATES, STATES, Asked, Record
 from aleator.dynamics._steps import Steps, steps_of
 from aleator.dynamics._system import System
 from aleator.dynamics._tableaux import DORMAND_PRINCE_5, RUNGE_KUTTA_4, Tableau, square
-from aleator.trajectories import AbstractSignal, jumping_in
-
-STATES = "states"
+from aleator.trajectories import jumping_in
 
 # Systems of more equations take longer to compile for each stage than a loop over the stages takes to run.
 _LARGE = 500
@@ -49,14 +46,10 @@ class AbstractIntegrator(Module):
 
     def explain(self, system: System, grid: Grid, inputs: Inputs) -> str:
         """Why it fails on one realised system, with the remedy; empty if it does not fail, or cannot tell."""
-        del system, grid, inputs
-        return ""
-
-    def course(self, system: System, grid: Grid, inputs: Inputs) -> Float[np.ndarray, "instants states"]:
-        """The states of one realised system side by side at every instant."""
-        asked = Asked(frozenset({STATES}))
-        rows = evaluate(lambda: self.record(ObservedStates(system), grid, inputs, asked).history[STATES], use=Use.ONCE)
-        return np.asarray(rows)
+        if not system.algebraic:
+            return ""
+        rows = evaluate(lambda: self.record(system, grid, inputs, ONLY_STATES).history[STATES], use=Use.ONCE)
+        return explain_algebraic(system, grid, inputs, np.asarray(rows))
 
     def refined(self) -> "AbstractIntegrator":
         """The same integrator with smaller tolerances, if it has any: most follow the steps of the grid."""
@@ -128,12 +121,6 @@ class AbstractFixedStep(AbstractIntegrator):
         return Record(
             history, _interleaved(history, middles), jax.tree.map(lambda one: one[-1], integrals), folded and folded[1]
         )
-
-    @override
-    def explain(self, system: System, grid: Grid, inputs: Inputs) -> str:
-        if not system.algebraic:
-            return ""
-        return explain_algebraic(system, grid, inputs, self.course(system, grid, inputs))
 
 
 def on_grid(grid: Grid, asked: Asked, along: Callable[[Grid, Asked], tuple[Record, Any]]) -> Record:
@@ -227,31 +214,3 @@ class DormandPrince5(AbstractFixedStep):
     @override
     def reference(self) -> AbstractIntegrator:
         return RungeKutta4()
-
-
-@final
-class ObservedStates(System):
-    """The same system, with one output `STATES`: its states side by side."""
-
-    system: System
-    states: tuple[str, ...] = eqx.field(static=True)  # type: ignore[misc]
-
-    def __init__(self, system: System):
-        self.system, self.states = system, system.states  # type: ignore[misc]
-
-    @override
-    def rhs(self, t: Any, z: Any, **inputs: Any) -> Any:
-        return derivative(self.system, t, z, inputs)
-
-    @override
-    def outputs(self, t: Any, z: Any, **inputs: Any) -> dict[str, Any]:
-        del t, inputs
-        return {STATES: jnp.concatenate([jnp.ravel(one) for one in jax.tree.leaves(z)])}
-
-    @override
-    def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
-        return self.system.starting(t, inputs)
-
-    @override
-    def signals(self) -> Mapping[str, AbstractSignal]:
-        return self.system.signals()

@@ -30,6 +30,7 @@ Fold: TypeAlias = Callable[[Any, dict[str, Array]], tuple[Any, dict[str, Array]]
 """From what is carried from instant to instant (None before the first) and the outputs there: what is carried on, and
 what is recorded in the place of these outputs."""
 Fractions: TypeAlias = Float[np.ndarray | Array, " n"]
+STATES = "states"
 Take: TypeAlias = Callable[[System, Any, Any, dict[str, Array]], Pytree]
 
 
@@ -40,6 +41,7 @@ class Asked(NamedTuple):
     - `nodes`: those of them to record at the midpoints of the steps too, for statistics that are integrated over time;
     - `integrands`: functions integrated over time along the realisation, as accurately as its states; `integrated`: the
       outputs that they depend on;
+    - `states`: whether to record the states too, side by side, as `STATES`;
     - `fold`: what is made of the outputs at every instant instead of keeping them, where `Simulation.folds`;
     - `course`: the states, side by side, from which each of so many equal parts of the time is simulated; None for one
       simulation from the first instant. Integrators are asked for one part at a time.
@@ -49,6 +51,7 @@ class Asked(NamedTuple):
     nodes: frozenset[str] = frozenset()
     integrands: tuple[Integrand, ...] = ()
     integrated: frozenset[str] = frozenset()
+    states: bool = False
     fold: Fold | None = None
     course: Float[Array, "parts states"] | None = None
 
@@ -70,7 +73,7 @@ class Asked(NamedTuple):
 
     def at_instant(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> dict[str, Array]:
         """What is recorded at an instant of the grid."""
-        return chosen(system, observation(system, t, z, now), self.instants)
+        return self._recorded(system, z, {} if self.instants == set() else observation(system, t, z, now))
 
     def at_node(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> dict[str, Array]:
         """What is recorded at the midpoint of a step, and at its ends."""
@@ -81,7 +84,11 @@ class Asked(NamedTuple):
     ) -> tuple[Any, tuple[Array, ...], dict[str, Array]]:
         """The rates of the states, the integrands, and what is recorded at an instant of the grid."""
         slopes, outputs = derivative_and_observation(system, t, z, now)
-        return slopes, tuple(one(outputs) for one in self.integrands), chosen(system, outputs, self.instants)
+        return slopes, tuple(one(outputs) for one in self.integrands), self._recorded(system, z, outputs)
+
+    def _recorded(self, system: System, z: Any, outputs: dict[str, Array]) -> dict[str, Array]:
+        states = jnp.concatenate([jnp.ravel(one) for one in z[: len(system.states)]]) if self.states else None
+        return chosen(system, outputs, self.instants) | ({} if states is None else {STATES: states})
 
     def rates(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> tuple[Array, ...]:
         """The integrands at one time."""
@@ -96,6 +103,9 @@ class Asked(NamedTuple):
             return derivative(system, t, z, now), ()
         slopes, outputs = derivative_and_observation(system, t, z, now)
         return slopes, tuple(one(outputs) for one in self.integrands)
+
+
+ONLY_STATES = Asked(frozenset(), states=True)
 
 
 class Record(NamedTuple):
