@@ -317,13 +317,29 @@ def test_what_runs_away_is_named_at_its_first_time():
     ("system", "end", "steps", "message"),
     [
         (Explosion(), 2.0, 300, r"is not finite at any instant\. .* stops at t = 1 s"),
+        (
+            Robertson(),
+            4000.0,
+            1000,
+            r"used up its 1000 steps at t = .* or take al.integrators.Kvaerno5\(\), if .* stiff",
+        ),
         (Decay(1.0), 50.0, 3, r"used up its 3 steps at t = .* al.integrators.Tsit5\(max_steps=30\)"),
     ],
 )
 def test_adaptive_integration_that_fails_gives_no_number(system, end, steps, message):
     with pytest.warns(al.SimulationWarning, match=message):
         outputs = al.simulate(system, al.Grid(end, 4), integrator=al.integrators.Tsit5(max_steps=steps))
-    assert np.isnan(outputs["x"]).all()
+    assert np.isnan(next(iter(outputs.values()))).all()
+
+
+def test_tolerances_below_rounding_are_blamed_in_the_place_of_the_rates():
+    class Fast(Pendulum):
+        def rhs(self, t, z, push):
+            return -1e3 * z.angle, jnp.cos(1e3 * t) * 1e6 * z.angle - 1e3 * z.speed
+
+    inputs, tight = {"push": al.Tabulated(TIMES, PUSH)}, al.integrators.Kvaerno5(1e-16, 1e-20)
+    with pytest.warns(al.SimulationWarning, match=r"where rounding is larger than its tolerances"):
+        al.simulate(Fast(), al.Grid(1.0, 4), inputs, tight)
 
 
 def test_adaptive_integrators_take_any_grid_whatever_its_rounding():

@@ -25,7 +25,7 @@ from aleator.dynamics._evaluation import (
     variables_of,
 )
 from aleator.dynamics._grid import Grid, Inputs, inputs_on
-from aleator.dynamics._integrators import AbstractIntegrator, on_grid, zeros
+from aleator.dynamics._integrators import AbstractIntegrator, last_of, on_grid, zeros
 from aleator.dynamics._record import Asked, Record
 from aleator.dynamics._steps import Steps, signals_within, steps_of
 from aleator.dynamics._system import System, state_type
@@ -42,7 +42,7 @@ _MARGIN, _LEAST_CHANGE, _MOST_CHANGE, _AFTER_NO_NUMBER = 0.9, 0.2, 10.0, 0.1
 # The shortest step, relative to the time.
 _SHORTEST = 4 * float(np.finfo(float).eps)
 
-# If so many times the steps, as long as the last one, would not reach the end, more steps are no remedy.
+# If the last step is so many times shorter than the mean of all, more steps are no remedy.
 _HOPELESS = 1000
 
 # Signals have corners at instants, up to rounding: their slopes are those this fraction of a grid's step later.
@@ -152,7 +152,7 @@ class AbstractAdaptive(AbstractIntegrator):
         # The first step is the grid's, if its error is small.
         begin = _State(jnp.zeros(()), vector, stop_gradient(jnp.asarray(grid.step)), jnp.asarray(self.max_steps))
         end, (history, integrals, shares) = jax.lax.scan(advance, begin, steps)
-        record = Record(history, {}, jax.tree.map(lambda one: one[-1], integrals))
+        record = Record(history, {}, last_of(integrals))
         return _Course(record, steps, shares, end, places)
 
     def _within(self, rates: Rates, begin: _State, step: Steps, has_rate: np.ndarray) -> _State:
@@ -196,10 +196,16 @@ class AbstractAdaptive(AbstractIntegrator):
         arrived = named(end.vector[: states.size])
         if system.algebraic and (failure := explain_from(system, reached, arrived, float(grid.step), now)):
             return failure
-        if int(end.left) == 0 and _HOPELESS * self.max_steps * float(end.h) > last - reached:
+        if self.rtol < _TIGHTEST_RELATIVE:
+            return (
+                f"{name} stops at t = {reached:.4g} s, where rounding is larger than its tolerances: give it "
+                f"rtol={_TIGHTEST_RELATIVE:g} or more."
+            )
+        if int(end.left) == 0 and _HOPELESS * self.max_steps * float(end.h) > reached - float(grid.t_start):
+            stiff = "" if self.tableau.is_implicit else "; or take al.integrators.Kvaerno5(), if the system is stiff"
             return (
                 f"{name} used up its {self.max_steps} steps at t = {reached:.4g} s of {last:.4g} s. "
-                f"Give it more, al.integrators.{name}(max_steps={10 * self.max_steps}), or larger tolerances."
+                f"Give it more, al.integrators.{name}(max_steps={10 * self.max_steps}), or larger tolerances{stiff}."
             )
         return (
             f"{name} stops at t = {reached:.4g} s, where its steps become too short. Check for rates that jump, grow "

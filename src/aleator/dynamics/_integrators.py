@@ -66,21 +66,16 @@ class AbstractFixedStep(AbstractIntegrator):
 
     @override
     def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
-        inner = sorted({node for node in (*self.tableau.nodes, *([0.5] if asked.nodes else [])) if 0 < node < 1})
         if not jumping_in(inputs):
-            return self._taken(system, asked, inner, *steps_of(grid, inputs, inner))
+            return self._taken(system, grid, inputs, asked)[0]
         # A step that a jump divides has its middle anywhere.
-        return on_grid(grid, asked, lambda *at: self._divided(system, inputs, inner, *at))
+        return on_grid(grid, asked, lambda grid, asked: self._taken(system, grid, inputs, asked))
 
-    def _divided(
-        self, system: System, inputs: Inputs, inner: list[float], grid: Grid, asked: Asked
-    ) -> tuple[Record, Any]:
-        steps, places = steps_of(grid, inputs, inner)
-        return self._taken(system, asked, inner, steps, places), places
-
-    def _taken(self, system: System, asked: Asked, inner: list[float], steps: Steps, places: Any) -> Record:
-        """The record of some steps, whose signals are known at `inner` fractions of each: see `steps_of`."""
+    def _taken(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> tuple[Record, Any]:
+        """The record of all steps, divided by jumps, and where the instants are among their beginnings."""
         nodes, couplings, weights, *_ = self.tableau
+        inner = sorted({node for node in (*nodes, *([0.5] if asked.nodes else [])) if 0 < node < 1})
+        steps, places = steps_of(grid, inputs, inner)
         t_start, now = steps.t[0], {name: values[places[0]] for name, values in steps.first.items()}
         start = initial_state(system, t_start, now)
         is_large = isinstance(system, TracedSystem) and system.equations["instant"].size > _LARGE
@@ -118,15 +113,14 @@ class AbstractFixedStep(AbstractIntegrator):
         )
         carried = start, zeros(growth), asked.unfolded(outputs)
         (_, _, folded), (history, middles, integrals) = jax.lax.scan(advance, carried, steps)
-        return Record(
-            history, _interleaved(history, middles), jax.tree.map(lambda one: one[-1], integrals), folded and folded[1]
-        )
+        middles = {name: _interleaved(history[name], inside) for name, inside in middles.items()}
+        return Record(history, middles, last_of(integrals), folded and folded[1]), places
 
 
 def on_grid(grid: Grid, asked: Asked, along: Callable[[Grid, Asked], tuple[Record, Any]]) -> Record:
     """What is asked for, from a record of steps that do not tell their middles: these are instants of a finer grid.
 
-    - `along`: the record of the outputs at the ends of all steps of a grid, and the places of its instants among these.
+    - `along`: the record of all steps of a grid, and where its instants are among their beginnings.
     """
     parts = 2 if asked.nodes else 1
     every = asked._replace(instants=asked.instants and asked.instants | asked.nodes, nodes=frozenset(), fold=None)
@@ -182,13 +176,14 @@ def zeros(shapes: Pytree) -> Pytree:
     return jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), shapes)
 
 
-def _interleaved(history: dict[str, Array], middles: dict[str, Array]) -> dict[str, Array]:
+def last_of(rows: Pytree) -> Pytree:
+    """The last row of each array."""
+    return jax.tree.map(lambda one: one[-1], rows)
+
+
+def _interleaved(ends: Array, inside: Array) -> Array:
     """Values at the instants and at the midpoints of the steps, in order of time."""
-    nodes = {}
-    for name, inside in middles.items():
-        ends = history[name]
-        nodes[name] = jnp.stack([ends, inside], axis=1).reshape(2 * len(inside), *inside.shape[1:])[:-1]
-    return nodes
+    return jnp.stack([ends, inside], axis=1).reshape(2 * len(inside), *inside.shape[1:])[:-1]
 
 
 @final
