@@ -249,6 +249,11 @@ class TracedFunction:
         """That of the equations without their constants."""
         return digest_of(self.closed, constants=False)
 
+    @property
+    def size(self) -> int:
+        """The number of its equations, those inside others included."""
+        return sum(1 for _ in _every(self.closed.jaxpr))
+
     def __call__(self, *arguments: Pytree) -> Pytree:
         """Its value, as a part of an outer function that is traced.
 

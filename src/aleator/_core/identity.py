@@ -32,7 +32,7 @@ from aleator._core.leaves import Module
 from aleator._core.parallel import CORES
 
 # Libraries that trace and compile. The folder of programs is separate for each version of JAX; a journal's is not.
-_TRACING = ("jax", "jaxlib", "equinox", "numpy", "scipy", "diffrax", "lineax", "optimistix")
+_TRACING = ("jax", "jaxlib", "equinox", "numpy", "scipy")
 _LIBRARIES = {"aleator", "jaxtyping", *_TRACING}
 _PYTHON = sysconfig.get_path("stdlib")
 _INSTALLED = sysconfig.get_path("purelib"), sysconfig.get_path("platlib")
