@@ -77,10 +77,14 @@ class ExpansionQuality(Printed):
         return max(self.leave_one_out.values(), default=0.0)
 
     @property
+    def every_tangent(self) -> "list[Tangent]":
+        """The derivatives of all functionals by all parameters of distributions that are decisions."""
+        return [Tangent(text, name, error) for text, one in self.tangents.items() for name, error in one.items()]
+
+    @property
     def worst_tangent(self) -> "Tangent | None":
         """The worst resolved derivative by a distribution's parameter; None if there is none."""
-        every = [Tangent(text, name, error) for text, one in self.tangents.items() for name, error in one.items()]
-        return max(every, key=lambda one: np.inf if np.isnan(one.error) else one.error, default=None)
+        return max(self.every_tangent, key=lambda one: np.inf if np.isnan(one.error) else one.error, default=None)
 
     @property
     def unresolved(self) -> tuple[str, ...]:
