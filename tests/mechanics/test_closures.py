@@ -246,7 +246,7 @@ class Geared(FourBar):
 
 class Coupled(FourBar):
     def closures(self):
-        gear = al.joints.Coupling("gear", "wheel", "crank", (0.0, 2.0, 0.0, 0.0, 0.0))
+        gear = al.joints.Coupling("gear", follower="wheel", leader="crank", coefficients=(0.0, 2.0, 0.0, 0.0, 0.0))
         return (*super().closures(), gear)
 
 

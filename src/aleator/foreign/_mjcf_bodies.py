@@ -211,7 +211,14 @@ def _coupling(model: Model, name: str, index: int, joints: Mapping[int, str]) ->
     follower, leader = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
     rest = [known(float(model.qpos0[model.jnt_qposadr[joint]])) if joint >= 0 else 0 for joint in (follower, leader)]
     coefficients = tuple(model.eq_data[index, :5].tolist())
-    return Coupling(name, joints[follower], joints[leader] if leader >= 0 else None, coefficients, *rest)
+    return Coupling(
+        name,
+        follower=joints[follower],
+        leader=joints[leader] if leader >= 0 else None,
+        coefficients=coefficients,
+        rest=rest[0],
+        leader_rest=rest[1],
+    )
 
 
 def _closure(

@@ -170,17 +170,29 @@ class Coupling(Module):
     """A coordinate of an `al.Multibody` that is a polynomial of another one: gears, mimic joints. `name` is its own.
 
     `follower - rest = coefficients[0] + coefficients[1] (leader - leader_rest) + ...`, up to the fourth power; without
-    a leader the follower stays where it is. All in the units of the coordinates, rad or m.
+    a leader (`None`) the follower stays where it is. All in the units of the coordinates, rad or m.
+
+    Raises `ProblemError` for what are no names, and for other than five coefficients.
     """
 
     name: str = eqx.field(static=True)
-    follower: str = eqx.field(static=True)
-    leader: str | None = eqx.field(static=True)
-    coefficients: Any = (0.0, 1.0, 0.0, 0.0, 0.0)
-    rest: Any = 0.0
-    leader_rest: Any = 0.0
+    follower: str = eqx.field(static=True, kw_only=True)
+    leader: str | None = eqx.field(static=True, kw_only=True)
+    coefficients: Any = eqx.field(default=(0.0, 1.0, 0.0, 0.0, 0.0), kw_only=True)
+    rest: Any = eqx.field(default=0.0, kw_only=True)
+    leader_rest: Any = eqx.field(default=0.0, kw_only=True)
 
     units: ClassVar[tuple[str, ...]] = ()
+
+    def __check_init__(self):
+        a_name("Coupling: name", self.name)
+        where = f"Coupling '{self.name}'"
+        a_name(f"{where}: follower", self.follower)
+        if self.leader is not None:
+            a_name(f"{where}: leader", self.leader)
+        for part, shape in (("coefficients", (5,)), ("rest", ()), ("leader_rest", ())):
+            if all_known(value := getattr(self, part)):
+                as_array(value, f"{where}: {part}", shape)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -189,6 +201,10 @@ class Coupling(Module):
 
     def residual(self, at: Mapping[str, Any]) -> Float[Array, ""]:
         """What is left of the equation, for coordinates by name."""
+        if missing := [one for one in (self.follower, self.leader) if one is not None and one not in at]:
+            raise ProblemError(
+                f"Coupling '{self.name}': there is no coordinate {missing}; expected some of {list(at)}."
+            )
         away = 0.0 if self.leader is None else at[self.leader] - self.leader_rest
         return at[self.follower] - self.rest - jnp.polyval(jnp.flip(jnp.asarray(self.coefficients)), jnp.asarray(away))
 
