@@ -25,7 +25,7 @@ from aleator.dynamics._evaluation import (
     variables_of,
 )
 from aleator.dynamics._grid import Grid, Inputs, inputs_on
-from aleator.dynamics._integrators import AbstractIntegrator, last_of, on_grid, zeros
+from aleator.dynamics._integrators import AbstractIntegrator, on_grid, zeros
 from aleator.dynamics._record import Asked, Record
 from aleator.dynamics._steps import Steps, signals_within, steps_of
 from aleator.dynamics._system import System, state_type
@@ -147,13 +147,12 @@ class AbstractAdaptive(AbstractIntegrator):
             outputs = asked.at_instant(system, step.t, z, step.first)
             begin = state._replace(share=jnp.zeros(()), vector=ravel_pytree(((*z,), integrals))[0])
             end = self._within(rates, begin, step, has_rate)
-            return end, (outputs, integrals, end.share)
+            return end, (outputs, end.share)
 
         # The first step is the grid's, if its error is small.
         begin = _State(jnp.zeros(()), vector, stop_gradient(jnp.asarray(grid.step)), jnp.asarray(self.max_steps))
-        end, (history, integrals, shares) = jax.lax.scan(advance, begin, steps)
-        record = Record(history, {}, last_of(integrals))
-        return _Course(record, steps, shares, end, places)
+        end, (history, shares) = jax.lax.scan(advance, begin, steps)
+        return _Course(Record(history, {}, named(end.vector)[1]), steps, shares, end, places)
 
     def _within(self, rates: Rates, begin: _State, step: Steps, has_rate: np.ndarray) -> _State:
         """The integration of one step of the grid, as far as it goes."""
@@ -172,11 +171,11 @@ class AbstractAdaptive(AbstractIntegrator):
             error = stop_gradient(jnp.max(jnp.abs(difference) / (self.atol + self.rtol * size)))
             change = _MARGIN * error ** (-1 / self.tableau.order)
             change = jnp.where(error >= 0, jnp.clip(change, _LEAST_CHANGE, _MOST_CHANGE), _AFTER_NO_NUMBER)
-            reached = jnp.where(parts == 1, 1.0, state.share + share)
+            reached, is_close = jnp.where(parts == 1, 1.0, state.share + share), error <= 1
             return _State(
-                jnp.where(error <= 1, reached, state.share),
-                jnp.where(error <= 1, vector, state.vector),
-                # Between two jumps at once is no step, which tells nothing of others.
+                # No time, between two jumps at once or after the end, passes whatever the rates, and tells nothing.
+                jnp.where(is_close | (length == 0), reached, state.share),
+                jnp.where(is_close, vector, state.vector),
                 jnp.where(length > 0, share * length * change, state.h),
                 state.left - 1,
             )

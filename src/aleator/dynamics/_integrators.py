@@ -98,6 +98,8 @@ class AbstractFixedStep(AbstractIntegrator):
                     at = _moved(z, h, coupling, [slopes for slopes, _ in stages])
                     stages.append(rates(as_time(t + node * h), at, signals[node]))
             end, grown = _moved((z, integrals), h, weights, stages)
+            # After the end comes a step of no length, whose rates need not be numbers.
+            grown = jax.tree.map(lambda one, more: jnp.where(h == 0, one, more), integrals, grown)
             # Outputs are taken inside the loop, so that states need not be stored.
             folded, outputs = asked.folded(folded, outputs)
             halfway = {}
@@ -106,15 +108,15 @@ class AbstractFixedStep(AbstractIntegrator):
                 # Cubic Hermite interpolation between both ends, as accurate as these are.
                 centre = jax.tree.map(lambda a, b, da, db: (a + b) / 2 + h / 8 * (da - db), z, end, slope, arrived)
                 halfway = asked.at_node(system, t + h / 2, centre, signals[0.5])
-            return (end, grown, folded), (outputs, halfway, integrals)
+            return (end, grown, folded), (outputs, halfway)
 
         _, growth, outputs = jax.eval_shape(
             lambda: asked.everything(system, t_start, completed(system, t_start, start, now), now)
         )
         carried = start, zeros(growth), asked.unfolded(outputs)
-        (_, _, folded), (history, middles, integrals) = jax.lax.scan(advance, carried, steps)
+        (_, integrals, folded), (history, middles) = jax.lax.scan(advance, carried, steps)
         middles = {name: _interleaved(history[name], inside) for name, inside in middles.items()}
-        return Record(history, middles, last_of(integrals), folded and folded[1]), places
+        return Record(history, middles, integrals, folded and folded[1]), places
 
 
 def on_grid(grid: Grid, asked: Asked, along: Callable[[Grid, Asked], tuple[Record, Any]]) -> Record:
@@ -174,11 +176,6 @@ def _moved(z: Pytree, h: Any, weights: tuple[float, ...], slopes: list[Pytree]) 
 def zeros(shapes: Pytree) -> Pytree:
     """Zeros of the shapes of something that was not computed."""
     return jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), shapes)
-
-
-def last_of(rows: Pytree) -> Pytree:
-    """The last row of each array."""
-    return jax.tree.map(lambda one: one[-1], rows)
 
 
 def _interleaved(ends: Array, inside: Array) -> Array:

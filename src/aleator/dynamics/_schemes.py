@@ -203,7 +203,11 @@ class AbstractCollocation(AbstractScheme):
 
     def integrals(self, at: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n stages"]:
         """The integral of the rates' interpolant from the interval's start to other points, for a unit interval."""
-        return legendre.legvander(2 * np.asarray(at) - 1, len(self.nodes)) @ legendre.legint(self.spectrum, lbnd=-1) / 2
+        count = len(self.nodes)
+        ends = legendre.legvander(2 * np.asarray(at) - 1, count)
+        start = legendre.legvander(np.array([-1.0]), count)
+        integrals = np.stack([_integral(ends, j) - _integral(start, j) for j in range(count)], axis=1)
+        return integrals @ self.spectrum / 2
 
     def interpolated(self, at: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n stages"]:
         """The rates' interpolant at other points of the interval, from the rates at the stages."""
@@ -213,6 +217,11 @@ class AbstractCollocation(AbstractScheme):
     def spectrum(self) -> Float[np.ndarray, "degrees stages"]:
         """From the rates at the stages to their interpolant's coefficients in Legendre polynomials."""
         return np.linalg.inv(legendre.legvander(2 * self.nodes - 1, len(self.nodes) - 1))
+
+
+def _integral(values: Float[np.ndarray, "points degrees"], degree: int) -> Float[np.ndarray, " points"]:
+    """An integral of a Legendre polynomial, from the values of all polynomials up to one degree more."""
+    return values[:, 1] if degree == 0 else (values[:, degree + 1] - values[:, degree - 1]) / (2 * degree + 1)
 
 
 @final
