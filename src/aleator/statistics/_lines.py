@@ -30,7 +30,7 @@ from aleator.uncertainty import AbstractGerm, HermiteGerm, SampleGerm
 
 # Lines of one replicate by the distribution that places them: the given one, two wider ones, and one around each
 # minimum. All are powers of two: with the replicates, each has a digital net of its own.
-_SIZES, _MINIMA = (64, 32, 16, 4, 4, 4, 4), 4
+_SIZES, _MINIMA = (128, 64, 32, 8, 8, 8, 8), 4
 REPLICATES = 8
 
 # Distances from the origin, in standard deviations: one tail probability in 4000, in 30 000, and the reach of the two

@@ -52,6 +52,8 @@ from aleator.uncertainty import AbstractGerm, named_numbers
 
 # A derivative that varies by less than this part of itself does not vary.
 _INTEGRATED = 1e-6
+# So many outputs have each statistic by themselves.
+_FEW = 4
 # Kept discretisations: enough for the problems of a session; a front or a calibration needs one.
 _KEPT = 16
 
@@ -191,7 +193,8 @@ class ExpansionScope(AbstractScope):
                 shape = self.coefficients[atom.functionals[0]].shape
                 alike.setdefault((atom.kind, shape), {}).setdefault(atom.functionals, []).append(atom)
         for (kind, _), outputs in alike.items():
-            if len(outputs) == 1:
+            # For few outputs stacking takes as many equations as it saves.
+            if len(outputs) <= _FEW:
                 continue
             values = kind.of(jnp.stack([self._terms(functionals) for functionals in outputs], axis=-1), None)
             for own, some in zip(jnp.unstack(values, axis=-1), outputs.values(), strict=True):
