@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.ad_checkpoint import checkpoint_name
 from jax.core import Tracer, eval_jaxpr
+from jax.custom_derivatives import SymbolicZero
 from jax.extend.core import ClosedJaxpr, Literal
 from jax.interpreters.partial_eval import dce_jaxpr
 
@@ -82,6 +83,48 @@ def derived(rule: FunctionType) -> FunctionType:
     code = inspect.unwrap(rule).__code__
     _DERIVED.add(f"{rule.__name__} at {code.co_filename}:{code.co_firstlineno}")
     return rule
+
+
+def with_slope(function: Callable[..., Any], slope: Callable[..., Any], parameters: Pytree, *state: Any) -> Any:
+    """`function(parameters, *state)`, whose derivatives by the state are given, and by the parameters JAX's.
+
+    `slope(parameters, value, state, changes)` tells how the value changes with the state, parts of which may be None.
+    It must follow from the function alone, whose equations are all that digests see of both.
+    """
+    numbers, rest = eqx.partition((parameters, state), _is_differentiable)
+    if not jax.tree.leaves(numbers):
+        return function(parameters, *state)
+
+    @jax.custom_jvp
+    def evaluated(numbers: Pytree) -> Pytree:
+        parameters, state = eqx.combine(numbers, rest)
+        return function(parameters, *state)
+
+    def tangent(primals: tuple[Pytree], tangents: tuple[Pytree]) -> tuple[Pytree, Pytree]:
+        (numbers,), ((of_parameters, of_state),) = primals, tangents
+        parameters, state = eqx.combine(numbers, rest)
+        value = evaluated(numbers)
+        changes = [
+            None if part is None else np.zeros(part.shape) if change is None or _is_still(change) else change
+            for part, change in zip(state, of_state, strict=True)
+        ]
+        change = slope(parameters, value, state, changes)
+        if not all(map(_is_still, jax.tree.leaves(of_parameters, is_leaf=_is_still))):
+            along = jax.tree.map(lambda at, by: jnp.zeros_like(at) if _is_still(by) else by, numbers[0], of_parameters)
+            direct = jax.jvp(lambda at: function(eqx.combine(at, rest[0]), *state), (numbers[0],), (along,))[1]
+            change = jax.tree.map(jnp.add, change, direct)
+        return value, change
+
+    evaluated.defjvp(derived(tangent), symbolic_zeros=True)
+    return evaluated(numbers)
+
+
+def _is_differentiable(leaf: Any) -> bool:
+    return isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jnp.inexact)
+
+
+def _is_still(change: Any) -> bool:
+    return isinstance(change, SymbolicZero)
 
 
 def _every(jaxpr: Any) -> Iterator[Any]:

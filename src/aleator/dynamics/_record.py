@@ -10,11 +10,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
-from aleator._core.equations import derived
+from aleator._core.equations import with_slope
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.dynamics._evaluation import derivative, derivative_and_observation, initial_state, observation
@@ -218,37 +217,13 @@ def at_each_instant(
     to these numbers are computed once and multiplied by the numbers' own derivatives: the chain rule in the order that
     is cheap for many decisions.
     """
-    numbers, rest = eqx.partition(parameters, eqx.is_inexact_array)
 
-    def one(point: Pytree, row: Array) -> Pytree:
-        return function(eqx.combine(point, rest), row)
+    def every(parameters: Pytree, rows: Array) -> Pytree:
+        return jax.vmap(lambda row: function(parameters, row))(rows)
 
-    every = jax.vmap(one, in_axes=(None, 0))
+    def slope(parameters: Pytree, values: Pytree, state: Any, changes: Any) -> Pytree:
+        del values
+        slopes = jax.vmap(jax.jacfwd(lambda row: function(parameters, row)))(*state)
+        return jax.tree.map(lambda slope: jnp.einsum("t...k,tk->t...", slope, *changes), slopes)
 
-    @jax.custom_jvp
-    def evaluated(point: Pytree, rows: Array) -> Pytree:
-        return every(point, rows)
-
-    def tangent(primals: tuple[Pytree, Array], tangents: tuple[Pytree, Any]) -> tuple[Pytree, Pytree]:
-        point, rows = primals
-        point_dot, rows_dot = tangents
-        values = every(point, rows)
-        slopes = jax.vmap(jax.jacfwd(one, argnums=1), in_axes=(None, 0))(point, rows)
-        moved = jnp.zeros_like(rows) if _is_zero(rows_dot) else rows_dot
-        change = jax.tree.map(lambda slope: jnp.einsum("t...k,tk->t...", slope, moved), slopes)
-        if any(not _is_zero(leaf) for leaf in jax.tree.leaves(point_dot, is_leaf=_is_zero)):
-            along = jax.tree.map(_materialised, point, point_dot)
-            direct = jax.jvp(lambda where: every(where, rows), (point,), (along,))[1]
-            change = jax.tree.map(jnp.add, change, direct)
-        return values, change
-
-    evaluated.defjvp(derived(tangent), symbolic_zeros=True)
-    return evaluated(numbers, known)
-
-
-def _is_zero(leaf: Any) -> bool:
-    return isinstance(leaf, SymbolicZero)
-
-
-def _materialised(primal: Array, tangent: Any) -> Array:
-    return jnp.zeros_like(primal) if _is_zero(tangent) else tangent
+    return with_slope(every, slope, parameters, known)

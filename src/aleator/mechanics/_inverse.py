@@ -26,8 +26,7 @@ from aleator.mechanics._mechanical import (
     actuation_map,
     follow,
     jacobian_of,
-    on_manifold,
-    rate_map,
+    rates,
     required_force,
 )
 from aleator.mechanics._spatial import Numbers
@@ -197,7 +196,7 @@ class InverseDynamics(AbstractFormulation):
         path = [signal.sampled(grid.fractions, grid.t_start, grid.t_final) for signal in (motion, motion.derivative(1))]
 
         def missed(now: AbstractMechanical, at: Array, along: Array) -> tuple[Array, Array]:
-            return _slip(now, *on_manifold(now, at, along, jnp.zeros_like(along))[:2])
+            return _slip(now, follow(now, at, along, jnp.zeros_like(along)))
 
         left, allowed = map(np.asarray, jax.jit(lambda: instants_of(model, grid).each(missed, *path))())
         excess = np.abs(left) / allowed[:, None]
@@ -268,18 +267,17 @@ def _torques(
     return torques(model, path.q, required_force(model, path.q, path.v, path.v_dot)), path
 
 
-def _slip(model: AbstractMechanical, q: Array, q_dot: Array) -> tuple[Array, Array]:
+def _slip(model: AbstractMechanical, path: Followed) -> tuple[Array, Array]:
     """The rates that no velocities give, and how large rounding may make them."""
-    H = rate_map(model, q)
-    allowed = _SLIPS * jnp.abs(q_dot).max() + _ROUNDING * (1 + jnp.abs(q).max())
-    return q_dot - H @ solve_any(H, q_dot), allowed
+    allowed = _SLIPS * jnp.abs(path.q_dot).max() + _ROUNDING * (1 + jnp.abs(path.q).max())
+    return path.q_dot - rates(model, path.q, path.v), allowed
 
 
 def _if_possible(model: AbstractMechanical, path: Followed, outputs: dict[str, Any]) -> dict[str, Any]:
     """The outputs; not a number where no velocities give the motion."""
     if model.moves_directly:
         return outputs
-    slip, allowed = _slip(model, path.q, path.q_dot)
+    slip, allowed = _slip(model, path)
     return {name: jnp.where(jnp.abs(slip).max() <= allowed, value, jnp.nan) for name, value in outputs.items()}
 
 

@@ -1,6 +1,5 @@
 """Joints: how a body may move relative to its parent, with the names and units of its coordinates and speeds."""
 
-import abc
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -25,7 +24,6 @@ class AbstractJoint(Module):
     units: ClassVar[tuple[str, ...]]
     speed_units: ClassVar[tuple[str, ...]]
 
-    @abc.abstractmethod
     def refuse_impossible(self) -> None:
         """Raise `ProblemError` for known numbers that no joint has."""
 
@@ -106,10 +104,6 @@ class Ball(AbstractJoint):
     units: ClassVar[tuple[str, ...]] = ()
     speed_units: ClassVar[tuple[str, ...]] = ("rad/s",) * 3
 
-    @override
-    def refuse_impossible(self) -> None:
-        pass
-
 
 @final
 class Free(AbstractJoint):
@@ -122,10 +116,6 @@ class Free(AbstractJoint):
     speeds: ClassVar[tuple[str, ...]] = ("_x_rate", "_y_rate", "_z_rate", "_omega_x", "_omega_y", "_omega_z")
     units: ClassVar[tuple[str, ...]] = ("m",) * 3
     speed_units: ClassVar[tuple[str, ...]] = ("m/s",) * 3 + ("rad/s",) * 3
-
-    @override
-    def refuse_impossible(self) -> None:
-        pass
 
 
 @final

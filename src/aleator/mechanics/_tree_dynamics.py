@@ -8,18 +8,15 @@ of traced equations does not grow with that of bodies.
 """
 
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import jax_array
-from aleator._core.equations import derived
+from aleator._core.equations import with_slope
 from aleator.mechanics._joints import Ball, Revolute
 from aleator.mechanics._matrices import solve_positive
 from aleator.mechanics._spatial import (
@@ -131,7 +128,7 @@ def inverse_dynamics(
         changed = by.by_place @ _displacement(system.tree, state[0], changes[0]) + by.by_speed @ changes[1]
         return changed if changes[2] is None else changed + by.by_acceleration @ changes[2]
 
-    return jax_array(_with_slope(force, slope, _System(tree, gravity), q, v, v_dot))
+    return jax_array(with_slope(force, slope, _System(tree, gravity), q, v, v_dot))
 
 
 def forward_dynamics(
@@ -153,7 +150,7 @@ def forward_dynamics(
         rest = changes[2] - by.by_place @ _displacement(system.tree, state[0], changes[0]) - by.by_speed @ changes[1]
         return solve_positive(by.by_acceleration, rest)
 
-    return jax_array(_with_slope(acceleration, slope, _System(tree, gravity), q, v, force))
+    return jax_array(with_slope(acceleration, slope, _System(tree, gravity), q, v, force))
 
 
 class _System(NamedTuple):
@@ -161,40 +158,6 @@ class _System(NamedTuple):
 
     tree: Tree
     gravity: Any
-
-
-def _with_slope(function: Callable[..., Any], slope: Callable[..., Array], system: _System, *state: Any) -> Any:
-    """A function of a system and its state, whose derivatives by the state are in closed form."""
-    numbers, rest = eqx.partition((system, state), lambda leaf: isinstance(leaf, jax.Array))
-    if not jax.tree.leaves(numbers):
-        return function(system, *state)
-
-    @jax.custom_jvp
-    def evaluated(numbers: Any) -> Any:
-        system, state = eqx.combine(numbers, rest)
-        return function(system, *state)
-
-    def tangent(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Any, Any]:
-        (numbers,), ((of_system, of_state),) = primals, tangents
-        system, state = eqx.combine(numbers, rest)
-        value = evaluated(numbers)
-        along = [
-            None if one is None else np.zeros(one.shape) if change is None or _is_still(change) else change
-            for one, change in zip(state, of_state, strict=True)
-        ]
-        change = slope(system, value, state, along)
-        if not all(map(_is_still, jax.tree.leaves(of_system, is_leaf=_is_still))):
-            moved = jax.tree.map(lambda one, by: jnp.zeros_like(one) if _is_still(by) else by, numbers[0], of_system)
-            of_numbers = jax.jvp(lambda one: function(eqx.combine(one, rest[0]), *state), (numbers[0],), (moved,))[1]
-            change = change + of_numbers
-        return value, change
-
-    evaluated.defjvp(derived(tangent), symbolic_zeros=True)
-    return evaluated(numbers)
-
-
-def _is_still(leaf: Any) -> bool:
-    return isinstance(leaf, SymbolicZero)
 
 
 def _slopes(system: _System, q: Any, v: Any, v_dot: Any) -> Slopes:
@@ -214,7 +177,7 @@ def _displacement(tree: Tree, q: Any, change: Any) -> Any:
     turning = tree.coordinates(balls)
     others = [place for place in range(len(q)) if place not in turning]
     lengths = jnp.sqrt((columns(q, turning).reshape(-1, 4) ** 2).sum(1, keepdims=True))
-    # Columns of a quaternion's block of the map are half as long as they are for the inverse twice as long.
+    # The map of a quaternion of length l has orthogonal columns of length 1/2, and its inverse rows of length 2 / l.
     scales = scattered([(others, np.ones(len(others))), (turning, jnp.ravel(4.0 / lengths * np.ones((1, 4))))])
     return velocity_map(tree, q).T @ (scales * change)
 
