@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 import aleator as al
 from aleator.mechanics._constraints import Bound, Saddle
-from aleator.mechanics._forward import _moving
 from aleator.mechanics._multibody import Multibody
+from aleator.mechanics._partial import Partition, Prescribed, solved
 from compiling import compiled
 
 CHAINS = {
@@ -73,7 +73,8 @@ def test_accelerations_and_multipliers_solve_the_saddle_point_system_of_mujoco_s
     def moving(q, v, torque):
         bound = Bound(model, q)
         v = v - Saddle(model.mass_matrix(q), bound.G).least(bound.rate(v))
-        return _moving(model, q, v, torque)._replace(bound=None)
+        every = Partition((), (), tuple(range(mj.nv)), mj.nq, mj.nv, mj.nv)
+        return solved(model, every, Prescribed(*[jnp.zeros(0)] * 3, torque), q, v)
 
     torque = random.normal(size=mj.nv)
     found = jax.tree.map(np.asarray, moving(q, v, torque))

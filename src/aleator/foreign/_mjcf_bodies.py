@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from aleator.foreign._mjcf_model import Model, Posture, is_disabled, library
-from aleator.foreign._robot import Coupling, broken, carriers, geometry, known
-from aleator.mechanics import AbstractJoint, Ball, Body, Closure, Fixed, Free, Prismatic, Revolute
+from aleator.foreign._robot import broken, carriers, geometry, known
+from aleator.mechanics import AbstractJoint, Ball, Body, Closure, Coupling, Fixed, Free, Prismatic, Revolute
 
 _FREE, _BALL, _SLIDE, _HINGE = range(4)
 # The rounding error of a rotation matrix from a quaternion, whose zeros and ones are not exact.
@@ -189,7 +189,7 @@ def equalities_of(path: str | Path, model: Model, joints: Mapping[int, str]) -> 
     for index in np.flatnonzero(model.eq_active0).tolist():
         name = model.equality(index).name or f"equality_{index}"
         if model.eq_type[index] == _JOINT:
-            couplings[name] = _coupling(model, index, joints)
+            couplings[name] = _coupling(model, index, name, joints)
             continue
         ends = _ends(model, index)
         if not list(_between(model, ends)):
@@ -207,11 +207,11 @@ def equalities_of(path: str | Path, model: Model, joints: Mapping[int, str]) -> 
     return Equalities(loops, couplings, tuple(notes))
 
 
-def _coupling(model: Model, index: int, joints: Mapping[int, str]) -> Coupling:
+def _coupling(model: Model, index: int, name: str, joints: Mapping[int, str]) -> Coupling:
     follower, leader = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
     rest = [known(float(model.qpos0[model.jnt_qposadr[joint]])) if joint >= 0 else 0 for joint in (follower, leader)]
     coefficients = tuple(model.eq_data[index, :5].tolist())
-    return Coupling(joints[follower], joints[leader] if leader >= 0 else None, coefficients, *rest)
+    return Coupling(name, joints[follower], joints[leader] if leader >= 0 else None, coefficients, *rest)
 
 
 def _closure(

@@ -9,17 +9,14 @@ from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.border import members
 from aleator._core.errors import ProblemError
 from aleator._core.files import content_of
-from aleator._core.leaves import Module, transparent
-from aleator.mechanics import Body, Closure, Multibody
+from aleator._core.leaves import transparent
+from aleator.mechanics import Body, Closure, Coupling, Multibody
 
 Key = TypeVar("Key", int, str)
 _READERS = {"robot": "al.foreign.read_urdf", "mujoco": "al.foreign.read_mjcf"}
@@ -38,26 +35,6 @@ EFFECTS: Mapping[str, str] = {
     "plugins": "plugins of bodies",
 }
 """The effects that can be left out, and what they are."""
-
-
-@final
-class Coupling(Module):
-    """A coordinate that is a polynomial of another one, of which it is measured from references.
-
-    `follower - rest = coefficients[0] + coefficients[1] (leader - leader_rest) + ...`, up to the fourth power; without
-    a leader the follower stays where it is. All in the units of the coordinates, rad or m.
-    """
-
-    follower: str = eqx.field(static=True)
-    leader: str | None = eqx.field(static=True)
-    coefficients: Any = (0.0, 1.0, 0.0, 0.0, 0.0)
-    rest: Any = 0.0
-    leader_rest: Any = 0.0
-
-    def residual(self, at: Mapping[str, Any]) -> Float[Array, ""]:
-        """What is left of the equation, for coordinates by name."""
-        away = 0.0 if self.leader is None else at[self.leader] - self.leader_rest
-        return at[self.follower] - self.rest - jnp.polyval(jnp.flip(jnp.asarray(self.coefficients)), jnp.asarray(away))
 
 
 @final
@@ -116,28 +93,8 @@ class Robot(Multibody):
         return tuple(self.parts[name] for name in self.order)
 
     @override
-    def closures(self) -> Sequence[Closure]:
-        return tuple(self.loops[name] for name in sorted(self.loops))
-
-    @property
-    @override
-    def constraints(self) -> tuple[str, ...]:
-        return (*super().constraints, *sorted(self.couplings))
-
-    @override
-    def constraint(self, q: Float[Array, " coordinates"]) -> Float[Array, " constraints"]:
-        """What is left of the equations of the loops, then of the couplings."""
-        return jnp.concatenate([super().constraint(q), self._apart(q)])
-
-    @override
-    def constraint_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
-        return jnp.concatenate([self._closure_jacobian(q), jax.jacfwd(self._apart)(q) @ self.velocity_map(q)])
-
-    def _apart(self, q: Float[Array, " coordinates"]) -> Float[Array, " couplings"]:
-        """What is left of the equations of the couplings."""
-        at = dict(zip(self.coordinates, q, strict=True))
-        found = [self.couplings[name].residual(at) for name in sorted(self.couplings)]
-        return jnp.stack(found) if found else jnp.zeros(0)
+    def closures(self) -> Sequence[Closure | Coupling]:
+        return tuple(every[name] for every in (self.loops, self.couplings) for name in sorted(every))
 
 
 def robot_of(

@@ -79,8 +79,8 @@ class SymPyMechanical(AbstractMechanical):
         return self.equations.actuators
 
     @property
-    @override
-    def constraints(self) -> tuple[str, ...]:
+    def constraint_names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """The names of the equations that bind the coordinates."""
         return self.equations.constraints
 
     @property

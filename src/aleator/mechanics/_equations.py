@@ -29,20 +29,6 @@ class AbstractNamed(AbstractMechanical):
     names: ClassVar[tuple[str, ...]]
     velocity_names: ClassVar[Sequence[str] | None] = None
     actuator_names: ClassVar[Sequence[str] | None] = None
-    constraint_names: ClassVar[Sequence[str]] = ()
-
-    def __check_init__(self):
-        if bool(self.constraint_names) != (type(self).constraint is not AbstractMechanical.constraint):
-            raise ProblemError(
-                f"{type(self).__name__}: expected constraint_names and constraint(q) together, one name for each "
-                f"equation; received {'no constraint(q)' if self.constraint_names else 'no constraint_names'}."
-            )
-        for field in ("names", "velocity_names", "actuator_names", "constraint_names"):
-            if isinstance(given := getattr(self, field, None), str):
-                raise ProblemError(
-                    f"{type(self).__name__}.{field}: expected names in a tuple; received the text {given!r}. A single "
-                    f"name needs a comma: ({given!r},)."
-                )
 
     @property
     @override
@@ -58,11 +44,6 @@ class AbstractNamed(AbstractMechanical):
     @override
     def actuators(self) -> tuple[str, ...]:
         return super().actuators if self.actuator_names is None else tuple(self.actuator_names)
-
-    @property
-    @override
-    def constraints(self) -> tuple[str, ...]:
-        return tuple(self.constraint_names)
 
 
 class Mechanical(AbstractNamed):

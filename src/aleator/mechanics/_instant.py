@@ -198,16 +198,21 @@ def later(model: Model, s: Any) -> Model:
     return _remembering(jax.tree.unflatten(structure, leaves), When(when.t + s, tuple(moved[1:]), when.places))
 
 
-def along_time(
-    function: Callable[..., Any], model: Any, primals: Sequence[Any], tangents: Sequence[Any], *, has_aux: bool = False
-) -> Any:
+def along_time(function: Callable[..., Any], model: Any, primals: Sequence[Any], tangents: Sequence[Any]) -> Any:
     """`function(model, *at)` and its total time derivative, where the arguments change at the rates `tangents`."""
     zero, one = jnp.zeros(()), jnp.ones(())
+    return jax.jvp(lambda s, *where: function(later(model, s), *where), (zero, *primals), (one, *tangents))
 
-    def moved(s: Array, *where: Any) -> Any:
-        return function(later(model, s), *where)
 
-    return jax.jvp(moved, (zero, *primals), (one, *tangents), has_aux=has_aux)
+def linearised(function: Callable[..., Any], model: Any, primals: Sequence[Any]) -> tuple[Any, Callable[..., Any]]:
+    """What `function(model, *at)` returns beside its first value, and the total time derivative of that for `tangents`.
+
+    The function is traced once, also where the tangents follow from what it returns.
+    """
+    _, change, beside = jax.linearize(
+        lambda s, *where: function(later(model, s), *where), jnp.zeros(()), *primals, has_aux=True
+    )
+    return beside, lambda *tangents: change(jnp.ones(()), *tangents)
 
 
 class Instants(NamedTuple):

@@ -14,6 +14,7 @@ from aleator._core.border import a_name, refusal
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, is_leaf
 from aleator.mechanics._bodies import GROUND, Body, Tree, frame, placement
+from aleator.mechanics._couplings import Coupling
 from aleator.mechanics._joints import AbstractAxial, Ball, Fixed, Prismatic, Revolute
 from aleator.mechanics._recursions import motion_apart, world_poses
 from aleator.mechanics._spatial import (
@@ -169,9 +170,9 @@ class Closure(Module):
         return tuple(f"turn_{end}" for end in ends)
 
 
-def checked_closures(kind: str, given: Any) -> Sequence[Closure]:
+def checked_closures(kind: str, given: Any) -> Sequence[Closure | Coupling]:
     """What a user's `closures` gives. Raises `ProblemError` for what is none."""
-    if not isinstance(given, tuple | list) or not all(isinstance(one, Closure) for one in given):
+    if not isinstance(given, tuple | list) or not all(isinstance(one, Closure | Coupling) for one in given):
         raise ProblemError(f"{kind}.closures returns a tuple of al.joints.Closure; received {given!r}.")
     return given
 

@@ -1,7 +1,9 @@
 """`AbstractMechanical`: the interface of mechanical systems to their dynamics; their kinematics, and their `Motion`."""
 
 import abc
-from collections.abc import Collection, Mapping
+import inspect
+from collections.abc import Collection, Mapping, Sequence
+from difflib import get_close_matches
 from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
@@ -15,9 +17,12 @@ from aleator._core.border import traceable
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, Printed
 from aleator.dynamics import called
-from aleator.mechanics._instant import along_time, at, call_of, course, is_timed, timed_methods
+from aleator.mechanics._instant import ARGUMENTS, along_time, at, call_of, course, is_timed, timed_methods
 from aleator.mechanics._matrices import solve_any, solve_positive
 from aleator.mechanics._spatial import Numbers
+
+# The attributes of a class that name coordinates, velocities, torques and constraints.
+_NAMED = ("names", "velocity_names", "actuator_names", "constraint_names")
 
 
 class Motion(NamedTuple):
@@ -64,11 +69,29 @@ class AbstractMechanical(Module, Printed):
     """
 
     units: ClassVar[Mapping[str, str]] = {}
+    constraint_names: ClassVar[Sequence[str]] = ()
     _rule: ClassVar[str] = ""
     _when: Any = eqx.field(default=None, init=False, repr=False)
 
+    def __init_subclass__(cls, **options: Any):
+        """Refuse what would pass unnoticed: names beside those that a class knows, and constraints that are lost."""
+        super().__init_subclass__(**options)
+        refuse_lost_names(cls)
+
     def __check_init__(self):
         timed_methods(type(self))
+        declared, own = type(self).constraint_names, type(self).constraint is not AbstractMechanical.constraint
+        if isinstance(declared, tuple | list) and bool(declared) != own:
+            raise ProblemError(
+                f"{type(self).__name__}: expected constraint_names and constraint(q) together, one name for each "
+                f"equation; received {'no constraint(q)' if declared else 'no constraint_names'}."
+            )
+        for field in _NAMED:
+            if isinstance(given := getattr(self, field, None), str):
+                raise ProblemError(
+                    f"{type(self).__name__}.{field}: expected names in a tuple; received the text {given!r}. A single "
+                    f"name needs a comma: ({given!r},)."
+                )
 
     def at(self, t: Any) -> Self:
         """The realised model at the time `t`, s: signals are replaced by values. Trajectories last one second."""
@@ -98,22 +121,41 @@ class AbstractMechanical(Module, Printed):
 
     @property
     def constraints(self) -> tuple[str, ...]:
-        """The names of the equations `g(q, t) = 0` that bind the coordinates; none by default."""
+        """The names of all equations `g(q, t) = 0` that bind the coordinates: of loops, then `constraint_names`."""
+        return (*self.closure_names, *self.constraint_names)
+
+    @property
+    def closure_names(self) -> tuple[str, ...]:
+        """The names of the equations that close loops; none by default."""
         return ()
 
+    def closure_equations(self, q: Float[Array, " coordinates"]) -> Float[Array, " equations"]:
+        """What is left of the equations that close loops."""
+        del q
+        return jnp.zeros(0)
+
+    def closure_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "equations speeds"]:
+        """How the equations that close loops change with the speeds."""
+        del q
+        return jnp.zeros((0, len(self.speeds)))
+
     def constraint(self, q: Float[Array, " coordinates"]) -> Any:
-        """`g(q)`: what is zero in every posture that the system can take, one number for each of `constraints`.
+        """`g(q)`: what is zero in every posture that the system can take, one number for each of `constraint_names`.
+
+        Those of loops are added to them, and are all by default.
 
         Its multipliers `λ` are those of `M v̇ + C v + N + Gᵀ λ = B τ + Q`, with `G v = ġ` (equation 6): positive where
         the constraint pushes towards smaller `g`.
         """
-        del q
-        return jnp.zeros(0)
+        return self.closure_equations(q)
 
     def constraint_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
-        """`G(q)`, of `ġ = G v + ∂g/∂t`: by derivatives of `constraint(q)`."""
-        slope = jax.jacfwd(lambda at: constraint_of(self, at))(q)
-        return slope if self.moves_directly else slope @ rate_map(self, q)
+        """`G(q)`, of `ġ = G v + ∂g/∂t`: that of loops, and derivatives of `constraint(q)`."""
+        if not self.constraint_names:
+            return self.closure_jacobian(q)
+        slope = jax.jacfwd(lambda at: _own_constraint(self, at))(q)
+        own = slope if self.moves_directly else slope @ rate_map(self, q)
+        return jnp.concatenate([self.closure_jacobian(q), own]) if self.closure_names else own
 
     @property
     def moves_directly(self) -> bool:
@@ -228,6 +270,42 @@ class AbstractMechanical(Module, Printed):
         return {}
 
 
+def refuse_lost_names(kind: type[AbstractMechanical]) -> None:
+    """Raise `ProblemError` for names that look like those that a class knows, and for constraints of a base that go.
+
+    An attribute of texts that is called much like one of names, and a method that is called much like one that has the
+    same number of arguments, would do nothing.
+    """
+    who, bases, fields = kind.__name__, kind.__mro__[1:], vars(kind).get("__annotations__", {})
+    public = {name: value for name, value in vars(kind).items() if not name.startswith("_")}
+    for name, value in public.items():
+        texts = isinstance(value, tuple | list) and value and all(isinstance(one, str) for one in value)
+        close: Sequence[str] = ()
+        if name == "constraints" and texts:
+            close = ("constraint_names",)
+        elif name in (*_NAMED, *ARGUMENTS, *fields) or any(hasattr(base, name) for base in bases):
+            continue
+        elif texts:
+            close = get_close_matches(name, [one for one in _NAMED if hasattr(kind, one)], n=1)
+        elif inspect.isfunction(value):
+            count = len(inspect.signature(value).parameters) - 1
+            known = [one for one, given in ARGUMENTS.items() if hasattr(kind, one) and count - len(given) in (0, 1)]
+            close = get_close_matches(name, known, n=1, cutoff=0.85)
+        if close:
+            raise ProblemError(
+                f"{who}.{name} has no effect: did you mean {close[0]}? Rename it, even if it is your own."
+            )
+    declared = kind.constraint_names
+    for base in bases:
+        names = vars(base).get("constraint_names", ())
+        known = isinstance(names, tuple | list) and isinstance(declared, tuple | list)
+        if lost := [name for name in names if name not in declared] if known else []:
+            raise ProblemError(
+                f"{who}.constraint_names leaves out {lost} of {base.__name__}. Name them too, and return their "
+                "equations as well: (*super().constraint(q), ...)."
+            )
+
+
 def mass_of(model: AbstractMechanical, q: Float[Numbers, " coordinates"]) -> Float[Array, "speeds speeds"]:
     """`M(q)` as an array. Raises `ProblemError` for another shape."""
     n = len(model.speeds)
@@ -242,8 +320,15 @@ def bias_of(
 
 
 def constraint_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, " constraints"]:
-    """`g(q)` as an array. Raises `ProblemError` for another shape."""
-    return shaped(model, "constraint", (q,), (len(model.constraints),))
+    """`g(q)` of all constraints as an array. Raises `ProblemError` for another shape."""
+    if not model.constraint_names:
+        return model.closure_equations(q)
+    own = _own_constraint(model, q)
+    return jnp.concatenate([model.closure_equations(q), own]) if model.closure_names else own
+
+
+def _own_constraint(model: AbstractMechanical, q: Array) -> Array:
+    return shaped(model, "constraint", (q,), (len(model.constraint_names),))
 
 
 def jacobian_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:

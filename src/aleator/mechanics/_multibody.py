@@ -13,7 +13,8 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.mechanics._bodies import GROUND, Body, Tree, build_tree, sorted_bodies, with_numbers, without_numbers
-from aleator.mechanics._instant import is_timed, later
+from aleator.mechanics._couplings import Coupling, parted
+from aleator.mechanics._instant import is_timed, later, timed_methods
 from aleator.mechanics._joints import AbstractJoint
 from aleator.mechanics._loops_and_loads import (
     BodyLoad,
@@ -59,7 +60,8 @@ class Multibody(AbstractMechanical):
     External forces, such as wind and contact, are given by `body_loads(q, v)`, as a tuple of `al.BodyLoad`, or by
     `load(q, v)`, as a generalised force; the two add up.
 
-    Loops are closed by `closures()`, a tuple of `al.joints.Closure`: joints between bodies of the tree.
+    Loops are closed by `closures()`, a tuple of `al.joints.Closure`: joints between bodies of the tree. Constraints of
+    your own, `constraint_names` and `constraint(q)`, are added to them.
 
     Any number in a field may be a distribution, a decision or a signal, but the set of bodies and joints is fixed.
     Masses and inertias may vary with time, as in `al.Mechanical`: mass leaves a body at the body's velocity. The places
@@ -77,7 +79,7 @@ class Multibody(AbstractMechanical):
     def bodies(self) -> Sequence[Body]:
         """The bodies, as functions of the numbers in the fields."""
 
-    def closures(self) -> Sequence[Closure]:
+    def closures(self) -> Sequence[Closure | Coupling]:
         """The joints that close loops, from the numbers in the fields; none by default."""
         return ()
 
@@ -111,30 +113,32 @@ class Multibody(AbstractMechanical):
                 for force in ("torque", "reaction"):
                     units[f"{speed.removesuffix('_rate')}_{force}"] = "N" if unit == "m/s" else "N·m"
         for closure in self._loops():
-            units |= {f"{name}_multiplier": unit for name, unit in zip(closure.names, closure.units, strict=True)}
+            units |= {f"{name}_multiplier": unit for name, unit in zip(closure.names, closure.units, strict=False)}
         return units
 
     @property
     @override
-    def constraints(self) -> tuple[str, ...]:
+    def closure_names(self) -> tuple[str, ...]:
         return tuple(name for closure in self._loops() for name in closure.names)
 
     @override
-    def constraint(self, q: Float[Array, " coordinates"]) -> Float[Array, " constraints"]:
-        """What is left of the equations of the closures, in their order."""
-        return residuals(type(self).__name__, self._closures(), self.poses(q))
+    def closure_equations(self, q: Float[Array, " coordinates"]) -> Float[Array, " equations"]:
+        joints, couplings = parted(self._closures())
+        left = residuals(type(self).__name__, joints, self.poses(q)) if joints else jnp.zeros(0)
+        return jnp.concatenate([left, self._apart(couplings, q)]) if couplings else left
+
+    def _apart(self, couplings: Sequence[Coupling], q: Float[Array, " coordinates"]) -> Float[Array, " couplings"]:
+        """What is left of the equations of couplings."""
+        at = dict(zip(self.coordinates, q, strict=True))
+        return jnp.stack([coupling.residual(at) for coupling in couplings])
 
     @override
-    def constraint_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
-        if type(self).constraint is not Multibody.constraint:
-            return super().constraint_jacobian(q)
-        return self._closure_jacobian(q)
-
-    def _closure_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
-        """How the equations of the closures change with the speeds."""
-        tree = self._tree()
+    def closure_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "equations speeds"]:
+        tree, (joints, couplings) = self._tree(), parted(self._closures())
         poses = _poses(tree, q)
-        rows = [closure.jacobian(tree, q, poses) for closure in self._closures()]
+        rows = [closure.jacobian(tree, q, poses) for closure in joints]
+        if couplings:
+            rows.append(jax.jacfwd(lambda at: self._apart(couplings, at))(q) @ self.velocity_map(q))
         return jnp.concatenate([jnp.zeros((0, tree.speeds)), *rows])
 
     def mass_matrix(self, q: Float[Numbers, " coordinates"]) -> Float[Array, "speeds speeds"]:
@@ -282,14 +286,14 @@ class Multibody(AbstractMechanical):
             raise ProblemError(f"{type(self).__name__}.bodies returns a tuple of al.Body; received {given!r}.")
         return given
 
-    def _closures(self) -> Sequence[Closure]:
+    def _closures(self) -> Sequence[Closure | Coupling]:
         return checked_closures(type(self).__name__, evaluated(self, "closures"))
 
     def _joints(self) -> list[tuple[str, AbstractJoint]]:
         """The moving bodies with the structure of their joints; also before distributions are realised."""
         return _joints_of(self)
 
-    def _loops(self) -> Sequence[Closure]:
+    def _loops(self) -> Sequence[Closure | Coupling]:
         """The closures, of which only the structure counts; also before distributions are realised."""
         return () if type(self).closures is Multibody.closures else _closures_of(self)
 
@@ -327,9 +331,18 @@ def _joints_of(model: Multibody) -> list[tuple[str, AbstractJoint]]:
 
 
 @once_for_each
-def _closures_of(model: Multibody) -> list[Closure]:
-    """The closures of a model; cached too."""
-    return [without_numbers(closure) for closure in with_numbers(model)._closures()]
+def _closures_of(model: Multibody) -> list[Closure | Coupling]:
+    """The closures of a model; cached too. Raises `ProblemError` where those of a base class are lost."""
+    model, who = with_numbers(model), type(model).__name__
+    joints, couplings = parted(model._closures())
+    names = {one.name for one in (*joints, *couplings)}
+    for base in type(model).__mro__[1:]:
+        own = "closures" in vars(base) and base is not Multibody and "closures" not in timed_methods(base)
+        if lost := sorted({one.name for one in vars(base)["closures"](model)} - names) if own else []:
+            raise ProblemError(
+                f"{who}.closures leaves out {lost} of {base.__name__}: return (*super().closures(), ...)."
+            )
+    return [without_numbers(one) for one in (*joints, *couplings)]
 
 
 def _poses(tree: Tree, q: Array) -> dict[str, Pose]:
