@@ -251,22 +251,23 @@ def start_diagnosis(model: AbstractMechanical, seen: Examination, stated: Stated
         )
     if _rank(jacobian) < len(jacobian):
         return _dependence(model, linearised, q, jacobian)
-    if _rank(slope[:, loose.coordinates]) < len(slope):
-        return (
-            f"{what}: at {posture_text(model, q)} its constraints do not determine how "
-            f"{_named([model.coordinates[i] for i in loose.coordinates])} follow the rest (a dead centre). Keep or "
-            f"prescribe another coordinate, or begin beside this posture. {_ELSEWHERE}"
-        )
-    if _rank(jacobian[:, loose.speeds]) < len(jacobian):
+    follows = _rank(slope[:, loose.coordinates]) == len(slope)
+    if follows and _rank(jacobian[:, loose.speeds]) < len(jacobian):
         named = [model.speeds[i] for i in stated.named.speeds]
         return (
             f"{what}: at {posture_text(model, q)} its constraints leave some of the rates "
             f"{_named([model.speeds[i] for i in loose.speeds])} open. Name them in start="
             + (f", in the place of {_named(named)}." if named else ", or prescribe others.")
         )
+    if follows and set(stated.named.speeds) & set(loose.speeds):
+        return (
+            f"{what}: the start names all velocities, and contradicts its constraints at {posture_text(model, q)}. "
+            "Leave some of them out."
+        )
     return (
-        f"{what}: the start names velocities that contradict its constraints at {posture_text(model, q)}. Leave some "
-        "of them out."
+        f"{what}: at {posture_text(model, q)} its constraints do not determine how "
+        f"{_named([model.coordinates[i] for i in loose.coordinates])} follow the rest (a dead centre). Keep or "
+        f"prescribe another coordinate, or begin beside this posture. {_ELSEWHERE}"
     )
 
 

@@ -1,9 +1,7 @@
 """`AbstractMechanical`: the interface of mechanical systems to their dynamics; their kinematics, and their `Motion`."""
 
 import abc
-import inspect
 from collections.abc import Collection, Mapping, Sequence
-from difflib import get_close_matches
 from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
@@ -17,12 +15,10 @@ from aleator._core.border import traceable
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, Printed
 from aleator.dynamics import called
-from aleator.mechanics._instant import ARGUMENTS, along_time, at, call_of, course, is_timed, timed_methods
+from aleator.mechanics._declared import NAMED, call_of, refuse_lost_names, timed_methods
+from aleator.mechanics._instant import along_time, at, course, is_timed
 from aleator.mechanics._matrices import solve_any, solve_positive
 from aleator.mechanics._spatial import Numbers
-
-# The attributes of a class that name coordinates, velocities, torques and constraints.
-_NAMED = ("names", "velocity_names", "actuator_names", "constraint_names")
 
 
 class Motion(NamedTuple):
@@ -86,7 +82,7 @@ class AbstractMechanical(Module, Printed):
                 f"{type(self).__name__}: expected constraint_names and constraint(q) together, one name for each "
                 f"equation; received {'no constraint(q)' if declared else 'no constraint_names'}."
             )
-        for field in _NAMED:
+        for field in NAMED:
             if isinstance(given := getattr(self, field, None), str):
                 raise ProblemError(
                     f"{type(self).__name__}.{field}: expected names in a tuple; received the text {given!r}. A single "
@@ -268,42 +264,6 @@ class AbstractMechanical(Module, Printed):
         """Further quantities of interest by name: positions, distances. `motion` has `q`, `v`, `torque` and more."""
         del motion
         return {}
-
-
-def refuse_lost_names(kind: type[AbstractMechanical]) -> None:
-    """Raise `ProblemError` for names that look like those that a class knows, and for constraints of a base that go.
-
-    An attribute of texts that is called much like one of names, and a method that is called much like one that has the
-    same number of arguments, would do nothing.
-    """
-    who, bases, fields = kind.__name__, kind.__mro__[1:], vars(kind).get("__annotations__", {})
-    public = {name: value for name, value in vars(kind).items() if not name.startswith("_")}
-    for name, value in public.items():
-        texts = isinstance(value, tuple | list) and value and all(isinstance(one, str) for one in value)
-        close: Sequence[str] = ()
-        if name == "constraints" and texts:
-            close = ("constraint_names",)
-        elif name in (*_NAMED, *ARGUMENTS, *fields) or any(hasattr(base, name) for base in bases):
-            continue
-        elif texts:
-            close = get_close_matches(name, [one for one in _NAMED if hasattr(kind, one)], n=1)
-        elif inspect.isfunction(value):
-            count = len(inspect.signature(value).parameters) - 1
-            known = [one for one, given in ARGUMENTS.items() if hasattr(kind, one) and count - len(given) in (0, 1)]
-            close = get_close_matches(name, known, n=1, cutoff=0.85)
-        if close:
-            raise ProblemError(
-                f"{who}.{name} has no effect: did you mean {close[0]}? Rename it, even if it is your own."
-            )
-    declared = kind.constraint_names
-    for base in bases:
-        names = vars(base).get("constraint_names", ())
-        known = isinstance(names, tuple | list) and isinstance(declared, tuple | list)
-        if lost := [name for name in names if name not in declared] if known else []:
-            raise ProblemError(
-                f"{who}.constraint_names leaves out {lost} of {base.__name__}. Name them too, and return their "
-                "equations as well: (*super().constraint(q), ...)."
-            )
 
 
 def mass_of(model: AbstractMechanical, q: Float[Numbers, " coordinates"]) -> Float[Array, "speeds speeds"]:
