@@ -1,46 +1,17 @@
 """The arguments of dynamics: motions and torques, by name or as one trajectory, a start and a guess."""
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, final
+from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from typing_extensions import override
 
 from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import realised_shape, stored_numbers
+from aleator.mechanics._instant import Columns
 from aleator.mechanics._mechanical import AbstractMechanical
 from aleator.trajectories import AbstractSignal, AbstractTrajectory, PowerSeries, Stack
-
-
-@final
-class Columns(AbstractSignal):
-    """Scalar signals side by side."""
-
-    parts: tuple[AbstractSignal, ...]
-
-    @override
-    def __call__(self, t: Float[Array, ""]) -> Float[Array, " parts"]:
-        return jnp.stack([part(t) for part in self.parts])
-
-    @override
-    def over(self, t_start: Any, t_final: Any) -> "Columns":
-        return Columns(tuple(part.over(t_start, t_final) for part in self.parts))
-
-    @override
-    def sampled(
-        self, fractions: Float[np.ndarray | Array, " n"], t_start: Any, t_final: Any
-    ) -> Float[Array, "n parts"]:
-        xp, parts = in_library([part.sampled(fractions, t_start, t_final) for part in self.parts])
-        return jax_array(xp.stack(parts, axis=-1))
-
-    @override
-    def span(self) -> tuple[float, float]:
-        first, last = zip(*(part.span() for part in self.parts), strict=True)
-        return max(first), min(last)
-
 
 Signals = AbstractSignal | dict[str, AbstractSignal]
 """Signals as given: one for all names, or one for each name, after which its decisions are named."""

@@ -32,8 +32,6 @@ _ABSURD = 1e4
 # A quaternion shorter than this has no meaningful direction.
 _VANISHING = 1e-3
 
-_MOST_STEPS = 50
-
 _ELSEWHERE = "Coordinates near a posture that it can take, from which its start is found, are given by guess=."
 
 
@@ -250,7 +248,7 @@ def start_diagnosis(model: AbstractMechanical, seen: Examination, stated: Stated
             f"which are left with {_listed(model.constraints, linearised(near)[0])}. {_ELSEWHERE}"
         )
     if _rank(jacobian) < len(jacobian):
-        return _dependence(model, linearised, q, jacobian)
+        return _dependence(model, q, jacobian)
     follows = _rank(slope[:, loose.coordinates]) == len(slope)
     if follows and _rank(jacobian[:, loose.speeds]) < len(jacobian):
         named = [model.speeds[i] for i in stated.named.speeds]
@@ -294,28 +292,17 @@ def lost_rank(times: np.ndarray, matrices: Float[np.ndarray, "instants m n"]) ->
     return f"between t = {times[first]:.4g} s and t = {times[first + 1]:.4g} s", first
 
 
-def _dependence(model: AbstractMechanical, linearised: Linearised, q: np.ndarray, jacobian: np.ndarray) -> str:
+def _dependence(model: AbstractMechanical, q: np.ndarray, jacobian: np.ndarray) -> str:
     """Constraints that depend on one another: wherever the system is, or in one posture alone."""
-    what, rank, names = type(model).__name__, _rank(jacobian), _dependent(model, jacobian)
-    everything = np.arange(len(model.coordinates))
-    # A posture apart, in which no angle happens to be zero.
-    apart, left, slope, elsewhere = _brought_near(linearised, q + np.linspace(0.02, 0.05, len(q)), everything)
-    reached = (np.abs(left) <= _LEFT * np.abs(slope).max(axis=1) * (1 + np.abs(apart).max())).all()
-    if reached and _rank(elsewhere) == len(jacobian):
-        return (
-            f"{what}: its {len(jacobian)} constraints have only rank {rank} at {posture_text(model, q)}, where "
-            f"{_dependent_text(names)} (a singular posture, in which it may go on in several ways). Begin "
-            f"beside it, or choose lengths that keep away from it. {_ELSEWHERE}"
-        )
+    rank, names = _rank(jacobian), _dependent(model, jacobian)
+    depend = "binds nothing" if len(names) == 1 else "depend on one another"
     return (
-        f"{what}: redundant constraints: expected {len(jacobian)} that are independent; their rank is {rank}, for "
-        f"{_dependent_text(names)}. Leave out {len(jacobian) - rank} of these; a loop of hinges in one "
-        "plane is closed by al.joints.Closure(..., planar=True)."
+        f"{type(model).__name__}: redundant constraints: expected {len(jacobian)} that are independent; their rank is "
+        f"{rank} at {posture_text(model, q)}, for {_named(names)} {depend}. Leave out {len(jacobian) - rank} of these "
+        "if they do so everywhere; a loop of hinges in one plane is closed by al.joints.Closure(..., planar=True). If "
+        "it is this posture alone, in which the motion may go on in several ways, begin beside it, or choose lengths "
+        f"that keep away from it. {_ELSEWHERE}"
     )
-
-
-def _dependent_text(names: list[str]) -> str:
-    return f"{_named(names)} binds nothing" if len(names) == 1 else f"{_named(names)} depend on one another"
 
 
 def _dependent(model: AbstractMechanical, jacobian: np.ndarray) -> list[str]:
@@ -341,31 +328,24 @@ def _scaled(matrix: np.ndarray) -> np.ndarray:
 
 
 def _brought_near(linearised: Linearised, q: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, ...]:
-    """A posture that obeys the constraints as nearly as Gauss and Newton bring it, what is left, slope and Jacobian.
+    """A posture that obeys the constraints as nearly as some coordinates bring it, what is left, slope and Jacobian.
 
-    On the host, and by least squares, so that dependent constraints are told from contradictory ones.
+    By least squares, so that dependent constraints are told from contradictory ones.
     """
+    from scipy.optimize import least_squares
 
-    def finite(at: np.ndarray) -> tuple[np.ndarray, ...]:
-        return tuple(map(np.nan_to_num, linearised(at)))
+    def moved(at: np.ndarray) -> np.ndarray:
+        posture = q.copy()
+        posture[moving] = at
+        return posture
 
-    left, slope, jacobian = finite(q)
-    for _ in range(_MOST_STEPS):
-        step = np.linalg.lstsq(slope[:, moving], left, rcond=_SINGULAR)[0]
-        damping, moved, following = 1.0, q, (left, slope, jacobian)
-        while damping > 1e-3:
-            moved = q.copy()
-            moved[moving] -= damping * step
-            following = finite(moved)
-            if np.linalg.norm(following[0]) < np.linalg.norm(left):
-                break
-            damping /= 2
-        else:
-            break
-        q, (left, slope, jacobian) = moved, following
-        if np.abs(step).max(initial=0.0) <= 1e-14 * (1 + np.abs(q).max(initial=0.0)):
-            break
-    return q, left, slope, jacobian
+    found = least_squares(
+        lambda at: np.nan_to_num(linearised(moved(at))[0]),
+        q[moving],
+        lambda at: np.nan_to_num(linearised(moved(at))[1][:, moving]),  # type: ignore[arg-type]
+        **dict.fromkeys(("ftol", "xtol", "gtol"), 1e-15),
+    )
+    return moved(found.x), *map(np.nan_to_num, linearised(moved(found.x)))
 
 
 def _linearised(model: AbstractMechanical) -> Linearised:

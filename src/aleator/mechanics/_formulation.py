@@ -37,7 +37,7 @@ from aleator.mechanics._constraints import Stated, consistent_start
 from aleator.mechanics._diagnosis import Examination, Posture, diagnosis, known_arrays
 from aleator.mechanics._instant import at, course, instants_of, is_timed, linearised
 from aleator.mechanics._matrices import taken
-from aleator.mechanics._mechanical import AbstractMechanical, follow, jacobian_of, mass_of, rate_map
+from aleator.mechanics._mechanical import AbstractMechanical, jacobian_of, mass_of, rate_map
 from aleator.mechanics._outputs import outputs_of
 from aleator.mechanics._partial import (
     Partition,
@@ -45,8 +45,8 @@ from aleator.mechanics._partial import (
     Solved,
     columns,
     effect_of_torques,
+    follow,
     motion_error,
-    prescribed_velocities,
     solved,
 )
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
@@ -255,8 +255,8 @@ class AbstractFormulation(System):
     def _near(self, model: AbstractMechanical, given: Prescribed) -> tuple[Array, Array]:
         """Coordinates and velocities at the start, those that are not prescribed as they are given."""
         v_u = self._speeds_near()
-        q, _, v_a, _ = prescribed_velocities(model, self.parts, given, self._others_near(), v_u)
-        return q, self.parts.joined(v_a, v_u)
+        start = follow(model, self.parts, given, self._others_near(), v_u)
+        return start.q, self.parts.joined(start.v, v_u)
 
     def _stated(self) -> Stated:
         return Stated.by(self.model, self.start, self.parts.loose)
@@ -355,7 +355,8 @@ def _examined(system: AbstractFormulation, grid: Grid, code: str) -> Examination
             curves = (path, system.path(grid, 1), system.path(grid, 2))
 
             def missed(model: AbstractMechanical, *curve: Array) -> Any:
-                motion = follow(model, *curve)
+                none = jnp.zeros(0)
+                motion = follow(model, parts, Prescribed(*curve, none), none, none)  # type: ignore[call-arg]
                 return motion_error(model, parts, motion.q, motion.q_dot, motion.v)
 
             history["motion_error"], follows = now.each(missed, *curves)

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import in_library
+from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.dynamics import Grid
@@ -41,31 +41,29 @@ class When(Module):
 
 
 @final
-class Course(AbstractSignal):
-    """The signals in a model's fields side by side, as rows of numbers: values, then derivatives."""
+class Columns(AbstractSignal):
+    """The numbers of signals side by side."""
 
-    parts: tuple[tuple[AbstractSignal, ...], ...]
-
-    @override
-    def __call__(self, t: Float[Array, ""]) -> Float[Array, "orders numbers"]:
-        return jnp.stack([jnp.concatenate([jnp.ravel(part(t)) for part in order]) for order in self.parts])
+    parts: tuple[AbstractSignal, ...]
 
     @override
-    def over(self, t_start: Any, t_final: Any) -> "Course":
-        return Course(tuple(tuple(part.over(t_start, t_final) for part in order) for order in self.parts))
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, " numbers"]:
+        return jnp.concatenate([jnp.ravel(part(t)) for part in self.parts])
+
+    @override
+    def over(self, t_start: Any, t_final: Any) -> "Columns":
+        return Columns(tuple(part.over(t_start, t_final) for part in self.parts))
 
     @override
     def sampled(
         self, fractions: Float[np.ndarray | Array, " n"], t_start: Any, t_final: Any
-    ) -> Float[Array, "n orders numbers"]:
-        def rows(part: AbstractSignal) -> Array:
-            return part.sampled(fractions, t_start, t_final).reshape(len(fractions), -1)
-
-        return jnp.stack([jnp.concatenate([rows(part) for part in order], axis=1) for order in self.parts], axis=1)
+    ) -> Float[Array, "n numbers"]:
+        xp, parts = in_library([part.sampled(fractions, t_start, t_final) for part in self.parts])
+        return jax_array(xp.concatenate([part.reshape(len(fractions), -1) for part in parts], axis=1))
 
     @override
     def span(self) -> tuple[float, float]:
-        first, last = zip(*(part.span() for part in self.parts[0]), strict=True)
+        first, last = zip(*(part.span() for part in self.parts), strict=True)
         return max(first), min(last)
 
 
@@ -104,7 +102,7 @@ def course(model: Any, torque_rates: bool = False) -> dict[str, AbstractSignal]:
                 for part, before in zip(parts, rows[-1], strict=True)
             )
         )
-    return {"parameters": Course(tuple(rows))}
+    return {"parameters": Columns(tuple(part for row in rows for part in row))}
 
 
 def is_timed(model: eqx.Module) -> bool:
@@ -123,7 +121,7 @@ def at(model: Model, t: Any, parameters: Any) -> Model:
         )
     if not is_timed(model):
         return model
-    rows = [()] if parameters is None else [_split(row, [leaves[i] for i in places]) for row in parameters]
+    rows = [()] if parameters is None else _split(parameters, [leaves[i] for i in places])
     for place, value in zip(places, rows[0], strict=True):
         leaves[place] = value
     return _remembering(jax.tree.unflatten(structure, leaves), When(t, tuple(rows[1:]), places))
@@ -164,7 +162,7 @@ class Instants(NamedTuple):
 
     model: Any
     times: Float[Array, " n"]
-    parameters: Float[Array, "n orders numbers"] | None
+    parameters: Float[Array, "n numbers"] | None
 
     def row(self, i: int) -> tuple[Any, Any]:
         """The time of one instant, and the numbers there of the signals in the model's fields."""
@@ -192,12 +190,15 @@ def _leaves(model: eqx.Module) -> list[Any]:
     return jax.tree.leaves(model, is_leaf=_is_signal)
 
 
-def _split(row: Any, signals: Sequence[AbstractSignal]) -> tuple[Any, ...]:
-    """The numbers of several signals in the shapes of their values."""
+def _split(numbers: Any, signals: Sequence[AbstractSignal]) -> list[tuple[Any, ...]]:
+    """The numbers of several signals in the shapes of their values; then those of their derivatives."""
     shapes = [jax.eval_shape(signal, jax.ShapeDtypeStruct((), float)).shape for signal in signals]
-    xp, row = in_library(row)
+    xp, numbers = in_library(numbers)
     ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
-    return tuple(part.reshape(shape) for part, shape in zip(xp.split(row, ends[:-1]), shapes, strict=True))
+    return [
+        tuple(part.reshape(shape) for part, shape in zip(xp.split(row, ends[:-1]), shapes, strict=True))
+        for row in numbers.reshape(-1, ends[-1])
+    ]
 
 
 def _taylor(orders: Sequence[Array], s: Any) -> Array:

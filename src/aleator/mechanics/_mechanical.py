@@ -17,7 +17,7 @@ from aleator._core.leaves import Module, Printed
 from aleator.dynamics import called
 from aleator.mechanics._declared import NAMED, call_of, refuse_lost_names, timed_methods
 from aleator.mechanics._instant import along_time, at, course, is_timed
-from aleator.mechanics._matrices import solve_any, solve_positive
+from aleator.mechanics._matrices import solve_positive
 from aleator.mechanics._spatial import Numbers
 
 
@@ -346,16 +346,6 @@ def evaluated(model: AbstractMechanical, name: str, *arguments: Any) -> Any:
     return called(model, getattr(model, name), *arguments, **time)
 
 
-class Followed(NamedTuple):
-    """A prescribed motion at one instant: coordinates, velocities and their rates."""
-
-    q: Float[Array, " coordinates"]
-    q_dot: Float[Array, " coordinates"]
-    q_ddot: Float[Array, " coordinates"]
-    v: Float[Array, " speeds"]
-    v_dot: Float[Array, " speeds"]
-
-
 def rates(model: AbstractMechanical, q: Array, v: Array) -> Float[Array, " coordinates"]:
     """`q̇ = H(q) v`, equation (4)."""
     return v if model.moves_directly else rate_map(model, q) @ v
@@ -366,17 +356,6 @@ def accelerations(model: AbstractMechanical, q: Array, v: Array, v_dot: Array) -
     if model.moves_directly:
         return v_dot
     return along_time(rates, model, (q, v), (rates(model, q, v), v_dot))[1]
-
-
-def follow(model: AbstractMechanical, position: Array, velocity: Array, acceleration: Array) -> Followed:
-    """The motion prescribed by a curve of coordinates, equations (66) and (67)."""
-    q, q_dot, q_ddot = on_manifold(model, position, velocity, acceleration)
-    if model.moves_directly:
-        return Followed(q, q_dot, q_ddot, q_dot, q_ddot)
-    H = rate_map(model, q)
-    v = solve_any(H, q_dot)
-    change = along_time(lambda now, at: rate_map(now, at) @ v, model, (q,), (q_dot,))[1]
-    return Followed(q, q_dot, q_ddot, v, solve_any(H, q_ddot - change))
 
 
 def on_manifold(model: AbstractMechanical, position: Array, velocity: Array, acceleration: Array) -> Any:

@@ -17,7 +17,6 @@ from aleator.mechanics._mechanical import (
     actuation_map,
     bias_of,
     driven,
-    follow,
     jacobian_of,
     load_on,
     mass_of,
@@ -124,7 +123,7 @@ def solved(model: AbstractMechanical, parts: Partition, given: Prescribed, q_u: 
     if model.constraints or (parts.driven and (parts.undriven or parts.known)):
         return _partly_prescribed(model, parts, given, q_u, v_u)
     if parts.driven:
-        path = follow(model, *given[:3])
+        path = follow(model, parts, given, q_u, v_u)
         force = required_force(model, path.q, path.v, path.v_dot)
         torque = force if model.acts_directly else solve_any(actuation_map(model, path.q), force)
         motion = Solved(path.q, path.q_dot, path.v, path.v_dot, torque, path.q_ddot)
@@ -157,7 +156,7 @@ def _partly_prescribed(
         integrated = parts.merged(given.position, q_u)
         q, valid, drift = put_back(model, integrated, parts.loose)
         q_u = taken(q, parts.others)
-    q, rate, v_a, v_dot_a = prescribed_velocities(model, parts, given, q_u, v_u)
+    q, rate, _, v_a, v_dot_a = follow(model, parts, given, q_u, v_u)
     M, bound = mass_of(model, q), Bound(model, q)
     G_a, G_u = (columns(bound.G, some) for some in (a, u))
     saddle = Saddle(block(M, u, u), G_u)
@@ -227,22 +226,30 @@ def effect_of_torques(
     return block(B, a, free) - product(block(M, a, u), moved) - product(G_a.T, borne)
 
 
-def prescribed_velocities(
-    model: AbstractMechanical, parts: Partition, given: Prescribed, q_u: Array, v_u: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Equations (66) and (67) for the prescribed coordinates alone, whose rates no other velocity enters.
+class Followed(NamedTuple):
+    """A prescribed motion at one instant: all coordinates, their prescribed rates, and the velocities that they drive.
 
-    The coordinates, their rates as they are prescribed, and the velocities and accelerations of what is prescribed.
+    `q_dot` and `q_ddot` are of the prescribed coordinates alone where they are the velocities, and of all elsewhere.
     """
+
+    q: Float[Array, " coordinates"]
+    q_dot: Array
+    q_ddot: Array
+    v: Float[Array, " driven"]
+    v_dot: Float[Array, " driven"]
+
+
+def follow(model: AbstractMechanical, parts: Partition, given: Prescribed, q_u: Array, v_u: Array) -> Followed:
+    """Equations (66) and (67) for the prescribed coordinates, whose rates no other velocity enters."""
     q, still, a = parts.merged(given.position, q_u), jnp.zeros_like(q_u), parts.prescribed
     if model.moves_directly or not a:
-        return q, q, given.velocity, given.acceleration
+        return Followed(q, given.velocity, given.acceleration, given.velocity, given.acceleration)
 
     def own(now: AbstractMechanical, where: Array) -> Array:
-        return block(rate_map(now, where), a, parts.driven)
+        return columns(taken(rate_map(now, where), a), parts.driven)
 
     q, rate, acceleration = on_manifold(model, q, *(parts.merged(one, still) for one in given[1:3]))
     v_a = solve_any(own(model, q), taken(rate, a))
-    q_dot = rates(model, q, parts.joined(v_a, v_u))
+    q_dot = rates(model, q, parts.joined(v_a, v_u)) if parts.undriven else rate
     change = along_time(lambda *now: own(*now) @ v_a, model, (q,), (q_dot,))[1]
-    return q, rate, v_a, solve_any(own(model, q), taken(acceleration, a) - change)
+    return Followed(q, rate, acceleration, v_a, solve_any(own(model, q), taken(acceleration, a) - change))
