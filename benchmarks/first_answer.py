@@ -100,7 +100,7 @@ for _ in range(2):
 print(taken[0] - taken[1])
 """
 
-INTEGRATORS = ("RungeKutta4", "Tsit5")
+INTEGRATORS = ("RungeKutta4", "Tsit5", "Kvaerno5")
 SIMULATED = """
 import time
 import aleator as al

@@ -79,7 +79,7 @@ import sys, aleator as al, jax.numpy as jnp
 print(jnp.ones(2).dtype)
 first = [name for name in sys.modules if name.startswith("aleator.") and not name.startswith("aleator._core")]
 al.Problem, al.solve, al.validate, al.Uniform, al.Multibody
-print(first, [name for name in {[*late, "diffrax", "fmpy"]} if name in sys.modules])
+print(first, [name for name in {[*late, "scipy.linalg", "fmpy"]} if name in sys.modules])
 al.Probelm
 """
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)

@@ -173,6 +173,7 @@ PARTICULAR: dict[str, dict[str, Any]] = {
     "tolerance_analysis": {"upper": 9.0, "output": lambda at: at["a"] * at["b"]},
     "validate_all": {"designs": solutions},
     "joints.Closure": {"child": "leg"},
+    "joints.Coupling": {"follower": "hand", "leader": "arm"},
     "shapes.Capsule": {"start": np.zeros(3)},
     "trade_off": {"problem": bar_problem},
 }

@@ -3,6 +3,7 @@
 from aleator.mechanics import AbstractJoint as AbstractJoint
 from aleator.mechanics import Ball as Ball
 from aleator.mechanics import Closure as Closure
+from aleator.mechanics import Coupling as Coupling
 from aleator.mechanics import Fixed as Fixed
 from aleator.mechanics import Free as Free
 from aleator.mechanics import Prismatic as Prismatic

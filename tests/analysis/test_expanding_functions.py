@@ -1,5 +1,7 @@
 """`al.expand` against closed forms, quadrature, chaospy and finite differences."""
 
+import types
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +25,26 @@ def test_the_uncertain_decay_has_its_published_moments():
     expanded = al.expand(decay, DECAY, al.Expansion(order=10))
     assert float(expanded.mean) == pytest.approx(DECAY_MEAN, abs=1e-8)
     assert float(expanded.variance) == pytest.approx(DECAY_VARIANCE, abs=1e-8)
+
+
+SETTINGS = types.ModuleType("settings")
+SETTINGS.scale = 1.0  # type: ignore[attr-defined]
+SETTINGS.inner = types.ModuleType("settings.inner")  # type: ignore[attr-defined]
+SETTINGS.inner.outer, SETTINGS.inner.shift = SETTINGS, 0.0  # type: ignore[attr-defined]
+
+
+def test_attributes_of_modules_that_a_function_names_are_part_of_its_code(monkeypatch):
+    def scaled(model):
+        return SETTINGS.scale * model["u"] + SETTINGS.inner.outer.inner.shift
+
+    def mean():
+        return float(al.expand(scaled, DECAY).mean)
+
+    assert mean() == pytest.approx(1.5)
+    monkeypatch.setattr(SETTINGS, "scale", 3.0)
+    assert mean() == pytest.approx(4.5)
+    monkeypatch.setattr(SETTINGS.inner, "shift", 1.0)
+    assert mean() == pytest.approx(5.5)
 
 
 def test_the_outputs_keep_their_structure_in_every_statistic():

@@ -109,3 +109,17 @@ def test_every_moment_and_index_is_differentiable_through_the_distributions():
     value, slope = compiled(values), compiled(jax.jacrev(values))
     expected = (np.asarray(value(0.1 + 1e-6)) - np.asarray(value(0.1 - 1e-6))) / 2e-6
     assert np.asarray(slope(0.1)) == pytest.approx(expected, rel=1e-6)
+
+
+def test_shapes_that_change_with_every_point_are_warned_of_and_others_are_not(recwarn):
+    gamma = al.expand(lambda model: jnp.exp(-model["x"]), {"x": al.Gamma(shape=0.6, scale=2.0)}, al.Expansion(8))
+    # SciPy's kurtosis, of a million quantiles, is 1.58.
+    assert gamma.leave_one_out < 0.05
+    assert not recwarn
+    with pytest.warns(al.ExpansionWarning, match=r"Kurt\[output\] of the expansion is 2.*by the jackknife"):
+        assert float(gamma.kurtosis) > 1e5
+    normal = al.expand(lambda model: jnp.exp(0.5 * model["x"]), {"x": al.Normal(0.0, 1.0)}, al.Expansion(6))
+    skewness, kurtosis = stats.lognorm(0.5).stats("sk")
+    assert float(normal.skewness) == pytest.approx(skewness, rel=1e-3)
+    assert float(normal.kurtosis) == pytest.approx(3 + kurtosis, rel=1e-3)
+    assert not recwarn

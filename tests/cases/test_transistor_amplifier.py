@@ -27,8 +27,7 @@ class Amplifier(al.System):
         return {"c1": 3.0, "c2": 3.0, "c3": -3.0, "c4": 3.0, "c5": -6.0}
 
     def algebraic_guess(self, t, z):
-        # No voltage across the second base: Newton's method takes a step for each 26 mV too many there.
-        return {"y4": z.c4 - z.c3, "y7": SUPPLY}
+        return {"y4": SUPPLY, "y7": SUPPLY}
 
     def voltages(self, z):
         return (z.y1, z.y1 + z.c1, z.c2, z.y4, z.y4 + z.c3, z.c4, z.y7, z.y7 + z.c5)
@@ -60,8 +59,7 @@ class Amplifier(al.System):
         return {f"y{node}": voltage for node, voltage in enumerate(self.voltages(z), start=1)}
 
 
-@pytest.mark.slow
 def test_the_amplifier_ends_as_published():
     found = al.simulate(Amplifier(), al.Grid(0.2, 1000), integrator=al.integrators.Kvaerno5())
     assert {name: found[name][150] for name in EARLY} == pytest.approx(EARLY, rel=1e-5)
-    assert [found[f"y{node}"][-1] for node in range(1, 9)] == pytest.approx(END, rel=1e-5)
+    assert [found[f"y{node}"][-1] for node in range(1, 9)] == pytest.approx(END, rel=1e-6)

@@ -1,11 +1,13 @@
 """Limits on quantiles, probabilities and means beyond quantiles, against closed forms: the optimum, or not ok."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
 
 import aleator as al
+from aleator.studies.suspension import RIDE, nominal, road
 
 U = stats.norm.ppf
 # Responses of two normal numbers, with the quantile of each at a level.
@@ -85,3 +87,22 @@ def test_probabilities_and_means_beyond_quantiles_are_confirmed_too(limit, order
     solution = largest("exponential", limit, order)
     assert solution.ok
     assert float(solution.decisions["d"]) == pytest.approx(exact, rel=1e-2)
+
+
+@pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning", "ignore::aleator.GridWarning")
+def test_a_limit_on_a_path_with_a_probability_is_active_and_held_by_systems_drawn_at_random():
+    """The suspension with fewer steps: 0.9 of all cars keep the limit at each instant, at the worst one no more."""
+    grid = al.Grid(2.8, 280)
+    limit = al.path("travel").within(-0.22, 0.22, probability=0.9)
+    options = {"minimize": RIDE.mean, "subject_to": [limit], "expansion": al.Expansion(order=2)}
+    optimum = al.solve(al.Problem(nominal(), grid=grid, inputs={"road": road()}, **options), throw=False)
+    assert optimum.certificate.violation < 1e-6
+    stiffness, damping = (float(optimum.decisions[name]) for name in ("k_s.mean", "b_s.mean"))
+    chosen = al.Uniform(stiffness, half_width=3750.0), al.Uniform(damping, half_width=250.0)
+    car = eqx.tree_at(lambda car: (car.k_s, car.b_s), nominal(), chosen)
+    travel = al.references.monte_carlo(
+        lambda car: al.simulate(car, grid, inputs={"road": road()})["travel"], car, 4000
+    ).values
+    assert max(np.mean(travel > 0.22, axis=0).max(), np.mean(travel < -0.22, axis=0).max()) == pytest.approx(
+        0.1, abs=0.02
+    )

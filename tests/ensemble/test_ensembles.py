@@ -13,10 +13,12 @@ from aleator._core.compilation import Compiled
 from aleator.ensemble import (
     CalledEnsemble,
     TracedEnsemble,
+    announced,
     at_levels,
     draw,
     few_at_once,
     in_batches,
+    parts,
     random_levels,
     uncertain_places,
 )
@@ -42,7 +44,7 @@ def ensemble(kind, function=outputs, model=MODEL):
 @KINDS
 @pytest.mark.parametrize("size", [5, 13, 100])
 def test_outputs_are_those_of_the_realisations_whatever_the_batches(kind, size):
-    found = list(ensemble(kind).in_batches(LEVELS, size))
+    found = list(ensemble(kind).in_parts(parts(LEVELS, size), size))
     np.testing.assert_array_equal(np.concatenate([part.points for part, _ in found]), LEVELS)
     assert [part.first for part, _ in found] == list(range(0, 13, size))
     for name, exact in EXACT.items():
@@ -54,6 +56,43 @@ def test_all_points_at_once_are_germ_points(kind):
     found = ensemble(kind)(jnp.asarray(at_levels(placements(MODEL).germs.values(), LEVELS)))
     for name, exact in EXACT.items():
         np.testing.assert_allclose(found[name], exact, rtol=1e-13)
+
+
+def test_many_known_points_are_evaluated_by_one_program_of_few():
+    levels = np.random.default_rng(1).uniform(0.01, 0.99, (2500, 2))
+    a, b = stats.uniform(0.5, 1.0).ppf(levels[:, 0]), stats.norm(2.0, 0.1).ppf(levels[:, 1])
+    traces = []
+
+    def product(m):
+        traces.append(m)
+        return m["c"] * m["a"] * m["b"]
+
+    one, before = ensemble(TracedEnsemble, product), []
+    for count in (2500, 2000):
+        points = at_levels(placements(MODEL).germs.values(), levels[:count])
+        np.testing.assert_allclose(one(points), (3.0 * a * b)[:count], rtol=1e-13)
+        before.append(len(traces))
+    assert before[0] == before[1]
+
+
+def paced(*seconds):
+    """A clock, and results that take so many seconds each."""
+    times = [0.0]
+
+    def results():
+        for i, second in enumerate(seconds):
+            times[0] += second
+            yield i
+
+    return results(), lambda: times[0]
+
+
+def test_work_of_more_than_a_minute_is_announced_by_the_pace_of_its_second_round():
+    results, clock = paced(30.0, 1.0, 2.0, 4.0, *[0.0] * 60)
+    with pytest.warns(al.AleatorWarning, match=r"^64 batches take 3 s each: the next 60 about 3 minutes\.$"):
+        assert list(announced(results, 64, unlike=2, like=2, clock=clock)) == list(range(64))
+    results, clock = paced(5.0, *[0.0] * 12)  # 12 calls of 5 s are a minute, and no more
+    assert len(list(announced(results, 13, unlike=0, like=1, clock=clock))) == 13
 
 
 def broken_from(limit):
@@ -72,7 +111,7 @@ def test_what_is_not_finite_is_named_with_its_point_and_its_inputs(kind, size, w
     levels = np.full((10, 2), 0.5)
     levels[[5, 9], 0] = 0.75, 0.8
     with pytest.raises(al.SimulationError, match=rf"'broken' .* {where}.*'root' first at point 6 \(a=1.25, b=2\)"):
-        list(ensemble(kind, broken_from(1.2)).in_batches(levels, size))
+        list(ensemble(kind, broken_from(1.2)).in_parts(parts(levels, size), size))
 
 
 @KINDS
@@ -112,7 +151,7 @@ def test_shapes_that_change_are_refused_within_a_batch_and_between_them(size):
         return {"y": np.zeros(1 if m["a"] < 1.0 else 2)}
 
     with pytest.raises(al.ProblemError, match=r"'growing' must return .*same shapes .* \{'y': \([12],\)\} and \{'y'"):
-        list(ensemble(CalledEnsemble, growing).in_batches(LEVELS, size))
+        list(ensemble(CalledEnsemble, growing).in_parts(parts(LEVELS, size), size))
 
 
 def test_what_looks_at_its_numbers_cannot_be_traced_but_called():
@@ -120,8 +159,8 @@ def test_what_looks_at_its_numbers_cannot_be_traced_but_called():
         return 1.0 if m["a"] < 1.0 else 2.0
 
     with pytest.raises(al.ProblemError, match=r"'branching' cannot be traced by JAX .*traced=False"):
-        ensemble(TracedEnsemble, branching).in_batches(LEVELS, 5)
-    found = [values for _, values in ensemble(CalledEnsemble, branching).in_batches(LEVELS, 5)]
+        ensemble(TracedEnsemble, branching).in_parts(parts(LEVELS, 5), 5)
+    found = [values for _, values in ensemble(CalledEnsemble, branching).in_parts(parts(LEVELS, 5), 5)]
     np.testing.assert_array_equal(np.concatenate(found), np.where(A < 1.0, 1.0, 2.0))
 
 

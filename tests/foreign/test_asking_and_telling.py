@@ -4,7 +4,6 @@ import csv
 
 import numpy as np
 import pytest
-import sklearn  # noqa: F401  it sets variables of the environment when it is first imported
 import xarray
 from boxed_functions import assert_same
 

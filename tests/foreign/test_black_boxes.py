@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 import jax
 import numpy as np
 import pytest
-import sklearn  # noqa: F401  it sets variables of the environment when it is first imported
 from boxed_functions import FRESH, ORDER, TWO, Counted, assert_same, directly, odd, refused
 
 import aleator as al

@@ -61,7 +61,7 @@ def satisfying(robot):
     @compiled
     def step(q):
         q = robot.normalised(q)
-        return q, robot.constraint(q), robot.constraint_jacobian(q), robot.velocity_map(q)
+        return q, robot.closing(q), robot.closing_jacobian(q), robot.velocity_map(q)
 
     for _ in range(20):
         q, apart, jacobian, rates = map(np.asarray, step(q))
@@ -88,6 +88,6 @@ def test_equations_forbid_the_speeds_that_those_of_mujoco_forbid(name, tmp_path)
     q = satisfying(robot)
     jacobian, apart = by_mujoco(path, robot, q)
     assert np.abs(apart).max() < 1e-12
-    ours = np.asarray(compiled(robot.constraint_jacobian)(q))
+    ours = np.asarray(compiled(robot.closing_jacobian)(q))
     np.testing.assert_allclose(projector(ours), projector(jacobian), rtol=0, atol=1e-9)
     assert ours.shape == jacobian.shape == (len(robot.constraints), len(robot.speeds))

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import aleator as al
 from aleator.mechanics._constraints import Bound, Saddle
+from aleator.mechanics._mechanical import constraint_of, jacobian_of
 from aleator.mechanics._multibody import Multibody
 from aleator.mechanics._partial import Partition, Prescribed, solved
 from compiling import compiled
@@ -211,9 +212,89 @@ def test_the_jacobian_of_closures_is_the_derivative_of_what_is_left_of_them():
 
     @compiled
     def both(q):
-        return model.constraint_jacobian(q), jax.jacfwd(model.constraint)(q) @ model.velocity_map(q)
+        return model.closing_jacobian(q), jax.jacfwd(model.closing)(q) @ model.velocity_map(q)
 
     ours, expected = both(q)
     np.testing.assert_allclose(ours, expected, rtol=1e-12, atol=1e-12)
     assert len(model.constraints) == len(ours) == 5 + 5 + 6 + 3
     assert ClosedTree().constraints == ("pin_x", "pin_y")
+
+
+class FourBar(al.Multibody):
+    """A crank that turns a rocker by a coupler, and a wheel."""
+
+    def bodies(self):
+        hinge = {"joint": al.joints.Revolute("z"), "mass": 0.4, "inertia": (0.0, 0.0, 0.003)}
+        return (
+            al.Body("crank", **hinge),
+            al.Body("coupler", parent="crank", position=(0.1, 0.0, 0.0), **hinge),
+            al.Body("rocker", position=(0.4, 0.0, 0.0), **hinge),
+            al.Body("wheel", **hinge),
+        )
+
+    def closures(self):
+        ends = {"position": (0.35, 0.0, 0.0), "child_position": (0.3, 0.0, 0.0)}
+        hinge = al.joints.Revolute("z")
+        return (al.joints.Closure("pin", parent="coupler", child="rocker", joint=hinge, planar=True, **ends),)
+
+
+class Geared(FourBar):
+    constraint_names = ("gear",)
+
+    def constraint(self, q):
+        return (q[3] - 2 * q[0],)
+
+
+class Coupled(FourBar):
+    def closures(self):
+        gear = al.joints.Coupling("gear", follower="wheel", leader="crank", coefficients=(0.0, 2.0, 0.0, 0.0, 0.0))
+        return (*super().closures(), gear)
+
+
+def test_equations_of_ones_own_and_couplings_stand_beside_loops():
+    q = jnp.array([0.4, -0.1, 1.2, 0.5])
+    for model in (Geared(), Coupled()):
+        assert model.constraints == ("pin_x", "pin_y", "gear")
+        # By hand: what the coupler's end and the rocker's end are apart, along the coupler; and the gear.
+        ends = [
+            np.array([0.1 * np.cos(0.4) + 0.35 * np.cos(0.3), 0.1 * np.sin(0.4) + 0.35 * np.sin(0.3)]),
+            np.array([0.4 + 0.3 * np.cos(1.2), 0.3 * np.sin(1.2)]),
+        ]
+        along = np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]])
+        expected = [*along @ (ends[0] - ends[1]), 0.5 - 2 * 0.4]
+        np.testing.assert_allclose(constraint_of(model, q), expected, atol=1e-14)
+        slope = jacobian_of(model, q)[2]
+        np.testing.assert_allclose(slope, [-2.0, 0.0, 0.0, 1.0], atol=1e-14)
+
+
+def test_names_that_say_nothing_are_refused_where_a_class_is_made():
+    for name in ("constraints", "constraints_names", "velocities", "velocity_names"):
+        with pytest.raises(al.ProblemError, match=f"Misnamed.{name}.*expected some of constraint_names"):
+            type("Misnamed", (FourBar,), {name: ("gear",), "__module__": __name__})
+
+
+class Knife(al.Mechanical):
+    """An edge that slides along its direction only."""
+
+    names = ("x", "y", "phi")
+    velocity_names = ("along", "turning")
+    actuator_names = ("push", "steer")
+
+    def mass_matrix(self, q):
+        return jnp.eye(2)
+
+    def velocity_map(self, q):
+        return jnp.array([[jnp.cos(q[2]), 0.0], [jnp.sin(q[2]), 0.0], [0.0, 1.0]])
+
+    def actuation(self, q):
+        return jnp.eye(2)
+
+
+def test_a_motion_that_velocities_cannot_give_is_refused_with_the_amount():
+    rest, moved = al.PowerSeries(start=(0.0, 0.0), end=(0.0, 0.0)), al.PowerSeries(start=(0.0, 0.0), end=(1.0, 0.0))
+    sideways = al.InverseDynamics(Knife(), motion={"x": rest, "y": moved, "phi": rest})
+    # A cubic from rest to rest is fastest in the middle, with 1.5.
+    with pytest.warns(al.SimulationWarning, match="at t = 0.5 s a rate misses velocity_map.* by 1.5"):
+        al.simulate(sideways, al.Grid(1.0, 4))
+    ahead = al.simulate(al.InverseDynamics(Knife(), motion={"x": moved, "y": rest, "phi": rest}), al.Grid(1.0, 4))
+    np.testing.assert_allclose(ahead["push"], [6.0, 3.0, 0.0, -3.0, -6.0], atol=1e-12)

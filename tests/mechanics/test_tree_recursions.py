@@ -48,10 +48,24 @@ def dynamics(tree, q, v, given):
             "points": {body.name: tree.point(q, body.name, AT) for body in tree.given},
             "velocities": {body.name: tree.point_velocity(q, v, body.name, AT) for body in tree.given},
             "map": tree.velocity_map(q),
+            "changes": changes(tree, q, v, given),
             "energies": jnp.stack([tree.potential_energy(q), tree.kinetic_energy(q, v)]),
         }
 
     return jax.vmap(at)(*(jnp.asarray(one) for one in (q, v, given)))
+
+
+def changes(tree, q, v, given):
+    """How forces and accelerations change along the motion, twice, where speeds and `given` change by fixed numbers."""
+
+    def along(system, s):
+        def at(s):
+            return system(q + s * (tree.velocity_map(q) @ v), v + s * given, given + s * v)
+
+        return jax.jvp(at, (s,), (1.0,))[1]
+
+    systems = tree.inverse_dynamics, tree.forward_dynamics
+    return [jax.jvp(lambda s, system=system: along(system, s), (0.0,), (1.0,)) for system in systems]
 
 
 @cache
@@ -140,3 +154,32 @@ def test_poses_points_velocities_and_energies_are_those_of_mujoco(seed):
         mujoco.mj_integratePos(mj, behind, full, -step)
         rates = ((ahead - behind) / (2 * step))[orders(tree, mj)[0]]
         np.testing.assert_allclose(ours["map"] @ v, rates, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("seed", cases(range(3)))
+def test_closed_derivatives_of_both_dynamics_are_differences_of_mujoco_s(seed):
+    # Once and twice, by coordinates, quaternions among them, by speeds, and by accelerations or forces.
+    for tree, mj, q, v, given, ours in case(seed):
+        speeds = orders(tree, mj)[1]
+        rates = ours["map"] @ v
+
+        def inverse(s, tree=tree, mj=mj, q=q, v=v, given=given, rates=rates, speeds=speeds):
+            data, _ = mujoco_at(tree, mj, q + s * rates, v + s * given)
+            data.qacc[speeds] = given + s * v
+            mujoco.mj_inverse(mj, data)
+            return data.qfrc_inverse[speeds]
+
+        def forward(s, tree=tree, mj=mj, q=q, v=v, given=given, rates=rates, speeds=speeds):
+            data, _ = mujoco_at(tree, mj, q + s * rates, v + s * given)
+            data.qfrc_applied[speeds] = given + s * v
+            mujoco.mj_forward(mj, data)
+            return data.qacc[speeds]
+
+        for function, (first, second) in zip((inverse, forward), ours["changes"], strict=True):
+            # Differences of fourth order.
+            h = 2e-3
+            values = {k: function(k * h) for k in range(-2, 3)}
+            slope = (8 * (values[1] - values[-1]) - (values[2] - values[-2])) / (12 * h)
+            curved = (16 * (values[1] + values[-1]) - (values[2] + values[-2]) - 30 * values[0]) / (12 * h**2)
+            same(first, slope, 1e-7)
+            same(second, curved, 1e-5)

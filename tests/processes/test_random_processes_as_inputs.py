@@ -146,6 +146,14 @@ def test_signals_add_up_and_keep_their_uncertain_numbers():
     assert float(at(jnp.asarray(1.0))) == pytest.approx(2.1 + 1.0 + 0.5, rel=1e-14)
 
 
+def test_a_trajectory_inside_a_signal_fills_the_time_grid():
+    rising, ends = al.BSpline(np.linspace(0.0, 1.0, 5)), np.array([0.0, 0.5, 1.0])
+    around = realise({"u": process(mean=rising, modes=2)}, jnp.zeros(2), jnp.zeros(0))["u"]
+    twice = al.processes.signal(lambda t, p: 2 * p.path(t), path=rising)
+    for signal, exact in ((around, ends), (twice, 2 * ends)):
+        np.testing.assert_allclose(signal.sampled(ends, 0.0, T), exact, atol=1e-14)
+
+
 class Falling(al.processes.AbstractCovariance):
     """No covariance: its spectrum is negative in places."""
 

@@ -5,6 +5,7 @@ import warnings
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy
 
 import aleator as al
 from aleator.expansion import collocate
@@ -124,6 +125,27 @@ def test_a_kink_in_the_slope_spoils_the_derivatives_before_the_values_and_that_i
     quality = solution.certificate.expansion
     assert quality.worst <= quality.tolerance < quality.worst_tangent.error
     assert "not resolved, so shadow prices" in str(solution)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_an_optimum_that_follows_from_derivatives_that_are_not_resolved_is_no_answer():
+    class Square(al.AlgebraicSystem):
+        x: al.Number
+
+        def outputs(self):
+            return {"y": (self.x - 0.45) ** 2}
+
+    system = Square(al.Triangular(0.0, al.Decision(0.3, 0.01, 0.99), 1.0))
+    solution = al.solve(al.Problem(system, minimize=al.output("y").std), throw=False)
+    levels = (np.arange(10**4) + 0.5) / 10**4
+
+    def spread(mode):
+        return np.std((scipy.stats.triang(mode).ppf(levels) - 0.45) ** 2)
+
+    least = scipy.optimize.minimize_scalar(spread, bounds=(0.01, 0.99), method="bounded").x
+    assert abs(solution.decisions["x.mode"] - least) > 0.03
+    assert not solution.ok
+    assert "the derivative of y by x.mode" in solution.why()
 
 
 def test_as_many_points_as_terms_leave_nothing_to_check_by():

@@ -231,6 +231,28 @@ def test_an_outlier_of_hardly_any_weight_is_a_reason_to_draw_more():
     assert not solution.ok
 
 
+@pytest.mark.filterwarnings("ignore")
+def test_what_is_tiny_beside_an_outermost_point_of_no_weight_is_not_certain():
+    class Growth(al.AlgebraicSystem):
+        """`E exp(s x) = 1 / (1 - s)` for exponential `x`: 1e21 at the last point of order 12, of weight 3e-22."""
+
+        s: al.Number
+        x: al.Number
+
+        def outputs(self):
+            return {"g": jnp.exp(self.s * self.x), "rate": self.s}
+
+    system = Growth(al.Decision(0.1, 0.01, 0.9), al.Exponential(mean=1.0))
+    limit = al.output("g").mean <= 1.8
+    problem = al.Problem(system, minimize=-al.output("rate").mean, subject_to=[limit], expansion=al.Expansion(12))
+    solution = al.solve(problem, throw=False)
+    # The optimum is at 4/9.
+    assert float(solution.decisions["s"]) > 0.45
+    assert not solution.ok
+    assert not solution.certificate.opinion.agrees
+    assert solution.certificate.expansion.leave_one_out["g"] == pytest.approx(1.2, abs=0.2)
+
+
 def test_a_limit_is_held_to_a_part_of_its_spread_however_large_its_bound_is():
     class Offset(al.AlgebraicSystem):
         k: al.Number

@@ -89,6 +89,22 @@ def test_a_density_with_kinks_and_jumps_has_the_moments_of_its_pieces():
     assert (values.T * weights) @ values == pytest.approx(np.eye(11), abs=1e-12)
 
 
+# A density that is zero between its bounds, and its first and second moments over its integral.
+ZEROS = {
+    "hat": (lambda x: np.maximum(0, 1 - np.abs(x)), -2.0, 2.0, (0.0, 1 / 6)),
+    "parabola": (lambda x: np.maximum(0, 1 - x**2), -2.0, 2.0, (0.0, 1 / 5)),
+    "kink": (lambda x: np.abs(x - 0.3), 0.0, 1.0, (0.577 / 0.87, 0.15135 / 0.29)),
+    "root": (lambda x: np.sqrt(np.abs(x)), -1.0, 1.0, (0.0, 3 / 7)),
+}
+
+
+@pytest.mark.parametrize(("density", "low", "high", "moments"), ZEROS.values(), ids=ZEROS)
+def test_a_density_may_touch_zero_between_its_bounds(density, low, high, moments):
+    a, b = DensityGerm(density, low, high).recurrence(ORDER)
+    assert (a[0], a[0] ** 2 + b[1] ** 2) == pytest.approx(moments, rel=1e-13, abs=1e-14)
+    assert np.all(b[1:] > 0)
+
+
 def test_a_tail_that_carries_few_moments_carries_few_polynomials():
     germ = DensityGerm(lambda x: (1 + x**2 / 7) ** -4, -np.inf, np.inf)  # Student's t with 7 degrees of freedom
     _, b = germ.recurrence(2)

@@ -177,3 +177,14 @@ def test_moments_that_are_merged_are_those_of_all_samples_together():
 def test_a_comparison_meets_its_limit_breaks_it_or_cannot_tell(beyond, error, meets):
     one = Compared("stress", "mean ≤ 1", 1.0 + beyond, error, None, 1.0, beyond, tolerance=1e-6, reach=4.0)
     assert one.meets is meets
+
+
+@pytest.mark.parametrize(
+    ("expected", "estimate", "error", "agrees"),
+    [(np.nan, 1.0, 0.1, False), (1.0, np.nan, 0.1, False), (1.0, np.inf, np.inf, False), (1.0, 2.0, np.nan, True)],
+)
+def test_what_is_no_number_disagrees_and_without_a_standard_error_there_is_no_verdict(
+    expected, estimate, error, agrees
+):
+    numbers = (np.asarray(one) for one in (expected, estimate, error))
+    assert (worst_disagreement("x", *numbers, samples=100, freedom=99) is None) is agrees

@@ -114,7 +114,7 @@ _LOSING = ("stop_gradient", "round", "floor", "ceil", "sign", "custom_jvp_call",
 
 def may_lose_derivatives(jaxpr: Any) -> bool:
     """Whether derivatives may be others than those of the values: elsewhere JAX's are exact."""
-    return any(one.primitive.name in _LOSING or _is_cast(one) for one in _every(jaxpr))
+    return any((one.primitive.name in _LOSING and not _is_derived(one)) or _is_cast(one) for one in _every(jaxpr))
 
 
 # Equations whose values jump where those that they are made of do not.
@@ -194,6 +194,12 @@ def _hidden(jaxpr: Any, *, rules: bool = True) -> Iterator[Any]:
                 yield part
 
 
+def _is_derived(equation: Any) -> bool:
+    """Whether an equation has a rule of ours, which holds nothing beyond the function's own equations."""
+    information = getattr(equation.params.get("jvp_jaxpr_fun"), "debug_info", None)
+    return information is not None and information.func_src_info in _DERIVED
+
+
 def _opaque() -> None:
     """A placeholder for callable objects that are no Python functions."""
 
@@ -204,9 +210,8 @@ def _forward_rule(equation: Any) -> Iterator[Any]:
     A `derived` one does not, and tracing it may take longer than all the rest.
     """
     traced = equation.params["jvp_jaxpr_fun"]
-    source = "" if traced.debug_info is None else traced.debug_info.func_src_info or ""
-    if source in _DERIVED:
-        yield source
+    if _is_derived(equation):
+        yield traced.debug_info.func_src_info
         return
     variables = len(equation.invars) - equation.params["num_consts"]
     rule, held, *_ = traced.call_wrapped(*[False] * variables)
@@ -243,6 +248,11 @@ class TracedFunction:
     def digest(self) -> Digest:
         """That of the equations without their constants."""
         return digest_of(self.closed, constants=False)
+
+    @property
+    def size(self) -> int:
+        """The number of its equations, those inside others included."""
+        return sum(1 for _ in _every(self.closed.jaxpr))
 
     def __call__(self, *arguments: Pytree) -> Pytree:
         """Its value, as a part of an outer function that is traced.

@@ -32,9 +32,10 @@ from aleator._core.leaves import Module
 from aleator._core.parallel import CORES
 
 # Libraries that trace and compile. The folder of programs is separate for each version of JAX; a journal's is not.
-_TRACING = ("jax", "jaxlib", "equinox", "numpy", "scipy", "diffrax", "lineax", "optimistix")
+_TRACING = ("jax", "jaxlib", "equinox", "numpy", "scipy")
 _LIBRARIES = {"aleator", "jaxtyping", *_TRACING}
 _PYTHON = sysconfig.get_path("stdlib")
+_INSTALLED = sysconfig.get_path("purelib"), sysconfig.get_path("platlib")
 _PLAIN = (str, bytes, int, bool, float, complex, type(None), type(Ellipsis), range, Decimal, Fraction, np.dtype)
 # Settings of JAX that do not affect a program.
 _ASIDE = ("jax_compilation_cache_dir", "jax_persistent_cache", "jax_raise_persistent", "jax_log", "jax_explain")
@@ -284,9 +285,19 @@ class _Texts:
         for name, value in sorted(outside.items()):
             yield name
             try:
-                yield from self(value)
+                yield from self._of_module(value, _names(it.__code__)) if _is_own(value) else self(value)
             except DoubtError as error:
                 raise DoubtError(f"'{name}', which {_name_of(it)} names, cannot be written out: {error}") from None
+
+    def _of_module(self, module: types.ModuleType, names: set[str], within: tuple[Any, ...] = ()) -> Iterator[str]:
+        """What code takes from a user's module: the attributes that it names, those of modules in it too."""
+        yield from self(module)
+        for name in sorted(names & vars(module).keys()):
+            value = vars(module)[name]
+            if not _is_own(value):
+                yield from (name, *self(value))
+            elif value not in within:
+                yield from (name, *self._of_module(value, names, (*within, module)))
 
     def _compiled(self, code: types.CodeType) -> Iterator[str]:
         """All of a function's code that affects what it computes: neither its file nor its lines."""
@@ -295,6 +306,13 @@ class _Texts:
         yield f"{code.co_names} {code.co_varnames} {code.co_freevars}"
         for constant in code.co_consts:
             yield from self._compiled(constant) if isinstance(constant, types.CodeType) else self(constant)
+
+
+def _is_own(it: Any) -> bool:
+    """Whether it is a module that is not installed, but a user's."""
+    if not isinstance(it, types.ModuleType) or is_library(it.__name__):
+        return False
+    return not (getattr(it, "__file__", None) or "").startswith(_INSTALLED)
 
 
 def _names(code: types.CodeType) -> set[str]:

@@ -4,7 +4,7 @@ import abc
 import importlib
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -13,7 +13,7 @@ from jax.core import Tracer
 from jax.tree_util import DictKey, GetAttrKey, SequenceKey, keystr, tree_flatten_with_path
 
 from aleator._core.arrays import Pytree
-from aleator._core.border import real_array, refuse_not_finite
+from aleator._core.border import real_array, refusal, refuse_not_finite
 from aleator._core.errors import ProblemError
 
 
@@ -73,10 +73,12 @@ class AbstractLeaf(Module):
     Leaves are recognised by this type alone, so that a model's own classes may have any fields.
     """
 
-    UNCERTAIN: ClassVar[bool]
-    """Whether realisations differ: true for distributions, false for decisions."""
-
     shared_name: eqx.AbstractVar[str | None]
+
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether realisations differ: false for decisions and for distributions that are held at their means."""
+        return False
 
     @property
     @abc.abstractmethod
@@ -129,6 +131,14 @@ def stored_numbers(what: str, value: Any, **place: Any) -> Any:
     numbers = real_array(what, value, "numbers, distributions or decisions")
     refuse_not_finite(what, numbers, **place)
     return numbers
+
+
+def stored_number(what: str, value: Any) -> Any:
+    """One number of a model as `stored_numbers` stores it: known, traced, or one leaf. Raises `ProblemError`."""
+    number = stored_numbers(what, value)
+    if realised_shape(number):
+        raise refusal(what, "one number, one distribution or one Decision", value)
+    return number
 
 
 def _is_open(value: Any) -> bool:

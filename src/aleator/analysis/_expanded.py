@@ -30,6 +30,7 @@ from aleator.analysis._abstract_expanded import (
     prepared,
     trust,
 )
+from aleator.analysis._left_out import warn_of_shape, with_points_left_out
 from aleator.ensemble import concrete, part
 from aleator.expansion import ROUNDING, UNRESOLVED, Basis, Collocation, jackknife, leave_one_out, unseen
 from aleator.statistics import (
@@ -92,13 +93,18 @@ class Expanded(AbstractExpanded):
         constants = prepared(kind.preparation, self.basis)
 
         outputs, structure = jax.tree.flatten(self.coefficients)
+        samples = [None] * len(outputs) if self.samples is None else jax.tree.leaves(self.samples)
         values = []
-        for terms in outputs:
-            arguments = kind, constants, terms
+        for terms, known in zip(outputs, samples, strict=True):
+            without = with_points_left_out(kind, self.collocation, known, terms, constants)
+            arguments = kind, constants, terms if without is None else jax_array(without)
             traced = traced_once((type(kind), _statistic_of), _statistic_of, *arguments)
             value, error = evaluate_traced(traced, *arguments, use=_use(terms))
             if error is not None and not is_traced(error):
                 _warn_of_integral(kind, np.asarray(value), np.asarray(error), np.asarray(Std().of(terms, ())))
+            if without is not None:
+                warn_of_shape(kind, np.asarray(value), without[:, 0])
+                value = value[0]
             values.append(value)
         return jax.tree.unflatten(structure, values)
 

@@ -51,7 +51,7 @@ class Check(NamedTuple):
 
     - `values`: the objective, then the constraints, those of paths at every instant of the finer grid;
     - `statistics`, `means`, `stds`: each statistic in the expressions; the moments of each functional;
-    - `reaches`: how large each functional could be, see `AbstractFunctional.reach`;
+    - `reaches`: how large each functional could be in a typical system, see `AbstractFunctional.reach`;
     - `coefficients`: of the expansion of each functional;
     - `fresh`: each functional at the fresh systems; `predicted`: what its expansion predicts there;
     - `systems`: the fresh systems; `factor`: how many times as many steps the finer grid has; `integrator`: its name;
@@ -113,7 +113,12 @@ def _check(
     coefficients = dict(zip(every, terms.coefficients, strict=True))
     by_functional = dict(zip(every, samples, strict=True))
     count, grid = len(collocation.points), grid_at(problem, decisions)
-    highest = {name: jnp.max(by_functional[peak][:count]) for name, peak in zip(names, peaks, strict=True)}
+    # Of a typical system: the outermost points, whose weights are next to nothing, may exceed it by any factor.
+    typical = jnp.abs(collocation.weights)
+    highest = {
+        name: jnp.tensordot(typical, by_functional[peak][:count], axes=1)
+        for name, peak in zip(names, peaks, strict=True)
+    }
     reaches = tuple(jnp.max(one.reach(highest, grid)) for one in functionals)
     fresh = tuple(by_functional[one][count:] for one in functionals)
     return values, tuple(scope.taken), reaches, tuple(coefficients[one] for one in functionals), fresh

@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from aleator.design import Problem
+from aleator.design import Expression, Problem, statistics_in
 from aleator.dynamics import Grid
 from aleator.ensemble import at_levels, random_levels
+from aleator.statistics import CornishFisher, Kurtosis, Skewness
 from aleator.uncertainty import AbstractGerm
 
 # Fresh systems in one check: enough for a standard error, and cheap beside one evaluation with derivatives.
@@ -18,8 +19,12 @@ _FRESH = 32
 _MOST, _DENSE, _MOST_DENSE, _AT_ONCE = 1024, 256, 2048, 1024
 # What two successive points of an even sequence differ by, in one and in two variables: the golden ratio and its next.
 _EVEN_STEPS = {1: (0.6180339887498949,), 2: (0.7548776662466927, 0.5698402909980532)}
-# The depths of tails, as parts of all systems: more than 4 standard deviations of a normal germ, and the median.
-_DEEPEST, _SHALLOWEST = 1e-5, 0.5
+# The depths of tails, as parts of all systems: more than 4 standard deviations of a normal germ, and the median. Third
+# and fourth powers owe something to more than 5.
+_DEEPEST, DEEPEST_OF_SHAPES, _SHALLOWEST = 1e-5, 1e-8, 0.5
+
+OF_THE_SHAPE = (Skewness, Kurtosis, CornishFisher)
+"""Statistics of third and fourth powers."""
 
 
 class FreshSystems(NamedTuple):
@@ -36,7 +41,7 @@ class FreshSystems(NamedTuple):
         return max(least // count, 1), most // count
 
 
-def fresh_systems(germs: Collection[AbstractGerm], count: int, draw: int) -> FreshSystems:
+def fresh_systems(germs: Collection[AbstractGerm], count: int, draw: int, deepest: float = _DEEPEST) -> FreshSystems:
     """Half of the systems drawn at random, in the others one germ after the other in its lower or its upper tail.
 
     Of one or two germs the former half goes on evenly from draw to draw (Kronecker sequences by the golden ratio and
@@ -58,17 +63,23 @@ def fresh_systems(germs: Collection[AbstractGerm], count: int, draw: int) -> Fre
     parts = np.empty(len(tails))
     parts[np.argsort(tails, kind="stable")] = generator.random(len(tails))
     parts = (place // (2 * len(germs)) + parts) / drawn[tails]
-    depths = _DEEPEST * (_SHALLOWEST / _DEEPEST) ** parts
+    depths = deepest * (_SHALLOWEST / deepest) ** parts
     levels[half + place, which] = np.where(upper, 1 - depths, depths)
-    in_tails = _tail_density(levels) @ drawn[::2] + _tail_density(1 - levels) @ drawn[1::2]
+    lower_and_upper = _tail_density(levels, deepest), _tail_density(1 - levels, deepest)
+    in_tails = lower_and_upper[0] @ drawn[::2] + lower_and_upper[1] @ drawn[1::2]
     density = (half + in_tails) / count
     return FreshSystems(at_levels(germs, levels), 1 / density)
 
 
-def _tail_density(depths: np.ndarray) -> np.ndarray:
+def _tail_density(depths: np.ndarray, deepest: float) -> np.ndarray:
     """The density of a level at a depth below the median, relative to a random one."""
-    inside = (depths >= _DEEPEST) & (depths <= _SHALLOWEST)
-    return np.where(inside, 1 / (np.maximum(depths, _DEEPEST) * np.log(_SHALLOWEST / _DEEPEST)), 0.0)
+    inside = (depths >= deepest) & (depths <= _SHALLOWEST)
+    return np.where(inside, 1 / (np.maximum(depths, deepest) * np.log(_SHALLOWEST / deepest)), 0.0)
+
+
+def has_shape(expressions: tuple[Expression, ...]) -> bool:
+    """Whether a statistic of third or fourth powers stands in some expression."""
+    return any(isinstance(one.kind, OF_THE_SHAPE) for one in statistics_in(expressions))
 
 
 def simulates_inside(problem: Problem) -> bool:
@@ -83,4 +94,5 @@ def systems_of(problem: Problem, draw: int) -> FreshSystems:
     if not germs:
         return FreshSystems(np.zeros((0, 0)), np.zeros(0))
     is_dense = len(germs) in _EVEN_STEPS and not (isinstance(problem.grid, Grid) or simulates_inside(problem))
-    return fresh_systems(germs, _AT_ONCE if is_dense else _FRESH, draw)
+    deepest = DEEPEST_OF_SHAPES if has_shape(problem.expressions) else _DEEPEST
+    return fresh_systems(germs, _AT_ONCE if is_dense else _FRESH, draw, deepest)

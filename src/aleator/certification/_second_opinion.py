@@ -6,9 +6,9 @@ that the error of the grid is none of the expansion's.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 from statistics import NormalDist
 from typing import final
 
@@ -17,7 +17,8 @@ from jaxtyping import Float
 
 from aleator._core.arrays import jax_array
 from aleator.certification._check import Check, begin_check, certain
-from aleator.certification._fresh import systems_of
+from aleator.certification._fresh import OF_THE_SHAPE, has_shape, systems_of
+from aleator.certification._shapes import corrected_shape, means, predicted_of_many
 from aleator.certification._tails import KnownStatistics, tail_objections
 from aleator.design import Statistic, expanded_functionals, functionals_of
 from aleator.ensemble import inputs_at, listed
@@ -25,7 +26,6 @@ from aleator.solution import SecondOpinion
 from aleator.statistics import (
     AbstractStatistic,
     ConditionalValueAtRisk,
-    CornishFisher,
     Infimum,
     Mean,
     Probability,
@@ -47,7 +47,7 @@ _ROUNDING = 1e-11
 # are drawn, and two standard errors show a shift.
 _OUTLIER, _SHOWN = 10.0, math.erfc(2 / math.sqrt(2))
 
-_FOLLOW_THE_SPREAD = (Quantile, CornishFisher, ConditionalValueAtRisk, Supremum, Infimum)
+_FOLLOW_THE_SPREAD = (Quantile, ConditionalValueAtRisk, Supremum, Infimum)
 
 
 @final
@@ -55,7 +55,8 @@ _FOLLOW_THE_SPREAD = (Quantile, CornishFisher, ConditionalValueAtRisk, Supremum,
 class _Fresh:
     """A functional at the fresh points, simulated and predicted, with its mean and variance by the expansion.
 
-    `weights`: those of the fresh points, with an axis for each of the values.
+    - `weights`: those of the fresh points, with an axis for each of the values;
+    - `many`: what the expansion predicts of many more systems, which are not simulated, and their weights.
     """
 
     values: Float[np.ndarray, "fresh ..."]
@@ -63,6 +64,7 @@ class _Fresh:
     weights: Float[np.ndarray, "fresh ..."]
     mean: Float[np.ndarray, "..."]
     variance: Float[np.ndarray, "..."]
+    many: Callable[[], tuple[Float[np.ndarray, "many ..."], Float[np.ndarray, "many ..."]]]
 
     @property
     def miss(self) -> float:
@@ -72,27 +74,20 @@ class _Fresh:
         squares = self.weights * (self.values - self.predicted) ** 2
         missed = float(np.sum(squares) / np.sum(self.weights))
         total = float(np.sum(self.variance)) + missed
-        return float(np.sqrt(missed / total)) if total > 0 else 0.0
+        return 0.0 if total == 0 else float(np.sqrt(missed / total))
 
     @property
     def has_outlier(self) -> bool:
         """Whether some system is missed by many standard deviations."""
-        return bool((np.abs(self.values - self.predicted) > _OUTLIER * np.sqrt(np.max(self.variance))).any())
+        return not (np.abs(self.values - self.predicted) <= _OUTLIER * np.sqrt(np.max(self.variance))).all()
 
     @cached_property
     def off(self) -> dict[type[AbstractStatistic], Float[np.ndarray, "... replicates"]]:
         """The errors of mean, variance and standard deviation by the fresh systems, in all replicates."""
-        shift = self.means(self.values - self.predicted)
-        squares = self.means((self.values - self.mean) ** 2 - (self.predicted - self.mean) ** 2) - shift**2
+        shift = means(self.weights, self.values - self.predicted)
+        squares = means(self.weights, (self.values - self.mean) ** 2 - (self.predicted - self.mean) ** 2) - shift**2
         wider = np.sqrt(np.maximum(self.variance[..., None] + squares, 0.0)) - np.sqrt(self.variance)[..., None]
         return {Mean: shift, Variance: squares, Std: wider}
-
-    def means(self, missed: Float[np.ndarray, "fresh ..."]) -> Float[np.ndarray, "... replicates"]:
-        """The mean error along a last axis of replicates: zero, of all, and of all but one (the jackknife)."""
-        weighted, weight = self.weights * missed, self.weights.sum(axis=0)
-        every = weighted.sum(axis=0) / weight
-        rest = (weighted.sum(axis=0) - weighted) / (weight - self.weights)
-        return np.moveaxis(np.concatenate([0 * every[None], every[None], rest]), 0, -1)
 
     def corrected(self, kind: AbstractStatistic, expanded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A statistic in all replicates, and its change by one standard deviation of the functional.
@@ -108,7 +103,10 @@ class _Fresh:
         if isinstance(kind, Probability):
             seen, predicted = (np.asarray(kind.holds(part), float) for part in (self.values, self.predicted))
             spread = np.sqrt(np.clip(expanded * (1 - expanded), 0.0, None))
-            return base + self.means(seen - predicted), spread
+            return base + means(self.weights, seen - predicted), spread
+        if isinstance(kind, OF_THE_SHAPE):
+            known = (self.values, self.weights), (self.predicted, self.weights), self.many()
+            return corrected_shape(kind, base, self.mean, std, known)
         return base + 0 * self.off[Mean], 0 * std
 
 
@@ -130,6 +128,9 @@ def second_opinion(
         return [one() for one in waiting]
 
     least, most = systems.draws
+    # Few systems tell nothing of third and fourth powers.
+    if has_shape(transcribed.problem.expressions):
+        least = most
     checks = [check, *drawn(1, least)]
     opinion, has_outlier = _opinion(transcribed, point, checks, _RARE)
     if not opinion.broken and (has_outlier or not opinion.agrees):
@@ -194,7 +195,8 @@ def _fresh(
         values = np.concatenate([check.fresh[i] for check in checks])[:, own]
         predicted = np.concatenate([check.predicted[i] for check in checks])[:, own]
         weights = all_weights.reshape(-1, *[1] * (values.ndim - 1))
-        fresh[one.text()] = _Fresh(values, predicted, weights, first.means[i][own], first.stds[i][own] ** 2)
+        many = cache(partial(predicted_of_many, transcribed, first.coefficients[i][(slice(None), own)]))
+        fresh[one.text()] = _Fresh(values, predicted, weights, first.means[i][own], first.stds[i][own] ** 2, many)
     return fresh
 
 
@@ -236,15 +238,18 @@ def _judged(
             continue
         if which == 0:
             gained = abs(transcribed.at(transcribed.program.start).objective - meaning.objective)
-            if abs(by) > max(gained, _BREAKS * scale):
+            if not abs(by) <= max(gained, _BREAKS * scale):
                 broken = f"the objective differs by {by:+.3g} ± {error:.2g}, more than was gained ({gained:.3g})"
             continue
         limit = problem.constraints[which - 1]
-        value = float(transcribed.at_instants(limit, meaning.constraints[which - 1])[where]) + by
-        beyond = max(value - float(limit.upper), float(limit.lower) - value)
-        if beyond > _BREAKS * scale:
-            corrected = f"{by:+.3g} ± {error:.2g}"
+        own = float(transcribed.at_instants(limit, meaning.constraints[which - 1])[where])
+        corrected = f"{by:+.3g} ± {error:.2g}"
+        beyond, other = (max(one - float(limit.upper), float(limit.lower) - one) for one in (own + by, own - by))
+        if not beyond <= _BREAKS * scale:
             broken = f"'{limit.name}' is broken by {beyond:.3g} once the expansion is corrected by {corrected}"
+        # As with limits on tails: one that does not bind where it seems to holds the answer off its optimum.
+        elif has_shape((expression,)) and not other <= _BREAKS * scale:
+            broken = f"'{limit.name}' binds in the expansion alone, which is wrong by {corrected}"
     return sentences, broken
 
 

@@ -36,6 +36,7 @@ from aleator.uncertainty import correlations_at
 
 # The relative error of an expansion that is tolerated for moments.
 _TRUSTED = {Mean: 1 / 3, Std: 1 / 3, Variance: 1 / 3, Covariance: 1 / 3}
+_TRUSTED_TANGENT = 1 / 3
 # Differences that no data would show.
 _TOLERATED = 0.01
 
@@ -152,13 +153,15 @@ def quality_of(
     )
 
 
-def untrusted(problem: Problem, quality: ExpansionQuality) -> str:
-    """A sentence on the statistic whose expansion is least accurate, if too inaccurate to act on; empty if none is.
+def untrusted(solution: Solution) -> str:
+    """A sentence on the statistic whose expansion is least accurate, or the derivative by a parameter of a distribution
+    that an optimum inside its bounds follows from, if too inaccurate to act on; empty if none is.
 
     An error adds to a variance by its square: a third of the standard deviation is a ninth of the variance. Tails have
     no such advantage, and are trusted only up to the expansion's tolerance; a mean is less sensitive. A user who sets a
     higher tolerance accepts it for all of them.
     """
+    problem, quality = solution.problem, solution.certificate.expansion
     worst, sentence = 1.0, ""
     for one in statistics_in(problem.expressions):
         most = max(quality.tolerance, _TRUSTED.get(type(one.kind), 0.0))
@@ -171,6 +174,17 @@ def untrusted(problem: Problem, quality: ExpansionQuality) -> str:
                     f"it misses {functional.text()} by {error:.2g} of its standard deviation, where {one.text()} asks "
                     f"for {most:.2g} at most"
                 )
+    results = zip(problem.constraints, solution.constraints, strict=True)
+    held = (limit.expression for limit, result in results if np.any(result.active))
+    holding = {one.text() for one in expanded_functionals((problem.objective, *held))}
+    most = max(quality.tolerance, _TRUSTED_TANGENT)
+    for text, parameter, error in quality.every_tangent:
+        if text in holding and parameter not in solution.at_bounds and np.isfinite(error) and error > worst * most:
+            worst = error / most
+            sentence = (
+                f"it misses the derivative of {text} by {parameter}, which the optimum follows from, by {error:.2g} of "
+                f"its standard deviation, where {most:.2g} is the most"
+            )
     return sentence
 
 

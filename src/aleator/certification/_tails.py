@@ -7,7 +7,7 @@ and are weighted by the ratio of the densities (importance sampling). The differ
 simulated and that of what the expansion predicts of the same systems corrects the expansion's own (a control variate).
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,7 +33,8 @@ from aleator.uncertainty import named_numbers
 # An error of a statistic that moves an optimum: this part of its distance from the mean or of a tenth of the spread;
 # for a probability, this part of it, which is about as much.
 _TOLERATED, _OF_A_CHANCE = 0.01, 0.1
-# Fresh systems in a tail: so many at first, and so many at most, four times as many each time.
+# Fresh systems in a tail: so many at first, unless the first draw shows that a limit cannot hang on them, and so many
+# at most, four times as many each time.
 _FIRST, _LAST = 128, 2048
 # How far around a quantile its density is taken, as a part of its distance from the mean.
 _AROUND = 0.1
@@ -131,19 +132,29 @@ def tail_objections(
                 continue
             entry = (int(np.argmin(gaps)),) if one.is_path and gaps is not None else ()
             tail = _tail(transcribed, atom, entry, check)
+
+            def matters(
+                by: float, expression: Expression = expression, atom: Statistic = atom, gaps: Any = gaps
+            ) -> bool:
+                """Whether the answer may hang on an error of this size: a limit that is not nearly active does not."""
+                if gaps is None:
+                    return True
+                return not float(np.min(gaps)) > 2 * _effect(transcribed, point, check, expression, atom, by)
+
             if (atom, entry) not in known:
-                known[atom, entry] = _error(transcribed, point, check, tail)
+                known[atom, entry] = _error(transcribed, point, check, tail, matters)
             error, uncertainty, count = known[atom, entry]
-            if abs(error) + 2 * uncertainty <= 3 * tail.tolerated and abs(error) <= tail.tolerated:
+            by = abs(error) + 2 * uncertainty
+            if abs(error) <= tail.tolerated and (by <= 3 * tail.tolerated or not matters(by)):
                 continue
             seen = f"{tail.value + error:.4g} ± {2 * uncertainty:.2g}"
             sentence = f"{atom.text()} is {tail.value:.4g} by the expansion, and {seen} by {count} systems in its tail"
-            effect = _effect(transcribed, point, check, expression, atom, abs(error) + 2 * uncertainty)
             if gaps is None:
+                effect = _effect(transcribed, point, check, expression, atom, by)
                 gained = abs(transcribed.at(transcribed.program.start).objective - transcribed.at(point).objective)
-                yield sentence, effect > gained
+                yield sentence, not effect <= gained
             else:
-                yield f"'{problem.constraints[which - 1].name}': {sentence}", float(np.min(gaps)) <= 2 * effect
+                yield f"'{problem.constraints[which - 1].name}': {sentence}", matters(by)
 
 
 def _gaps(
@@ -164,10 +175,17 @@ def _tail(transcribed: AbstractTranscribed, atom: Statistic, entry: tuple[int, .
 
 
 def _error(
-    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check, tail: _Tail
+    transcribed: AbstractTranscribed,
+    point: Float[np.ndarray, " variables"],
+    check: Check,
+    tail: _Tail,
+    matters: Callable[[float], bool],
 ) -> tuple[float, float, int]:
-    """The error of a statistic by fresh systems in its tail, its standard error, and their number."""
-    size, least = len(check.systems.points), _FIRST
+    """The error of a statistic by fresh systems in its tail, its standard error, and their number.
+
+    `matters`: whether the answer may hang on an error, below which no more systems are drawn.
+    """
+    size = least = len(check.systems.points)
     values, predicted, weights = (np.zeros(0) for _ in range(3))
     coefficients = check.coefficients[tail.functional][(slice(None), *tail.entry)]
     basis, lines = transcribed.discretised.basis, transcribed.constants.of(tail.kind)
@@ -184,12 +202,14 @@ def _error(
         each, share = tail.differences(values, predicted, weights), weights / weights.sum()
         error = float(share @ each)
         uncertainty = float(np.sqrt(np.sum((share * (each - error)) ** 2)))
-        is_clear = abs(abs(error) - tail.tolerated) > 2 * uncertainty
-        if is_clear or len(values) >= _LAST or not np.isfinite(error):
-            # What the integral over the expansion may be off by is none of the systems' doing.
-            _, half = evaluate(_estimated, tail.kind, jax_array(coefficients), lines, use=Use.BRIEF)
-            return error, float(np.hypot(uncertainty, float(half) / 2)), len(values)
-        least = 4 * len(values)
+        is_clear = len(values) >= _FIRST and abs(abs(error) - tail.tolerated) > 2 * uncertainty
+        is_harmless = not matters(abs(error) + 2 * uncertainty)
+        if is_clear or is_harmless or len(values) >= _LAST or not np.isfinite(error):
+            # What the integral over the expansion is off by, with the fewer lines and points of a path, and may be off
+            # by with all lines, is none of the systems' doing.
+            value, half = evaluate(_estimated, tail.kind, jax_array(coefficients), lines, use=Use.BRIEF)
+            return error + float(value) - tail.value, float(np.hypot(uncertainty, float(half) / 2)), len(values)
+        least = max(4 * len(values), _FIRST)
 
 
 def _estimated(kind: AbstractTail, coefficients: Array, lines: Any) -> tuple[Array, Array]:

@@ -105,7 +105,7 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
         """The quantity on one realisation: a number, or for `path` one number per instant."""
 
     def reach(self, peaks: Mapping[str, Array], grid: AbstractGrid) -> Float[Array, "..."]:
-        """The largest possible magnitude, if its outputs were at their peaks all the time.
+        """The magnitude, if its outputs were at their peaks all the time: `peaks` are the means of these.
 
         It is the scale for quantities that happen to be small, such as the speed at the end of a motion.
         """

@@ -19,7 +19,6 @@ from aleator.design._statistic import Statistic, statistics_in
 from aleator.dynamics import Grid, System
 from aleator.statistics import PURE, Mean, is_same, measure, rate
 from aleator.uncertainty import AbstractDistribution, AbstractGerm, Decision, Placements, correlations_at, fields_of
-from aleator.uncertainty._placements import free
 
 # The parameters of distributions that have the unit of the uncertain number itself.
 _LIKE_THE_NUMBER = (
@@ -116,7 +115,7 @@ def _shared(model: Any) -> Iterator[tuple[str, str, str]]:
         unit = field.metadata.get("unit", "")
         if not (isinstance(unit, str) and unit) or (isinstance(value, eqx.Module) and not is_leaf(value)):
             continue
-        for leaf in map(free, filter(is_leaf, jax.tree.leaves(value, is_leaf=is_leaf))):
+        for leaf in filter(is_leaf, jax.tree.leaves(value, is_leaf=is_leaf)):
             if leaf.shared_name:
                 yield place, unit, leaf.shared_name
             if isinstance(leaf, AbstractDistribution):

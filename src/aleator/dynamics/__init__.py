@@ -21,13 +21,13 @@ from aleator.dynamics._grid import Grid as Grid
 from aleator.dynamics._grid import Inputs as Inputs
 from aleator.dynamics._grid import Instant as Instant
 from aleator.dynamics._grid import check_signals as check_signals
-from aleator.dynamics._integrators import STATES as STATES
 from aleator.dynamics._integrators import AbstractIntegrator as AbstractIntegrator
-from aleator.dynamics._integrators import ObservedStates as ObservedStates
 from aleator.dynamics._integrators import RungeKutta4 as RungeKutta4
 from aleator.dynamics._multiple_shooting import MultipleShooting as MultipleShooting
 from aleator.dynamics._multiple_shooting import SegmentRate as SegmentRate
 from aleator.dynamics._newton import newton as newton
+from aleator.dynamics._record import ONLY_STATES as ONLY_STATES
+from aleator.dynamics._record import STATES as STATES
 from aleator.dynamics._record import Asked as Asked
 from aleator.dynamics._record import History as History
 from aleator.dynamics._record import Known as Known

@@ -1,45 +1,102 @@
-"""Adaptive integrators (diffrax), for stiff and long simulations."""
+"""Adaptive integrators, for stiff and long simulations: a step of the grid is divided as its errors require."""
 
 from collections.abc import Callable
-from typing import Any, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jax.lax import stop_gradient
+from jax.scipy.linalg import lu_factor, lu_solve
+from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
 from aleator._core import border
-from aleator.dynamics._evaluation import completed, derivative, explain_algebraic, explain_from, initial_state
+from aleator._core.compilation import Use, evaluate
+from aleator._core.equations import as_time
+from aleator.dynamics._evaluation import (
+    algebraic_residuals,
+    completed,
+    explain_from,
+    guessed_algebraic,
+    initial_state,
+    variables_of,
+)
 from aleator.dynamics._grid import Grid, Inputs, inputs_on
-from aleator.dynamics._integrators import AbstractIntegrator
+from aleator.dynamics._integrators import AbstractIntegrator, on_grid, zeros
 from aleator.dynamics._record import Asked, Record
-from aleator.dynamics._system import System
-from aleator.trajectories import jumps_of
+from aleator.dynamics._steps import Steps, signals_within, steps_of
+from aleator.dynamics._system import System, state_type
+from aleator.dynamics._tableaux import RODAS_5P, TSITOURAS_5, Tableau, square
 
 _RELATIVE, _ABSOLUTE, _STEPS = 1e-8, 1e-10, 100_000
 
 # Smaller tolerances cannot be met in 64-bit arithmetic.
 _TIGHTEST_RELATIVE, _TIGHTEST_ABSOLUTE = 1e-12, 1e-14
 
-# If the second half of the steps advances time by less than this fraction, more steps would not help.
-_STUCK = 0.01
+# The next step follows from the error of this one, with a margin, and is shorter where this one gave no number.
+_MARGIN, _LEAST_CHANGE, _MOST_CHANGE, _AFTER_NO_NUMBER = 0.9, 0.2, 10.0, 0.1
+
+# The shortest step, relative to the time.
+_SHORTEST = 4 * float(np.finfo(float).eps)
+
+# If the last step is so many times shorter than the mean of all, more steps are no remedy.
+_HOPELESS = 1000
+
+# Signals have corners at instants, up to rounding: their slopes are those this fraction of a grid's step later.
+_LATER = 1e-9
+
+Vector = Float[Array, " n"]
+Rates = Callable[[Any, Vector], Vector]
+"""The rates of a vector at a share of a step of the grid."""
+
+
+class _State(NamedTuple):
+    """How far the integration of one step of the grid is.
+
+    - `share`: of the step; `vector`: all that is integrated, and the algebraic variables of implicit methods; `h`: the
+      length to try next, s; `left`: how many more steps may be tried in all.
+    """
+
+    share: Float[Array, ""]
+    vector: Vector
+    h: Float[Array, ""]
+    left: Int[Array, ""]
+
+
+class _Course(NamedTuple):
+    """The integration of all steps of a grid.
+
+    - `shares`: how much of each was reached; `end`: where it ended; `places`: of the instants among the steps' ends.
+    """
+
+    record: Record
+    steps: Steps
+    shares: Float[Array, " steps"]
+    end: _State
+    places: Int[Any, " instants"]
 
 
 class AbstractAdaptive(AbstractIntegrator):
-    """Adaptive integration to relative and absolute tolerances, by the solver of diffrax that has the class's name.
+    """Adaptive integration: the error of each state in a step is at most `atol + rtol |state|`.
 
-    Steps are never longer than those of the grid: with smooth states, longer ones could pass over fast changes of
-    outputs, integrands or loads.
+    A step ends at each instant of the grid, so that none passes over a fast change of outputs, integrands or loads, and
+    at each declared jump. The states are one vector and the stages of a
+    step are a loop, so that a system is compiled once for all of them, however many states it names.
 
-    Where the solver gives up (after `max_steps` steps in all) the outputs are NaN, which the caller reports with the
-    realisation at fault and the text of `explain`. Loose tolerances give inaccurate derivatives.
+    Where it gives up (after `max_steps` steps in all, or where steps become too short) the outputs are NaN, which the
+    caller reports with the realisation at fault and the text of `explain`. Derivatives are those of the steps taken, as
+    shares of the grid's steps: loose tolerances give inaccurate ones.
     """
 
     # Type checkers read the arguments of subclasses, which have no `__init__`, off the fields.
     rtol: float = eqx.field(static=True, default=_RELATIVE)
     atol: float = eqx.field(static=True, default=_ABSOLUTE)
     max_steps: int = eqx.field(static=True, default=_STEPS)
+
+    tableau: ClassVar[Tableau]
 
     def __init__(self, rtol: float = _RELATIVE, atol: float = _ABSOLUTE, max_steps: int = _STEPS):
         who = type(self).__name__
@@ -48,67 +105,106 @@ class AbstractAdaptive(AbstractIntegrator):
 
     @override
     def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
-        import diffrax  # late: its import takes as long as everything else
+        def along(fine: Grid, asked: Asked) -> tuple[Record, Any]:
+            course = self._course(system, fine, inputs, asked)
+            is_complete = jnp.all(course.shares == 1.0)
+            return jax.tree.map(lambda one: jnp.where(is_complete, one, jnp.nan), course.record), course.places
 
-        now = inputs_on(grid, inputs)
-        first = grid.times[0]
-        start = initial_state(system, first, now(first))
-        shapes = jax.eval_shape(lambda: asked.rates(system, first, start, now(first)))
-        # diffrax accepts no empty containers, so states and saved values are lists of arrays.
-        carried, structure = jax.tree.flatten((start, jax.tree.map(lambda one: jnp.zeros(one.shape), shapes)))
+        return on_grid(grid, asked, along)
 
-        def rates(t: Any, carried: list[Array], _: Any) -> list[Array]:
-            u = now(t)
-            z = completed(system, t, jax.tree.unflatten(structure, carried)[0], u)
-            return jax.tree.leaves(asked.slopes(system, t, z, u))
+    def _course(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> _Course:
+        steps, places = steps_of(grid, inputs, [])
+        t, now, count = (
+            steps.t[0],
+            {name: values[places[0]] for name, values in steps.first.items()},
+            len(system.states),
+        )
+        start = initial_state(system, t, now)
+        # Implicit methods carry algebraic variables along; explicit ones find them wherever they see states.
+        carries_algebraic = system.algebraic and self.tableau.is_implicit
+        guess = guessed_algebraic(system, t, start, now) if carries_algebraic else ()
+        integrands = jax.eval_shape(lambda: asked.rates(system, t, start, now))
+        vector, named = ravel_pytree(((*start, *guess), zeros(integrands)))
+        has_rate = np.ones(vector.size)
+        states, algebraic = (sum(map(jnp.size, part)) for part in (start, guess))
+        has_rate[states : states + algebraic] = 0.0
 
-        def observed(t: Any, carried: list[Array]) -> tuple[Any, Any, Any]:
-            (z, integrals), u = jax.tree.unflatten(structure, carried), now(t)
-            z = completed(system, t, z, u)
-            halfway = asked.at_node(system, t, z, u) if asked.nodes else {}
-            return asked.at_instant(system, t, z, u), halfway, integrals
+        def advance(state: _State, step: Steps) -> tuple[_State, tuple[Any, ...]]:
+            signals = signals_within(grid, inputs, step)
 
-        at = grid.node_times if asked.nodes else grid.times
-        saved = diffrax.SaveAt(ts=at, fn=lambda t, carried, _: jax.tree.leaves(observed(t, carried)))
-        solution = self._solved(rates, carried, grid, inputs, saved, self.max_steps)
-        arrived = solution.result == diffrax.RESULTS.successful
-        values_at = [jnp.where(arrived, values, jnp.nan) for values in solution.ys or []]
-        structure_at = jax.tree.structure(jax.eval_shape(lambda: observed(first, carried)))
-        history, nodes, integrals = jax.tree.unflatten(structure_at, values_at)
-        if asked.nodes:
-            history = {name: values[::2] for name, values in history.items()}
-        return Record(history, nodes, tuple(one[-1] for one in integrals))
+            def rates(share: Any, vector: Vector) -> Vector:
+                t, (numbers, _), u = as_time(step.t + share * step.h), named(vector), signals(share)
+                z = completed(system, t, variables_of(system, numbers), u)
+                slopes, growths = asked.slopes(system, t, z, u)
+                residuals = algebraic_residuals(system, t, z, u) if carries_algebraic else ()
+                return ravel_pytree((slopes, residuals, growths))[0]
+
+            numbers, integrals = named(state.vector)
+            z = state_type(system.states)(*numbers[:count])
+            if carries_algebraic:
+                # They jump with the inputs: the step begins with those on its own side.
+                z = completed(system, step.t, z, step.first, state_type(system.algebraic)(*numbers[count:]))
+            outputs = asked.at_instant(system, step.t, z, step.first)
+            begin = state._replace(share=jnp.zeros(()), vector=ravel_pytree(((*z,), integrals))[0])
+            end = self._within(rates, begin, step, has_rate)
+            return end, (outputs, end.share)
+
+        # The first step is the grid's, if its error is small.
+        begin = _State(jnp.zeros(()), vector, stop_gradient(jnp.asarray(grid.step)), jnp.asarray(self.max_steps))
+        end, (history, shares) = jax.lax.scan(advance, begin, steps)
+        return _Course(Record(history, {}, named(end.vector)[1]), steps, shares, end, places)
+
+    def _within(self, rates: Rates, begin: _State, step: Steps, has_rate: np.ndarray) -> _State:
+        """The integration of one step of the grid, as far as it goes."""
+        length = stop_gradient(step.h)
+        shortest = _SHORTEST * stop_gradient(jnp.maximum(jnp.abs(step.t), jnp.abs(step.t + step.h)))
+
+        def is_on_the_way(state: _State) -> Bool[Array, ""]:
+            return (state.share < 1) & (state.left > 0) & (state.h > shortest)
+
+        def attempt(state: _State) -> _State:
+            rest = 1 - state.share
+            parts = jnp.maximum(jnp.ceil(rest * length / state.h), 1.0)
+            share = rest / parts
+            vector, difference = _step(self.tableau, rates, state.share, share, state.vector, step.h, has_rate)
+            size = jnp.maximum(jnp.abs(state.vector), jnp.abs(vector))
+            error = stop_gradient(jnp.max(jnp.abs(difference) / (self.atol + self.rtol * size)))
+            change = _MARGIN * error ** (-1 / self.tableau.order)
+            change = jnp.where(error >= 0, jnp.clip(change, _LEAST_CHANGE, _MOST_CHANGE), _AFTER_NO_NUMBER)
+            reached, is_close = jnp.where(parts == 1, 1.0, state.share + share), error <= 1
+            return _State(
+                # No time, between two jumps at once or after the end, passes whatever the rates, and tells nothing.
+                jnp.where(is_close | (length == 0), reached, state.share),
+                jnp.where(is_close, vector, state.vector),
+                jnp.where(length > 0, share * length * change, state.h),
+                state.left - 1,
+            )
+
+        return jax.lax.while_loop(is_on_the_way, attempt, begin)
 
     @override
     def explain(self, system: System, grid: Grid, inputs: Inputs) -> str:
-        import diffrax
-
-        now = inputs_on(grid, inputs)
-
-        def rates(t: Any, z: Any, _: Any) -> Any:
-            return derivative(system, t, z, now(t))
-
-        start = initial_state(system, grid.times[0], now(grid.times[0]))
-
-        def tried(most: int) -> Any:
-            return self._solved(rates, start, grid, inputs, diffrax.SaveAt(t1=True), most)
-
-        solution = tried(self.max_steps)
-        if bool(solution.result == diffrax.RESULTS.successful):
-            return (
-                explain_algebraic(system, grid, inputs, self.course(system, grid, inputs)) if system.algebraic else ""
-            )
-        name, first, reached = type(self).__name__, float(grid.t_start), float(solution.ts[-1])
-        arrived = jax.tree.map(lambda one: one[-1], solution.ys)
+        _, steps, shares, end, _ = evaluate(
+            lambda: self._course(system, grid, inputs, Asked(frozenset())), use=Use.ONCE
+        )
+        if np.all(np.asarray(shares) == 1.0):
+            return super().explain(system, grid, inputs)
+        name, now = type(self).__name__, inputs_on(grid, inputs)
+        reached, last = float(grid.t_start + np.asarray(shares) @ np.asarray(steps.h)), float(grid.t_final)
+        states, named = ravel_pytree(initial_state(system, grid.times[0], now(grid.times[0])))
+        arrived = named(end.vector[: states.size])
         if system.algebraic and (failure := explain_from(system, reached, arrived, float(grid.step), now)):
             return failure
-        halfway = float(tried(max(self.max_steps // 2, 1)).ts[-1])
-        if bool(solution.result == diffrax.RESULTS.max_steps_reached) and reached - halfway > _STUCK * (
-            reached - first
-        ):
+        if self.rtol < _TIGHTEST_RELATIVE:
             return (
-                f"{name} used up its {self.max_steps} steps at t = {reached:.4g} s of {float(grid.t_final):.4g} s. "
-                f"Give it more, al.integrators.{name}(max_steps={10 * self.max_steps}), or larger tolerances."
+                f"{name} stops at t = {reached:.4g} s, where rounding is larger than its tolerances: give it "
+                f"rtol={_TIGHTEST_RELATIVE:g} or more."
+            )
+        if int(end.left) == 0 and _HOPELESS * self.max_steps * float(end.h) > reached - float(grid.t_start):
+            stiff = "" if self.tableau.is_implicit else "; or take al.integrators.Kvaerno5(), if the system is stiff"
+            return (
+                f"{name} used up its {self.max_steps} steps at t = {reached:.4g} s of {last:.4g} s. "
+                f"Give it more, al.integrators.{name}(max_steps={10 * self.max_steps}), or larger tolerances{stiff}."
             )
         return (
             f"{name} stops at t = {reached:.4g} s, where its steps become too short. Check for rates that jump, grow "
@@ -116,95 +212,75 @@ class AbstractAdaptive(AbstractIntegrator):
             "or bound the distributions and decisions that lead there."
         )
 
-    def _solved(
-        self,
-        rates: Callable[..., Any],
-        start: Any,
-        grid: Grid,
-        inputs: Inputs,
-        saved: Any,
-        most: int,
-    ) -> Any:
-        import diffrax
-
-        controller = diffrax.PIDController(rtol=self.rtol, atol=self.atol, dtmax=grid.step)
-        if (jumps := jumps_of(inputs, grid.t_start, grid.t_final)).size:
-            controller = diffrax.ClipStepSizeController(controller, jump_ts=jumps)
-        return diffrax.diffeqsolve(
-            diffrax.ODETerm(lambda *at: jax.tree.map(_slopes_of_numbers, rates(*at))),
-            getattr(diffrax, type(self).__name__)(),
-            t0=grid.t_start,
-            t1=grid.t_final,
-            dt0=None,
-            y0=start,
-            saveat=saved,
-            stepsize_controller=controller,
-            # Forward mode, for few decisions and many outputs.
-            adjoint=diffrax.ForwardMode(),
-            max_steps=most,
-            throw=False,
+    @override
+    def refined(self) -> AbstractIntegrator:
+        return type(self)(
+            max(self.rtol / 100, _TIGHTEST_RELATIVE), max(self.atol / 100, _TIGHTEST_ABSOLUTE), 10 * self.max_steps
         )
 
     @override
-    def refined(self) -> AbstractIntegrator:
-        return type(self)(**self.tighter())
-
-    def tighter(self) -> dict[str, Any]:
-        """Arguments for a hundredth of the tolerances, limited by 64-bit arithmetic."""
-        return {
-            "rtol": max(self.rtol / 100, _TIGHTEST_RELATIVE),
-            "atol": max(self.atol / 100, _TIGHTEST_ABSOLUTE),
-            "max_steps": 10 * self.max_steps,
-        }
+    def reference(self) -> AbstractIntegrator:
+        """The same with smaller tolerances, and so with other steps."""
+        return self.refined()
 
 
-@jax.custom_jvp
-def _slopes_of_numbers(rate: Array) -> Array:
-    """The unchanged rate, with derivatives of zero where it is not finite.
+def _step(
+    tableau: Tableau, rates: Rates, begin: Any, share: Any, vector: Vector, length: Any, has_rate: np.ndarray
+) -> tuple[Vector, Vector]:
+    """The end of one step and its estimated error; NaN where a stage has no number.
 
-    A stage with non-finite rates is rejected, and its derivatives with it. Until then these must be finite, or
-    diffrax's linear solvers would raise an error for the whole program.
+    - `rates`: of the vector at a share of a step of the grid, of some length; zero at a solution where `has_rate` is 0;
+    - `begin`, `share`: where the step begins, and how long it is, as shares of the grid's step.
     """
-    return rate
+    couplings, nodes = jnp.asarray(square(tableau.couplings)), jnp.asarray(tableau.nodes)
+    # Equations without rates are not multiplied by the length of the step, so that they hold over no time too.
+    multiples = share * length * has_rate + (1.0 - has_rate)
+    rows: tuple[Array, ...] = (jnp.arange(nodes.size, dtype=np.int32), nodes, couplings)
+
+    def plain(row: tuple[Array, ...], stages: Array) -> Vector:
+        _, node, coupling, *_ = row
+        return multiples * rates(begin + node * share, vector + coupling @ stages)
+
+    increment = plain
+    if tableau.is_implicit:
+        at = jnp.concatenate([jnp.asarray(begin + _LATER)[None], vector])
+        slope, jacobian = jnp.split(multiples[:, None] * jax.jacfwd(lambda at: rates(at[0], at[1:]))(at), [1], axis=1)
+        solved = _solver(jnp.asarray(np.diag(has_rate)) - tableau.diagonal * jacobian)
+        rows = (*rows, jnp.asarray(square(tableau.implicit_couplings)), jnp.asarray(tableau.slopes))
+
+        def increment(row: tuple[Array, ...], stages: Array) -> Vector:
+            coupling, multiple = row[3:]
+            added = has_rate * (coupling @ stages) + multiple * share * slope[:, 0]
+            return solved(tableau.diagonal * (plain(row, stages) + added))
+
+    def stage(stages: Array, row: tuple[Array, ...]) -> tuple[Array, None]:
+        return jax.lax.dynamic_update_index_in_dim(stages, increment(row, stages), row[0], 0), None
+
+    stages, _ = jax.lax.scan(stage, jnp.zeros((nodes.size, vector.size)), rows)
+    return vector + jnp.asarray(tableau.weights) @ stages, jnp.asarray(tableau.errors) @ stages
 
 
-@_slopes_of_numbers.defjvp
-def _slopes(rates: tuple[Array], slopes: tuple[Array]) -> tuple[Array, Array]:
-    return _slopes_of_numbers(rates[0]), jnp.where(jnp.isfinite(rates[0]), slopes[0], 0.0)
+def _solver(matrix: Float[Array, "n n"]) -> Callable[[Vector], Vector]:
+    """Solves linear equations with a matrix that is factorised once; differentiable to any order."""
+    factors = lu_factor(stop_gradient(matrix))
+    return lambda right: jax.lax.custom_linear_solve(
+        lambda unknowns: matrix @ unknowns, right, lambda _, right: lu_solve(factors, right)
+    )
 
 
 @final
 class Tsit5(AbstractAdaptive):
     """Adaptive explicit Runge-Kutta of order 5 (Tsitouras, 2011), for smooth, non-stiff systems."""
 
-    @override
-    def reference(self) -> AbstractIntegrator:
-        return Dopri8(**self.tighter())
-
-
-@final
-class Dopri8(AbstractAdaptive):
-    """Adaptive explicit Runge-Kutta of order 8 (Dormand and Prince, 1981)."""
-
-    @override
-    def reference(self) -> AbstractIntegrator:
-        return Tsit5(**self.tighter())
+    tableau: ClassVar[Tableau] = TSITOURAS_5
 
 
 @final
 class Kvaerno5(AbstractAdaptive):
-    """Adaptive implicit Runge-Kutta of order 5 (Kvaerno, 2004), for stiff systems."""
+    """Adaptive and linearly implicit, of order 5, for stiff systems: Rodas5P (Steinebach, 2023).
 
-    @override
-    def reference(self) -> AbstractIntegrator:
-        """The method of order 4, at the same tolerances."""
-        return Kvaerno4(**self.tighter())
+    A stage solves linear equations with one Jacobian for each step, where the method of Kvaerno, which had this name
+    before, needs Newton's method.
+    """
 
-
-@final
-class Kvaerno4(AbstractAdaptive):
-    """Adaptive implicit Runge-Kutta of order 4 (Kvaerno, 2004)."""
-
-    @override
-    def reference(self) -> AbstractIntegrator:
-        return Kvaerno5(**self.tighter())
+    tableau: ClassVar[Tableau] = RODAS_5P

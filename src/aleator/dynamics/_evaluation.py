@@ -8,7 +8,7 @@ keeps its order.
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -174,30 +174,37 @@ def algebraic_residuals(system: System, t: Any, whole: Any, inputs: dict[str, Ar
     return as_equations(system, evaluated(system, system.residual, t, whole, inputs), system.algebraic, size)
 
 
-def completed(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> Any:
+def completed(system: System, t: Any, z: Any, inputs: dict[str, Array], near: Any = None) -> Any:
     """The states with the algebraic variables that follow from them, as one named tuple; unchanged if it has them.
 
-    Where Newton's method finds no isolated solution they are NaN: see `explain_algebraic`.
+    Where Newton's method finds no isolated solution they are NaN: see `explain_algebraic`. It starts from those that
+    are `near`, by default from the system's own guess.
     """
     if not system.algebraic or len(z) > len(system.states):
         return z
-    root, named = solved_algebraic(system, t, z, inputs)
+    root, named = solved_algebraic(system, t, z, inputs, near)
     return with_algebraic(system, z, named(jnp.where(root.converged, root.point, jnp.nan)))
 
 
-def solved_algebraic(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> tuple[Root, Named]:
+def solved_algebraic(system: System, t: Any, z: Any, inputs: dict[str, Array], near: Any = None) -> tuple[Root, Named]:
     """Solve for the algebraic variables; differentiable to any order, by the implicit function theorem."""
 
     def equations(numbers: tuple[System, Any, Any, dict[str, Array]], y: Any) -> Float[Array, " algebraic"]:
         one, at, states, now = numbers
         return algebraic_residuals(one, at, with_algebraic(one, states, y), now)
 
-    return named_root(equations, (system, t, z, inputs), guessed_algebraic(system, t, z, inputs))
+    guess = guessed_algebraic(system, t, z, inputs) if near is None else near
+    return named_root(equations, (system, t, z, inputs), guess)
 
 
 def with_algebraic(system: System, z: Any, y: Any) -> Any:
     """States and algebraic variables as one named tuple."""
-    return state_type((*system.states, *system.algebraic))(*z, *y)
+    return variables_of(system, (*z, *y))
+
+
+def variables_of(system: System, numbers: Sequence[Any]) -> Any:
+    """States, and algebraic variables if there are more numbers, as a named tuple."""
+    return state_type((*system.states, *system.algebraic)[: len(numbers)])(*numbers)
 
 
 def explain_algebraic(

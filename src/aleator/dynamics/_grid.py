@@ -158,7 +158,7 @@ def _steps(steps: Any) -> int:
 
 
 def _is_decided(t_final: Any) -> bool:
-    return isinstance(t_final, AbstractLeaf) and not t_final.UNCERTAIN
+    return isinstance(t_final, AbstractLeaf) and not t_final.is_uncertain
 
 
 def _scalar(number: Any) -> Any:

@@ -5,28 +5,30 @@ evaluated at the same instants.
 """
 
 import abc
-from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple, final
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree
 from aleator._core.compilation import Use, evaluate
 from aleator._core.equations import as_time
 from aleator._core.leaves import Module
+from aleator.dynamics._equations import TracedSystem
 from aleator.dynamics._evaluation import completed, derivative, explain_algebraic, initial_state
 from aleator.dynamics._grid import Grid, Inputs
-from aleator.dynamics._record import Asked, Record
+from aleator.dynamics._record import ONLY_STATES, STATES, Asked, Record
 from aleator.dynamics._steps import Steps, steps_of
 from aleator.dynamics._system import System
-from aleator.trajectories import AbstractSignal, jumping_in
+from aleator.dynamics._tableaux import DORMAND_PRINCE_5, RUNGE_KUTTA_4, Tableau, square
+from aleator.trajectories import jumping_in
 
-STATES = "states"
+# Systems of more equations take longer to compile for each stage than a loop over the stages takes to run.
+_LARGE = 500
 
 
 class AbstractIntegrator(Module):
@@ -38,34 +40,20 @@ class AbstractIntegrator(Module):
 
     @abc.abstractmethod
     def reference(self) -> "AbstractIntegrator":
-        """A more accurate integrator of another order, by which this one's error is estimated."""
+        """A more accurate integrator of another order, by which this one's error is estimated; one of smaller
+        tolerances, if it has any.
+        """
 
     def explain(self, system: System, grid: Grid, inputs: Inputs) -> str:
         """Why it fails on one realised system, with the remedy; empty if it does not fail, or cannot tell."""
-        del system, grid, inputs
-        return ""
-
-    def course(self, system: System, grid: Grid, inputs: Inputs) -> Float[np.ndarray, "instants states"]:
-        """The states of one realised system side by side at every instant."""
-        asked = Asked(frozenset({STATES}))
-        rows = evaluate(lambda: self.record(ObservedStates(system), grid, inputs, asked).history[STATES], use=Use.ONCE)
-        return np.asarray(rows)
+        if not system.algebraic:
+            return ""
+        rows = evaluate(lambda: self.record(system, grid, inputs, ONLY_STATES).history[STATES], use=Use.ONCE)
+        return explain_algebraic(system, grid, inputs, np.asarray(rows))
 
     def refined(self) -> "AbstractIntegrator":
         """The same integrator with smaller tolerances, if it has any: most follow the steps of the grid."""
         return self
-
-
-class Tableau(NamedTuple):
-    """An explicit Runge-Kutta method (Hairer, Nørsett and Wanner, Solving Ordinary Differential Equations I, II.1).
-
-    - `nodes`: the stages' times as fractions of a step; `couplings`: the coefficients of each stage on those before it;
-      `weights`: those of the stages in the result.
-    """
-
-    nodes: tuple[float, ...]
-    couplings: tuple[tuple[float, ...], ...]
-    weights: tuple[float, ...]
 
 
 class AbstractFixedStep(AbstractIntegrator):
@@ -78,66 +66,99 @@ class AbstractFixedStep(AbstractIntegrator):
 
     @override
     def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
-        inner = sorted({node for node in (*self.tableau.nodes, *([0.5] if asked.nodes else [])) if 0 < node < 1})
         if not jumping_in(inputs):
-            return self._taken(system, asked, inner, *steps_of(grid, inputs, inner))
-        # A step that a jump divides has its middle anywhere: middles are instants of a finer grid instead.
-        parts = 2 if asked.nodes else 1
-        steps, places = steps_of(grid.finer(parts), inputs, inner)
-        every = asked._replace(instants=asked.instants and asked.instants | asked.nodes, nodes=frozenset(), fold=None)
-        record = self._taken(system, every, inner, steps, places)
-        nodes = {name: values[places] for name, values in record.history.items()}
-        history = {name: values[::parts] for name, values in nodes.items()}
-        if asked.fold is None:
-            return Record(history, {name: nodes[name] for name in asked.nodes}, record.integrals)
-        folded, first = asked.fold(None, {name: values[0] for name, values in history.items()})
-        folded, rest = jax.lax.scan(asked.fold, folded, {name: values[1:] for name, values in history.items()})
-        return Record(_joined(first, rest), {}, record.integrals, folded)
+            return self._taken(system, grid, inputs, asked)[0]
+        # A step that a jump divides has its middle anywhere.
+        return on_grid(grid, asked, lambda grid, asked: self._taken(system, grid, inputs, asked))
 
-    def _taken(self, system: System, asked: Asked, inner: list[float], steps: Steps, places: Any) -> Record:
-        """The record of some steps, whose signals are known at `inner` fractions of each: see `steps_of`."""
-        nodes, couplings, weights = self.tableau
+    def _taken(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> tuple[Record, Any]:
+        """The record of all steps, divided by jumps, and where the instants are among their beginnings."""
+        nodes, couplings, weights, *_ = self.tableau
+        inner = sorted({node for node in (*nodes, *([0.5] if asked.nodes else [])) if 0 < node < 1})
+        steps, places = steps_of(grid, inputs, inner)
         t_start, now = steps.t[0], {name: values[places[0]] for name, values in steps.first.items()}
         start = initial_state(system, t_start, now)
+        is_large = isinstance(system, TracedSystem) and system.equations["instant"].size > _LARGE
 
         # Traced once for all stages.
         @jax.jit
         def rates(t: Array, z: Pytree, u: dict[str, Array]) -> tuple[Pytree, tuple[Array, ...]]:
-            z = completed(system, t, z, u)
-            return asked.slopes(system, t, z, u)
+            return asked.slopes(system, t, completed(system, t, z, u), u)
 
-        def advance(carried: tuple[Pytree, ...], step: Steps) -> tuple[tuple[Pytree, ...], tuple[Any, Any]]:
-            (z, integrals, folded), (t, h, first, middle, last, after) = carried, step
+        def advance(carried: tuple[Pytree, ...], step: Steps) -> tuple[tuple[Pytree, ...], tuple[Any, ...]]:
+            (z, integrals, folded), (t, h, first, middle, last, *_) = carried, step
             signals = {0.0: first, 1.0: last, **dict(zip(inner, middle, strict=True))}
-            slopes: list[Pytree] = []
-            growths: list[Pytree] = []
-            for node, coupling in zip(nodes, couplings, strict=True):
-                stage = rates(as_time(t + node * h), _moved(z, h, coupling, slopes), signals[node])
-                slopes.append(stage[0])
-                growths.append(stage[1])
-            end = _moved(z, h, weights, slopes)
+            # The first stage and the outputs are at one time and follow from the same equations.
+            slope, growth, outputs = asked.everything(system, as_time(t), completed(system, t, z, first), first)
+            stages = [(slope, growth)]
+            if is_large:
+                stages = _stages_in_loop(self.tableau, rates, t, h, z, signals, stages[0])
+            else:
+                for node, coupling in zip(nodes[1:], couplings[1:], strict=True):
+                    at = _moved(z, h, coupling, [slopes for slopes, _ in stages])
+                    stages.append(rates(as_time(t + node * h), at, signals[node]))
+            end, grown = _moved((z, integrals), h, weights, stages)
+            # After the end comes a step of no length, whose rates need not be numbers.
+            grown = jax.tree.map(lambda one, more: jnp.where(h == 0, one, more), integrals, grown)
             # Outputs are taken inside the loop, so that states need not be stored.
-            folded, outputs = asked.folded(folded, asked.at_instant(system, t + h, end, after))
+            folded, outputs = asked.folded(folded, outputs)
             halfway = {}
             if asked.nodes:
                 arrived = derivative(system, t + h, end, last)
                 # Cubic Hermite interpolation between both ends, as accurate as these are.
-                centre = jax.tree.map(lambda a, b, da, db: (a + b) / 2 + h / 8 * (da - db), z, end, slopes[0], arrived)
+                centre = jax.tree.map(lambda a, b, da, db: (a + b) / 2 + h / 8 * (da - db), z, end, slope, arrived)
                 halfway = asked.at_node(system, t + h / 2, centre, signals[0.5])
-            return (end, _moved(integrals, h, weights, growths), folded), (outputs, halfway)
+            return (end, grown, folded), (outputs, halfway)
 
-        shapes = jax.eval_shape(lambda: asked.rates(system, t_start, start, now))
-        zeros = jax.tree.map(lambda one: jnp.zeros(one.shape), shapes)
-        folded, first = asked.folded(None, asked.at_instant(system, t_start, start, now))
-        (_, integrals, folded), (rest, middles) = jax.lax.scan(advance, (start, zeros, folded), steps)
-        history = _joined(first, rest)
-        return Record(history, _interleaved(history, middles), integrals, folded)
+        _, growth, outputs = jax.eval_shape(
+            lambda: asked.everything(system, t_start, completed(system, t_start, start, now), now)
+        )
+        carried = start, zeros(growth), asked.unfolded(outputs)
+        (_, integrals, folded), (history, middles) = jax.lax.scan(advance, carried, steps)
+        middles = {name: _interleaved(history[name], inside) for name, inside in middles.items()}
+        return Record(history, middles, integrals, folded and folded[1]), places
 
-    @override
-    def explain(self, system: System, grid: Grid, inputs: Inputs) -> str:
-        if not system.algebraic:
-            return ""
-        return explain_algebraic(system, grid, inputs, self.course(system, grid, inputs))
+
+def on_grid(grid: Grid, asked: Asked, along: Callable[[Grid, Asked], tuple[Record, Any]]) -> Record:
+    """What is asked for, from a record of steps that do not tell their middles: these are instants of a finer grid.
+
+    - `along`: the record of all steps of a grid, and where its instants are among their beginnings.
+    """
+    parts = 2 if asked.nodes else 1
+    every = asked._replace(instants=asked.instants and asked.instants | asked.nodes, nodes=frozenset(), fold=None)
+    record, places = along(grid.finer(parts), every)
+    is_divided = any(len(values) > len(places) for values in record.history.values())
+    nodes = {name: values[places] if is_divided else values for name, values in record.history.items()}
+    history = {name: values[::parts] for name, values in nodes.items()}
+    if asked.fold is None:
+        return Record(history, {name: nodes[name] for name in asked.nodes}, record.integrals)
+    folded, history = jax.lax.scan(asked.folded, asked.unfolded({n: v[0] for n, v in history.items()}), history)
+    return Record(history, {}, record.integrals, folded and folded[1])
+
+
+def _stages_in_loop(
+    tableau: Tableau,
+    rates: Callable[..., Pytree],
+    t: Array,
+    h: Array,
+    z: Pytree,
+    signals: Mapping[float, dict[str, Array]],
+    first: Pytree,
+) -> list[Pytree]:
+    """All stages, by one copy of the rates for those after the first."""
+    count, nodes = len(tableau.nodes), tableau.nodes[1:]
+    told = jax.tree.map(lambda *each: jnp.stack(each), *(signals[node] for node in nodes))
+    rows = jnp.arange(1, count), jnp.asarray(nodes), jnp.asarray(square(tableau.couplings)[1:]), told
+
+    def stage(stages: Pytree, row: tuple[Any, ...]) -> tuple[Pytree, None]:
+        index, node, coupling, u = row
+        at = jax.tree.map(lambda x, slopes: x + h * jnp.tensordot(coupling, slopes, 1), z, stages[0])
+        own = rates(as_time(t + node * h), at, u)
+        return jax.tree.map(lambda x, one: jax.lax.dynamic_update_index_in_dim(x, one, index, 0), stages, own), None
+
+    begun = jax.tree.map(lambda one: jnp.zeros((count, *one.shape)).at[0].set(one), first)
+    stages, _ = jax.lax.scan(stage, begun, rows)
+    return [jax.tree.map(lambda one, i=i: one[i], stages) for i in range(count)]
 
 
 def _moved(z: Pytree, h: Any, weights: tuple[float, ...], slopes: list[Pytree]) -> Pytree:
@@ -152,29 +173,21 @@ def _moved(z: Pytree, h: Any, weights: tuple[float, ...], slopes: list[Pytree]) 
     )
 
 
-def _joined(first: Pytree, rest: Pytree) -> Pytree:
-    return jax.tree.map(lambda one, later: jnp.concatenate([one[None], later]), first, rest)
+def zeros(shapes: Pytree) -> Pytree:
+    """Zeros of the shapes of something that was not computed."""
+    return jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), shapes)
 
 
-def _interleaved(history: dict[str, Array], middles: dict[str, Array]) -> dict[str, Array]:
+def _interleaved(ends: Array, inside: Array) -> Array:
     """Values at the instants and at the midpoints of the steps, in order of time."""
-    nodes = {}
-    for name, inside in middles.items():
-        ends = history[name]
-        pairs = jnp.stack([ends[:-1], inside], axis=1).reshape(2 * len(inside), *inside.shape[1:])
-        nodes[name] = jnp.concatenate([pairs, ends[-1:]])
-    return nodes
+    return jnp.stack([ends, inside], axis=1).reshape(2 * len(inside), *inside.shape[1:])[:-1]
 
 
 @final
 class RungeKutta4(AbstractFixedStep):
     """The classical Runge-Kutta method of order 4, the default."""
 
-    tableau: ClassVar[Tableau] = Tableau(
-        nodes=(0.0, 0.5, 0.5, 1.0),
-        couplings=((), (1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)),
-        weights=(1 / 6, 1 / 3, 1 / 3, 1 / 6),
-    )
+    tableau: ClassVar[Tableau] = RUNGE_KUTTA_4
 
     @override
     def reference(self) -> AbstractIntegrator:
@@ -188,47 +201,8 @@ class DormandPrince5(AbstractFixedStep):
     Its stages lie at other fractions of a step than those of `RungeKutta4`, so it sees what these miss.
     """
 
-    tableau: ClassVar[Tableau] = Tableau(
-        nodes=(0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0),
-        couplings=(
-            (),
-            (1 / 5,),
-            (3 / 40, 9 / 40),
-            (44 / 45, -56 / 15, 32 / 9),
-            (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
-            (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
-        ),
-        weights=(35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
-    )
+    tableau: ClassVar[Tableau] = DORMAND_PRINCE_5
 
     @override
     def reference(self) -> AbstractIntegrator:
         return RungeKutta4()
-
-
-@final
-class ObservedStates(System):
-    """The same system, with one output `STATES`: its states side by side."""
-
-    system: System
-    states: tuple[str, ...] = eqx.field(static=True)  # type: ignore[misc]
-
-    def __init__(self, system: System):
-        self.system, self.states = system, system.states  # type: ignore[misc]
-
-    @override
-    def rhs(self, t: Any, z: Any, **inputs: Any) -> Any:
-        return derivative(self.system, t, z, inputs)
-
-    @override
-    def outputs(self, t: Any, z: Any, **inputs: Any) -> dict[str, Any]:
-        del t, inputs
-        return {STATES: jnp.concatenate([jnp.ravel(one) for one in jax.tree.leaves(z)])}
-
-    @override
-    def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
-        return self.system.starting(t, inputs)
-
-    @override
-    def signals(self) -> Mapping[str, AbstractSignal]:
-        return self.system.signals()

@@ -13,11 +13,11 @@ from jaxtyping import Array, Float, Int
 from typing_extensions import override
 
 from aleator._core.border import refusal, whole
-from aleator.dynamics._integrators import RungeKutta4
 from aleator.dynamics._schemes import AbstractMeanRate, AbstractScheme, Rate
+from aleator.dynamics._tableaux import RUNGE_KUTTA_4
 
 _MOST_STEPS = 100
-_RULE = RungeKutta4.tableau
+_RULE = RUNGE_KUTTA_4
 
 # Each stage of this rule depends on the one before alone, and signals are told twice a step.
 _COUPLINGS = np.array([row[-1] if row else 0.0 for row in _RULE.couplings])
@@ -32,23 +32,18 @@ class SegmentRate(AbstractMeanRate):
     Signals are told at the ends and in the middle of each step.
     """
 
-    count: int
-
-    @property
-    @override
-    def steps(self) -> int:
-        return self.count
+    steps: int
 
     @property
     def told(self) -> Float[np.ndarray, " told"]:
         """Where signals are told, as fractions of the segment."""
-        return np.linspace(0.0, 1.0, 2 * self.count + 1)
+        return np.linspace(0.0, 1.0, 2 * self.steps + 1)
 
     @property
     def quadrature(self) -> Float[np.ndarray, " told"]:
         """The weights of what is told in a mean over the segment."""
         weights = np.zeros(len(self.told))
-        np.add.at(weights, self._places, np.tile(_WEIGHTS, self.count) / self.count)
+        np.add.at(weights, self._places, np.tile(_WEIGHTS, self.steps) / self.steps)
         return weights
 
     @override
@@ -59,7 +54,7 @@ class SegmentRate(AbstractMeanRate):
         signals: Float[Array, "told signals"],
         states: Float[Array, " states"],
     ) -> Float[Array, " rates"]:
-        h = (places[-1, 0] - places[0, 0]) / self.count
+        h = (places[-1, 0] - places[0, 0]) / self.steps
         zeros = jnp.zeros(jax.eval_shape(rate, places[0], signals[0], states).shape)
 
         def stage(
@@ -72,15 +67,15 @@ class SegmentRate(AbstractMeanRate):
             return (begun, moved + weight * slope, slope), None
 
         each = (np.arange(len(_WEIGHTS)) == 0, _COUPLINGS, _WEIGHTS)
-        every = (*(jnp.asarray(np.tile(one, self.count)) for one in each), places[self._places], signals[self._places])
+        every = (*(jnp.asarray(np.tile(one, self.steps)) for one in each), places[self._places], signals[self._places])
         # A loop over stages, not steps: a model is traced once, however many there are.
         (_, moved, _), _ = jax.lax.scan(stage, (zeros, zeros, zeros), every)
-        return moved / self.count
+        return moved / self.steps
 
     @property
     def _places(self) -> np.ndarray:
         """Which of the places each stage of each step is at."""
-        return (2 * np.arange(self.count)[:, None] + _TWICE.astype(int)).ravel()
+        return (2 * np.arange(self.steps)[:, None] + _TWICE.astype(int)).ravel()
 
 
 @final

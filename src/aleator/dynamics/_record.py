@@ -30,6 +30,7 @@ Fold: TypeAlias = Callable[[Any, dict[str, Array]], tuple[Any, dict[str, Array]]
 """From what is carried from instant to instant (None before the first) and the outputs there: what is carried on, and
 what is recorded in the place of these outputs."""
 Fractions: TypeAlias = Float[np.ndarray | Array, " n"]
+STATES = "states"
 Take: TypeAlias = Callable[[System, Any, Any, dict[str, Array]], Pytree]
 
 
@@ -40,6 +41,7 @@ class Asked(NamedTuple):
     - `nodes`: those of them to record at the midpoints of the steps too, for statistics that are integrated over time;
     - `integrands`: functions integrated over time along the realisation, as accurately as its states; `integrated`: the
       outputs that they depend on;
+    - `states`: whether to record the states too, side by side, as `STATES`;
     - `fold`: what is made of the outputs at every instant instead of keeping them, where `Simulation.folds`;
     - `course`: the states, side by side, from which each of so many equal parts of the time is simulated; None for one
       simulation from the first instant. Integrators are asked for one part at a time.
@@ -49,20 +51,44 @@ class Asked(NamedTuple):
     nodes: frozenset[str] = frozenset()
     integrands: tuple[Integrand, ...] = ()
     integrated: frozenset[str] = frozenset()
+    states: bool = False
     fold: Fold | None = None
     course: Float[Array, "parts states"] | None = None
 
+    def unfolded(self, outputs: dict[str, Any]) -> Any:
+        """What is carried to the first instant, of which the outputs or their shapes are told."""
+        if (fold := self.fold) is None:
+            return ()
+        carried = jax.eval_shape(lambda outputs: fold(None, outputs)[0], outputs)
+        return jnp.asarray(True), jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), carried)
+
     def folded(self, carried: Any, outputs: dict[str, Array]) -> tuple[Any, dict[str, Array]]:
         """What is carried on from an instant, and what is recorded of the outputs there: without a fold, all."""
-        return ((), outputs) if self.fold is None else self.fold(carried, outputs)
+        if self.fold is None:
+            return (), outputs
+        is_first, before = carried
+        begun, further = self.fold(None, outputs), self.fold(before, outputs)
+        on, recorded = jax.tree.map(lambda *both: jnp.where(is_first, *both), begun, further)
+        return (jnp.asarray(False), on), recorded
 
     def at_instant(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> dict[str, Array]:
         """What is recorded at an instant of the grid."""
-        return chosen(system, observation(system, t, z, now), self.instants)
+        return self._recorded(system, z, {} if self.instants == set() else observation(system, t, z, now))
 
     def at_node(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> dict[str, Array]:
         """What is recorded at the midpoint of a step, and at its ends."""
         return chosen(system, observation(system, t, z, now), self.nodes)
+
+    def everything(
+        self, system: System, t: Any, z: Any, now: dict[str, Array]
+    ) -> tuple[Any, tuple[Array, ...], dict[str, Array]]:
+        """The rates of the states, the integrands, and what is recorded at an instant of the grid."""
+        slopes, outputs = derivative_and_observation(system, t, z, now)
+        return slopes, tuple(one(outputs) for one in self.integrands), self._recorded(system, z, outputs)
+
+    def _recorded(self, system: System, z: Any, outputs: dict[str, Array]) -> dict[str, Array]:
+        states = jnp.concatenate([jnp.ravel(one) for one in z[: len(system.states)]]) if self.states else None
+        return chosen(system, outputs, self.instants) | ({} if states is None else {STATES: states})
 
     def rates(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> tuple[Array, ...]:
         """The integrands at one time."""
@@ -77,6 +103,9 @@ class Asked(NamedTuple):
             return derivative(system, t, z, now), ()
         slopes, outputs = derivative_and_observation(system, t, z, now)
         return slopes, tuple(one(outputs) for one in self.integrands)
+
+
+ONLY_STATES = Asked(frozenset(), states=True)
 
 
 class Record(NamedTuple):
@@ -170,7 +199,7 @@ def observed(system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record
     middles = known_at(inputs, grid, grid.node_fractions)
     nodes = over(middles, asked.at_node) if asked.nodes else {}
     if asked.integrands and has_jumps(inputs):
-        (t, h, first, (middle,), last, _), _ = steps_of(grid, inputs, [0.5])
+        (t, h, first, (middle,), last, *_), _ = steps_of(grid, inputs, [0.5])
         sides = ((t, first), (t + h / 2, middle), (t + h, last))
         every = zip(*(over(known_of(*one), asked.rates) for one in sides), strict=True)
         integrals = tuple(jnp.tensordot(h / 6, one + 4 * two + three, axes=1) for one, two, three in every)

@@ -27,12 +27,12 @@ MOST_STAGES = 12
 
 
 class AbstractMeanRate(abc.ABC):
-    """What one block of a scheme is: a mean of rates, from the states where it begins."""
+    """What one block of a scheme is: a mean of rates, from the states where it begins.
 
-    @property
-    @abc.abstractmethod
-    def steps(self) -> int:
-        """Steps in time that an interval of a mesh stands for."""
+    `steps`: steps in time that an interval of a mesh stands for.
+    """
+
+    steps: int
 
     @abc.abstractmethod
     def __call__(
@@ -53,10 +53,7 @@ class AbstractMeanRate(abc.ABC):
 class PointRate(AbstractMeanRate):
     """The rate at one point."""
 
-    @property
-    @override
-    def steps(self) -> int:
-        return 1
+    steps: int = 1
 
     @override
     def __call__(
@@ -148,6 +145,12 @@ class AbstractCollocation(AbstractScheme):
 
     @property
     @override
+    def order(self) -> int:
+        """Twice the number of stages, less one for each end of the interval among them."""
+        return 2 * len(self.nodes) - int(self.nodes[0] == 0) - int(self.nodes[-1] == 1)
+
+    @property
+    @override
     def rate(self) -> AbstractMeanRate:
         return PointRate()
 
@@ -231,11 +234,6 @@ class Trapezoid(AbstractCollocation):
     def nodes(self) -> Float[np.ndarray, " stages"]:
         return np.array([0.0, 1.0])
 
-    @property
-    @override
-    def order(self) -> int:
-        return 2
-
 
 @final
 @dataclass(frozen=True)
@@ -246,11 +244,6 @@ class HermiteSimpson(AbstractCollocation):
     @override
     def nodes(self) -> Float[np.ndarray, " stages"]:
         return np.array([0.0, 0.5, 1.0])
-
-    @property
-    @override
-    def order(self) -> int:
-        return 4
 
 
 @dataclass(frozen=True)
@@ -292,11 +285,6 @@ class Radau(_AbstractQuadrature):
         inner = np.sort(legendre.legroots(series).real)[:-1]
         return np.append((1 + inner) / 2, 1.0)
 
-    @property
-    @override
-    def order(self) -> int:
-        return 2 * self.stages - 1
-
 
 @final
 @dataclass(frozen=True)
@@ -310,8 +298,3 @@ class GaussLegendre(_AbstractQuadrature):
     @override
     def nodes(self) -> Float[np.ndarray, " stages"]:  # pyright: ignore[reportIncompatibleMethodOverride]
         return (1 + legendre.leggauss(self.stages)[0]) / 2
-
-    @property
-    @override
-    def order(self) -> int:
-        return 2 * self.stages

@@ -1,7 +1,6 @@
 """The steps of a grid, each with the signals on its own side of every jump."""
 
-import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -16,8 +15,11 @@ from aleator.trajectories import before_jumps, has_jumps, instants, jumping_in, 
 class Steps(NamedTuple):
     """Steps one after the other, with the signals that each sees: at a jump, those on its own side.
 
-    - `t`, `h`: where each begins and how long it is, s; `first`, `last`: signals at its ends; `between`: at each of
-      some fractions inside; `after`: those that the next step sees at its beginning.
+    After the last one comes a step of no length, so that one begins at each instant.
+
+    - `t`, `h`: when each begins and how long it is, s; `first`, `last`: signals at its ends; `between`: at each of
+      some fractions inside;
+    - `begin`, `length`: both as fractions of the duration; `pieces`: on which each signal with declared jumps is.
     """
 
     t: Float[Array, " steps"]
@@ -25,11 +27,13 @@ class Steps(NamedTuple):
     first: dict[str, Array]
     between: list[dict[str, Array]]
     last: dict[str, Array]
-    after: dict[str, Array]
+    begin: Float[Array, " steps"]
+    length: Float[Array, " steps"]
+    pieces: list[Int[Array, " steps"]]
 
 
 def steps_of(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> tuple[Steps, Int[Any, " instants"]]:
-    """The steps of a grid, with signals at `inner` fractions of each, and the places of its instants among their ends.
+    """The steps of a grid, with signals at `inner` fractions of each, and where among these its instants are.
 
     A declared jump divides the step in which it lies.
     """
@@ -41,18 +45,20 @@ def steps_of(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> tuple[Steps,
 def _whole(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> Steps:
     """The steps of a grid that ends one at each jump."""
     # A table or a spline is looked up once for all stages.
-    inside = [grid.fractions[:-1] + node / grid.steps for node in inner]
-    looked_up = sampled(inputs, grid, np.concatenate([grid.fractions, *inside]))
-    ends = np.cumsum([grid.steps + 1, *(len(one) for one in inside)])[:-1].tolist()
-    at_instants, *between = (_rows(looked_up, slice(*part)) for part in itertools.pairwise([0, *ends, None]))
-    after = _rows(at_instants, slice(1, None))
-    last = sampled(before_jumps(inputs), grid, grid.fractions[1:]) if has_jumps(inputs) else after
-    h = jnp.broadcast_to(grid.step, grid.steps)
-    return Steps(grid.times[:-1], h, _rows(at_instants, slice(None, -1)), between, last, after)
+    count, lengths = grid.steps + 1, np.diff(grid.fractions, append=1.0)
+    every = [grid.fractions + node * lengths for node in (0.0, *inner, 1.0)]
+    looked_up = sampled(inputs, grid, np.concatenate(every))
+    first, *between, last = (
+        {name: values[i * count : (i + 1) * count] for name, values in looked_up.items()} for i in range(len(every))
+    )
+    if has_jumps(inputs):
+        last = sampled(before_jumps(inputs), grid, every[-1])
+    h = jnp.asarray(grid.step * (lengths > 0))
+    return Steps(grid.times, h, first, between, last, jnp.asarray(grid.fractions), jnp.asarray(lengths), [])
 
 
 def _divided(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> tuple[Steps, Int[Array, " instants"]]:
-    """The steps of a grid with one more for each declared jump, and the places of its instants among their ends.
+    """The steps of a grid with one more for each declared jump, and where among these its instants are.
 
     The jumps may be anywhere, in any order, so that the steps that they divide are data. Each step is told by its rank
     on which piece of a signal it is: times differ by rounding, and a step of no length has a side too, that of the
@@ -63,21 +69,35 @@ def _divided(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> tuple[Steps,
     order = jnp.argsort(every)  # stable: outputs at a jump are those of the step that begins there
     ends, ranks = jnp.clip(every[order], 0.0, 1.0), jnp.argsort(order)
     *own, places = jnp.split(ranks, np.cumsum([one.size for one in jumps]))
-    steps = np.arange(every.size - 1)
+    steps = np.arange(every.size)
     pieces = [jnp.sum(one[None] <= steps[:, None], axis=1) for one in own]
 
     def seen(first: Array, length: Array, pieces: list[Array]) -> tuple[dict[str, Array], dict[str, Array]]:
         held = on_pieces(inputs, pieces)
         inside = sampled(held, grid, first + length * np.array([0.0, *inner]))
-        return inside, {name: one[0] for name, one in sampled(before_jumps(held), grid, (first + length)[None]).items()}
+        return inside, _at(before_jumps(held), grid, first + length)
 
-    lengths = jnp.diff(ends)
-    inside, last = jax.vmap(seen)(ends[:-1], lengths, pieces)
+    lengths = jnp.diff(ends, append=ends[-1:])
+    inside, last = jax.vmap(seen)(ends, lengths, pieces)
     first, *between = ({name: rows[:, i] for name, rows in inside.items()} for i in range(len(inner) + 1))
-    after = {name: jnp.concatenate([rows[1:], last[name][-1:]]) for name, rows in first.items()}
-    times = instants(ends[:-1], grid.t_start, grid.t_final)
-    return Steps(times, jnp.asarray(grid.duration) * lengths, first, between, last, after), places
+    times = instants(ends, grid.t_start, grid.t_final)
+    h = jnp.asarray(grid.duration) * lengths
+    return Steps(times, h, first, between, last, ends, lengths, pieces), places
 
 
-def _rows(signals: dict[str, Array], rows: slice) -> dict[str, Array]:
-    return {name: values[rows] for name, values in signals.items()}
+def signals_within(grid: Grid, inputs: Inputs, step: Steps) -> Callable[[Any], dict[str, Array]]:
+    """All signals at a share of one step, on its side of every jump."""
+    held = on_pieces(inputs, step.pieces) if step.pieces else inputs
+
+    def at(share: Any) -> dict[str, Array]:
+        place = step.begin + share * step.length
+        inside = _at(held, grid, place)
+        if not has_jumps(inputs):
+            return inside
+        return jax.tree.map(lambda *sides: jnp.where(share < 1, *sides), inside, _at(before_jumps(held), grid, place))
+
+    return at
+
+
+def _at(signals: Inputs, grid: Grid, fraction: Any) -> dict[str, Array]:
+    return {name: values[0] for name, values in sampled(signals, grid, fraction[None]).items()}

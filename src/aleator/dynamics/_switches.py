@@ -69,7 +69,7 @@ def time_switches(simulation: Simulation, uncertain: Simulation | None = None) -
 def _is_decided(leaf: Any) -> bool:
     """Whether a leaf is chosen, or a distribution of which a number is."""
     inside = jax.tree.leaves(leaf, is_leaf=lambda node: is_leaf(node) and node is not leaf)
-    return is_leaf(leaf) and any(is_leaf(one) and not one.UNCERTAIN for one in [leaf, *inside])
+    return is_leaf(leaf) and any(is_leaf(one) and not one.is_uncertain for one in [leaf, *inside])
 
 
 def _opaque(simulation: Simulation) -> list[Any]:

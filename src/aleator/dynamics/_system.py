@@ -76,8 +76,9 @@ class System(AbstractSystem):
     are written as `residual(self, t, z, road)`: as many numbers, all of them zero. The state then has them too,
     `z.pressure`, in `rhs`, `outputs` and `residual`. Their values near a solution come from
     `algebraic_guess(self, t, z, road)`, whose `z` has the states alone; zero by default. Of several solutions Newton's
-    method finds the one it reaches from this guess, so let the guess depend on what tells them apart. The equations
-    must determine the algebraic variables at a fixed state (index 1).
+    method finds the one it reaches from this guess, so let the guess depend on what tells them apart; `Kvaerno5` takes
+    the guess at the start alone, and then follows the solution from step to step. The equations must determine the
+    algebraic variables at a fixed state (index 1).
 
     Their signatures are open here, so that each system names its own inputs. `units` may give the units of outputs, for
     reports.

@@ -1,6 +1,7 @@
 """Functions of a model's realisations at many germ points: traced or called, in batches, with failures named."""
 
 from aleator.ensemble._batches import Part as Part
+from aleator.ensemble._batches import announced as announced
 from aleator.ensemble._batches import at_levels as at_levels
 from aleator.ensemble._batches import draw as draw
 from aleator.ensemble._batches import drawn_from as drawn_from

@@ -1,6 +1,7 @@
 """Germ points at probability levels, and work on many of them in batches: of one size, in order, on all devices."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+import time
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -10,12 +11,16 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.compilation import Compiled
-from aleator._core.parallel import over_devices
+from aleator._core.errors import AleatorWarning, warn_outside
+from aleator._core.parallel import over_devices, working
 from aleator.uncertainty import AbstractGerm
 
 # Systems whose histories are held in memory at a time: larger batches gain little time.
 _TOGETHER = 64
 _FINE_TOGETHER = 50
+
+# Work that takes longer than this is announced, s.
+_LONG = 60.0
 
 
 def at_levels(
@@ -66,9 +71,9 @@ class Part(NamedTuple):
     points: Float[np.ndarray, "some variables"]
 
 
-def parts(points: Float[np.ndarray, "n variables"], size: int) -> Iterator[Part]:
+def parts(points: Float[np.ndarray, "n variables"], size: int) -> list[Part]:
     """The points in parts of `size`; the last part may be smaller."""
-    return (Part(first, points[first : first + size]) for first in range(0, len(points), size))
+    return [Part(first, points[first : first + size]) for first in range(0, len(points), size)]
 
 
 def fill(points: Float[np.ndarray, "some variables"], size: int) -> Float[np.ndarray, "size variables"]:
@@ -77,19 +82,43 @@ def fill(points: Float[np.ndarray, "some variables"], size: int) -> Float[np.nda
 
 
 def each(
-    work: Callable[[_Item], _Result], some: Iterable[_Item], *, at_once: bool = True
+    work: Callable[[_Item], _Result], some: Sequence[_Item], *, at_once: bool = True
 ) -> Iterator[tuple[_Item, _Result]]:
     """The results of `work` for each part, in order. Every evaluation in batches goes through here.
 
     With `at_once`, as many parts are evaluated in parallel as there are cores, each on one of JAX's devices in turn,
-    with the digits of a plain loop. Only executables may be: a user's function need not be thread-safe.
+    with the digits of a plain loop. Only executables may be: a user's function need not be thread-safe. Warns with
+    `AleatorWarning` if the parts will take more than a minute.
     """
 
     def worked(part: _Item) -> tuple[_Item, _Result]:
         return part, work(part)
 
-    # Any other ordered map, such as that of an executor, would go here.
-    return over_devices(worked, some) if at_once else map(worked, some)
+    # Any other ordered map, such as that of an executor, would go here. The first executables are compiled on the way.
+    if at_once:
+        return announced(over_devices(worked, some), len(some), unlike=working(), like=working())
+    return announced(map(worked, some), len(some), unlike=0, like=1)
+
+
+def announced(
+    results: Iterator[_Result], total: int, *, unlike: int, like: int, clock: Callable[[], float] = time.monotonic
+) -> Iterator[_Result]:
+    """The results as they come; warns with `AleatorWarning` if those to come will take more than a minute.
+
+    The pace is that of `like` results after the first ones, which are `unlike` the others.
+    """
+    began = clock()
+    for done, result in enumerate(results, 1):
+        if done == unlike:
+            began = clock()
+        elif done == unlike + like:
+            pace = (clock() - began) / like
+            if (left := pace * (total - done)) > _LONG:
+                message = (
+                    f"{total} batches take {pace:.2g} s each: the next {total - done} about {left / 60:.2g} minutes."
+                )
+                warn_outside(message, AleatorWarning)
+        yield result
 
 
 def in_batches(
@@ -104,7 +133,12 @@ def in_batches(
     if len(points) > _TOGETHER:
         # Traced here, because only the calling thread may run a user's code.
         program.prepare(model, jnp.asarray(points[:_TOGETHER]), decisions)
-    results = [values for _, values in each(outputs, parts(points, _TOGETHER))]
+    return joined(outputs, points, _TOGETHER)
+
+
+def joined(work: Callable[[Part], Pytree], points: Float[np.ndarray, "n variables"], size: int) -> Pytree:
+    """The results of `work` for parts of the points, of `size` or fewer, one after the other as NumPy arrays."""
+    results = [values for _, values in each(work, parts(points, size))]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
 
 

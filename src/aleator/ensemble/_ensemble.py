@@ -7,7 +7,7 @@ the same program. They share levels, batches and messages with this package, and
 
 import abc
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar, NamedTuple, TypeAlias, final
 
 import equinox as eqx
@@ -23,7 +23,7 @@ from aleator._core.compilation import evaluate_traced, traced_once
 from aleator._core.equations import TIME, TracedFunction, switches
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_traced, named_leaves
-from aleator.ensemble._batches import Part, at_levels, each, fill, parts
+from aleator.ensemble._batches import Part, at_levels, each, fill, joined
 from aleator.ensemble._outputs import (
     UNTRACEABLE,
     Function,
@@ -83,6 +83,10 @@ def uncertain_places(verb: str, function: Function, model: Pytree) -> Placements
     return places
 
 
+# More known points than this are evaluated in parts of so many, so that one compiled size serves all.
+_TOGETHER = 1024
+
+
 class Alone(NamedTuple):
     """What an ensemble is made of, to be sent to another process: `again` makes it anew."""
 
@@ -116,15 +120,11 @@ class AbstractEnsemble(abc.ABC):
         """
         return self._checked(self._of_size(len(points))(points, before), points, before)
 
-    def in_batches(self, levels: Float[np.ndarray, "n variables"], size: int) -> Iterator[tuple[Part, Pytree]]:
-        """The outputs at probability levels, in parts of `size` and in their order, each with the levels of its points.
+    def in_parts(self, some: Sequence[Part], size: int) -> Iterator[tuple[Part, Pytree]]:
+        """The outputs at parts of probability levels, none of more than `size`, in order, each with its part.
 
         Raises the same errors as a call.
         """
-        return self.in_parts(parts(levels, size), size)
-
-    def in_parts(self, some: Iterable[Part], size: int) -> Iterator[tuple[Part, Pytree]]:
-        """The same for some of the parts, of which none has more than `size` points."""
         evaluate, germs = self._of_size(size), self.places.germs.values()
 
         def outputs(part: Part) -> Pytree:
@@ -184,9 +184,19 @@ class TracedEnsemble(AbstractEnsemble):
         self._traced: dict[int, TracedFunction] = {}
 
     @override
+    def __call__(self, points: Points, before: int = 0) -> Pytree:
+        if len(points) <= _TOGETHER or is_traced((points, self._model)):
+            return super().__call__(points, before)
+        evaluate = self._of_size(_TOGETHER)
+        self._refuse_large(_TOGETHER, len(points))
+        outputs = joined(lambda part: evaluate(part.points, part.first), np.asarray(points), _TOGETHER)
+        return self._checked(jax.tree.map(jax_array, outputs), points, before)
+
+    @override
     def _of_size(self, size: int) -> Callable[[Points, int], Pytree]:
         if size not in self._traced:
             self._traced[size] = self._trace(size)
+            self._refuse_large(size, size)
         traced = self._traced[size]
 
         def outputs(points: Points, before: int) -> Pytree:
@@ -215,14 +225,16 @@ class TracedEnsemble(AbstractEnsemble):
                 f"{self._name} cannot be traced by JAX ({str(error).splitlines()[0]}) Write it with jax.numpy, or "
                 "pass traced=False: it is then called with plain numbers, point by point, without derivatives."
             ) from error
-        entries = sum(math.prod(one.shape) for one in traced.closed.out_avals)
-        refuse_beyond_memory(
-            f"{self._name}: {entries:.3g} numbers at {size} points", 2 * NUMBER * entries, "Return fewer numbers."
-        )
         if any(TIME in one for one in switches(traced.closed.jaxpr)) and not is_traced(self._model):
             # What it simulates may jump: `simulate` tells, if it is given plain numbers.
             self._at(self._model, self._decisions, points[0], jnp)
         return traced
+
+    def _refuse_large(self, size: int, count: int) -> None:
+        """Refuse outputs at `count` points that would not fit into memory, by those traced at `size` points."""
+        entries = sum(math.prod(one.shape) for one in self._traced[size].closed.out_avals) * count // size
+        what = f"{self._name}: {entries:.3g} numbers at {count} points"
+        refuse_beyond_memory(what, 2 * NUMBER * entries, "Return fewer numbers.")
 
 
 @final
@@ -238,7 +250,7 @@ class CalledEnsemble(AbstractEnsemble):
 
     @override
     def _of_size(self, size: int) -> Callable[[Points, int], Pytree]:
-        return lambda points, _: jax.tree.map(lambda *values: np.stack(values), *map(self._call, points))
+        return lambda points, _: _stacked([values for _, values in each(self._call, [*points], at_once=False)])
 
     @override
     def _given(self, realised: Pytree) -> Pytree:

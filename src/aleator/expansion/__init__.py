@@ -1,5 +1,6 @@
 """From samples at germ points to the coefficients of an expansion: index sets, points, fits."""
 
+from aleator.expansion._adaptive import Adaptive as Adaptive
 from aleator.expansion._basis import AbstractIndexSet as AbstractIndexSet
 from aleator.expansion._basis import Anisotropic as Anisotropic
 from aleator.expansion._basis import Basis as Basis
@@ -13,8 +14,8 @@ from aleator.expansion._collocation import error_history as error_history
 from aleator.expansion._collocation import fresh_error as fresh_error
 from aleator.expansion._collocation import jackknife as jackknife
 from aleator.expansion._collocation import leave_one_out as leave_one_out
-from aleator.expansion._collocation import leave_one_out_by_entry as leave_one_out_by_entry
 from aleator.expansion._collocation import leave_one_out_history as leave_one_out_history
+from aleator.expansion._collocation import left_out as left_out
 from aleator.expansion._collocation import mean_squares as mean_squares
 from aleator.expansion._collocation import relative_error as relative_error
 from aleator.expansion._collocation import resolved_instants as resolved_instants
@@ -30,6 +31,7 @@ from aleator.expansion._fit import Interpolation as Interpolation
 from aleator.expansion._fit import LeastSquares as LeastSquares
 from aleator.expansion._fit import Projection as Projection
 from aleator.expansion._fit import Respond as Respond
+from aleator.expansion._fit import Sparse as Sparse
 from aleator.expansion._fit import at_fewer_points as at_fewer_points
 from aleator.expansion._points import AbstractPoints as AbstractPoints
 from aleator.expansion._points import ChristoffelPoints as ChristoffelPoints
@@ -43,5 +45,3 @@ from aleator.expansion._points import RandomPoints as RandomPoints
 from aleator.expansion._points import SobolPoints as SobolPoints
 from aleator.expansion._quadrature import GaussPoints as GaussPoints
 from aleator.expansion._quadrature import SmolyakPoints as SmolyakPoints
-from aleator.expansion._selection import Adaptive as Adaptive
-from aleator.expansion._selection import Sparse as Sparse

@@ -89,6 +89,27 @@ def jackknife(
 
 
 @quietly
+def left_out(
+    collocation: Collocation,
+    samples: Float[Any, "points *shape"],
+    coefficients: Float[Any, "terms *shape"],
+    most: int,
+) -> Float[np.ndarray, "terms left *shape"]:
+    """The coefficients without one of the points, of those `most` points whose absence changes them most.
+
+    None at all if some sample cannot be predicted by the others.
+    """
+    _, collocation, samples, coefficients = in_library(collocation, samples, coefficients)
+    flat, terms = samples.reshape(len(samples), -1), coefficients.reshape(len(coefficients), -1)
+    missed, predictable = map(np.asarray, _missed(collocation, flat, terms))
+    inverse = np.asarray(collocation.pseudo_inverse)
+    change = np.sum(inverse**2, axis=0) * np.sum(missed**2, axis=1)
+    which = np.argsort(-change)[: most if predictable else 0]
+    without = terms[:, None] - inverse[:, which, None] * missed[which]
+    return without.reshape(len(terms), len(which), *samples.shape[1:])
+
+
+@quietly
 def fresh_error(
     matrix: Float[np.ndarray, "fresh terms"],
     samples: Float[Array, "fresh *shape"],
@@ -103,19 +124,6 @@ def fresh_error(
     misses = samples - library.tensordot(matrix, terms, axes=1)
     missed, square = (library.sum(one**2) / max(len(one), 1) for one in (misses, samples))
     return jax_array(relative_error(missed, library.sum(terms[1:] ** 2) + missed, square))
-
-
-def leave_one_out_by_entry(
-    collocation: Collocation,
-    samples: Float[Array, "points *shape"],
-    coefficients: Float[Array, "terms *shape"],
-) -> Float[Array, "*shape"]:
-    """The error of `leave_one_out` for each entry of an output by itself, such as each instant of a path.
-
-    Entries that hardly vary have large relative errors of no consequence: weight them by their variance.
-    """
-    parts = mean_squares(collocation, samples, coefficients)
-    return relative_error(*parts).reshape(samples.shape[1:])
 
 
 @quietly
@@ -196,3 +204,22 @@ def resolved_instants(
     """
     unresolved = ~(leave_one_out_history(collocation, samples, coefficients) <= tolerance)
     return jnp.where(unresolved.any(), jnp.argmax(unresolved), len(unresolved))
+
+
+def components(
+    outputs: tuple[Float[np.ndarray, "points entries"], ...], weights: Float[np.ndarray, " points"]
+) -> tuple[Float[np.ndarray, "points components"], ...]:
+    """Each output that varies, in principal components, scaled so that its squares add up to the number of points.
+
+    Means are subtracted and rows weighted by the roots of the weights. In principal components an output of thousands
+    of entries has no more columns than there are points, with the same sums of squares over its entries.
+    """
+    roots = np.sqrt(weights)[:, None]
+    varying = []
+    for values in outputs:
+        deviation = roots * (values - (weights @ values)[None, :])
+        size = np.linalg.norm(deviation)
+        if size > ROUNDING * np.linalg.norm(roots * values):
+            left, sizes, _ = np.linalg.svd(deviation * (np.sqrt(len(weights)) / size), full_matrices=False)
+            varying.append((left * sizes[None, :])[:, sizes > ROUNDING * sizes[0]])
+    return tuple(varying)

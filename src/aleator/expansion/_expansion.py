@@ -11,6 +11,7 @@ from jaxtyping import Float
 from aleator._core import border
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, Printed
+from aleator.expansion._adaptive import Adaptive, grow
 from aleator.expansion._basis import AbstractIndexSet, Basis, TotalDegree
 from aleator.expansion._collocation import UNRESOLVED, Collocation
 from aleator.expansion._fit import AbstractFit, LeastSquares, Respond
@@ -21,7 +22,6 @@ from aleator.expansion._points import (
     SobolPoints,
     UsualPoints,
 )
-from aleator.expansion._selection import Adaptive, grow
 from aleator.uncertainty import AbstractGerm
 
 # Matrices of points by terms that a fit holds at once: the matrix in NumPy, in JAX and weighted, its orthogonal

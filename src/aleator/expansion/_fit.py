@@ -1,9 +1,10 @@
-"""Fits: the map from samples at the collocation points to coefficients."""
+"""Fits: the map from samples at the collocation points to coefficients, on all terms or on few of many."""
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import ClassVar, TypeAlias, final
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 from typing_extensions import override
@@ -11,8 +12,9 @@ from typing_extensions import override
 from aleator._core.arrays import Pytree, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
+from aleator.ensemble import listed, refuse_nonfinite
 from aleator.expansion._basis import Basis
-from aleator.expansion._collocation import Collocation
+from aleator.expansion._collocation import ROUNDING, Collocation, components
 from aleator.expansion._points import Nodes
 
 Respond: TypeAlias = Callable[[Float[np.ndarray, "points variables"]], Pytree]
@@ -23,6 +25,15 @@ WORST_CONDITION = 1e8
 
 ILL_CONDITIONED = 1e6
 """Beyond this condition number a warning is given: coefficients lose digits, and points have very uneven influence."""
+
+# At most one term per this many points.
+_FEWEST_PER_TERM = 2
+
+# A column is dependent if less than this part of its squares is left after projecting out those before it.
+_DEPENDENT = 1e-10
+
+# Columns whose inner products with all others are computed at a time.
+_AHEAD = 32
 
 # Germ values that agree to this many decimals are one value of a grid.
 _DIGITS = 10
@@ -132,6 +143,84 @@ class Projection(AbstractFit):
         return _collocation(basis, nodes, matrix, weighted.T, leverage, float(np.linalg.cond(matrix)))
 
 
+@final
+class Sparse(AbstractFit):
+    """Least squares on few terms, chosen from the candidates of a large index set: for many variables, few points.
+
+    Terms are added one by one, each the one that reduces the squared residuals of all outputs together the most
+    (orthogonal least squares, a form of orthogonal matching pursuit), as long as a term stands out from noise for some
+    output (the risk inflation criterion). The constant is always kept. All outputs, and all entries of a path, share
+    one choice of terms, and so one map to coefficients; each output is weighted by its total variance.
+
+    Give the number of points: `Expansion(8, points=300, index_set=HyperbolicCross(0.75), fit=Sparse())`. Terms are
+    chosen once, by the outputs at the initial decisions.
+    Source: Chen, Billings and Luo (1989), Orthogonal least squares methods and their application to non-linear system
+    identification; Foster and George (1994), The risk inflation criterion for multiple regression.
+    """
+
+    @override
+    def select(self, basis: Basis, nodes: Nodes, respond: Respond | None) -> Basis:
+        """Raises `ProblemError` without outputs or for negative weights."""
+        if respond is None:
+            raise ProblemError(
+                "Sparse chooses terms by the model's outputs, which are not known here. Take al.fits.LeastSquares()."
+            )
+        if not np.all(nodes.weights > 0):
+            raise ProblemError(
+                "Sparse: some points have weights that are not positive, so that squares cannot be weighted by them. "
+                "Take al.points.SobolPoints() or al.points.LatinHypercubePoints()."
+            )
+        outputs = components(responses(respond, basis.names, nodes.points), nodes.weights)
+        if not outputs:
+            return Basis(basis.germs, basis.indices[:1])
+        matrix = basis.matrix(nodes.points)
+        matrix *= np.sqrt(len(nodes.weights) * nodes.weights)[:, None]
+        return Basis(basis.germs, basis.indices[np.sort(sparse_terms(matrix, outputs))])
+
+    @override
+    def collocation(self, basis: Basis, nodes: Nodes) -> Collocation:
+        """Least squares on the terms that were kept."""
+        return LeastSquares().collocation(basis, nodes)
+
+
+def sparse_terms(
+    matrix: Float[np.ndarray, "points terms"], outputs: Sequence[Float[np.ndarray, "points entries"]]
+) -> list[int]:
+    """Columns in the order of orthogonal least squares, the first one first, as long as one stands out from noise.
+
+    Its F statistic for some output is then larger than that of the best of as many columns of noise, `2 log(count)`.
+    A pivoted Cholesky factorisation of the columns' inner products, with the outputs beside it. Inner products are
+    computed for the most promising columns at a time, because each pass through a large matrix takes long.
+    """
+    left = sizes = np.einsum("ij,ij->j", matrix, matrix)
+    rest = np.array([np.sum(output**2) for output in outputs])
+    least, first = ROUNDING**2 * rest, np.cumsum([0, *(output.shape[1] for output in outputs[:-1])])
+    products = np.concatenate(outputs, axis=1).T @ matrix
+    factor = np.empty((min(len(matrix) // _FEWEST_PER_TERM, len(sizes)), len(sizes)))
+    known: dict[int, Float[np.ndarray, " terms"]] = {}
+    terms: list[int] = []
+    for k in range(len(factor)):
+        usable = left > _DEPENDENT * sizes
+        gains = np.add.reduceat(products**2, first) / np.where(usable, left, np.inf)
+        noise = 2 * np.log(len(sizes) - k + 1) / (len(matrix) - k - 1) * (rest[:, None] - gains)
+        outstanding = np.any(gains > np.maximum(noise, least[:, None]), axis=0)
+        promise = np.where(outstanding, gains.sum(axis=0), 0.0)
+        chosen = int(np.argmax(promise)) if k else 0
+        if k and not outstanding[chosen]:
+            break
+        terms.append(chosen)
+        if chosen not in known:
+            promise[[chosen, *known]] = np.inf, *(len(known) * [-1.0])
+            some = np.argpartition(-promise, min(_AHEAD, len(promise) - 1))[:_AHEAD]
+            known |= zip(some.tolist(), (matrix[:, some].T @ matrix), strict=True)
+        row = known.pop(chosen) - factor[:k, chosen] @ factor[:k]
+        factor[k] = row = row / np.sqrt(left[chosen])
+        rest = rest - gains[:, chosen]
+        products -= np.outer(products[:, chosen] / row[chosen], row)
+        left = np.where(np.arange(len(left)) == chosen, 0.0, left - row**2)
+    return terms
+
+
 def _collocation(
     basis: Basis, nodes: Nodes, matrix: np.ndarray, pseudo_inverse: np.ndarray, leverage: np.ndarray, condition: float
 ) -> Collocation:
@@ -198,3 +287,34 @@ def at_fewer_points(
             "or narrow the distributions."
         )
     return fewer
+
+
+def responses(
+    respond: Respond, names: tuple[str, ...], points: Float[np.ndarray, "points variables"], before: int = 0
+) -> tuple[Float[np.ndarray, "points entries"], ...]:
+    """The outputs of a model at germ points, each as a matrix with a column for each of its entries.
+
+    `before` is the number of earlier points, from which messages count on.
+
+    Raises `ProblemError` if an output lacks the leading axis for the points, `SimulationError` if one is not finite.
+    """
+    answer = respond(points)
+    leaves = jax.tree_util.tree_leaves_with_path(answer)
+    if not leaves:
+        raise ProblemError("Expansion: the model has no output to choose terms by; give it at least one.")
+    outputs = []
+    for path, leaf in leaves:
+        name = f"'{jax.tree_util.keystr(path, simple=True, separator='.')}'" if path else "of the model"
+        values = np.asarray(leaf, dtype=float)
+        if values.shape[:1] != (len(points),):
+            raise ProblemError(
+                f"Expansion: expected the output {name} to have a leading axis of {len(points)} points; received "
+                f"shape {values.shape}."
+            )
+        outputs.append(values.reshape(len(points), -1))
+
+    def germ(index: int) -> str:
+        return f"germ {listed(dict(zip(names, points[index], strict=True)))}"
+
+    refuse_nonfinite("The model", answer, germ, before)
+    return tuple(outputs)

@@ -189,7 +189,7 @@ def equalities_of(path: str | Path, model: Model, joints: Mapping[int, str]) -> 
     for index in np.flatnonzero(model.eq_active0).tolist():
         name = model.equality(index).name or f"equality_{index}"
         if model.eq_type[index] == _JOINT:
-            couplings[name] = _coupling(model, index, name, joints)
+            couplings[name] = _coupling(model, name, index, joints)
             continue
         ends = _ends(model, index)
         if not list(_between(model, ends)):
@@ -207,11 +207,18 @@ def equalities_of(path: str | Path, model: Model, joints: Mapping[int, str]) -> 
     return Equalities(loops, couplings, tuple(notes))
 
 
-def _coupling(model: Model, index: int, name: str, joints: Mapping[int, str]) -> Coupling:
+def _coupling(model: Model, name: str, index: int, joints: Mapping[int, str]) -> Coupling:
     follower, leader = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
     rest = [known(float(model.qpos0[model.jnt_qposadr[joint]])) if joint >= 0 else 0 for joint in (follower, leader)]
     coefficients = tuple(model.eq_data[index, :5].tolist())
-    return Coupling(name, joints[follower], joints[leader] if leader >= 0 else None, coefficients, *rest)
+    return Coupling(
+        name,
+        follower=joints[follower],
+        leader=joints[leader] if leader >= 0 else None,
+        coefficients=coefficients,
+        rest=rest[0],
+        leader_rest=rest[1],
+    )
 
 
 def _closure(

@@ -94,7 +94,8 @@ class Robot(Multibody):
 
     @override
     def closures(self) -> Sequence[Closure | Coupling]:
-        return tuple(every[name] for every in (self.loops, self.couplings) for name in sorted(every))
+        held = {**self.loops, **self.couplings}
+        return tuple(held[name] for name in (*sorted(self.loops), *sorted(self.couplings)))
 
 
 def robot_of(

@@ -79,8 +79,8 @@ class SymPyMechanical(AbstractMechanical):
         return self.equations.actuators
 
     @property
+    @override
     def constraint_names(self) -> tuple[str, ...]:  # type: ignore[override]
-        """The names of the equations that bind the coordinates."""
         return self.equations.constraints
 
     @property
@@ -109,7 +109,7 @@ class SymPyMechanical(AbstractMechanical):
 
     @override
     def constraint(self, q: Float[Array, " coordinates"]) -> Float[Array, " constraints"]:
-        return self._matrix(self.equations.closed, q, len(self.constraints))
+        return self._matrix(self.equations.closed, q, len(self.constraint_names))
 
     @override
     def outputs(self, motion: Motion) -> dict[str, Array]:

@@ -1,4 +1,4 @@
-"""Rigid bodies, and the tree that their joints make of them, with fixed bodies merged into their carriers."""
+"""Rigid bodies: their numbers, checked, and their order in a tree."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple, TypeVar, final
@@ -15,15 +15,10 @@ from aleator.mechanics._instant import at
 from aleator.mechanics._joints import AbstractJoint, Fixed
 from aleator.mechanics._mechanical import AbstractMechanical
 from aleator.mechanics._spatial import (
-    Block,
-    Inertia,
     Pose,
-    added,
     all_known,
     as_array,
-    composed,
     from_angles,
-    inertia_outside,
     is_known,
     library,
     skew,
@@ -32,6 +27,11 @@ from aleator.trajectories import AbstractSignal
 
 # The rounding error allowed in an inertia on the verge of the possible, relative to its largest moment.
 _ROUNDING = 1e-9
+
+# The matrix of moments xx, yy, zz, xy, xz, yz is their product with this.
+_MATRIX = np.zeros((6, 3, 3))
+_MATRIX[range(6), [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]] = 1.0
+_MATRIX[range(6), [0, 1, 2, 1, 2, 2], [0, 1, 2, 0, 0, 1]] = 1.0
 
 
 @final
@@ -86,44 +86,49 @@ def placement(body: Body) -> Pose:
 def frame(what: str, position: Any, orientation: Any) -> Pose:
     """A frame by its origin and by three angles or a rotation matrix. Raises `ProblemError` for what is none."""
     given = as_array(orientation, f"{what}: orientation", (3,), (3, 3))
-    rotation = from_angles(given) if given.shape == (3,) else given
+    rotation = from_angles(given[:, None])[..., 0] if given.shape == (3,) else given
     if is_known(rotation) and not _turns(np.asarray(rotation)):
         raise ProblemError(f"{what}: orientation: expected a rotation matrix; received {orientation!r}.")
     return Pose(rotation, as_array(position, f"{what}: position", (3,)))
+
+
+STRAIGHT = Pose(np.eye(3), np.zeros(3))
+"""The frame of what it is given in."""
+
+
+def behind(outer: Pose, inner: Pose) -> Pose:
+    """The pose `inner`, given in the frame at `outer`, in the outermost frame."""
+    if all_known(outer) and np.array_equal(outer.rotation, STRAIGHT.rotation) and not np.any(outer.position):
+        return inner
+    return Pose(outer.rotation @ inner.rotation, outer.position + outer.rotation @ inner.position)
 
 
 def _turns(matrix: np.ndarray) -> bool:
     return np.allclose(matrix @ matrix.T, np.eye(3), rtol=0, atol=_ROUNDING) and np.linalg.det(matrix) > 0
 
 
+class Inertia(NamedTuple):
+    """The inertia of a body in its frame: mass, kg, first moments (3,), kg·m, second ones (3, 3), kg·m²."""
+
+    mass: Any
+    first: Any
+    second: Any
+
+
 def inertia(body: Body) -> Inertia:
-    """The inertia of a body in its own frame."""
+    """The inertia of a body. Raises `ProblemError` for one that no body has."""
     mass = as_array(body.mass, f"Body '{body.name}': mass", ())
     if is_known(mass) and np.asarray(mass) < 0:
         raise ProblemError(f"Body '{body.name}': expected a mass that is not negative; received {body.mass}.")
-    center = as_array(body.center, f"Body '{body.name}': center", (3,))
-    across = skew(center)
-    return Inertia(mass, mass * center, _moments(body) - mass * (across @ across))
-
-
-def _moments(body: Body) -> Block:
-    """The inertia about the centre of mass, as a matrix."""
     where = f"Body '{body.name}': inertia"
-    given = as_array(body.inertia, where, (3,), (6,), (3, 3))
-    matrix = _matrix(given)
-    if is_known(matrix):
-        _check_moments(np.asarray(matrix), where)
-    return matrix
-
-
-def _matrix(given: Block) -> Block:
-    if given.shape == (3, 3):
-        return given
-    xp = library(given)
-    if given.shape == (3,):
-        return xp.diag(given)
-    xx, yy, zz, xy, xz, yz = given
-    return xp.stack([xp.stack([xx, xy, xz]), xp.stack([xy, yy, yz]), xp.stack([xz, yz, zz])])
+    moments = as_array(body.inertia, where, (3,), (6,), (3, 3))
+    if moments.shape != (3, 3):
+        moments = library(moments).tensordot(moments, _MATRIX[: len(moments)], 1)
+    if is_known(moments):
+        _check_moments(np.asarray(moments), where)
+    center = as_array(body.center, f"Body '{body.name}': center", (3,))
+    across = skew(center[:, None])[..., 0]
+    return Inertia(mass, mass * center, moments - mass * (across @ across))
 
 
 def _check_moments(matrix: np.ndarray, where: str) -> None:
@@ -139,62 +144,6 @@ def _check_moments(matrix: np.ndarray, where: str) -> None:
             f"{where}: no body has a principal moment ({largest:.6g}) beyond the sum of the other two ({smallest:.6g} "
             f"+ {middle:.6g}). For a plane model give the one moment that matters and two zeros."
         )
-
-
-GROUND = -1
-"""The parent of links that are attached to the ground."""
-
-
-class Link(NamedTuple):
-    """A moving body, with everything fixed to it.
-
-    - `parent`: the index of the link that carries it, or `GROUND`;
-    - `placement`: its joint's frame in that link's frame;
-    - `q`, `v`: the slices of its coordinates and speeds in the full vectors.
-    """
-
-    name: str
-    parent: int
-    joint: AbstractJoint
-    placement: Pose
-    inertia: Inertia
-    q: slice
-    v: slice
-
-
-class Tree(NamedTuple):
-    """Links, parents before children; and for each body the link to which it belongs and its pose there."""
-
-    links: tuple[Link, ...]
-    places: dict[str, tuple[int, Pose | None]]
-
-    @property
-    def speeds(self) -> int:
-        """The number of speeds."""
-        return self.links[-1].v.stop if self.links else 0
-
-
-def build_tree(bodies: Iterable[Body]) -> Tree:
-    """The tree of some bodies. Raises `ProblemError` if they do not form a tree, or for an impossible body (see
-    `Body`).
-    """
-    links: list[Link] = []
-    places: dict[str, tuple[int, Pose | None]] = {}
-    for body in sorted_bodies(bodies):
-        parent, carrier = (GROUND, None) if body.parent is None else places[body.parent]
-        place = placement(body) if carrier is None else composed(carrier, placement(body))
-        if isinstance(body.joint, Fixed):
-            places[body.name] = (parent, place)
-            if parent != GROUND:
-                joined = added(links[parent].inertia, inertia_outside(place, inertia(body)))
-                links[parent] = links[parent]._replace(inertia=joined)
-            continue
-        q = links[-1].q.stop if links else 0
-        v = links[-1].v.stop if links else 0
-        coordinates, speeds = slice(q, q + len(body.joint.coordinates)), slice(v, v + len(body.joint.speeds))
-        places[body.name] = (len(links), None)
-        links.append(Link(body.name, parent, body.joint, place, inertia(body), coordinates, speeds))
-    return Tree(tuple(links), places)
 
 
 def sorted_bodies(bodies: Iterable[Body]) -> list[Body]:

@@ -1,15 +1,12 @@
 """What a class of mechanical systems declares: methods that may take the time, and the names of what it has."""
 
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from difflib import get_close_matches
 from functools import cache
 from typing import Any
 
 from aleator._core.errors import ProblemError
-
-NAMED = ("names", "velocity_names", "actuator_names", "constraint_names")
-"""The attributes of a class that name its coordinates, velocities, torques and constraints."""
 
 ARGUMENTS: Mapping[str, tuple[str, ...]] = {
     "mass_matrix": ("q",),
@@ -66,28 +63,19 @@ def _names_time(kind: type, name: str) -> bool:
     return any(one.name == "t" for one in further)
 
 
-def refuse_lost_names(kind: Any) -> None:
-    """Raise `ProblemError` for names that look like those that a class knows, and for constraints of a base that go.
+def refuse_lost(kind: Any) -> None:
+    """Raise `ProblemError` for methods that would do nothing, and for constraints of a base class that would go.
 
-    An attribute of texts that is called much like one of names, and a method that is called much like one that has the
-    same number of arguments, would do nothing.
+    A method that is called much like one that the class has, with as many arguments, is a slip.
     """
-    who, bases, fields = kind.__name__, kind.__mro__[1:], vars(kind).get("__annotations__", {})
-    public = {name: value for name, value in vars(kind).items() if not name.startswith("_")}
-    for name, value in public.items():
-        texts = isinstance(value, tuple | list) and value and all(isinstance(one, str) for one in value)
-        close: Sequence[str] = ()
-        if name == "constraints" and texts:
-            close = ("constraint_names",)
-        elif name in (*NAMED, *ARGUMENTS, *fields) or any(hasattr(base, name) for base in bases):
+    who, bases = kind.__name__, kind.__mro__[1:]
+    for name, value in vars(kind).items():
+        is_known = name in ARGUMENTS or any(hasattr(base, name) for base in bases)
+        if name.startswith("_") or is_known or not inspect.isfunction(value):
             continue
-        elif texts:
-            close = get_close_matches(name, [one for one in NAMED if hasattr(kind, one)], n=1)
-        elif inspect.isfunction(value):
-            count = len(inspect.signature(value).parameters) - 1
-            known = [one for one, given in ARGUMENTS.items() if hasattr(kind, one) and count - len(given) in (0, 1)]
-            close = get_close_matches(name, known, n=1, cutoff=0.85)
-        if close:
+        count = len(inspect.signature(value).parameters) - 1
+        alike = [one for one, given in ARGUMENTS.items() if hasattr(kind, one) and count - len(given) in (0, 1)]
+        if close := get_close_matches(name, alike, n=1, cutoff=0.85):
             raise ProblemError(
                 f"{who}.{name} has no effect: did you mean {close[0]}? Rename it, even if it is your own."
             )

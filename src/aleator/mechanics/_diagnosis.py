@@ -201,11 +201,13 @@ def _map_faults(
 def _unobeyed(model: AbstractMechanical, parts: Partition, times: np.ndarray, seen: Examination, ends: int) -> str:
     """What a motion cannot obey any further, by how much."""
     who, history = type(model).__name__, seen.history or {}
-    missed = history.get("motion_error", np.zeros(len(times)))[ends]
-    if missed > _SINGULAR * (1 + np.abs(seen.postures.q[-1]).max(initial=0.0)):
+    errors = np.nan_to_num(history.get("motion_error", np.zeros(len(times))))
+    worst = int(np.argmax(errors))
+    missed = errors[worst]
+    if errors[ends] > _SINGULAR * (1 + np.abs(seen.postures.q[-1]).max(initial=0.0)):
         names = _named([model.coordinates[i] for i in parts.prescribed])
         return (
-            f"{who}: the motion prescribed for {names} is none that it can make: at t = {times[ends]:.4g} s a rate "
+            f"{who}: the motion prescribed for {names} is none that it can make: at t = {times[worst]:.4g} s a rate "
             f"misses velocity_map(q) times the velocities by {missed:.3g}. Prescribe rates that are H(q) v, or all "
             "coordinates that share velocities."
         )

@@ -29,6 +29,15 @@ class AbstractNamed(AbstractMechanical):
     names: ClassVar[tuple[str, ...]]
     velocity_names: ClassVar[Sequence[str] | None] = None
     actuator_names: ClassVar[Sequence[str] | None] = None
+    _declared: ClassVar[tuple[str, ...]] = ("names", "velocity_names", "actuator_names", "constraint_names")
+
+    def __check_init__(self):
+        for field in self._declared:
+            if isinstance(given := getattr(self, field, None), str):
+                raise ProblemError(
+                    f"{type(self).__name__}.{field}: expected names in a tuple; received the text {given!r}. A single "
+                    f"name needs a comma: ({given!r},)."
+                )
 
     @property
     @override

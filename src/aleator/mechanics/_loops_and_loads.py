@@ -1,7 +1,7 @@
 """Beside the joints of a tree: `Closure`, a joint that closes a loop, and `BodyLoad`, an external load on a body."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeAlias, final
+from typing import Any, ClassVar, TypeAlias, final
 
 import equinox as eqx
 import jax
@@ -13,25 +13,22 @@ from jaxtyping import Array, Float
 from aleator._core.border import a_name, refusal
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, is_leaf
-from aleator.mechanics._bodies import GROUND, Body, Tree, frame, placement
-from aleator.mechanics._couplings import Coupling
+from aleator.mechanics._bodies import Body, behind, frame, placement
 from aleator.mechanics._joints import AbstractAxial, Ball, Fixed, Prismatic, Revolute
-from aleator.mechanics._recursions import motion_apart, world_poses
 from aleator.mechanics._spatial import (
-    Block,
+    GROUND,
     Pose,
-    Wrench,
-    added,
+    Screws,
     all_known,
     as_array,
-    composed,
+    columns,
     cross,
     library,
-    minus,
-    plus,
+    skew,
     times,
-    unit,
 )
+from aleator.mechanics._tree_dynamics import Posture, along_screws, jacobian_at, posture_of
+from aleator.mechanics._trees import Tree
 
 Closing: TypeAlias = Revolute | Prismatic | Ball | Fixed
 """The joints that may close a loop."""
@@ -110,45 +107,43 @@ class Closure(Module):
     def residual(self, poses: Mapping[str, Pose]) -> Float[Array, " equations"]:
         """What is left of its equations, from the poses of the bodies in the world."""
         outer, inner = self._frames(poses)
-        apart = times(outer.rotation.T, outer.position - inner.position)
-        return jnp.concatenate([self._point(apart), self._turn(times(outer.rotation.T, inner.rotation))])
+        apart = outer.rotation.T @ (outer.position - inner.position)
+        return jnp.concatenate([self._point(apart), self._turn(outer.rotation.T @ inner.rotation)])
 
-    def jacobian(
-        self, tree: Tree, q: Float[Array, " coordinates"], poses: Mapping[str, Pose]
-    ) -> Float[Array, "equations speeds"]:
+    def jacobian(self, tree: Tree, posture: Posture, poses: Mapping[str, Pose]) -> Float[Array, "equations speeds"]:
         """How they change with the speeds: exact wherever the bodies are."""
-        first, second = (GROUND if end is None else tree.places[end][0] for end in (self.parent, self.child))
+        rows = [GROUND if end is None else tree.places[end][0] for end in (self.parent, self.child)]
         outer, inner = self._frames(poses)
-        motion = motion_apart(tree, q, poses, first, second)
-        inward = outer.rotation.T
-        apart = self._point(times(inward, plus(motion.linear, minus(cross(inner.position, motion.angular)))))
-        turning = self._turning(times(inward, inner.rotation), times(inward, motion.angular))
-        return jnp.concatenate([apart, turning])
+        # Of the parent's frame against the child's, where that is.
+        parent, child = (jacobian_at(tree, posture, row, inner.position) for row in rows)
+        angular, linear = (outer.rotation.T @ (first - second) for first, second in zip(parent, child, strict=True))
+        turning = self._turning(outer.rotation.T @ inner.rotation, angular)
+        return jnp.concatenate([self._point(linear), turning])
 
     def _frames(self, poses: Mapping[str, Pose]) -> tuple[Pose, Pose]:
         """The frames in the world that it brings together: on the parent and on the child."""
         outer = frame(f"Closure '{self.name}'", self.position, self.orientation)
         inner = frame(f"Closure '{self.name}'", self.child_position, self.child_orientation)
         return (
-            outer if self.parent is None else composed(poses[self.parent], outer),
-            inner if self.child is None else composed(poses[self.child], inner),
+            outer if self.parent is None else behind(poses[self.parent], outer),
+            inner if self.child is None else behind(poses[self.child], inner),
         )
 
-    def _point(self, apart: Block) -> Block:
+    def _point(self, apart: Any) -> Any:
         if isinstance(self.joint, Prismatic) or self.planar:
-            return times(_across(self.joint.direction()), apart)  # type: ignore[union-attr]
+            return _across(self.joint.direction()) @ apart  # type: ignore[union-attr]
         return apart
 
-    def _turn(self, turned: Block) -> Block:
+    def _turn(self, turned: Any) -> Any:
         if self.planar or isinstance(self.joint, Ball):
             return np.zeros(0)
         if isinstance(self.joint, Revolute):
             axis = self.joint.direction()
-            return times(_QUARTER @ _across(axis), times(turned, axis))
+            return _QUARTER @ _across(axis) @ turned @ axis
         skewed = 0.5 * (turned.T - turned)
         return library(turned).stack([skewed[2, 1], skewed[0, 2], skewed[1, 0]])
 
-    def _turning(self, turned: Block, motion: Block) -> Block:
+    def _turning(self, turned: Any, motion: Any) -> Any:
         """How `_turn` changes with speeds: `motion` (3, speeds) is the parent's angular velocity against the child's.
 
         The child's frame then turns against the parent's as `Ṙ = -[ω] R`, and `Rᵀ [ω] + [ω] R = [(tr R - R) ω]`.
@@ -157,8 +152,8 @@ class Closure(Module):
             return np.zeros((0, motion.shape[1]))
         if isinstance(self.joint, Revolute):
             axis = self.joint.direction()
-            return times(_QUARTER @ _across(axis), cross(times(turned, axis), motion))
-        return 0.5 * (jnp.trace(turned) * motion - times(turned, motion))
+            return _QUARTER @ _across(axis) @ skew((turned @ axis)[:, None])[..., 0] @ motion
+        return 0.5 * (jnp.trace(turned) * motion - turned @ motion)
 
     def _point_ends(self) -> tuple[str, ...]:
         return _ends(self.joint) if isinstance(self.joint, Prismatic) or self.planar else tuple(_AXES)
@@ -170,6 +165,50 @@ class Closure(Module):
         return tuple(f"turn_{end}" for end in ends)
 
 
+@final
+class Coupling(Module):
+    """A coordinate of an `al.Multibody` that is a polynomial of another one: gears, mimic joints. `name` is its own.
+
+    `follower - rest = coefficients[0] + coefficients[1] (leader - leader_rest) + ...`, up to the fourth power; without
+    a leader (`None`) the follower stays where it is. All in the units of the coordinates, rad or m.
+
+    Raises `ProblemError` for what are no names, and for other than five coefficients.
+    """
+
+    name: str = eqx.field(static=True)
+    follower: str = eqx.field(static=True, kw_only=True)
+    leader: str | None = eqx.field(static=True, kw_only=True)
+    coefficients: Any = eqx.field(default=(0.0, 1.0, 0.0, 0.0, 0.0), kw_only=True)
+    rest: Any = eqx.field(default=0.0, kw_only=True)
+    leader_rest: Any = eqx.field(default=0.0, kw_only=True)
+
+    units: ClassVar[tuple[str, ...]] = ()
+
+    def __check_init__(self):
+        a_name("Coupling: name", self.name)
+        where = f"Coupling '{self.name}'"
+        a_name(f"{where}: follower", self.follower)
+        if self.leader is not None:
+            a_name(f"{where}: leader", self.leader)
+        for part, shape in (("coefficients", (5,)), ("rest", ()), ("leader_rest", ())):
+            if all_known(value := getattr(self, part)):
+                as_array(value, f"{where}: {part}", shape)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The name of its equation."""
+        return (self.name,)
+
+    def residual(self, at: Mapping[str, Any]) -> Float[Array, ""]:
+        """What is left of the equation, for coordinates by name."""
+        if missing := [one for one in (self.follower, self.leader) if one is not None and one not in at]:
+            raise ProblemError(
+                f"Coupling '{self.name}': there is no coordinate {missing}; expected some of {list(at)}."
+            )
+        away = 0.0 if self.leader is None else at[self.leader] - self.leader_rest
+        return at[self.follower] - self.rest - jnp.polyval(jnp.flip(jnp.asarray(self.coefficients)), jnp.asarray(away))
+
+
 def checked_closures(kind: str, given: Any) -> Sequence[Closure | Coupling]:
     """What a user's `closures` gives. Raises `ProblemError` for what is none."""
     if not isinstance(given, tuple | list) or not all(isinstance(one, Closure | Coupling) for one in given):
@@ -177,16 +216,16 @@ def checked_closures(kind: str, given: Any) -> Sequence[Closure | Coupling]:
     return given
 
 
-def residuals(kind: str, closures: Sequence[Closure], poses: Mapping[str, Pose]) -> Float[Array, " constraints"]:
-    """What is left of all equations, from the poses of the bodies. Raises `ProblemError` for what is no body."""
-    for closure in closures:
-        for end in (closure.parent, closure.child):
-            if end is not None and end not in poses:
-                raise ProblemError(
-                    f"{kind}.closures: '{closure.name}' binds '{end}', which is no body; expected some of "
-                    f"{sorted(poses)}, or None for the ground."
-                )
-    return jnp.concatenate([jnp.zeros(0), *(closure.residual(poses) for closure in closures)])
+def bodies_bound(kind: str, closures: Sequence[Closure], tree: Tree) -> set[str]:
+    """The names of the bodies that closures bind. Raises `ProblemError` for what is no body."""
+    bound = {(closure.name, end) for closure in closures for end in (closure.parent, closure.child) if end is not None}
+    for name, end in sorted(bound):
+        if end not in tree.places:
+            raise ProblemError(
+                f"{kind}.closures: '{name}' binds '{end}', which is no body; expected some of "
+                f"{sorted(tree.places)}, or None for the ground."
+            )
+    return {end for _, end in bound}
 
 
 def _is_passive(joint: AbstractAxial) -> bool:
@@ -202,13 +241,14 @@ def _ends(joint: Any) -> tuple[str, ...]:
     return _AXES[(along + 1) % 3], _AXES[(along + 2) % 3]
 
 
-def _across(axis: Block) -> Block:
+def _across(axis: Any) -> Any:
     """Two unit vectors as rows that stand on a unit vector and on one another, all three right-handed."""
     xp = library(axis)
     # The axis of coordinates after the nearest one: y for x, so that the directions across z are x and y.
     following = xp.roll(xp.eye(3)[xp.argmax(xp.abs(axis))], 1)
-    first = unit(following - (following @ axis) * axis)
-    return xp.stack([first, cross(axis, first)])
+    first = following - (following @ axis) * axis
+    first = first / xp.sqrt(first @ first)
+    return xp.stack([first, xp.cross(axis, first)])
 
 
 @final
@@ -233,31 +273,31 @@ class BodyLoad(Module):
             as_array(getattr(self, part), f"BodyLoad on '{self.body}', {part}", (3,))
 
 
-def wrenches_of(kind: str, tree: Tree, q: Float[Array, " coordinates"], loads: Any) -> Sequence[Wrench]:
-    """The wrench of the loads on each link, in its own frame at its origin. Loads on bodies fixed to the ground drop
-    out.
+def generalised(kind: str, tree: Tree, q: Float[Array, " coordinates"], loads: Any) -> Float[Array, " speeds"]:
+    """The generalised force of the loads. Those on bodies fixed to the ground drop out.
 
     Raises `ProblemError` for anything but a load, and for an unknown body.
     """
-    if not isinstance(loads, tuple | list) or not all(isinstance(one, BodyLoad) for one in loads):
+    if not isinstance(loads, tuple | list) or not all(isinstance(load, BodyLoad) for load in loads):
         raise ProblemError(f"{kind}.body_loads returns a tuple of al.BodyLoad; received {loads!r}.")
-    wrenches = [Wrench(np.zeros(3), np.zeros(3)) for _ in tree.links]
-    poses = world_poses(tree, q) if loads else []
-    for one in loads:
-        if one.body not in tree.places:
+    for load in loads:
+        if load.body not in tree.places:
             raise ProblemError(
-                f"{kind}.body_loads: there is no body '{one.body}'; expected one of {sorted(tree.places)}."
+                f"{kind}.body_loads: there is no body '{load.body}'; expected one of {sorted(tree.places)}."
             )
-        index, within = tree.places[one.body]
-        if index == GROUND:
-            continue
-        local = as_array(one.at, "at", (3,))
-        arm = local if within is None else within.position + within.rotation @ local
-        inward = poses[index].rotation.T
-        force = inward @ as_array(one.force, "force", (3,))
-        moment = plus(inward @ as_array(one.moment, "moment", (3,)), cross(arm, force))
-        wrenches[index] = added(wrenches[index], Wrench(moment, force))
-    return wrenches
+    loads = [load for load in loads if tree.places[load.body][0] != GROUND]
+    if not loads:
+        return jnp.zeros(tree.axes.shape[1])
+    at: list[Any] = []
+    for load in loads:
+        within, local = tree.places[load.body][1], as_array(load.at, "at", (3,))
+        at.append(local if within is None else within.position + within.rotation @ local)
+    posture, rows = posture_of(tree, q), [tree.places[load.body][0] for load in loads]
+    force, moment = (
+        jnp.stack([as_array(getattr(load, part), part, (3,)) for load in loads], axis=1) for part in ("force", "moment")
+    )
+    arms = columns(posture.arms, rows) + times(columns(posture.poses.rotation, rows), jnp.stack(at, axis=1))
+    return along_screws(posture.screws, tree.carries[:, rows], Screws(moment + cross(arms, force), force))
 
 
 def refuse_moving_places(kind: str, bodies: Callable[[Array], Sequence[Body]]) -> None:

@@ -55,24 +55,23 @@ def positive_solver(M: Float[Array, "n n"]) -> Callable[[Float[Array, "n ..."]],
         return lambda b: b
     if n > _UNROLLED:
         return _large_solver(M)
-    lower = [[jnp.ones(())] * n for _ in range(n)]
+    limits, rest = _SINGULAR * jnp.abs(jnp.diagonal(M)), M
+    columns: list[Array] = []
     pivots: list[Array] = []
     for j in range(n):
-        pivot = M[j, j] - sum((lower[j][k] ** 2 * pivots[k] for k in range(j)), start=jnp.zeros(()))
-        pivots.append(jnp.where(pivot > _SINGULAR * jnp.abs(M[j, j]), pivot, jnp.nan))
-        for i in range(j + 1, n):
-            rest = M[i, j] - sum((lower[i][k] * lower[j][k] * pivots[k] for k in range(j)), start=jnp.zeros(()))
-            lower[i][j] = rest / pivots[j]
+        pivots.append(jnp.where(rest[0, 0] > limits[j], rest[0, 0], jnp.nan))
+        columns.append(rest[1:, 0] / pivots[-1])
+        rest = rest[1:, 1:] - columns[-1][:, None] * rest[:1, 1:]
 
     def solve(b: Array) -> Array:
-        forward: list[Array] = []
-        for i in range(n):
-            forward.append(b[i] - sum((lower[i][k] * forward[k] for k in range(i)), start=jnp.zeros_like(b[i])))
-        x: list[Array] = [jnp.zeros(())] * n
-        for i in reversed(range(n)):
-            known = sum((lower[k][i] * x[k] for k in range(i + 1, n)), start=jnp.zeros_like(b[i]))
-            x[i] = forward[i] / pivots[i] - known
-        return jnp.stack(x)
+        rest, forward = b.reshape(n, -1), list[Array]()
+        for column in columns:
+            forward.append(rest[:1])
+            rest = rest[1:] - column[:, None] * rest[:1]
+        x = forward[-1] / pivots[-1]
+        for j in reversed(range(n - 1)):
+            x = jnp.concatenate([forward[j] / pivots[j] - columns[j][None] @ x, x])
+        return x.reshape(b.shape)
 
     return solve
 

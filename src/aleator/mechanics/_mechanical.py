@@ -15,7 +15,7 @@ from aleator._core.border import traceable
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, Printed
 from aleator.dynamics import called
-from aleator.mechanics._declared import NAMED, call_of, refuse_lost_names, timed_methods
+from aleator.mechanics._declared import call_of, refuse_lost, timed_methods
 from aleator.mechanics._instant import along_time, at, course, is_timed
 from aleator.mechanics._matrices import solve_positive
 from aleator.mechanics._spatial import Numbers
@@ -66,28 +66,31 @@ class AbstractMechanical(Module, Printed):
 
     units: ClassVar[Mapping[str, str]] = {}
     constraint_names: ClassVar[Sequence[str]] = ()
+    _declared: ClassVar[tuple[str, ...]] = ("constraint_names",)
     _rule: ClassVar[str] = ""
     _when: Any = eqx.field(default=None, init=False, repr=False)
 
     def __init_subclass__(cls, **options: Any):
-        """Refuse what would pass unnoticed: names beside those that a class knows, and constraints that are lost."""
+        """Refuse names that say nothing here: of equations that would not be held, of velocities that are others'."""
         super().__init_subclass__(**options)
-        refuse_lost_names(cls)
+        for name, value in vars(cls).items():
+            is_list = isinstance(value, tuple | list) and all(isinstance(entry, str) for entry in value)
+            misnamed = name.endswith("names") or name in ("constraints", "velocities", "torques")
+            if is_list and misnamed and not name.startswith("_") and name not in cls._declared:
+                raise ProblemError(
+                    f"{cls.__name__}.{name} = {value!r}: such names are not known here; expected some of "
+                    f"{', '.join(cls._declared)}."
+                )
+        refuse_lost(cls)
 
     def __check_init__(self):
         timed_methods(type(self))
-        declared, own = type(self).constraint_names, type(self).constraint is not AbstractMechanical.constraint
-        if isinstance(declared, tuple | list) and bool(declared) != own:
+        is_written = type(self).constraint is not AbstractMechanical.constraint
+        if not isinstance(type(self).constraint_names, property) and bool(self.constraint_names) != is_written:
             raise ProblemError(
                 f"{type(self).__name__}: expected constraint_names and constraint(q) together, one name for each "
-                f"equation; received {'no constraint(q)' if declared else 'no constraint_names'}."
+                f"equation; received {'no constraint(q)' if self.constraint_names else 'no constraint_names'}."
             )
-        for field in NAMED:
-            if isinstance(given := getattr(self, field, None), str):
-                raise ProblemError(
-                    f"{type(self).__name__}.{field}: expected names in a tuple; received the text {given!r}. A single "
-                    f"name needs a comma: ({given!r},)."
-                )
 
     def at(self, t: Any) -> Self:
         """The realised model at the time `t`, s: signals are replaced by values. Trajectories last one second."""
@@ -117,41 +120,37 @@ class AbstractMechanical(Module, Printed):
 
     @property
     def constraints(self) -> tuple[str, ...]:
-        """The names of all equations `g(q, t) = 0` that bind the coordinates: of loops, then `constraint_names`."""
-        return (*self.closure_names, *self.constraint_names)
+        """The names of the equations `g(q, t) = 0` that bind coordinates: of closed loops, then `constraint_names`."""
+        return (*self.closing_names, *self.constraint_names)
 
     @property
-    def closure_names(self) -> tuple[str, ...]:
-        """The names of the equations that close loops; none by default."""
+    def closing_names(self) -> tuple[str, ...]:
+        """The names of the equations of closed loops; none by default."""
         return ()
 
-    def closure_equations(self, q: Float[Array, " coordinates"]) -> Float[Array, " equations"]:
-        """What is left of the equations that close loops."""
+    def closing(self, q: Float[Array, " coordinates"]) -> Float[Array, " closing"]:
+        """What is left of the equations of closed loops."""
         del q
         return jnp.zeros(0)
 
-    def closure_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "equations speeds"]:
-        """How the equations that close loops change with the speeds."""
+    def closing_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "closing speeds"]:
+        """How the equations of closed loops change with the speeds."""
         del q
         return jnp.zeros((0, len(self.speeds)))
 
     def constraint(self, q: Float[Array, " coordinates"]) -> Any:
         """`g(q)`: what is zero in every posture that the system can take, one number for each of `constraint_names`.
 
-        Those of loops are added to them, and are all by default.
-
         Its multipliers `λ` are those of `M v̇ + C v + N + Gᵀ λ = B τ + Q`, with `G v = ġ` (equation 6): positive where
         the constraint pushes towards smaller `g`.
         """
-        return self.closure_equations(q)
+        del q
+        return jnp.zeros(0)
 
     def constraint_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
-        """`G(q)`, of `ġ = G v + ∂g/∂t`: that of loops, and derivatives of `constraint(q)`."""
-        if not self.constraint_names:
-            return self.closure_jacobian(q)
-        slope = jax.jacfwd(lambda at: _own_constraint(self, at))(q)
-        own = slope if self.moves_directly else slope @ rate_map(self, q)
-        return jnp.concatenate([self.closure_jacobian(q), own]) if self.closure_names else own
+        """`G(q)`, of `ġ = G v + ∂g/∂t`: by derivatives of `constraint(q)`."""
+        slope = jax.jacfwd(lambda at: shaped(self, "constraint", (at,), (len(self.constraint_names),)))(q)
+        return slope if self.moves_directly else slope @ rate_map(self, q)
 
     @property
     def moves_directly(self) -> bool:
@@ -260,6 +259,11 @@ class AbstractMechanical(Module, Printed):
             )
         return np.array([[float(name == one) for one in actuators] for name in along]).reshape(len(along), -1)
 
+    def seen_at(self, q: Float[Array, " coordinates"]) -> Self:
+        """The model, which may have computed what its outputs ask for in a posture."""
+        del q
+        return self
+
     def outputs(self, motion: Motion) -> Mapping[str, Any]:
         """Further quantities of interest by name: positions, distances. `motion` has `q`, `v`, `torque` and more."""
         del motion
@@ -280,20 +284,17 @@ def bias_of(
 
 
 def constraint_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, " constraints"]:
-    """`g(q)` of all constraints as an array. Raises `ProblemError` for another shape."""
-    if not model.constraint_names:
-        return model.closure_equations(q)
-    own = _own_constraint(model, q)
-    return jnp.concatenate([model.closure_equations(q), own]) if model.closure_names else own
-
-
-def _own_constraint(model: AbstractMechanical, q: Array) -> Array:
-    return shaped(model, "constraint", (q,), (len(model.constraint_names),))
+    """`g(q)` as an array: of closed loops, then the model's own. Raises `ProblemError` for another shape."""
+    loops, own = model.closing(q), len(model.constraint_names)
+    return jnp.concatenate([loops, shaped(model, "constraint", (q,), (own,))]) if own else loops
 
 
 def jacobian_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
     """`G(q)` as an array. Raises `ProblemError` for another shape."""
-    return shaped(model, "constraint_jacobian", (q,), (len(model.constraints), len(model.speeds)))
+    loops, own = model.closing_jacobian(q), len(model.constraint_names)
+    if not own:
+        return loops
+    return jnp.concatenate([loops, shaped(model, "constraint_jacobian", (q,), (own, len(model.speeds)))])
 
 
 def load_on(model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Any:

@@ -3,37 +3,43 @@
 import abc
 import weakref
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any, TypeVar
+from copy import copy
+from typing import Any, Self, TypeVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
-from aleator.mechanics._bodies import GROUND, Body, Tree, build_tree, sorted_bodies, with_numbers, without_numbers
-from aleator.mechanics._couplings import Coupling, parted
-from aleator.mechanics._instant import is_timed, later, timed_methods
+from aleator.mechanics._bodies import Body, behind, sorted_bodies, with_numbers, without_numbers
+from aleator.mechanics._declared import timed_methods
+from aleator.mechanics._instant import is_timed, later
 from aleator.mechanics._joints import AbstractJoint
 from aleator.mechanics._loops_and_loads import (
     BodyLoad,
     Closure,
+    Coupling,
+    bodies_bound,
     checked_closures,
+    generalised,
     refuse_moving_places,
-    residuals,
-    wrenches_of,
 )
 from aleator.mechanics._mechanical import AbstractMechanical, evaluated
-from aleator.mechanics._recursions import (
+from aleator.mechanics._spatial import GROUND, Numbers, Pose, as_array
+from aleator.mechanics._tree_dynamics import (
+    Posture,
     forward_dynamics,
-    generalised,
     inverse_dynamics,
+    jacobian_at,
+    kinetic_energy,
     mass_matrix,
-    moving,
-    world_poses,
+    posture_of,
+    potential_energy,
+    unit_coordinates,
+    velocity_map,
 )
-from aleator.mechanics._spatial import Block, Numbers, Pose, as_array, composed, cross, library, momentum, plus, power
+from aleator.mechanics._trees import Tree, build_tree
 
 Result = TypeVar("Result")
 
@@ -60,14 +66,14 @@ class Multibody(AbstractMechanical):
     External forces, such as wind and contact, are given by `body_loads(q, v)`, as a tuple of `al.BodyLoad`, or by
     `load(q, v)`, as a generalised force; the two add up.
 
-    Loops are closed by `closures()`, a tuple of `al.joints.Closure`: joints between bodies of the tree. Constraints of
-    your own, `constraint_names` and `constraint(q)`, are added to them.
+    Loops are closed by `closures()`, a tuple of `al.joints.Closure`, joints between bodies of the tree, and of
+    `al.joints.Coupling`, coordinates that follow others. Equations of your own, by `constraint_names` and
+    `constraint(q)`, are held besides.
 
     Any number in a field may be a distribution, a decision or a signal, but the set of bodies and joints is fixed.
     Masses and inertias may vary with time, as in `al.Mechanical`: mass leaves a body at the body's velocity. The places
-    of joints may not: use one more joint, with its motion prescribed in `al.HybridDynamics`. The cost of inverse and
-    forward dynamics is proportional to the number of bodies (Featherstone, Rigid Body Dynamics Algorithms, 2008), and a
-    body on `al.joints.Fixed` is free; where `bias` or `mass_matrix` is overridden, they use these instead.
+    of joints may not: use one more joint, with its motion prescribed in `al.HybridDynamics`. Where `bias` or
+    `mass_matrix` is overridden, inverse and forward dynamics use these.
 
     Raises `ProblemError` if the bodies do not form a tree.
     """
@@ -80,7 +86,9 @@ class Multibody(AbstractMechanical):
         """The bodies, as functions of the numbers in the fields."""
 
     def closures(self) -> Sequence[Closure | Coupling]:
-        """The joints that close loops, from the numbers in the fields; none by default."""
+        """What binds bodies beside their joints, from the numbers in the fields; none by default: the joints that close
+        loops, and after these couplings of coordinates.
+        """
         return ()
 
     @property
@@ -118,41 +126,49 @@ class Multibody(AbstractMechanical):
 
     @property
     @override
-    def closure_names(self) -> tuple[str, ...]:
+    def closing_names(self) -> tuple[str, ...]:
         return tuple(name for closure in self._loops() for name in closure.names)
 
     @override
-    def closure_equations(self, q: Float[Array, " coordinates"]) -> Float[Array, " equations"]:
-        joints, couplings = parted(self._closures())
-        left = residuals(type(self).__name__, joints, self.poses(q)) if joints else jnp.zeros(0)
-        return jnp.concatenate([left, self._apart(couplings, q)]) if couplings else left
-
-    def _apart(self, couplings: Sequence[Coupling], q: Float[Array, " coordinates"]) -> Float[Array, " couplings"]:
-        """What is left of the equations of couplings."""
-        at = dict(zip(self.coordinates, q, strict=True))
-        return jnp.stack([coupling.residual(at) for coupling in couplings])
+    def closing(self, q: Float[Array, " coordinates"]) -> Float[Array, " closing"]:
+        loops, couplings = self._closures()
+        *_, poses = self._bound(loops, q)
+        parts = [loop.residual(poses) for loop in loops] + [self._apart(coupling, q) for coupling in couplings]
+        return jnp.concatenate([jnp.zeros(0), *parts])
 
     @override
-    def closure_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "equations speeds"]:
-        tree, (joints, couplings) = self._tree(), parted(self._closures())
-        poses = _poses(tree, q)
-        rows = [closure.jacobian(tree, q, poses) for closure in joints]
+    def closing_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "closing speeds"]:
+        loops, couplings = self._closures()
+        bound = self._bound(loops, q)
+        rows = [loop.jacobian(*bound) for loop in loops]
         if couplings:
-            rows.append(jax.jacfwd(lambda at: self._apart(couplings, at))(q) @ self.velocity_map(q))
-        return jnp.concatenate([jnp.zeros((0, tree.speeds)), *rows])
+            map_ = self.velocity_map(q)
+            rows += [jax.jacfwd(lambda at, one=one: self._apart(one, at))(q) @ map_ for one in couplings]
+        return jnp.concatenate([jnp.zeros((0, len(self.speeds))), *rows])
+
+    def _apart(self, coupling: Coupling, q: Float[Array, " coordinates"]) -> Float[Array, " 1"]:
+        return coupling.residual(dict(zip(self.coordinates, q, strict=True)))[None]
+
+    def _bound(
+        self, loops: Sequence[Closure], q: Float[Array, " coordinates"]
+    ) -> tuple[Tree, Posture, dict[str, Pose]]:
+        """The tree, its posture, and the poses of the bodies that loops bind."""
+        tree = self._tree()
+        names, posture = bodies_bound(type(self).__name__, loops, tree), posture_of(tree, q)
+        return tree, posture, {name: _pose(tree, posture, name) for name in names}
 
     def mass_matrix(self, q: Float[Numbers, " coordinates"]) -> Float[Array, "speeds speeds"]:
-        """`M(q)`, by the composite-rigid-body algorithm."""
+        """`M(q)` of bodies and rotors."""
         return mass_matrix(self._tree(), q)
 
     def bias(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
-        """`C(q, v) v + N(q, v)`, with gravity, springs and dampers, by the recursive Newton-Euler algorithm."""
-        return inverse_dynamics(self._tree(), self._gravity(), q, v, jnp.zeros_like(v))
+        """`C(q, v) v + N(q, v)`, with gravity, springs and dampers, by the equations of Newton and Euler."""
+        return inverse_dynamics(self._tree(), self._gravity(), q, v)
 
     def inverse_dynamics(
         self, q: Float[Numbers, " coordinates"], v: Float[Numbers, " speeds"], v_dot: Float[Numbers, " speeds"]
     ) -> Float[Array, " speeds"]:
-        """The generalised force that a motion requires, by the recursive Newton-Euler algorithm."""
+        """The generalised force that a motion requires, by the equations of Newton and Euler."""
         if not self._is_bodies_alone():
             return super().inverse_dynamics(q, v, v_dot)
         return inverse_dynamics(self._tree(), self._gravity(), q, v, v_dot)
@@ -160,10 +176,7 @@ class Multibody(AbstractMechanical):
     def forward_dynamics(
         self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], force: Float[Array, " speeds"]
     ) -> Float[Array, " speeds"]:
-        """The acceleration `v̇` under a generalised force, by the articulated-body algorithm.
-
-        NaN where a joint moves no inertia.
-        """
+        """The acceleration `v̇` under a generalised force; NaN where a joint moves no inertia."""
         if not self._is_bodies_alone():
             return super().forward_dynamics(q, v, force)
         return forward_dynamics(self._tree(), self._gravity(), q, v, force)
@@ -181,21 +194,17 @@ class Multibody(AbstractMechanical):
     @override
     def external(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
         """The sum of `load` and the loads on the bodies."""
-        tree = self._tree()
-        wrenches = wrenches_of(type(self).__name__, tree, q, evaluated(self, "body_loads", q, v))
-        return super().external(q, v) + generalised(tree, q, wrenches)
+        loads = evaluated(self, "body_loads", q, v)
+        return super().external(q, v) + generalised(type(self).__name__, self._tree(), q, loads)
 
     def velocity_map(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates speeds"]:
         """`H(q)`, with `q̇ = H(q) v`: block diagonal, one block per joint."""
-        tree = self._tree()
-        blocks = [link.joint.velocity_map(q[link.q]) for link in tree.links]
-        return jax.scipy.linalg.block_diag(*blocks) if blocks else jnp.zeros((0, 0))
+        return velocity_map(self._tree(), q)
 
     def normalised(self, q: Float[Numbers, " coordinates"]) -> Float[Numbers, " coordinates"]:
         """The coordinates, with quaternions normalised; a zero quaternion becomes the identity."""
-        if all(type(joint).normalised is AbstractJoint.normalised for _, joint in self._joints()):
-            return q
-        return library(q).concatenate([link.joint.normalised(q[link.q]) for link in self._tree().links])
+        simple = all(joint.coordinates == ("",) for _, joint in self._joints())
+        return q if simple else unit_coordinates(self._tree(), q)
 
     @property
     @override
@@ -207,10 +216,9 @@ class Multibody(AbstractMechanical):
     @override
     def refuse_impossible(self) -> None:
         """What bodies and joints refuse themselves, such as impossible inertias, negative damping or armature."""
-        for link in self._tree().links:
-            at_rest: Any = [np.zeros(part.stop - part.start) for part in (link.q, link.v)]
-            link.joint.passive(*at_rest)
-            link.joint.rotors()
+        for body in self._tree_bodies():
+            if isinstance(body.joint, AbstractJoint):
+                body.joint.refuse_impossible()
 
     @override
     def speeds_along(self, coordinates: Collection[str]) -> tuple[int, ...]:
@@ -231,29 +239,19 @@ class Multibody(AbstractMechanical):
 
     def kinetic_energy(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, ""]:
         """The kinetic energy of the bodies and of the joints' rotors, J."""
-        tree = self._tree()
-        twists = moving(tree, q, v).twists
-        energies = [power(twist, momentum(link.inertia, twist)) for link, twist in zip(tree.links, twists, strict=True)]
-        turning = [(link.joint.rotors(), v[link.v]) for link in tree.links]
-        energies += [rates @ rotors @ rates for rotors, rates in turning if rotors is not None]
-        return 0.5 * sum(energies, start=jnp.zeros(()))
+        return kinetic_energy(self._tree(), q, v)
 
     def potential_energy(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
         """The energy of gravity (zero at the world's origin) and of springs, J."""
-        tree, gravity, total = self._tree(), self._gravity(), jnp.zeros(())
-        for link, pose in zip(tree.links, world_poses(tree, q), strict=True):
-            first = link.inertia.mass * pose.position + pose.rotation @ link.inertia.first
-            total = total + link.joint.energy(q[link.q]) - gravity @ first
-        return total
+        return potential_energy(self._tree(), self._gravity(), q)
 
     def poses(self, q: Float[Array, " coordinates"]) -> dict[str, Pose]:
         """The pose of each body in the world, by name: `rotation` (3, 3) and `position` (3,), m."""
-        return _poses(self._tree(), q)
+        return _by_name(*self._seen(q))
 
     def point(self, q: Float[Array, " coordinates"], body: str, local: Any = (0.0, 0.0, 0.0)) -> Float[Array, "3"]:
         """The position in the world of a point of a body, `local` in its frame, m."""
-        pose = _of(self.poses(q), body)
-        return jnp.asarray(pose.position + pose.rotation @ _local(local))
+        return _point(*self._seen(q), body, local)[1]
 
     def point_velocity(
         self,
@@ -263,22 +261,38 @@ class Multibody(AbstractMechanical):
         local: Any = (0.0, 0.0, 0.0),
     ) -> Float[Array, "3"]:
         """The velocity in the world of a point of a body, `local` in its frame, m/s."""
+        tree, posture = self._seen(q)
+        row, place = _point(tree, posture, body, local)
+        return jnp.asarray(jacobian_at(tree, posture, row, place).linear @ v)
+
+    @override
+    def seen_at(self, q: Float[Array, " coordinates"]) -> Self:
+        if type(self).outputs is Multibody.outputs:
+            return self
+        seen = copy(self)
+        # No field: what becomes of the model in transformations does not know this.
+        object.__setattr__(seen, "_at", (q, *self._seen(q)))
+        return seen
+
+    def _seen(self, q: Float[Array, " coordinates"]) -> tuple[Tree, Posture]:
+        """The tree and its posture; the one whose outputs are being computed is not computed again."""
+        at, tree, posture = getattr(self, "_at", (None, None, None))
+        if at is q and tree is not None and posture is not None:
+            return tree, posture
         tree = self._tree()
-        index, within = _of(tree.places, body)
-        if index == GROUND:
-            return jnp.zeros(3)
-        arm = _local(local) if within is None else within.position + within.rotation @ _local(local)
-        twist = moving(tree, q, v).twists[index]
-        return world_poses(tree, q)[index].rotation @ plus(jnp.zeros(3), twist.linear, cross(twist.angular, arm))
+        return tree, posture_of(tree, q)
 
     def _is_bodies_alone(self) -> bool:
         """Whether the equations of motion are those of the bodies alone, without overrides."""
         return type(self).bias is Multibody.bias and type(self).mass_matrix is Multibody.mass_matrix
 
     def _tree(self) -> Tree:
+        return build_tree(self._tree_bodies())
+
+    def _tree_bodies(self) -> Sequence[Body]:
         if self._when is not None:
             refuse_moving_places(type(self).__name__, lambda s: later(self, s)._bodies())
-        return build_tree(self._bodies())
+        return self._bodies()
 
     def _bodies(self) -> Sequence[Body]:
         given = evaluated(self, "bodies")
@@ -286,8 +300,10 @@ class Multibody(AbstractMechanical):
             raise ProblemError(f"{type(self).__name__}.bodies returns a tuple of al.Body; received {given!r}.")
         return given
 
-    def _closures(self) -> Sequence[Closure | Coupling]:
-        return checked_closures(type(self).__name__, evaluated(self, "closures"))
+    def _closures(self) -> tuple[list[Closure], list[Coupling]]:
+        every = checked_closures(type(self).__name__, evaluated(self, "closures"))
+        loops = [closure for closure in every if isinstance(closure, Closure)]
+        return loops, [closure for closure in every if isinstance(closure, Coupling)]
 
     def _joints(self) -> list[tuple[str, AbstractJoint]]:
         """The moving bodies with the structure of their joints; also before distributions are realised."""
@@ -297,7 +313,7 @@ class Multibody(AbstractMechanical):
         """The closures, of which only the structure counts; also before distributions are realised."""
         return () if type(self).closures is Multibody.closures else _closures_of(self)
 
-    def _gravity(self) -> Block:
+    def _gravity(self) -> Any:
         return as_array(self.gravity, f"{type(self).__name__}.gravity", (3,))
 
 
@@ -333,34 +349,34 @@ def _joints_of(model: Multibody) -> list[tuple[str, AbstractJoint]]:
 @once_for_each
 def _closures_of(model: Multibody) -> list[Closure | Coupling]:
     """The closures of a model; cached too. Raises `ProblemError` where those of a base class are lost."""
-    model, who = with_numbers(model), type(model).__name__
-    joints, couplings = parted(model._closures())
-    names = {one.name for one in (*joints, *couplings)}
+    model = with_numbers(model)
+    loops, couplings = model._closures()
+    names = {closure.name for closure in (*loops, *couplings)}
     for base in type(model).__mro__[1:]:
         own = "closures" in vars(base) and base is not Multibody and "closures" not in timed_methods(base)
-        if lost := sorted({one.name for one in vars(base)["closures"](model)} - names) if own else []:
+        if lost := sorted({closure.name for closure in vars(base)["closures"](model)} - names) if own else []:
             raise ProblemError(
-                f"{who}.closures leaves out {lost} of {base.__name__}: return (*super().closures(), ...)."
+                f"{type(model).__name__}.closures leaves out {lost} of {base.__name__}: return (*super().closures(), "
+                "...)."
             )
-    return [without_numbers(one) for one in (*joints, *couplings)]
+    return [without_numbers(closure) for closure in (*loops, *couplings)]
 
 
-def _poses(tree: Tree, q: Array) -> dict[str, Pose]:
-    carriers = world_poses(tree, q)
-    poses: dict[str, Pose] = {}
-    for name, (index, within) in tree.places.items():
-        if within is None:
-            poses[name] = carriers[index]
-        else:
-            poses[name] = within if index == GROUND else composed(carriers[index], within)
-    return poses
+def _pose(tree: Tree, posture: Posture, body: str) -> Pose:
+    row, within = tree.places[body]
+    if row == GROUND:
+        return within  # type: ignore[return-value]
+    carrier = Pose(posture.poses.rotation[..., row], posture.poses.position[:, row])
+    return carrier if within is None else behind(carrier, within)
 
 
-def _local(given: Any) -> Block:
-    return as_array(given, "A point of a body", (3,))
+def _by_name(tree: Tree, posture: Posture) -> dict[str, Pose]:
+    return {name: _pose(tree, posture, name) for name in tree.places}
 
 
-def _of(by_name: dict[str, Any], body: str) -> Any:
-    if body not in by_name:
-        raise ProblemError(f"There is no body '{body}'; expected one of {sorted(by_name)}.")
-    return by_name[body]
+def _point(tree: Tree, posture: Posture, body: str, local: Any) -> tuple[int, Float[Array, "3"]]:
+    """A point of a body: the row that it moves with, and its place in the world."""
+    if body not in tree.places:
+        raise ProblemError(f"There is no body '{body}'; expected one of {sorted(tree.places)}.")
+    pose = _pose(tree, posture, body)
+    return tree.places[body][0], jnp.asarray(pose.position + pose.rotation @ as_array(local, "A point of a body", (3,)))

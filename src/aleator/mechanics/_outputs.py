@@ -24,7 +24,7 @@ def outputs_of(model: AbstractMechanical, t: Any, solved: Solved, torque_rate: A
     motion = Motion(t, q, q_dot, q_ddot, v, v_dot, torque)
     if model.constraints:
         motion = motion._replace(multipliers=solved.multipliers)
-    own = model.outputs(motion)
+    own = model.seen_at(motion.q).outputs(motion)
     listed, missed = _standard(model, motion, torque_rate, solved), _missed(solved)
     outputs = _named(model, listed + missed, own)
     if solved.valid is None:

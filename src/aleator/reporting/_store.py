@@ -26,7 +26,7 @@ from aleator.validation import Evidence, Proportion
 if TYPE_CHECKING:
     import xarray
 
-_LIBRARIES = ("jax", "jaxlib", "equinox", "diffrax", "numpy", "scipy", "casadi", "unopy")
+_LIBRARIES = ("jax", "jaxlib", "equinox", "numpy", "scipy", "casadi", "unopy")
 # So many digits tell apart the designs of any study, and can be read aloud.
 _DIGITS = 12
 _SIGNED_BY = ("Prepared", "Checked", "Released")

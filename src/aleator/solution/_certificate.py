@@ -77,10 +77,14 @@ class ExpansionQuality(Printed):
         return max(self.leave_one_out.values(), default=0.0)
 
     @property
+    def every_tangent(self) -> "list[Tangent]":
+        """The derivatives of all functionals by all parameters of distributions that are decisions."""
+        return [Tangent(text, name, error) for text, one in self.tangents.items() for name, error in one.items()]
+
+    @property
     def worst_tangent(self) -> "Tangent | None":
         """The worst resolved derivative by a distribution's parameter; None if there is none."""
-        every = [Tangent(text, name, error) for text, one in self.tangents.items() for name, error in one.items()]
-        return max(every, key=lambda one: np.inf if np.isnan(one.error) else one.error, default=None)
+        return max(self.every_tangent, key=lambda one: np.inf if np.isnan(one.error) else one.error, default=None)
 
     @property
     def unresolved(self) -> tuple[str, ...]:
@@ -288,7 +292,8 @@ class Certificate(Printed):
     - `misled`: if nothing was solved, a sentence on large errors of the grid at the start of the search, or, of an
       infeasible problem, on a limit that the grid does not resolve at the least violated point; else empty;
     - `lost`: a sentence on values that do not follow their derivatives around the answer; empty if there are none;
-    - `reaches`: how large each functional could be, to which its rounding is relative; empty if nothing was checked;
+    - `reaches`: how large each functional could be in a typical system, to which its rounding is relative; empty if
+      nothing was checked;
     - `correlations`: which correlations of uncertain numbers are not those given, for decisions set their shapes;
     - `departed`: how far a simulation from the first instant departs from the states of an unstable plan, which then
       were checked step by step, each from the plan's own state; empty if it does not depart by orders of magnitude.

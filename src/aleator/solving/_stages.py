@@ -299,7 +299,7 @@ def with_opinion(solution: Solution, held: Held) -> Solution:
         opinion=None if held.check is None else second_opinion(transcribed, point, held.check),
         # A search has compared values.
         lost="" if solution.effort.searched else lost_derivatives(transcribed, point, solution.multipliers),
-        untrusted=untrusted(solution.problem, solution.certificate.expansion),
+        untrusted=untrusted(solution),
         correlations=moved_correlations(solution.problem, solution.vector),
     )
     return replace(solution, certificate=certificate)

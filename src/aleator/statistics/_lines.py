@@ -30,7 +30,7 @@ from aleator.uncertainty import AbstractGerm, HermiteGerm, SampleGerm
 
 # Lines of one replicate by the distribution that places them: the given one, two wider ones, and one around each
 # minimum. All are powers of two: with the replicates, each has a digital net of its own.
-_SIZES, _MINIMA = (64, 64, 64, 16, 16, 16, 16), 4
+_SIZES, _MINIMA = (64, 32, 16, 4, 4, 4, 4), 4
 REPLICATES = 8
 
 # Distances from the origin, in standard deviations: one tail probability in 4000, in 30 000, and the reach of the two
@@ -38,11 +38,21 @@ REPLICATES = 8
 _SEARCHED, _CENTRE, _REACHES = 3.5, 4.0, (3.0, 5.0)
 _DESCENTS, _STARTS = 12, 64
 _APART = 0.7  # cosine between minima that are told apart
+# Directions are rounded to this, so that lines rest in the last steps of a search for an optimum, and values follow
+# their derivatives there, in which lines rest. A step of the directions changes the error of an integral alone, by
+# about a thousandth of itself.
+_STILL = 2.0**-10
 
 # The part of a line that counts, beyond which lies 3e-12. Cells of it: of the only line of one variable, of each of the
 # equidistant lines of two variables, and of others.
-_END, _CELLS, _FEWEST_CELLS = 7.0, {1: 4096, 2: 280}, 35
-_ON_A_GRID, _GRID, _TURNS, _COARSER = 2, 256, 4, 4
+END, _CELLS, _FEWEST_CELLS = 7.0, {1: 4096, 2: 200}, 33
+_ON_A_GRID, _GRID, _TURNS, _COARSER = 2, 192, 4, 4
+
+# Paths of more entries than this are evaluated by fewer lines, and in part by points.
+SINGLE = 4
+# Points for the entries of paths, a power of two, and their width: its most, which makes no more of an error at a level
+# of 0.9 than the points do, and what it is in proportion to, so that points of one variable are hardly spread out.
+_POINTS, _WIDEST, _WIDTH = 512, 0.85, 1.6
 
 # Beyond this, double precision cannot tell a distribution function from 0 or 1. Cells of the table of a germ.
 _LAST, _TABLED = 8.2, 1024
@@ -52,7 +62,7 @@ _TOGETHER = 2**12
 
 
 @final
-class LowerTail(Module):
+class LineValues(Module):
     """An output along lines that are chosen for its small values.
 
     - `points`: in the normal variables: where each line passes the origin's plane, shape (variables, lines);
@@ -67,6 +77,17 @@ class LowerTail(Module):
 
 
 @final
+class Cloud(Module):
+    """Points by the distribution of the germ, at which the terms of a basis are known.
+
+    - `width`: over how many standard deviations of an output on either side each of its values is spread out.
+    """
+
+    terms: Float[Array, "terms points"]
+    width: float = eqx.field(static=True)
+
+
+@final
 class Lines(Module):
     """What lines through the normal variables need of a basis, in the variables that it contains.
 
@@ -75,6 +96,7 @@ class Lines(Module):
     - `factors`: of each term, by degree and variable, filled up with the constant polynomial;
     - `normals`: the lines' points by a standard normal distribution; `starts`: directions at
       which a search begins; `at_starts`: the terms there;
+    - `cloud`: points for the entries of paths;
     - `active`: the variables among those of the basis; `cells`: along each line.
     """
 
@@ -85,6 +107,7 @@ class Lines(Module):
     normals: Float[Array, "variables replicates lines_of_one"]
     starts: Float[Array, "variables starts"]
     at_starts: Float[Array, "terms starts"]
+    cloud: Cloud
     active: tuple[int, ...] = eqx.field(static=True)
     cells: int = eqx.field(static=True)
 
@@ -96,12 +119,14 @@ class Lines(Module):
     @property
     def step(self) -> float:
         """The length of a cell, in standard deviations."""
-        return 2 * _END / self.cells
+        return 2 * END / self.cells
 
-    def fewer(self, replicates: int) -> "Lines":
-        """Lines for one of many outputs: some replicates, or a coarser grid."""
+    def for_one_of(self, entries: int) -> "Lines":
+        """Lines for one of the entries of a path: if there are many, some replicates, or a coarser grid."""
+        if entries <= SINGLE:
+            return self
         if len(self.normals) > _ON_A_GRID:
-            return replace(self, normals=self.normals[:, :replicates])
+            return replace(self, normals=self.normals[:, : REPLICATES // _COARSER])
         return replace(self, normals=self.normals[:, :, ::_COARSER], cells=self.cells // _COARSER)
 
     def values(self, coefficients: Float[Array, " terms"], normal: Float[Array, "variables n"]) -> Float[Array, " n"]:
@@ -141,16 +166,17 @@ class Lines(Module):
         """Where a cell begins, in standard deviations."""
         return (cell - self.cells / 2) * self.step
 
-    def lower_tail(self, coefficients: Float[Array, " terms"]) -> LowerTail:
+    def along(self, coefficients: Float[Array, " terms"]) -> LineValues:
         """An output with mean zero along lines for its small values."""
-        minima = self.minima(coefficients)
+        minima = jax.lax.stop_gradient(self.minima(coefficients))
+        minima = _unit(jnp.round(minima / _STILL) * _STILL)
         direction = minima[:, 0]
         points, weights = _placed(self.normals, direction, _CENTRE * minima)
         # Slopes at the ends of cells take two more nodes beyond either end.
-        along = self.first_of(jnp.arange(-2, self.cells + 3))
-        nodes = points[..., None] + direction[:, None, None] * along[None, None]
+        places = self.first_of(jnp.arange(-2, self.cells + 3))
+        nodes = points[..., None] + direction[:, None, None] * places[None, None]
         values = self.values(coefficients, nodes.reshape(len(points), -1)).reshape(nodes.shape[1:])
-        return LowerTail(points, direction, weights, _cubics(values))
+        return LineValues(points, direction, weights, _cubics(values))
 
     def minima(self, coefficients: Float[Array, " terms"]) -> Float[Array, "variables minima"]:
         """Directions in which the expansion is smallest at some distance, the best one first."""
@@ -240,6 +266,10 @@ def lines_through(basis: Basis) -> Lines:
         normals=jax_array(_normals(len(germs))),
         starts=jax_array(starts),
         at_starts=jax_array(_at(basis, active, _SEARCHED * starts)),
+        cloud=Cloud(
+            terms=jax_array(_at(basis, active, _cloud(len(germs)))),
+            width=min(_WIDEST, _WIDTH * _POINTS ** (-0.5 / len(germs))),
+        ),
         active=tuple(active),
         cells=_CELLS.get(len(germs), _FEWEST_CELLS),
     )
@@ -280,7 +310,7 @@ def _normals(variables: int) -> Float[np.ndarray, "variables replicates lines_of
     """Scrambled Sobol nets (Owen, 1995), of which each replicate is a part, across the last axis."""
     if variables <= _ON_A_GRID:
         # One line through the origin, or equidistant ones: the trapezoidal rule. Replicates take turns.
-        across = np.linspace(-_END, _END, _GRID).reshape(-1, _TURNS).T
+        across = np.linspace(-END, END, _GRID).reshape(-1, _TURNS).T
         return np.zeros((1, 1, 1)) if variables == 1 else np.stack([across, 0 * across])
     parts = []
     for seed, size in enumerate(_SIZES):
@@ -290,6 +320,14 @@ def _normals(variables: int) -> Float[np.ndarray, "variables replicates lines_of
         parts.append(scipy.special.ndtri(levels).T.reshape(variables - 1, REPLICATES, size))
     across = np.concatenate(parts, axis=2)
     return np.concatenate([across, np.zeros((1, *across.shape[1:]))])
+
+
+def _cloud(variables: int) -> Float[np.ndarray, "variables points"]:
+    """Points of a standard normal distribution, as even as can be."""
+    if variables == 1:
+        return scipy.special.ndtri((np.arange(_POINTS) + 0.5) / _POINTS)[None]
+    net = scipy.stats.qmc.Sobol(variables, bits=30, rng=np.random.default_rng(len(_SIZES)))
+    return scipy.special.ndtri(net.random(_POINTS) + 2.0**-31).T
 
 
 def _starts(variables: int) -> Float[np.ndarray, "variables starts"]:

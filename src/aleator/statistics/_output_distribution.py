@@ -1,50 +1,50 @@
-"""The distribution of an output, from its expansion along lines through the normal variables (see `_lines`).
+"""The distribution of an output from its expansion, by lines through the normal variables (see `_lines`) or by points.
 
-Small probabilities of either tail come from lines of their own: with the probability `A` of less than a threshold by
-the lines for small values, and `B` of more than it by those for large ones, the distribution function is `A / (A + B)`.
-First derivatives are exact up to the error of the integral. Second derivatives are not available.
+Small probabilities of either tail come from lines of their own: those for small values of the output, or of its
+negative. A probability is that of the smaller side. First derivatives are exact up to the error of the integral; second
+derivatives are not available.
 """
 
+import abc
 import math
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar, final
+from typing import ClassVar, NamedTuple, TypeAlias, final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
 from jaxtyping import Array, Bool, Float, Int
+from typing_extensions import override
 
 from aleator._core.arrays import Scalar
 from aleator._core.leaves import Module
-from aleator.statistics._lines import REPLICATES, Lines, LowerTail
+from aleator.statistics._lines import END, Cloud, Lines, LineValues
 from aleator.statistics._roots import horner, root_within, with_slope
 from aleator.statistics._statistic import root
 
-T = TypeVar("T")
-
-# Of a search for a quantile: most steps, and the error of the normal score at which it ends; the last step, which
-# carries the derivative, squares the error.
-_MOST_STEPS, _CLOSE, _NARROW = 100, 1e-8, 1e-13
-# Paths of more entries than this take fewer lines than a single number.
-_SINGLE = 4
+# Of a search for a quantile: most steps, and the width of a bracket at which it ends.
+_MOST_STEPS, _NARROW = 100, 1e-13
 
 _NODES, _WEIGHTS = (np.asarray(each) / 2 for each in np.polynomial.legendre.leggauss(3))
 _NODES = _NODES + 0.5
 
 
-class Crossings(NamedTuple):
+class Cut(NamedTuple):
     """Where an output crosses a threshold, without derivatives.
 
-    - `fractions`: the probability below the threshold on each line; `below`: of all; `density`: of the output there;
+    - `below`: the probability below the threshold; `density`: of the output there; the rest is of lines alone;
+    - `inside`: the parts of cells that lie below it as a whole;
+    - `fractions`: the probability below the threshold on each line;
     - `line`, `cell`, `along`: of each crossing, in standard deviations; `densities`: of the output there on its line,
       zero for places without a crossing;
     - `start`, `length`: the part of the cell that is below the threshold.
     """
 
-    fractions: Float[Array, " lines"]
     below: Float[Array, ""]
     density: Float[Array, ""]
+    inside: Bool[Array, "2 lines cells"]
+    fractions: Float[Array, " lines"]
     line: Int[Array, " crossings"]
     cell: Int[Array, " crossings"]
     along: Float[Array, " crossings"]
@@ -53,80 +53,182 @@ class Crossings(NamedTuple):
     length: Float[Array, " crossings"]
 
 
-@final
-class TailDistribution(Module):
-    """What lies below a threshold: of an output, or of its negative.
+class AbstractLowerTail(Module):
+    """What lies below a threshold, of an output with mean zero, or of its negative.
 
-    - `signed`: the coefficients of the output or of its negative; `tail`: its lines;
+    `close`: the error of the normal score at which the search for a quantile ends; the last step, which carries the
+    derivative, squares it.
+    """
+
+    close: ClassVar[float]
+
+    std: Float[Array, ""]
+
+    @abc.abstractmethod
+    def cut(self, threshold: Float[Array, ""]) -> Cut:
+        """The output at a threshold. Not differentiable."""
+
+    @abc.abstractmethod
+    def below(self, threshold: Float[Array, ""], at: Cut) -> Float[Array, ""]:
+        """The probability below a threshold, with derivatives."""
+
+    @abc.abstractmethod
+    def shortfall(self, threshold: Float[Array, ""], at: Cut) -> Float[Array, ""]:
+        """The expected shortfall below a threshold, zero for values above it."""
+
+    @abc.abstractmethod
+    def error(self, at: Cut) -> Float[Array, ""]:
+        """The 95 % half-width of the probability below a threshold."""
+
+    def quantile(self, level: Scalar) -> tuple[Float[Array, ""], Cut]:
+        """The quantile by the implicit function theorem, and the output there."""
+        end = jax.lax.stop_gradient(jax.lax.stop_gradient(self)._searched(jax.lax.stop_gradient(level)))
+        density = end.cut.density
+        step = (self.below(end.last, end.cut) - level) / jnp.where(density > 0, density, 1.0)
+        return end.last - jnp.where(density > 0, step, 0.0), end.cut
+
+    def _searched(self, level: Scalar) -> "_Search":
+        """Newton's method on the normal scale, on which most distribution functions are nearly straight.
+
+        Bisection where a step leaves the bracket or does not halve the error: near an extremum of the output the
+        density is without bound, and steps are short far from the quantile. The first bracket is that of Cantelli's
+        inequality.
+        """
+        target, reach = normal_score(level), 1.01 * self.std
+        low, high = -reach * jnp.sqrt((1 - level) / level), reach * jnp.sqrt(level / (1 - level))
+
+        def unfinished(state: _Search) -> Bool[Array, ""]:
+            is_wide = state.high - state.low > _NARROW * self.std
+            return (jnp.abs(state.off) > self.close) & is_wide & (state.steps < _MOST_STEPS)
+
+        def narrow(state: _Search) -> _Search:
+            at = state.following
+            cut = self.cut(at)
+            is_low = cut.below < level
+            low, high = jnp.where(is_low, at, state.low), jnp.where(is_low, state.high, at)
+            score = normal_score(cut.below)
+            off = jnp.where(jnp.isfinite(score), score - target, jnp.inf)
+            newton = at - off * _normal(score) / cut.density
+            usable = (newton > low) & (newton < high) & (jnp.abs(off) <= jnp.abs(state.off) / 2)
+            following = jnp.where(usable, newton, (low + high) / 2)
+            return _Search(low, high, following, at, off, cut, state.steps + 1)
+
+        start = jnp.clip(self.std * target, low, high)
+        nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(self.cut, start))
+        first = _Search(low, high, start, start, jnp.asarray(jnp.inf), nothing, jnp.zeros((), int))
+        return jax.lax.while_loop(unfinished, narrow, first)
+
+
+class _Search(NamedTuple):
+    """The state of the search for a quantile: a bracket, the thresholds to come and last, how far the normal score of
+    the last one is off, and the output there.
+    """
+
+    low: Float[Array, ""]
+    high: Float[Array, ""]
+    following: Float[Array, ""]
+    last: Float[Array, ""]
+    off: Float[Array, ""]
+    cut: Cut
+    steps: Int[Array, ""]
+
+
+@final
+class TailByLines(AbstractLowerTail):
+    """The probability below a threshold as the mean over lines.
+
+    - `signed`: the coefficients of the output or of its negative; `values`: its values along the lines;
     - `ends`, `heights`: places in each cell between which the output rises or falls, and its values there;
     - `masses`: the probability of each such interval on its line.
     """
 
+    close: ClassVar[float] = 1e-7
+
     signed: Float[Array, " terms"]
-    tail: LowerTail
+    values: LineValues
     ends: Float[Array, "3 lines cells"]
     heights: Float[Array, "3 lines cells"]
     masses: Float[Array, "2 lines cells"]
+    lines: Lines
 
-    def crossings(self, threshold: Float[Array, ""], lines: Lines) -> Crossings:
-        """The crossings of a threshold. Not differentiable."""
+    @classmethod
+    def of(cls, signed: Float[Array, " terms"], lines: Lines) -> "TailByLines":
+        """That of an output with mean zero."""
+        values = lines.along(signed)
+        fixed = jax.lax.stop_gradient(values.cubics)
+        _, slope, bend, rest = fixed
+        # A cubic between ends with slopes of different signs has one extremum there.
+        turns = slope * (slope + 2 * bend + 3 * rest) < 0
+        radicand = root(bend**2 - 3 * rest * slope)
+        larger = -(bend + jnp.where(bend < 0, -1.0, 1.0) * radicand)
+        near, far = _ratio(slope, larger), _ratio(larger, 3 * rest)
+        middle = jnp.where(turns, jnp.clip(jnp.where((near > 0) & (near < 1), near, far), 0.0, 1.0), 1.0)
+        ends = jnp.stack([0 * middle, middle, 1 + 0 * middle])
+        along = lines.first_of(jnp.arange(ends.shape[2]))[None, None] + ends * lines.step
+        masses = -jnp.diff(_beyond(along), axis=0)
+        return cls(root(jnp.sum(signed**2)), signed, values, ends, horner(fixed, ends), masses, lines)
+
+    @override
+    def cut(self, threshold: Float[Array, ""]) -> Cut:
         is_below = self.heights < threshold
         low, high = is_below[:-1], is_below[1:]
         _, count, cells = self.heights.shape
-        (intervals,) = jnp.nonzero((low != high).ravel(), size=lines.orders * count, fill_value=low.size)
+        (intervals,) = jnp.nonzero((low != high).ravel(), size=self.lines.orders * count, fill_value=low.size)
         at = jnp.minimum(intervals, low.size - 1)
         cell, line = at % cells, (at // cells) % count
         left, right = (side.ravel()[at] for side in (self.ends[:-1], self.ends[1:]))
         is_falling = high.ravel()[at]
-        cubic = self.tail.cubics[:, line, cell].at[0].add(-threshold)
+        cubic = self.values.cubics[:, line, cell].at[0].add(-threshold)
         place = root_within(cubic, left[None], right[None], ~is_falling[None], (left + right)[None] / 2)[0]
         start, end = jnp.where(is_falling, place, left), jnp.where(is_falling, right, place)
-        first = lines.first_of(cell)
-        along = first + place * lines.step
-        parts = _mass(first + start * lines.step, first + end * lines.step)
+        step, first = self.lines.step, self.lines.first_of(cell)
+        along = first + place * step
         is_crossing = intervals < low.size
-        whole = jnp.sum(jnp.where(low & high, self.masses, 0.0), axis=(0, 2))
-        slope = jnp.abs(with_slope(cubic, place[None])[1][0]) / lines.step
+        parts = jnp.where(is_crossing, _beyond(first + start * step) - _beyond(first + end * step), 0.0)
+        inside = low & high
+        whole = jnp.sum(jnp.where(inside, self.masses, 0.0), axis=(0, 2))
+        slope = jnp.abs(with_slope(cubic, place[None])[1][0]) / step
         regular = is_crossing & (slope > 0)
         densities = jnp.where(regular, _normal(along) / jnp.where(regular, slope, 1.0), 0.0)
-        fractions = whole + jax.ops.segment_sum(jnp.where(is_crossing, parts, 0.0), line, count)
-        weights = self.tail.weights.ravel() / len(self.tail.weights)
-        return Crossings(
-            fractions=fractions,
-            below=weights @ fractions,
-            density=weights[line] @ densities,
-            line=line,
-            cell=cell,
-            along=along,
-            densities=densities,
-            start=start,
-            length=jnp.where(is_crossing, end - start, 0.0),
-        )
+        fractions = whole + jax.ops.segment_sum(parts, line, count)
+        weights = self.values.weights.ravel() / len(self.values.weights)
+        length = jnp.where(is_crossing, end - start, 0.0)
+        density = weights[line] @ densities
+        return Cut(weights @ fractions, density, inside, fractions, line, cell, along, densities, start, length)
 
-    def below(self, threshold: Float[Array, ""], at: Crossings, lines: Lines) -> Float[Array, ""]:
-        """The probability below a threshold. Its derivative is that of the crossings times the density there."""
-        points = self.tail.points[:, at.line] + jnp.outer(self.tail.direction, at.along)
-        heights = lines.values(self.signed, points) - threshold
+    @override
+    def below(self, threshold: Float[Array, ""], at: Cut) -> Float[Array, ""]:
+        """Its derivative is that of the output at the crossings times the density there."""
+        points = self.values.points[:, at.line] + jnp.outer(self.values.direction, at.along)
+        heights = self.lines.values(self.signed, points) - threshold
         change = heights - jax.lax.stop_gradient(heights)
-        weights = self.tail.weights.ravel()
-        replicates = len(self.tail.weights)
-        return (weights @ at.fractions - (weights[at.line] * at.densities) @ change) / replicates
+        weights = self.values.weights.ravel()
+        return (weights @ at.fractions - (weights[at.line] * at.densities) @ change) / len(self.values.weights)
 
-    def shortfall(self, threshold: Float[Array, ""], at: Crossings, lines: Lines) -> Float[Array, ""]:
-        """The expected shortfall below a threshold, zero for values above it.
+    @override
+    def shortfall(self, threshold: Float[Array, ""], at: Cut) -> Float[Array, ""]:
+        """It is zero at the crossings, so that their movement does not contribute to its derivative."""
+        inside = jnp.where(at.inside, self.ends[1:] - self.ends[:-1], 0.0)
+        everywhere = self.lines.first_of(jnp.arange(self.heights.shape[2]))[None, None]
+        cubics, weights, step = self.values.cubics, self.values.weights.ravel(), self.lines.step
+        whole = _shortfall(cubics, self.ends[:-1], inside, everywhere, threshold, step)
+        first = self.lines.first_of(at.cell)[None]
+        parts = _shortfall(cubics[:, at.line, at.cell], at.start[None], at.length[None], first, threshold, step)[0]
+        return (weights @ jnp.sum(whole, axis=(0, 2)) + weights[at.line] @ parts) / len(self.values.weights)
 
-        It is zero at the crossings, so that their movement does not contribute to its derivative.
+    @override
+    def error(self, at: Cut) -> Float[Array, ""]:
+        """By the scatter of the replicates: all of them together are more accurate, as parts of one net.
+
+        Zero where one line is exact.
         """
-        is_below = jax.lax.stop_gradient(self.heights < threshold)
-        inside = jnp.where(is_below[:-1] & is_below[1:], self.ends[1:] - self.ends[:-1], 0.0)
-        everywhere = lines.first_of(jnp.arange(self.heights.shape[2]))[None, None]
-        cubics, weights = self.tail.cubics, self.tail.weights.ravel()
-        whole = _shortfall(cubics, self.ends[:-1], inside, everywhere, threshold, lines.step)
-        own = cubics[:, at.line, at.cell]
-        parts = _shortfall(own, at.start[None], at.length[None], lines.first_of(at.cell)[None], threshold, lines.step)[
-            0
-        ]
-        return (weights @ jnp.sum(whole, axis=(0, 2)) + weights[at.line] @ parts) / len(self.tail.weights)
+        weights = self.values.weights
+        replicates = len(weights)
+        if replicates == 1:
+            return jnp.zeros(())
+        each = jnp.sum(weights * at.fractions.reshape(weights.shape), axis=1) / jnp.sum(weights, axis=1)
+        covers = float(scipy.special.stdtrit(replicates - 1, 0.975)) / math.sqrt(replicates)
+        return covers * jnp.std(each, ddof=1)
 
 
 def _shortfall(
@@ -141,21 +243,6 @@ def _shortfall(
     return total
 
 
-def _tail_distribution(signed: Float[Array, " terms"], lines: Lines) -> TailDistribution:
-    tail = lines.lower_tail(signed)
-    fixed = jax.lax.stop_gradient(tail.cubics)
-    _, slope, bend, rest = fixed
-    # A cubic between ends with slopes of different signs has one extremum there.
-    turns = slope * (slope + 2 * bend + 3 * rest) < 0
-    radicand = root(bend**2 - 3 * rest * slope)
-    larger = -(bend + jnp.where(bend < 0, -1.0, 1.0) * radicand)
-    near, far = _ratio(slope, larger), _ratio(larger, 3 * rest)
-    middle = jnp.where(turns, jnp.clip(jnp.where((near > 0) & (near < 1), near, far), 0.0, 1.0), 1.0)
-    ends = jnp.stack([0 * middle, middle, 1 + 0 * middle])
-    along = lines.first_of(jnp.arange(ends.shape[2]))[None, None] + ends * lines.step
-    return TailDistribution(signed, tail, ends, horner(fixed, ends), _mass(along[:-1], along[1:]))
-
-
 def _ratio(above: Array, below: Array) -> Array:
     return jnp.where(below == 0, 2.0, above / jnp.where(below == 0, 1.0, below))
 
@@ -164,181 +251,119 @@ def _normal(at: Array) -> Array:
     return jnp.exp(-(at**2) / 2) / math.sqrt(2 * math.pi)
 
 
-def _mass(low: Array, high: Array) -> Array:
-    """The probability of a normal variable between two numbers, without loss of digits in the upper tail."""
-    flip = low > 0
-    low, high = jnp.where(flip, low, -high), jnp.where(flip, high, -low)
-    return (jax.lax.erfc(low / math.sqrt(2)) - jax.lax.erfc(high / math.sqrt(2))) / 2
+def _beyond(at: Array) -> Array:
+    """The probability of a normal variable beyond a number, where lines have their small values, as far as lines go."""
+    outside = math.erfc(END / math.sqrt(2)) / 2
+    return (jax.lax.erfc(at / math.sqrt(2)) / 2 - outside) / (1 - 2 * outside)
 
 
-def _score(probability: Scalar) -> Array:
+def normal_score(probability: Scalar) -> Array:
     """The normal quantile of a probability."""
     return math.sqrt(2) * jax.lax.erf_inv(2 * jnp.asarray(probability) - 1)
 
 
 @final
-class OutputDistribution(Module):
-    """The distribution of an output: its mean and spread, and both of its tails, the upper one as that of its negative.
+class TailByPoints(AbstractLowerTail):
+    """The probability below a threshold by points that are the same for all outputs: a matrix product, and a sum.
 
-    Thresholds are distances from the mean.
+    Each point is spread out by a kernel of fourth order, a polynomial within its width.
     """
 
-    mean: Float[Array, ""]
-    std: Float[Array, ""]
-    tails: TailDistribution
-    lines: Lines
+    close: ClassVar[float] = 1e-4
 
-    def crossings(self, threshold: Float[Array, ""]) -> Crossings:
-        """The crossings in both tails: of the output below a threshold, and of its negative below the negative."""
-        fixed, threshold = jax.lax.stop_gradient((self, threshold))
-        return jax.vmap(TailDistribution.crossings, (0, 0, None))(
-            fixed.tails, jnp.stack([threshold, -threshold]), self.lines
-        )
+    values: Float[Array, " points"]
+    width: Float[Array, ""]
 
-    def sides(self, threshold: Float[Array, ""], at: Crossings) -> Float[Array, "2"]:
-        """The probabilities below and above a threshold, each by the lines of its tail."""
-        return jax.vmap(TailDistribution.below, (0, 0, 0, None))(
-            self.tails, jnp.stack([threshold, -threshold]), at, self.lines
-        )
+    @classmethod
+    def of(cls, signed: Float[Array, " terms"], cloud: Cloud) -> "TailByPoints":
+        """That of an output with mean zero."""
+        std = root(jnp.sum(signed**2))
+        width = jnp.maximum(cloud.width * jax.lax.stop_gradient(std), np.finfo(float).tiny)
+        return cls(std, signed @ cloud.terms, width)
 
-    def below(self, threshold: Float[Array, ""]) -> Float[Array, ""]:
-        """The probability of less than the mean plus a threshold."""
-        return _share(self.sides(threshold, self.crossings(threshold)))
+    def _places(self, threshold: Float[Array, ""]) -> Float[Array, " points"]:
+        return (threshold - self.values) / self.width
 
-    def above(self, threshold: Float[Array, ""]) -> Float[Array, ""]:
-        """The probability of more than the mean plus a threshold, without loss of digits where it is small."""
-        return _share(self.sides(threshold, self.crossings(threshold))[::-1])
+    @override
+    def cut(self, threshold: Float[Array, ""]) -> Cut:
+        square = jnp.minimum(self._places(threshold) ** 2, 1.0)
+        density = jnp.mean((1 - square) * (3 - 7 * square)) * 15 / 32 / self.width
+        none = jnp.zeros(0)
+        return Cut(self.below(threshold, ()), density, *[none] * 8)
 
-    def density(self, threshold: Float[Array, ""]) -> Float[Array, ""]:
-        """The probability density at the mean plus a threshold. Not differentiable."""
-        return _density(self.crossings(threshold))
+    @override
+    def below(self, threshold: Float[Array, ""], at: object) -> Float[Array, ""]:
+        place = jnp.clip(self._places(threshold), -1.0, 1.0)
+        square = place**2
+        return jnp.mean(0.5 + place * (45 - square * (50 - 21 * square)) / 32)
 
-    def error(self, threshold: Float[Array, ""]) -> Float[Array, ""]:
-        """The 95 % half-width of `below` and `above`, by the scatter of the replicates.
+    @override
+    def shortfall(self, threshold: Float[Array, ""], at: object) -> Float[Array, ""]:
+        place = self._places(threshold)
+        square = jnp.minimum(place**2, 1.0)
+        inside = jnp.clip(place, -1.0, 1.0) / 2 + (5 + square * (45 - square * (25 - 7 * square))) / 64
+        return self.width * jnp.mean(inside + jnp.maximum(place - 1, 0.0))
 
-        All of them together are more accurate than that, as parts of one net. Zero where one line is exact.
-        """
-        weights = self.tails.tail.weights
-        replicates = weights.shape[1]
-        if replicates == 1:
-            return jnp.zeros(())
-        fractions = self.crossings(threshold).fractions.reshape(weights.shape)
-        each = _share(jnp.sum(weights * fractions, axis=2))
-        covers = float(scipy.special.stdtrit(replicates - 1, 0.975)) / math.sqrt(replicates)
-        return covers * jnp.std(each, ddof=1)
-
-    def quantile(self, level: Scalar) -> Float[Array, ""]:
-        """How far the quantile lies from the mean."""
-        return self._quantile(level)[0]
-
-    def mean_beyond(self, level: Scalar, *, lower: bool) -> Float[Array, ""]:
-        """How far the mean of the values beyond a quantile lies from that of all, in the lower or the upper tail."""
-        quantile, sides, at = self._quantile(level)
-        side, sign = (0, 1.0) if lower else (1, -1.0)
-        tail, own = jax.tree.map(lambda leaf: leaf[side], (self.tails, at))
-        # What the integral finds beyond the quantile, which is the level but for its error.
-        total = jnp.sum(sides)
-        beyond = (level if lower else 1 - level) * jnp.where(total > 0, total, 1.0)
-        return quantile - sign * tail.shortfall(sign * quantile, own, self.lines) / beyond
-
-    def _quantile(self, level: Scalar) -> tuple[Array, Float[Array, "2"], Crossings]:
-        """The quantile by the implicit function theorem, the probabilities of both sides, and the crossings."""
-        fixed = jax.lax.stop_gradient(self)
-        end = jax.lax.stop_gradient(fixed._searched(jax.lax.stop_gradient(level)))
-        density, sides = _density(end.crossings), self.sides(end.last, end.crossings)
-        step = (_share(sides) - level) / jnp.where(density > 0, density, 1.0)
-        return end.last - jnp.where(density > 0, step, 0.0), sides, end.crossings
-
-    def _searched(self, level: Scalar) -> "_Search":
-        """Newton's method on the normal scale, on which most distribution functions are nearly straight.
-
-        Bisection where a step leaves the bracket or does not halve the error: near an extremum of the output the
-        density is without bound, and steps are short far from the quantile. The first bracket is that of Cantelli's
-        inequality.
-        """
-        target, reach = _score(level), 1.01 * self.std
-        low, high = -reach * jnp.sqrt((1 - level) / level), reach * jnp.sqrt(level / (1 - level))
-
-        def unfinished(state: _Search) -> Bool[Array, ""]:
-            is_wide = state.high - state.low > _NARROW * self.std
-            return (jnp.abs(state.off) > _CLOSE) & is_wide & (state.steps < _MOST_STEPS)
-
-        def narrow(state: _Search) -> _Search:
-            at = state.following
-            crossings = self.crossings(at)
-            probability, density = _share(crossings.below), _density(crossings)
-            is_low = probability < level
-            low, high = jnp.where(is_low, at, state.low), jnp.where(is_low, state.high, at)
-            score = _score(probability)
-            off = jnp.where(jnp.isfinite(score), score - target, jnp.inf)
-            newton = at - off * _normal(score) / density
-            usable = (newton > low) & (newton < high) & (jnp.abs(off) <= jnp.abs(state.off) / 2)
-            following = jnp.where(usable, newton, (low + high) / 2)
-            return _Search(low, high, following, at, off, crossings, state.steps + 1)
-
-        start = jnp.clip(self.std * target, low, high)
-        nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(self.crossings, start))
-        first = _Search(low, high, start, start, jnp.asarray(jnp.inf), nothing, jnp.zeros((), int))
-        return jax.lax.while_loop(unfinished, narrow, first)
+    @override
+    def error(self, at: Cut) -> Float[Array, ""]:
+        """Unknown."""
+        return jnp.asarray(jnp.nan)
 
 
-class _Search(NamedTuple):
-    """The state of the search for a quantile: a bracket, the thresholds to come and last, how far the normal score of
-    the last one is off, and its crossings.
-    """
-
-    low: Float[Array, ""]
-    high: Float[Array, ""]
-    following: Float[Array, ""]
-    last: Float[Array, ""]
-    off: Float[Array, ""]
-    crossings: Crossings
-    steps: Int[Array, ""]
+TailOf: TypeAlias = Callable[[Float[Array, " terms"]], AbstractLowerTail]
+"""The lower tail of an output by its coefficients, the first of which is zero."""
 
 
-def _share(sides: Float[Array, "2 *replicates"]) -> Float[Array, "*replicates"]:
-    """The distribution function, from the probabilities below and above a threshold."""
-    total = sides[0] + sides[1]
-    return sides[0] / jnp.where(total > 0, total, 1.0)
+class Estimate(NamedTuple):
+    """A statistic, and the 95 % half-width of its integral over the expansion."""
+
+    value: Float[Array, ""]
+    error: Float[Array, ""]
 
 
-def _density(at: Crossings) -> Float[Array, ""]:
-    """The derivative of `_share` by the threshold."""
-    return at.below[::-1] @ at.density / jnp.maximum(jnp.sum(at.below), np.finfo(float).tiny) ** 2
+@final
+class OutputDistribution(NamedTuple):
+    """The distribution of an output, whose tails some function gives: the upper one as that of its negative."""
 
+    coefficients: Float[Array, " terms"]
+    tail_of: TailOf
 
-def by_lines(
-    of_distribution: Callable[[T, OutputDistribution], Array],
-    numbers: T,
-    coefficients: Float[Array, "terms *shape"],
-    lines: Lines,
-    sharing: int = 1,
-) -> Float[Array, "..."]:
-    """A function of the distributions of entries, with these along its first axis.
+    def _side(self, is_lower: Bool[Array, ""]) -> tuple[Array, AbstractLowerTail]:
+        sign = jnp.where(is_lower, 1.0, -1.0)
+        return sign, self.tail_of(sign * self.coefficients.at[0].set(0.0))
 
-    A single number uses all prepared lines; the more entries a path has, the fewer each uses.
+    def chance(self, value: Scalar, *, above: bool) -> Estimate:
+        """The probability of more than a value, or of less, without loss of digits where it is small."""
+        off = jnp.asarray(value) - self.coefficients[0]
+        is_lower = off < 0
+        sign, tail = self._side(is_lower)
+        at = jax.lax.stop_gradient(tail.cut(sign * off))
+        beyond = tail.below(sign * off, at)
+        return Estimate(jnp.where(is_lower != above, beyond, 1 - beyond), tail.error(at))
 
-    - `numbers`: what the function is given besides, a tree of arrays of the entries' shape; `sharing`: so many paths
-      are in one array of coefficients.
-    """
-    leaves, structure = jax.tree.flatten(numbers)
-    shape, terms = coefficients.shape[1:], len(coefficients)
-    entries = math.prod(shape) // sharing
-    lines = lines if entries <= _SINGLE else lines.fewer(max(1, _SINGLE * REPLICATES // entries))
+    def density(self, value: Float[Array, ""]) -> Float[Array, ""]:
+        """The probability density at a value. Not differentiable."""
+        off = value - self.coefficients[0]
+        sign, tail = self._side(off < 0)
+        return tail.cut(sign * off).density
 
-    def of_row(row: Float[Array, " columns"]) -> Array:
-        return of_distribution(
-            jax.tree.unflatten(structure, list(row[terms:])), output_distribution(row[:terms], lines)
-        )
+    def quantile(self, level: Scalar) -> Estimate:
+        """The value that the output stays below with a probability."""
+        is_lower = jnp.asarray(level) < 0.5
+        sign, tail = self._side(is_lower)
+        quantile, at = tail.quantile(jnp.where(is_lower, level, 1 - level))
+        error = tail.error(at) / jnp.where(at.density > 0, at.density, jnp.inf)
+        return Estimate(self.coefficients[0] + sign * quantile, error)
 
-    # The numbers of an entry follow its coefficients.
-    rows = jnp.concatenate([coefficients, *(leaf[None] for leaf in leaves)]).reshape(terms + len(leaves), -1).T
-    values = of_row(rows[0])[None] if len(rows) == 1 else jax.lax.map(of_row, rows)
-    return values.reshape(*shape, *values.shape[1:])
-
-
-def output_distribution(coefficients: Float[Array, " terms"], lines: Lines) -> OutputDistribution:
-    """The distribution of an output."""
-    varying = coefficients.at[0].set(0.0)
-    tails = jax.vmap(lambda sign: _tail_distribution(sign * varying, lines))(jnp.array([1.0, -1.0]))
-    return OutputDistribution(coefficients[0], root(jnp.sum(varying**2)), tails, lines)
+    def mean_beyond(self, level: Scalar, *, lower: bool) -> Estimate:
+        """The mean of the values below a quantile, or above it."""
+        is_lower = jnp.asarray(level) < 0.5
+        own = jnp.where(is_lower, level, 1 - level)
+        sign, tail = self._side(is_lower)
+        quantile, at = tail.quantile(own)
+        below = quantile - tail.shortfall(quantile, at) / own
+        # The mean of all is zero, so that those on the other side of the quantile balance these.
+        away = jnp.where(is_lower == lower, below, -below * own / (1 - own))
+        # By the derivative of the mean beyond a quantile by the level.
+        slope = jnp.abs(away - quantile) / (level if lower else 1 - level)
+        return Estimate(self.coefficients[0] + sign * away, tail.error(at) * slope)

@@ -177,14 +177,15 @@ class CornishFisher(AbstractStatistic):
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Square) -> Float[Array, "*shape"]:
         skewness, kurtosis = shape_of(coefficients, constants)
-        return self._quantile(Mean().of(coefficients, ()), Std().of(coefficients, ()), skewness, kurtosis)
+        return self.of_moments(Mean().of(coefficients, ()), Std().of(coefficients, ()), skewness, kurtosis)
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
         kinds = (Mean(), Std(), Skewness(), Kurtosis())
-        return self._quantile(*(kind.of_sample(values) for kind in kinds))
+        return self.of_moments(*(kind.of_sample(values) for kind in kinds))
 
-    def _quantile(self, mean: Array, std: Array, skewness: Array, kurtosis: Array) -> Float[Array, "*shape"]:
+    def of_moments(self, mean: Array, std: Array, skewness: Array, kurtosis: Array) -> Float[Array, "*shape"]:
+        """The quantile of a distribution with these moments."""
         z = ndtri(jnp.asarray(self.level, dtype=float))
         normal = z + (z**2 - 1) * skewness / 6 + (z**3 - 3 * z) * (kurtosis - 3) / 24
         return mean + std * (normal - (2 * z**3 - 5 * z) * skewness**2 / 36)

@@ -2,12 +2,13 @@
 
 All use the expansion along lines through the space of normal variables (see `_lines`). In one variable they are exact
 to about 1e-8, in two to 1e-4 of a probability. In more, probabilities of one output between 1e-7 and one have relative
-errors of about 1 %, which `AbstractTail.estimated` tells, and far smaller ones for outputs that are nearly linear in
-their tail. Entries of a path use fewer lines; `CornishFisher` is cheaper there if the output is nearly normal.
+errors of some percent, which `AbstractTail.estimated` tells, and far smaller ones for outputs that are nearly linear in
+their tail. Entries of a path use fewer lines, or points (see `_entries`).
 """
 
 import abc
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import ClassVar, final
 
 import equinox as eqx
@@ -20,9 +21,13 @@ from typing_extensions import override
 from aleator._core.arrays import Scalar, in_library, jax_array, quietly
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_traced
+from aleator.statistics._entries import by_lines, estimate_of_row, rows_of, statistics_of_rows
 from aleator.statistics._lines import Lines, lines_through
-from aleator.statistics._output_distribution import OutputDistribution, by_lines
+from aleator.statistics._output_distribution import Estimate, OutputDistribution, TailOf, normal_score
 from aleator.statistics._statistic import AbstractStatistic, Constants, level_given, number_given
+
+# A spread that is no more than this part of a distance counts as none.
+_NO_SPREAD = 1e-12
 
 
 class AbstractTail(AbstractStatistic):
@@ -43,62 +48,56 @@ class AbstractTail(AbstractStatistic):
     def estimated(
         self, coefficients: Float[Array, "terms *shape"], constants: Lines
     ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
-        """The statistic, and the 95 % half-width of its integral over the expansion."""
-
-        def both(kind: AbstractTail, output: OutputDistribution) -> Float[Array, "2"]:
-            return jnp.stack([kind.of_distribution(output), kind.error_of(output)])
-
-        numbers = jax.tree.map(lambda number: jnp.full(coefficients.shape[1:], number, dtype=float), self)
-        found = by_lines(both, numbers, coefficients, constants)
-        return found[..., 0], found[..., 1]
+        """The statistic by lines, and the 95 % half-width of its integral over the expansion."""
+        rows, lines = rows_of([self], [coefficients]), constants.for_one_of(coefficients[0].size)
+        value, error = by_lines(partial(estimate_of_row, jax.tree.structure(self)), rows, lines)
+        return value.reshape(coefficients.shape[1:]), error.reshape(coefficients.shape[1:])
 
     @abc.abstractmethod
-    def of_distribution(self, distribution: OutputDistribution) -> Float[Array, ""]:
-        """The statistic of an output."""
-
-    @abc.abstractmethod
-    def error_of(self, distribution: OutputDistribution) -> Float[Array, ""]:
-        """The 95 % half-width of its integral."""
+    def of_distribution(self, distribution: OutputDistribution) -> Estimate:
+        """The statistic of an output, and its error."""
 
     @abc.abstractmethod
     def tail(self, value: float) -> tuple[float, bool]:
         """The probability of the tail that it speaks of where it has a value, and whether that is the lower one."""
 
-
-def tails_together(
-    kinds: Sequence[AbstractTail], coefficients: Sequence[Float[Array, "terms *shape"]], constants: Lines
-) -> list[Float[Array, "*shape"]]:
-    """Tails of one class and structure, of outputs of one shape: one loop for all, which is compiled once."""
-    shape = coefficients[0].shape[1:]
-    numbers = jax.tree.map(lambda *each: jnp.stack([jnp.full(shape, number, dtype=float) for number in each]), *kinds)
-    every = jnp.stack(coefficients, axis=1)
-    return list(by_lines(lambda kind, outputs: kind.of_distribution(outputs), numbers, every, constants, len(kinds)))
+    @abc.abstractmethod
+    def apart(self, mean: Float[Array, " n"], std: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, "*n"]]:
+        """How many standard deviations each entry of a path is apart from that which a limit would be decided by, and
+        how many the statistic is away from the mean there, if entries were normally distributed.
+        """
 
 
-@final
-class Quantile(AbstractTail):
-    """The value that the output stays below with probability `level`."""
+class AbstractAtLevel(AbstractTail):
+    """A statistic of the tail beyond the quantile at a level."""
 
     level: Scalar
 
     speaks_of_one_system: ClassVar[bool] = True
 
+    @override
+    def tail(self, value: float) -> tuple[float, bool]:
+        return min(float(self.level), 1 - float(self.level)), float(self.level) < 0.5
+
+    @override
+    def apart(self, mean: Float[Array, " n"], std: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, "*n"]]:
+        away = normal_score(self.level)
+        # The largest of quantiles above the mean, the smallest of those below it.
+        normal = jnp.where(away < 0, -1.0, 1.0) * mean + jnp.abs(away) * std
+        behind = jnp.nanmax(normal, axis=-1, keepdims=True) - normal
+        return behind / jnp.maximum(std, _NO_SPREAD * behind), jnp.abs(away)
+
+
+@final
+class Quantile(AbstractAtLevel):
+    """The value that the output stays below with probability `level`."""
+
     def __init__(self, level: Scalar):
         self.level = level_given("Quantile", level)
 
     @override
-    def of_distribution(self, distribution: OutputDistribution) -> Float[Array, ""]:
-        return distribution.mean + distribution.quantile(self.level)
-
-    @override
-    def error_of(self, distribution: OutputDistribution) -> Float[Array, ""]:
-        at = distribution.quantile(self.level)
-        density = distribution.density(at)
-        return distribution.error(at) / jnp.where(density > 0, density, jnp.inf)
-
-    @override
-    def tail(self, value: float) -> tuple[float, bool]:
-        return _tail_at(self.level)
+    def of_distribution(self, distribution: OutputDistribution) -> Estimate:
+        return distribution.quantile(self.level)
 
     @override
     @quietly
@@ -113,35 +112,21 @@ class Quantile(AbstractTail):
 
 
 @final
-class ConditionalValueAtRisk(AbstractTail):
+class ConditionalValueAtRisk(AbstractAtLevel):
     """The mean of the values above the quantile at `level`, or of those below it with `lower=True`.
 
     A level of 0.95 gives the mean of the largest 5 %; 0.05 with `lower=True` that of the smallest 5 %. Source:
     Rockafellar and Uryasev (2000), Optimization of conditional value-at-risk.
     """
 
-    level: Scalar
     lower: bool = eqx.field(static=True)
-
-    speaks_of_one_system: ClassVar[bool] = True
 
     def __init__(self, level: Scalar, *, lower: bool = False):
         self.level, self.lower = level_given("ConditionalValueAtRisk", level), bool(lower)
 
     @override
-    def of_distribution(self, distribution: OutputDistribution) -> Float[Array, ""]:
-        return distribution.mean + distribution.mean_beyond(self.level, lower=self.lower)
-
-    @override
-    def error_of(self, distribution: OutputDistribution) -> Float[Array, ""]:
-        # By the derivative of the mean beyond a quantile by the level.
-        at = distribution.quantile(self.level)
-        beyond = jnp.abs(distribution.mean_beyond(self.level, lower=self.lower) - at)
-        return distribution.error(at) * beyond / (self.level if self.lower else 1 - self.level)
-
-    @override
-    def tail(self, value: float) -> tuple[float, bool]:
-        return _tail_at(self.level)
+    def of_distribution(self, distribution: OutputDistribution) -> Estimate:
+        return distribution.mean_beyond(self.level, lower=self.lower)
 
     @override
     @quietly
@@ -183,19 +168,22 @@ class Probability(AbstractTail):
             )
 
     @override
-    def of_distribution(self, distribution: OutputDistribution) -> Float[Array, ""]:
-        if self.above is None:
-            return distribution.below(jnp.asarray(self.below) - distribution.mean)
-        above = distribution.above(jnp.asarray(self.above) - distribution.mean)
-        if self.below is None:
-            return above
-        return above - distribution.above(jnp.asarray(self.below) - distribution.mean)
+    def of_distribution(self, distribution: OutputDistribution) -> Estimate:
+        if self.above is None or self.below is None:
+            return distribution.chance(self._thresholds[0], above=self.below is None)
+        low, high = distribution.chance(self.above, above=False), distribution.chance(self.below, above=True)
+        return Estimate(1 - low.value - high.value, low.error + high.error)
+
+    @property
+    def _thresholds(self) -> list[Scalar]:
+        return [threshold for threshold in (self.above, self.below) if threshold is not None]
 
     @override
-    def error_of(self, distribution: OutputDistribution) -> Float[Array, ""]:
-        thresholds = [limit for limit in (self.above, self.below) if limit is not None]
-        errors = [distribution.error(jnp.asarray(limit) - distribution.mean) for limit in thresholds]
-        return jnp.sum(jnp.stack(errors))
+    def apart(self, mean: Float[Array, " n"], std: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, "*n"]]:
+        away = [jnp.abs(threshold - mean) for threshold in self._thresholds]
+        scores = jnp.min(jnp.stack(away), axis=0) / jnp.maximum(std, _NO_SPREAD * away[0])
+        nearest = jnp.nanmin(scores, axis=-1, keepdims=True)
+        return scores - nearest, nearest
 
     @override
     def tail(self, value: float) -> tuple[float, bool]:
@@ -226,21 +214,24 @@ class Probability(AbstractTail):
         return f"P[{_brief(self.above)} < {inside} < {_brief(self.below)}]"
 
 
-def _tail_at(level: Scalar) -> tuple[float, bool]:
-    return min(float(level), 1 - float(level)), float(level) < 0.5
-
-
 def _brief(threshold: Scalar | None) -> str:
     return f"{np.asarray(threshold):g}"
+
+
+def tails_together(
+    kinds: Sequence[AbstractTail], coefficients: Sequence[Float[Array, "terms *shape"]], constants: Lines
+) -> list[Float[Array, "*shape"]]:
+    """Tails of one class and structure, of outputs of one shape: one loop for all, which is compiled once."""
+    rows = rows_of(kinds, coefficients)
+    values = statistics_of_rows(jax.tree.structure(kinds[0]), rows, constants, len(kinds))
+    return list(values.reshape(len(kinds), *coefficients[0].shape[1:]))
 
 
 def cdf(
     values: Float[Array, " n"], coefficients: Float[Array, "terms *shape"], constants: Lines
 ) -> Float[Array, "n *shape"]:
     """The distribution function at some values, for each entry. Constants: `lines_through`."""
-    return _at_each(
-        lambda distribution, value: distribution.below(value - distribution.mean), values, coefficients, constants
-    )
+    return _at_each(lambda output, value: output.chance(value, above=False).value, values, coefficients, constants)
 
 
 def pdf(
@@ -250,9 +241,7 @@ def pdf(
 
     At an extremum of an output along a line its density is infinite, which shows as noise near the extremes.
     """
-    return _at_each(
-        lambda distribution, value: distribution.density(value - distribution.mean), values, coefficients, constants
-    )
+    return _at_each(OutputDistribution.density, values, coefficients, constants)
 
 
 def _at_each(
@@ -261,10 +250,12 @@ def _at_each(
     values = jnp.asarray(values, dtype=float)
     if values.ndim != 1:
         raise ProblemError(f"cdf and pdf: expected values of shape (n,); received {values.shape}.")
-    results = by_lines(
-        lambda _, output: jax.lax.map(lambda value: function(output, value), values), (), coefficients, lines
-    )
-    return jnp.moveaxis(results, -1, 0)
+
+    def every(row: Float[Array, " terms"], tail_of: TailOf) -> Float[Array, " n"]:
+        return jax.lax.map(lambda value: function(OutputDistribution(row, tail_of), value), values)
+
+    rows = coefficients.reshape(len(coefficients), -1)
+    return by_lines(every, rows, lines.for_one_of(rows.shape[1])).reshape(len(values), *coefficients.shape[1:])
 
 
 def together(

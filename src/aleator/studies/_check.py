@@ -113,7 +113,7 @@ def _numbers(problem: Problem) -> dict[str, "_Plain | str"]:
     for name, field, value in fields_of(problem.system):
         is_number = isinstance(value, int | float | np.generic | np.ndarray | jax.Array) and not isinstance(value, bool)
         if isinstance(value, AbstractLeaf):
-            found[name] = "uncertain" if value.UNCERTAIN else "decided"
+            found[name] = "uncertain" if value.is_uncertain else "decided"
         elif is_number and not field.metadata.get("static", False) and np.ndim(value) == 0:
             found[name] = _Plain(float(value), field.metadata.get("unit", ""))
     return found

@@ -66,7 +66,7 @@ class BSpline(AbstractTrajectory):
             raise ProblemError(
                 f"{_KIND}: expected several control points, such as al.Decision(np.zeros(8), -3.0, 3.0); received one."
             )
-        self.degree = _checked_degree(degree)
+        self.degree = check.whole(f"{_KIND}: its degree", degree)
         self.start = conditions(_KIND, "start", start, self.shape)
         self.end = conditions(_KIND, "end", end, self.shape)
         most = max(len(self.start), len(self.end)) - 1
@@ -110,7 +110,7 @@ class BSpline(AbstractTrajectory):
     def all_knots(self) -> tuple[float, ...] | Float[Array, " knots"]:
         """All knots over [0, 1], the ends repeated `degree + 1` times."""
         if self.knots is not None:
-            return tuple(clamped(np.array(self.knots), self.degree).tolist())
+            return tuple(clamped(self.knots, self.degree).tolist())
         ends = jnp.cumsum(as_array(self.spans))
         return clamped(ends[:-1] / ends[-1], self.degree)
 
@@ -127,8 +127,7 @@ class BSpline(AbstractTrajectory):
         points = xp.tensordot(change, numbers, axes=1)
         if order == 0:
             return jax_array(points)
-        knots = self.all_knots()
-        change = derived(np.array(knots) if isinstance(knots, tuple) else knots, self.degree, order)
+        change = derived(self.all_knots(), self.degree, order)
         xp, change, points, duration = in_library(change, points, duration)
         return jax_array(xp.tensordot(change, points, axes=1) / duration**order)
 
@@ -203,10 +202,6 @@ def fit_control_points(
     return solution.reshape(free, *samples.shape[1:])
 
 
-def _checked_degree(degree: int) -> int:
-    return check.whole(f"{_KIND}: its degree", degree)
-
-
 def _checked_knots(knots: Any, interior: int) -> tuple[float, ...]:
     if knots is None:
         return tuple((i / (interior + 1)) for i in range(1, interior + 1))
@@ -235,8 +230,8 @@ def _checked_spans(spans: Any, count: int) -> Any:
 
 def clamped(interior: Any, degree: int) -> Any:
     """The knots of a clamped spline over [0, 1]: each end `degree + 1` times, with the interior knots in between."""
-    xp = _library(interior)
-    return xp.concatenate([xp.zeros(degree + 1), xp.asarray(interior), xp.ones(degree + 1)])
+    xp, interior = _vectors(interior)
+    return xp.concatenate([xp.zeros(degree + 1), interior, xp.ones(degree + 1)])
 
 
 def basis(u: Any, knots: Any, degree: int) -> Any:
@@ -244,34 +239,30 @@ def basis(u: Any, knots: Any, degree: int) -> Any:
 
     The first and the last interval extend beyond the ends, since rounding may put a point there.
     """
-    xp = _library(u, knots)
-    u, knots = xp.asarray(u)[:, None], xp.asarray(knots)
+    xp, u, knots = _vectors(u, knots)
+    u = u[:, None]
+
+    def ratio(numerator: Any, denominator: Any) -> Any:
+        proper = denominator > 0  # where knots coincide, 0
+        return xp.where(proper, numerator / xp.where(proper, denominator, 1.0), 0.0)
+
     left, right = knots[:-1][None], knots[1:][None]
     within = ((u >= left) | (left <= knots[0])) & ((u < right) | (right >= knots[-1]))
     values = xp.where(within & (left < right), 1.0, 0.0)
     for p in range(1, degree + 1):
-        rising = _ratio(xp, u - knots[: -p - 1][None], (knots[p:-1] - knots[: -p - 1])[None])
-        falling = _ratio(xp, knots[p + 1 :][None] - u, (knots[p + 1 :] - knots[1:-p])[None])
+        rising = ratio(u - knots[: -p - 1][None], (knots[p:-1] - knots[: -p - 1])[None])
+        falling = ratio(knots[p + 1 :][None] - u, (knots[p + 1 :] - knots[1:-p])[None])
         values = rising * values[:, :-1] + falling * values[:, 1:]
     return values
 
 
-def differences(knots: Any, degree: int) -> Any:
-    """The matrix from a spline's control points to those of its derivative (equation 54): (n - 1, n)."""
-    xp = _library(knots)
-    knots = xp.asarray(knots)
-    n = len(knots) - degree - 1
-    slopes = degree / (knots[degree + 1 : -1] - knots[1 : -degree - 1])
-    return slopes[:, None] * (xp.eye(n)[1:] - xp.eye(n)[:-1])
-
-
 def derived(knots: Any, degree: int, order: int) -> Any:
-    """The matrix from a spline's control points to those of its derivative of some order: (n - order, n)."""
-    xp = _library(knots)
+    """The matrix from a spline's control points to those of its derivative (equation 54): (n - order, n)."""
+    xp, knots = _vectors(knots)
     change = xp.eye(len(knots) - degree - 1)
-    for lower in range(order):
-        inner = knots[lower : len(knots) - lower]
-        change = differences(inner, degree - lower) @ change
+    for p in range(degree, degree - order, -1):
+        knots = knots[1:-1]
+        change = (p / (knots[p:] - knots[:-p]))[:, None] * xp.diff(change, axis=0)
     return change
 
 
@@ -279,13 +270,12 @@ def matrix(u: Any, knots: Any, degree: int, order: int = 0) -> Any:
     """From control points to the derivative of some order at the points `u`: shape (points, control points)."""
     if order > degree:
         return np.zeros((len(u), len(knots) - degree - 1))
-    inner = knots[order : len(knots) - order]
-    return basis(u, inner, degree - order) @ derived(knots, degree, order)
+    return basis(u, knots[order : len(knots) - order], degree - order) @ derived(knots, degree, order)
 
 
 @lru_cache(maxsize=256)
 def _fixed_matrix(u: bytes, knots: tuple[float, ...], degree: int, order: int) -> Float[np.ndarray, "points n"]:
-    return matrix(np.frombuffer(u), np.array(knots), degree, order)
+    return matrix(np.frombuffer(u), knots, degree, order)
 
 
 def basis_matrix(u: Any, knots: tuple[float, ...] | Array, degree: int, order: int) -> Any:
@@ -294,15 +284,9 @@ def basis_matrix(u: Any, knots: tuple[float, ...] | Array, degree: int, order: i
     """
     if isinstance(u, np.ndarray) and isinstance(knots, tuple):
         return _fixed_matrix(np.ascontiguousarray(u, dtype=float).tobytes(), knots, degree, order)
-    return matrix(u, jnp.asarray(knots), degree, order)
+    return matrix(u, knots, degree, order)
 
 
-def _library(*arrays: Any) -> Any:
-    """NumPy for plain arrays, JAX for its own: one recursion serves both."""
-    return jnp if any(isinstance(array, Tracer | Array) for array in arrays) else np
-
-
-def _ratio(xp: Any, numerator: Any, denominator: Any) -> Any:
-    """`numerator / denominator`, and 0 where knots coincide."""
-    proper = denominator > 0
-    return xp.where(proper, numerator / xp.where(proper, denominator, 1.0), 0.0)
+def _vectors(*vectors: Any) -> tuple[Any, ...]:
+    """The library for some vectors, which may be tuples of plain numbers, and the vectors in it."""
+    return in_library(*(np.array(one) if isinstance(one, tuple) else one for one in vectors))

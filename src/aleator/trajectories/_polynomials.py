@@ -17,14 +17,7 @@ from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import highest, lowest, realised_shape, stored_numbers, transparent
 from aleator.trajectories._jumping import jumping_in
-from aleator.trajectories._signals import (
-    AbstractTrajectory,
-    Derivative,
-    Fractions,
-    as_array,
-    conditions,
-    instants,
-)
+from aleator.trajectories._signals import AbstractTrajectory, Derivative, Fractions, as_array, conditions, instants
 
 _KIND = "PowerSeries"
 

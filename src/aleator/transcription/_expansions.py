@@ -179,12 +179,23 @@ class ExpansionScope(AbstractScope):
         return tuple(blocks), tuple(taken)
 
     def take_together(self, expressions: tuple[Expression, ...]) -> None:
-        """Take those statistics of expressions now that share a loop, for where they are evaluated."""
+        """Take those statistics of expressions now that share a loop, for where they are evaluated, or an equation."""
         atoms = [atom for one in expressions for atom in one.atoms if isinstance(atom, Statistic)]
         statistics = together([(one.kind, self._terms(one.functionals)) for one in atoms], self.constants)
         # By identity, because the numbers in a statistic are traced.
         pairs = zip(atoms, statistics, strict=True)
         self._together = {(one.functionals, id(one.kind)): values for one, values in pairs if values is not None}
+        alike: dict[Any, dict[Any, list[Statistic]]] = {}
+        for atom in atoms:
+            if len(atom.functionals) == 1 and atom.kind.preparation is None and not jax.tree.leaves(atom.kind):
+                shape = self.coefficients[atom.functionals[0]].shape
+                alike.setdefault((atom.kind, shape), {}).setdefault(atom.functionals, []).append(atom)
+        for (kind, _), outputs in alike.items():
+            if len(outputs) == 1:
+                continue
+            values = kind.of(jnp.stack([self._terms(functionals) for functionals in outputs], axis=-1), None)
+            for own, some in zip(jnp.unstack(values, axis=-1), outputs.values(), strict=True):
+                self._together |= {(atom.functionals, id(atom.kind)): own for atom in some}
 
     def _terms(self, functionals: tuple[AbstractFunctional, ...]) -> Float[Array, "terms ..."]:
         return joined([self.coefficients[one] for one in functionals])

@@ -34,6 +34,7 @@ from aleator.uncertainty._polynomials import LegendreGerm as LegendreGerm
 from aleator.uncertainty._positive import fields_of as fields_of
 from aleator.uncertainty._positive import parameter as parameter
 from aleator.uncertainty._positive import refuse_nonpositive as refuse_nonpositive
+from aleator.uncertainty._random_process import RandomProcess as RandomProcess
 from aleator.uncertainty._tailed_families import Exponential as Exponential
 from aleator.uncertainty._tailed_families import Gumbel as Gumbel
 from aleator.uncertainty._tailed_families import GumbelGerm as GumbelGerm

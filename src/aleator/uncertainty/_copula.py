@@ -20,8 +20,8 @@ from jaxtyping import Float
 from aleator._core.border import a_name, real, real_array, refusal
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_traced
-from aleator.uncertainty._distribution import AbstractDistribution, Dependence
-from aleator.uncertainty._polynomials import HermiteGerm
+from aleator.uncertainty._distribution import AbstractDistribution
+from aleator.uncertainty._polynomials import Dependence, HermiteGerm
 
 _TERMS = 100
 _NORMALS = np.linspace(-12, 12, 2001)

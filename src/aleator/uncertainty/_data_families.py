@@ -103,7 +103,7 @@ class Density(AbstractDistribution):
     """Any density: the number is `location + scale * xi`, and `xi` has the density `function` on (lower, upper).
 
     `function` takes a NumPy array of points and returns a non-negative number for each; it need not be normalised, and
-    may have kinks and jumps. Bounds may be infinite; a density may be singular only at an end that is 0, since
+    may have kinks, zeros and jumps. Bounds may be infinite; a density may be singular only at an end that is 0, since
     floating-point numbers are dense only there. Its polynomials come from a discretised Stieltjes procedure. `location`
     and `scale` may be decisions; nothing inside `function` may be.
 
@@ -143,20 +143,6 @@ class Density(AbstractDistribution):
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
         del shape
         return _cubic(normal, *_quantiles_by_normal(self.xi))
-
-    @override
-    def mean(self) -> Scalar:
-        location, scale, _ = self.canonical()
-        return location + scale * self.xi.recurrence(1)[0][0]
-
-    @override
-    def std(self) -> Scalar:
-        return self.canonical().scale * self.xi.recurrence(1)[1][1]
-
-    @override
-    def support(self) -> tuple[Scalar, Scalar]:
-        location, scale, _ = self.canonical()
-        return location + scale * self.xi.low, location + scale * self.xi.high
 
     def __str__(self) -> str:
         name = getattr(self.xi.function, "__name__", "function")
@@ -225,21 +211,6 @@ class Sample(AbstractDistribution):
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
         del shape
         return jnp.asarray(self.xi.values)[jnp.searchsorted(jnp.asarray(self.xi.levels), special.ndtr(normal))]
-
-    @override
-    def mean(self) -> Scalar:
-        location, scale, _ = self.canonical()
-        return location + scale * self.xi.recurrence(1)[0][0]
-
-    @override
-    def std(self) -> Scalar:
-        return self.canonical().scale * self.xi.recurrence(1)[1][1]
-
-    @override
-    def support(self) -> tuple[Scalar, Scalar]:
-        location, scale, _ = self.canonical()
-        low, high = self.xi.support()
-        return location + scale * low, location + scale * high
 
     def __str__(self) -> str:
         return super().__str__().replace("(", f"({self.xi.values.size} distinct values, ", 1)

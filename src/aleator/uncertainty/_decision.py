@@ -1,6 +1,6 @@
 """`Decision`: a number of a model that the optimiser chooses."""
 
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import equinox as eqx
 import numpy as np
@@ -9,7 +9,7 @@ from jaxtyping import Float
 from aleator._core.arrays import Scalar
 from aleator._core.border import a_name, real_array, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import AbstractLeaf, is_traced
+from aleator._core.leaves import AbstractLeaf, highest, lowest
 
 # Relative amount by which a start may lie outside its bounds: a computed one may do so by rounding.
 _ROUNDING = 1e-9
@@ -26,8 +26,6 @@ class Decision(AbstractLeaf):
     Raises `ProblemError` if a number is not finite (bounds may be infinite), if the bounds are in the wrong order, or
     if the start lies outside them.
     """
-
-    UNCERTAIN: ClassVar[bool] = False
 
     initial: Scalar | np.ndarray
     lower: Scalar | np.ndarray
@@ -61,11 +59,11 @@ class Decision(AbstractLeaf):
 
     def lowest(self) -> float | None:
         """The smallest number that may be chosen."""
-        return None if is_traced(self.lower) else float(np.min(np.asarray(self.lower), initial=np.inf))
+        return lowest(self.lower)
 
     def highest(self) -> float | None:
         """The largest number that may be chosen."""
-        return None if is_traced(self.upper) else float(np.max(np.asarray(self.upper), initial=-np.inf))
+        return highest(self.upper)
 
 
 def _real(value: Any) -> np.ndarray:

@@ -3,8 +3,8 @@
 import abc
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, ClassVar, NamedTuple, Self, final
+from collections.abc import Callable, Iterator
+from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -18,9 +18,9 @@ from aleator._core.arrays import Scalar, jax_array
 from aleator._core.border import a_name, real_array, refusal
 from aleator._core.errors import ProblemError
 from aleator._core.identity import is_library
-from aleator._core.leaves import AbstractLeaf, Module, is_traced, realised_shape
+from aleator._core.leaves import AbstractLeaf, is_traced, realised_shape
 from aleator.uncertainty._decision import Decision
-from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm
+from aleator.uncertainty._polynomials import AbstractGerm, Dependence
 
 # Probability levels at which methods of a user's own distribution are compared, and the tolerance by its spread.
 _LEVELS = np.array([0.02, 0.16, 0.5, 0.84, 0.98])
@@ -66,33 +66,6 @@ def brief(value: Any) -> str:
     return f"{float(value):g}" if not isinstance(value, Tracer) else "traced"
 
 
-@final
-class Dependence(Module):
-    """A member's place in a group of correlated distributions.
-
-    The group has one standard normal germ variable for each member. Member `index` is a function of the normal variable
-    `factor[index] @ germs`, where `factor` is the Cholesky factor of the normals' correlation matrix. So it depends on
-    its own germ variable and on those of the members before it.
-    """
-
-    group: str = eqx.field(static=True)
-    members: tuple[str, ...] = eqx.field(static=True)
-    index: int = eqx.field(static=True)
-    factor: Float[np.ndarray, "members members"] | Float[Array, "members members"]
-
-    @property
-    def germ_names(self) -> tuple[str, ...]:
-        """The germ variables on which the member depends."""
-        return tuple(f"{self.group}.{member}" for member in self.members[: self.index + 1])
-
-    def normal(self, germs: Sequence[Float[Array, ""]]) -> Float[Array, ""]:
-        """The member's standard normal variable at the values of its germ variables."""
-        return jnp.asarray(self.factor)[self.index, : self.index + 1] @ jnp.stack(germs)
-
-    def __str__(self) -> str:
-        return f"'{self.members[self.index]}' of the correlated group '{self.group}'"
-
-
 class AbstractDistribution(AbstractLeaf):
     """An uncertain number, placed anywhere in a model. Each of its parameters may be a number or a `Decision`.
 
@@ -107,8 +80,9 @@ class AbstractDistribution(AbstractLeaf):
     parameters: dict[str, Any]
     dependence: Dependence | None
     shared_name: str | None = eqx.field(static=True)
+    held: bool = eqx.field(static=True, repr=False)
+    """Whether it is held at its mean: it has no germ then."""
 
-    UNCERTAIN: ClassVar[bool] = True
     FORMS: ClassVar[dict[tuple[str, ...], Form]]
     REQUIRES: ClassVar[str] = "finite parameters, a positive spread and positive shape parameters"
     REACHES_ENDS: ClassVar[bool] = True
@@ -119,12 +93,21 @@ class AbstractDistribution(AbstractLeaf):
         self.parameters = {
             name: plain(name, value, type(self)) for name, value in parameters.items() if value is not None
         }
-        self.dependence = None
+        self.dependence, self.held = None, False
         self.shared_name = None if shared_name is None else a_name(f"{type(self).__name__}: shared_name", shared_name)
         self._names()
         # The numbers are known under jax.grad, and so checked; under jax.jit they are not.
         if not is_traced(constant(self.parameters)):
             self._check()
+
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether realisations differ: not those of a distribution that is held at its mean."""
+        return not self.held
+
+    def at_mean(self, held: bool = True) -> Self:
+        """The same distribution, held at its mean or again uncertain."""
+        return self._with(held=held)
 
     def shared(self, name: str) -> Self:
         """A copy whose placements are all one random variable, together with any others shared under this name."""
@@ -160,16 +143,9 @@ class AbstractDistribution(AbstractLeaf):
             raise ProblemError(f"{type(self).__name__} needs {self.REQUIRES}; received {self}.")
         if spread < np.finfo(float).tiny:  # which compiled programs round to zero
             raise ProblemError(f"{type(self).__name__}: expected a spread of at least 2.3e-308; received {self}.")
-        own = type(self)
-        if shape and own.transport is AbstractDistribution.transport and own.value is AbstractDistribution.value:
-            raise ProblemError(
-                f"{own.__name__} has a shape {shape} but no transport(germ, source, target), which moves values "
-                "between shapes at equal probability: without it, derivatives with respect to the shape would be lost. "
-                "Write one."
-            )
         for corner in self.corners():
             self._check_corner(start | corner, corner)
-        if not is_library(own.__module__):
+        if not is_library(type(self).__module__):
             refuse_contradictions(self.initial())
 
     def _is_possible(self, parameters: dict[str, float], shape: tuple[float, ...]) -> bool:
@@ -333,9 +309,7 @@ class AbstractDistribution(AbstractLeaf):
 
     def germs(self, place: str) -> dict[str, AbstractGerm]:
         """The distribution of each germ variable that it depends on, by name, in the order of `germ_names`."""
-        if self.dependence is None:
-            return {place: self.germ()}
-        return {name: HermiteGerm() for name in self.dependence.germ_names}
+        return {place: self.germ()} if self.dependence is None else self.dependence.germs
 
     def realised(
         self, germs: tuple[Float[Array, ""], ...], reference: tuple[Scalar, ...] | None = None
@@ -350,17 +324,24 @@ class AbstractDistribution(AbstractLeaf):
     def germ(self) -> AbstractGerm:
         """The germ's distribution and polynomials, at the initial values of the decisions."""
 
-    @abc.abstractmethod
     def mean(self) -> Scalar:
-        """The mean, once the parameters are plain numbers."""
+        """The mean, once the parameters are plain numbers; a family with a shape has its own, as it has for `std`."""
+        return self._at(self.germ().recurrence(0)[0][0])
 
-    @abc.abstractmethod
     def std(self) -> Scalar:
         """The standard deviation, once the parameters are plain numbers."""
+        scale, spread = self.canonical().scale, self.germ().recurrence(1)[1][1]
+        return scale if spread == 1 else scale * spread
 
-    @abc.abstractmethod
     def support(self) -> tuple[Scalar, Scalar]:
         """Smallest and largest possible value, once the parameters are plain numbers."""
+        low, high = self.germ().support()
+        return self._at(low), self._at(high)
+
+    def _at(self, germ: float) -> Scalar:
+        """The number at a constant germ value, which may be infinite."""
+        location, scale, _ = self.canonical()
+        return germ if np.isinf(germ) else location + scale * germ if germ else location
 
     def __str__(self) -> str:
         inside = ", ".join(f"{name}={brief(self.parameters[name])}" for name in self._names())
@@ -368,7 +349,16 @@ class AbstractDistribution(AbstractLeaf):
 
 
 def refuse_contradictions(distribution: Any) -> None:
-    """Raise `ProblemError`, naming the method, where two methods of a distribution of plain numbers disagree."""
+    """Raise `ProblemError`, naming them, where methods of a distribution of plain numbers disagree or are missing."""
+    own, base = type(distribution), AbstractDistribution
+    needed = ("mean", "std", *(("transport",) if own.value is base.value else ()))
+    missing = [f"{name}()" for name in needed if getattr(own, name) is getattr(base, name)]
+    if missing and distribution.canonical().shape:
+        raise ProblemError(
+            f"{own.__name__} has a shape but no {' and no '.join(missing)} of its own: without it, derivatives with "
+            "respect to the shape would be lost. transport(germ, source, target) moves values between shapes at equal "
+            "probability. Write what is missing."
+        )
     with jax.ensure_compile_time_eval():
         location, scale, shape = distribution.canonical()
         germ = distribution.germ()
@@ -388,6 +378,6 @@ def refuse_contradictions(distribution: Any) -> None:
         if not (values.shape == expected.shape and np.allclose(values, expected, rtol=_SAME, atol=_SAME * size)):
             by_germ, received = (", ".join(f"{x:.6g}" for x in np.ravel(side)) for side in (expected, values))
             raise ProblemError(
-                f"{type(distribution).__name__}: its germ and its {name} contradict each other: expected "
+                f"{own.__name__}: its germ and its {name} contradict each other: expected "
                 f"{by_germ} by germ(); received {received}."
             )

@@ -73,19 +73,6 @@ class Uniform(AbstractDistribution):
         del shape
         return special.erf(normal / np.sqrt(2.0))
 
-    @override
-    def mean(self) -> Scalar:
-        return self.canonical().location
-
-    @override
-    def std(self) -> Scalar:
-        return self.canonical().scale / np.sqrt(3.0)
-
-    @override
-    def support(self) -> tuple[Scalar, Scalar]:
-        location, scale, _ = self.canonical()
-        return location - scale, location + scale
-
 
 @final
 class Normal(AbstractDistribution):
@@ -104,18 +91,6 @@ class Normal(AbstractDistribution):
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
         del shape
         return normal
-
-    @override
-    def mean(self) -> Scalar:
-        return self.canonical().location
-
-    @override
-    def std(self) -> Scalar:
-        return self.canonical().scale
-
-    @override
-    def support(self) -> tuple[Scalar, Scalar]:
-        return -np.inf, np.inf
 
 
 def _beta_from_shape(alpha: Scalar, beta: Scalar, lower: Scalar, upper: Scalar) -> Canonical:
@@ -182,10 +157,6 @@ class Beta(AbstractDistribution):
         _, scale, (alpha, beta) = self.canonical()
         return 2 * scale * jnp.sqrt(alpha * beta / (alpha + beta + 1)) / (alpha + beta)
 
-    @override
-    def support(self) -> tuple[Scalar, Scalar]:
-        return self.parameters["lower"], self.parameters["upper"]
-
 
 def _gamma_from_moments(mean: Scalar, std: Scalar, lower: Scalar) -> Canonical:
     return Canonical(lower, std**2 / (mean - lower), (((mean - lower) / std) ** 2,))
@@ -242,10 +213,6 @@ class Gamma(AbstractDistribution):
     def std(self) -> Scalar:
         _, scale, (shape,) = self.canonical()
         return scale * jnp.sqrt(shape)
-
-    @override
-    def support(self) -> tuple[Scalar, Scalar]:
-        return self.parameters["lower"], np.inf
 
 
 def tanh_sinh(nodes: int = 111, first: float = -6.0, last: float = 3.4) -> tuple[np.ndarray, np.ndarray]:

@@ -31,6 +31,7 @@ _SCANNED, _SHARP, _PEAKS, _DOUBLINGS = 2**16, 1e-4, 32, 16
 _MOST_PANELS = 20_000
 _TOLERANCE = 1e-11  # of each panel; the nodes of its halves are kept, which are far more accurate
 _NARROWEST = 2.0**-46
+_SHAKEN = 4.0  # by so many units of rounding of its coordinates a panel's values may be off
 _NO_MASS = 1e-250  # a smaller total is the foot of a peak that lies between the first nodes
 _BISECTIONS = 60
 
@@ -196,13 +197,13 @@ class Measure:
         count = starts.size
         while starts.size:
             middles = (starts + ends) / 2
-            whole, left, right = (
-                self._panels(a, b)[1].sum(axis=1) for a, b in ((starts, ends), (starts, middles), (middles, ends))
+            (nodes, whole), (_, left), (_, right) = (
+                self._panels(a, b) for a, b in ((starts, ends), (starts, middles), (middles, ends))
             )
-            fine = left + right
+            fine = left.sum(axis=1) + right.sum(axis=1)
             accepted.append(middles)
-            tolerance = (_TOLERANCE + self._noise(starts, ends)) * fine + 1e-290
-            rough = (np.abs(whole - fine) > tolerance) & (middles - starts > narrowest)
+            tolerance = (_TOLERANCE + self._noise(starts, ends)) * fine + self._shaken(nodes, whole) + 1e-290
+            rough = (np.abs(whole.sum(axis=1) - fine) > tolerance) & (middles - starts > narrowest)
             starts, ends = (
                 np.concatenate([starts[rough], middles[rough]]),
                 np.concatenate([middles[rough], ends[rough]]),
@@ -243,6 +244,14 @@ class Measure:
                 with np.errstate(divide="ignore", invalid="ignore"):
                     noise += np.nan_to_num(64 * np.finfo(float).eps * abs(end) / np.abs(self._map.to_x(t) - end))
         return noise
+
+    def _shaken(self, nodes: np.ndarray, masses: np.ndarray) -> np.ndarray:
+        """By how much rounding of coordinates may change each integral: wholly, beside a zero of the density."""
+        largest = np.max(np.abs([end for end in self._ends if np.isfinite(end)]), initial=0.0)
+        rounding = np.finfo(float).eps * np.maximum(np.abs(nodes).max(axis=1), largest)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            variation = np.ptp(masses / _RULE[1], axis=1) * 2 / (nodes[:, -1] - nodes[:, 0])
+        return np.nan_to_num(_SHAKEN * rounding * variation, posinf=0.0)
 
     def _check_mass(self) -> None:
         if not self._total > _NO_MASS:
@@ -340,7 +349,7 @@ def _recurrence(germ: AbstractDensityGerm, order: int) -> tuple[np.ndarray, np.n
     else:
         raise ProblemError(
             f"The polynomials of a density are not resolved at order {order}: the function is not smooth between its "
-            "jumps. Smooth it, or lower the order."
+            "jumps, or singular inside. Smooth it, or lower the order."
         )
     for coefficients in (a, b):
         coefficients.flags.writeable = False  # the cached array is shared

@@ -6,7 +6,7 @@ means: a deterministic model that retains them.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,58 +20,25 @@ from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf, is_leaf, is_traced, named_leaves
 from aleator.uncertainty._copula import pearson
 from aleator.uncertainty._decision import Decision, start_given
-from aleator.uncertainty._distribution import AbstractDistribution, Dependence
-from aleator.uncertainty._polynomials import AbstractGerm
-
-
-@final
-class AtMean(AbstractLeaf):
-    """A distribution held at its mean: `deterministic` replaces each distribution by one."""
-
-    UNCERTAIN: ClassVar[bool] = False
-
-    distribution: AbstractDistribution
-
-    @property
-    def shared_name(self) -> str | None:  # type: ignore[override]
-        """The name under which the distribution is shared."""
-        return self.distribution.shared_name
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """That of the distribution."""
-        return self.distribution.shape
-
-    def lowest(self) -> float | None:
-        """That of the distribution, which evidence samples again."""
-        return self.distribution.lowest()
-
-    def highest(self) -> float | None:
-        """That of the distribution, which evidence samples again."""
-        return self.distribution.highest()
-
-
-def free(leaf: Any) -> Any:
-    """The distribution behind a leaf that holds it at its mean; any other leaf as it is."""
-    return leaf.distribution if isinstance(leaf, AtMean) else leaf
+from aleator.uncertainty._distribution import AbstractDistribution
+from aleator.uncertainty._polynomials import AbstractGerm, Dependence
 
 
 def at_means(model: Pytree) -> Pytree:
     """The model with every distribution held at its mean: no germ is left."""
-    return _replace(model, AbstractDistribution, AtMean)  # type: ignore[arg-type]
+    return _held(model, held=True)
 
 
 def uncertain_again(model: Pytree) -> Pytree:
     """The inverse of `at_means`."""
-    return _replace(model, AtMean, lambda leaf: leaf.distribution)
+    return _held(model, held=False)
 
 
-def _replace(model: Pytree, kind: type, change: Callable[[Any], Any]) -> Pytree:
-    return jax.tree.map(
-        lambda leaf: change(leaf) if isinstance(leaf, kind) else leaf,
-        model,
-        is_leaf=is_leaf,
-    )
+def _held(model: Pytree, *, held: bool) -> Pytree:
+    def change(leaf: Any) -> Any:
+        return leaf.at_mean(held) if isinstance(leaf, AbstractDistribution) else leaf
+
+    return jax.tree.map(change, model, is_leaf=is_leaf)
 
 
 class Place(NamedTuple):
@@ -177,7 +144,7 @@ def placements(model: Pytree) -> Placements:
                 _refuse_conflict(key, named[key], owner)
         if not is_leaf(leaf):
             continue
-        if isinstance(leaf, AbstractDistribution):
+        if leaf.is_uncertain:
             distributions[name] = leaf
         for key, decision in _decisions_in(name, leaf):
             if key in decisions:
@@ -194,18 +161,17 @@ def _decisions_in(name: str, leaf: Any) -> Iterator[tuple[str, Decision]]:
     if isinstance(leaf, Decision):
         yield name, leaf
         return
-    for parameter, decision in free(leaf).decisions.items():
+    for parameter, decision in leaf.decisions.items():
         yield decision.shared_name or f"{name}.{parameter}", decision
 
 
 def _named_by(name: str, leaf: Any) -> Iterator[tuple[str, Any]]:
     """Everything that one leaf names: itself and, for a distribution, its parameters, moments and decisions."""
     yield name, leaf
-    distribution = free(leaf)
-    if isinstance(distribution, AbstractDistribution):
-        parts = {"mean": distribution, "std": distribution} | distribution.parameters
+    if isinstance(leaf, AbstractDistribution):
+        parts = {"mean": leaf, "std": leaf} | leaf.parameters
         yield from ((f"{name}.{part}", owner) for part, owner in parts.items())
-        yield from _decisions_in(name, distribution)
+        yield from _decisions_in(name, leaf)
 
 
 def _is_shared(owner: Any) -> bool:
@@ -237,9 +203,9 @@ def realise(model: Pytree, germ: Float[Array, " variables"], decisions: Float[Ar
     def value(name: str, leaf: Any) -> Any:
         if isinstance(leaf, Decision):
             return _chosen(places, decisions, name)
-        if isinstance(leaf, AtMean):
-            return _decided(leaf.distribution, name, places, decisions).mean()
-        return uncertain[name] if is_leaf(leaf) else leaf
+        if isinstance(leaf, AbstractDistribution):
+            return uncertain[name] if leaf.is_uncertain else _decided(leaf, name, places, decisions).mean()
+        return leaf
 
     return _with_leaves(model, value)
 
@@ -292,7 +258,7 @@ def named_numbers(model: Pytree, decisions: Float[Array, " n"]) -> dict[str, Any
         if isinstance(leaf, Decision):
             numbers[name] = _chosen(places, decisions, name)
         elif is_leaf(leaf):
-            distribution = _decided(free(leaf), name, places, decisions)
+            distribution = _decided(leaf, name, places, decisions)
             moments = {"mean": distribution.mean(), "std": distribution.std()}
             numbers |= {f"{name}.{key}": jax_array(value) for key, value in (moments | distribution.parameters).items()}
         elif is_number(leaf) or _is_whole(leaf):
@@ -311,7 +277,7 @@ def with_distributions(model: Pytree, choose: Callable[[str, AbstractDistributio
     """The model with each distribution replaced by `choose(name, distribution)`; sharing is kept."""
 
     def change(name: str, leaf: Any) -> Any:
-        if not isinstance(leaf, AbstractDistribution):
+        if not (is_leaf(leaf) and leaf.is_uncertain):
             return leaf
         distribution = choose(name, leaf)
         return distribution.shared(leaf.shared_name) if leaf.shared_name else distribution

@@ -1,5 +1,5 @@
 """Germ distributions: standard random variables with their orthonormal polynomials (dissertation, table 4.1 and
-equation 12).
+equation 12), and the germ variables of correlated groups.
 
 A *germ* is the standard random variable xi behind an uncertain number. Each germ class has the quantile function and
 the three-term recurrence `b[n+1] p[n+1] = (xi - a[n]) p[n] - b[n] p[n-1]` of the polynomials orthonormal under its
@@ -7,13 +7,18 @@ distribution: `<p_i, p_j> = 1` for `i = j`, else 0. Source of the coefficients: 
 """
 
 import abc
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import scipy
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from typing_extensions import override
+
+from aleator._core.leaves import Module
 
 
 class AbstractGerm(abc.ABC):
@@ -158,3 +163,35 @@ class LaguerreGerm(AbstractGerm):
     @override
     def support(self) -> tuple[float, float]:
         return 0.0, np.inf
+
+
+@final
+class Dependence(Module):
+    """A member's place in a group of correlated distributions.
+
+    The group has one standard normal germ variable for each member. Member `index` is a function of the normal variable
+    `factor[index] @ germs`, where `factor` is the Cholesky factor of the normals' correlation matrix. So it depends on
+    its own germ variable and on those of the members before it.
+    """
+
+    group: str = eqx.field(static=True)
+    members: tuple[str, ...] = eqx.field(static=True)
+    index: int = eqx.field(static=True)
+    factor: Float[np.ndarray, "members members"] | Float[Array, "members members"]
+
+    @property
+    def germ_names(self) -> tuple[str, ...]:
+        """The germ variables on which the member depends."""
+        return tuple(f"{self.group}.{member}" for member in self.members[: self.index + 1])
+
+    @property
+    def germs(self) -> dict[str, AbstractGerm]:
+        """Their distributions, by name."""
+        return {name: HermiteGerm() for name in self.germ_names}
+
+    def normal(self, germs: Sequence[Float[Array, ""]]) -> Float[Array, ""]:
+        """The member's standard normal variable at the values of its germ variables."""
+        return jnp.asarray(self.factor)[self.index, : self.index + 1] @ jnp.stack(germs)
+
+    def __str__(self) -> str:
+        return f"'{self.members[self.index]}' of the correlated group '{self.group}'"

@@ -16,7 +16,6 @@ from aleator.trajectories import AbstractSignal
 from aleator.uncertainty._bounded_families import TruncatedNormal
 from aleator.uncertainty._distribution import AbstractDistribution
 from aleator.uncertainty._families import Normal
-from aleator.uncertainty._placements import free
 from aleator.uncertainty._toleranced import Toleranced
 
 # Standard deviations below the mean beyond which one system in a billion lies.
@@ -67,7 +66,7 @@ def refuse_nonpositive(model: Pytree) -> None:
                 continue
             least = _lowest(leaf)
             if least is None or not least > 0:
-                raise ProblemError(_message(name, free(leaf), least))
+                raise ProblemError(_message(name, leaf, least))
 
 
 def _is_whole_part(node: Any) -> bool:
@@ -84,7 +83,6 @@ def _message_of_process(name: str, signal: Any) -> str:
 
 def _lowest(leaf: Any) -> float | None:
     """The smallest value that a leaf can take; `None` for a leaf that is not a number."""
-    leaf = free(leaf)
     numeric = (
         isinstance(leaf, int | float | np.generic | np.ndarray | jax.Array) and np.asarray(leaf).dtype.kind in "biuf"
     )

@@ -115,19 +115,6 @@ class Exponential(AbstractDistribution):
         del shape
         return -special.log_ndtr(-normal)
 
-    @override
-    def mean(self) -> Scalar:
-        lower, scale, _ = self.canonical()
-        return lower + scale
-
-    @override
-    def std(self) -> Scalar:
-        return self.canonical().scale
-
-    @override
-    def support(self) -> tuple[Scalar, Scalar]:
-        return self.parameters["lower"], np.inf
-
 
 def _lognormal_from_moments(mean: Scalar, std: Scalar, lower: Scalar) -> Canonical:
     variance = jnp.log1p((std / (mean - lower)) ** 2)
@@ -263,10 +250,6 @@ class Weibull(AbstractDistribution):
         first, second = special.gammaln(1 + 1 / shape), special.gammaln(1 + 2 / shape)
         return scale * jnp.exp(first) * jnp.sqrt(jnp.expm1(second - 2 * first))
 
-    @override
-    def support(self) -> tuple[Scalar, Scalar]:
-        return self.parameters["lower"], np.inf
-
 
 @final
 class Gumbel(AbstractDistribution):
@@ -312,7 +295,3 @@ class Gumbel(AbstractDistribution):
     @override
     def std(self) -> Scalar:
         return _GUMBEL_STD * self.canonical().scale
-
-    @override
-    def support(self) -> tuple[Scalar, Scalar]:
-        return -np.inf, np.inf

@@ -117,18 +117,6 @@ class Toleranced(AbstractDistribution):
         del shape
         return normal
 
-    @override
-    def mean(self) -> Scalar:
-        return self.canonical().location
-
-    @override
-    def std(self) -> Scalar:
-        return self.canonical().scale
-
-    @override
-    def support(self) -> tuple[Scalar, Scalar]:
-        return -np.inf, np.inf
-
 
 _NUMBER = r"\d+(?:\.\d*)?(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?"
 _SYMMETRIC = re.compile(rf"([+-]?(?:{_NUMBER}))(?:±|\+/-|\+-)({_NUMBER})")

@@ -94,8 +94,9 @@ def worst_disagreement(
     expected, estimate, error = np.broadcast_arrays(expected, np.asarray(estimate, float), standard_error)
     floor = max(floor, ROUNDING * float(np.max(np.abs([expected, estimate]))), 1e-300)
     limit = max(reach(freedom, estimate.size), RELATIVE * np.sqrt(samples)) * error
-    # Without a standard error there is no verdict.
-    ratio = np.nan_to_num(np.abs(estimate - expected) / np.maximum(limit, floor))
+    with np.errstate(invalid="ignore"):
+        ratio = np.nan_to_num(np.abs(estimate - expected) / np.maximum(limit, floor), nan=np.inf)
+    ratio = np.where(np.isnan(error), 0.0, ratio)  # without a standard error there is no verdict
     i = int(np.argmax(ratio))
     if not ratio.flat[i] > 1:
         return None

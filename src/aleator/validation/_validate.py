@@ -22,7 +22,7 @@ from aleator._core.executors import check_executor, each_of
 from aleator._core.journalled import journalled, part_by_part, parts_so_far
 from aleator._core.parallel import working
 from aleator.design import functionals_of, refuse_large_histories, refuse_other_code
-from aleator.ensemble import Part, drawn_from, each
+from aleator.ensemble import drawn_from, each
 from aleator.solution import Solution
 from aleator.validation._batches import Batch
 from aleator.validation._evidence import Evidence
@@ -161,15 +161,13 @@ def simulated(systems: Systems, some: Sequence[Stretch], seed: int, keep: int) -
     for size, is_folded in {(one.batch, one.is_folded) for one in some}:
         systems.prepare(size, is_folded=is_folded)
 
-    def drawn() -> Iterator[tuple[Stretch, Part]]:
-        for one in some:
-            for first in range(one.first, one.end, one.batch):
-                yield one, Part(first, drawn_from(systems.germs, seed, first, min(one.batch, one.end - first)))
+    items = [(one, first) for one in some for first in range(one.first, one.end, one.batch)]
 
-    def batch_of(item: tuple[Stretch, Part]) -> Batch:
-        stretch, (first, points) = item
+    def batch_of(item: tuple[Stretch, int]) -> Batch:
+        stretch, first = item
+        points = drawn_from(systems.germs, seed, first, min(stretch.batch, stretch.end - first))
         return systems.simulate(points, stretch.batch, max(keep - first, 0), is_folded=stretch.is_folded)
 
-    batches = each(batch_of, drawn())
+    batches = each(batch_of, items)
     for one in some:
         yield one, Batch.joined([done for _, done in itertools.islice(batches, -(-one.systems // one.batch))])

@@ -1,7 +1,7 @@
 """The fastest pick and place of an industrial six-axis arm with a payload of uncertain mass and centre of mass.
 
 The arm is a UR5e (its masses, inertias and frames are public: see the head of `ur5e.csv`). Its joints follow B-splines;
-torques follow by recursive inverse dynamics, and their means and spreads stay within limits just sufficient to hold the
+torques follow by inverse dynamics, and their means and spreads stay within limits just sufficient to hold the
 heaviest payload. The straight line in joint space would hit a pillar.
 """
 

@@ -86,7 +86,7 @@ def affine_features(
     """
     closed = jax.make_jaxpr(lambda *both: tuple(function(*both)))(germ, moved)
     arguments = [_Entry(_Kind.GERM, germ), _Entry(_Kind.MOVED)]
-    affine = tuple(one.kind is not _Kind.OTHER for one in _walked(closed.jaxpr, closed.consts, arguments, []))
+    affine = tuple(one.kind is not _Kind.OTHER for one in _walked(closed.jaxpr, closed.consts, arguments, None))
     # Equations of the others need no features.
     needed, _ = dce_jaxpr(closed.jaxpr, affine, instantiate=True)
     features: list[Array] = []
@@ -116,8 +116,13 @@ class _Entry(NamedTuple):
     value: Any = None
 
 
-def _walked(jaxpr: Any, constants: Sequence[Any], arguments: Sequence[_Entry], features: list[Array]) -> list[_Entry]:
-    """The entries of the results. Numbers of the germ that are combined with moved ones join `features`."""
+def _walked(
+    jaxpr: Any, constants: Sequence[Any], arguments: Sequence[_Entry], features: list[Array] | None
+) -> list[_Entry]:
+    """The entries of the results. Numbers of the germ that are combined with moved ones join `features`.
+
+    Without these, nothing is computed.
+    """
     known = [_Entry(_Kind.KNOWN, value) for value in constants]
     entries = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*known, *arguments], strict=True))
 
@@ -130,19 +135,22 @@ def _walked(jaxpr: Any, constants: Sequence[Any], arguments: Sequence[_Entry], f
     return [read(variable) for variable in jaxpr.outvars]
 
 
-def _followed(equation: Any, operands: list[_Entry], features: list[Array]) -> list[_Entry]:
+def _followed(equation: Any, operands: list[_Entry], features: list[Array] | None) -> list[_Entry]:
     """The entries of one equation's results."""
     kinds = [one.kind for one in operands]
     if _VALUED.issuperset(kinds):
-        values = _computed(equation, [one.value for one in operands])
-        return [_Entry(_Kind.GERM if _Kind.GERM in kinds else _Kind.KNOWN, value) for value in values]
+        kind = _Kind.GERM if _Kind.GERM in kinds else _Kind.KNOWN
+        values = [None] * len(equation.outvars)
+        if features is not None:
+            values = _computed(equation, [one.value for one in operands])
+        return [_Entry(kind, value) for value in values]
     if equation.primitive.name in _NESTED and _Kind.OTHER not in kinds:
         inner = equation.params[_NESTED[equation.primitive.name]]
         return _walked(inner.jaxpr, inner.consts, operands, features)
     return [_Entry(_combined(equation, operands, features))] * len(equation.outvars)
 
 
-def _combined(equation: Any, operands: list[_Entry], features: list[Array]) -> _Kind:
+def _combined(equation: Any, operands: list[_Entry], features: list[Array] | None) -> _Kind:
     kinds = [one.kind for one in operands]
     if _Kind.OTHER in kinds:
         return _Kind.OTHER
@@ -151,7 +159,8 @@ def _combined(equation: Any, operands: list[_Entry], features: list[Array]) -> _
         return _Kind.MOVED
     if not _is_affine(equation, uncertain):
         return _Kind.OTHER
-    features += [one.value for one in operands if one.kind is _Kind.GERM]
+    if features is not None:
+        features += [one.value for one in operands if one.kind is _Kind.GERM]
     return _Kind.AFFINE
 
 

@@ -17,7 +17,7 @@ from aleator._core.border import meant, real_array, refusal, shown
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import AleatorError, ProblemError, SimulationError
 from aleator.design import Problem, deterministic, grid_at, unsolved
-from aleator.dynamics import STATES, Asked, Grid, ObservedStates, Simulation, System, initial_state
+from aleator.dynamics import ONLY_STATES, STATES, Grid, System, initial_state
 from aleator.solution import Solution
 from aleator.transcription._warm_start import started_from
 from aleator.transcription.simultaneous._layout import Layout, Variables, in_chunks
@@ -44,13 +44,7 @@ def _simulated(
     problem: Problem, points: Float[Array, "realisations germs"], decisions: Float[Array, " n"]
 ) -> Float[Array, "realisations instants states"]:
     def one(germ: Array) -> Array:
-        realised = realise(problem.simulation, germ, decisions)
-        system = realised.traced
-        assert isinstance(system, System)
-        simulation = Simulation(
-            ObservedStates(system), realised.inputs, realised.grid, realised.integrator, realised.numbers
-        )
-        return simulation.record(Asked(frozenset({STATES}))).history[STATES]
+        return realise(problem.simulation, germ, decisions).record(ONLY_STATES).history[STATES]
 
     return jax.vmap(one)(points)
 

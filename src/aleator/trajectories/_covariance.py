@@ -7,19 +7,16 @@ plain Nyström quadrature converges with the square of the spacing only.
 """
 
 import abc
-import functools
 from typing import Any, NamedTuple, Self, final
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from numpy.polynomial.legendre import leggauss, legvander
 from typing_extensions import override
 
-from aleator._core.border import positive, real
+from aleator._core.border import positive, real, real_array, refuse_not_finite
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf, Module
 
@@ -52,18 +49,23 @@ class AbstractCovariance(Module):
         """
 
 
+class _AbstractOfTime(AbstractCovariance):
+    """A covariance whose only parameter is a correlation time, s."""
+
+    correlation_time: float
+
+    def __init__(self, correlation_time: float):
+        what = f"{type(self).__name__}: 'correlation_time'"
+        self.correlation_time = positive(what, plain_number(what, correlation_time))
+
+
 @final
-class ExponentialCovariance(AbstractCovariance):
+class ExponentialCovariance(_AbstractOfTime):
     """Correlation `exp(-lag / correlation_time)`: coloured noise, that is, white noise through a first-order lag.
 
     Its paths are continuous but nowhere smooth, so that its variance is spread over many modes: about
     `0.2 t_final / (correlation_time (1 - energy))`.
     """
-
-    correlation_time: float
-
-    def __init__(self, correlation_time: float):
-        self.correlation_time = positive_number("ExponentialCovariance", "correlation_time", correlation_time)
 
     @override
     def correlation(self, lag: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
@@ -74,13 +76,8 @@ class ExponentialCovariance(AbstractCovariance):
 
 
 @final
-class SquaredExponentialCovariance(AbstractCovariance):
+class SquaredExponentialCovariance(_AbstractOfTime):
     """Correlation `exp(-lag² / (2 correlation_time²))`: very smooth paths, carried by few modes."""
-
-    correlation_time: float
-
-    def __init__(self, correlation_time: float):
-        self.correlation_time = positive_number("SquaredExponentialCovariance", "correlation_time", correlation_time)
 
     @override
     def correlation(self, lag: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
@@ -103,7 +100,8 @@ class BandLimitedCovariance(AbstractCovariance):
     psd: Float[np.ndarray, " samples"]
 
     def __init__(self, f_low: float, f_high: float):
-        band = [plain_number("BandLimitedCovariance", name, f) for name, f in (("f_low", f_low), ("f_high", f_high))]
+        ends = {"f_low": f_low, "f_high": f_high}
+        band = [plain_number(f"BandLimitedCovariance: '{name}'", end) for name, end in ends.items()]
         if not 0 <= band[0] < band[1]:
             raise ProblemError(
                 f"BandLimitedCovariance: expected 0 <= f_low < f_high; received f_low={band[0]:g}, f_high={band[1]:g}."
@@ -117,27 +115,20 @@ class BandLimitedCovariance(AbstractCovariance):
 
         Raises `ProblemError` unless the frequencies (Hz) increase from 0 or more and the values are nonnegative.
         """
-        try:
-            table = [np.array(column, dtype=float) for column in (frequencies, psd)]
-        except (TypeError, ValueError) as error:
-            raise ProblemError(
-                "BandLimitedCovariance.from_psd: frequencies and psd must be plain numbers; "
-                f"received {frequencies!r} and {psd!r}."
-            ) from error
+        what = "BandLimitedCovariance.from_psd: "
+        table = [real_array(what + name, one) for name, one in (("frequencies", frequencies), ("psd", psd))]
         if table[0].ndim != 1 or table[0].shape != table[1].shape or table[0].size < 2:
             raise ProblemError(
-                "BandLimitedCovariance.from_psd: expected two vectors of the same length, of at least 2; "
-                f"received frequencies {table[0].shape} and psd {table[1].shape}."
+                f"{what}expected two vectors of the same length, of at least 2; received frequencies {table[0].shape} "
+                f"and psd {table[1].shape}."
             )
-        if not np.isfinite(table).all() or table[0][0] < 0 or not np.all(np.diff(table[0]) > 0):
-            raise ProblemError(
-                "BandLimitedCovariance.from_psd: frequencies must be finite and increase from 0 Hz or more, and the "
-                "psd must be finite."
-            )
+        refuse_not_finite(what + "frequencies and psd", np.stack(table))
+        if table[0][0] < 0 or not np.all(np.diff(table[0]) > 0):
+            raise ProblemError(f"{what}frequencies must increase from 0 Hz or more; received {table[0]}.")
         if table[1].min() < 0 or table[1].max() == 0:
             raise ProblemError(
-                f"BandLimitedCovariance.from_psd: the psd must be nonnegative and not zero throughout; received values "
-                f"from {table[1].min():g} to {table[1].max():g}."
+                f"{what}the psd must be nonnegative and not zero throughout; received values from {table[1].min():g} "
+                f"to {table[1].max():g}."
             )
         covariance = cls(float(table[0][0]), float(table[0][-1]))
         return eqx.tree_at(lambda tree: (tree.frequencies, tree.psd), covariance, tuple(table))
@@ -278,31 +269,11 @@ def _functions(
     return vectors * (signs * np.sqrt(shares))[None, :] * _norms(len(vectors))[:, None]
 
 
-# Its own program, so that one that is called outside of others is compiled once for each size.
-@functools.partial(jax.jit, static_argnames="size")
-def legendre(x: Float[Array, ""], size: int) -> Float[Array, " size"]:
-    """The Legendre polynomials of degree 0 to `size - 1` at `x`, by their recurrence; differentiable in `x`."""
-
-    def step(carry: tuple[Array, Array], degree: Array) -> tuple[tuple[Array, Array], Array]:
-        before, now = carry
-        after = ((2 * degree + 1) * x * now - degree * before) / (degree + 1)
-        return (now, after), now
-
-    x = jnp.asarray(x, dtype=float)
-    _, values = jax.lax.scan(step, (jnp.zeros_like(x), jnp.ones_like(x)), jnp.arange(size, dtype=float))
-    return values
-
-
-def plain_number(owner: str, name: str, value: Any) -> float:
+def plain_number(what: str, value: Any) -> float:
     """A finite plain number. Raises `ProblemError` for anything else, such as a decision."""
     if isinstance(value, AbstractLeaf):
         raise ProblemError(
-            f"{owner}: '{name}' sets the covariance's eigenfunctions, which are computed once; expected a plain "
-            f"number; received {value}. Make `std` or `mean` uncertain or decided instead."
+            f"{what} sets the covariance's eigenfunctions, which are computed once; expected a plain number; received "
+            f"{value}. Make `std` or `mean` uncertain or decided instead."
         )
-    return real(f"{owner}: '{name}'", value)
-
-
-def positive_number(owner: str, name: str, value: Any) -> float:
-    """A positive finite plain number. Raises `ProblemError` for anything else."""
-    return positive(f"{owner}: '{name}'", plain_number(owner, name, value))
+    return real(what, value)
