@@ -300,7 +300,7 @@ def _dependence(model: AbstractMechanical, q: np.ndarray, jacobian: np.ndarray) 
     depend = "binds nothing" if len(names) == 1 else "depend on one another"
     return (
         f"{type(model).__name__}: redundant constraints: expected {len(jacobian)} that are independent; their rank is "
-        f"{rank} at {posture_text(model, q)}, for {_named(names)} {depend}. Leave out {len(jacobian) - rank} of these "
+        f"{rank}, for {_named(names)} {depend} at {posture_text(model, q)}. Leave out {len(jacobian) - rank} of these "
         "if they do so everywhere; a loop of hinges in one plane is closed by al.joints.Closure(..., planar=True). If "
         "it is this posture alone, in which the motion may go on in several ways, begin beside it, or choose lengths "
         f"that keep away from it. {_ELSEWHERE}"
