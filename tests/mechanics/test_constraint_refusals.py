@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax.numpy as jnp
 import pytest
 from closed_loops import ClosedTree, SliderCrank
 
@@ -12,7 +13,7 @@ TURN = {"crank": al.PowerSeries(start=(0.3, 4.0), end=(3.0, 4.0))}
 
 
 def problem(system):
-    return al.Problem(system, grid=GRID, minimize=al.terminal("crank").mean)
+    return al.Problem(system, grid=GRID, minimize=al.terminal(system.model.coordinates[0]).mean)
 
 
 def forward(model, start=None, guess=None):
@@ -30,6 +31,23 @@ class Hung(al.Lagrangian):
 
     def constraint(self, q) -> Any:
         return (q @ q - 1.0,)
+
+
+class Axle(al.Mechanical):
+    """Two ends at a distance of 1, of which the first stays above zero."""
+
+    names = ("x", "y", "right", "high")
+    actuator_names = ()
+    constraint_names = ("above", "length")
+
+    def mass_matrix(self, q):
+        return jnp.eye(4)
+
+    def actuation(self, q):
+        return jnp.zeros((4, 0))
+
+    def constraint(self, q):
+        return q[0], (q[0] - q[2]) ** 2 + (q[1] - q[3]) ** 2 - 1.0
 
 
 def twice():
@@ -61,6 +79,18 @@ REFUSED = {
     "a dead centre that is kept": (
         forward(SliderCrank(), {"slider": 0.4}, {"crank": 0.3}),
         ["dead centre", "how 'crank', 'rod' follow"],
+    ),
+    "a complete start that contradicts": (
+        forward(SliderCrank(), {"crank": 0.5, "rod": -0.16, "slider": 0.5}),
+        ["names all coordinates", "contradicts its constraints", "length = -0.116"],
+    ),
+    "velocities that contradict": (
+        forward(SliderCrank(), {"crank": 0.5, "crank_rate": 0.0, "rod_rate": 0.0, "slider_rate": 1.0}),
+        ["names all velocities", "contradicts its constraints"],
+    ),
+    "rates that are left open": (
+        forward(Axle(), {"y": 0.5, "high": 0.5, "x_rate": 0.0, "right_rate": 0.0}, {"right": 1.0}),
+        ["leave some of the rates 'y_rate', 'high_rate' open", "in the place of 'x_rate', 'right_rate'"],
     ),
     "a dead centre on the way": (
         lambda: problem(al.InverseDynamics(SliderCrank(a=0.3), motion=TURN, guess={"slider": 0.6})),

@@ -18,7 +18,7 @@ from double_pendulum import (
 from scipy.integrate import solve_ivp
 
 import aleator as al
-from aleator.mechanics._inverse import scheme
+from aleator.mechanics._dynamics import scheme
 from compiling import compiled
 
 NAMES = ("shoulder", "elbow")

@@ -1,46 +1,17 @@
 """The arguments of dynamics: motions and torques, by name or as one trajectory, a start and a guess."""
 
-from collections.abc import Collection, Mapping
-from typing import Any, final
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from typing_extensions import override
 
 from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import realised_shape, stored_numbers
+from aleator.mechanics._instant import Columns
 from aleator.mechanics._mechanical import AbstractMechanical
 from aleator.trajectories import AbstractSignal, AbstractTrajectory, PowerSeries, Stack
-
-
-@final
-class Columns(AbstractSignal):
-    """Scalar signals side by side."""
-
-    parts: tuple[AbstractSignal, ...]
-
-    @override
-    def __call__(self, t: Float[Array, ""]) -> Float[Array, " parts"]:
-        return jnp.stack([part(t) for part in self.parts])
-
-    @override
-    def over(self, t_start: Any, t_final: Any) -> "Columns":
-        return Columns(tuple(part.over(t_start, t_final) for part in self.parts))
-
-    @override
-    def sampled(
-        self, fractions: Float[np.ndarray | Array, " n"], t_start: Any, t_final: Any
-    ) -> Float[Array, "n parts"]:
-        xp, parts = in_library([part.sampled(fractions, t_start, t_final) for part in self.parts])
-        return jax_array(xp.stack(parts, axis=-1))
-
-    @override
-    def span(self) -> tuple[float, float]:
-        first, last = zip(*(part.span() for part in self.parts), strict=True)
-        return max(first), min(last)
-
 
 Signals = AbstractSignal | dict[str, AbstractSignal]
 """Signals as given: one for all names, or one for each name, after which its decisions are named."""
@@ -149,12 +120,12 @@ def _stacked(values: list[Any]) -> Any:
 
 
 def checked_guess(
-    kind: str, model: AbstractMechanical, names: tuple[str, ...], start: Collection[str], guess: Any, driven: int
+    kind: str, model: AbstractMechanical, loose: Sequence[Collection[str]], start: Collection[str], guess: Any
 ) -> dict[str, Any]:
-    """A guess by name, for coordinates that the start leaves open; `driven` is the number of prescribed velocities.
+    """A guess by name, for coordinates; `loose` are the names of coordinates and velocities that are not prescribed.
 
-    Raises `ProblemError` for a guess where no constraints need one, or of what the start keeps, for more constraints
-    than velocities are left to them, and for a start that keeps more than can be chosen.
+    Raises `ProblemError` for a guess where no constraints need one, for more constraints than velocities are left to
+    them, and for a start that keeps more than can be chosen, but not all.
     """
     what, m = f"{kind} of {type(model).__name__}", len(model.constraints)
     if not m:
@@ -164,27 +135,19 @@ def checked_guess(
     twice = [name for name in model.constraints if model.constraints.count(name) > 1]
     if twice:
         raise ProblemError(f"{what}: expected a name of its own for each constraint; received '{twice[0]}' twice.")
-    if m > len(model.speeds) - driven:
+    freedoms, driven = len(loose[1]) - m, len(model.speeds) - len(loose[1])
+    if freedoms < 0:
         prescribed = f", of which {driven} are prescribed," if driven else ""
         raise ProblemError(
             f"{what}: expected at most as many constraints as velocities that can follow them; received {m} "
             f"constraints ({', '.join(model.constraints)}) on {len(model.speeds)} velocities{prescribed} which leave "
-            f"{len(model.speeds) - driven}. Leave out constraints that others imply, or prescribe less."
+            f"{len(loose[1])}. Leave out constraints that others imply, or prescribe less."
         )
-    chosen = [name for name in start if name in model.coordinates], [name for name in start if name in model.speeds]
-    freedoms = len(model.speeds) - driven - m
-    for given, count in ((chosen[0], len(model.speeds_along(chosen[0]))), (chosen[1], len(chosen[1]))):
-        if count > freedoms:
+    for names, every in zip(([one for one in some if one in start] for some in loose), loose, strict=True):
+        count = len(model.speeds_along(names)) if every is loose[0] else len(names)
+        if count > freedoms and len(names) < len(every):
             raise ProblemError(
-                f"{what}: expected a start of at most {freedoms}, for the rest follows from its {m} constraints; "
-                f"received {given}. Put those that are only near in guess."
+                f"{what}: expected a start of at most {freedoms}, for the rest follows from its {m} constraints, or of "
+                f"all of {list(every)}; received {names}. Put those that are only near in guess."
             )
-    return checked_start(model, tuple(name for name in names if name not in start), guess, f"{kind}, guess")
-
-
-def start_unknown(kind: str, model: AbstractMechanical) -> str:
-    """Why the start of a constrained system is not known without its first instant."""
-    return (
-        f"{kind} of {type(model).__name__}: the start follows from its constraints and what is prescribed at the first "
-        "instant, which is known only where it is integrated. Simulate it."
-    )
+    return checked_start(model, model.coordinates, guess, f"{kind}, guess")

@@ -36,16 +36,15 @@ _CORRECTIONS = 3
 _CLOSE = 1e-7
 
 
+# A complete start may be so far from the constraints, beside one and its numbers: three digits, as in a file.
+_DIGITS = 1e-3
+
+
 class Loose(NamedTuple):
     """The places of coordinates and velocities that are not prescribed, and follow the constraints."""
 
     coordinates: tuple[int, ...]
     speeds: tuple[int, ...]
-
-
-def all_loose(model: AbstractMechanical) -> Loose:
-    """All coordinates and velocities of a model."""
-    return Loose(tuple(range(len(model.coordinates))), tuple(range(len(model.speeds))))
 
 
 @final
@@ -73,22 +72,6 @@ class Bound:
         if self._is_timed:
             return -along_time(lambda now, at: constraint_rate(now, at, v), self._model, (self._q,), (along,))[1]
         return -product(self._along(along), v)
-
-    def reactions(self, multipliers: Float[Array, " constraints"]) -> Float[Array, " speeds"]:
-        """The generalised force of the constraints, `-Gᵀ λ`."""
-        return -product(self.G.T, multipliers)
-
-
-class Solved(NamedTuple):
-    """The complete motion at one instant, and whether its constraints could be obeyed."""
-
-    q: Array
-    v: Array
-    v_dot: Array
-    torque: Array
-    multipliers: Array
-    obeyed: Any
-    bound: Bound
 
 
 def constraint_rate(model: AbstractMechanical, q: Array, v: Array) -> Float[Array, " constraints"]:
@@ -132,8 +115,9 @@ class Saddle:
 
 def put_back(
     model: AbstractMechanical, q: Float[Array, " coordinates"], loose: Loose
-) -> tuple[Float[Array, " coordinates"], Bool[Array, ""]]:
-    """Coordinates beside their constraints, put back onto them by those that are loose; and whether that succeeds.
+) -> tuple[Float[Array, " coordinates"], Bool[Array, ""], Float[Array, ""]]:
+    """Coordinates beside their constraints, put back onto them by those that are loose; whether that succeeds; and how
+    far they were from them, the largest `|g|`.
 
     By a Newton method with the Jacobian of the given place, on the shortest way.
     """
@@ -141,32 +125,54 @@ def put_back(
     G = taken(jacobian_of(model, q).T, loose.speeds).T
     H = None if model.moves_directly else block(rate_map(model, q), moving, loose.speeds)
     back = solve_any(G, jnp.eye(len(G)))
-    step = jnp.zeros(())
-    for _ in range(_CORRECTIONS):
-        along = product(back, constraint_of(model, q))
+    left = constraint_of(model, q)
+    drift, step = jnp.abs(left).max(), jnp.zeros(())
+    for k in range(_CORRECTIONS):
+        along = product(back, left if k == 0 else constraint_of(model, q))
         correction = along if H is None else product(H, along)
         q = q - spread(correction, moving, len(q))
         step = jnp.abs(correction).max()
     q = model.normalised(q)
-    return q, step <= _CLOSE * (1 + jnp.abs(q).max())
+    return q, step <= _CLOSE * (1 + jnp.abs(q).max()), drift
 
 
-def loose_beside(
-    model: AbstractMechanical, start: Collection[str], prescribed: tuple[int, ...] = (), driven: tuple[int, ...] = ()
-) -> Loose:
-    """What follows the constraints at a start: all that is neither prescribed nor named by `start`."""
-    return Loose(
-        tuple(i for i, name in enumerate(model.coordinates) if i not in prescribed and name not in start),
-        tuple(i for i, name in enumerate(model.speeds) if i not in driven and name not in start),
-    )
+class Stated(NamedTuple):
+    """The places of coordinates and velocities that a start names, and of the others, which follow the constraints.
+
+    A complete start follows them by itself, within the digits that it was published with: then all may move.
+    """
+
+    named: Loose
+    loose: Loose
+
+    @classmethod
+    def by(cls, model: AbstractMechanical, start: Collection[str], moving: Loose) -> "Stated":
+        """What a start names of what is not prescribed."""
+        parts = list(zip((model.coordinates, model.speeds), moving, strict=True))
+        named = Loose(*(tuple(i for i in places if names[i] in start) for names, places in parts))
+        open_ones = (tuple(i for i in places if i not in some) for (_, places), some in zip(parts, named, strict=True))
+        return cls(named, Loose(*(some or places for some, (_, places) in zip(open_ones, parts, strict=True))))
 
 
 def consistent_start(
-    model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], loose: Loose
+    model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], stated: Stated
 ) -> tuple[Float[Array, " coordinates"], Float[Array, " speeds"]]:
-    """Coordinates and velocities beside those given, moved where they are loose, that the constraints allow."""
-    q = consistent_coordinates(model, q, loose.coordinates)
-    return q, consistent_velocities(model, q, v, loose.speeds)
+    """Coordinates and velocities beside those given, moved where they are loose, that the constraints allow.
+
+    Not a number where there are none, or none that agree with a complete start.
+    """
+    where = consistent_coordinates(model, q, stated.loose.coordinates)
+    speeds = consistent_velocities(model, where, v, stated.loose.speeds)
+    agreed = zip((where, speeds), (q, v), stated.named, stated.loose, strict=True)
+    return tuple(
+        jnp.where(agrees(new, old).all(), new, jnp.nan) if set(named) & set(loose) else new
+        for new, old, named, loose in agreed
+    )  # type: ignore[return-value]
+
+
+def agrees(new: Any, old: Any) -> Any:
+    """Whether numbers are those of a complete start, up to the digits that such are published with."""
+    return abs(new - old) <= _DIGITS * (1 + abs(old))
 
 
 def consistent_coordinates(

@@ -1,24 +1,38 @@
-"""What can be wrong with a mechanical system, in words, with posture and time.
+"""What can be wrong with a mechanical system, in words: the first instant and posture where it is.
 
-Singular matrices and rules that a model breaks; constraints that a start contradicts, that are redundant or singular.
+Mass matrices, velocity maps, effects of torques and constraints that are singular; what cannot be obeyed any further;
+starts that constraints contradict or leave open.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple, TypeAlias
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator.mechanics._constraints import Loose
+from aleator.mechanics._constraints import Stated, agrees
 from aleator.mechanics._mechanical import AbstractMechanical, constraint_of, jacobian_of
+from aleator.mechanics._partial import Partition
 
-# Reciprocal condition numbers below this count as zero: results would have no correct digit left.
+# Masses with reciprocal condition numbers below this: results would have no correct digit left.
 _SINGULAR_MASS = 1e-12
+
+# Singular values smaller than this beside the largest, in sizes of their own, are rounding of zero.
+_SINGULAR = 1e-9
+
+# What may be left of a constraint, beside its slope times the coordinates.
+_LEFT = 1e-8
+
+# Coordinates this many times as large as at the start are no longer a meaningful posture.
+_ABSURD = 1e4
 
 # A quaternion shorter than this has no meaningful direction.
 _VANISHING = 1e-3
+
+_ELSEWHERE = "Coordinates near a posture that it can take, from which its start is found, are given by guess=."
 
 
 class Posture(NamedTuple):
@@ -40,178 +54,182 @@ class Posture(NamedTuple):
 class Examination(NamedTuple):
     """What diagnosis asks of a formulation on a grid.
 
-    - `row`: the first instant, see `Instants.row`; `near`: the coordinates there as they are given; `own`: what the
-      formulation itself checks there;
-    - `motion`: coordinates and velocities at each instant, not finite where they could not be integrated; `postures`:
-      there, or at the last posture before; at the first instant alone if nothing can change later;
-    - `prescribed`, `valid`: the prescribed coordinates, and the same made valid, if these may differ.
+    - `row`: the first instant, see `Instants.row`; `near`: the coordinates there as they are given;
+    - `history`: simulated outputs by name; `None` if nothing can change after the first instant;
+    - `q`: the coordinates at each instant, not finite where they could not be integrated; `postures`: there, or at the
+      last posture before; `path`: the coordinates as they are prescribed.
     """
 
     row: Any
     near: Any
-    own: Any
-    motion: Any
+    history: Any
+    q: Any
     postures: Posture
-    prescribed: Any
-    valid: Any
+    path: Any = None
 
 
-def rows_of(tree: Any, which: Any) -> Any:
-    """The rows of some instants, or the row of one."""
-    return jax.tree.map(lambda rows: rows[which], tree)
+def known_arrays(tree: Any) -> Any:
+    """A tree with NumPy's arrays in the place of JAX's."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf) if eqx.is_array(leaf) else leaf, tree)
 
 
-def posture_diagnosis(model: AbstractMechanical, posture: Posture, when: str) -> str:
-    """What is wrong in one posture: a mass matrix that is not positive definite, or a singular velocity map."""
-    return (
-        _contradiction(model, posture) or _mass_diagnosis(model, posture, when) or _map_diagnosis(model, posture, when)
-    )
+def diagnosis(
+    model: AbstractMechanical, parts: Partition, stated: Stated, times: np.ndarray, seen: Examination, unrealisable: str
+) -> str:
+    """What is wrong at the start, in the first bad posture, or where the motion ends; empty if nothing.
+
+    A motion that grows without bound does not show a fault of the model: steps too long for a stiff model have the same
+    effect.
+    """
+    model.refuse_impossible()
+    finite = np.isfinite(seen.q).all(axis=1)
+    if model.constraints and seen.history is not None and not _begins(model, seen.history):
+        return start_diagnosis(model, seen, stated)
+    largest = np.abs(np.nan_to_num(seen.q)).max(axis=1, initial=0.0)
+    moderate = finite & (largest <= _ABSURD * (1 + largest[0]))
+    good = len(finite) if moderate.all() or not parts.others else max(int(np.argmin(moderate)), 1)
+    ends = None if finite.all() else int(np.argmin(finite))
+    seen = seen._replace(postures=jax.tree.map(lambda rows: rows[: good + (ends == good)], seen.postures))
+    first = [text for _, text in sorted(_faults(model, parts, times, seen, good, unrealisable), key=lambda one: one[0])]
+    return first[0] if first else "" if ends is None else _unobeyed(model, parts, times, seen, ends)
 
 
-def _contradiction(model: AbstractMechanical, posture: Posture) -> str:
-    first, second = posture.stated or (np.zeros(0), np.zeros(0))
+def _begins(model: AbstractMechanical, history: Mapping[str, Any]) -> bool:
+    return all(np.isfinite(history[name][0]) for name in (*model.coordinates, *model.speeds) if name in history)
+
+
+def _faults(
+    model: AbstractMechanical, parts: Partition, times: np.ndarray, seen: Examination, good: int, unrealisable: str
+) -> Iterator[tuple[int, str]]:
+    """The first instant of each fault, and what it is."""
+    who, postures = type(model).__name__, seen.postures
+
+    def posture(i: int) -> str:
+        return posture_text(model, postures.q[min(i, len(postures.q) - 1)])
+
+    def when(i: int) -> str:
+        return "at the start" if i == 0 else f"at t = {times[i]:.4g} s"
+
+    if postures.stated is not None and not _agree(*(one[0] for one in postures.stated)):
+        yield -1, f"{who}.{model._rule}"
+    masses = [_mass_fault(model, M) for M in postures.mass[:good]]
+    for i, fault in enumerate(masses):
+        if fault:
+            kind, remedy = fault
+            yield i, f"The mass matrix of {who} is {kind} {when(i)} ({posture(i)}){remedy}"
+            break
+    if postures.rates is not None:
+        yield from _map_faults(model, postures.rates[:good], when, posture)
+    if seen.path is not None and not model.moves_directly and parts.prescribed:
+        valid = np.abs(postures.q) > np.abs(seen.path[: len(postures.q)]) / _VANISHING
+        for i, coordinate in np.argwhere(valid)[:1]:
+            yield (
+                int(i),
+                f"{who}: the quaternion of '{model.coordinates[coordinate]}' is zero {when(i)} "
+                f"({posture_text(model, seen.path[i])}), and so has no direction. Prescribe quaternions that stay away "
+                "from zero.",
+            )
+    if (lost := None if postures.jacobian is None else lost_rank(times, postures.jacobian[:good])) is not None:
+        speeds = _named([model.speeds[j] for j in parts.undriven])
+        yield (
+            lost[1],
+            f"The constraints of {who} lose their rank {lost[0]} ({posture(lost[1])}): how {speeds} follow is not "
+            "determined there (a dead centre). Stay away from this posture, or prescribe another coordinate.",
+        )
+    if (lost := None if postures.effects is None else lost_rank(times, postures.effects)) is not None:
+        yield (
+            lost[1],
+            unrealisable
+            if lost[0] == "at the start"
+            else f"The torques of {who} lose their effect {lost[0]} ({posture(lost[1])}): the matrix by which they act "
+            "on the motion they must realise is singular there. Start from a motion that avoids this posture, or add a "
+            "torque.",
+        )
+
+
+def _agree(first: np.ndarray, second: np.ndarray) -> bool:
     slack = 1e-9 * np.abs(second).max(initial=0.0)
-    agree = np.allclose(first, second, rtol=1e-6, atol=slack, equal_nan=True)
-    return "" if agree else f"{type(model).__name__}.{model._rule}"
+    return np.allclose(first, second, rtol=1e-6, atol=slack, equal_nan=True)
 
 
-def _mass_diagnosis(model: AbstractMechanical, at: Posture, when: str) -> str:
-    M, posture = at.mass, posture_text(model, at.q)
+def _mass_fault(model: AbstractMechanical, M: np.ndarray) -> tuple[str, str] | None:
+    """What is wrong with a mass matrix, and what to do."""
     if not np.isfinite(M).all():
-        return f"The mass matrix of {type(model).__name__} is not finite {when} ({posture})."
+        return "not finite", "."
     if not np.allclose(M, M.T, rtol=1e-8, atol=1e-12 * np.abs(M).max(initial=1.0)):
-        return f"The mass matrix of {type(model).__name__} is not symmetric {when} ({posture})."
+        return "not symmetric", "."
     # Scaled by the diagonal entries, since metres and kilograms are not comparable with radians and grams.
     size = np.sqrt(np.abs(np.diagonal(M)))
     size = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(M / np.outer(size, size))
-    if values.size and values[0] <= _SINGULAR_MASS * max(values[-1], 0.0):
-        worst = model.speeds[int(np.argmax(np.abs(vectors[:, 0])))]
-        kind = "singular" if abs(values[0]) <= _SINGULAR_MASS * max(values[-1], 0.0) else "not positive definite"
-        return (
-            f"The mass matrix of {type(model).__name__} is {kind} {when} ({posture}): nothing resists '{worst}'. Give "
-            "mass or inertia to the bodies that move with it, and check the signs of masses."
-        )
-    return ""
-
-
-def _map_diagnosis(model: AbstractMechanical, at: Posture, when: str) -> str:
-    if at.rates is None:
-        return ""
-    H = at.rates
-    if _are_regular(H):
-        return _name_diagnosis(model, H, when)
-    worst = model.coordinates[int(np.argmax(np.where(np.isfinite(H), np.abs(H), np.inf).max(axis=1)))]
-    return (
-        f"The velocity map H of {type(model).__name__} is singular {when} ({posture_text(model, at.q)}): the rate of "
-        f"'{worst}' is not determined (gimbal lock). Avoid this posture, or choose other coordinates, such as "
-        "quaternions."
+    if not values.size or values[0] > _SINGULAR_MASS * max(values[-1], 0.0):
+        return None
+    worst = model.speeds[int(np.argmax(np.abs(vectors[:, 0])))]
+    kind = "singular" if abs(values[0]) <= _SINGULAR_MASS * max(values[-1], 0.0) else "not positive definite"
+    return kind, (
+        f": nothing resists '{worst}'. Give mass or inertia to the bodies that move with it, and check the signs of "
+        "masses."
     )
 
 
-def _are_regular(maps: np.ndarray) -> Any:
-    """Whether velocity maps, in the last two axes, determine the rates of all coordinates."""
-    finite: Any = np.isfinite(maps).all(axis=(-2, -1))
-    maps = np.where(finite[..., None, None], maps, 0.0)
-    # Scaled row by row, since nanometres and radians are not comparable.
-    scaled = maps / _sizes(maps, -1)
-    scaled = scaled / _sizes(scaled, -2)
-    values, alike = (np.linalg.svd(one, compute_uv=False) for one in (maps, scaled))
-    return finite & (values[..., -1] > 1e-14 * values[..., 0]) & (alike[..., -1] > 1e-8 * alike[..., 0])
-
-
-def _sizes(maps: np.ndarray, axis: int) -> np.ndarray:
-    sizes = np.abs(maps).max(axis=axis, keepdims=True)
-    return np.where(sizes > 0, sizes, 1.0)
-
-
-def _name_diagnosis(model: AbstractMechanical, H: np.ndarray, when: str) -> str:
-    """A velocity named as the rate of a coordinate that is not: the output of that name would be wrong."""
-    for i, name in enumerate(model.coordinates):
+def _map_faults(
+    model: AbstractMechanical, maps: np.ndarray, when: Callable[[int], str], posture: Callable[[int], str]
+) -> Iterator[tuple[int, str]]:
+    """Velocity maps that are singular, and velocities named as the rates of coordinates that they are not."""
+    who = type(model).__name__
+    for i, H in enumerate(maps):
+        if not np.isfinite(H).all() or _rank(H) < H.shape[1]:
+            worst = model.coordinates[int(np.argmax(np.where(np.isfinite(H), np.abs(H), np.inf).max(axis=1)))]
+            yield (
+                i,
+                f"The velocity map H of {who} is singular {when(i)} ({posture(i)}): the rate of '{worst}' is not "
+                "determined (gimbal lock). Avoid this posture, or choose other coordinates, such as quaternions.",
+            )
+            return
+    for row, name in zip(maps[0], model.coordinates, strict=True):
         if f"{name}_rate" not in model.speeds:
             continue
         alone = np.arange(len(model.speeds)) == model.speeds.index(f"{name}_rate")
-        if not np.allclose(H[i], alone, rtol=0, atol=1e-12):
-            return (
-                f"{type(model).__name__}: the velocity '{name}_rate' is named as the rate of '{name}', but by "
-                f"velocity_map(q) it is not {when}. Name the velocities in velocity_names."
+        if not np.allclose(row, alone, rtol=0, atol=1e-12):
+            yield (
+                0,
+                f"{who}: the velocity '{name}_rate' is named as the rate of '{name}', but by velocity_map(q) it is "
+                "not. Name the velocities in velocity_names.",
             )
-    return ""
 
 
-def quaternion_diagnosis(model: AbstractMechanical, times: np.ndarray, seen: Examination) -> str:
-    """Where prescribed coordinates pass near a zero quaternion, which has no direction."""
-    if seen.valid is None:
+def _unobeyed(model: AbstractMechanical, parts: Partition, times: np.ndarray, seen: Examination, ends: int) -> str:
+    """What a motion cannot obey any further, by how much."""
+    who, history = type(model).__name__, seen.history or {}
+    errors = np.nan_to_num(history.get("motion_error", np.zeros(len(times))))
+    worst = int(np.argmax(errors))
+    missed = errors[worst]
+    if errors[ends] > _SINGULAR * (1 + np.abs(seen.postures.q[-1]).max(initial=0.0)):
+        names = _named([model.coordinates[i] for i in parts.prescribed])
+        return (
+            f"{who}: the motion prescribed for {names} is none that it can make: at t = {times[worst]:.4g} s a rate "
+            f"misses velocity_map(q) times the velocities by {missed:.3g}. Prescribe rates that are H(q) v, or all "
+            "coordinates that share velocities."
+        )
+    if not model.constraints:
         return ""
-    vanished = np.abs(seen.valid) > np.abs(seen.prescribed) / _VANISHING
-    if not vanished.any():
-        return ""
-    instant, coordinate = np.argwhere(vanished)[0]
+    before = max(ends - 1, 0)
     return (
-        f"{type(model).__name__}: the quaternion of '{model.coordinates[coordinate]}' is zero at t = "
-        f"{times[instant]:.4g} s ({posture_text(model, seen.prescribed[instant])}), and so has no direction. Prescribe "
-        "quaternions that stay away from zero."
+        f"The constraints of {who} cannot be obeyed beyond about t = {times[before]:.4g} s "
+        f"({posture_text(model, seen.postures.q[min(before, len(seen.postures.q) - 1)])}), where they are missed by "
+        f"{history['constraint_drift'][ends]:.3g}: a dead centre, lengths that do not reach, or accelerations that are "
+        "not finite. Change lengths, start or motion so that it keeps away from there, check forces and energies, or "
+        "take shorter steps."
     )
-
-
-def first_diagnosis(model: AbstractMechanical, times: np.ndarray, postures: Posture) -> str:
-    """What is wrong in the first posture whose mass matrix or velocity map is singular."""
-    finite: Any = np.isfinite(postures.mass).all(axis=(1, 2))
-    masses = np.where(finite[:, None, None], postures.mass, 0.0)
-    bad = ~finite | (np.linalg.eigvalsh(masses).min(axis=1, initial=np.inf) <= 0)
-    if postures.rates is not None:
-        bad |= ~_are_regular(postures.rates)
-    first = int(np.argmax(bad))
-    return posture_diagnosis(model, rows_of(postures, first), f"at t = {times[first]:.4g} s") if bad.any() else ""
-
-
-def effect_diagnosis(model: AbstractMechanical, times: np.ndarray, q: np.ndarray, effects: np.ndarray | None) -> str:
-    """Where torques lose their effect: at an instant, or between two where the determinant changes sign."""
-    lost = None if effects is None else lost_rank(times, effects)
-    if lost is None:
-        return ""
-    when, first = lost
-    return (
-        f"The torques of {type(model).__name__} lose their effect {when} ({posture_text(model, q[first])}): the matrix "
-        "by which they act on the motion they must realise is singular there. Start from a motion that avoids this "
-        "posture, or add a torque."
-    )
-
-
-def unobeyed(model: AbstractMechanical, time: float, q: np.ndarray) -> str:
-    """Constraints that the motion cannot obey any further."""
-    return (
-        f"The constraints of {type(model).__name__} cannot be obeyed beyond about t = {time:.4g} s "
-        f"({posture_text(model, q)}): a dead centre, lengths that do not reach, or accelerations that are not finite. "
-        "Change lengths, start or motion so that it keeps away from there, check forces and energies, or take shorter "
-        "steps."
-    )
-
-
-# Singular values smaller than this beside the largest, in sizes of their own, are rounding of zero.
-_SINGULAR = 1e-9
-
-
-# What may be left of a constraint, beside its slope times the coordinates.
-_LEFT = 1e-8
-
-
-_MOST_STEPS = 50
 
 
 Linearised: TypeAlias = Callable[[np.ndarray], tuple[np.ndarray, ...]]
 """What is left of the constraints at given coordinates, its slope by these, and the Jacobian `G`."""
 
 
-_ELSEWHERE = "Coordinates near a posture that it can take, from which its start is found, are given by guess=."
-
-
-def start_diagnosis(model: AbstractMechanical, near: Float[np.ndarray, " coordinates"], loose: Loose) -> str:
-    """Why the constraints allow no posture at the start, or do not determine one.
-
-    `near` is the start as it is given, with coordinates that stay and those that are `loose`.
-    """
-    what, linearised = type(model).__name__, _linearised(model)
+def start_diagnosis(model: AbstractMechanical, seen: Examination, stated: Stated) -> str:
+    """Why the constraints allow no state at the start, or do not determine one."""
+    what, linearised, near, loose = type(model).__name__, _linearised(model), seen.near, stated.loose
     if not all(np.isfinite(one).all() for one in linearised(near)):
         return (
             f"{what}: its constraints, or their derivatives, are not finite at {posture_text(model, near)}, "
@@ -226,8 +244,26 @@ def start_diagnosis(model: AbstractMechanical, near: Float[np.ndarray, " coordin
             f"{posture_text(model, q)} they are left with {_listed(model.constraints, left)}. Check its "
             f"lengths, or keep less in start=. {_ELSEWHERE}"
         )
+    if not agrees(q, near)[list(stated.named.coordinates)].all():
+        return (
+            f"{what}: the start names all coordinates, {posture_text(model, near)}, and contradicts its constraints, "
+            f"which are left with {_listed(model.constraints, linearised(near)[0])}. {_ELSEWHERE}"
+        )
     if _rank(jacobian) < len(jacobian):
-        return _dependence(model, linearised, q, jacobian)
+        return _dependence(model, q, jacobian)
+    follows = _rank(slope[:, loose.coordinates]) == len(slope)
+    if follows and _rank(jacobian[:, loose.speeds]) < len(jacobian):
+        named = [model.speeds[i] for i in stated.named.speeds]
+        return (
+            f"{what}: at {posture_text(model, q)} its constraints leave some of the rates "
+            f"{_named([model.speeds[i] for i in loose.speeds])} open. Name them in start="
+            + (f", in the place of {_named(named)}." if named else ", or prescribe others.")
+        )
+    if follows and set(stated.named.speeds) & set(loose.speeds):
+        return (
+            f"{what}: the start names all velocities, and contradicts its constraints at {posture_text(model, q)}. "
+            "Leave some of them out."
+        )
     return (
         f"{what}: at {posture_text(model, q)} its constraints do not determine how "
         f"{_named([model.coordinates[i] for i in loose.coordinates])} follow the rest (a dead centre). Keep or "
@@ -235,32 +271,17 @@ def start_diagnosis(model: AbstractMechanical, near: Float[np.ndarray, " coordin
     )
 
 
-def constraint_diagnosis_along(
-    model: AbstractMechanical, loose: Loose, times: np.ndarray, path: np.ndarray, jacobians: np.ndarray | None
-) -> str:
-    """Where along a path the constraints lose their rank, at an instant or between two; empty if nowhere.
-
-    `jacobians` are those by the speeds that are `loose`, at each instant; `None` without constraints.
-    """
-    when = None if jacobians is None else lost_rank(times, jacobians)
-    if when is None:
-        return ""
-    text, i = when
-    return (
-        f"The constraints of {type(model).__name__} lose their rank {text} "
-        f"({posture_text(model, path[i])}): how {_named([model.speeds[j] for j in loose.speeds])} "
-        "follow is not determined there (a dead centre). Stay away from this posture, or prescribe another coordinate."
-    )
-
-
 def lost_rank(times: np.ndarray, matrices: Float[np.ndarray, "instants m n"]) -> tuple[str, int] | None:
     """When matrices along a path first lose the rank of their rows, and at which instant: there or right after it."""
     finite: Any = np.isfinite(matrices).all(axis=(1, 2))
     matrices = np.where(finite[:, None, None], matrices, 0.0)
+    if matrices.shape[1] > matrices.shape[2]:
+        return "at the start", 0
+    # By the largest row along the path: one that vanishes at an instant is lost there.
     size = np.abs(matrices).max(axis=(0, 2), initial=0.0)
     matrices = matrices / np.where(size > 0, size, 1.0)[:, None]
     values = np.linalg.svd(matrices, compute_uv=False)
-    lost = ~finite | (values[:, -1] <= 1e-12 * values.max(initial=0.0))
+    lost = ~finite | (values[:, -1] <= _SINGULAR_MASS * values.max(initial=0.0))
     turned = np.zeros(len(lost), dtype=bool)
     if matrices.shape[1] == matrices.shape[2]:
         signs = np.linalg.slogdet(matrices)[0]
@@ -269,32 +290,21 @@ def lost_rank(times: np.ndarray, matrices: Float[np.ndarray, "instants m n"]) ->
         return None
     first = int(np.argmax(lost | turned))
     if lost[first]:
-        return f"at t = {times[first]:.4g} s", first
+        return "at the start" if first == 0 else f"at t = {times[first]:.4g} s", first
     return f"between t = {times[first]:.4g} s and t = {times[first + 1]:.4g} s", first
 
 
-def _dependence(model: AbstractMechanical, linearised: Linearised, q: np.ndarray, jacobian: np.ndarray) -> str:
+def _dependence(model: AbstractMechanical, q: np.ndarray, jacobian: np.ndarray) -> str:
     """Constraints that depend on one another: wherever the system is, or in one posture alone."""
-    what, rank, names = type(model).__name__, _rank(jacobian), _dependent(model, jacobian)
-    everything = np.arange(len(model.coordinates))
-    # A posture apart, in which no angle happens to be zero.
-    apart, left, slope, elsewhere = _brought_near(linearised, q + np.linspace(0.02, 0.05, len(q)), everything)
-    reached = (np.abs(left) <= _LEFT * np.abs(slope).max(axis=1) * (1 + np.abs(apart).max())).all()
-    if reached and _rank(elsewhere) == len(jacobian):
-        return (
-            f"{what}: its {len(jacobian)} constraints have only rank {rank} at {posture_text(model, q)}, where "
-            f"{_dependent_text(names)} (a singular posture, in which it may go on in several ways). Begin "
-            f"beside it, or choose lengths that keep away from it. {_ELSEWHERE}"
-        )
+    rank, names = _rank(jacobian), _dependent(model, jacobian)
+    depend = "binds nothing" if len(names) == 1 else "depend on one another"
     return (
-        f"{what}: redundant constraints: expected {len(jacobian)} that are independent; their rank is {rank}, for "
-        f"{_dependent_text(names)}. Leave out {len(jacobian) - rank} of these; a loop of hinges in one "
-        "plane is closed by al.joints.Closure(..., planar=True)."
+        f"{type(model).__name__}: redundant constraints: expected {len(jacobian)} that are independent; their rank is "
+        f"{rank}, for {_named(names)} {depend} at {posture_text(model, q)}. Leave out {len(jacobian) - rank} of these "
+        "if they do so everywhere; a loop of hinges in one plane is closed by al.joints.Closure(..., planar=True). If "
+        "it is this posture alone, in which the motion may go on in several ways, begin beside it, or choose lengths "
+        f"that keep away from it. {_ELSEWHERE}"
     )
-
-
-def _dependent_text(names: list[str]) -> str:
-    return f"{_named(names)} binds nothing" if len(names) == 1 else f"{_named(names)} depend on one another"
 
 
 def _dependent(model: AbstractMechanical, jacobian: np.ndarray) -> list[str]:
@@ -320,31 +330,24 @@ def _scaled(matrix: np.ndarray) -> np.ndarray:
 
 
 def _brought_near(linearised: Linearised, q: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, ...]:
-    """A posture that obeys the constraints as nearly as Gauss and Newton bring it, what is left, slope and Jacobian.
+    """A posture that obeys the constraints as nearly as some coordinates bring it, what is left, slope and Jacobian.
 
-    On the host, and by least squares, so that dependent constraints are told from contradictory ones.
+    By least squares, so that dependent constraints are told from contradictory ones.
     """
+    from scipy.optimize import least_squares
 
-    def finite(at: np.ndarray) -> tuple[np.ndarray, ...]:
-        return tuple(map(np.nan_to_num, linearised(at)))
+    def moved(at: np.ndarray) -> np.ndarray:
+        posture = q.copy()
+        posture[moving] = at
+        return posture
 
-    left, slope, jacobian = finite(q)
-    for _ in range(_MOST_STEPS):
-        step = np.linalg.lstsq(slope[:, moving], left, rcond=_SINGULAR)[0]
-        damping, moved, following = 1.0, q, (left, slope, jacobian)
-        while damping > 1e-3:
-            moved = q.copy()
-            moved[moving] -= damping * step
-            following = finite(moved)
-            if np.linalg.norm(following[0]) < np.linalg.norm(left):
-                break
-            damping /= 2
-        else:
-            break
-        q, (left, slope, jacobian) = moved, following
-        if np.abs(step).max(initial=0.0) <= 1e-14 * (1 + np.abs(q).max(initial=0.0)):
-            break
-    return q, left, slope, jacobian
+    found = least_squares(
+        lambda at: np.nan_to_num(linearised(moved(at))[0]),
+        q[moving],
+        lambda at: np.nan_to_num(linearised(moved(at))[1][:, moving]),  # type: ignore[arg-type]
+        **dict.fromkeys(("ftol", "xtol", "gtol"), 1e-15),
+    )
+    return moved(found.x), *map(np.nan_to_num, linearised(moved(found.x)))
 
 
 def _linearised(model: AbstractMechanical) -> Linearised:

@@ -1,13 +1,11 @@
-"""The base class of forward, inverse and hybrid dynamics: systems made from a mechanical model, and their outputs.
+"""Systems made from a mechanical model: some coordinates prescribed, the others integrated, some torques known.
 
-All that diagnosis asks of a model is one program; prescribed motions of bodies on simple joints need none.
+Forward dynamics are those with nothing prescribed, inverse dynamics those with everything.
 """
 
-import abc
 import contextlib
-from collections import Counter
 from collections.abc import Mapping
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -16,52 +14,94 @@ import numpy as np
 from jaxtyping import Array
 from typing_extensions import override
 
-from aleator._core.arrays import in_library, numbers_to_arrays
+from aleator._core.arrays import in_library, jax_array, numbers_to_arrays
 from aleator._core.border import one_of
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError
 from aleator._core.identity import own_code
 from aleator._core.leaves import is_traced, transparent
 from aleator.dynamics import Grid, RungeKutta4, System, simulate
-from aleator.mechanics._constraints import Bound, Loose, Solved, all_loose
-from aleator.mechanics._diagnosis import (
-    Examination,
-    Posture,
-    constraint_diagnosis_along,
-    effect_diagnosis,
-    first_diagnosis,
-    posture_diagnosis,
-    quaternion_diagnosis,
-    rows_of,
-    start_diagnosis,
-    unobeyed,
+from aleator.mechanics._arguments import (
+    Signals,
+    checked_guess,
+    checked_start,
+    combined,
+    combined_motion,
+    coordinates_at,
+    followed,
+    motions_for,
+    signals_for,
+    vector,
 )
-from aleator.mechanics._instant import at, instants_of, is_timed
-from aleator.mechanics._mechanical import (
-    AbstractMechanical,
-    Motion,
-    accelerations,
-    constraint_of,
-    jacobian_of,
-    mass_of,
-    rate_map,
-    rates,
+from aleator.mechanics._constraints import Stated, consistent_start
+from aleator.mechanics._diagnosis import Examination, Posture, diagnosis, known_arrays
+from aleator.mechanics._instant import at, course, instants_of, is_timed, linearised
+from aleator.mechanics._matrices import taken
+from aleator.mechanics._mechanical import AbstractMechanical, jacobian_of, mass_of, rate_map
+from aleator.mechanics._outputs import outputs_of
+from aleator.mechanics._partial import (
+    Partition,
+    Prescribed,
+    Solved,
+    columns,
+    effect_of_torques,
+    follow,
+    motion_error,
+    solved,
 )
-
-# Coordinates this many times as large as at the start are no longer a meaningful posture.
-_ABSURD = 1e4
+from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 
 @transparent("model")
 class AbstractFormulation(System):
     """A system that solves the equations of motion of a mechanical model for the unknown motions and torques.
 
-    The model's numbers keep their own names, without the prefix `model`.
+    The model's numbers keep their own names, without the prefix `model`. `parts` says what is prescribed and known.
     """
 
-    model: eqx.AbstractVar[AbstractMechanical]
+    model: AbstractMechanical
+    motion: Signals
+    torque: Signals
+    start: dict[str, Any]
+    guess: dict[str, Any]
+    parts: Partition = eqx.field(static=True)
+    torque_rates: bool = eqx.field(static=True)
 
     further_inputs: ClassVar[tuple[str, ...] | None] = ()
+
+    def __init__(
+        self,
+        model: AbstractMechanical,
+        motion: Any = None,
+        torque: Any = None,
+        start: Mapping[str, Any] | None = None,
+        guess: Mapping[str, Any] | None = None,
+        torque_rates: bool = True,
+        *,
+        prescribed: tuple[str, ...] = (),
+        known: tuple[str, ...] = (),
+    ):
+        """`prescribed` are the coordinates that follow `motion`, `known` the actuators whose `torque` is given."""
+        kind = type(self).__name__
+        self.model, self.torque_rates = model, torque_rates
+        self.parts = parts = Partition(
+            tuple(i for i, name in enumerate(model.coordinates) if name in prescribed),
+            model.speeds_along(prescribed) if prescribed else (),
+            tuple(i for i, name in enumerate(model.actuators) if name in known),
+            *map(len, (model.coordinates, model.speeds, model.actuators)),
+        )
+        self.motion = motions_for(prescribed, motion, f"{kind}, motion") if prescribed else {}
+        self.torque = signals_for(known, torque, f"{kind}, torque") if known or torque else {}
+        loose = taken_names(model.coordinates, parts.others), taken_names(model.speeds, parts.undriven)
+        self.start = checked_start(model, (*loose[0], *loose[1]), start, kind)
+        self.guess = checked_guess(kind, model, loose, self.start, guess)
+
+    @property
+    def states(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Coordinates and velocities that are not prescribed; no velocities where constraints determine all of them."""
+        if not self.parts.others:
+            return ()
+        return ("q",) if 0 < len(self.parts.undriven) == len(self.model.constraints) else ("q", "v")
 
     @property
     def units(self) -> Mapping[str, str]:  # type: ignore[override]
@@ -82,8 +122,25 @@ class AbstractFormulation(System):
         return self.model
 
     @override
-    def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
-        return self.rates_and_outputs(*args, **kwargs)[1]
+    def signals(self) -> Mapping[str, AbstractSignal]:
+        signals = dict[str, AbstractSignal]()
+        if self.parts.prescribed:
+            signals |= followed(self._motion(), self.torque_rates)
+        if self.parts.known:
+            signals["known"] = torque = combined(self._known_names(), self.torque)
+            if isinstance(torque, AbstractTrajectory) and torque.derivatives > 0:
+                signals["known_rate"] = torque.derivative()
+        return signals | course(self.model, self.torque_rates and bool(self.parts.prescribed))
+
+    @override
+    def initial(self) -> Mapping[str, Any]:
+        model = self.model
+        if self.states and model.constraints and (self.parts.prescribed or is_timed(model)):
+            raise ProblemError(
+                f"{type(self).__name__} of {type(model).__name__}: the start follows from its constraints and what is "
+                "prescribed at the first instant, which is known only where it is integrated. Simulate it."
+            )
+        return self.starting(np.zeros(()), {})
 
     @override
     def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -95,38 +152,120 @@ class AbstractFormulation(System):
         return self.started(t, inputs)
 
     def started(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The states at the start, with the inputs there, as constraints allow; none by default."""
-        del t, inputs
-        return {}
+        """The states at the start, with the inputs there, as constraints allow."""
+        if not self.states:
+            return {}
+        q, v = self._others_near(), self._speeds_near()
+        if self.model.constraints:
+            model = at(self.model, t, inputs.get("parameters"))
+            q, v = consistent_start(model, *self._near(model, self._given(inputs)), self._stated())
+            q, v = taken(q, self.parts.others), taken(v, self.parts.undriven)
+        return dict(zip(self.states, (q, v), strict=False))
 
-    @abc.abstractmethod
-    def beginning(self, model: AbstractMechanical, grid: Grid) -> tuple[Any, Any]:
-        """Coordinates at the start as they are given, and what `diagnose_start` needs, of the model there."""
+    @override
+    def rhs(
+        self,
+        t: Any,
+        z: Any,
+        position: Any = None,
+        velocity: Any = None,
+        acceleration: Any = None,
+        known: Any = None,
+        parameters: Any = None,
+    ) -> tuple[Array, ...]:
+        if not self.states:
+            return ()
+        given = self._prescribed(position, velocity, acceleration, known)
+        return self._rates_of(solved(at(self.model, t, parameters), self.parts, given, *self._integrated(z)))
 
-    @property
-    def loose(self) -> Loose:
-        """What follows the constraints along the motion; by default everything."""
-        return all_loose(self.model)
+    @override
+    def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
+        return self.rates_and_outputs(*args, **kwargs)[1]
 
-    @property
-    def loose_at_start(self) -> Loose:
-        """What follows the constraints at the start, where values may be named; by default the same."""
-        return self.loose
+    @override
+    def rates_and_outputs(
+        self,
+        t: Any,
+        z: Any,
+        position: Any = None,
+        velocity: Any = None,
+        acceleration: Any = None,
+        jerk: Any = None,
+        known: Any = None,
+        known_rate: Any = None,
+        parameters: Any = None,
+    ) -> tuple[tuple[Array, ...], dict[str, Any]]:
+        model, parts = at(self.model, t, parameters), self.parts
+        where = (
+            self._prescribed(position, velocity, acceleration, known),
+            *self._integrated(z),
+        )
+        if jerk is None or not parts.unknown or (known is not None and known_rate is None):
+            whole, torque_rate = solved(model, parts, *where), None if parts.unknown else known_rate
+        else:
 
-    def effects(self, model: AbstractMechanical, q: Array) -> Any:
-        """How the torques to be found act in a valid posture; `None` where none are, or each acts for itself."""
-        del model, q
-        return None
+            def torques(now: AbstractMechanical, *where: Any) -> tuple[Array, Solved]:
+                whole = solved(now, parts, *where)
+                return whole.torque, whole
 
-    def prescribed_path(self, grid: Grid) -> Any:
-        """The coordinates at each instant, those that are not prescribed as at the start; `None` if none are."""
-        del grid
-        return None
+            # The integrated motion changes as it is found to.
+            whole, change = linearised(torques, model, where)
+            moved = Prescribed(velocity, acceleration, jerk, self._known(known_rate))
+            torque_rate = change(moved, taken(whole.q_dot, parts.others), taken(whole.v_dot, parts.undriven))
+        return self._rates_of(whole), outputs_of(model, t, whole, torque_rate)
 
-    def diagnose_start(self, effects: Any, own: Any) -> str:
-        """What else is wrong at the start, beside constraints and matrices; empty if nothing."""
-        del effects, own
-        return ""
+    def _rates_of(self, motion: Solved) -> tuple[Array, ...]:
+        q_dot, v_dot = taken(motion.q_dot, self.parts.others), taken(motion.v_dot, self.parts.undriven)
+        return (q_dot, v_dot)[: len(self.states)]
+
+    def _integrated(self, z: Any) -> tuple[Array, Array]:
+        """The integrated coordinates and velocities; these are zero where constraints determine them."""
+        q = z.q if self.states else jnp.zeros(0)
+        return q, z.v if "v" in self.states else jnp.zeros(len(self.parts.undriven))
+
+    def _prescribed(self, position: Any, velocity: Any, acceleration: Any, known: Any) -> Prescribed:
+        if not self.parts.prescribed:
+            position = velocity = acceleration = jnp.zeros(0)
+        return Prescribed(position, velocity, acceleration, self._known(known))
+
+    def _given(self, inputs: Mapping[str, Any]) -> Prescribed:
+        value = inputs.get
+        return self._prescribed(value("position"), value("velocity"), value("acceleration"), None)
+
+    def _known(self, torque: Any) -> Array:
+        n, model = len(self.parts.known), self.model
+        if torque is None:
+            return jnp.zeros(n)
+        if jnp.shape(torque) not in ((n,), () if n == 1 else (n,)):
+            raise ProblemError(
+                f"{type(self).__name__} of {type(model).__name__}: expected a torque signal of shape ({n},), one value "
+                f"for each of {list(self._known_names())}; received shape {jnp.shape(torque)}. Give scalar signals in "
+                "a dict by these names."
+            )
+        return jnp.reshape(torque, (n,))
+
+    def _others_near(self) -> Array:
+        """The coordinates that are not prescribed at the start, as they are given."""
+        _, q = in_library(coordinates_at(self.model, {**self.guess, **self.start}))
+        return jax_array(taken(q, self.parts.others))
+
+    def _speeds_near(self) -> Array:
+        return vector(taken_names(self.model.speeds, self.parts.undriven), self.start)
+
+    def _near(self, model: AbstractMechanical, given: Prescribed) -> tuple[Array, Array]:
+        """Coordinates and velocities at the start, those that are not prescribed as they are given."""
+        v_u = self._speeds_near()
+        start = follow(model, self.parts, given, self._others_near(), v_u)
+        return start.q, self.parts.joined(start.v, v_u)
+
+    def _stated(self) -> Stated:
+        return Stated.by(self.model, self.start, self.parts.loose)
+
+    def _motion(self) -> AbstractTrajectory:
+        return combined_motion(taken_names(self.model.coordinates, self.parts.prescribed), self.motion)
+
+    def _known_names(self) -> tuple[str, ...]:
+        return taken_names(self.model.actuators, self.parts.known)
 
     def posture(self, model: AbstractMechanical, q: Array) -> Posture:
         """What diagnosis asks of the model at one instant. Traceable."""
@@ -135,41 +274,47 @@ class AbstractFormulation(System):
             q,
             mass_of(model, q),
             None if model.moves_directly else rate_map(model, q),
-            jacobian_of(model, q)[:, np.array(self.loose.speeds)] if model.constraints else None,
-            self.effects(model, q),
+            columns(jacobian_of(model, q), self.parts.undriven) if model.constraints else None,
+            effect_of_torques(model, self.parts, q),
             model.stated_twice(q),
+        )
+
+    def path(self, grid: Grid, order: int = 0) -> Array:
+        """The coordinates at each instant, those that are not prescribed as at the start; or their derivatives."""
+        others = self._others_near() if order == 0 else jnp.zeros(len(self.parts.others))
+        if not self.parts.prescribed:
+            return jnp.broadcast_to(others, (len(grid.fractions), len(others)))
+        motion = self._motion().derivative(order).sampled(grid.fractions, grid.t_start, grid.t_final)
+        return motion if not len(others) else jax.vmap(lambda one: self.parts.merged(one, others))(motion)
+
+    def near(self, grid: Grid) -> Array:
+        """The coordinates at the start as they are given."""
+        q = self._others_near()
+        if not self.parts.prescribed:
+            return q
+        _, motion = in_library(self._motion().sampled(np.zeros(1), grid.t_start, grid.t_final))
+        return self.parts.merged(motion[0], q)
+
+    def unrealisable(self) -> str:
+        """That the unknown torques cannot realise what is prescribed."""
+        model, parts = self.model, self.parts
+        unknown = ", ".join(taken_names(model.actuators, parts.unknown)) or "none"
+        return (
+            f"{type(self).__name__} of {type(model).__name__}: the unknown torques ({unknown}) cannot realise a "
+            f"prescribed motion of {', '.join(taken_names(model.coordinates, parts.prescribed))}: expected at least "
+            f"{len(parts.driven)} that act on it. Prescribe no more velocities than there are unknown torques."
         )
 
     @override
     def diagnose(self, grid: Grid) -> str:
-        return self._diagnosis(np.asarray(grid.times), examined(self, grid))
-
-    def _diagnosis(self, times: np.ndarray, seen: Examination) -> str:
-        """What is wrong at the start, in the first bad posture, or where the motion ends; empty if nothing.
-
-        A motion that grows without bound does not show a fault of the model: steps too long for a stiff model have the
-        same effect.
-        """
-        model, (q, v) = self.model, seen.motion
-        first = at(_known(model), *seen.row)
-        first.refuse_impossible()
-        if model.constraints and not (np.isfinite(q[0]).all() and np.isfinite(v[0]).all()):
-            return start_diagnosis(first, seen.near, self.loose_at_start)
-        moderate = np.isfinite(q).all(axis=1) & (np.abs(q) <= _ABSURD * (1 + np.abs(q[0]).max())).all(axis=1)
-        good = len(q) if moderate.all() or not self.states else max(int(np.argmin(moderate)), 1)
-        ends = good < len(q) and not np.isfinite(q[good]).all()
-        postures = rows_of(seen.postures, slice(good))
-        # What is prescribed is known where the rest ends, and shows whether torques still act there.
-        effects = rows_of(seen.postures.effects, slice(good + 1 if ends else good))
-        return (
-            posture_diagnosis(model, rows_of(postures, 0), "at the start")
-            or self.diagnose_start(rows_of(effects, 0), seen.own)
-            or quaternion_diagnosis(model, times, seen)
-            or constraint_diagnosis_along(model, self.loose, times, q, postures.jacobian)
-            or first_diagnosis(model, times, postures)
-            or effect_diagnosis(model, times, seen.postures.q, effects)
-            or (unobeyed(model, times[good - 1], q[good - 1]) if model.constraints and ends else "")
-        )
+        system, grid = known_arrays((self, grid))
+        if system.model.computes_by_numpy and not system.changes:
+            seen = known_arrays(_examined(system, grid, ""))
+        else:
+            seen = known_arrays(_EXAMINED(*numbers_to_arrays((system, grid)), own_code(system)))
+        times = np.asarray(grid.times)
+        model = known_arrays(at(system.model, *seen.row))
+        return diagnosis(model, self.parts, self._stated(), times, seen, self.unrealisable())
 
     @property
     def changes(self) -> bool:
@@ -178,42 +323,48 @@ class AbstractFormulation(System):
         return bool(self.states) or is_timed(model) or not (model.moves_directly and model.acts_directly)
 
 
+def taken_names(names: tuple[str, ...], places: tuple[int, ...]) -> tuple[str, ...]:
+    """The names at some places."""
+    return tuple(names[i] for i in places)
+
+
 def a_model(who: str, model: Any) -> AbstractMechanical:
     """The model, unchanged. Raises `ProblemError` for anything but a mechanical system."""
     return one_of(f"{who}: model", model, AbstractMechanical, "al.Lagrangian or al.Multibody")
 
 
-def examined(system: AbstractFormulation, grid: Grid) -> Examination:
-    """What diagnosis asks of a realised system, as arrays of NumPy."""
-    system, grid = _known((system, grid))
-    if system.model.computes_by_numpy and not system.changes:
-        return _known(_examined(system, grid, ""))
-    return _known(_EXAMINED(*numbers_to_arrays((system, grid)), own_code(system)))
-
-
 def _examined(system: AbstractFormulation, grid: Grid, code: str) -> Examination:
     del code  # tells programs apart
-    model, now = system.model, instants_of(system.model, grid)
+    model, parts, now = system.model, system.parts, instants_of(system.model, grid)
     row = now.row(0)
-    near, own = system.beginning(at(model, *row), grid)
+    near = system.near(grid)
     if not system.changes:
-        _, near, postures = in_library(near, system.posture(model, near))
-        motion, postures = jax.tree.map(lambda one: one[None], ((near, near), postures))
-        return Examination(row, near, own, motion, postures, None, None)
-    given = system.prescribed_path(grid)
-    valid = None if model.moves_directly or given is None else jax.vmap(model.normalised)(given)
-    q, v = _integrated(system, grid) if system.states else (cast(Any, given), given)
+        _, near, posture = in_library(near, system.posture(model, near))
+        return Examination(row, near, None, *jax.tree.map(lambda one: one[None], (near, posture)))
+    path = system.path(grid)
+    history: dict[str, Any] = {}
+    if system.states:
+        only = [*model.coordinates, *model.speeds]
+        only += ["constraint_drift"] if model.constraints else []
+        only += ["motion_error"] if parts.may_miss(model) else []
+        history = dict(simulate(system, grid, {}, RungeKutta4(), only=only))
+        q = jnp.stack([history[name] for name in model.coordinates], axis=1)
+    else:
+        q = path
+        if parts.may_miss(model):
+            curves = (path, system.path(grid, 1), system.path(grid, 2))
+
+            def missed(model: AbstractMechanical, *curve: Array) -> Any:
+                none = jnp.zeros(0)
+                motion = follow(model, parts, Prescribed(*curve, none), none, none)  # type: ignore[call-arg]
+                return motion_error(model, parts, motion.q, motion.q_dot, motion.v)
+
+            history["motion_error"], follows = now.each(missed, *curves)
+            q = jnp.where(follows[:, None], q, jnp.nan)
     finite = jnp.isfinite(q)
     last = jax.lax.cummax(jnp.where(finite.all(axis=1), jnp.arange(len(q)), 0))
     postures = now.each(system.posture, jnp.where(finite, q, q[last]))
-    return Examination(row, near, own, (q, v), postures, given, valid)
-
-
-def _integrated(system: AbstractFormulation, grid: Grid) -> Any:
-    """Coordinates and velocities at each instant."""
-    parts = system.model.coordinates, system.model.speeds
-    history = simulate(system, grid, {}, RungeKutta4(), only=[name for names in parts for name in names])
-    return tuple(jnp.stack([history[name] for name in names], axis=1) for names in parts)
+    return Examination(row, near, history, q, postures, path)
 
 
 def _started(system: AbstractFormulation, t: Any, inputs: Mapping[str, Any], code: str) -> Mapping[str, Any]:
@@ -223,77 +374,3 @@ def _started(system: AbstractFormulation, t: Any, inputs: Mapping[str, Any], cod
 
 # Compiled once for all systems of a family, each of which is checked.
 _EXAMINED, _STARTED = Compiled(_examined, use=Use.BRIEF), Compiled(_started, use=Use.BRIEF)
-
-
-def _known(tree: Any) -> Any:
-    """A tree with NumPy's arrays in the place of JAX's."""
-    return jax.tree.map(lambda leaf: np.asarray(leaf) if eqx.is_array(leaf) else leaf, tree)
-
-
-def standard_outputs(
-    model: AbstractMechanical, motion: Motion, torque_rate: Array | None = None, bound: Bound | None = None
-) -> dict[str, Any]:
-    """Coordinates, rates, accelerations, torques and their rates by name, and the model's own outputs.
-
-    `bound`: the constraints at this posture, if the model has any.
-
-    Raises `ProblemError` where two of them have the same name, or one of the model's own has a name already taken.
-    """
-    listed: list[tuple[str, Any]] = []
-    for i, name in enumerate(model.coordinates):
-        along = (motion.q[i], motion.q_dot[i], motion.q_ddot[i])
-        listed += zip((name, f"{name}_rate", f"{name}_acceleration"), along, strict=True)
-    coordinate_rates = {f"{name}_rate" for name in model.coordinates}
-    for i, name in enumerate(model.speeds):
-        if name not in coordinate_rates:
-            listed += [(name, motion.v[i]), (f"{name}_rate", motion.v_dot[i])]
-    for i, name in enumerate(model.actuators):
-        listed.append((name, motion.torque[i]))
-        if torque_rate is not None:
-            listed.append((f"{name}_rate", torque_rate[i]))
-    if bound is not None and model.constraints:
-        listed += _of_constraints(model, motion, bound)
-    standard = dict(listed)
-    if len(standard) < len(listed):
-        twice = sorted(name for name, count in Counter(name for name, _ in listed).items() if count > 1)
-        raise ProblemError(
-            f"{type(model).__name__}: {twice} name two outputs each; rename its coordinates, velocities or actuators."
-        )
-    own = model.seen_at(motion.q).outputs(motion)
-    if not isinstance(own, Mapping):
-        raise ProblemError(
-            f"{type(model).__name__}.outputs returns a dict of arrays by name; received {type(own).__name__}."
-        )
-    if taken := sorted(set(standard) & set(own)):
-        raise ProblemError(
-            f"{type(model).__name__}.outputs: {taken} are standard outputs of every mechanical system; rename yours."
-        )
-    return {**standard, **own}
-
-
-def outputs_of(
-    model: AbstractMechanical, t: Any, solved: Solved, torque_rate: Any, integrated: Array
-) -> dict[str, Any]:
-    """The outputs of a motion; with constraints not a number where these were not obeyed, and how far it had drifted.
-
-    `integrated` are the coordinates before they were put back.
-    """
-    q, v, v_dot, torque, multipliers, obeyed, bound = solved
-    motion = Motion(t, q, rates(model, q, v), accelerations(model, q, v, v_dot), v, v_dot, torque, multipliers)
-    outputs = standard_outputs(model, motion, torque_rate, bound)
-    if not model.constraints:
-        return outputs
-    drift = {"constraint_drift": jnp.abs(constraint_of(model, model.normalised(integrated))).max()}
-    return {name: jnp.where(obeyed, value, jnp.nan) for name, value in {**drift, **outputs}.items()}
-
-
-def _of_constraints(model: AbstractMechanical, motion: Motion, bound: Bound) -> list[tuple[str, Any]]:
-    listed: list[tuple[str, Any]] = [
-        ("constraint_error", jnp.abs(constraint_of(model, motion.q)).max()),
-        ("constraint_rate_error", jnp.abs(bound.rate(motion.v)).max()),
-    ]
-    listed += [(f"{name}_multiplier", value) for name, value in zip(model.constraints, motion.multipliers, strict=True)]
-    forces = bound.reactions(motion.multipliers)
-    return listed + [
-        (f"{name.removesuffix('_rate')}_reaction", force) for name, force in zip(model.speeds, forces, strict=True)
-    ]

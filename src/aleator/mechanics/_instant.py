@@ -6,10 +6,8 @@ time derivative, as in equation (65): `∂/∂t` and `θ̇ ∂/∂θ` together. 
 signatures, once for each class.
 """
 
-import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
-from functools import cache
 from typing import Any, NamedTuple, TypeVar, final
 
 import equinox as eqx
@@ -19,66 +17,12 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import in_library
+from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.dynamics import Grid
+from aleator.mechanics._declared import timed_methods
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
-
-ARGUMENTS: Mapping[str, tuple[str, ...]] = {
-    "mass_matrix": ("q",),
-    "velocity_map": ("q",),
-    "actuation": ("q",),
-    "potential_energy": ("q",),
-    "bias": ("q", "v"),
-    "coriolis": ("q", "v"),
-    "forces": ("q", "v"),
-    "constraint": ("q",),
-    "constraint_jacobian": ("q",),
-    "load": ("q", "v"),
-    "body_loads": ("q", "v"),
-    "kinetic_energy": ("q", "v"),
-    "dissipation": ("q", "v"),
-    "accelerations": ("q", "v", "torque"),
-    "inverse_dynamics": ("q", "v", "v_dot"),
-    "forward_dynamics": ("q", "v", "force"),
-    "bodies": (),
-    "closures": (),
-}
-"""The methods that a subclass may write, with their arguments. Each may take the time `t`, in s, after these."""
-
-_OPEN = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-
-
-def call_of(name: str) -> str:
-    """A method as it is called without time: `mass_matrix(q)`."""
-    return f"{name}({', '.join(ARGUMENTS[name])})"
-
-
-@cache
-def timed_methods(kind: type) -> frozenset[str]:
-    """The methods of a class of mechanical systems that take the time.
-
-    Raises `ProblemError` for a method with missing or unknown arguments.
-    """
-    return frozenset(name for name in ARGUMENTS if hasattr(kind, name) and _names_time(kind, name))
-
-
-def _names_time(kind: type, name: str) -> bool:
-    parameters = list(inspect.signature(getattr(kind, name)).parameters.values())[1:]
-    count = len(ARGUMENTS[name])
-    plain = [one for one in parameters if one.kind not in _OPEN]
-    own, further = plain[:count], plain[count:]
-    unknown = [one for one in further if one.name != "t" and one.default is inspect.Parameter.empty]
-    too_few = len(own) < count and len(plain) == len(parameters)
-    if too_few or unknown or any(one.name == "t" for one in own):
-        with_time = ", ".join((*ARGUMENTS[name], "t"))
-        raise ProblemError(
-            f"{kind.__name__}.{name}: expected {call_of(name)}, or {name}({with_time}) where it depends on time; "
-            f"received {name}({', '.join(str(one) for one in parameters)}). Put anything else it needs into fields."
-        )
-    return any(one.name == "t" for one in further)
-
 
 Model = TypeVar("Model", bound=eqx.Module)
 
@@ -97,31 +41,29 @@ class When(Module):
 
 
 @final
-class Course(AbstractSignal):
-    """The signals in a model's fields side by side, as rows of numbers: values, then derivatives."""
+class Columns(AbstractSignal):
+    """The numbers of signals side by side."""
 
-    parts: tuple[tuple[AbstractSignal, ...], ...]
-
-    @override
-    def __call__(self, t: Float[Array, ""]) -> Float[Array, "orders numbers"]:
-        return jnp.stack([jnp.concatenate([jnp.ravel(part(t)) for part in order]) for order in self.parts])
+    parts: tuple[AbstractSignal, ...]
 
     @override
-    def over(self, t_start: Any, t_final: Any) -> "Course":
-        return Course(tuple(tuple(part.over(t_start, t_final) for part in order) for order in self.parts))
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, " numbers"]:
+        return jnp.concatenate([jnp.ravel(part(t)) for part in self.parts])
+
+    @override
+    def over(self, t_start: Any, t_final: Any) -> "Columns":
+        return Columns(tuple(part.over(t_start, t_final) for part in self.parts))
 
     @override
     def sampled(
         self, fractions: Float[np.ndarray | Array, " n"], t_start: Any, t_final: Any
-    ) -> Float[Array, "n orders numbers"]:
-        def rows(part: AbstractSignal) -> Array:
-            return part.sampled(fractions, t_start, t_final).reshape(len(fractions), -1)
-
-        return jnp.stack([jnp.concatenate([rows(part) for part in order], axis=1) for order in self.parts], axis=1)
+    ) -> Float[Array, "n numbers"]:
+        xp, parts = in_library([part.sampled(fractions, t_start, t_final) for part in self.parts])
+        return jax_array(xp.concatenate([part.reshape(len(fractions), -1) for part in parts], axis=1))
 
     @override
     def span(self) -> tuple[float, float]:
-        first, last = zip(*(part.span() for part in self.parts[0]), strict=True)
+        first, last = zip(*(part.span() for part in self.parts), strict=True)
         return max(first), min(last)
 
 
@@ -160,7 +102,7 @@ def course(model: Any, torque_rates: bool = False) -> dict[str, AbstractSignal]:
                 for part, before in zip(parts, rows[-1], strict=True)
             )
         )
-    return {"parameters": Course(tuple(rows))}
+    return {"parameters": Columns(tuple(part for row in rows for part in row))}
 
 
 def is_timed(model: eqx.Module) -> bool:
@@ -179,7 +121,7 @@ def at(model: Model, t: Any, parameters: Any) -> Model:
         )
     if not is_timed(model):
         return model
-    rows = [()] if parameters is None else [_split(row, [leaves[i] for i in places]) for row in parameters]
+    rows = [()] if parameters is None else _split(parameters, [leaves[i] for i in places])
     for place, value in zip(places, rows[0], strict=True):
         leaves[place] = value
     return _remembering(jax.tree.unflatten(structure, leaves), When(t, tuple(rows[1:]), places))
@@ -198,16 +140,21 @@ def later(model: Model, s: Any) -> Model:
     return _remembering(jax.tree.unflatten(structure, leaves), When(when.t + s, tuple(moved[1:]), when.places))
 
 
-def along_time(
-    function: Callable[..., Any], model: Any, primals: Sequence[Any], tangents: Sequence[Any], *, has_aux: bool = False
-) -> Any:
+def along_time(function: Callable[..., Any], model: Any, primals: Sequence[Any], tangents: Sequence[Any]) -> Any:
     """`function(model, *at)` and its total time derivative, where the arguments change at the rates `tangents`."""
     zero, one = jnp.zeros(()), jnp.ones(())
+    return jax.jvp(lambda s, *where: function(later(model, s), *where), (zero, *primals), (one, *tangents))
 
-    def moved(s: Array, *where: Any) -> Any:
-        return function(later(model, s), *where)
 
-    return jax.jvp(moved, (zero, *primals), (one, *tangents), has_aux=has_aux)
+def linearised(function: Callable[..., Any], model: Any, primals: Sequence[Any]) -> tuple[Any, Callable[..., Any]]:
+    """What `function(model, *at)` returns beside its first value, and the total time derivative of that for `tangents`.
+
+    The function is traced once, also where the tangents follow from what it returns.
+    """
+    _, change, beside = jax.linearize(
+        lambda s, *where: function(later(model, s), *where), jnp.zeros(()), *primals, has_aux=True
+    )
+    return beside, lambda *tangents: change(jnp.ones(()), *tangents)
 
 
 class Instants(NamedTuple):
@@ -215,7 +162,7 @@ class Instants(NamedTuple):
 
     model: Any
     times: Float[Array, " n"]
-    parameters: Float[Array, "n orders numbers"] | None
+    parameters: Float[Array, "n numbers"] | None
 
     def row(self, i: int) -> tuple[Any, Any]:
         """The time of one instant, and the numbers there of the signals in the model's fields."""
@@ -243,12 +190,15 @@ def _leaves(model: eqx.Module) -> list[Any]:
     return jax.tree.leaves(model, is_leaf=_is_signal)
 
 
-def _split(row: Any, signals: Sequence[AbstractSignal]) -> tuple[Any, ...]:
-    """The numbers of several signals in the shapes of their values."""
+def _split(numbers: Any, signals: Sequence[AbstractSignal]) -> list[tuple[Any, ...]]:
+    """The numbers of several signals in the shapes of their values; then those of their derivatives."""
     shapes = [jax.eval_shape(signal, jax.ShapeDtypeStruct((), float)).shape for signal in signals]
-    xp, row = in_library(row)
+    xp, numbers = in_library(numbers)
     ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
-    return tuple(part.reshape(shape) for part, shape in zip(xp.split(row, ends[:-1]), shapes, strict=True))
+    return [
+        tuple(part.reshape(shape) for part, shape in zip(xp.split(row, ends[:-1]), shapes, strict=True))
+        for row in numbers.reshape(-1, ends[-1])
+    ]
 
 
 def _taylor(orders: Sequence[Array], s: Any) -> Array:

@@ -15,8 +15,9 @@ from aleator._core.border import traceable
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, Printed
 from aleator.dynamics import called
-from aleator.mechanics._instant import along_time, at, call_of, course, is_timed, timed_methods
-from aleator.mechanics._matrices import solve_any, solve_positive
+from aleator.mechanics._declared import call_of, refuse_lost, timed_methods
+from aleator.mechanics._instant import along_time, at, course, is_timed
+from aleator.mechanics._matrices import solve_positive
 from aleator.mechanics._spatial import Numbers
 
 
@@ -80,6 +81,7 @@ class AbstractMechanical(Module, Printed):
                     f"{cls.__name__}.{name} = {value!r}: such names are not known here; expected some of "
                     f"{', '.join(cls._declared)}."
                 )
+        refuse_lost(cls)
 
     def __check_init__(self):
         timed_methods(type(self))
@@ -345,16 +347,6 @@ def evaluated(model: AbstractMechanical, name: str, *arguments: Any) -> Any:
     return called(model, getattr(model, name), *arguments, **time)
 
 
-class Followed(NamedTuple):
-    """A prescribed motion at one instant: coordinates, velocities and their rates."""
-
-    q: Float[Array, " coordinates"]
-    q_dot: Float[Array, " coordinates"]
-    q_ddot: Float[Array, " coordinates"]
-    v: Float[Array, " speeds"]
-    v_dot: Float[Array, " speeds"]
-
-
 def rates(model: AbstractMechanical, q: Array, v: Array) -> Float[Array, " coordinates"]:
     """`q̇ = H(q) v`, equation (4)."""
     return v if model.moves_directly else rate_map(model, q) @ v
@@ -365,17 +357,6 @@ def accelerations(model: AbstractMechanical, q: Array, v: Array, v_dot: Array) -
     if model.moves_directly:
         return v_dot
     return along_time(rates, model, (q, v), (rates(model, q, v), v_dot))[1]
-
-
-def follow(model: AbstractMechanical, position: Array, velocity: Array, acceleration: Array) -> Followed:
-    """The motion prescribed by a curve of coordinates, equations (66) and (67)."""
-    q, q_dot, q_ddot = on_manifold(model, position, velocity, acceleration)
-    if model.moves_directly:
-        return Followed(q, q_dot, q_ddot, q_dot, q_ddot)
-    H = rate_map(model, q)
-    v = solve_any(H, q_dot)
-    change = along_time(lambda now, at: rate_map(now, at) @ v, model, (q,), (q_dot,))[1]
-    return Followed(q, q_dot, q_ddot, v, solve_any(H, q_ddot - change))
 
 
 def on_manifold(model: AbstractMechanical, position: Array, velocity: Array, acceleration: Array) -> Any:

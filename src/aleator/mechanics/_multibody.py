@@ -13,6 +13,7 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.mechanics._bodies import Body, behind, sorted_bodies, with_numbers, without_numbers
+from aleator.mechanics._declared import timed_methods
 from aleator.mechanics._instant import is_timed, later
 from aleator.mechanics._joints import AbstractJoint
 from aleator.mechanics._loops_and_loads import (
@@ -347,8 +348,17 @@ def _joints_of(model: Multibody) -> list[tuple[str, AbstractJoint]]:
 
 @once_for_each
 def _closures_of(model: Multibody) -> list[Closure | Coupling]:
-    """The closures of a model; cached too."""
-    loops, couplings = with_numbers(model)._closures()
+    """The closures of a model; cached too. Raises `ProblemError` where those of a base class are lost."""
+    model = with_numbers(model)
+    loops, couplings = model._closures()
+    names = {closure.name for closure in (*loops, *couplings)}
+    for base in type(model).__mro__[1:]:
+        own = "closures" in vars(base) and base is not Multibody and "closures" not in timed_methods(base)
+        if lost := sorted({closure.name for closure in vars(base)["closures"](model)} - names) if own else []:
+            raise ProblemError(
+                f"{type(model).__name__}.closures leaves out {lost} of {base.__name__}: return (*super().closures(), "
+                "...)."
+            )
     return [without_numbers(closure) for closure in (*loops, *couplings)]
 
 

@@ -1,6 +1,7 @@
-"""Dynamics with some coordinates prescribed: the others' accelerations, torques and multipliers together.
+"""The equations of motion where some coordinates are prescribed: accelerations, torques and multipliers together.
 
-Equations (70) and (71), and with constraints the saddle-point form of equation (6) for what is not prescribed.
+Equations (70) and (71), and with constraints the saddle-point form of equation (6) for what is not prescribed. Forward
+dynamics prescribe nothing, inverse dynamics everything: these two take the short cuts of a model, if it has any.
 """
 
 from typing import Any, NamedTuple
@@ -8,20 +9,26 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from aleator.mechanics._constraints import Bound, Loose, Saddle, Solved, put_back
+from aleator.mechanics._constraints import Bound, Loose, Saddle, put_back
 from aleator.mechanics._instant import along_time
-from aleator.mechanics._matrices import block, merged, product, solve_any, taken
+from aleator.mechanics._matrices import block, merged, product, solve_any, spread, taken
 from aleator.mechanics._mechanical import (
     AbstractMechanical,
     actuation_map,
     bias_of,
+    driven,
     jacobian_of,
     load_on,
     mass_of,
     on_manifold,
     rate_map,
     rates,
+    required_force,
 )
+from aleator.mechanics._spatial import Numbers
+
+# Prescribed rates may differ from `H v` by so much, beside the rates, and beside the coordinates each second.
+_RATE_ERROR, _STILL = 1e-6, 1e-9
 
 
 class Prescribed(NamedTuple):
@@ -43,13 +50,6 @@ class Partition(NamedTuple):
     speeds: int
     actuators: int
 
-    @classmethod
-    def of(
-        cls, model: AbstractMechanical, prescribed: tuple[int, ...], driven: tuple[int, ...], known: tuple[int, ...]
-    ) -> "Partition":
-        """The partition of a model's coordinates, velocities and torques."""
-        return cls(prescribed, driven, known, len(model.coordinates), len(model.speeds), len(model.actuators))
-
     @property
     def others(self) -> tuple[int, ...]:
         """The places of coordinates that are not prescribed."""
@@ -70,85 +70,186 @@ class Partition(NamedTuple):
         """What follows constraints, if there are any."""
         return Loose(self.others, self.undriven)
 
-    def merged(self, prescribed: Array, others: Array) -> Float[Array, " coordinates"]:
+    def may_miss(self, model: AbstractMechanical) -> bool:
+        """Whether a prescribed motion may have rates that are not `H v` of the velocities that it drives."""
+        square = len(self.prescribed) == len(self.driven) and not self.undriven
+        return bool(self.prescribed) and not (model.moves_directly or square)
+
+    def merged(self, prescribed: Numbers, others: Array) -> Float[Numbers, " coordinates"]:
         """Coordinates in their order."""
-        return merged(prescribed, self.prescribed, others, self.others)
+        return _merged(prescribed, self.prescribed, others, self.others)
 
     def joined(self, driven: Array, others: Array) -> Float[Array, " speeds"]:
         """Velocities in their order."""
-        return merged(driven, self.driven, others, self.undriven)
-
-    def applied(self, unknown: Array, known: Array) -> Float[Array, " actuators"]:
-        """Torques in their order."""
-        return merged(unknown, self.unknown, known, self.known)
+        return _merged(driven, self.driven, others, self.undriven)
 
 
 def _without(places: tuple[int, ...], count: int) -> tuple[int, ...]:
     return tuple(i for i in range(count) if i not in places)
 
 
+def _merged(first: Any, places: tuple[int, ...], second: Any, others: tuple[int, ...]) -> Any:
+    if not places or not others:
+        return second if others else first
+    return merged(first, places, second, others)
+
+
+class Solved(NamedTuple):
+    """The complete motion at one instant.
+
+    - `q_ddot`: `None` where it follows from `v_dot`;
+    - `multipliers`, `reactions`, `constraint_rate`, `drift`: of constraints; `drift` is how far the coordinates had
+      been from them before they were put back; `motion_error`: how far prescribed rates are from `H v`; `None` where
+      there is nothing to check;
+    - `valid`: whether constraints and rates could be obeyed; `None` where they always are.
+    """
+
+    q: Array
+    q_dot: Array
+    v: Array
+    v_dot: Array
+    torque: Array
+    q_ddot: Any = None
+    multipliers: Any = None
+    reactions: Any = None
+    constraint_rate: Any = None
+    drift: Any = None
+    motion_error: Any = None
+    valid: Any = None
+
+
 def solved(model: AbstractMechanical, parts: Partition, given: Prescribed, q_u: Array, v_u: Array) -> Solved:
-    """Coordinates, velocities, accelerations and torques, from what is given and what is integrated."""
+    """The motion and the torques, from what is given and what is integrated."""
+    if model.constraints or (parts.driven and (parts.undriven or parts.known)):
+        return _partly_prescribed(model, parts, given, q_u, v_u)
+    if parts.driven:
+        path = follow(model, parts, given, q_u, v_u)
+        force = required_force(model, path.q, path.v, path.v_dot)
+        torque = force if model.acts_directly else solve_any(actuation_map(model, path.q), force)
+        motion = Solved(path.q, path.q_dot, path.v, path.v_dot, torque, path.q_ddot)
+        error = motion_error(model, parts, path.q, path.q_dot, path.v)
+        return motion if error is None else motion._replace(motion_error=error[0], valid=error[1])
+    q = model.normalised(q_u)
+    return Solved(
+        q, rates(model, q, v_u), v_u, driven(model, q, v_u, _known_force(model, parts, q, given)), given.known
+    )
+
+
+def motion_error(model: AbstractMechanical, parts: Partition, q: Array, rate: Array, v: Array) -> Any:
+    """How far rates of prescribed coordinates are from `H v`, and whether that is rounding; `None` if they never are.
+
+    `rate` are those of all coordinates, of which the prescribed ones count.
+    """
+    if not parts.may_miss(model):
+        return None
+    apart = jnp.abs(taken(rate - rates(model, q, v), parts.prescribed)).max()
+    slack = _RATE_ERROR * jnp.abs(taken(rate, parts.prescribed)).max() + _STILL * jnp.abs(q).max()
+    return apart, apart <= slack
+
+
+def _partly_prescribed(
+    model: AbstractMechanical, parts: Partition, given: Prescribed, q_u: Array, v_u: Array
+) -> Solved:
     a, u, free = parts.driven, parts.undriven, parts.unknown
-    q_u, obeyed = _put_back(model, parts, given, q_u)
-    q, v_a, v_dot_a = prescribed_velocities(model, parts, given, q_u, v_u)
-    M, B = mass_of(model, q), actuation_map(model, q)
-    bound = Bound(model, q)
-    G_a, G_u = (taken(bound.G.T, some).T for some in (a, u))
+    drift = valid = None
+    if model.constraints:
+        integrated = parts.merged(given.position, q_u)
+        q, valid, drift = put_back(model, integrated, parts.loose)
+        q_u = taken(q, parts.others)
+    q, rate, _, v_a, v_dot_a = follow(model, parts, given, q_u, v_u)
+    M, bound = mass_of(model, q), Bound(model, q)
+    G_a, G_u = (columns(bound.G, some) for some in (a, u))
     saddle = Saddle(block(M, u, u), G_u)
     # By the least kinetic energy of a change of what is not prescribed.
     v = parts.joined(v_a, v_u)
     if model.constraints:
         v = parts.joined(v_a, v_u - saddle.least(bound.rate(v)))
-    rest = bias_of(model, q, v) - load_on(model, q, v) - product(taken(B.T, parts.known).T, given.known)
-    M_ua, B_a, B_u = block(M, u, a), block(B, a, free), block(B, u, free)
-    rest_a, rest_u = taken(rest, a), taken(rest, u)
-    # The other accelerations and the multipliers: with no unknown torque, and for each of these.
-    force = jnp.concatenate([-(rest_u + product(M_ua, v_dot_a))[:, None], B_u], axis=1)
-    gammas = jnp.concatenate(
-        [(bound.acceleration(v) - product(G_a, v_dot_a))[:, None], jnp.zeros((len(G_a), len(free)))], axis=1
-    )
-    moved, borne = saddle.solve(force, gammas)
-    needed = product(block(M, a, a), v_dot_a) + rest_a + product(M_ua.T, moved[:, 0]) + product(G_a.T, borne[:, 0])
-    torque = solve_any(B_a - product(M_ua.T, moved[:, 1:]) - product(G_a.T, borne[:, 1:]), needed)
-    v_dot = parts.joined(v_dot_a, moved[:, 0] + product(moved[:, 1:], torque))
-    multipliers = borne[:, 0] + product(borne[:, 1:], torque)
-    return Solved(q, v, v_dot, parts.applied(torque, given.known), multipliers, obeyed, bound)
+    rest = bias_of(model, q, v) - load_on(model, q, v) - _known_force(model, parts, q, given)
+    force, gamma = -taken(rest, u), bound.acceleration(v)
+    if not a:
+        v_dot, multipliers = saddle.solve(force, gamma)
+        torque = given.known
+    else:
+        M_ua, B = block(M, u, a), actuation_map(model, q)
+        B_a, B_u = block(B, a, free), block(B, u, free)
+        # The other accelerations and the multipliers: with no unknown torque, and for each of these.
+        forces = jnp.concatenate([(force - product(M_ua, v_dot_a))[:, None], B_u], axis=1)
+        gammas = jnp.concatenate([(gamma - product(G_a, v_dot_a))[:, None], jnp.zeros((len(G_a), len(free)))], axis=1)
+        moved, borne = saddle.solve(forces, gammas)
+        needed = product(block(M, a, a), v_dot_a) + taken(rest, a)
+        needed = needed + product(M_ua.T, moved[:, 0]) + product(G_a.T, borne[:, 0])
+        found = solve_any(B_a - product(M_ua.T, moved[:, 1:]) - product(G_a.T, borne[:, 1:]), needed)
+        v_dot = parts.joined(v_dot_a, moved[:, 0] + product(moved[:, 1:], found))
+        multipliers = borne[:, 0] + product(borne[:, 1:], found)
+        torque = _merged(found, free, given.known, parts.known)
+    motion = Solved(q, rates(model, q, v), v, v_dot, torque, drift=drift, valid=valid)
+    if model.constraints:
+        motion = motion._replace(
+            multipliers=multipliers, reactions=-product(bound.G.T, multipliers), constraint_rate=bound.rate(v)
+        )
+    error = motion_error(model, parts, q, rate, v)
+    if error is not None:
+        motion = motion._replace(motion_error=error[0], valid=error[1] if valid is None else valid & error[1])
+    return motion
+
+
+def columns(M: Float[Array, "m n"], places: tuple[int, ...]) -> Float[Array, "m places"]:
+    """Some columns of a matrix."""
+    return M if places == tuple(range(M.shape[1])) else taken(M.T, places).T
+
+
+def _known_force(model: AbstractMechanical, parts: Partition, q: Array, given: Prescribed) -> Any:
+    """The generalised force of the known torques."""
+    if not parts.known:
+        return jnp.zeros(parts.speeds)
+    if model.acts_directly:
+        return spread(given.known, parts.known, parts.speeds) if parts.unknown else given.known
+    return columns(actuation_map(model, q), parts.known) @ given.known
 
 
 def effect_of_torques(
-    model: AbstractMechanical, parts: Partition, q: Float[Array, " coordinates"]
-) -> Float[Array, "driven unknown"]:
-    """How the torques to find act along the prescribed velocities, the others moving as they must."""
-    M, B, G = mass_of(model, q), actuation_map(model, q), jacobian_of(model, q)
+    model: AbstractMechanical, parts: Partition, q: Float[Numbers, " coordinates"]
+) -> Float[Array, "driven unknown"] | None:
+    """How the torques to find act along the prescribed velocities, the others moving as they must.
+
+    `None` where none are to be found, or each acts for itself.
+    """
     a, u, free = parts.driven, parts.undriven, parts.unknown
-    G_a, G_u = (taken(G.T, some).T for some in (a, u))
+    if not a or (not u and model.acts_directly):
+        return None
+    B = actuation_map(model, q)
+    if not u:
+        return B
+    M, G = mass_of(model, q), jacobian_of(model, q)
+    G_a, G_u = (columns(G, some) for some in (a, u))
     moved, borne = Saddle(block(M, u, u), G_u).solve(block(B, u, free), jnp.zeros((len(G), len(free))))
     return block(B, a, free) - product(block(M, a, u), moved) - product(G_a.T, borne)
 
 
-def prescribed_velocities(
-    model: AbstractMechanical, parts: Partition, given: Prescribed, q_u: Array, v_u: Array
-) -> tuple[Array, Array, Array]:
-    """Equations (66) and (67) for the prescribed coordinates alone, whose rates no other velocity enters."""
-    if model.moves_directly:
-        return parts.merged(given.position, q_u), given.velocity, given.acceleration
+class Followed(NamedTuple):
+    """A prescribed motion at one instant: all coordinates, their prescribed rates, and the velocities that they drive.
+
+    `q_dot` and `q_ddot` are of the prescribed coordinates alone where they are the velocities, and of all elsewhere.
+    """
+
+    q: Float[Array, " coordinates"]
+    q_dot: Array
+    q_ddot: Array
+    v: Float[Array, " driven"]
+    v_dot: Float[Array, " driven"]
+
+
+def follow(model: AbstractMechanical, parts: Partition, given: Prescribed, q_u: Array, v_u: Array) -> Followed:
+    """Equations (66) and (67) for the prescribed coordinates, whose rates no other velocity enters."""
+    q, still, a = parts.merged(given.position, q_u), jnp.zeros_like(q_u), parts.prescribed
+    if model.moves_directly or not a:
+        return Followed(q, given.velocity, given.acceleration, given.velocity, given.acceleration)
 
     def own(now: AbstractMechanical, where: Array) -> Array:
-        return block(rate_map(now, where), parts.prescribed, parts.driven)
+        return columns(taken(rate_map(now, where), a), parts.driven)
 
-    still, a = jnp.zeros_like(q_u), parts.prescribed
-    curve = (parts.merged(given.position, q_u), *(parts.merged(one, still) for one in given[1:3]))
-    q, rate, acceleration = on_manifold(model, *curve)
+    q, rate, acceleration = on_manifold(model, q, *(parts.merged(one, still) for one in given[1:3]))
     v_a = solve_any(own(model, q), taken(rate, a))
-    q_dot = rates(model, q, parts.joined(v_a, v_u))
+    q_dot = rates(model, q, parts.joined(v_a, v_u)) if parts.undriven else rate
     change = along_time(lambda *now: own(*now) @ v_a, model, (q,), (q_dot,))[1]
-    return q, v_a, solve_any(own(model, q), taken(acceleration, a) - change)
-
-
-def _put_back(model: AbstractMechanical, parts: Partition, given: Prescribed, q_u: Array) -> tuple[Array, Any]:
-    """The integrated coordinates on the constraints, and whether they could be put there."""
-    if not model.constraints:
-        return q_u, True
-    q, obeyed = put_back(model, parts.merged(given.position, q_u), parts.loose)
-    return taken(q, parts.others), obeyed
+    return Followed(q, rate, acceleration, v_a, solve_any(own(model, q), taken(acceleration, a) - change))

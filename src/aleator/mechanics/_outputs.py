@@ -1,0 +1,80 @@
+"""The outputs of a mechanical system's motion, by name."""
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from aleator._core.errors import ProblemError
+from aleator.mechanics._mechanical import AbstractMechanical, Motion, accelerations, constraint_of
+from aleator.mechanics._partial import Solved
+
+
+def outputs_of(model: AbstractMechanical, t: Any, solved: Solved, torque_rate: Array | None) -> dict[str, Any]:
+    """Coordinates, rates, accelerations, torques and their rates by name, and the model's own outputs.
+
+    Not a number where constraints or prescribed rates were not obeyed, except for how far they were missed.
+
+    Raises `ProblemError` where two of them have the same name, or one of the model's own has a name already taken.
+    """
+    q, q_dot, v, v_dot, torque = solved[:5]
+    q_ddot = accelerations(model, q, v, v_dot) if solved.q_ddot is None else solved.q_ddot
+    motion = Motion(t, q, q_dot, q_ddot, v, v_dot, torque)
+    if model.constraints:
+        motion = motion._replace(multipliers=solved.multipliers)
+    own = model.seen_at(motion.q).outputs(motion)
+    listed, missed = _standard(model, motion, torque_rate, solved), _missed(solved)
+    outputs = _named(model, listed + missed, own)
+    if solved.valid is None:
+        return outputs
+    kept = dict(missed)
+    return {name: one if name in kept else jnp.where(solved.valid, one, jnp.nan) for name, one in outputs.items()}
+
+
+def _standard(
+    model: AbstractMechanical, motion: Motion, torque_rate: Array | None, solved: Solved
+) -> list[tuple[str, Any]]:
+    listed: list[tuple[str, Any]] = []
+    for name, *along in zip(model.coordinates, motion.q, motion.q_dot, motion.q_ddot, strict=True):
+        listed += zip((name, f"{name}_rate", f"{name}_acceleration"), along, strict=True)
+    coordinate_rates = {f"{name}_rate" for name in model.coordinates}
+    for name, *along in zip(model.speeds, motion.v, motion.v_dot, strict=True):
+        listed += zip((name, f"{name}_rate"), along, strict=True) if name not in coordinate_rates else ()
+    listed += zip(model.actuators, motion.torque, strict=True)
+    if torque_rate is not None:
+        listed += zip((f"{name}_rate" for name in model.actuators), torque_rate, strict=True)
+    if model.constraints:
+        listed += [
+            ("constraint_error", jnp.abs(constraint_of(model, motion.q)).max()),
+            ("constraint_rate_error", jnp.abs(solved.constraint_rate).max()),
+        ]
+        listed += zip((f"{name}_multiplier" for name in model.constraints), motion.multipliers, strict=True)
+        listed += zip(
+            (f"{name.removesuffix('_rate')}_reaction" for name in model.speeds), solved.reactions, strict=True
+        )
+    return listed
+
+
+def _missed(solved: Solved) -> list[tuple[str, Any]]:
+    both = (("constraint_drift", solved.drift), ("motion_error", solved.motion_error))
+    return [(name, amount) for name, amount in both if amount is not None]
+
+
+def _named(model: AbstractMechanical, listed: list[tuple[str, Any]], own: Any) -> dict[str, Any]:
+    """Standard outputs and the model's own."""
+    standard = dict(listed)
+    if twice := sorted(name for name, count in Counter(name for name, _ in listed).items() if count > 1):
+        raise ProblemError(
+            f"{type(model).__name__}: {twice} name two outputs each; rename its coordinates, velocities or actuators."
+        )
+    if not isinstance(own, Mapping):
+        raise ProblemError(
+            f"{type(model).__name__}.outputs returns a dict of arrays by name; received {type(own).__name__}."
+        )
+    if taken := sorted(set(standard) & set(own)):
+        raise ProblemError(
+            f"{type(model).__name__}.outputs: {taken} are standard outputs of every mechanical system; rename yours."
+        )
+    return {**standard, **own}
