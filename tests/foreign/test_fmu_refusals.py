@@ -51,9 +51,15 @@ def test_a_run_that_fails_says_when_and_what_the_fmu_said(rods, version, kind, b
         assert np.isfinite(run({"fail_at": 9.0})["angle"]).all()
 
 
-def test_a_kind_that_is_misspelt_is_told_the_nearest():
-    with pytest.raises(al.ProblemError, match=r"received 'model-exchange'\. Did you mean 'model exchange'\?"):
-        kind_of("rod", SimpleNamespace(modelExchange=True, coSimulation=True), "model-exchange")
+def test_a_kind_is_understood_as_fmi_and_its_tools_spell_it_and_a_misspelt_one_is_told_the_nearest():
+    both = SimpleNamespace(modelExchange=True, coSimulation=True)
+    for kind in ("model exchange", "model-exchange", "ModelExchange", "me"):
+        assert kind_of("rod", both, kind) == "model exchange"
+    assert kind_of("rod", both, "CoSimulation") == kind_of("rod", both, "CS") == "co-simulation"
+    with pytest.raises(al.ProblemError, match=r"received 'modl exchange'\. Did you mean 'model exchange'\?"):
+        kind_of("rod", both, "modl exchange")
+    with pytest.raises(al.ProblemError, match=r"one of \['co-simulation'\]; received 'ModelExchange'"):
+        kind_of("rod", SimpleNamespace(modelExchange=None, coSimulation=True), "ModelExchange")
 
 
 def test_a_failure_among_uncertain_parameters_names_them(rods):

@@ -1,338 +1,185 @@
-"""The file of an FMU: unpacked, and what its description says; which variables may be set and read."""
+"""What the description of an FMU says: how it may be run, and which of its variables may be set and read."""
 
-import shutil
-import tempfile
-import weakref
-import zipfile
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
-from xml.etree import ElementTree
+from typing import Any, final
 
 import numpy as np
+from jaxtyping import Float
 
-from aleator._core.border import meant, shown
+from aleator._core.border import meant, refusal, shown
 from aleator._core.errors import MissingExtraError, ProblemError
 
-# As much of another library's message as ours repeats.
-_LONGEST = 160
-MODEL_EXCHANGE, CO_SIMULATION = "model exchange", "co-simulation"
-# Names in FMI 2 and 3.
-REAL = ("Real", "Float64")
-_WHOLE = ("Integer", "Enumeration", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
-# As many names are listed in a message.
-_LISTED = 6
+# What users call the interfaces, without signs between words, and FMI does. The first one offered is the default.
+_KINDS = {
+    "model exchange": ("ModelExchange", "modelexchange", "me"),
+    "co-simulation": ("CoSimulation", "cosimulation", "cs"),
+}
+_REAL = ("Real", "Float64")  # in FMI 2 and 3
+# What a value of other types is, in words.
+_VALUES: dict[str, tuple[str, type | tuple[type, ...]]] = {
+    "Boolean": ("True or False", bool),
+    "String": ("a text", str),
+    "Real": ("a number", (int, float)),
+    "Float32": ("a number", (int, float)),
+    "Float64": ("a number", (int, float)),
+}
+# As many names are listed in a message, and characters of another library's message repeated.
+_LISTED, _LONGEST = 6, 160
 
 
-def load_fmpy(who: str) -> Any:
-    """FMPy, imported late. Raises `MissingExtraError` if it is not installed."""
+def unpacked(path: Path, folder: Path) -> Any:
+    """The model description of an FMU, which is unpacked into a folder.
+
+    Raises `ProblemError` for a file that is no FMU of FMI 2 or 3 for this machine; `MissingExtraError` without FMPy.
+    """
     try:
         import fmpy
-        import fmpy.fmi1
-        import fmpy.fmi2
-        import fmpy.fmi3
-        import fmpy.model_description
     except ImportError as error:
-        raise MissingExtraError(
-            f"{who} needs the library FMPy: install it with `pip install 'aleator[fmu]'`."
-        ) from error
-    return fmpy
-
-
-def path_of(given: Any) -> Path:
-    """The path of an existing zip file. Raises `ProblemError` for anything else."""
-    if not isinstance(given, str | Path) or not str(given):
-        raise ProblemError(f"Fmu: expected the path of an FMU, such as 'pendulum.fmu'; received {shown(given)}.")
-    path = Path(given)
-    if not path.is_file():
-        raise ProblemError(f"Fmu: expected the path of an FMU; there is no file '{path}'.")
-    if not zipfile.is_zipfile(path):
-        raise ProblemError(f"Fmu: '{path.name}' is no FMU: expected a zip file with a modelDescription.xml in it.")
-    return path
-
-
-def folder_of(owner: object) -> Path:
-    """An empty folder, which is deleted with its `owner`."""
-    found = Path(tempfile.mkdtemp(prefix="aleator-fmu-"))
-    weakref.finalize(owner, shutil.rmtree, found, ignore_errors=True)
-    return found
-
-
-def read_description(path: Path, folder: Path) -> Any:
-    """The model description of an FMU, unpacked into a folder.
-
-    Raises `ProblemError` if it is missing, invalid, or of FMI 1.
-    """
-    load_fmpy("Fmu")
-    with zipfile.ZipFile(path) as archive:
-        if "modelDescription.xml" not in archive.namelist():
-            raise ProblemError(f"Fmu: '{path.name}' is no FMU: expected a modelDescription.xml in it; there is none.")
-    _unpack(path, folder, include=lambda name: name.endswith("Description.xml"))
-    return described(path.stem, folder)
-
-
-def described(name: str, folder: Path, *, validate: bool = True) -> Any:
-    """The model description in the folder of the FMU `name`. Raises `ProblemError` if it is invalid, or of FMI 1."""
+        raise MissingExtraError("Fmu needs the library FMPy: install it with `pip install 'aleator[fmu]'`.") from error
     try:
-        found = load_fmpy("Fmu").read_model_description(str(folder), validate=validate)
+        fmpy.extract(str(path), str(folder))
+        description: Any = fmpy.read_model_description(str(folder))
+        platforms = fmpy.supported_platforms(str(folder))
     except Exception as error:
-        is_lacking = isinstance(error, AttributeError | TypeError | LookupError)
-        reason = "it lacks what FMI requires, such as fmiVersion" if is_lacking else str(error)
-        problems = getattr(error, "problems", None) or [reason]
-        first = " ".join(str(problems[0]).split())[:_LONGEST].rstrip(".")
-        raise ProblemError(f"FMU '{name}': its modelDescription.xml cannot be read: {first}.") from error
-    if found.fmiVersion.startswith("1"):
-        raise ProblemError(f"FMU '{name}': expected FMI 2 or 3; received FMI {found.fmiVersion}.")
-    return found
-
-
-def offers_slopes(folder: Path, kind: str) -> bool:
-    """Whether an FMU says that it provides directional derivatives: FMPy reads what FMI 2 calls this alone."""
-    root = ElementTree.parse(folder / "modelDescription.xml").getroot()
-    interface = root.find("ModelExchange" if kind == MODEL_EXCHANGE else "CoSimulation")
-    flags = () if interface is None else (interface.get(f"providesDirectionalDerivative{end}") for end in ("", "s"))
-    return any(flag in ("true", "1") for flag in flags)
+        said = " ".join(str(getattr(error, "problems", [error])[0]).split())[:_LONGEST].rstrip(".")
+        raise ProblemError(f"Fmu: '{path}' cannot be read as an FMU ({said}).") from error
+    if description.fmiVersion.startswith("1"):
+        raise ProblemError(f"FMU '{path.stem}': expected FMI 2 or 3; received FMI {description.fmiVersion}.")
+    if fmpy.platform not in platforms:
+        raise ProblemError(
+            f"FMU '{path.stem}': expected a binary for this machine, {fmpy.platform}; it has "
+            f"{', '.join(platforms) or 'none'}: export it for this one, or compile sources by `fmpy compile`."
+        )
+    return description
 
 
 def kind_of(name: str, description: Any, kind: Any) -> str:
     """How an FMU is run: as it is asked for, or the first of model exchange and co-simulation that it offers."""
-    offered = {MODEL_EXCHANGE: description.modelExchange, CO_SIMULATION: description.coSimulation}
-    offered = {offer: interface for offer, interface in offered.items() if interface is not None}
-    if not offered:
-        raise ProblemError(
-            f"FMU '{name}': expected {MODEL_EXCHANGE} or {CO_SIMULATION}; it offers scheduled execution alone."
-        )
-    if kind is not None and kind not in list(offered):
-        hint = meant(kind, offered) if isinstance(kind, str) else ""
-        raise ProblemError(f"FMU '{name}': expected as its kind one of {list(offered)}; received {shown(kind)}.{hint}")
-    return next(iter(offered)) if kind is None else kind
+    offered = {
+        words: spellings
+        for words, spellings in _KINDS.items()
+        if getattr(description, spellings[0][0].lower() + spellings[0][1:]) is not None
+    }
+    if kind is None and offered:
+        return next(iter(offered))
+    plain = re.sub(r"[\s_-]", "", kind).lower() if isinstance(kind, str) else ""
+    for words, spellings in offered.items():
+        if plain in spellings[1:]:
+            return words
+    hint = meant(kind, offered) if isinstance(kind, str) else ""
+    raise ProblemError(f"FMU '{name}': expected as its kind one of {list(offered)}; received {shown(kind)}.{hint}")
 
 
-def unpack_all(path: Path, folder: Path, description: Any, identifier: str) -> None:
-    """Unpack an FMU into a folder. Raises `ProblemError` without a binary for this machine."""
-    fmpy = load_fmpy("Fmu")
-    platform = fmpy.platform if description.fmiVersion == "2.0" else fmpy.platform_tuple
-    with zipfile.ZipFile(path) as archive:
-        names = archive.namelist()
-    library = f"{identifier}{fmpy.sharedLibraryExtension}"
-    if f"binaries/{platform}/{library}" not in names:
-        raise ProblemError(f"FMU '{path.stem}': expected {_lacking(path, names, platform, library)}.")
-    _unpack(path, folder)
+def interface_of(kind: str) -> str:
+    """What FMI and FMPy call a kind."""
+    return _KINDS[kind][0]
 
 
-def _unpack(path: Path, folder: Path, include: Callable[[str], bool] | None = None) -> None:
-    try:
-        load_fmpy("Fmu").extract(str(path), str(folder), include)
-    except Exception as error:
-        raise ProblemError(f"FMU '{path.stem}' cannot be unpacked: {str(error)[:_LONGEST]}.") from error
-
-
-def _lacking(path: Path, names: list[str], platform: str, library: str) -> str:
-    """What an FMU lacks for this machine, what it has, and what to do."""
-    there = sorted({name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1})
-    if platform in there:
-        return f"'{library}' among its binaries for {platform}; it has others: export it again"
-    sources = any(name.startswith("sources/") and not name.endswith("/") for name in names)
-    remedy = f"compile its sources by `fmpy compile {path.name}`" if sources else f"export it for {platform}"
-    return f"a binary for this machine, {platform}; it has {', '.join(there) or 'none'}: {remedy}"
-
-
-class Variable(Protocol):
-    """What is used of a variable of FMPy, which declares no types. Variables are told apart by identity."""
-
-    name: str
-    type: str
-    causality: str
-    variability: str
-    initial: str | None
-    valueReference: int  # noqa: N815
-    shape: Sequence[int] | None
-    nominal: str | float | None
-    unit: str | None
-    declaredType: Any  # noqa: N815
-
-    def __hash__(self) -> int: ...
-
-
+@final
 class Variables:
     """The variables of the FMU called `name`, by their names."""
 
     def __init__(self, name: str, description: Any):
         self._who = f"FMU '{name}'"
-        self.all: dict[str, Variable] = {variable.name: variable for variable in description.modelVariables}
-        rates = [derivative.variable for derivative in description.derivatives]
-        self.rates: list[Variable] = rates
-        self.states: list[Variable] = [rate.derivative for rate in rates]
-        self.outputs = self._names("output")
+        self.all: dict[str, Any] = {variable.name: variable for variable in description.modelVariables}
+        self._rates = [derivative.variable for derivative in description.derivatives]
 
-    def refuse_odd_states(self) -> None:
-        """Raise `ProblemError` unless each state is one real number with a rate."""
-        odd = [
-            rate.name
-            for rate, state in zip(self.rates, self.states, strict=True)
-            if state is None or not _is_number(state)
-        ]
-        if odd:
-            raise ProblemError(
-                f"{self._who}: expected states of one real number each; '{odd[0]}' is the rate of none. Use it for "
-                "co-simulation, if it offers that."
-            )
+    def states(self) -> list[str]:
+        """The continuous states. Raises `ProblemError` unless each is one real number with a rate."""
+        for rate in self._rates:
+            if rate.derivative is None or not _is_number(rate.derivative):
+                raise ProblemError(
+                    f"{self._who}: expected states of one real number each; '{rate.name}' is the rate of none. Use it "
+                    "for co-simulation, if it offers that."
+                )
+        return [rate.derivative.name for rate in self._rates]
 
-    def parameters(self) -> list[str]:
-        """The real parameters, the names for which a number may be uncertain first of all."""
-        return self._names("parameter")
-
-    def inputs(self) -> list[str]:
-        """The real inputs."""
-        return self._names("input")
-
-    def _names(self, causality: str) -> list[str]:
+    def of(self, causality: str) -> list[str]:
+        """The real variables of a causality."""
         return [name for name, variable in self.all.items() if variable.causality == causality and _is_number(variable)]
 
-    def settable(self, names: Iterable[Any]) -> list[Variable]:
-        """The variables of these names. Raises `ProblemError` for one that is no real number set before the start."""
-        return [self._real(self._settable(name), name) for name in names]
+    def settable(self, names: Iterable[Any]) -> list[str]:
+        """Names, each checked to be of a real variable that may be set before the start, or `ProblemError`."""
+        return self._checked(names, "a parameter, an input or an initial value", "parameter", _is_settable)
 
-    def readable(self, names: Any) -> list[Variable]:
-        """The variables of these names, by default all outputs. Raises `ProblemError` for one that is no real one."""
-        names = self.outputs if names is None else names
+    def inputs(self, names: Iterable[Any]) -> list[str]:
+        """Names, each checked to be of a real input, or `ProblemError`."""
+        return self._checked(names, "an input", "input", lambda variable: variable.causality == "input")
+
+    def readable(self, names: Any) -> list[str]:
+        """Names, by default of all outputs, each checked to be of a real variable, or `ProblemError`."""
+        names = self.of("output") if names is None else names
         if isinstance(names, str | bytes) or not isinstance(names, Sequence) or not names:
-            raise ProblemError(
-                f"{self._who}: expected a list of variables to read, such as {self.outputs[:3] or ['x']}; "
-                f"received {shown(names)}."
-            )
+            raise refusal(self._who, "a list of variables to read", names)
         if len(set(map(str, names))) < len(names):
-            raise ProblemError(f"{self._who}: expected each variable to read once; received {shown(names)}.")
-        return [self._real(self._known(name, self.outputs), name) for name in names]
+            raise refusal(self._who, "each variable to read once", names)
+        return self._checked(names, "a variable", "output", lambda _: True)
 
-    def of_inputs(self, names: Iterable[Any]) -> list[Variable]:
-        """The inputs of these names. Raises `ProblemError` for one that is none."""
-        found = []
-        for name in names:
-            variable = self._known(name, self.inputs())
-            if variable.causality != "input":
-                raise ProblemError(
-                    f"{self._who}: expected an input, {_listed(self.inputs())}; received '{name}', whose causality is "
-                    f"'{variable.causality}'."
-                )
-            found.append(self._real(variable, name))
-        return found
-
-    def setting(self, name: Any, value: Any) -> tuple[Variable, Any]:
-        """A variable of any type and its value, checked, for every run."""
-        variable = self._settable(name)
-        if variable.shape:
-            raise ProblemError(f"{self._who}: expected a setting of one value; '{name}' has shape {variable.shape}.")
-        kind, fits = _kind_of(variable.type)
-        if not fits(value):
-            raise ProblemError(f"{self._who}: expected {kind} for '{name}'; received {shown(value)}.")
-        return variable, value
-
-    def _known(self, name: Any, near: Sequence[str]) -> Variable:
-        if not isinstance(name, str):
-            raise ProblemError(f"{self._who}: expected names of variables; received {shown(name)}.")
-        if name not in self.all:
-            hint = meant(name, list(self.all)) or f" Expected one like {_listed(near)}."
-            raise ProblemError(f"{self._who} has no variable '{name}'.{hint}")
-        return self.all[name]
-
-    def _settable(self, name: Any) -> Variable:
-        variable = self._known(name, self.parameters())
-        if variable.causality == "input" or (variable.variability != "constant" and variable.initial == "exact"):
-            return variable
-        if variable.causality == "structuralParameter":
-            return variable
-        why = {
-            "calculatedParameter": "which the FMU computes from other parameters",
-            "independent": "which is the time",
-        }.get(variable.causality)
-        why = why or ("which is constant" if variable.variability == "constant" else "which the FMU computes")
-        raise ProblemError(
-            f"{self._who}: expected a parameter, an input or an initial value, such as {_listed(self.parameters())}; "
-            f"received '{name}', {why} (causality '{variable.causality}', variability '{variable.variability}')."
+    def refuse_settings(self, settings: Mapping[str, Any]) -> None:
+        """Raise `ProblemError` for settings that are no values of variables of any type."""
+        self._checked(
+            settings, "a parameter, an input or an initial value", "parameter", _is_settable, of_any_type=True
         )
+        for name, value in settings.items():
+            words, kinds = _VALUES.get(self.all[name].type, ("a whole number", int))
+            if not isinstance(value, kinds) or (isinstance(value, bool) and kinds is not bool):
+                raise refusal(f"{self._who}: '{name}'", words, value)
 
-    def _real(self, variable: Variable, name: str) -> Variable:
-        if variable.type not in REAL:
-            raise ProblemError(
-                f"{self._who}: expected a real variable; received '{name}' of type {variable.type}. Give values of "
-                "other types once for all in Fmu(settings={...})."
-            )
-        if variable.shape:
-            raise ProblemError(f"{self._who}: expected variables of one number; '{name}' has shape {variable.shape}.")
-        return variable
+    def nominals(self, names: Iterable[str]) -> Float[np.ndarray, " n"]:
+        """The usual sizes that variables declare; 1 for others."""
+        return np.array([abs(float(self.all[name].nominal or 1.0)) or 1.0 for name in names])
+
+    def units(self, names: Iterable[str]) -> Mapping[str, str]:
+        """The units that variables declare, by name."""
+        declared = {name: self.all[name].unit or getattr(self.all[name].declaredType, "unit", None) for name in names}
+        return {name: unit.replace(".", " ") for name, unit in declared.items() if unit}
+
+    def _checked(
+        self,
+        names: Iterable[Any],
+        expected: str,
+        causality: str,
+        fits: Callable[[Any], bool],
+        *,
+        of_any_type: bool = False,
+    ) -> list[str]:
+        names, near = list(names), self.of(causality)
+        listed = (", ".join(f"'{name}'" for name in near[:_LISTED]) or "none") + ", …" * (len(near) > _LISTED)
+        for name in names:
+            if name not in self.all:
+                hint = isinstance(name, str) and meant(name, list(self.all))
+                raise ProblemError(
+                    f"{self._who} has no variable {shown(name)}.{hint or f' Expected one like {listed}.'}"
+                )
+            variable = self.all[name]
+            if variable.shape or not (of_any_type or _is_number(variable)):
+                raise ProblemError(
+                    f"{self._who}: expected a real variable of one number; received '{name}' of type {variable.type}"
+                    f"{f' and shape {variable.shape}' if variable.shape else ''}. Other types are set for all runs by "
+                    "Fmu(settings={...})."
+                )
+            if not fits(variable):
+                why = "which is constant" if variable.variability == "constant" else "which the FMU computes"
+                why = why if variable.causality not in ("parameter", "input") else "which is none"
+                raise ProblemError(
+                    f"{self._who}: expected {expected}, such as {listed}; received '{name}', {why} (causality "
+                    f"'{variable.causality}', variability '{variable.variability}')."
+                )
+        return names
 
 
-def _is_number(variable: Variable) -> bool:
-    return variable.type in REAL and not variable.shape
+def _is_number(variable: Any) -> bool:
+    return variable.type in _REAL and not variable.shape
 
 
-def _kind_of(kind: str) -> tuple[str, Any]:
-    """What a value of a type is called, and whether a value is one."""
-    if kind in _WHOLE:
-        return "a whole number", lambda value: isinstance(value, int) and not isinstance(value, bool)
-    if kind == "Boolean":
-        return "True or False", lambda value: isinstance(value, bool)
-    if kind == "String":
-        return "a text", lambda value: isinstance(value, str)
-    return "a number", lambda value: isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = ", …" if len(names) > _LISTED else ""
-    return (", ".join(f"'{name}'" for name in names[:_LISTED]) + more) or "none"
-
-
-def nominals_of(variables: Iterable[Variable]) -> np.ndarray:
-    """The usual sizes that variables declare; 1 for others."""
-    return np.array([abs(float(variable.nominal or 1.0)) or 1.0 for variable in variables])
-
-
-def units_of(variables: Iterable[Variable]) -> Mapping[str, str]:
-    """The units that variables declare, by name."""
-    declared = {variable.name: variable.unit or getattr(variable.declaredType, "unit", None) for variable in variables}
-    return {name: unit.replace(".", " ") for name, unit in declared.items() if unit}
+def _is_settable(variable: Any) -> bool:
+    is_first = variable.variability != "constant" and variable.initial == "exact"
+    return is_first or variable.causality in ("input", "structuralParameter")
 
 
 def with_numbers(names: Iterable[str], values: Iterable[float]) -> str:
     """Values of variables as the end of a sentence; empty if there are none."""
     said = ", ".join(f"{name}={value:.6g}" for name, value in zip(names, values, strict=True))
     return f", with {said}" if said else ""
-
-
-class Described:
-    """What the description of an FMU says: of the FMU `name`, unpacked in a `folder`, as it is to be run.
-
-    Raises `ProblemError` for a kind that it does not offer, and for settings that it does not have.
-    """
-
-    def __init__(
-        self, name: str, folder: Path, kind: str | None, settings: Mapping[str, Any] | None, *, description: Any
-    ):
-        self.name, self.folder, self.description = name, folder, description
-        self.kind = kind_of(name, description, kind)
-        self.variables = Variables(name, description)
-        if self.is_exchange:
-            self.variables.refuse_odd_states()
-        self.settings = self._settings(settings)
-        self.offers_slopes = offers_slopes(folder, self.kind)
-        self.indicators = int(description.numberOfEventIndicators)
-
-    @property
-    def is_exchange(self) -> bool:
-        """Whether its states are integrated here."""
-        return self.kind == MODEL_EXCHANGE
-
-    @property
-    def states(self) -> list[str]:
-        """Its continuous states, in its own order; none of co-simulation, which keeps them to itself."""
-        return [variable.name for variable in self.variables.states] if self.is_exchange else []
-
-    def _settings(self, given: Any) -> dict[Variable, Any]:
-        if not isinstance(given, Mapping | None):
-            raise ProblemError(
-                f"FMU '{self.name}': expected settings as values by name, such as {{'stages': 3}}; "
-                f"received {shown(given)}."
-            )
-        # Variables of FMPy are told apart by identity, so that they may be keys.
-        return dict(self.variables.setting(name, value) for name, value in (given or {}).items())
