@@ -1,6 +1,5 @@
 """`BlackBox`: any function or command line as the model of an uncertainty analysis."""
 
-import hashlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
@@ -10,35 +9,13 @@ from typing_extensions import override
 
 from aleator._core import border
 from aleator._core.arrays import Pytree
-from aleator._core.errors import AleatorError, SimulationError, SimulationWarning, warn_outside
-from aleator._core.executors import check_executor, end_running
+from aleator._core.executors import check_executor
 from aleator._core.identity import code_digest, own_code
 from aleator.ensemble import AbstractBox, Realisation, name_of
-from aleator.foreign._campaign import Campaign, Journal, drop_given, most_of, warn_of_dropped
+from aleator.foreign._campaign import Campaign, drop_given
 from aleator.foreign._command import Command
-from aleator.foreign._runs import Isolated, Runs
-
-
-def identity(function: Callable[..., Any], version: str) -> str:
-    """A digest of a function's code or its version, or of a command with the contents of the files that it names."""
-    if isinstance(function, Isolated):
-        return identity(function.function, version)
-    if not isinstance(function, Command):
-        return code_digest(function, version)
-    paths = [Path(argument) for argument in function.arguments]
-    files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths if path.is_file()]
-    described = [list(function.arguments), function.input_file, function.output_file, files, version]
-    return hashlib.sha256(repr(described).encode()).hexdigest()
-
-
-def followed(function: Callable[..., Any]) -> Any:
-    """What the outputs follow from, for the journal of a run: a function, told by its code; None for a command.
-
-    A command may read what nobody sees.
-    """
-    if isinstance(function, Isolated):
-        return followed(function.function)
-    return None if isinstance(function, Command) else function
+from aleator.foreign._isolated import Isolated
+from aleator.foreign._journal import Journal
 
 
 @final
@@ -88,16 +65,16 @@ class BlackBox(AbstractBox):
         self._retries = border.whole("BlackBox: retries", retries, least=0)
         self._drop = drop_given("BlackBox: drop", drop)
         self._version = str(border.one_of("BlackBox: version", version, (str, int)))
-        self._code = own_code(function)
-        self._journal = Journal(journal, identity(function, self._version))
+        self._told_by = function.function if isinstance(function, Isolated) else function
+        self._code = own_code(self._told_by)
+        self._journal = Journal(journal, self._identity())
         self.__name__ = name_of(function).strip("'")
 
     @property
     @override
     def follows_from(self) -> Any:
-        # What warns of dropped samples would be silent where a result is recalled.
-        followed_from = None if self._drop else followed(self._function)
-        return followed_from and (followed_from, self._version)
+        # A command may read what nobody sees, and what warns of dropped samples would be silent if it is recalled.
+        return None if self._drop or isinstance(self._told_by, Command) else (self._told_by, self._version)
 
     @override
     def __call__(self, realised: Pytree) -> Pytree:
@@ -105,60 +82,16 @@ class BlackBox(AbstractBox):
 
     @override
     def at_all(self, realisations: Sequence[Realisation], *, whole: bool) -> list[Pytree | None]:
-        code = own_code(self._function)
-        if isinstance(self._function, Command) or (code != self._code and not self._version):
-            self._code, self._journal.box = code, identity(self._function, self._version)
-        campaign = Campaign(name_of(self), realisations, self._journal, self._retries)
-        self._warn_of_others(campaign)
-        self._run(campaign, whole=whole)
-        if campaign.failures:
-            warn_of_dropped(name_of(self), realisations, campaign.failures)
+        code = own_code(self._told_by)
+        if isinstance(self._told_by, Command) or (code != self._code and not self._version):
+            self._code, self._journal.box = code, self._identity()
+        how = {"retries": self._retries, "drop": self._drop, "whole": whole}
+        campaign = Campaign(name_of(self), realisations, self._journal, **how)
+        campaign.run(self._function, self._executor)
         return campaign.outputs
 
-    def _run(self, campaign: Campaign, *, whole: bool) -> None:
-        """Run what has not finished yet."""
-        runs = Runs(self._function, campaign.missing, self._executor)
-        try:
-            for ended in runs:
-                campaign.take(ended, runs)
-                self._refuse_failures(campaign, whole=whole)
-        except BaseException as error:
-            # First, or a thread whose run is ended would begin the next one.
-            runs.cancel()
-            if not isinstance(error, Exception):
-                end_running()
-            campaign.take(run for run in runs.close() if run.error is None)
-            if not isinstance(error, AleatorError):
-                raise
-            raise type(error)(f"{str(error).rstrip('.')}.{self._kept(campaign, error)}") from error.__cause__
-
-    def _refuse_failures(self, campaign: Campaign, *, whole: bool) -> None:
-        """Refuse more failures than may be dropped, naming the last one."""
-        failures, count = campaign.failures, len(campaign.realisations)
-        most = 0 if whole else most_of(self._drop, count)
-        if len(failures) <= most:
-            return
-        index = next(reversed(failures))
-        said = f"{name_of(self)} failed at {campaign.realisations[index]}: {failures[index]}"
-        if most:
-            said = f"{len(failures)} of {count} samples failed, and drop={self._drop:g} allows {most}: {said}"
-        elif whole and self._drop:
-            said += ". This method needs every sample, so that none is dropped"
-        raise SimulationError(said)
-
-    def _kept(self, campaign: Campaign, error: AleatorError) -> str:
-        """What has been kept, as a sentence."""
-        count = sum(outputs is not None for outputs in campaign.outputs)
-        path = self._journal.path
-        # A journal that could not be written does not have them.
-        place = "by this box" if path is None or not isinstance(error, SimulationError) else f"in {path.name}"
-        return f" Finished samples are kept {place} ({count}): a second call goes on." if count else ""
-
-    def _warn_of_others(self, campaign: Campaign) -> None:
-        count = sum(map(self._journal.is_of_others, campaign.keys))
-        if count:
-            warn_outside(
-                f"The journal {self._journal.path} has {count} of these samples by another box, or by this one before "
-                "its code, command or version changed: they are not used, and run again.",
-                SimulationWarning,
-            )
+    def _identity(self) -> str:
+        """A digest of a function's code or its version, or of a command with the contents of the files it names."""
+        if isinstance(self._told_by, Command):
+            return self._told_by.digest(self._version)
+        return code_digest(self._told_by, self._version)

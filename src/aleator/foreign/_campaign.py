@@ -1,31 +1,30 @@
-"""The samples of one call of a black box: those that finished, in a journal, and those that failed."""
+"""The samples of one call of a black box: run, again if they fail, or dropped."""
 
-import hashlib
-import json
 import math
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from contextlib import suppress
 from typing import Any, final
 
 import jax
 import numpy as np
+from typing_extensions import override
 
 from aleator._core.arrays import Pytree
 from aleator._core.border import real, refusal
-from aleator._core.errors import ProblemError, SimulationError, SimulationWarning, warn_outside
-from aleator._core.journalled import read_lines
+from aleator._core.errors import AleatorError, ProblemError, SimulationError, SimulationWarning, warn_outside
+from aleator._core.executors import end_running
 from aleator.ensemble import Realisation, absent, as_outputs, same_shapes
-from aleator.foreign._runs import Ended, Runs
+from aleator.foreign._isolated import refuse_unsendable
+from aleator.foreign._journal import Journal
 
+# Runs that an executor is given at a time: enough for all its workers, and few to cancel.
+_IN_FLIGHT = 256
 # Inputs of the dropped samples are named where these lie within this part of the range of all samples.
 _NARROW = 0.5
-
-# As many inputs as a warning names.
-_MOST_NAMED = 3
-_HEADER = {"journal": "aleator.foreign", "version": 1}
-# As much of a reason as a message repeats.
-_LONGEST = 240
+# As many inputs as a warning names, and as much of a reason as a message repeats.
+_MOST_NAMED, _LONGEST = 3, 240
 
 
 def drop_given(what: str, drop: Any) -> float:
@@ -41,33 +40,36 @@ def most_of(drop: float, count: int) -> int:
     return math.floor(drop * count * (1 + 1e-12))
 
 
-def sound(given: Any, name: str, first: tuple[Realisation, Pytree] | None) -> Pytree:
+def sound(returned: Any, name: str, first: tuple[Realisation, Pytree] | None = None) -> Pytree:
     """What a box called `name` returned, as finite arrays of the same shapes as those of a `first` sample.
 
     Raises `SimulationError` if it is anything else, in words that go on after the name of the sample.
     """
     try:
-        outputs = as_outputs(given, name, np)
+        outputs = as_outputs(returned, name, np)
     except ProblemError as error:
         raise SimulationError(str(error).rstrip(".")) from error
     if not jax.tree.leaves(outputs):
         raise SimulationError("it returned no outputs")
-    for path, leaf in jax.tree_util.tree_leaves_with_path(outputs):
+    for output, leaf in _by_name(outputs):
         if not np.isfinite(leaf).all():
-            output = jax.tree_util.keystr(path, simple=True, separator=".")
-            bad = leaf[~np.isfinite(leaf)].flat[0]
-            raise SimulationError(f"{f'output {output!r}' if output else 'its output'} is {bad}")
+            raise SimulationError(
+                f"{f'output {output!r}' if output else 'its output'} is {leaf[~np.isfinite(leaf)][0]}"
+            )
     if first is not None and not same_shapes(outputs, first[1]):
-        before, now = (_shapes(found) for found in (first[1], outputs))
+        now, before = (
+            ", ".join(
+                f"{f'{output!r}' if output else 'an array'} of shape {leaf.shape}" for output, leaf in _by_name(of)
+            )
+            for of in (outputs, first[1])
+        )
         raise SimulationError(f"it returned {now}, where sample {first[0].number} had {before}")
     return outputs
 
 
-def _shapes(outputs: Pytree) -> str:
-    """The outputs and their shapes, for messages."""
+def _by_name(outputs: Pytree) -> list[tuple[str, np.ndarray]]:
     named = jax.tree_util.tree_leaves_with_path(outputs)
-    texts = [(jax.tree_util.keystr(path, simple=True, separator="."), leaf.shape) for path, leaf in named]
-    return ", ".join(f"{name!r} of shape {shape}" if name else f"an array of shape {shape}" for name, shape in texts)
+    return [(jax.tree_util.keystr(path, simple=True, separator="."), leaf) for path, leaf in named]
 
 
 def warn_of_dropped(name: str, realisations: Sequence[Realisation], failures: Mapping[int, str]) -> None:
@@ -99,192 +101,186 @@ def _whereabouts(realisations: Sequence[Realisation], dropped: Sequence[int]) ->
 
 
 @final
-class Journal:
-    """Outputs by a digest of the `box`, which may become another, and of all numbers of its model.
-
-    A file has a header and then one line of JSON for each finished sample, written as soon as it is known. A line that
-    cannot be read, such as the last one of a process that was killed, counts as not written: its sample runs again.
-    Numbers are written with all their digits, so that outputs read back are the same to the last bit.
-
-    Raises `ProblemError` if the file is no journal, or cannot be read or written.
-    """
-
-    def __init__(self, path: Any, box: str):
-        self.box = box
-        self.path = None if path is None else _path_given(path)
-        self._known: dict[tuple[str, str], Pytree] = {}
-        self._keys: set[str] = set()
-        if self.path is not None:
-            self._read(self.path)
-
-    def key(self, realisation: Realisation) -> str:
-        """What identifies a sample: all numbers of its model, and whatever else the model holds, as text."""
-        named = jax.tree_util.tree_leaves_with_path(realisation.model)
-        leaves = [(jax.tree_util.keystr(path), _text(leaf)) for path, leaf in named]
-        return _digest([str(jax.tree.structure(realisation.model)), leaves])
-
-    def find(self, key: str) -> Pytree | None:
-        """The outputs of a finished sample; None if it is not known."""
-        return self._known.get((self.box, key))
-
-    def is_of_others(self, key: str) -> bool:
-        """Whether the file has this sample by another box only, or by this one as it was before a change."""
-        return self.path is not None and key in self._keys and (self.box, key) not in self._known
-
-    def add(self, key: str, realisation: Realisation, outputs: Pytree) -> None:
-        """Keep a finished sample."""
-        self._keep(self.box, key, outputs)
-        if self.path is not None:
-            line = {"box": self.box, "key": key, "inputs": realisation.inputs, "outputs": _as_json(outputs)}
-            self._write(self.path, json.dumps(line))
-
-    def _keep(self, box: str, key: str, outputs: Pytree) -> None:
-        self._known[box, key] = outputs
-        self._keys.add(key)
-
-    def _read(self, path: Path) -> None:
-        try:
-            found = read_lines(path)
-        except OSError as error:
-            raise ProblemError(f"BlackBox: the journal {path} cannot be read ({error.strerror}).") from error
-        lines = [line.value for line in found.lines]
-        if (lines or found.cut) and lines[:1] != [_HEADER]:
-            raise ProblemError(
-                f"BlackBox: expected the path of a journal, or of a file that does not exist yet; {path} is another "
-                "file, whose first line is not a journal's."
-            )
-        for line in lines[1:]:
-            if not isinstance(line, dict) or not {"box", "key", "outputs"} <= set(line):
-                continue
-            self._keep(line["box"], line["key"], _from_json(line["outputs"]))
-
-    def _write(self, path: Path, line: str) -> None:
-        try:
-            with path.open("a+b") as file:
-                length = file.seek(0, 2)
-                if length == 0:
-                    file.write(f"{json.dumps(_HEADER)}\n".encode())
-                else:
-                    file.seek(-1, 2)
-                    # A line that a killed process left unfinished is ended, so that it spoils no other.
-                    file.write(b"" if file.read(1) == b"\n" else b"\n")
-                file.write(f"{line}\n".encode())
-        except OSError as error:
-            raise ProblemError(f"BlackBox: the journal {path} cannot be written ({error.strerror}).") from error
-
-
-def _path_given(path: Any) -> Path:
-    if not isinstance(path, str | Path) or not str(path):
-        raise refusal("BlackBox: journal", "the path of a file", path)
-    if Path(path).is_dir():
-        raise refusal("BlackBox: journal", "the path of a file, not of a folder", str(path))
-    return Path(path).absolute()
-
-
-def _digest(it: Any) -> str:
-    return hashlib.sha256(json.dumps(it).encode()).hexdigest()
-
-
-def _text(leaf: Any) -> Any:
-    """A leaf of a model as JSON, with all its digits."""
-    if isinstance(leaf, np.ndarray | np.generic):
-        return [str(leaf.dtype), list(leaf.shape), leaf.tolist() if leaf.dtype != object else repr(leaf)]
-    return leaf if isinstance(leaf, bool | int | float | str) else repr(leaf)
-
-
-def _as_json(outputs: Pytree) -> Any:
-    if isinstance(outputs, dict) and all(isinstance(name, str) for name in outputs):
-        return {name: _as_json(value) for name, value in outputs.items()}
-    if isinstance(outputs, np.ndarray):
-        return outputs.tolist()
-    raise refusal("BlackBox: a journal keeps", "arrays, or dicts of arrays by their names", outputs)
-
-
-def _from_json(outputs: Any) -> Pytree:
-    if isinstance(outputs, dict):
-        return {name: _from_json(value) for name, value in outputs.items()}
-    return np.array(outputs, dtype=float)
-
-
-@final
 class Campaign:
-    """The samples of one call: which have finished, in the journal too, and which have failed.
+    """The samples of one call, of which those in the journal have finished.
 
-    `name`: of the box in messages; `retries`: how often a sample that fails runs again.
+    - `name`: of the box in messages; `retries`: how often a sample that fails runs again;
+    - `drop`: the largest part of the samples that may fail; `whole`: none may.
     """
 
-    def __init__(self, name: str, realisations: Sequence[Realisation], journal: Journal, retries: int):
-        self.name, self.realisations, self._journal, self._retries = name, realisations, journal, retries
-        self.keys = [journal.key(realisation) for realisation in realisations]
-        self.failures: dict[int, str] = {}
-        self._failed: Counter[int] = Counter()
+    def __init__(
+        self,
+        name: str,
+        realisations: Sequence[Realisation],
+        journal: Journal,
+        *,
+        retries: int,
+        drop: float,
+        whole: bool,
+    ):
+        self._name, self._realisations, self._journal, self._retries = name, realisations, journal, retries
+        self._drop, self._most, self._whole = drop, 0 if whole else most_of(drop, len(realisations)), whole
+        self._keys = [journal.key(realisation) for realisation in realisations]
+        self._failures: dict[int, str] = {}
+        self._tries: Counter[int] = Counter()
         self._first: tuple[Realisation, Pytree] | None = None
         for index, outputs in enumerate(self.outputs):
-            if outputs is not None and not self._is_sound(index, outputs):
+            try:
+                if outputs is not None:
+                    self._keep(index, outputs)
+            except SimulationError as error:
                 raise ProblemError(
-                    f"{name}: the journal has outputs of different shapes: {self.failures[index]}. Its box has changed "
-                    "unnoticed: take another file."
-                )
+                    f"{name}: the journal has outputs of different shapes: {error}. Its box has changed unnoticed: "
+                    "take another file."
+                ) from error
 
     @property
     def outputs(self) -> list[Pytree | None]:
         """The outputs of each sample; None if it has not finished."""
-        return [self._journal.find(key) for key in self.keys]
+        return [self._journal.find(key) for key in self._keys]
 
-    @property
-    def missing(self) -> dict[int, Pytree]:
-        """The models of the samples that have not finished, by index; one of several equal ones."""
-        first = {key: i for i, key in reversed(list(enumerate(self.keys))) if self._journal.find(key) is None}
-        return {i: self.realisations[i].model for i in sorted(first.values())}
+    def run(self, function: Callable[[Pytree], Pytree], executor: Executor | None) -> None:
+        """Run what has not finished, one of several equal samples.
 
-    def take(self, ended: Iterable[Ended], runs: Runs | None = None) -> None:
-        """Keep what runs returned, and let those that failed run again as often as that is allowed.
-
-        Raises `ProblemError` if a run raised one, or asked for an input that there is not: no sample could succeed.
+        Raises `SimulationError` for more failures than may be dropped and for a broken executor, and `ProblemError` if
+        no sample could succeed, after what had finished was kept. Warns of those dropped.
         """
-        fatal: BaseException | None = None
-        for index, returned, error in ended:
-            fatal = self._fatal(index, error) or fatal
-            if fatal is not None and error is not None:
-                continue
-            if error is not None:
-                self.failures[index] = _reason(error)
-            elif self._is_sound(index, returned):
-                self.failures.pop(index, None)
-                continue
-            self._failed[index] += 1
-            if runs is not None and self._failed[index] <= self._retries:
-                del self.failures[index]
-                runs.again(index)
-        if fatal is not None:
-            raise fatal
-
-    def _is_sound(self, index: int, returned: Pytree) -> bool:
-        realisation = self.realisations[index]
+        self._warn_of_others()
+        first = {key: i for i, key in reversed([*enumerate(self._keys)]) if self._journal.find(key) is None}
+        waiting, running = deque(sorted(first.values())), dict[Future[Any], int]()
+        executor, width = (_InTurn(), 1) if executor is None else (executor, _IN_FLIGHT)
         try:
-            outputs = sound(returned, self.name, self._first)
-        except SimulationError as error:
-            self.failures[index] = _reason(error)
-            return False
-        self._first = self._first or (realisation, outputs)
-        if self._journal.find(self.keys[index]) is None:
-            self._journal.add(self.keys[index], realisation, outputs)
-        return True
+            while waiting or running:
+                while waiting and len(running) < width:
+                    index = waiting.popleft()
+                    running[_submitted(executor, function, self._realisations[index].model)] = index
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    error = _error_of(future)
+                    index = running.pop(future)
+                    if self._has_to_repeat(index, error, future):
+                        waiting.appendleft(index)
+                self._refuse_failures()
+        except BaseException as error:
+            # First, or a thread whose run is ended would begin the next one.
+            for future in running:
+                future.cancel()
+            if not isinstance(error, Exception):
+                end_running()
+            for future, index in running.items():
+                if future.done() and not future.cancelled() and future.exception() is None:
+                    with suppress(AleatorError):
+                        self._keep(index, future.result())
+            if not isinstance(error, AleatorError):
+                raise
+            raise type(error)(f"{str(error).rstrip('.')}.{self._kept(error)}") from error.__cause__
+        if self._failures:
+            warn_of_dropped(self._name, self._realisations, self._failures)
 
-    def _fatal(self, index: int, error: BaseException | None) -> BaseException | None:
-        """The error that ends all runs if a run raised `error`."""
+    def _keep(self, index: int, returned: Pytree) -> None:
+        """Keep what a run returned. Raises `SimulationError` if that is no output."""
+        realisation = self._realisations[index]
+        outputs = sound(returned, self._name, self._first)
+        self._first = self._first or (realisation, outputs)
+        if self._journal.find(self._keys[index]) is None:
+            self._journal.add(self._keys[index], realisation, outputs)
+
+    def _has_to_repeat(self, index: int, error: BaseException | None, future: Future[Any]) -> bool:
+        """Keep what a run returned, or why it failed for good.
+
+        Raises `ProblemError` if it raised one, or asked for an input that there is not: no sample could succeed.
+        """
         if error is None:
-            return None
+            try:
+                self._keep(index, future.result())
+                return False
+            except SimulationError as unsound:
+                error = unsound
         # Once samples have finished, a key that is missing is one of the function's own.
-        if self._first is None and isinstance(error, Exception):
-            missing = absent(error, self.realisations[index].model)
-            if missing:
-                return ProblemError(f"{self.name} asks for {missing}.")
-        return error if isinstance(error, ProblemError) or not isinstance(error, Exception) else None
+        if self._first is None and (missing := absent(error, self._realisations[index].model)):
+            raise ProblemError(f"{self._name} asks for {missing}.")
+        if isinstance(error, ProblemError) or not isinstance(error, Exception):
+            raise error
+        self._tries[index] += 1
+        if self._tries[index] <= self._retries:
+            return True
+        self._failures[index] = _reason(error)
+        return False
+
+    def _refuse_failures(self) -> None:
+        """Refuse more failures than may be dropped, naming the last one."""
+        if len(self._failures) <= self._most:
+            return
+        count, (index, reason) = len(self._realisations), next(reversed(self._failures.items()))
+        said = f"{self._name} failed at {self._realisations[index]}: {reason}"
+        if self._most:
+            failed = f"{len(self._failures)} of {count} samples failed"
+            said = f"{failed}, and drop={self._drop:g} allows {self._most}: {said}"
+        elif self._whole and self._drop:
+            said += ". This method needs every sample, so that none is dropped"
+        raise SimulationError(said)
+
+    def _kept(self, error: AleatorError) -> str:
+        """What has been kept, as a sentence."""
+        count, path = sum(outputs is not None for outputs in self.outputs), self._journal.path
+        # A journal that could not be written does not have them.
+        place = "by this box" if path is None or not isinstance(error, SimulationError) else f"in {path.name}"
+        return f" Finished samples are kept {place} ({count}): a second call goes on." if count else ""
+
+    def _warn_of_others(self) -> None:
+        if count := sum(map(self._journal.is_of_others, self._keys)):
+            warn_outside(
+                f"The journal {self._journal.path} has {count} of these samples by another box, or by this one before "
+                "its code, command or version changed: they are not used, and run again.",
+                SimulationWarning,
+            )
+
+
+@final
+class _InTurn(Executor):
+    """Runs everything at once, in the calling thread."""
+
+    @override
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future = Future[Any]()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except (Exception, SystemExit) as error:
+            future.set_exception(error)
+        return future
+
+
+def _submitted(executor: Executor, function: Callable[[Pytree], Pytree], model: Pytree) -> Future[Any]:
+    """A run of a function, which may change containers and arrays of its model."""
+    model = jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, model)
+    try:
+        return executor.submit(function, model)
+    except BrokenExecutor as error:
+        raise _broken(error) from error
+    except RuntimeError as error:
+        raise ProblemError(f"BlackBox: expected an executor that takes work; it says: {error}.") from error
+
+
+def _error_of(future: Future[Any]) -> BaseException | None:
+    """What a run raised. Raises `SimulationError` if the executor is broken."""
+    error = BrokenExecutor("it cancelled its work") if future.cancelled() else future.exception()
+    if isinstance(error, BrokenExecutor):
+        raise _broken(error) from error
+    if isinstance(error, SystemExit):
+        # A model that ends its own process has failed; it does not end this one.
+        return SimulationError(f"it ended itself by sys.exit({'' if error.code is None else error.code!r})")
+    refuse_unsendable("BlackBox", error)
+    return error
+
+
+def _broken(error: BaseException) -> SimulationError:
+    said = next(iter(str(error).splitlines()), "").rstrip(".")
+    return SimulationError(
+        f"BlackBox: its executor is broken ({said}). If a sample ends its process, let it run in one of its own by "
+        'al.foreign.Isolated; a script that starts processes needs `if __name__ == "__main__":`'
+    )
 
 
 def _reason(error: BaseException) -> str:
     """Why a run failed, in one line."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    said = (lines[0] if lines else "")[:_LONGEST].rstrip(".")
+    said = next((line.strip() for line in str(error).splitlines() if line.strip()), "")[:_LONGEST].rstrip(".")
     return said if isinstance(error, SimulationError) else f"it raised {type(error).__name__}{said and ': '}{said}"
