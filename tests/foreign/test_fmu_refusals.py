@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.foreign._fmu._description import kind_of
+from aleator.foreign._fmu._fmu import kind_of
 from rods import here
 
 GRID = al.Grid(2.0, 4)

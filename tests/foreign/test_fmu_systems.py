@@ -69,6 +69,14 @@ def test_a_robust_design_of_an_fmu_is_that_of_the_same_system_written_here(rods)
     assert found.objective == pytest.approx(solution(Rod(damping, 1.1)).objective, rel=1e-9)
 
 
+def test_a_system_begins_where_the_fmu_does_whatever_moved_before(rods):
+    fmu = here(rods(3))
+    al.simulate(al.foreign.FmuSystem(fmu, {"damping": 0.2}), GRID)
+    again = al.foreign.FmuSystem(fmu, {"damping": 0.2})
+    assert again._equations.first["states"] == pytest.approx([1.0, 0.0], abs=0.0)
+    assert float(again.initial()["angle"]) == 1.0
+
+
 def test_what_is_no_system_is_refused(rods):
     for fmu, words in (
         (here(rods(3, wall=True)), r"'rod3_wall_mc' has 1 event indicator\. Use FmuSimulation"),

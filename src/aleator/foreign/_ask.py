@@ -18,7 +18,7 @@ from aleator._core.errors import ProblemError, SimulationError
 from aleator.analysis import Expanded, expand, fresh_points
 from aleator.ensemble import AbstractBox, Realisation, inputs_at, listed
 from aleator.expansion import Expansion, candidate_terms
-from aleator.foreign._campaign import drop_given, most_of, sound, warn_of_dropped
+from aleator.foreign._black_box import drop_given, most_of, sound, warn_of_dropped
 from aleator.trajectories import numbers_in, read_table
 from aleator.uncertainty import placements
 

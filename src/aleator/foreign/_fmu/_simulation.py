@@ -11,13 +11,11 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from aleator._core.border import one_of, positive, real, refusal, shown
+from aleator._core.border import one_of, positive, real, refusal
 from aleator._core.errors import ProblemError, SimulationError, SimulationWarning
-from aleator._core.leaves import AbstractLeaf
 from aleator.dynamics import Grid
-from aleator.foreign._fmu._description import with_numbers
 from aleator.foreign._fmu._differences import differentiable, relative_steps
-from aleator.foreign._fmu._fmu import Fmu
+from aleator.foreign._fmu._fmu import Fmu, with_numbers
 from aleator.trajectories import AbstractSignal
 
 # Relative to a parameter. The error of the formula is about 1e-9 of a smooth function; noise of a solver is magnified
@@ -145,11 +143,6 @@ class FmuSimulation:
             value = at[name]
             if name in self._signals:
                 raise ProblemError(f"{self._who}: the input '{name}' is a signal; leave it out of the parameters.")
-            if isinstance(value, AbstractLeaf):
-                raise ProblemError(
-                    f"{self._who}: expected plain numbers; '{name}' is {shown(value)}. Give it to al.expand, "
-                    "al.references.monte_carlo or a system in an al.Problem, which realise it."
-                )
             if isinstance(value, Tracer) and not value.shape:
                 traced[name] = value
             else:
