@@ -1,5 +1,6 @@
 """Wrong names of parameters of FMUs, and runs that fail: one sentence each, with the FMU's name."""
 
+import gc
 from types import SimpleNamespace
 
 import numpy as np
@@ -60,6 +61,13 @@ def test_a_kind_is_understood_as_fmi_and_its_tools_spell_it_and_a_misspelt_one_i
         kind_of("rod", both, "modl exchange")
     with pytest.raises(al.ProblemError, match=r"one of \['co-simulation'\]; received 'ModelExchange'"):
         kind_of("rod", SimpleNamespace(modelExchange=None, coSimulation=True), "ModelExchange")
+
+
+def test_an_fmu_is_heard_after_another_one_was_forgotten(rods):
+    run = al.foreign.FmuSimulation(here(rods(2)), GRID)
+    here(rods(2, wall=True))
+    gc.collect()
+    refused(al.SimulationError, "failed to initialise: a length must be positive .t = 0.", run, {"rod.length": -1.0})
 
 
 def test_a_failure_among_uncertain_parameters_names_them(rods):

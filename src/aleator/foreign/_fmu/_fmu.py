@@ -126,11 +126,13 @@ def unpacked(path: Path, folder: Path) -> Any:
     except ImportError as error:
         raise MissingExtraError("Fmu needs the library FMPy: install it with `pip install 'aleator[fmu]'`.") from error
     try:
+        description: Any = fmpy.read_model_description(str(path))
         fmpy.extract(str(path), str(folder))
-        description: Any = fmpy.read_model_description(str(folder))
         platforms = fmpy.supported_platforms(str(folder))
     except Exception as error:
-        said = " ".join(str(getattr(error, "problems", [error])[0]).split())[:_LONGEST].rstrip(".")
+        is_lacking = isinstance(error, AttributeError | TypeError)
+        reason = "it lacks what FMI requires" if is_lacking else str(getattr(error, "problems", [error])[0])
+        said = " ".join(reason.split())[:_LONGEST].rstrip(".")
         raise ProblemError(f"Fmu: '{path}' cannot be read as an FMU ({said}).") from error
     if description.fmiVersion.startswith("1"):
         raise ProblemError(f"FMU '{path.stem}': expected FMI 2 or 3; received FMI {description.fmiVersion}.")

@@ -1,11 +1,13 @@
 """The compiled code of an FMU, loaded by FMPy: its instances, whatever their version of FMI, and their motion."""
 
 import copy
+import functools
 import os
 import warnings
 from collections import deque
 from collections.abc import Mapping, Sequence
-from ctypes import c_double
+from contextlib import suppress
+from ctypes import byref, c_double
 from itertools import pairwise
 from typing import Any
 
@@ -43,8 +45,7 @@ class Loaded:
 
     def __init__(self, name: str, folder: str, is_exchange: bool):
         import fmpy
-        from fmpy.fmi1 import FMICallException
-        from fmpy.simulation import instantiate_fmu
+        from fmpy import fmi1, fmi2, fmi3
 
         description: Any = fmpy.read_model_description(folder, validate=False)
         self.name, self.version, self.is_exchange = name, int(description.fmiVersion[0]), is_exchange
@@ -54,18 +55,18 @@ class Loaded:
         self.variables: dict[str, Any] = {variable.name: variable for variable in description.modelVariables}
         self.states = len(description.derivatives) if self.is_exchange else 0
         self.indicators = int(description.numberOfEventIndicators)
-        self.failure: Any = FMICallException
+        self.failure: Any = fmi1.FMICallException
         self.is_broken = False  # for good, by what FMI calls a fatal error
+        model, slave = {2: (fmi2.FMU2Model, fmi2.FMU2Slave), 3: (fmi3.FMU3Model, fmi3.FMU3Slave)}[self.version]
+        what = {"guid": description.guid, "modelIdentifier": interface.modelIdentifier, "unzipDirectory": folder}
         work_folder = os.getcwd()  # noqa: PTH109 (FMPy leaves it for good if the library cannot be loaded)
         try:
-            kind = "ModelExchange" if is_exchange else "CoSimulation"
-            self.prototype: Any = instantiate_fmu(folder, description, kind, debug_logging=True, logger=_hear)
+            self.prototype: Any = (model if is_exchange else slave)(instanceName=name, **what)
         except Exception as error:
             text = " ".join(str(error).split())[:_LONGEST].rstrip(".")
-            raise ProblemError(f"FMU '{name}': its library cannot be loaded: {text}{_said()}.") from error
+            raise ProblemError(f"FMU '{name}': its library cannot be loaded: {text}.") from error
         finally:
             os.chdir(work_folder)
-        self.free(self.prototype)
 
     def references(self, names: Sequence[str]) -> list[int]:
         """By which the FMU knows variables."""
@@ -86,13 +87,14 @@ class Instance:
 
     def __init__(self, loaded: Loaded, values: Mapping[str, Any], t: float, tolerance: float):
         self.name, self.loaded, self._fmu = loaded.name, loaded, copy.copy(loaded.prototype)
-        self.when, self.next_event = "to initialise", np.inf
+        self._time: float | None = None  # until it is initialised
+        self.next_event = np.inf
         if loaded.is_broken:
             raise SimulationError(
                 f"FMU '{loaded.name}' failed fatally before: it cannot be used in this process again."
             )
         _HEARD.clear()
-        callbacks = {"callbacks": self._fmu.callbacks} if loaded.version == 2 else {"logMessage": _hear}
+        callbacks = {"callbacks": _callbacks()} if loaded.version == 2 else {"logMessage": _hear}
         try:
             self._fmu.instantiate(loggingOn=True, **callbacks)
         except Exception as error:
@@ -102,16 +104,7 @@ class Instance:
         except BaseException:
             self.free()
             raise
-        self.time = t
-
-    @property
-    def time(self) -> float:
-        """Where it is, s."""
-        return self._time
-
-    @time.setter
-    def time(self, t: float) -> None:
-        self._time, self.when = t, f"at t = {t:.6g} s"
+        self._time = t
 
     def free(self) -> None:
         """Give it back."""
@@ -130,7 +123,7 @@ class Instance:
 
     def at(self, t: float, x: Float[np.ndarray, " n"]) -> None:
         """Go to a time and a state."""
-        self.time = t
+        self._time = t
         self._call("setTime", t)
         if len(x):
             self._call("setContinuousStates", (c_double * len(x))(*x), len(x))
@@ -164,19 +157,19 @@ class Instance:
         self._call("enterEventMode")
         self._update()
         self._call("enterContinuousTimeMode")
-        if self.next_event <= self.time:
-            raise SimulationError(f"FMU '{self.name}' asks for one more event {self.when}, without end.")
+        if self.next_event <= (self._time or 0.0):
+            raise SimulationError(f"FMU '{self.name}' asks for one more event {self._when()}, without end.")
 
     # --- Co-simulation ---
 
     def step(self, t: float, length: float) -> None:
         """Let the FMU step by itself, to the end of the step."""
-        self.time = t + length
+        self._time = t + length
         done = self._call("doStep", t, length)
         if self.loaded.version == 3:
             _, ends, early, reached = done
             if ends or early:
-                self.time = reached
+                self._time = reached
                 raise self._ended()
 
     # --- Inside ---
@@ -205,10 +198,10 @@ class Instance:
             self.loaded.is_broken = self.loaded.is_broken or error.status == _FATAL
             label = str(error).rpartition("(")[2].rstrip(").")
             raise SimulationError(
-                f"FMU '{self.name}' failed {self.when}{_said()} ({error.function}: {label})."
+                f"FMU '{self.name}' failed {self._when()}{_said()} ({error.function}: {label})."
             ) from error
         except OSError as error:
-            raise SimulationError(f"FMU '{self.name}' broke down {self.when}: {error}.") from error
+            raise SimulationError(f"FMU '{self.name}' broke down {self._when()}: {error}.") from error
 
     def _vector(self, name: str, size: int) -> Float[np.ndarray, " n"]:
         buffer = (c_double * size)()
@@ -225,10 +218,13 @@ class Instance:
             if not again:
                 self.next_event = float(next_event) if is_timed else np.inf
                 return
-        raise SimulationError(f"FMU '{self.name}' does not find its state after an event {self.when}{_said()}.")
+        raise SimulationError(f"FMU '{self.name}' does not find its state after an event {self._when()}{_said()}.")
+
+    def _when(self) -> str:
+        return "to initialise" if self._time is None else f"at t = {self._time:.6g} s"
 
     def _ended(self) -> SimulationError:
-        return SimulationError(f"FMU '{self.name}' ended the simulation {self.when}{_said()}.")
+        return SimulationError(f"FMU '{self.name}' ended the simulation {self._when()}{_said()}.")
 
 
 def _hear(*arguments: Any) -> None:
@@ -236,6 +232,22 @@ def _hear(*arguments: Any) -> None:
     status, _, message = arguments[-3:]
     if text := " ".join((message or b"").decode("utf-8", "replace").split()).rstrip("."):
         _HEARD.append((status, text))
+
+
+@functools.cache
+def _callbacks() -> Any:
+    """What FMUs of version 2 call back: made once and never collected, because FMPy's proxy keeps its address."""
+    from fmpy import calloc, fmi2, free
+
+    callbacks = fmi2.fmi2CallbackFunctions()
+    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(_hear)
+    callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
+    callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
+    with suppress(ImportError, OSError, AttributeError):  # not built for every machine: messages lack their values
+        from fmpy.logging import addLoggerProxy
+
+        addLoggerProxy(byref(callbacks))
+    return callbacks
 
 
 def _said() -> str:
