@@ -76,8 +76,8 @@ class BlackBox(AbstractBox):
         self.retries = border.whole("BlackBox: retries", retries, least=0)
         self.drop = drop_given("BlackBox: drop", drop)
         self._version = str(border.one_of("BlackBox: version", version, (str, int)))
-        self._told_by = function.function if isinstance(function, Isolated) else function
-        self._code = own_code(self._told_by)
+        self._inner = function.function if isinstance(function, Isolated) else function
+        self._code = own_code(self._inner)
         self.journal = Journal(journal, self._identity())
         self.__name__ = name_of(function).strip("'")
 
@@ -85,7 +85,7 @@ class BlackBox(AbstractBox):
     @override
     def follows_from(self) -> Any:
         # A command may read what nobody sees, and what warns of dropped samples would be silent if it is recalled.
-        return None if self.drop or isinstance(self._told_by, Command) else (self._told_by, self._version)
+        return None if self.drop or isinstance(self._inner, Command) else (self._inner, self._version)
 
     @override
     def __call__(self, realised: Pytree) -> Pytree:
@@ -93,8 +93,8 @@ class BlackBox(AbstractBox):
 
     @override
     def at_all(self, realisations: Sequence[Realisation], *, whole: bool) -> list[Pytree | None]:
-        code = own_code(self._told_by)
-        if isinstance(self._told_by, Command) or (code != self._code and not self._version):
+        code = own_code(self._inner)
+        if isinstance(self._inner, Command) or (code != self._code and not self._version):
             self._code, self.journal.box = code, self._identity()
         campaign = _Campaign(self, realisations, whole=whole)
         campaign.run(self._function, self._executor)
@@ -102,9 +102,9 @@ class BlackBox(AbstractBox):
 
     def _identity(self) -> str:
         """A digest of a function's code or its version, or of a command with the contents of the files it names."""
-        if isinstance(self._told_by, Command):
-            return self._told_by.digest(self._version)
-        return code_digest(self._told_by, self._version)
+        if isinstance(self._inner, Command):
+            return self._inner.digest(self._version)
+        return code_digest(self._inner, self._version)
 
 
 @final
@@ -209,13 +209,13 @@ class _Campaign:
         if len(self._failures) <= self._most:
             return
         count, (index, reason) = len(self._realisations), next(reversed(self._failures.items()))
-        said = f"{self._name} failed at {self._realisations[index]}: {reason}"
+        message = f"{self._name} failed at {self._realisations[index]}: {reason}"
         if self._most:
             failed = f"{len(self._failures)} of {count} samples failed"
-            said = f"{failed}, and drop={self._box.drop:g} allows {self._most}: {said}"
+            message = f"{failed}, and drop={self._box.drop:g} allows {self._most}: {message}"
         elif self._whole and self._box.drop:
-            said += ". This method needs every sample, so that none is dropped"
-        raise SimulationError(said)
+            message += ". This method needs every sample, so that none is dropped"
+        raise SimulationError(message)
 
     def _kept(self, error: AleatorError) -> str:
         """What has been kept, as a sentence."""
@@ -271,17 +271,17 @@ def _error_of(future: Future[Any]) -> BaseException | None:
 
 
 def _broken(error: BaseException) -> SimulationError:
-    said = next(iter(str(error).splitlines()), "").rstrip(".")
+    words = next(iter(str(error).splitlines()), "").rstrip(".")
     return SimulationError(
-        f"BlackBox: its executor is broken ({said}). If a sample ends its process, let it run in one of its own by "
+        f"BlackBox: its executor is broken ({words}). If a sample ends its process, let it run in one of its own by "
         'al.foreign.Isolated; a script that starts processes needs `if __name__ == "__main__":`'
     )
 
 
 def _reason(error: BaseException) -> str:
     """Why a run failed, in one line."""
-    said = next((line.strip() for line in str(error).splitlines() if line.strip()), "")[:_LONGEST].rstrip(".")
-    return said if isinstance(error, SimulationError) else f"it raised {type(error).__name__}{said and ': '}{said}"
+    words = next((line.strip() for line in str(error).splitlines() if line.strip()), "")[:_LONGEST].rstrip(".")
+    return words if isinstance(error, SimulationError) else f"it raised {type(error).__name__}{words and ': '}{words}"
 
 
 def drop_given(what: str, drop: Any) -> float:

@@ -88,8 +88,8 @@ class Command:
         """A digest of the command, of the contents of the files that it names, and of a version."""
         paths = [Path(argument) for argument in self.arguments]
         files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths if path.is_file()]
-        told = [list(self.arguments), self.input_file, self.output_file, files, version]
-        return hashlib.sha256(repr(told).encode()).hexdigest()
+        parts = [list(self.arguments), self.input_file, self.output_file, files, version]
+        return hashlib.sha256(repr(parts).encode()).hexdigest()
 
     def __call__(self, inputs: Mapping[str, Any]) -> Pytree:
         """The outputs of one run."""
@@ -125,8 +125,8 @@ class Command:
                 arguments, cwd=folder, stdin=subprocess.DEVNULL, stdout=output, stderr=errors, **in_group()
             )
         except (OSError, ValueError) as error:
-            said = getattr(error, "strerror", None) or error
-            raise ProblemError(f"Command: {arguments[0]} cannot be run ({said}).") from error
+            words = getattr(error, "strerror", None) or error
+            raise ProblemError(f"Command: {arguments[0]} cannot be run ({words}).") from error
         with process, ended_with(process.pid, lambda: process.returncode is not None, before):
             try:
                 code = process.wait(self.time_limit)
@@ -134,8 +134,8 @@ class Command:
                 raise SimulationError(f"it was ended after its time limit of {self.time_limit:g} s") from error
         if code:
             lines = last_lines(errors)
-            said = f"ends with: {lines}" if lines else "is empty"
-            raise SimulationError(f"it ended by {exit_told(code)}; its stderr {said}")
+            words = f"ends with: {lines}" if lines else "is empty"
+            raise SimulationError(f"it ended by {exit_told(code)}; its stderr {words}")
 
 
 def _absolute(argument: str) -> str:
@@ -146,10 +146,10 @@ def _absolute(argument: str) -> str:
 def _filled(argument: str, inputs: Mapping[str, Any]) -> str:
     """An argument with inputs in it: numbers with all their digits, and texts."""
 
-    def text(found: re.Match[str]) -> str:
-        value = inputs[found[1]]
+    def text(match: re.Match[str]) -> str:
+        value = inputs[match[1]]
         if isinstance(value, Mapping) or np.ndim(value):
-            raise border.refusal(f"Command: {found[0]}", "one number; arrays and dicts need an input_file", value)
+            raise border.refusal(f"Command: {match[0]}", "one number; arrays and dicts need an input_file", value)
         return str(value if isinstance(value, bool | int | float | str) else _plain(value))
 
     return _PLACEHOLDER.sub(text, argument)
@@ -169,8 +169,8 @@ def _numbers(text: str, source: str) -> Pytree:
     if parsed is None:
         parsed = _parsed(last)
         if parsed is None:
-            said = f"received {last[-_SHOWN:]!r}" if last else "received nothing"
-            raise SimulationError(f"expected JSON in {source}; {said}")
+            received = f"received {last[-_SHOWN:]!r}" if last else "received nothing"
+            raise SimulationError(f"expected JSON in {source}; {received}")
         if rivals := [line for line in before if _rank(line) > _rank(last)]:
             raise SimulationError(
                 f"expected one output in {source}; received the last line {last[-_SHOWN:]!r} after "
@@ -286,10 +286,10 @@ def refuse_unsendable(who: str, error: BaseException | None) -> None:
 
     Before Python 3.14 the types of these errors are no help.
     """
-    said = str(error).splitlines()[0].rstrip(".") if str(error) else ""
-    is_told = "pickle" in said.lower() or "local object" in said.lower()
-    if isinstance(error, PicklingError) or (isinstance(error, AttributeError | TypeError) and is_told):
+    words = str(error).splitlines()[0].rstrip(".") if str(error) else ""
+    is_named = "pickle" in words.lower() or "local object" in words.lower()
+    if isinstance(error, PicklingError) or (isinstance(error, AttributeError | TypeError) and is_named):
         raise ProblemError(
             f"{who}: expected a function and results that can be sent to another process, such as a function at the "
-            f"top level of a module; received: {said}."
+            f"top level of a module; received: {words}."
         ) from error

@@ -64,11 +64,11 @@ class Journal:
 
     def _read(self, path: Path) -> None:
         try:
-            found = read_lines(path)
+            content = read_lines(path)
         except OSError as error:
             raise ProblemError(f"BlackBox: the journal {path} cannot be read ({error.strerror}).") from error
-        lines = [line.value for line in found.lines]
-        if (lines or found.cut) and lines[:1] != [_HEADER]:
+        lines = [line.value for line in content.lines]
+        if (lines or content.cut) and lines[:1] != [_HEADER]:
             raise ProblemError(
                 f"BlackBox: expected the path of a journal, or of a file that does not exist yet; {path} is another "
                 "file, whose first line is not a journal's."

@@ -39,10 +39,10 @@ def _slopes(
     h = h.reshape(*h.shape, *(1,) * (values.ndim - 3))
     once = (values[:, :, 2] - values[:, :, 1]) / (2 * h)
     twice = (values[:, :, 3] - values[:, :, 0]) / (4 * h)
-    found, disagreement = (np.moveaxis(part, 1, -1) for part in ((4 * once - twice) / 3, np.abs(once - twice)))
+    slopes, disagreement = (np.moveaxis(part, 1, -1) for part in ((4 * once - twice) / 3, np.abs(once - twice)))
     if judge is not None:
-        judge(found, disagreement)
-    return found
+        judge(slopes, disagreement)
+    return slopes
 
 
 def _by_time(host: Host, points: Float[np.ndarray, "points m"]) -> np.ndarray:
@@ -73,14 +73,14 @@ def differentiable(
 
     def rule(primals: Any, tangents: Any) -> Any:
         (t, z), (later, change) = primals, tangents
-        found = function(t, z)
-        moved = jnp.zeros_like(found)
+        value = function(t, z)
+        moved = jnp.zeros_like(value)
         if not isinstance(change, SymbolicZero) and len(z):
             slopes = differentiable(partial(_slopes, exacter or host, steps, judge), (*shape, len(z)), steps)
             moved = moved + slopes(t, z) @ change
         if not isinstance(later, SymbolicZero):
             moved = moved + differentiable(partial(_by_time, host), shape, steps)(t, z) * later
-        return found, moved
+        return value, moved
 
     function.defjvp(rule, symbolic_zeros=True)
     return lambda t, z: function(jnp.asarray(t, dtype=float), z)

@@ -64,14 +64,14 @@ class Library(Loaded):
         first = dict(zip(inputs, values[0].tolist(), strict=True))
         with self._started({**start, **first}, float(times[0]), tolerance) as instance:
             if self.is_exchange:
-                found = Motion(instance, times, driven, values, tolerance).outputs(self.references(outputs))
+                rows = Motion(instance, times, driven, values, tolerance).outputs(self.references(outputs))
             else:
-                found = stepped(instance, times, driven, values, self.references(outputs))
-        if not np.isfinite(found).all():
-            instant, output = np.argwhere(~np.isfinite(found))[0]
-            what = f"output '{outputs[output]}' is {found[instant, output]:g} at t = {times[instant]:.6g} s"
+                rows = stepped(instance, times, driven, values, self.references(outputs))
+        if not np.isfinite(rows).all():
+            instant, output = np.argwhere(~np.isfinite(rows))[0]
+            what = f"output '{outputs[output]}' is {rows[instant, output]:g} at t = {times[instant]:.6g} s"
             raise SimulationError(f"FMU '{self.name}': {what}.")
-        return found
+        return rows
 
     # --- Equations ---
 
@@ -86,8 +86,8 @@ class Library(Loaded):
             is_timed = bool(np.isfinite(instance.next_event))
         p = np.array([its if value is None else value for value, its in zip(parameters.values(), own, strict=True)])
         with self._started(dict(zip(parameters, p.tolist(), strict=True)), 0.0, _TOLERANCE) as instance:
-            found = {"inputs": u, "parameters": p, "states": instance.state(), "nominals": instance.nominals()}
-        return found | {"indicators": self.indicators, "is_timed": is_timed}
+            start = {"inputs": u, "parameters": p, "states": instance.state(), "nominals": instance.nominals()}
+        return start | {"indicators": self.indicators, "is_timed": is_timed}
 
     def rates(
         self,
@@ -156,13 +156,13 @@ def _each(
     function: Callable[[np.ndarray], np.ndarray], points: Float[np.ndarray, "points m"], size: int
 ) -> tuple[Float[np.ndarray, "points values"], str]:
     """`size` values of a function at each point, NaN where it fails or the point is not finite; the first failure."""
-    found, said = np.full((len(points), size), np.nan), ""
+    values, reason = np.full((len(points), size), np.nan), ""
     for index in np.flatnonzero(np.isfinite(points).all(axis=1)):
         try:
-            found[index] = function(points[index])
+            values[index] = function(points[index])
         except SimulationError as error:
-            said = said or str(error)
-    return found, said
+            reason = reason or str(error)
+    return values, reason
 
 
 @final
@@ -252,7 +252,7 @@ class OwnProcess:
                 process.stdin.flush()
                 answer = pickle.load(process.stdout)
         except (EOFError, OSError, pickle.UnpicklingError) as error:
-            told = exit_told(process.wait())
+            ending = exit_told(process.wait())
             lines = last_lines(printed)
             self._end()
             if is_late.is_set():
@@ -260,8 +260,8 @@ class OwnProcess:
                     f"FMU '{self._name}' did not end a run within its time limit of {limit:g} s{where}: its "
                     "process was ended. If it needs longer, give Fmu a larger time_limit."
                 ) from error
-            said = f"; it printed: {lines}" if lines else ""
-            raise SimulationError(f"FMU '{self._name}' ended its process by {told}{where}{said}.") from error
+            words = f"; it printed: {lines}" if lines else ""
+            raise SimulationError(f"FMU '{self._name}' ended its process by {ending}{where}{words}.") from error
         except BaseException:
             self._end()
             raise

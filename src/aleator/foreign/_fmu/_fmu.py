@@ -132,8 +132,8 @@ def unpacked(path: Path, folder: Path) -> Any:
     except Exception as error:
         is_lacking = isinstance(error, AttributeError | TypeError)
         reason = "it lacks what FMI requires" if is_lacking else str(getattr(error, "problems", [error])[0])
-        said = " ".join(reason.split())[:_LONGEST].rstrip(".")
-        raise ProblemError(f"Fmu: '{path}' cannot be read as an FMU ({said}).") from error
+        words = " ".join(reason.split())[:_LONGEST].rstrip(".")
+        raise ProblemError(f"Fmu: '{path}' cannot be read as an FMU ({words}).") from error
     if description.fmiVersion.startswith("1"):
         raise ProblemError(f"FMU '{path.stem}': expected FMI 2 or 3; received FMI {description.fmiVersion}.")
     if fmpy.platform not in platforms:
@@ -259,5 +259,5 @@ def _is_settable(variable: Any) -> bool:
 
 def with_numbers(names: Iterable[str], values: Iterable[float]) -> str:
     """Values of variables as the end of a sentence; empty if there are none."""
-    said = ", ".join(f"{name}={value:.6g}" for name, value in zip(names, values, strict=True))
-    return f", with {said}" if said else ""
+    listed = ", ".join(f"{name}={value:.6g}" for name, value in zip(names, values, strict=True))
+    return f", with {listed}" if listed else ""

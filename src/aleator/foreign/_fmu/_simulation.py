@@ -79,11 +79,11 @@ class FmuSimulation:
         """The outputs by name, each of shape (instants,), for numbers by the names of parameters."""
         known, traced = self._sorted(at)
         if not traced:
-            found = self._run(known, self._tolerance)
+            outputs = self._run(known, self._tolerance)
         else:
             numbers = jnp.stack([jnp.asarray(value, dtype=float) for value in traced.values()])
-            found = self._differentiable(known, list(traced))(0.0, numbers)
-        return {name: found[:, index] for index, name in enumerate(self._outputs)}
+            outputs = self._differentiable(known, list(traced))(0.0, numbers)
+        return {name: outputs[:, index] for index, name in enumerate(self._outputs)}
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Sent to other processes as what it was made of."""
@@ -107,18 +107,18 @@ class FmuSimulation:
         shape = len(self.times), len(self._outputs)
 
         def runs(tolerance: float, points: np.ndarray) -> np.ndarray:
-            found = np.full((len(points), *shape), np.nan)
+            outputs = np.full((len(points), *shape), np.nan)
             for index in np.flatnonzero(np.isfinite(points).all(axis=1)):
                 try:
-                    found[index] = self._run(
+                    outputs[index] = self._run(
                         {**dict(zip(names, points[index, 1:].tolist(), strict=True)), **known}, tolerance
                     )
                 except SimulationError as error:
                     warnings.warn(str(error), SimulationWarning, stacklevel=2)
-            return found
+            return outputs
 
-        def warn_of_noise(found: np.ndarray, disagreement: np.ndarray) -> None:
-            largest = np.max(np.abs(found), axis=1)  # over instants
+        def warn_of_noise(slopes: np.ndarray, disagreement: np.ndarray) -> None:
+            largest = np.max(np.abs(slopes), axis=1)  # over instants
             doubt = np.max(np.max(disagreement, axis=1) / np.where(largest > 0, largest, 1.0), axis=0)
             output, parameter = np.unravel_index(np.argmax(doubt), doubt.shape)
             if doubt[output, parameter] > _NOISY:

@@ -85,8 +85,8 @@ class FmuSystem(System):
     def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
         del t
         values = jnp.concatenate([self._inputs(inputs), self._numbers()])
-        found = self._equations.initial()(0.0, values) if len(values) else self._equations.first["states"].tolist()
-        return dict(zip(self.states, found, strict=True))
+        state = self._equations.initial()(0.0, values) if len(values) else self._equations.first["states"].tolist()
+        return dict(zip(self.states, state, strict=True))
 
     @override
     def rhs(self, t: Any, z: Any, **inputs: Any) -> tuple[Array, ...]:
@@ -99,9 +99,9 @@ class FmuSystem(System):
     @override
     def rates_and_outputs(self, t: Any, z: Any, *args: Any, **inputs: Any) -> tuple[tuple[Array, ...], dict[str, Any]]:
         del args
-        values = jnp.concatenate([_array(z), self._inputs(inputs), self._numbers()])
-        found, n = self._equations.rates()(t, values), len(self._equations.fmu.states)
-        return tuple(found[:n]), {name: found[n + index] for index, name in enumerate(self._equations.outputs)}
+        place = jnp.concatenate([_array(z), self._inputs(inputs), self._numbers()])
+        values, n = self._equations.rates()(t, place), len(self._equations.fmu.states)
+        return tuple(values[:n]), {name: values[n + index] for index, name in enumerate(self._equations.outputs)}
 
     def _numbers(self) -> Array:
         # By name: trees of JAX sort what is in a dict.
@@ -170,13 +170,13 @@ class Equations:
         An exception would end a search that may well turn back.
         """
         try:
-            found, said = self.fmu.door.ask(method, *arguments, where=" at one of its equations' points")
+            values, reason = self.fmu.door.ask(method, *arguments, where=" at one of its equations' points")
         except SimulationError as error:
             size = len(self.fmu.states) + (len(self.outputs) if method == "rates" else 0)
-            found, said = np.full((len(arguments[-1]), size), np.nan), str(error)
-        if said:
-            warnings.warn(said, SimulationWarning, stacklevel=2)
-        return found
+            values, reason = np.full((len(arguments[-1]), size), np.nan), str(error)
+        if reason:
+            warnings.warn(reason, SimulationWarning, stacklevel=2)
+        return values
 
     def _refuse_memory(self) -> None:
         """Raise `ProblemError` if values at a place depend on where the FMU was before, as those of delays do."""
@@ -184,9 +184,9 @@ class Equations:
         rest = [self.first["inputs"], self.first["parameters"]]
         points = np.stack([np.concatenate([[0.0], x + away * signs * sizes, *rest]) for away in _AWAY])
         chosen = list(self.numbers), self.inputs, self.outputs
-        values, said = self.fmu.door.ask("rates", *chosen, points, where=" near its initial state")
+        values, reason = self.fmu.door.ask("rates", *chosen, points, where=" near its initial state")
         if not np.isfinite(values[0]).all():
-            raise SimulationError(said or f"FMU '{self.fmu.name}': a rate or an output is not finite at its start.")
+            raise SimulationError(reason or f"FMU '{self.fmu.name}': a rate or an output is not finite at its start.")
         differences = np.abs(values[2::2] - values[0])
         if np.nanmax(differences, initial=0.0) > _REPEATED * np.max(np.abs(values[0]), initial=0.0):
             raise ProblemError(
