@@ -77,6 +77,7 @@ from .mechanics import actuation_of as actuation_of
 from .nlp import Status as Status
 from .reporting import report as report
 from .solution import Solution as Solution
+from .solving import simulate_systems as simulate_systems
 from .solving import solve as solve
 from .studies import Study as Study
 from .sweep import calibrate as calibrate

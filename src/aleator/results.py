@@ -19,6 +19,7 @@ from aleator.solution import ExpansionQuality as ExpansionQuality
 from aleator.solution import GridError as GridError
 from aleator.solution import MeshError as MeshError
 from aleator.solution import Moments as Moments
+from aleator.solution import Motions as Motions
 from aleator.solution import Objection as Objection
 from aleator.solution import SecondOpinion as SecondOpinion
 from aleator.solution import States as States

@@ -101,9 +101,9 @@ def solution_dataset(solution: Solution) -> "xarray.Dataset":
 
 def _histories(solution: Solution) -> dict[str, Variable]:
     """States, costates and switching functions of a simultaneous program, each along its own instants."""
-    kinds = (("state", solution.states), ("costate", solution.costates), ("switching function", solution.switching))
+    kinds = {"state": solution.mesh_states, "costate": solution.costates, "switching function": solution.switching}
     data: dict[str, Variable] = {}
-    for kind, found in kinds:
+    for kind, found in kinds.items():
         if found is None or not found.values:
             continue
         along = (f"point of {kind}s",) if found is solution.switching else ("realisation", f"point of {kind}s")
@@ -111,9 +111,9 @@ def _histories(solution: Solution) -> dict[str, Variable]:
         for name, values in found.values.items():
             axes = (*along, *(f"component of {size}, {i}" for i, size in enumerate(values.shape[len(along) :])))
             data[f"{kind} {_key(name)}"] = variable(axes, values, f"{kind} of {name}", "")
-    if solution.states is not None:
+    if solution.mesh_states is not None:
         germs = "germ points of the realisations"
-        data["germ"] = variable(("realisation", "germ variable"), solution.states.germs, germs, "1")
+        data["germ"] = variable(("realisation", "germ variable"), solution.mesh_states.germs, germs, "1")
     return data
 
 
