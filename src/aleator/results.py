@@ -28,6 +28,7 @@ from aleator.solution import Tangent as Tangent
 from aleator.solution import Times as Times
 from aleator.solution import WorstCase as WorstCase
 from aleator.solution import WorstRealisation as WorstRealisation
+from aleator.sweep import Allocation as Allocation
 from aleator.sweep import Calibration as Calibration
 from aleator.sweep import Conflict as Conflict
 from aleator.sweep import CrossChecked as CrossChecked

@@ -71,7 +71,9 @@ def test_an_oscillation_is_followed_by_few_intervals_of_high_order():
     assert stages == sorted(stages)
     assert raised.mesh.is_met
     assert f"where {asked:.2g} is asked" in str(raised)
-    np.testing.assert_allclose(raised.mesh_states["x"][0], np.cos(np.sqrt(2.0) * raised.mesh_states.times), atol=20 * asked)
+    np.testing.assert_allclose(
+        raised.mesh_states["x"][0], np.cos(np.sqrt(2.0) * raised.mesh_states.times), atol=20 * asked
+    )
     assert len(raised.mesh_states.times) < 100
 
 
