@@ -201,14 +201,13 @@ def page() -> str:
     parts = [
         "# Gallery",
         "",
-        "Every example and every built-in study, with one of its pictures. Examples are run by `python "
-        "examples/NAME.py`, studies by `aleator run NAME`, which writes a whole report. The pictures and this page are "
-        "made by `python docs/gallery.py`.",
+        "Examples are run by `python examples/NAME.py`, studies by `aleator run NAME`, which writes a report. "
+        "`python docs/gallery.py` makes the pictures and this page.",
     ]
     for chapter, entries in EVERY.items():
         parts += ["", f"## {chapter}"]
         for name, one in entries.items():
-            parts += ["", f"### {one.heading}", "", f"![{one.shows}](pictures/{name}.svg)", ""]
+            parts += ["", f"### {one.heading}", "", f"![](pictures/{name}.svg)", ""]  # the caption describes it
             parts += [one.told, "", f"*{one.shows}* {_source(chapter, name)}"]
     return "\n".join(parts) + "\n"
 
