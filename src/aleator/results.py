@@ -40,6 +40,7 @@ from aleator.sweep import Optimum as Optimum
 from aleator.sweep import Portfolio as Portfolio
 from aleator.sweep import Refused as Refused
 from aleator.sweep import Starts as Starts
+from aleator.sweep import Tolerances as Tolerances
 from aleator.sweep import TradeOff as TradeOff
 from aleator.sweep import Trial as Trial
 from aleator.validation import Checked as Checked

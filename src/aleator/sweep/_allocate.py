@@ -114,11 +114,8 @@ def allocate(
     """
     one_of("allocate: stack", stack, AlgebraicSystem, "an al.Assembly of al.Toleranced dimensions")
     limits = [real_array(f"allocate: {name}", limit) for name, limit in (("lower", lower), ("upper", upper))]
-    if any(limit.ndim for limit in limits) or not lower < upper or (np.isinf(lower) and np.isinf(upper)):
-        raise ProblemError(
-            f"allocate: expected limits lower < upper, one of them finite; received {lower} and {upper}."
-        )
-    cpk, dimensions = positive("allocate: cpk", cpk), placements(stack).distributions
+    cpk, functional = positive("allocate: cpk", cpk), output_of(output)
+    dimensions = placements(stack).distributions
     expected = f"(fixed, slope) of some of the dimensions {list(dimensions)}, slope above 0"
     if not isinstance(costs, Mapping) or not costs or not set(costs) <= set(dimensions):
         raise refusal("allocate: costs", expected, costs)
@@ -130,6 +127,10 @@ def allocate(
         if not isinstance(dimension, Toleranced) or dimension != dimension.initial():
             expected = "an al.Toleranced dimension without decisions, such as al.toleranced('40 ±0.1')"
             raise refusal(f"allocate: '{name}'", expected, dimension)
+    if any(limit.ndim for limit in limits) or not lower < upper or (np.isinf(lower) and np.isinf(upper)):
+        raise ProblemError(
+            f"allocate: expected limits lower < upper, one of them finite; received {lower} and {upper}."
+        )
     toleranced = {name: each for name, each in dimensions.items() if isinstance(each, Toleranced)}
     decided = with_distributions(stack, lambda name, leaf: _decided(toleranced[name]) if name in costs else leaf)
     (first, *others) = (fixed + slope / _half_width(name, toleranced[name]) for name, (fixed, slope) in costs.items())
@@ -144,7 +145,7 @@ def allocate(
         analysis = tolerance_analysis(made, output, lower=lower, upper=upper)
         return Tolerances(zones, value_at(cost, costed, vector), analysis, solution)
 
-    costed, functional = Problem(decided, minimize=cost), output_of(output)
+    costed = Problem(decided, minimize=cost)
     answers = dict[str, Tolerances | None]()
     failed = dict[str, str]()
     margins: dict[str, dict[str, Any]] = {"statistical": {"sigmas": 3 * cpk}, "worst case": {"worst_case": True}}
