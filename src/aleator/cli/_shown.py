@@ -112,8 +112,8 @@ class AbstractShown(abc.ABC):
 
 
 @contextmanager
-def shown(console: Console, total: float) -> Iterator[AbstractShown]:
-    """Show progress within a block, of stages whose shares add up to `total`."""
+def shown(console: Console, total: float | None) -> Iterator[AbstractShown]:
+    """Show progress within a block, of stages whose shares add up to `total`, if that is known."""
     if not console.is_terminal:
         yield _Lines(console)
         return
@@ -127,7 +127,7 @@ def shown(console: Console, total: float) -> Iterator[AbstractShown]:
 class _Bars(AbstractShown):
     """Bars for all stages, and for the work inside the present one. Points of a front stay as lines above them."""
 
-    def __init__(self, bars: Progress, total: float):
+    def __init__(self, bars: Progress, total: float | None):
         self._bars, self._overall = bars, bars.add_task("all stages", total=total)
         self._stage, self._inner, self._task = "", self._overall, ""
 

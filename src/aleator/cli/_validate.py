@@ -18,7 +18,7 @@ from aleator.cli._shown import shown
 from aleator.cli._terminal import FAILED, AsJson, Design, StudyOrFolder, Terminal
 from aleator.design import Problem
 from aleator.journalling import Journal, journal
-from aleator.reporting import Table, evidence_document, evidence_table, share_text, solution_document
+from aleator.reporting import Table, evidence_document, evidence_table, solution_document, violations_table
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
 from aleator.studies import AbstractStudy, executor_of, problems_of
@@ -57,7 +57,7 @@ def validate(
     terminal.note(folder=str(folder), samples=samples, seed=seed, designs=sampling.document())
     if sampling.evidence:
         terminal.table(_decisions(sampling.evidence))
-        terminal.table(_shares(sampling.evidence))
+        terminal.table(violations_table(sampling.evidence))
         terminal.table(evidence_table(sampling.evidence))
     terminal.conclude(code)
 
@@ -102,15 +102,6 @@ def _decisions(evidence: Mapping[str, Evidence]) -> Table:
     rows = [[name, *(value_text(design["decisions"].get(name)) for design in designs)] for name in names]
     rows.append(["Objective", *(value_text(design["objective"]) for design in designs)])
     return Table("Designs", ["", *evidence], rows, "")
-
-
-def _shares(evidence: Mapping[str, Evidence]) -> Table:
-    """How many systems break each limit, a column for each design."""
-    columns = list(evidence.values())
-    limits = list(dict.fromkeys(limit for sampled in columns for limit in sampled.violations))
-    rows = [[limit, *(share_text(sampled.violations.get(limit)) for sampled in columns)] for limit in limits]
-    rows.append(["any limit", *(share_text(sampled.joint if sampled.violations else None) for sampled in columns)])
-    return Table("Systems that violate limits", ["", *evidence], rows, "In brackets: 95 % confidence.")
 
 
 @final
