@@ -14,6 +14,7 @@ from mkdocs.structure.files import File
 ROOT = Path(__file__).parents[1]
 # Links from a page to a source of the tree, as they work in the tree.
 _LINK = re.compile(r"\]\(\.\./((?:examples|src|benchmarks)/[\w/]+\.py)\)")
+_NOTEBOOK = re.compile(r"\]\((tutorials/\w+\.ipynb)\)")
 # What pymdownx.arithmatex leaves of a formula, in a line or on its own.
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 _NUMBER = re.compile(r"\\tag\{(.*?)\}")
@@ -32,7 +33,8 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Links to sources lead to their pages."""
+    """Links to sources and notebooks lead to their pages."""
+    markdown = _NOTEBOOK.sub(lambda found: f"]({_page_of(found[1])})", markdown)
     return _LINK.sub(lambda found: f"](source/{_page_of(found[1])})", markdown)
 
 
