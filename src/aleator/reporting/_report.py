@@ -15,7 +15,8 @@ from aleator.reporting._designs import mesh_drawing, search_drawings
 from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._numbers import unit_of_limit, units_of_moments, words
 from aleator.reporting._page import Page, verdict, write_page
-from aleator.reporting._samples import percentile_figure, trajectory_figure
+from aleator.reporting._paths import trajectory_figure
+from aleator.reporting._samples import percentile_figure
 from aleator.reporting._store import provenance
 from aleator.reporting._sweeps import disagreements, front_blocks, trade_off_blocks
 from aleator.reporting._tables import certificate_table, designs_table, evidence_table, statistics_table

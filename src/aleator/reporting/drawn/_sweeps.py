@@ -1,6 +1,6 @@
 """Figures and facts of sweeps: fronts, trade-offs, calibrations, penalties, many starts, portfolios, cross-checks."""
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -8,20 +8,7 @@ from aleator._core.errors import ProblemError
 from aleator.nlp import Searched
 from aleator.reporting._blocks import Table
 from aleator.reporting._designs import search_figure
-from aleator.reporting._methods import bars_figure
-from aleator.reporting._numbers import (
-    count,
-    given,
-    number,
-    percent,
-    share_text,
-    unit_of_expression,
-    unit_of_objective,
-    words,
-)
-from aleator.reporting._samples import calibration_figure, magnitudes_figure
-from aleator.reporting._style import ALARM, blank, label, looks, padded
-from aleator.reporting._sweeps import (
+from aleator.reporting._fronts import (
     bound_unit,
     decision_figure,
     excesses_figure,
@@ -30,10 +17,18 @@ from aleator.reporting._sweeps import (
     parallel_figure,
     price_figure,
     space_figure,
+    unit_of,
 )
-from aleator.reporting.drawn._facts import AbstractPlots, Backend, Facts, chosen, drawn_by, facts_of, plots_of, unknown
+from aleator.reporting._methods import bars_figure
+from aleator.reporting._numbers import count, given, number, percent, share_text, unit_of_objective, words
+from aleator.reporting._samples import calibration_figure, magnitudes_figure
+from aleator.reporting._style import ALARM, Look, blank, draw, label, looks, padded
+from aleator.reporting.drawn._facts import AbstractPlots, Facts, chosen, facts_of, plots_of, unknown
 from aleator.solution import Solution
 from aleator.sweep import Calibration, CrossChecked, Front, Hardened, Portfolio, Refused, Starts, TradeOff
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
 
 _EMPTY = "expected a solved design; received none"
 
@@ -41,20 +36,20 @@ _EMPTY = "expected a solved design; received none"
 class FrontPlots(AbstractPlots[Front]):
     """Figures of a front along a bound."""
 
-    def curve(self, *, backend: Backend = "plotly") -> Any:
+    def curve(self) -> "Figure":
         """The optimum against the bound: filled where it is active; crosses where there is no design."""
-        return drawn_by(backend, optimum_figure({"design": self._solved("plot.curve")}))
+        return optimum_figure({"design": self._solved("plot.curve")})
 
-    def shadow_prices(self, *, backend: Backend = "plotly") -> Any:
+    def shadow_prices(self) -> "Figure":
         """By what the optimum falls for each unit by which the bound is relaxed."""
-        return drawn_by(backend, price_figure({"design": self._solved("plot.shadow_prices")}))
+        return price_figure({"design": self._solved("plot.shadow_prices")})
 
-    def decision(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+    def decision(self, name: str | None = None) -> "Figure":
         """A decision against the bound, of an array each entry; by default the first."""
         front = self._solved("plot.decision")
         problem = front.solutions[0].problem
         name, _ = chosen("plot.decision", name, problem.placements.decisions, "expected a decision; received none.")
-        return drawn_by(backend, decision_figure(front, name))
+        return decision_figure(front, name)
 
     def _solved(self, what: str) -> Front:
         """The front. Raises `ProblemError` if it has no design."""
@@ -71,33 +66,33 @@ plots_of.register(Front, FrontPlots)
 class TradeOffPlots(AbstractPlots[TradeOff]):
     """Figures of a trade-off between wishes."""
 
-    def __call__(self, *, backend: Backend = "plotly") -> Any:
+    def __call__(self) -> "Figure":
         """Two wishes as a curve, three in space, more of them as parallel coordinates."""
         wishes = len(self._result.names)
         drawn = self.curve if wishes == 2 else self.space if wishes == 3 else self.parallel
-        return drawn(backend=backend)
+        return drawn()
 
-    def curve(self, x: str | None = None, y: str | None = None, *, backend: Backend = "plotly") -> Any:
+    def curve(self, x: str | None = None, y: str | None = None) -> "Figure":
         """Two wishes against one another, by their names; by default the first two."""
         front, places = self._solved("plot.curve"), []
         for name, usual in ((x, 0), (y, 1)):
             if name is not None and name not in front.names:
                 raise unknown("plot.curve", name, front.names)
             places.append(usual if name is None else front.names.index(name))
-        return drawn_by(backend, pair_figure(front, *places))
+        return pair_figure(front, *places)
 
-    def space(self, *, backend: Backend = "plotly") -> Any:
+    def space(self) -> "Figure":
         """Three wishes as points in space."""
         front = self._solved("plot.space")
         if len(front.names) != 3:
             raise ProblemError(
                 f"plot.space: expected three wishes; received {len(front.names)}. Draw plot.curve or plot.parallel."
             )
-        return drawn_by(backend, space_figure(front))
+        return space_figure(front)
 
-    def parallel(self, *, backend: Backend = "plotly") -> Any:
+    def parallel(self) -> "Figure":
         """One axis for each wish, and one line for each design."""
-        return drawn_by(backend, parallel_figure(self._solved("plot.parallel")))
+        return parallel_figure(self._solved("plot.parallel"))
 
     def _solved(self, what: str) -> TradeOff:
         if not len(self._result.values):
@@ -112,9 +107,9 @@ plots_of.register(TradeOff, TradeOffPlots)
 class CalibrationPlots(AbstractPlots[Calibration]):
     """Figures of a calibration."""
 
-    def trials(self, *, backend: Backend = "plotly") -> Any:
+    def trials(self) -> "Figure":
         """The violation rate of each margin tried, the target, and the choice on fresh systems."""
-        return drawn_by(backend, calibration_figure(self._result))
+        return calibration_figure(self._result)
 
 
 plots_of.register(Calibration, CalibrationPlots)
@@ -123,9 +118,9 @@ plots_of.register(Calibration, CalibrationPlots)
 class HardenedPlots(AbstractPlots[Hardened]):
     """Figures of growing penalties."""
 
-    def excesses(self, *, backend: Backend = "plotly") -> Any:
+    def excesses(self) -> "Figure":
         """The excess of each constraint against the weight of its penalty, and the one accepted."""
-        return drawn_by(backend, excesses_figure(self._result))
+        return excesses_figure(self._result)
 
 
 plots_of.register(Hardened, HardenedPlots)
@@ -149,8 +144,7 @@ def _point(front: Front, one: Solution | Refused) -> list[str]:
 
 @facts_of.register(TradeOff)
 def _(front: TradeOff) -> Facts:
-    problem = front.solutions[0].problem if front.solutions else None
-    units = [unit_of_expression(one, problem) if problem else "" for one in front.wishes]
+    units = [unit_of(front, i) for i in range(len(front.names))]
     rows = [[number(value, 5, unit) for value, unit in zip(row, units, strict=True)] for row in front.values]
     failed = f"No design: {'; '.join(front.failed)}" if front.failed else ""
     heading = f"Trade-off of {words(list(front.names))}: {len(rows)} designs{', interrupted' * front.interrupted}"
@@ -183,26 +177,21 @@ _ALIKE = 1e-4
 class StartsPlots(AbstractPlots[Starts]):
     """Figures of a problem solved from many starts."""
 
-    def objectives(self, *, backend: Backend = "plotly") -> Any:
+    def objectives(self) -> "Figure":
         """The objectives that the starts led to, best first; starts that failed come last, as crosses."""
         every = self._result.solutions
         figure = blank(label("Starts, best first"), label("Objective", unit_of_objective(every[0].problem)))
-        look = looks(["solved"])["solved"]
-        solved = sorted(one.objective for one in every if one.ok)
-        failed = sorted(one.objective for one in every if not one.ok)
-        marked = (("solved", solved, 1, look.symbol, look.colour), ("failed", failed, 1 + len(solved), "x", ALARM))
-        for name, values, first, symbol, colour in marked:
+        solved, failed = (sorted(one.objective for one in every if one.ok is ok) for ok in (True, False))
+        groups = (
+            ("solved", solved, 1, looks(["solved"])["solved"]),
+            ("failed", failed, 1 + len(solved), Look(ALARM, "x")),
+        )
+        for name, values, first, look in groups:
             if values:
-                figure.add_scatter(
-                    x=first + np.arange(len(values)),
-                    y=values,
-                    mode="markers",
-                    name=name,
-                    marker={"symbol": symbol, "size": 9, "color": colour},
-                    hovertemplate=f"{name}: %{{y:.6g}}<extra></extra>",
-                )
+                places = first + np.arange(len(values))
+                draw(figure, places, values, look, name=name, mode="markers", hover=f"{name}: %{{y:.6g}}")
         figure.update_yaxes(range=_range([*solved, *failed]))
-        return drawn_by(backend, figure.update_layout(showlegend=bool(failed)))
+        return figure.update_layout(showlegend=bool(failed))
 
 
 plots_of.register(Starts, StartsPlots)
@@ -220,7 +209,7 @@ def _range(values: list[float]) -> list[float]:
 class PortfolioPlots(AbstractPlots[Portfolio]):
     """Figures of a portfolio of searches."""
 
-    def optima(self, *, backend: Backend = "plotly") -> Any:
+    def optima(self) -> "Figure":
         """How many starts led to each optimum, best first: in all, and of the random ones."""
         unit = unit_of_objective(self._result.best.problem)
         places = [f"{i + 1}: {number(one.objective, 5, unit)}" for i, one in enumerate(self._result.optima)]
@@ -231,13 +220,13 @@ class PortfolioPlots(AbstractPlots[Portfolio]):
             "of these random": dict(zip(places, (float(one.random) for one in self._result.optima), strict=True)),
         }
         figure = bars_figure(groups, y="Starts that led there")
-        return drawn_by(backend, figure.update_xaxes(title_text="Objective of each optimum, best first"))
+        return figure.update_xaxes(title_text="Objective of each optimum, best first")
 
-    def search(self, *, backend: Backend = "plotly") -> Any:
+    def search(self) -> "Figure":
         """What the global search evaluated."""
         if self._result.searched is None:
             raise ProblemError("plot.search: expected a portfolio with a global search; received one without.")
-        return drawn_by(backend, search_figure(self._result.searched, unit_of_objective(self._result.best.problem)))
+        return search_figure(self._result.searched, unit_of_objective(self._result.best.problem))
 
 
 plots_of.register(Portfolio, PortfolioPlots)
@@ -246,11 +235,11 @@ plots_of.register(Portfolio, PortfolioPlots)
 class SearchedPlots(AbstractPlots[Searched]):
     """The figure of a search."""
 
-    def search(self, *, backend: Backend = "plotly") -> Any:
+    def search(self) -> "Figure":
         """The objective of every point evaluated, in order, and the best so far."""
         if not self._result.evaluations:
             raise ProblemError("plot.search: expected a search that evaluated designs; received one without any.")
-        return drawn_by(backend, search_figure(self._result))
+        return search_figure(self._result)
 
 
 plots_of.register(Searched, SearchedPlots)
@@ -259,7 +248,7 @@ plots_of.register(Searched, SearchedPlots)
 class CrossCheckedPlots(AbstractPlots[CrossChecked]):
     """The figure of a cross-check."""
 
-    def differences(self, *, backend: Backend = "plotly") -> Any:
+    def differences(self) -> "Figure":
         """The relative differences of two solutions: of the objective, of decisions, statistics and multipliers."""
         one = self._result
         groups = {
@@ -269,7 +258,7 @@ class CrossCheckedPlots(AbstractPlots[CrossChecked]):
             "multipliers": {f"multiplier of {text}": value for text, value in one.multipliers.items()},
         }
         shown = {kind: each for kind, each in groups.items() if each}
-        return drawn_by(backend, magnitudes_figure(shown, x="Relative difference", accepted=one.tolerance))
+        return magnitudes_figure(shown, x="Relative difference", accepted=one.tolerance)
 
 
 plots_of.register(CrossChecked, CrossCheckedPlots)
