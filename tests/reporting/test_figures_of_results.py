@@ -69,6 +69,36 @@ def test_limits_on_a_path_are_drawn_with_the_systems_for_which_they_hold_and_whe
     assert titles(figure) == ("Time (s)", "reach &lt;b&gt;&amp; (m)")
 
 
+def limited(held):
+    """The oscillator with a first limit that never matters, and a second one that holds it."""
+    idle = al.path("effort").at_most(1e3, sigmas=1.0).named("idle")
+    system, grid, objective = given.problem().system, al.Grid(4.0, 50), al.integral("effort").mean
+    limits = [idle, held.named("held")]
+    return al.solve(
+        al.Problem(system, grid=grid, minimize=objective, subject_to=limits, expansion=al.Expansion(order=2))
+    )
+
+
+def test_a_solution_opens_on_the_limit_that_is_active_and_evidence_on_the_one_that_most_systems_break():
+    solution = limited(al.path("back").at_most(0.2, sigmas=1.0))
+    assert solution.active == ("held",)
+    assert titles(solution.plot()) == ("Time (s)", "back (m)")
+    assert solution.plot().layout.annotations[0].text.startswith("held: 0.2")
+    assert titles(solution.plot.histories(samples=2))[1] == "back (m)"
+    evidence = al.validate(solution, 400, seed=3, keep=5)
+    assert evidence.violations["idle"].estimate == 0.0 < evidence.violations["held"].estimate
+    assert evidence.plot().layout.title.text.endswith("of systems violate held")
+    assert titles(evidence.plot())[1] == titles(evidence.plot.trajectories())[1] == "held (m)"
+
+
+def test_an_active_limit_on_more_than_the_values_of_one_path_is_drawn_itself():
+    solution = limited(2.0 * al.path("back").mean <= 0.3)
+    assert solution.active == ("held",)
+    figure = solution.plot()
+    assert titles(figure)[1] == "held (m)"
+    assert [one.y0 for one in figure.layout.shapes] == [0.3]
+
+
 def test_histories_are_those_of_random_systems_at_the_decisions():
     solution = given.solution()
     figure = solution.plot.histories("back", samples=3, seed=7)

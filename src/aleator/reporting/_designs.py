@@ -15,7 +15,6 @@ from aleator.reporting._numbers import count, given, number, residual, unit_of_d
 from aleator.reporting._style import (
     ALARM,
     DASHES,
-    INK,
     LIMIT,
     MUTED,
     SIZE,
@@ -173,17 +172,11 @@ def search_figure(searched: Searched, unit: str = "") -> "Figure":
 
 
 # From the first mesh to the last: shades of one hue, so that their order is seen without telling colours apart.
-_FIRST, _LAST = (163, 196, 220), (0, 76, 120)
-# Heights in pixels: of the errors, of one mesh's nodes with their name, and of what surrounds both.
-_ERRORS, _MESH_ROW, _AROUND_MESHES = 260, 46, 90
-# How far the marks of nodes reach up and down in their row, and how much of the height lies between both parts.
-_REACH, _BETWEEN = 0.16, 0.05
-# Powers of ten that are all named, and room for a line that lies on one.
-_MOST_TICKS, _ROOM = 8, 0.1
+_FIRST, _LAST = np.array((163, 196, 220)), np.array((0, 76, 120))
 
 _NODES = (
-    "Above, the nodes of each mesh. Below, how far states drift from their equations within each interval, relative to "
-    "their magnitudes, in the realisation that is worst there."
+    "How far states drift from their equations within each interval, relative to their magnitudes, in the realisation "
+    "that is worst there; the marks are the nodes of the mesh."
 )
 _REFINED = " The last mesh is the darkest. Intervals above the dashed line were divided, or their order was raised."
 
@@ -195,49 +188,25 @@ def mesh_drawing(meshes: Sequence[MeshError], name: str) -> Drawing:
 
 
 def mesh_figure(meshes: Sequence[MeshError]) -> "Figure":
-    """The history of the meshes of a solution: the nodes of each, and below them the error of each interval."""
-    rows, last = len(meshes) * _MESH_ROW, meshes[-1]
-    share = _ERRORS / (_ERRORS + rows)
-    figure = blank(label("Time", "s"), "Drift of the states", height=_AROUND_MESHES + _ERRORS + rows)
-    # The last is the darkest, also where it is the only one.
-    ways = np.linspace(0.0, 1.0, len(meshes)) if len(meshes) > 1 else np.ones(1)
-    for i, (mesh, way) in enumerate(zip(meshes, ways, strict=True)):
-        scheme = "" if i and mesh.scheme == meshes[i - 1].scheme else f" of {mesh.scheme}"
+    """The history of the meshes of a solution: the error of each interval as a step, with marks at the nodes."""
+    figure, last = blank(label("Time", "s"), "Drift of the states"), meshes[-1]
+    for i, mesh in enumerate(meshes):
+        way = (i + 1) / len(meshes)
+        shade = np.rint((1 - way) * _FIRST + way * _LAST).astype(int).tolist()
         judged = mesh is last and np.isfinite(mesh.asked)
-        end = "" if not judged else ", as asked" if mesh.is_met else ", more than asked"
-        name = f"Mesh {i + 1}: {count(mesh.intervals)} intervals{scheme}, {residual(mesh.worst)}{end}"
-        mixed = np.rint((1 - way) * np.array(_FIRST) + way * np.array(_LAST)).astype(int).tolist()
-        _add_mesh(figure, mesh, i, f"rgb({','.join(map(str, mixed))})", name, width=2.0 if mesh is last else 1.3)
+        verdict = "" if not judged else ", as asked" if mesh.is_met else ", more than asked"
+        scheme = "" if i and mesh.scheme == meshes[i - 1].scheme else f" of {mesh.scheme}"
+        # An error of zero has no place on a logarithmic axis.
+        errors = np.where(mesh.errors > 0, mesh.errors, np.nan)
+        steps = {
+            "name": f"Mesh {i + 1}: {count(mesh.intervals)} intervals{scheme}, {residual(mesh.worst)}{verdict}",
+            "hover": f"mesh {i + 1}: %{{y:.2~e}} from %{{x:.4~g}} s",
+            **{"line_shape": "hv", "line_width": 2.0 if mesh is last else 1.3},
+            **{"marker_size": 7, "marker_line_width": 1, "marker_line_color": f"rgb({','.join(map(str, shade))})"},
+        }
+        look = Look(steps["marker_line_color"], "line-ns")
+        draw(figure, short(mesh.nodes), short(np.append(errors, errors[-1])), look, **steps)
     if np.isfinite(last.asked):
-        written = {"text": ["", f"{residual(last.asked)} asked"], "textposition": "top left"}
-        font = {"textfont": {"size": SIZE - 1, "color": LIMIT}, "line_width": 1.3, "line_dash": "dash"}
-        ends = short(last.nodes[[0, -1]])
-        draw(figure, ends, [last.asked] * 2, LIMIT, name="asked", mode="lines+text", **written, **font)
-    figure.update_xaxes(range=padded(last.nodes[[0, -1]], 0.01))
-    low, high = _decades(meshes)
-    errors = {"domain": [0, share - _BETWEEN], "type": "log", "exponentformat": "power", "range": [low, high]}
-    errors["dtick"] = 1 if high - low <= _MOST_TICKS else 2
-    nodes = {"domain": [share, 1], "range": [len(meshes) - 0.5, -0.75], "visible": False, "fixedrange": True}
-    return figure.update_layout(showlegend=False, yaxis=errors, yaxis2=nodes)
-
-
-def _decades(meshes: Sequence[MeshError]) -> tuple[int, int]:
-    """The powers of ten between which all errors lie, and the one asked for; what is smaller than rounding is cut."""
-    errors = np.concatenate([one.errors for one in meshes] + [[one.asked] for one in meshes if np.isfinite(one.asked)])
-    powers = np.log10(np.maximum(errors, np.finfo(float).eps))
-    return int(np.floor(powers.min() - _ROOM)), int(np.ceil(powers.max() + _ROOM))
-
-
-def _add_mesh(figure: "Figure", mesh: MeshError, row: int, colour: str, name: str, width: float) -> None:
-    """The nodes of a mesh as marks in a row under its name, as one line with gaps, however many they are; and the error
-    of each interval as a step: one that is zero has no place on a logarithmic axis.
-    """
-    heights = np.tile([row - _REACH, row + _REACH, np.nan], len(mesh.nodes))
-    nodes = {"name": f"nodes of mesh {row + 1}", "yaxis": "y2", "line_width": 1}
-    draw(figure, short(np.repeat(mesh.nodes, 3)), short(heights), colour, mode="lines", **nodes)
-    place = {"xref": "paper", "x": 0, "xanchor": "left", "yref": "y2", "y": row - _REACH, "yanchor": "bottom"}
-    figure.add_annotation(text=name, showarrow=False, font={"size": SIZE - 2, "color": INK}, **place)
-    errors = np.where(mesh.errors > 0, mesh.errors, np.nan)
-    hover = f"mesh {row + 1}: %{{y:.2~e}} from %{{x:.4~g}} s"
-    steps = {"name": f"errors of mesh {row + 1}", "line_width": width, "line_shape": "hv", "hover": hover}
-    draw(figure, short(mesh.nodes), short(np.append(errors, errors[-1])), colour, mode="lines", **steps)
+        limit_line(figure, last.asked, f"{residual(last.asked)} asked", logarithmic=True)
+    figure.update_layout(showlegend=True).update_xaxes(range=padded(last.nodes[[0, -1]], 0.01))
+    return figure.update_yaxes(type="log", exponentformat="power")

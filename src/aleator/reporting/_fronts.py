@@ -70,7 +70,7 @@ def _order(front: Front) -> Int[np.ndarray, " points"]:
 
 def bound_unit(front: Front) -> str:
     """The unit of the bound along which a front lies."""
-    return unit_of_limit(front.bound, front.solutions[0].problem)
+    return unit_of_limit(front.bound, front.points[0].problem)
 
 
 def optimum_figure(fronts: Mapping[str, Front]) -> "Figure":

@@ -1,10 +1,12 @@
 """Fronts and trade-offs on a page, linked with their designs, of which a reader chooses one and sees all of it."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from aleator.design import Problem
 from aleator.reporting._blocks import Linked, Table
 from aleator.reporting._choices import choice, evidence_on
 from aleator.reporting._fronts import bound_unit, optimum_figure, price_figure, trade_off_figure, unit_of
@@ -53,29 +55,42 @@ def linked_front(
     - `figures`: of all these fronts in the same order, by `front_figure` or `shadow_price_figure`; `evidence`: on some
       of the designs; `recommended`: the design to build: the one nearest to it is shown first.
     """
-    points = [(name, front, i) for name, front in fronts.items() for i in range(len(front.points))]
-    designs, known = [front.points[i] for _, front, i in points], list(evidence)
-    counted = [evidence_on(one, known) for one in designs]
+    known, points = list(evidence), [point for front in fronts.values() for point in front.points]
+    names = [
+        f"{before}{front.bound}: {bound}"
+        for (before, front), bounds in zip(_prefixed(fronts), map(_bounds, fronts.values()), strict=True)
+        for bound in bounds
+    ]
+    choices = [choice(name, one, evidence_on(one, known)) for name, one in zip(names, points, strict=True)]
     doubts = [f"{name}: {one}." for name, front in fronts.items() for one in front.doubts()]
-    before = {name: f"{name}, " if len(fronts) > 1 else "" for name in fronts}
-    bounds = [given(front.values[i], bound_unit(front)) for _, front, i in points]
-    choices = [
-        choice(f"{before[name]}{front.bound}: {bound}", front.points[i], evidence)
-        for (name, front, i), bound, evidence in zip(points, bounds, counted, strict=True)
-    ]
+    caption = " ".join(filter(None, [caption, *doubts, _CHOOSE]))
+    return Linked(figures, heading, front_table(fronts, known), choices, _nearest(points, recommended), caption, number)
+
+
+def _bounds(front: Front) -> list[str]:
+    """The bound of each point, with its unit."""
+    return [given(value, bound_unit(front)) for value in front.values]
+
+
+def _prefixed(fronts: Mapping[str, Front]) -> list[tuple[str, Front]]:
+    """Each front after its name, if there are several."""
+    return [(f"{name}, " if len(fronts) > 1 else "", front) for name, front in fronts.items()]
+
+
+def front_table(fronts: Mapping[str, Front], evidence: Sequence[Evidence] = ()) -> Table:
+    """A row for each point of some fronts along one bound: its optimum and decisions; the status without a design."""
     first = next(iter(fronts.values()))
-    decided = _numbers_in(first.solutions[0])
+    decided = _numbers_in(first.points[0].problem)
+    rows, counted = [], []
+    for before, front in _prefixed(fronts):
+        for bound, point in zip(_bounds(front), front.points, strict=True):
+            rows.append([f"{before}{bound}", *_optimum(front, point), *_decided(point, decided)])
+            counted.append(evidence_on(point, evidence))
     header = [f"Limit of {first.bound}", "Objective", "Shadow price", "Active", *decided]
-    rows = [
-        [f"{before[name]}{bound}", *_optimum(front, front.points[i]), *_decided(front.points[i], decided)]
-        for (name, front, i), bound in zip(points, bounds, strict=True)
-    ]
     if any(counted):
         header.append("Violate any limit")
         rows = [[*row, share_text(one.joint if one else None)] for row, one in zip(rows, counted, strict=True)]
-    table = Table(f"Designs along the limit of {first.bound}", header, rows)
-    caption = " ".join(filter(None, [caption, *doubts, _CHOOSE]))
-    return Linked(figures, heading, table, choices, _nearest(designs, recommended), caption, number)
+    return Table(f"Designs along the limit of {first.bound}", header, rows)
 
 
 def _nearest(designs: Sequence[Solution | Refused], recommended: Solution | None) -> int:
@@ -121,9 +136,9 @@ def _optimum(front: Front, point: Solution | Refused) -> list[str]:
     return [objective_text(point), number(point.multiplier(front.bound), 4), words(list(point.active), "nothing")]
 
 
-def _numbers_in(solution: Solution) -> list[str]:
+def _numbers_in(problem: Problem) -> list[str]:
     """The decisions that are single numbers."""
-    return [name for name, value in solution.decisions.items() if np.ndim(value) == 0]
+    return [name for name, place in problem.placements.decisions.items() if np.ndim(place.decision.initial) == 0]
 
 
 def _decided(point: Solution | Refused, names: Sequence[str]) -> list[str]:
@@ -138,25 +153,32 @@ def trade_off_blocks(
 ) -> list[Linked]:
     """For each trade-off: a figure for each pair of wishes, and the designs."""
     known, blocks = list(evidence), []
+    caption = f"Each point is a certified design: none other is better in all wishes. {_CHOOSE}"
     for name, front in fronts.items():
         if not front.solutions:
             continue
-        units, decided = [unit_of(front, i) for i in range(len(front.names))], _numbers_in(front.solutions[0])
-        rows, choices = [], []
-        for place, (row, one) in enumerate(zip(front.values, front.solutions, strict=True)):
-            values = [number(float(value), 5, unit) for value, unit in zip(row, units, strict=True)]
-            wishes = dict(zip(front.names, values, strict=True))
-            told = ", ".join(f"{wish}: {value}" for wish, value in wishes.items())
-            choices.append(choice(told, one, evidence_on(one, known), wishes | _rates(front, place, units)))
-            rows.append([*values, *_decided(one, decided)])
-        table = Table(f"Designs of {name}", [*front.names, *decided], rows)
-        caption = f"Each point is a certified design: none other is better in all wishes. {_CHOOSE}"
+        table, choices = replace(trade_off_table(front), caption=f"Designs of {name}"), []
+        for place, (row, one) in enumerate(zip(table.rows, front.solutions, strict=True)):
+            wishes = dict(zip(front.names, row, strict=False))
+            title = ", ".join(f"{wish}: {value}" for wish, value in wishes.items())
+            choices.append(choice(title, one, evidence_on(one, known), wishes | _rates(front, place)))
         first = _nearest(front.solutions, recommended)
         blocks.append(Linked(trade_off_figure(front), f"Trade-off: {name}", table, choices, first, caption))
     return blocks
 
 
-def _rates(front: TradeOff, place: int, units: Sequence[str]) -> dict[str, str]:
+def trade_off_table(front: TradeOff) -> Table:
+    """A row for each design of a trade-off: its wishes, then its decisions."""
+    decided = _numbers_in(front.solutions[0].problem) if front.solutions else []
+    units = [unit_of(front, i) for i in range(len(front.names))]
+    rows = [
+        [*(number(float(value), 5, unit) for value, unit in zip(row, units, strict=True)), *_decided(one, decided)]
+        for row, one in zip(front.values, front.solutions, strict=True)
+    ]
+    return Table("", [*front.names, *decided], rows)
+
+
+def _rates(front: TradeOff, place: int) -> dict[str, str]:
     """By how much each other wish falls for one unit more of the first one, as long as changes are small.
 
     At the best design of a wish the front ends: its multipliers need not be the slope of what is left of the front, and
@@ -166,10 +188,9 @@ def _rates(front: TradeOff, place: int, units: Sequence[str]) -> dict[str, str]:
     if np.any(values[place] <= values.min(axis=0)):
         return {"Rates of exchange": "none at an end of the front"}
     first, *others = front.weights[place]
-    return {
-        f"Each {units[0] or 'unit'} more of {front.names[0]} buys": (
-            f"{number(first / weight, 4, unit)} less of {name}"
-        )
-        for name, unit, weight in zip(front.names[1:], units[1:], others, strict=True)
+    buys = [
+        f"{number(first / weight, 4, unit_of(front, i))} less of {front.names[i]}"
+        for i, weight in enumerate(others, start=1)
         if weight > 0 and np.isfinite(first)
-    }
+    ]
+    return {f"Each {unit_of(front, 0) or 'unit'} more of {front.names[0]} buys": " or ".join(buys)} if buys else {}

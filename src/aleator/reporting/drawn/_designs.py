@@ -71,6 +71,24 @@ def outputs_of(problem: Problem, solution: Solution) -> Mapping[str, str]:
 _NO_STATE = "expected states that are variables of the program; received a system without states."
 
 
+def _state_figure(states: States, name: str | None, units: Mapping[str, str] = MappingProxyType({})) -> "Figure":
+    name, values = chosen("plot.state", name, states.values, _NO_STATE)
+    return histories_figure(states.times, values, y=name, unit=units.get(name, ""), who="realisations")
+
+
+def _costate_figure(costates: Costates, name: str | None) -> "Figure":
+    name, values = chosen("plot.costate", name, costates.values, _NO_STATE)
+    return histories_figure(costates.times, values, y=f"Costate of {name}", who="realisations")
+
+
+def _switching_figure(switching: Switching, name: str | None) -> "Figure":
+    name, values = chosen("plot.input", name, switching.values, "expected inputs that are certain; received none.")
+    limits = {0.0: "an input inside its bounds makes it zero"}
+    y, who = f"Switching function of {name}", "switching functions"
+    return histories_figure(switching.times, np.asarray(values)[None], y=y, who=who, limits=limits)
+
+
+@plots_of.register(States)
 class StatesPlots(AbstractPlots[States]):
     """Figures of the states of all realisations."""
 
@@ -79,39 +97,22 @@ class StatesPlots(AbstractPlots[States]):
         return _state_figure(self._result, name)
 
 
-plots_of.register(States, StatesPlots)
-
-
-def _state_figure(states: States, name: str | None, units: Mapping[str, str] = MappingProxyType({})) -> "Figure":
-    name, values = chosen("plot.state", name, states.values, _NO_STATE)
-    return histories_figure(states.times, values, y=name, unit=units.get(name, ""), who="realisations")
-
-
+@plots_of.register(Costates)
 class CostatesPlots(AbstractPlots[Costates]):
     """Figures of costates."""
 
     def costate(self, name: str | None = None) -> "Figure":
         """The costate of a state over time, of every realisation at the collocation points; by default the first."""
-        name, values = chosen("plot.costate", name, self._result.values, _NO_STATE)
-        return histories_figure(self._result.times, values, y=f"Costate of {name}", who="realisations")
+        return _costate_figure(self._result, name)
 
 
-plots_of.register(Costates, CostatesPlots)
-
-
+@plots_of.register(Switching)
 class SwitchingPlots(AbstractPlots[Switching]):
     """Figures of switching functions."""
 
     def input(self, name: str | None = None) -> "Figure":
         """The switching function of an input over time, with its zero; by default of the first."""
-        nothing = "expected inputs that are certain; received none."
-        name, values = chosen("plot.input", name, self._result.values, nothing)
-        limits = {0.0: "an input inside its bounds makes it zero"}
-        y, who = f"Switching function of {name}", "switching functions"
-        return histories_figure(self._result.times, np.asarray(values)[None], y=y, who=who, limits=limits)
-
-
-plots_of.register(Switching, SwitchingPlots)
+        return _switching_figure(self._result, name)
 
 
 _NO_PATH = (
@@ -122,6 +123,7 @@ _NO_OUTPUT = "expected a system with outputs; received one without."
 _SIMULATED = "expected a solution by al.Simultaneous(); received one whose states were simulated: see plot.histories."
 
 
+@plots_of.register(Solution)
 class SolutionPlots(AbstractPlots[Solution]):
     """Figures of a solution."""
 
@@ -207,11 +209,11 @@ class SolutionPlots(AbstractPlots[Solution]):
 
     def costate(self, name: str | None = None) -> "Figure":
         """The costate of a state over time, of all realisations of a simultaneous program."""
-        return CostatesPlots(_collocated(self._result.costates, "plot.costate")).costate(name)
+        return _costate_figure(_collocated(self._result.costates, "plot.costate"), name)
 
     def switching(self, name: str | None = None) -> "Figure":
         """The switching function of an input over time, of a simultaneous program."""
-        return SwitchingPlots(_collocated(self._result.switching, "plot.switching")).input(name)
+        return _switching_figure(_collocated(self._result.switching, "plot.switching"), name)
 
     def mesh(self) -> "Figure":
         """The meshes of a simultaneous program, with their errors."""
@@ -240,18 +242,13 @@ class SolutionPlots(AbstractPlots[Solution]):
         return "" if self._result.ok else f"Not a design: {status_words(self._result)}"
 
 
-plots_of.register(Solution, SolutionPlots)
-
-
+@plots_of.register(MeshError)
 class MeshPlots(AbstractPlots[MeshError]):
     """The figure of one mesh."""
 
     def mesh(self) -> "Figure":
         """The nodes of the mesh, and the error of each interval."""
         return mesh_figure([self._result])
-
-
-plots_of.register(MeshError, MeshPlots)
 
 
 @facts_of.register(Solution)

@@ -28,6 +28,7 @@ _NO_NUMBER = "expected a functional that is one number of each system, such as a
 _COUNTED = "Systems that break limits, with 95 % intervals"
 
 
+@plots_of.register(Evidence)
 class EvidencePlots(AbstractPlots[Evidence]):
     """Figures of evidence."""
 
@@ -125,9 +126,7 @@ class EvidencePlots(AbstractPlots[Evidence]):
         return chosen(what, of_output[0] if len(of_output) == 1 else functional, known, _NO_NUMBER)
 
 
-plots_of.register(Evidence, EvidencePlots)
-
-
+@plots_of.register(EvidenceOfAll)
 class EvidenceOfAllPlots(AbstractPlots[EvidenceOfAll]):
     """The figure of evidence on several designs."""
 
@@ -138,9 +137,6 @@ class EvidenceOfAllPlots(AbstractPlots[EvidenceOfAll]):
             raise ProblemError(f"plot.violations: {_NO_LIMIT}")
         shares = {name: [one.violations.get(name) if one else None for one in every] for name in names}
         return shares_figure(self._result.places, shares, x="Design", y="Systems that break the limit")
-
-
-plots_of.register(EvidenceOfAll, EvidenceOfAllPlots)
 
 
 def _counted(evidence: EvidenceOfAll) -> list[str]:

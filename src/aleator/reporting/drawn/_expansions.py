@@ -22,6 +22,7 @@ _POINTS, _SAMPLE = 201, 4096
 _MOST = 12
 
 
+@plots_of.register(AbstractExpanded)
 class ExpandedPlots(AbstractPlots[AbstractExpanded]):
     """Figures of an expanded function."""
 
@@ -56,9 +57,6 @@ class ExpandedPlots(AbstractPlots[AbstractExpanded]):
         order = sorted(last, key=lambda key: -last[key])[:_MOST]
         groups = {kind: {key: 100 * by_input[key] for key in order} for kind, by_input in shares.items()}
         return bars_figure(groups, y=f"Share of the variance of {name}", unit="%")
-
-
-plots_of.register(AbstractExpanded, ExpandedPlots)
 
 
 def _shares(one: AbstractExpanded, where: tuple[int, ...]) -> dict[str, dict[str, float]]:
@@ -102,6 +100,7 @@ def _scalar(
     return f"{name}[{', '.join(map(str, where))}]" if where else name, one, where
 
 
+@plots_of.register(ToleranceAnalysis)
 class TolerancePlots(AbstractPlots[ToleranceAnalysis]):
     """Figures of a tolerance analysis."""
 
@@ -125,9 +124,6 @@ class TolerancePlots(AbstractPlots[ToleranceAnalysis]):
         }
         shown = {kind: one for kind, one in groups.items() if one}
         return bars_figure(shown, y=f"Share of the variance of {self._result.output}", unit="%")
-
-
-plots_of.register(ToleranceAnalysis, TolerancePlots)
 
 
 @facts_of.register(AbstractExpanded)

@@ -17,15 +17,14 @@ from aleator.reporting._fronts import (
     parallel_figure,
     price_figure,
     space_figure,
-    unit_of,
 )
 from aleator.reporting._methods import bars_figure
 from aleator.reporting._numbers import count, given, number, percent, share_text, unit_of_objective, words
 from aleator.reporting._samples import calibration_figure, magnitudes_figure
 from aleator.reporting._style import ALARM, Look, blank, draw, label, looks, padded
+from aleator.reporting._sweeps import front_table, trade_off_table
 from aleator.reporting.drawn._facts import AbstractPlots, Facts, chosen, facts_of, plots_of, unknown
-from aleator.solution import Solution
-from aleator.sweep import Calibration, CrossChecked, Front, Hardened, Portfolio, Refused, Starts, TradeOff
+from aleator.sweep import Calibration, CrossChecked, Front, Hardened, Portfolio, Starts, TradeOff
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
 _EMPTY = "expected a solved design; received none"
 
 
+@plots_of.register(Front)
 class FrontPlots(AbstractPlots[Front]):
     """Figures of a front along a bound."""
 
@@ -60,9 +60,7 @@ class FrontPlots(AbstractPlots[Front]):
         return front
 
 
-plots_of.register(Front, FrontPlots)
-
-
+@plots_of.register(TradeOff)
 class TradeOffPlots(AbstractPlots[TradeOff]):
     """Figures of a trade-off between wishes."""
 
@@ -101,9 +99,7 @@ class TradeOffPlots(AbstractPlots[TradeOff]):
         return self._result
 
 
-plots_of.register(TradeOff, TradeOffPlots)
-
-
+@plots_of.register(Calibration)
 class CalibrationPlots(AbstractPlots[Calibration]):
     """Figures of a calibration."""
 
@@ -112,9 +108,7 @@ class CalibrationPlots(AbstractPlots[Calibration]):
         return calibration_figure(self._result)
 
 
-plots_of.register(Calibration, CalibrationPlots)
-
-
+@plots_of.register(Hardened)
 class HardenedPlots(AbstractPlots[Hardened]):
     """Figures of growing penalties."""
 
@@ -123,32 +117,20 @@ class HardenedPlots(AbstractPlots[Hardened]):
         return excesses_figure(self._result)
 
 
-plots_of.register(Hardened, HardenedPlots)
-
-
 @facts_of.register(Front)
 def _(front: Front) -> Facts:
     solved, every = int(front.solved.sum()), len(front.points)
-    unit = bound_unit(front) if front.solutions else ""
-    rows = [[given(value, unit), *_point(front, one)] for value, one in zip(front.values, front.points, strict=True)]
     heading = f"Front over {front.bound}: {solved} of {every} points solved{', interrupted' * front.interrupted}"
-    return Facts(heading, "", [Table("", [front.bound, "objective", "shadow price", "active"], rows)])
-
-
-def _point(front: Front, one: Solution | Refused) -> list[str]:
-    """Objective, shadow price and active limits; why there is no design, where there is none."""
-    if isinstance(one, Refused) or not one.ok:
-        return ["–", "–", one.why()]
-    return [number(one.objective, 5), number(one.multiplier(front.bound), 4), words(list(one.active), "nothing")]
+    points = zip(front.values, front.points, strict=True)
+    reasons = [f"No design at {given(value, bound_unit(front))}: {one.why()}" for value, one in points if not one.ok]
+    return Facts(heading, " ".join(reasons), [front_table({"": front})])
 
 
 @facts_of.register(TradeOff)
 def _(front: TradeOff) -> Facts:
-    units = [unit_of(front, i) for i in range(len(front.names))]
-    rows = [[number(value, 5, unit) for value, unit in zip(row, units, strict=True)] for row in front.values]
     failed = f"No design: {'; '.join(front.failed)}" if front.failed else ""
-    heading = f"Trade-off of {words(list(front.names))}: {len(rows)} designs{', interrupted' * front.interrupted}"
-    return Facts(heading, failed, [Table("", front.names, rows)])
+    designs = f"{len(front.solutions)} designs{', interrupted' * front.interrupted}"
+    return Facts(f"Trade-off of {words(list(front.names))}: {designs}", failed, [trade_off_table(front)])
 
 
 @facts_of.register(Calibration)
@@ -174,6 +156,7 @@ def _(one: Hardened) -> Facts:
 _ALIKE = 1e-4
 
 
+@plots_of.register(Starts)
 class StartsPlots(AbstractPlots[Starts]):
     """Figures of a problem solved from many starts."""
 
@@ -194,9 +177,6 @@ class StartsPlots(AbstractPlots[Starts]):
         return figure.update_layout(showlegend=bool(failed))
 
 
-plots_of.register(Starts, StartsPlots)
-
-
 def _range(values: list[float]) -> list[float]:
     """A range around all objectives; where they belong to one optimum, so wide that they look alike."""
     known = [one for one in values if np.isfinite(one)]
@@ -206,6 +186,7 @@ def _range(values: list[float]) -> list[float]:
     return padded([*known, *([known[0] - 0.1 * size, known[0] + 0.1 * size] if known else [])])
 
 
+@plots_of.register(Portfolio)
 class PortfolioPlots(AbstractPlots[Portfolio]):
     """Figures of a portfolio of searches."""
 
@@ -229,9 +210,7 @@ class PortfolioPlots(AbstractPlots[Portfolio]):
         return search_figure(self._result.searched, unit_of_objective(self._result.best.problem))
 
 
-plots_of.register(Portfolio, PortfolioPlots)
-
-
+@plots_of.register(Searched)
 class SearchedPlots(AbstractPlots[Searched]):
     """The figure of a search."""
 
@@ -242,9 +221,7 @@ class SearchedPlots(AbstractPlots[Searched]):
         return search_figure(self._result)
 
 
-plots_of.register(Searched, SearchedPlots)
-
-
+@plots_of.register(CrossChecked)
 class CrossCheckedPlots(AbstractPlots[CrossChecked]):
     """The figure of a cross-check."""
 
@@ -259,9 +236,6 @@ class CrossCheckedPlots(AbstractPlots[CrossChecked]):
         }
         shown = {kind: each for kind, each in groups.items() if each}
         return magnitudes_figure(shown, x="Relative difference", accepted=one.tolerance)
-
-
-plots_of.register(CrossChecked, CrossCheckedPlots)
 
 
 @facts_of.register(Starts)
