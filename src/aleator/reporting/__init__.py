@@ -19,7 +19,6 @@ from aleator.reporting._datasets import savable as savable
 from aleator.reporting._datasets import tree as tree
 from aleator.reporting._designs import Axis as Axis
 from aleator.reporting._designs import Box as Box
-from aleator.reporting._designs import decisions_figure as decisions_figure
 from aleator.reporting._designs import mesh_drawing as mesh_drawing
 from aleator.reporting._designs import mesh_figure as mesh_figure
 from aleator.reporting._designs import projection_figure as projection_figure
@@ -29,16 +28,13 @@ from aleator.reporting._files import check_writable as check_writable
 from aleator.reporting._files import has_writer as has_writer
 from aleator.reporting._files import only_writer as only_writer
 from aleator.reporting._files import write_whole as write_whole
-from aleator.reporting._fronts import decision_figure as decision_figure
 from aleator.reporting._fronts import decision_path_figure as decision_path_figure
 from aleator.reporting._fronts import front_figure as front_figure
 from aleator.reporting._fronts import optimum_figure as optimum_figure
 from aleator.reporting._fronts import pair_figure as pair_figure
-from aleator.reporting._fronts import parallel_figure as parallel_figure
 from aleator.reporting._fronts import price_figure as price_figure
 from aleator.reporting._fronts import relative_figure as relative_figure
 from aleator.reporting._fronts import shadow_price_figure as shadow_price_figure
-from aleator.reporting._fronts import space_figure as space_figure
 from aleator.reporting._fronts import trade_off_figure as trade_off_figure
 from aleator.reporting._methods import Trial as Trial
 from aleator.reporting._methods import bars_figure as bars_figure
@@ -69,7 +65,6 @@ from aleator.reporting._report import footer as footer
 from aleator.reporting._report import report as report
 from aleator.reporting._report import sections as sections
 from aleator.reporting._samples import calibration_figure as calibration_figure
-from aleator.reporting._samples import magnitudes_figure as magnitudes_figure
 from aleator.reporting._samples import percentile_figure as percentile_figure
 from aleator.reporting._samples import shares_figure as shares_figure
 from aleator.reporting._store import PAGE as PAGE

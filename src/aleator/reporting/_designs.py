@@ -8,16 +8,13 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from aleator._core.errors import ProblemError
 from aleator.nlp import Searched
 from aleator.reporting._blocks import Drawing
-from aleator.reporting._numbers import count, given, number, residual, unit_of_decision, unit_of_objective
+from aleator.reporting._numbers import count, number, residual, unit_of_objective
 from aleator.reporting._style import (
     ALARM,
     DASHES,
-    LIMIT,
     MUTED,
-    SIZE,
     Look,
     blank,
     draw,
@@ -95,41 +92,6 @@ def _hover(box: Box, keys: tuple[str, str], axes: Mapping[str, Axis]) -> str:
         spread = f" ± {number(box.half[key], 3)}" if box.half[key] > 0 else ""
         rows.append(f"{plain(axes[key].name)}: {number(box.centre[key], 4)}{spread} {plain(axes[key].unit)}")
     return "<br>".join(rows)
-
-
-_ROW, _AROUND = 44, 130
-
-
-def decisions_figure(solution: Solution) -> "Figure":
-    """Each decision between its bounds, in percent of the way from the lower to the upper one, with where it began.
-
-    An array of decisions has one marker for each entry. Decisions without two finite bounds have no such place. Raises
-    `ProblemError` if there is no other.
-    """
-    places = {name: one.decision for name, one in solution.problem.placements.decisions.items()}
-    shown = {name: one for name, one in places.items() if np.all(np.isfinite(np.subtract(one.upper, one.lower)))}
-    if not shown:
-        raise ProblemError(
-            f"plot.decisions: expected a decision with two finite bounds; received {list(places)} without them."
-        )
-    figure = blank(label("Way from the lower to the upper bound", "%"), "", height=_AROUND + _ROW * len(shown))
-    look = looks(["design"])["design"]
-    for row, (name, one) in enumerate(shown.items()):
-        low, wide = np.asarray(one.lower, float), np.subtract(one.upper, one.lower)
-        unit, value, place = unit_of_decision(name, solution.problem), solution.decisions[name], plain(name)
-        draw(figure, [0, 100], [place] * 2, MUTED, mode="lines", line_width=1, showlegend=False)
-        for kind, values, each in (("start", one.initial, Look(MUTED, f"{look.symbol}-open")), ("design", value, look)):
-            ways = np.ravel(100 * (np.asarray(values, float) - low) / np.where(wide > 0, wide, 1.0))
-            texts = [number(entry, 5, plain(unit)) for entry in np.ravel(values)]
-            named = {"name": kind, "legendgroup": kind, "showlegend": row == 0, "text": texts}
-            hover = f"<b>{place}</b>, {kind}: %{{text}}"
-            draw(figure, ways, [place] * len(ways), each, mode="markers", hover=hover, cliponaxis=False, **named)
-        said = f"{number(float(value), 5, unit)}, " if np.ndim(value) == 0 else ""
-        said += f"between {given(float(np.min(one.lower)))} and {given(float(np.max(one.upper)), unit)}"
-        above = {"xanchor": "right", "yanchor": "bottom", "yshift": 9, "showarrow": False}
-        figure.add_annotation(x=100, y=place, text=plain(said), font={"size": SIZE - 2, "color": LIMIT}, **above)
-    figure.update_xaxes(range=[-4, 104])
-    return figure.update_yaxes(type="category", range=[len(shown) - 0.5, -0.7], showgrid=False)
 
 
 # A point that violates a constraint by more than this, relative to its magnitude, is drawn as one that does not hold.

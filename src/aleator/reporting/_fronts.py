@@ -1,6 +1,5 @@
 """Figures of sweeps: what lies along a bound (optima, shadow prices, decisions), trade-offs, growing penalties."""
 
-import html
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -13,16 +12,12 @@ from jaxtyping import Int
 from aleator.reporting._numbers import (
     given,
     number,
-    unit_of_decision,
     unit_of_expression,
     unit_of_limit,
     unit_of_objective,
 )
 from aleator.reporting._style import (
     DASHES,
-    FONT,
-    GRID,
-    INK,
     LIMIT,
     MUTED,
     SIZE,
@@ -37,7 +32,7 @@ from aleator.reporting._style import (
     plain,
 )
 from aleator.solution import Solution
-from aleator.sweep import Front, Hardened, Refused, TradeOff
+from aleator.sweep import Front, Refused, TradeOff
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -232,21 +227,6 @@ def _shade_infeasible(figure: "Figure", name: str, front: Front) -> None:
     figure.add_annotation(text=f"◄ no {plain(name)} exists here", showarrow=False, font=font, **place)
 
 
-def decision_figure(front: Front, name: str) -> "Figure":
-    """A decision along the bound of a front, of an array each entry; gaps where there is no design."""
-    (front, _), problem = in_order({"": front})[""], front.solutions[0].problem
-    unit = unit_of_decision(name, problem)
-    figure = blank(label(f"Limit of {front.bound}", bound_unit(front)), label(name, unit))
-    shape = np.shape(problem.placements.decisions[name].decision.initial)
-    entries = [f"{name}[{i}]" for i in range(int(np.prod(shape)))] if shape else [name]
-    missing = np.full(len(entries), np.nan)
-    rows = np.array([np.ravel(one.decisions[name]) if one else missing for one in front.optima], dtype=float)
-    for (entry, look), column in zip(looks(entries).items(), rows.T, strict=True):
-        hover = f"{plain(entry)} = %{{y:.5~g}} {plain(unit)} at %{{x:.4~g}}"
-        draw(figure, front.values, column, look, name=entry, hover=hover, marker_size=8)
-    return figure.update_layout(showlegend=len(entries) > 1)
-
-
 def decision_path_figure(
     fronts: Mapping[str, Front],
     across: str,
@@ -298,24 +278,12 @@ def relative_figure(
     return figure.update_yaxes(rangemode="tozero")
 
 
-def excesses_figure(hardened: Hardened) -> "Figure":
-    """The excess of each constraint against the weight of its penalty; one that is zero has no place on the axis."""
-    figure = blank(label("Weight of the penalties"), label("Excess over the limit, relative"))
-    for name, look in looks(hardened.excesses[0]).items():
-        excesses = [one[name] if one[name] > 0 else None for one in hardened.excesses]
-        hover = f"{plain(name)}: %{{y:.2~e}} at weight %{{x:.4~g}}"
-        draw(figure, list(hardened.weights), excesses, look, name=name, hover=hover)
-    limit_line(figure, hardened.tolerance, f"accepted: {given(hardened.tolerance)}", logarithmic=True)
-    powers = {"type": "log", "exponentformat": "power", "dtick": 1}
-    return figure.update_layout(showlegend=True).update_xaxes(powers).update_yaxes(powers)
-
-
 def unit_of(front: TradeOff, which: int) -> str:
     """The unit of a wish; empty where it is unknown."""
     return unit_of_expression(front.wishes[which], front.solutions[0].problem) if front.solutions else ""
 
 
-def _wishes(front: TradeOff) -> list[str]:
+def wishes_text(front: TradeOff) -> list[str]:
     """The values of all wishes of each design, to be shown over its point."""
     named = [(plain(name), unit_of(front, i)) for i, name in enumerate(front.names)]
     told = [
@@ -335,39 +303,5 @@ def pair_figure(front: TradeOff, first: int, second: int) -> "Figure":
     figure = blank(*(label(front.names[i], unit_of(front, i)) for i in (first, second)))
     look, (x, y) = looks(["design"])["design"], (front.values[:, i] for i in (first, second))
     line = {"line_color": look.fill(0.4), "line_width": 1.5} if len(front.names) == 2 else {"mode": "markers"}
-    draw(figure, x, y, look, hover="%{text}", text=_wishes(front), meta=list(range(len(x))), **line)
+    draw(figure, x, y, look, hover="%{text}", text=wishes_text(front), meta=list(range(len(x))), **line)
     return figure.update_layout(showlegend=False)
-
-
-def space_figure(front: TradeOff) -> "Figure":
-    """The designs of three wishes as points in space, coloured by the third."""
-    figure = blank("", "", height=560)
-    x, y, z = front.values.T
-    marker = {"size": 5, "color": z, "colorscale": "Cividis", "line": {"width": 0.5, "color": INK}}
-    over = {"text": _wishes(front), "hovertemplate": "%{text}<extra></extra>"}
-    figure.add_scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, **over)
-    # There Plotly reads markup but no escaped characters.
-    labels = [html.unescape(label(name, unit_of(front, i))) for i, name in enumerate(front.names)]
-    axes = {
-        f"{axis}axis": {
-            "title": {"text": text.replace("<", "‹").replace(">", "›")},
-            **{"gridcolor": GRID, "linecolor": MUTED, "showbackground": False},
-        }
-        for axis, text in zip("xyz", labels, strict=True)
-    }
-    return figure.update_layout(scene=axes | {"camera": {"eye": {"x": 1.6, "y": 1.6, "z": 0.9}}}, showlegend=False)
-
-
-def parallel_figure(front: TradeOff) -> "Figure":
-    """One axis for each wish and one line for each design, coloured by the first wish; drag along axes to select."""
-    figure = blank("", "", height=420)
-    figure.add_parcoords(
-        dimensions=[
-            {"label": label(name, unit_of(front, i)), "values": column}
-            for i, (name, column) in enumerate(zip(front.names, front.values.T, strict=True))
-        ],
-        line={"color": front.values[:, 0], "colorscale": "Cividis"},
-        labelfont={"size": SIZE, "family": FONT, "color": INK},
-    )
-    # Labels stand above the axes, and those of the outer ones reach beyond them.
-    return figure.update_layout(margin={"t": 80, "l": 110, "r": 110})

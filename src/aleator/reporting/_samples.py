@@ -3,8 +3,6 @@
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from aleator.reporting._numbers import given, number, share_text
 from aleator.reporting._style import ALARM, INK, Look, blank, draw, label, limit_line, looks, padded, plain
 from aleator.sweep import Calibration
@@ -87,19 +85,3 @@ def _draw_shares(figure: "Figure", x: Sequence[Any], shares: Sequence[Share], lo
         **{"symmetric": False, "color": look.colour, "thickness": 1.5, "width": 4},
     }
     draw(figure, x, y, look, error_y=bars, text=[plain(share_text(one)) for one in shares], **style)
-
-
-def magnitudes_figure(
-    groups: Mapping[str, Mapping[str, float]], *, x: str, accepted: float, least: float = 1e-16
-) -> "Figure":
-    """Numbers of very different magnitudes, a row for each, against the one accepted; those below `least` lie there."""
-    rows = sum(map(len, groups.values()))
-    figure = blank(label(x), "", height=130 + 34 * rows)
-    for kind, look in looks(groups).items():
-        values, names = groups[kind].values(), [plain(name) for name in groups[kind]]
-        places = [max(one, least) if np.isfinite(one) else None for one in values]
-        texts = [f"{one:.1e}" for one in values]
-        draw(figure, places, names, look, name=kind, mode="markers", text=texts, hover="%{y}: %{text}")
-    limit_line(figure, accepted, f"accepted: {given(accepted)}", axis="x", logarithmic=True)
-    figure.update_layout(showlegend=True).update_xaxes(type="log", exponentformat="power", dtick=2)
-    return figure.update_yaxes(type="category", range=[rows - 0.5, -0.5])

@@ -16,8 +16,11 @@ from aleator._core.errors import ProblemError, SimulationError
 from aleator.design import AbstractFunctional, Problem, history, path, responses
 from aleator.ensemble import draw as draw_samples
 from aleator.reporting._blocks import Table
-from aleator.reporting._designs import decisions_figure, mesh_figure, search_figure
+from aleator.reporting._designs import mesh_figure, search_figure
 from aleator.reporting._numbers import (
+    given,
+    number,
+    unit_of_decision,
     unit_of_expression,
     unit_of_functional,
     unit_of_objective,
@@ -25,7 +28,7 @@ from aleator.reporting._numbers import (
     words,
 )
 from aleator.reporting._paths import components, histories_figure, limits_of, limits_text, path_figure, paths_of
-from aleator.reporting._style import ALARM, draw
+from aleator.reporting._style import ALARM, LIMIT, MUTED, SIZE, Look, blank, draw, label, looks, plain
 from aleator.reporting._tables import decision_text, limit_rows, objective_text, status_words
 from aleator.reporting.drawn._facts import AbstractPlots, Facts, chosen, facts_of, plots_of, unknown
 from aleator.solution import Costates, MeshError, Solution, States, Switching
@@ -199,8 +202,36 @@ class SolutionPlots(AbstractPlots[Solution]):
         return figure
 
     def decisions(self) -> "Figure":
-        """Where each decision lies between its bounds, and where it began."""
-        return decisions_figure(self._result)
+        """Each decision between its bounds, in percent of the way from the lower to the upper one, with where it began.
+
+        An array of decisions has one marker for each entry. Decisions without two finite bounds have no such place.
+        """
+        solution = self._result
+        places = {name: one.decision for name, one in solution.problem.placements.decisions.items()}
+        shown = {name: one for name, one in places.items() if np.all(np.isfinite(np.subtract(one.upper, one.lower)))}
+        if not shown:
+            raise ProblemError(
+                f"plot.decisions: expected a decision with two finite bounds; received {list(places)} without them."
+            )
+        figure = blank(label("Way from the lower to the upper bound", "%"), "", height=130 + 44 * len(shown))
+        look = looks(["design"])["design"]
+        for row, (name, one) in enumerate(shown.items()):
+            low, wide = np.asarray(one.lower, float), np.subtract(one.upper, one.lower)
+            unit, value, place = unit_of_decision(name, solution.problem), solution.decisions[name], plain(name)
+            draw(figure, [0, 100], [place] * 2, MUTED, mode="lines", line_width=1, showlegend=False)
+            rows = (("start", one.initial, Look(MUTED, f"{look.symbol}-open")), ("design", value, look))
+            for kind, values, each in rows:
+                ways = np.ravel(100 * (np.asarray(values, float) - low) / np.where(wide > 0, wide, 1.0))
+                texts = [number(entry, 5, plain(unit)) for entry in np.ravel(values)]
+                named = {"name": kind, "legendgroup": kind, "showlegend": row == 0, "text": texts}
+                hover = f"<b>{place}</b>, {kind}: %{{text}}"
+                draw(figure, ways, [place] * len(ways), each, mode="markers", hover=hover, cliponaxis=False, **named)
+            said = f"{number(float(value), 5, unit)}, " if np.ndim(value) == 0 else ""
+            said += f"between {given(float(np.min(one.lower)))} and {given(float(np.max(one.upper)), unit)}"
+            above = {"xanchor": "right", "yanchor": "bottom", "yshift": 9, "showarrow": False}
+            figure.add_annotation(x=100, y=place, text=plain(said), font={"size": SIZE - 2, "color": LIMIT}, **above)
+        figure.update_xaxes(range=[-4, 104])
+        return figure.update_yaxes(type="category", range=[len(shown) - 0.5, -0.7], showgrid=False)
 
     def state(self, name: str | None = None) -> "Figure":
         """A state over time, of all realisations of a simultaneous program."""

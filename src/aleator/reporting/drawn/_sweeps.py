@@ -1,5 +1,6 @@
 """Figures and facts of sweeps: fronts, trade-offs, calibrations, penalties, many starts, portfolios, cross-checks."""
 
+import html
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,18 +11,41 @@ from aleator.reporting._blocks import Table
 from aleator.reporting._designs import search_figure
 from aleator.reporting._fronts import (
     bound_unit,
-    decision_figure,
-    excesses_figure,
+    in_order,
     optimum_figure,
     pair_figure,
-    parallel_figure,
     price_figure,
-    space_figure,
+    unit_of,
+    wishes_text,
 )
 from aleator.reporting._methods import bars_figure
-from aleator.reporting._numbers import count, given, number, percent, share_text, unit_of_objective, words
-from aleator.reporting._samples import calibration_figure, magnitudes_figure
-from aleator.reporting._style import ALARM, Look, blank, draw, label, looks, padded
+from aleator.reporting._numbers import (
+    count,
+    given,
+    number,
+    percent,
+    share_text,
+    unit_of_decision,
+    unit_of_objective,
+    words,
+)
+from aleator.reporting._samples import calibration_figure
+from aleator.reporting._style import (
+    ALARM,
+    FONT,
+    GRID,
+    INK,
+    MUTED,
+    SIZE,
+    Look,
+    blank,
+    draw,
+    label,
+    limit_line,
+    looks,
+    padded,
+    plain,
+)
 from aleator.reporting._sweeps import front_table, trade_off_table
 from aleator.reporting.drawn._facts import AbstractPlots, Facts, chosen, facts_of, plots_of, unknown
 from aleator.sweep import Calibration, CrossChecked, Front, Hardened, Portfolio, Starts, TradeOff
@@ -29,6 +53,8 @@ from aleator.sweep import Calibration, CrossChecked, Front, Hardened, Portfolio,
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
+# Relative differences below this are drawn there: on a logarithmic axis, zero has no place.
+_LEAST = 1e-16
 _EMPTY = "expected a solved design; received none"
 
 
@@ -46,10 +72,19 @@ class FrontPlots(AbstractPlots[Front]):
 
     def decision(self, name: str | None = None) -> "Figure":
         """A decision against the bound, of an array each entry; by default the first."""
-        front = self._solved("plot.decision")
-        problem = front.solutions[0].problem
-        name, _ = chosen("plot.decision", name, problem.placements.decisions, "expected a decision; received none.")
-        return decision_figure(front, name)
+        (front, _) = in_order({"": self._solved("plot.decision")})[""]
+        problem, nothing = front.solutions[0].problem, "expected a decision; received none."
+        name, place = chosen("plot.decision", name, problem.placements.decisions, nothing)
+        unit = unit_of_decision(name, problem)
+        figure = blank(label(f"Limit of {front.bound}", bound_unit(front)), label(name, unit))
+        shape = np.shape(place.decision.initial)
+        entries = [f"{name}[{i}]" for i in range(int(np.prod(shape)))] if shape else [name]
+        missing = np.full(len(entries), np.nan)
+        rows = np.array([np.ravel(one.decisions[name]) if one else missing for one in front.optima], dtype=float)
+        for (entry, look), column in zip(looks(entries).items(), rows.T, strict=True):
+            hover = f"{plain(entry)} = %{{y:.5~g}} {plain(unit)} at %{{x:.4~g}}"
+            draw(figure, front.values, column, look, name=entry, hover=hover, marker_size=8)
+        return figure.update_layout(showlegend=len(entries) > 1)
 
     def _solved(self, what: str) -> Front:
         """The front. Raises `ProblemError` if it has no design."""
@@ -86,11 +121,36 @@ class TradeOffPlots(AbstractPlots[TradeOff]):
             raise ProblemError(
                 f"plot.space: expected three wishes; received {len(front.names)}. Draw plot.curve or plot.parallel."
             )
-        return space_figure(front)
+        figure = blank("", "", height=560)
+        x, y, z = front.values.T
+        marker = {"size": 5, "color": z, "colorscale": "Cividis", "line": {"width": 0.5, "color": INK}}
+        over = {"text": wishes_text(front), "hovertemplate": "%{text}<extra></extra>"}
+        figure.add_scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, **over)
+        # There Plotly reads markup but no escaped characters.
+        labels = [html.unescape(label(name, unit_of(front, i))) for i, name in enumerate(front.names)]
+        axes = {
+            f"{axis}axis": {
+                "title": {"text": text.replace("<", "‹").replace(">", "›")},
+                **{"gridcolor": GRID, "linecolor": MUTED, "showbackground": False},
+            }
+            for axis, text in zip("xyz", labels, strict=True)
+        }
+        return figure.update_layout(scene=axes | {"camera": {"eye": {"x": 1.6, "y": 1.6, "z": 0.9}}}, showlegend=False)
 
     def parallel(self) -> "Figure":
         """One axis for each wish, and one line for each design."""
-        return parallel_figure(self._solved("plot.parallel"))
+        front = self._solved("plot.parallel")
+        figure = blank("", "", height=420)
+        figure.add_parcoords(
+            dimensions=[
+                {"label": label(name, unit_of(front, i)), "values": column}
+                for i, (name, column) in enumerate(zip(front.names, front.values.T, strict=True))
+            ],
+            line={"color": front.values[:, 0], "colorscale": "Cividis"},
+            labelfont={"size": SIZE, "family": FONT, "color": INK},
+        )
+        # Labels stand above the axes, and those of the outer ones reach beyond them.
+        return figure.update_layout(margin={"t": 80, "l": 110, "r": 110})
 
     def _solved(self, what: str) -> TradeOff:
         if not len(self._result.values):
@@ -114,7 +174,15 @@ class HardenedPlots(AbstractPlots[Hardened]):
 
     def excesses(self) -> "Figure":
         """The excess of each constraint against the weight of its penalty, and the one accepted."""
-        return excesses_figure(self._result)
+        hardened = self._result
+        figure = blank(label("Weight of the penalties"), label("Excess over the limit, relative"))
+        for name, look in looks(hardened.excesses[0]).items():
+            excesses = [one[name] if one[name] > 0 else None for one in hardened.excesses]
+            hover = f"{plain(name)}: %{{y:.2~e}} at weight %{{x:.4~g}}"
+            draw(figure, list(hardened.weights), excesses, look, name=name, hover=hover)
+        limit_line(figure, hardened.tolerance, f"accepted: {given(hardened.tolerance)}", logarithmic=True)
+        powers = {"type": "log", "exponentformat": "power", "dtick": 1}
+        return figure.update_layout(showlegend=True).update_xaxes(powers).update_yaxes(powers)
 
 
 @facts_of.register(Front)
@@ -234,8 +302,17 @@ class CrossCheckedPlots(AbstractPlots[CrossChecked]):
             "statistics": one.statistics,
             "multipliers": {f"multiplier of {text}": value for text, value in one.multipliers.items()},
         }
-        shown = {kind: each for kind, each in groups.items() if each}
-        return magnitudes_figure(shown, x="Relative difference", accepted=one.tolerance)
+        groups = {kind: each for kind, each in groups.items() if each}
+        rows = sum(map(len, groups.values()))
+        figure = blank(label("Relative difference"), "", height=130 + 34 * rows)
+        for kind, look in looks(groups).items():
+            values, names = groups[kind].values(), [plain(name) for name in groups[kind]]
+            places = [max(size, _LEAST) if np.isfinite(size) else None for size in values]
+            texts = [f"{size:.1e}" for size in values]
+            draw(figure, places, names, look, name=kind, mode="markers", text=texts, hover="%{y}: %{text}")
+        limit_line(figure, one.tolerance, f"accepted: {given(one.tolerance)}", axis="x", logarithmic=True)
+        figure.update_layout(showlegend=True).update_xaxes(type="log", exponentformat="power", dtick=2)
+        return figure.update_yaxes(type="category", range=[rows - 0.5, -0.5])
 
 
 @facts_of.register(Starts)
