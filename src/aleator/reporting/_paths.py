@@ -1,6 +1,7 @@
 """The paths of a problem, with their limits; and figures over time: means with bands, and histories of systems."""
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
@@ -32,8 +33,8 @@ if TYPE_CHECKING:
 
 # The multiple of the standard deviation in a band, where no limit says another.
 _USUAL = 2.0
-# Systems drawn of many.
-_DRAWN = 60
+# Systems drawn of many, and instants of theirs.
+_DRAWN, _PIXELS = 60, 700
 
 
 class Limits(NamedTuple):
@@ -239,20 +240,22 @@ def trajectory_figure(
     y: str = "",
     unit: str = "",
     who: str = "systems",
-    every: int = 4,
+    every: int | None = None,
 ) -> "Figure":
     """Sampled systems over time against the bounds of the constraints called `name` (figures 6.9 and 6.10).
 
-    The first 60 are drawn, by every fourth instant or by `every` so many; those that violate any bound are highlighted.
-    The title gives the proportion over all samples.
+    The first 60 are drawn; those that violate any bound are highlighted. The title gives the share of all samples.
+
+    - `every`: so many instants are drawn as one, by default so many that a figure has no more than its pixels.
     """
-    kept = [one for one in evidence.trajectories if one.name == name]
+    kept, instants = [one for one in evidence.trajectories if one.name == name], evidence.solution.instants
+    step = every or math.ceil(len(instants) / _PIXELS)
     # Both sides of a pair of bounds measure the same quantity.
     values = {one.values.tobytes(): one for one in kept}.values()
-    pairs = [curves(one.values[:_DRAWN, ::every], one.violating[:_DRAWN]) for one in values]
+    pairs = [curves(one.values[:_DRAWN, ::step], one.violating[:_DRAWN]) for one in values]
     share = evidence.violations.get(name)
     return path_figure(
-        evidence.solution.instants[::every],
+        instants[::step],
         {},
         y=y or name,
         unit=unit,

@@ -107,7 +107,8 @@ class EvidencePlots(AbstractPlots[Evidence]):
 
     def _most_broken(self, names: Collection[str]) -> str | None:
         """The limit among these that most systems break; None if none of them is counted."""
-        shares = {name: share.estimate for name, share in self._result.violations.items() if name in names}
+        violations = self._result.violations
+        shares = {name: violations[name].estimate for name in names if name in violations}
         return max(shares, key=lambda name: shares[name], default=None)
 
     def _numbers(self) -> dict[str, Sampled]:
@@ -115,8 +116,9 @@ class EvidencePlots(AbstractPlots[Evidence]):
         return {text: one for text, one in self._result.functionals.items() if one.values is not None}
 
     def _limited(self) -> dict[str, str]:
-        """The text of such a functional by the limit that is on it alone."""
-        problem, known = self._result.solution.problem, self._numbers()
+        """The text of such a functional that varies by the limit that is on it alone."""
+        problem = self._result.solution.problem
+        known = {text for text, one in self._numbers().items() if _varies(one.values)}
         every = [one for one in functionals_of(problem.expressions) if one.text() in known]
         return {name: one.text() for one in every for name in limits_of(problem, one, "").names}
 
@@ -144,18 +146,21 @@ def _counted(evidence: EvidenceOfAll) -> list[str]:
     return list(dict.fromkeys(name for one in evidence.evidence if one for name in one.violations))
 
 
+def _varies(values: np.ndarray | None) -> bool:
+    return values is not None and bool(values.size) and np.ptp(values) > 1e-12 * float(np.max(np.abs(values)))
+
+
 def _steps(values: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """A histogram as a curve in steps, of widths by the rule of Freedman and Diaconis (1981), with 200 bins at most.
 
     Raises `ProblemError` for one value.
     """
-    known = np.zeros(0) if values is None else values
-    if not known.size or np.ptp(known) <= 1e-12 * float(np.max(np.abs(known))):
+    if values is None or not _varies(values):
         raise ProblemError("plot.density: expected a functional that varies; received one that is the same for all.")
     # Half of the samples may be alike, and a few far away.
-    width = 2 * float(np.subtract(*np.percentile(known, (75.0, 25.0)))) / np.cbrt(known.size)
-    bins = int(np.clip(np.ptp(known) / width, 1, _BINS)) if width > 0 else _BINS
-    heights, edges = np.histogram(known, bins=bins, density=True)
+    width = 2 * float(np.subtract(*np.percentile(values, (75.0, 25.0)))) / np.cbrt(values.size)
+    bins = int(np.clip(np.ptp(values) / width, 1, _BINS)) if width > 0 else _BINS
+    heights, edges = np.histogram(values, bins=bins, density=True)
     return np.repeat(edges, 2), np.concatenate([[0.0], np.repeat(heights, 2), [0.0]])
 
 
