@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from aleator.design import functionals_of
 from aleator.reporting._blocks import Band, Choice, Linked, Table
 from aleator.reporting._numbers import (
     count,
@@ -14,13 +15,14 @@ from aleator.reporting._numbers import (
     residual,
     share_text,
     unit_of_decision,
+    unit_of_expression,
     unit_of_functional,
     unit_of_limit,
     unit_of_objective,
     units_of_statistics,
     words,
 )
-from aleator.reporting._paths import components, ends, limits_of, path_figure, paths_of
+from aleator.reporting._paths import components, ends, limits_of, limits_text, path_figure, paths_of
 from aleator.reporting._style import padded, plain
 from aleator.reporting._tables import STATUS_WORDS, decision_text, objective_text, status_words, worst_text
 from aleator.solution import Moments, Solution
@@ -137,24 +139,44 @@ def _certified(solution: Solution) -> Iterator[tuple[str, str]]:
 
 
 def bands(solution: Solution) -> Iterator[Band]:
-    """The paths in the problem of a design, with their limits, at no more than 200 instants."""
-    times = solution.instants
+    """What is limited over time, at no more than 200 instants: limits on several paths together, then the other paths
+    in the problem of a design.
+    """
+    problem, paths = solution.problem, paths_of(solution.problem)
+    units = {name: unit_of_functional(one, problem) for name, one in paths.items()}
+    own = {name: limits_of(problem, one, units[name]) for name, one in paths.items()}
+    limited = set().union(*(limits.names for limits in own.values()))
+    pairs = zip(solution.constraints, problem.constraints, strict=True)
+    together = [(one, limit) for one, limit in pairs if one.times is not None and one.name not in limited]
+    names = [one.name for one, _ in together]
+    for i, (one, limit) in enumerate(together):
+        name = f"{one.name} {names[: i + 1].count(one.name)}" if names.count(one.name) > 1 else one.name
+        unit, values = unit_of_expression(limit.expression, problem), Moments(one.values, np.zeros_like(one.values))
+        yield from _bands(name, unit, np.asarray(one.times), values, 0.0, limits_text([one.lower, one.upper], unit))
+    seen = functionals_of(tuple(limit.expression for _, limit in together))
+    for name, functional in paths.items():
+        if own[name].names or functional not in seen:
+            moments, limits = solution.moments[functional.text()], own[name]
+            yield from _bands(name, units[name], solution.instants, moments, limits.sigmas, limits.texts)
+
+
+def _bands(
+    name: str, unit: str, times: np.ndarray, moments: Moments, sigmas: float, limits: Mapping[float, str]
+) -> Iterator[Band]:
+    """A path, of a vector each component."""
     shown = np.unique(np.linspace(0, len(times) - 1, min(_INSTANTS, len(times))).round().astype(int))
-    for name, functional in paths_of(solution.problem).items():
-        unit = unit_of_functional(functional, solution.problem)
-        limits, moments = limits_of(solution.problem, functional, unit), solution.moments[functional.text()]
-        for part, one in components(name, moments.mean, moments.std).items():
-            yield Band(part, unit, times[shown], one.mean[shown], one.std[shown], limits.sigmas, limits.texts)
+    for part, one in components(name, moments.mean, moments.std).items():
+        yield Band(part, unit, times[shown], one.mean[shown], one.std[shown], sigmas, limits)
 
 
 def stages(block: Linked) -> "dict[str, Figure]":
-    """A figure for each path of the choices, by its name, as the first choice that has it; all on the same axes."""
+    """A figure for each path of the choices, by its name, as the choice with the widest band; all on the same axes."""
     figures = {}
     for name, each in _by_name(block).items():
-        first = each[0]
-        moments = {f"mean of {name}": Moments(first.mean, first.std)}
-        named = {"y": name, "unit": first.unit, "limits": first.limits}
-        figure = path_figure(first.times, moments, sigmas=first.sigmas, **named).update_layout(height=300)
+        widest = max(each, key=lambda band: band.sigmas * float(np.max(band.std)))
+        moments = {f"mean of {name}" if widest.sigmas else name: Moments(widest.mean, widest.std)}
+        named = {"y": name, "unit": widest.unit, "limits": widest.limits}
+        figure = path_figure(widest.times, moments, sigmas=widest.sigmas, **named).update_layout(height=300)
         figure.update_xaxes(range=[min(one.times.min() for one in each), max(one.times.max() for one in each)])
         figures[name] = figure.update_yaxes(range=padded(_reached(each), 0.1))
     return figures

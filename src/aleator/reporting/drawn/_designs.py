@@ -182,23 +182,25 @@ class SolutionPlots(AbstractPlots[Solution]):
         """What a limit over time is on (such as mean + 2 σ), its bounds, and where it is active; by default the one
         that is active, else the first.
         """
-        pairs = zip(self._result.constraints, self._result.problem.constraints, strict=True)
-        over_time = {one.name: (one, declared) for one, declared in pairs if one.times is not None}
-        nothing = "expected a limit over time; received a problem without one."
-        first = next(iter(self._active()), None)
-        name, (one, declared) = chosen("plot.limit", first if name is None else name, over_time, nothing)
-        times, unit = np.asarray(one.times), unit_of_expression(declared.expression, self._result.problem)
-        figure = path_figure(
-            times,
-            components(str(declared.expression), one.values, np.zeros_like(one.values)),
-            y=name,
-            unit=unit,
-            limits=limits_text([one.lower, one.upper], unit),
-            title=self._warning(),
-        )
-        active = np.reshape(one.active, (len(times), -1))
-        places, values = np.repeat(times, active.sum(axis=1)), np.reshape(one.values, active.shape)[active]
-        draw(figure, places, values, ALARM, name="active", mode="markers", hover="active at %{x:.4~g} s", marker_size=8)
+        every = zip(self._result.constraints, self._result.problem.constraints, strict=True)
+        pairs = [(one, declared) for one, declared in every if one.times is not None]
+        over_time = {one.name: declared.expression for one, declared in pairs}
+        nothing, first = "expected a limit over time; received a problem without one.", next(iter(self._active()), None)
+        name, expression = chosen("plot.limit", first if name is None else name, over_time, nothing)
+        unit = unit_of_expression(expression, self._result.problem)
+        # Both sides of a limit, or limits on several paths, may have one name.
+        named = [(one, str(declared.expression)) for one, declared in pairs if one.name == name]
+        times = np.asarray(named[0][0].times)
+        parts = [(one, text) for one, text in named if np.array_equal(np.asarray(one.times), times)]
+        lines = [components(text, one.values, np.zeros_like(one.values)) for one, text in parts]
+        bounds = [bound for one, _ in parts for bound in (one.lower, one.upper)]
+        shown = {"unit": unit, "limits": limits_text(bounds, unit), "title": self._warning()}
+        figure = path_figure(times, {text: one for line in lines for text, one in line.items()}, y=name, **shown)
+        active = [np.reshape(one.active, (len(times), -1)) for one, _ in parts]
+        values = [np.reshape(one.values, part.shape)[part] for (one, _), part in zip(parts, active, strict=True)]
+        places = [np.repeat(times, part.sum(axis=1)) for part in active]
+        marks = {"name": "active", "mode": "markers", "hover": "active at %{x:.4~g} s", "marker_size": 8}
+        draw(figure, np.concatenate(places), np.concatenate(values), ALARM, **marks)
         return figure
 
     def decisions(self) -> "Figure":
