@@ -109,8 +109,8 @@ def front_figure(
     for row, (name, (front, places)) in enumerate(in_order(fronts).items(), start=1):
         look = looks(fronts)[name]
         legend_entry(figure, name, look)
-        told = {"text": [_hover(front, i) for i in range(len(front.points))], "showlegend": False}
-        _add_points(figure, name, front, look, shown, y_unit, "%{text}", places, **told)
+        texts = {"text": [_hover(front, i) for i in range(len(front.points))], "showlegend": False}
+        _add_points(figure, name, front, look, shown, y_unit, "%{text}", places, **texts)
         if not front.solved.all():
             rows = row + 1
             _add_infeasible(figure, name, front, look, low - step * row, x_unit, places)
@@ -286,11 +286,11 @@ def unit_of(front: TradeOff, which: int) -> str:
 def wishes_text(front: TradeOff) -> list[str]:
     """The values of all wishes of each design, to be shown over its point."""
     named = [(plain(name), unit_of(front, i)) for i, name in enumerate(front.names)]
-    told = [
+    rows = [
         [f"{name}: {plain(number(float(value), 5, unit))}" for (name, unit), value in zip(named, row, strict=True)]
         for row in front.values
     ]
-    return ["<br>".join(row) for row in told]
+    return ["<br>".join(row) for row in rows]
 
 
 def trade_off_figure(front: TradeOff) -> "list[Figure]":

@@ -46,8 +46,8 @@ def plane_figure(
     figure = _plane(title, [rows, nominal], scene)
     for chosen, name, colour in ((~bad, "within the limits", CLOUD), (bad, "violating", ALARM)):
         if chosen.any():
-            told = f"{name} ({int(chosen.sum())} of {len(bad)} drawn)"
-            draw(figure, *_strokes(rows[chosen]), colour, name=told, mode="lines", line_width=0.9, opacity=0.8)
+            counted = f"{name} ({int(chosen.sum())} of {len(bad)} drawn)"
+            draw(figure, *_strokes(rows[chosen]), colour, name=counted, mode="lines", line_width=0.9, opacity=0.8)
     hover = "x %{x:.3f} m, y %{y:.3f} m"
     draw(
         figure,

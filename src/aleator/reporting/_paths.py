@@ -248,10 +248,10 @@ def trajectory_figure(
 
     - `every`: so many instants are drawn as one, by default so many that a figure has no more than its pixels.
     """
-    kept, instants = [one for one in evidence.trajectories if one.name == name], evidence.solution.instants
+    sampled, instants = [one for one in evidence.trajectories if one.name == name], evidence.solution.instants
     step = every or math.ceil(len(instants) / _PIXELS)
     # Both sides of a pair of bounds measure the same quantity.
-    values = {one.values.tobytes(): one for one in kept}.values()
+    values = {one.values.tobytes(): one for one in sampled}.values()
     pairs = [curves(one.values[:_DRAWN, ::step], one.violating[:_DRAWN]) for one in values]
     share = evidence.violations.get(name)
     return path_figure(
@@ -260,7 +260,7 @@ def trajectory_figure(
         y=y or name,
         unit=unit,
         histories=_split(pairs) if pairs else {},
-        limits=limits_text([bound for one in kept for bound in (one.upper, one.lower)], unit),
+        limits=limits_text([bound for one in sampled for bound in (one.upper, one.lower)], unit),
         title="" if share is None else f"{share_text(share)} of {who} violate {name}",
     )
 

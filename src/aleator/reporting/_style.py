@@ -45,11 +45,11 @@ KNOWN = {"dOpt": Look("#d55e00", "circle"), "uOpt": Look("#0072b2", "square"), "
 
 def looks(names: Iterable[str]) -> dict[str, Look]:
     """A look for each design: that of the known design whose name begins it, or the next in the palette."""
-    found: dict[str, Look] = {}
+    styles: dict[str, Look] = {}
     for i, name in enumerate(names):
         known = KNOWN.get(name.split(",")[0].strip())
-        found[name] = known or Look(_COLOURS[i % len(_COLOURS)], _SYMBOLS[i % len(_SYMBOLS)])
-    return found
+        styles[name] = known or Look(_COLOURS[i % len(_COLOURS)], _SYMBOLS[i % len(_SYMBOLS)])
+    return styles
 
 
 def plain(text: str) -> str:

@@ -112,7 +112,7 @@ def _nearest(designs: Sequence[Solution | Refused], recommended: Solution | None
 
 def disagreements(designs: Mapping[str, Solution], fronts: Mapping[str, Front]) -> list[str]:
     """Where a design and a point of a front solve the same problem, but one is better: the other is a local optimum."""
-    found = []
+    sentences = []
     for name, design in designs.items():
         for front in fronts.values():
             for value, point in zip(front.values, front.points, strict=True):
@@ -122,11 +122,11 @@ def disagreements(designs: Mapping[str, Solution], fronts: Mapping[str, Front]) 
                 if gap > SAME * max(abs(design.objective), abs(point.objective)):
                     places = f"'{name}' and the front at {front.bound} = {given(value, bound_unit(front))}"
                     both = f"{objective_text(design)} and {objective_text(point)}"
-                    found.append(
+                    sentences.append(
                         f"{places} are optima of one problem, {both}: the higher one is local, and neither need be the "
                         "least. al.multistart and al.portfolio look for others."
                     )
-    return found
+    return sentences
 
 
 def _optimum(front: Front, point: Solution | Refused) -> list[str]:

@@ -228,10 +228,12 @@ class SolutionPlots(AbstractPlots[Solution]):
                 named = {"name": kind, "legendgroup": kind, "showlegend": row == 0, "text": texts}
                 hover = f"<b>{place}</b>, {kind}: %{{text}}"
                 draw(figure, ways, [place] * len(ways), each, mode="markers", hover=hover, cliponaxis=False, **named)
-            said = f"{number(float(value), 5, unit)}, " if np.ndim(value) == 0 else ""
-            said += f"between {given(float(np.min(one.lower)))} and {given(float(np.max(one.upper)), unit)}"
+            sentence = f"{number(float(value), 5, unit)}, " if np.ndim(value) == 0 else ""
+            sentence += f"between {given(float(np.min(one.lower)))} and {given(float(np.max(one.upper)), unit)}"
             above = {"xanchor": "right", "yanchor": "bottom", "yshift": 9, "showarrow": False}
-            figure.add_annotation(x=100, y=place, text=plain(said), font={"size": SIZE - 2, "color": LIMIT}, **above)
+            figure.add_annotation(
+                x=100, y=place, text=plain(sentence), font={"size": SIZE - 2, "color": LIMIT}, **above
+            )
         figure.update_xaxes(range=[-4, 104])
         return figure.update_yaxes(type="category", range=[len(shown) - 0.5, -0.7], showgrid=False)
 

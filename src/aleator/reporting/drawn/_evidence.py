@@ -36,9 +36,9 @@ class EvidencePlots(AbstractPlots[Evidence]):
         """The limit that most systems break: these over time against it, or the density of the number that it limits;
         without such a limit, what there is of trajectories or densities.
         """
-        kept, densities = [one.name for one in self._result.trajectories], self._limited()
-        worst = self._most_broken([*kept, *densities])
-        if worst in kept or (worst is None and kept):
+        paths, densities = [one.name for one in self._result.trajectories], self._limited()
+        worst = self._most_broken([*paths, *densities])
+        if worst in paths or (worst is None and paths):
             return self.trajectories(worst)
         return self.density(None if worst is None else densities[worst])
 
@@ -47,8 +47,8 @@ class EvidencePlots(AbstractPlots[Evidence]):
         that break it are highlighted.
         """
         nothing = "expected a limit over time, and keep > 0 in al.validate; received evidence without trajectories."
-        kept = {one.name: one for one in self._result.trajectories}
-        name, _ = chosen("plot.trajectories", self._most_broken(kept) if limit is None else limit, kept, nothing)
+        paths = {one.name: one for one in self._result.trajectories}
+        name, _ = chosen("plot.trajectories", self._most_broken(paths) if limit is None else limit, paths, nothing)
         return trajectory_figure(self._result, name, unit=unit_of_limit(name, self._result.solution.problem), every=1)
 
     def band(self, output: str | None = None, *, sigmas: float | None = None) -> "Figure":
@@ -60,17 +60,17 @@ class EvidencePlots(AbstractPlots[Evidence]):
         nothing = "expected a path in the problem, such as al.path('x'); received one without."
         name, functional = chosen("plot.band", output, paths_of(problem), nothing)
         unit = unit_of_functional(functional, problem)
-        found, limits = self._result.functionals[functional.text()], limits_of(problem, functional, unit)
-        kept = [one.values for one in self._result.trajectories if one.name in limits.names]
+        sampled, limits = self._result.functionals[functional.text()], limits_of(problem, functional, unit)
+        histories = [one.values for one in self._result.trajectories if one.name in limits.names]
         return path_figure(
             self._result.solution.instants,
-            components(f"sampled mean of {name}", found.mean, found.std)
-            | components(f"mean of {name} by the expansion", found.expanded_mean, np.zeros_like(found.std)),
+            components(f"sampled mean of {name}", sampled.mean, sampled.std)
+            | components(f"mean of {name} by the expansion", sampled.expanded_mean, np.zeros_like(sampled.std)),
             sigmas=limits.sigmas if sigmas is None else positive("plot.band: sigmas", sigmas),
             y=name,
             unit=unit,
             limits=limits.texts,
-            histories=cloud(kept[0]) if kept else {},
+            histories=cloud(histories[0]) if histories else {},
         )
 
     def density(self, functional: str | None = None) -> "Figure":
@@ -81,9 +81,9 @@ class EvidencePlots(AbstractPlots[Evidence]):
         name, one = self._number("plot.density", functional)
         problem = self._result.solution.problem
         unit = units_of_moments(problem).get(name, "")
-        (taken,) = [each for each in functionals_of(problem.expressions) if each.text() == name]
+        (declared,) = [each for each in functionals_of(problem.expressions) if each.text() == name]
         edges, heights = _steps(one.values)
-        limits = limits_of(problem, taken, unit)
+        limits = limits_of(problem, declared, unit)
         broken = {each: share for each, share in self._result.violations.items() if each in limits.names}
         title = f"mean {number(float(one.mean))}, σ {number(float(one.std))}, {count(self._result.samples)} systems"
         title = "<br>".join([*(f"{share_text(share)} violate {plain(each)}" for each, share in broken.items()), title])
@@ -194,5 +194,5 @@ def _(evidence: EvidenceOfAll) -> Facts:
         for i, (place, one) in enumerate(zip(evidence.places, evidence.evidence, strict=True))
     ]
     heading = f"Evidence on {len(evidence.designs)} designs{', interrupted' * evidence.interrupted}"
-    said = "" if evidence.agrees else "Samples contradict some of the designs, or these could not be simulated."
-    return Facts(heading, said, [Table(_COUNTED, ["design", *names], rows)])
+    sentence = "" if evidence.agrees else "Samples contradict some of the designs, or these could not be simulated."
+    return Facts(heading, sentence, [Table(_COUNTED, ["design", *names], rows)])

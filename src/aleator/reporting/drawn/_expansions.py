@@ -62,8 +62,8 @@ class ExpandedPlots(AbstractPlots[AbstractExpanded]):
 def _shares(one: AbstractExpanded, where: tuple[int, ...]) -> dict[str, dict[str, float]]:
     """The shares of inputs in the variance of one number, by their kind."""
 
-    def number_of(found: Any) -> float:
-        return float(np.asarray(found)[where])
+    def number_of(moments: Any) -> float:
+        return float(np.asarray(moments)[where])
 
     if any(each.dependence for each in one.distributions.values()):
         if not isinstance(one, Expanded):

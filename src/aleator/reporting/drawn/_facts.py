@@ -133,10 +133,10 @@ def _element(kind: str, text: str, style: str = "") -> str:
 @facts_of.register(AbstractSystem)
 def _(system: AbstractMechanical | AbstractSystem) -> Facts:
     rows = [[name, _value(value), str(field.metadata.get("unit", ""))] for name, field, value in fields_of(system)]
-    name, said = type(system).__name__, (type(system).__doc__ or "").strip().split("\n")[0]
+    name, sentence = type(system).__name__, (type(system).__doc__ or "").strip().split("\n")[0]
     # A class without a docstring is given its signature as one.
-    said = "" if said.startswith(f"{name}(") else said
-    return Facts(name, said, [Table("", ["number", "value", "unit"], rows)] if rows else [])
+    sentence = "" if sentence.startswith(f"{name}(") else sentence
+    return Facts(name, sentence, [Table("", ["number", "value", "unit"], rows)] if rows else [])
 
 
 @facts_of.register(Problem)

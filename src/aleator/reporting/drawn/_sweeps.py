@@ -202,21 +202,21 @@ def _(front: TradeOff) -> Facts:
 
 
 @facts_of.register(Calibration)
-def _(found: Calibration) -> Facts:
-    rows = [[f"{one.sigmas:.4f}", number(one.solution.objective, 5), share_text(one.violation)] for one in found.trials]
-    heading = (
-        f"Calibration of {found.name} for {percent(found.target)}: "
-        f"{found.sigmas:.4f} σ, {'' if found.confirmed else 'not '}confirmed{', interrupted' * found.interrupted}"
-    )
-    return Facts(heading, found.sentence(), [Table("", ["sigmas", "objective", f"violates {found.name}"], rows)])
+def _(calibration: Calibration) -> Facts:
+    name, trials = calibration.name, calibration.trials
+    rows = [[f"{one.sigmas:.4f}", number(one.solution.objective, 5), share_text(one.violation)] for one in trials]
+    end = f"{'' if calibration.confirmed else 'not '}confirmed{', interrupted' * calibration.interrupted}"
+    heading = f"Calibration of {name} for {percent(calibration.target)}: {calibration.sigmas:.4f} σ, {end}"
+    return Facts(heading, calibration.sentence(), [Table("", ["sigmas", "objective", f"violates {name}"], rows)])
 
 
 @facts_of.register(Hardened)
-def _(one: Hardened) -> Facts:
-    told = ["; ".join(f"{excess:.1e} of {name}" for name, excess in each.items()) for each in one.excesses]
-    found = zip(one.weights, one.solutions, told, strict=True)
-    rows = [[f"{weight:g}", number(each.objective, 5), excesses] for weight, each, excesses in found]
-    heading = f"Penalties: {'all' if one.holds else 'not all'} limits hold{', interrupted' * one.interrupted}"
+def _(hardened: Hardened) -> Facts:
+    rows = [
+        [f"{weight:g}", number(one.objective, 5), "; ".join(f"{size:.1e} of {name}" for name, size in excesses.items())]
+        for weight, one, excesses in zip(hardened.weights, hardened.solutions, hardened.excesses, strict=True)
+    ]
+    heading = f"Penalties: {'all' if hardened.holds else 'not all'} limits hold{', interrupted' * hardened.interrupted}"
     return Facts(heading, "", [Table("", ["weight", "objective", "excess"], rows)])
 
 
@@ -232,7 +232,7 @@ class StartsPlots(AbstractPlots[Starts]):
         """The objectives that the starts led to, best first; starts that failed come last, as crosses."""
         every = self._result.solutions
         figure = blank(label("Starts, best first"), label("Objective", unit_of_objective(every[0].problem)))
-        solved, failed = (sorted(one.objective for one in every if one.ok is ok) for ok in (True, False))
+        solved, failed = (sorted(one.objective for one in every if one.ok == ok) for ok in (True, False))
         groups = (
             ("solved", solved, 1, looks(["solved"])["solved"]),
             ("failed", failed, 1 + len(solved), Look(ALARM, "x")),
@@ -319,18 +319,18 @@ class CrossCheckedPlots(AbstractPlots[CrossChecked]):
 def _(starts: Starts) -> Facts:
     unit, every = unit_of_objective(starts.best.problem), len(starts.solutions)
     rows = [[number(one.objective, 6, unit), f"{led} of {every}"] for one, led in starts.optima]
-    said = "" if starts.best.ok else starts.best.why()
+    sentence = "" if starts.best.ok else starts.best.why()
     heading = f"{every} starts: {len(rows)} local optima{', interrupted' * starts.interrupted}"
-    return Facts(heading, said, [Table("", ["objective", "starts"], rows)])
+    return Facts(heading, sentence, [Table("", ["objective", "starts"], rows)])
 
 
 @facts_of.register(Portfolio)
-def _(found: Portfolio) -> Facts:
-    unit = unit_of_objective(found.best.problem)
-    rows = [[number(one.objective, 6, unit), f"{one.starts}", f"{one.random}"] for one in found.optima]
-    heading = f"Portfolio of {found.starts} starts: {len(rows)} optima{', interrupted' * found.interrupted}"
-    said = found.sure() if found.best.ok else found.best.why()
-    return Facts(heading, said, [Table("", ["objective", "starts", "of these random"], rows)])
+def _(portfolio: Portfolio) -> Facts:
+    unit = unit_of_objective(portfolio.best.problem)
+    rows = [[number(one.objective, 6, unit), f"{one.starts}", f"{one.random}"] for one in portfolio.optima]
+    heading = f"Portfolio of {portfolio.starts} starts: {len(rows)} optima{', interrupted' * portfolio.interrupted}"
+    sentence = portfolio.sure() if portfolio.best.ok else portfolio.best.why()
+    return Facts(heading, sentence, [Table("", ["objective", "starts", "of these random"], rows)])
 
 
 @facts_of.register(Searched)
@@ -339,5 +339,5 @@ def _(searched: Searched) -> Facts:
 
 
 @facts_of.register(CrossChecked)
-def _(found: CrossChecked) -> Facts:
-    return Facts(f"Cross-check: {'the solutions agree' if found.agree else 'the solutions do not agree'}")
+def _(check: CrossChecked) -> Facts:
+    return Facts(f"Cross-check: {'the solutions agree' if check.agree else 'the solutions do not agree'}")
