@@ -2,6 +2,7 @@
 
 import html
 import re
+from typing import ClassVar
 
 import numpy as np
 import plotly.graph_objects
@@ -11,6 +12,7 @@ import scipy
 import shown_results as shown
 
 import aleator as al
+from aleator.reporting._choices import bands
 from aleator.reporting._paths import limits_of
 
 
@@ -67,6 +69,58 @@ def test_limits_on_a_path_are_drawn_with_the_systems_for_which_they_hold_and_whe
     (active,) = [one for one in figure.data if one.name == "active"]
     np.testing.assert_allclose(numbers(active.y), limit.values[limit.active], rtol=1e-6)
     assert titles(figure) == ("Time (s)", "reach &lt;b&gt;&amp; (m)")
+
+
+class Two(given.Oscillator):
+    """The oscillator with a second path in metres."""
+
+    units: ClassVar = {**given.Oscillator.units, "other": "m"}
+
+    def outputs(self, t, z):
+        return {**super().outputs(t, z), "other": 0.1 * z.x}
+
+
+def limited(held):
+    """The oscillator with a first limit that never matters, and a second one that holds it."""
+    idle = al.path("effort").at_most(1e3, sigmas=1.0).named("idle")
+    system, grid, objective = given.problem().system, al.Grid(4.0, 50), al.integral("effort").mean
+    limits = [idle, held.named("held")]
+    return al.solve(
+        al.Problem(system, grid=grid, minimize=objective, subject_to=limits, expansion=al.Expansion(order=2))
+    )
+
+
+def test_a_solution_opens_on_the_limit_that_is_active_and_evidence_on_the_one_that_most_systems_break():
+    solution = limited(al.path("back").at_most(0.2, sigmas=1.0))
+    assert solution.active == ("held",)
+    assert titles(solution.plot()) == ("Time (s)", "back (m)")
+    assert solution.plot().layout.annotations[0].text.startswith("held: 0.2")
+    assert titles(solution.plot.histories(samples=2))[1] == "back (m)"
+    evidence = al.validate(solution, 400, seed=3, keep=5)
+    assert evidence.violations["idle"].estimate == 0.0 < evidence.violations["held"].estimate
+    assert evidence.plot().layout.title.text.endswith("of systems violate held")
+    assert titles(evidence.plot())[1] == titles(evidence.plot.trajectories())[1] == "held (m)"
+
+
+def test_a_limit_on_several_paths_together_is_drawn_itself_with_both_its_sides():
+    back, other = al.path("back"), al.path("other")
+    sides = [back.mean - other.mean <= 0.2, back.mean - other.mean >= -1.3]
+    system = Two(k=al.Uniform(4.0, half_width=0.4), c=al.Uniform(al.Decision(1.0, 0.2, 3.0), half_width=0.1))
+    settings = {"grid": al.Grid(4.0, 50), "expansion": al.Expansion(order=2)}
+    limits = [one.named("held") for one in sides]
+    solution = al.solve(al.Problem(system, minimize=al.integral("effort").mean, subject_to=limits, **settings))
+    assert solution.active == ("held",)
+    figure = solution.plot()
+    assert titles(figure) == ("Time (s)", "held (m)")
+    assert [one.y0 for one in figure.layout.shapes] == [0.2, -1.3]
+    moments = solution.moments
+    difference = moments["back(t)"].mean - moments["other(t)"].mean
+    np.testing.assert_allclose(numbers(figure.data[0].y), difference, rtol=1e-5, atol=1e-6)
+    # A page shows the limit of a design that a reader chooses, not the paths of which it is made.
+    shown = list(bands(solution))
+    assert [one.name for one in shown] == ["held 1", "held 2"]
+    assert [list(one.limits) for one in shown] == [[0.2], [-1.3]]
+    np.testing.assert_allclose(shown[0].mean, difference, rtol=1e-6, atol=1e-9)
 
 
 def test_histories_are_those_of_random_systems_at_the_decisions():

@@ -38,6 +38,17 @@ def test_each_point_of_a_front_tells_its_decisions_objective_limits_prices_and_c
     assert facts(chosen, "Certificate")["Active"] == given.NAME
 
 
+def test_a_front_opens_at_the_design_nearest_to_the_recommended_one():
+    front, recommended = given.front(), given.solution()
+    (block,) = front_blocks({"uOpt": front}, recommended=recommended)
+    assert front.values[block.chosen] == 0.2
+    other = dataclasses.replace(recommended, vector=recommended.vector * 0.5)
+    (block,) = front_blocks({"uOpt": front}, recommended=other)
+    far = [abs(float(one.vector[0]) - float(other.vector[0])) if one.ok else np.inf for one in front.points]
+    assert block.chosen == int(np.argmin(far))
+    assert front_blocks({"uOpt": front}, recommended=given.bar())[0].chosen == 0
+
+
 def test_a_point_without_a_design_tells_why():
     failed = linked().choices[3]
     assert facts(failed, "Certificate")["Status"] == "infeasible"
@@ -98,5 +109,10 @@ def test_what_a_wish_buys_is_the_ratio_of_weights_and_a_decision_at_its_bound_te
         assert facts(block.choices[end], "Wishes")["Rates of exchange"] == "none at an end of the front"
     (told,) = (one for name, one in facts(block.choices[1], "Wishes").items() if name.endswith("more of effort buys"))
     assert float(told.split(" ")[0]) == pytest.approx(2.0)
+    (block,) = trade_off_blocks(
+        {"made up": dataclasses.replace(shown.trade_off(3), weights=np.full((3, 3), 2.0) / [1, 2, 4])}
+    )
+    (told,) = (one for name, one in facts(block.choices[1], "Wishes").items() if name.endswith("more of effort buys"))
+    assert [float(one.split(" ")[0]) for one in told.split(" or ")] == pytest.approx([2.0, 4.0])
     # The mass is the width, whose lower bound it reaches.
     assert facts(choice("alone", given.bar()), "Shadow prices")["bound of width"] == "1.000 per mm"

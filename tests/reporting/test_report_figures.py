@@ -17,7 +17,7 @@ from aleator.reporting import (
     shadow_price_figure,
     trajectory_figure,
 )
-from aleator.reporting._samples import curves
+from aleator.reporting._paths import curves
 
 
 def traces(figure, mode):

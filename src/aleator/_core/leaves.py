@@ -44,8 +44,8 @@ class Printed:
 class _Figures:
     """The figures of a result: `result.plot()` is the usual one, and the methods of `result.plot` are the others.
 
-    Each returns a figure of Plotly, or with `backend="matplotlib"` one of Matplotlib, for papers. It is a descriptor of
-    its own, not a property, because notebooks complete `result.plot.` only if looking it up is no property's code.
+    Each returns a figure of Plotly. It is a descriptor of its own, not a property, because notebooks complete
+    `result.plot.` only if looking it up is no property's code.
     """
 
     def __get__(self, result: Any, owner: Any = None) -> Any:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from aleator.design import functionals_of
 from aleator.reporting._blocks import Band, Choice, Linked, Table
 from aleator.reporting._numbers import (
     count,
@@ -14,13 +15,14 @@ from aleator.reporting._numbers import (
     residual,
     share_text,
     unit_of_decision,
+    unit_of_expression,
     unit_of_functional,
     unit_of_limit,
     unit_of_objective,
     units_of_statistics,
     words,
 )
-from aleator.reporting._paths import components, ends, limits_of, path_figure, paths_of
+from aleator.reporting._paths import components, ends, limits_of, limits_text, path_figure, paths_of
 from aleator.reporting._style import padded, plain
 from aleator.reporting._tables import STATUS_WORDS, decision_text, objective_text, status_words, worst_text
 from aleator.solution import Moments, Solution
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
 
 # Instants of a path on a page: more than its figure has pixels for would only make the page larger.
 _INSTANTS = 200
+# A band is written to this part of the range of its figure, finer than a pixel.
+_FINE = 2000
 
 _UNCHECKED = "No fresh systems were simulated at this design: see al.validate_all."
 
@@ -48,20 +52,20 @@ def choice(
     """
     if isinstance(point, Refused):
         return Choice(name, [_table("Certificate", [("Status", STATUS_WORDS[point.status])], point.reason)])
+    limits = list(dict.fromkeys(one.name for one in point.constraints))
+    objective = _table("Objective", [(str(point.problem.objective), objective_text(point))])
     tables = [
         _table("Decisions", [(one, decision_text(point, one)) for one in point.decisions]),
-        _table("Wishes", wishes.items())
-        if wishes
-        else _table("Objective", [(str(point.problem.objective), objective_text(point))]),
-        _table("Limits", [(one, worst_text(point, one)) for one in _limits(point)]),
-        _table(f"Shadow prices{' in the weighted sum of the wishes' if wishes else ''}", _prices(point)),
+        _table("Wishes", wishes.items()) if wishes else objective,
+        _table("Limits", [(one, worst_text(point, one)) for one in limits]),
+        _table(f"Shadow prices{' in the weighted sum of the wishes' if wishes else ''}", _prices(point, limits)),
         _table("Statistics", _statistics(point)),
         _table("Evidence", _counted(evidence), _alarms(evidence)),
     ]
     certificate = _table("Certificate", _certified(point), "" if point.ok else point.why())
     # That there is no design comes first.
-    ordered = [*tables, certificate] if point.ok else [certificate, *tables]
-    return Choice(name, [one for one in ordered if one.rows or one.note], bands(point))
+    every = [*tables, certificate] if point.ok else [certificate, *tables]
+    return Choice(name, [one for one in every if one.rows or one.note], list(bands(point)))
 
 
 def evidence_on(solution: Solution | Refused, known: Iterable[Evidence]) -> Evidence | None:
@@ -79,26 +83,21 @@ def _table(caption: str, rows: Iterable[tuple[str, str]], note: str = "") -> Tab
     return Table(caption, ["", ""], [list(row) for row in rows], note)
 
 
-def _limits(solution: Solution) -> list[str]:
-    return list(dict.fromkeys(one.name for one in solution.constraints))
-
-
-def _prices(solution: Solution) -> Iterator[tuple[str, str]]:
+def _prices(solution: Solution, limits: Sequence[str]) -> Iterator[tuple[str, str]]:
     """The shadow price of each limit, and those of the bounds of decisions where these lie at one. Of designs alone."""
     if not solution.ok:
         return
     objective = unit_of_objective(solution.problem)
-    for name in _limits(solution):
-        unit = unit_of_limit(name, solution.problem)
-        yield name, number(solution.multiplier(name), 4, _per(objective, unit))
+    for name in limits:
+        yield name, _price(solution.multiplier(name), objective, unit_of_limit(name, solution.problem))
     for name, value in solution.bound_multipliers.items():
         if np.any(value) and solution.is_at_bound(name):
-            price = float(np.sum(np.abs(value)))
-            yield f"bound of {name}", number(price, 4, _per(objective, unit_of_decision(name, solution.problem)))
+            price, unit = float(np.sum(np.abs(value))), unit_of_decision(name, solution.problem)
+            yield f"bound of {name}", _price(price, objective, unit)
 
 
-def _per(unit: str, by: str) -> str:
-    return f"{unit} per {by}".strip() if by else unit
+def _price(value: float, unit: str, by: str) -> str:
+    return number(value, 4, f"{unit} per {by}".strip() if by else unit)
 
 
 def _statistics(solution: Solution) -> Iterator[tuple[str, str]]:
@@ -123,52 +122,73 @@ def _counted(evidence: Evidence | None) -> Iterator[tuple[str, str]]:
 def _alarms(evidence: Evidence | None) -> str:
     if evidence is None:
         return _UNCHECKED
-    said = [] if evidence.agrees else [evidence.alarm()]
-    return " ".join([*said, *(one.sentence() for one in evidence.compared)])
+    alarms = [] if evidence.agrees else [evidence.alarm()]
+    return " ".join([*alarms, *(one.sentence() for one in evidence.compared)])
 
 
 def _certified(solution: Solution) -> Iterator[tuple[str, str]]:
     yield "Status", status_words(solution)
     yield "Active", words(list(solution.active), "nothing")
-    found = solution.certificate
-    residuals = (("violation", found.violation), ("stationarity", found.stationarity))
-    told = [f"{name} {residual(value)}" for name, value in (*residuals, ("complementarity", found.complementarity))]
-    yield "Residuals, scaled", ", ".join(told)
-    errors = found.expansion.leave_one_out
-    if errors and found.expansion.points > 1:
+    certificate = solution.certificate
+    names = ("violation", "stationarity", "complementarity")
+    yield "Residuals, scaled", ", ".join(f"{name} {residual(getattr(certificate, name))}" for name in names)
+    errors = certificate.expansion.leave_one_out
+    if errors and certificate.expansion.points > 1:
         worst = max(errors, key=lambda text: errors[text])
         yield "Worst leave-one-out error", f"{residual(errors[worst])} ({worst})"
 
 
-def bands(solution: Solution) -> list[Band]:
-    """The paths in the problem of a design, with their limits, at no more than 200 instants."""
-    every = []
-    for name, functional in paths_of(solution.problem).items():
-        unit = unit_of_functional(functional, solution.problem)
-        limits = limits_of(solution.problem, functional, unit)
-        found, times = solution.moments[functional.text()], solution.instants
-        kept = np.unique(np.linspace(0, len(times) - 1, min(_INSTANTS, len(times))).round().astype(int))
-        for one, moments in components(name, found.mean, found.std).items():
-            every.append(
-                Band(one, unit, times[kept], moments.mean[kept], moments.std[kept], limits.sigmas, limits.texts)
-            )
-    return every
+def bands(solution: Solution) -> Iterator[Band]:
+    """What is limited over time, at no more than 200 instants: limits on several paths together, then the other paths
+    in the problem of a design.
+    """
+    problem, paths = solution.problem, paths_of(solution.problem)
+    units = {name: unit_of_functional(one, problem) for name, one in paths.items()}
+    own = {name: limits_of(problem, one, units[name]) for name, one in paths.items()}
+    limited = set().union(*(limits.names for limits in own.values()))
+    pairs = zip(solution.constraints, problem.constraints, strict=True)
+    together = [(one, limit) for one, limit in pairs if one.times is not None and one.name not in limited]
+    names = [one.name for one, _ in together]
+    for i, (one, limit) in enumerate(together):
+        name = f"{one.name} {names[: i + 1].count(one.name)}" if names.count(one.name) > 1 else one.name
+        unit, values = unit_of_expression(limit.expression, problem), Moments(one.values, np.zeros_like(one.values))
+        yield from _bands(name, unit, np.asarray(one.times), values, 0.0, limits_text([one.lower, one.upper], unit))
+    seen = functionals_of(tuple(limit.expression for _, limit in together))
+    for name, functional in paths.items():
+        if own[name].names or functional not in seen:
+            moments, limits = solution.moments[functional.text()], own[name]
+            yield from _bands(name, units[name], solution.instants, moments, limits.sigmas, limits.texts)
 
 
-# A band is written to this part of the range of its figure, finer than a pixel.
-_FINE = 2000
+def _bands(
+    name: str, unit: str, times: np.ndarray, moments: Moments, sigmas: float, limits: Mapping[float, str]
+) -> Iterator[Band]:
+    """A path, of a vector each component."""
+    shown = np.unique(np.linspace(0, len(times) - 1, min(_INSTANTS, len(times))).round().astype(int))
+    for part, one in components(name, moments.mean, moments.std).items():
+        yield Band(part, unit, times[shown], one.mean[shown], one.std[shown], sigmas, limits)
 
 
 def stages(block: Linked) -> "dict[str, Figure]":
-    """A figure for each path of the choices, by its name, as the first choice that has it; all on the same axes."""
-    return {name: _stage(bands) for name, bands in _by_name(block).items()}
+    """A figure for each path of the choices, by its name, as the choice with the widest band; all on the same axes."""
+    figures = {}
+    for name, each in _by_name(block).items():
+        widest = max(each, key=lambda band: band.sigmas * float(np.max(band.std)))
+        moments = {f"mean of {name}" if widest.sigmas else name: Moments(widest.mean, widest.std)}
+        named = {"y": name, "unit": widest.unit, "limits": widest.limits}
+        figure = path_figure(widest.times, moments, sigmas=widest.sigmas, **named).update_layout(height=300)
+        figure.update_xaxes(range=[min(one.times.min() for one in each), max(one.times.max() for one in each)])
+        figures[name] = figure.update_yaxes(range=padded(_reached(each), 0.1))
+    return figures
 
 
 def choices_data(block: Linked) -> dict[str, Any]:
     """Names, facts and paths of the choices, as JSON."""
     grouped = _by_name(block)
-    digits = {name: _digits(_reached(bands)) for name, bands in grouped.items()}
-    seconds = {name: _digits([edge for one in bands for edge in ends(one.times)]) for name, bands in grouped.items()}
+    finest = {
+        name: (_digits([edge for one in each for edge in ends(one.times)]), _digits(_reached(each)))
+        for name, each in grouped.items()
+    }
     return {
         "paths": list(grouped),
         "choices": [
@@ -178,7 +198,7 @@ def choices_data(block: Linked) -> dict[str, Any]:
                     {"caption": table.caption, "rows": [list(row) for row in table.rows], "note": table.note}
                     for table in one.facts
                 ],
-                "bands": {band.name: _numbers(band, digits[band.name], seconds[band.name]) for band in one.bands},
+                "bands": {band.name: _numbers(band, *finest[band.name]) for band in one.bands},
             }
             for one in block.choices
         ],
@@ -187,23 +207,10 @@ def choices_data(block: Linked) -> dict[str, Any]:
 
 def _by_name(block: Linked) -> dict[str, list[Band]]:
     """The bands of all choices by the names of their paths."""
-    every = [band for one in block.choices for band in one.bands]
-    return {name: [one for one in every if one.name == name] for name in dict.fromkeys(one.name for one in every)}
-
-
-def _stage(bands: Sequence[Band]) -> "Figure":
-    first = bands[0]
-    figure = path_figure(
-        first.times,
-        {f"mean of {first.name}": Moments(first.mean, first.std)},
-        sigmas=first.sigmas,
-        y=first.name,
-        unit=first.unit,
-        limits=first.limits,
-    )
-    figure.update_layout(height=300)
-    figure.update_xaxes(range=[min(one.times.min() for one in bands), max(one.times.max() for one in bands)])
-    return figure.update_yaxes(range=padded(_reached(bands), 0.1))
+    grouped: dict[str, list[Band]] = {}
+    for band in (band for one in block.choices for band in one.bands):
+        grouped.setdefault(band.name, []).append(band)
+    return grouped
 
 
 def _reached(bands: Sequence[Band]) -> list[float]:
@@ -218,7 +225,7 @@ def _digits(values: Sequence[float]) -> int:
     return math.ceil(-math.log10(wide / _FINE)) if wide > 0 else 6
 
 
-def _numbers(band: Band, digits: int, seconds: int) -> dict[str, Any]:
+def _numbers(band: Band, seconds: int, digits: int) -> dict[str, Any]:
     return {
         "times": _rounded(band.times, seconds),
         "mean": _rounded(band.mean, digits),

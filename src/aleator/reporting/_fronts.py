@@ -1,19 +1,29 @@
-"""Figures of fronts: the optimum, its shadow price, its decisions and its spreads along a bound."""
+"""Figures of sweeps: what lies along a bound (optima, shadow prices, decisions), trade-offs, growing penalties."""
 
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Int
 
-from aleator.reporting._numbers import given, number
+from aleator.reporting._numbers import (
+    given,
+    number,
+    unit_of_expression,
+    unit_of_limit,
+    unit_of_objective,
+)
 from aleator.reporting._style import (
+    DASHES,
     LIMIT,
     MUTED,
     SIZE,
     Look,
     blank,
+    draw,
     label,
     legend_entry,
     limit_line,
@@ -22,43 +32,56 @@ from aleator.reporting._style import (
     plain,
 )
 from aleator.solution import Solution
-from aleator.sweep import Front, Refused
+from aleator.sweep import Front, Refused, TradeOff
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
+Measure = Callable[[Solution], float]
 
-def ordered(front: Front) -> Front:
-    """The front by its bounds, unless these rise or fall throughout."""
-    return _arranged(front, _order(front))
+# Values that differ by less than this part are shown as equal: the rest is what solvers' tolerances leave.
+_FLAT = 1e-6
 
 
 def in_order(fronts: Mapping[str, Front]) -> dict[str, tuple[Front, list[int]]]:
     """Each front by its bounds, and the places of its points among those of all as they were given, by which a page
     links them with their designs.
     """
-    found, before = {}, 0
+    ordered, before = {}, 0
     for name, front in fronts.items():
         order = _order(front)
-        found[name] = _arranged(front, order), (before + order).tolist()
+        points = tuple(front.points[i] for i in order)
+        ordered[name] = replace(front, values=front.values[order], points=points), (before + order).tolist()
         before += len(order)
-    return found
-
-
-def _arranged(front: Front, order: Int[np.ndarray, " points"]) -> Front:
-    return replace(front, values=front.values[order], points=tuple(front.points[i] for i in order))
+    return ordered
 
 
 def _order(front: Front) -> Int[np.ndarray, " points"]:
+    """The places of the points by their bounds, as they are where these rise or fall throughout."""
     changes = np.diff(front.values)
     is_in_order = bool(np.all(changes >= 0) or np.all(changes <= 0))
     return np.arange(len(front.values)) if is_in_order else np.argsort(front.values, kind="stable")
 
 
-Measure = Callable[[Solution], float]
+def bound_unit(front: Front) -> str:
+    """The unit of the bound along which a front lies."""
+    return unit_of_limit(front.bound, front.points[0].problem)
 
-# Values that differ by less than this part are shown as equal: the rest is what solvers' tolerances leave.
-_FLAT = 1e-6
+
+def optimum_figure(fronts: Mapping[str, Front]) -> "Figure":
+    """The optimum along one bound, for some fronts by name, with the units of their problem."""
+    front = next(iter(fronts.values()))
+    unit = unit_of_objective(front.solutions[0].problem)
+    return front_figure(fronts, y="Objective", y_unit=unit, x=f"Limit of {front.bound}", x_unit=bound_unit(front))
+
+
+def price_figure(fronts: Mapping[str, Front]) -> "Figure":
+    """The shadow price of one bound along it, for some fronts by name, with its unit."""
+    front = next(iter(fronts.values()))
+    unit, by = unit_of_objective(front.solutions[0].problem), bound_unit(front)
+    per = f"{unit or '1'} per {by}" if by else ""
+    x = f"Limit of {front.bound}"
+    return shadow_price_figure(fronts, y="Shadow price of the bound", y_unit=per, x=x, x_unit=by)
 
 
 def front_figure(
@@ -69,8 +92,8 @@ def front_figure(
     x_unit: str = "",
     y_unit: str = "",
     measure: Measure | None = None,
-    limits: Mapping[str, float] | None = None,
-    infeasible: Mapping[str, Front] | None = None,
+    limits: Mapping[str, float] = MappingProxyType({}),
+    infeasible: Mapping[str, Front] = MappingProxyType({}),
     title: str = "",
 ) -> "Figure":
     """The optimum (or another `measure` of each design) against the bound, one line for each front.
@@ -81,61 +104,70 @@ def front_figure(
     """
     figure = blank(label(x, x_unit), label(y, y_unit), title=title)
     shown = measure or (lambda solution: solution.objective)
-    low, high = _range(fronts, shown, tuple((limits or {}).values()))
-    step = 0.07 * (high - low)
-    for row, (name, (front, places)) in enumerate(in_order(fronts).items()):
+    low, high = _range(fronts, shown, list(limits.values()))
+    step, rows = 0.07 * (high - low), 1
+    for row, (name, (front, places)) in enumerate(in_order(fronts).items(), start=1):
         look = looks(fronts)[name]
-        _add_solved(figure, name, front, look, shown, (x_unit, y_unit), places)
-        _add_infeasible(figure, name, front, look, low - step * (row + 1), x_unit, places)
-    rows = 1 + max((i + 1 for i, one in enumerate(fronts.values()) if not one.solved.all()), default=0)
+        legend_entry(figure, name, look)
+        texts = {"text": [_hover(front, i) for i in range(len(front.points))], "showlegend": False}
+        _add_points(figure, name, front, look, shown, y_unit, "%{text}", places, **texts)
+        if not front.solved.all():
+            rows = row + 1
+            _add_infeasible(figure, name, front, look, low - step * row, x_unit, places)
     # Leaves room below the data for the label of the shaded band.
     rows += 1 if infeasible else 0
     figure.update_yaxes(range=[low - step * rows, high + step])
-    for text, value in (limits or {}).items():
+    for text, value in limits.items():
         limit_line(figure, value, text)
-    for name, front in (infeasible or {}).items():
+    for name, front in infeasible.items():
         _shade_infeasible(figure, name, front)
     return figure
 
 
-def _range(fronts: Mapping[str, Front], measure: Measure, extra: tuple[float, ...]) -> tuple[float, float]:
-    values = [measure(one) for front in fronts.values() for one in front.optima if one] + list(extra)
+def shadow_price_figure(
+    fronts: Mapping[str, Front], *, x: str, y: str, x_unit: str = "", y_unit: str = "", scale: float = 1.0
+) -> "Figure":
+    """The value of relaxing a bound: the multiplier along each front, times `scale`."""
+    figure = blank(label(x, x_unit), label(y, y_unit), height=360)
+    for name, (front, places) in in_order(fronts).items():
+        price, below = _price_of(front, scale), f"limit %{{x:.4~g}} {plain(x_unit)}"
+        _add_points(figure, name, front, looks(fronts)[name], price, y_unit, below, places, cliponaxis=False)
+    return figure.update_yaxes(rangemode="tozero")
+
+
+def _price_of(front: Front, scale: float) -> Measure:
+    return lambda solution: scale * solution.multiplier(front.bound)
+
+
+def _range(fronts: Mapping[str, Front], measure: Measure, extra: list[float]) -> tuple[float, float]:
+    values = [measure(one) for front in fronts.values() for one in front.optima if one] + extra
     low, high = (min(values), max(values)) if values else (0.0, 1.0)
     if high - low > _FLAT * max(abs(low), abs(high)):
         return low, high
     return low - 0.5 * abs(low or 1.0), high + 0.5 * abs(high or 1.0)
 
 
-def _add_solved(
-    figure: "Figure", name: str, front: Front, look: Look, measure: Measure, units: tuple[str, str], places: list[int]
+def _add_points(
+    figure: "Figure",
+    name: str,
+    front: Front,
+    look: Look,
+    measure: Measure,
+    unit: str,
+    below: str,
+    places: list[int],
+    **style: Any,
 ) -> None:
-    """The solved points as one line, interrupted where a point between them has no solution."""
-    values = [measure(one) if one else None for one in front.optima]
-    legend_entry(figure, name, look)
-    figure.add_scatter(
-        x=front.values,
-        y=values,
-        mode="lines+markers",
-        name=plain(name),
-        legendgroup=plain(name),
-        showlegend=False,
-        line={"color": look.colour, "width": 2},
-        marker={
-            "symbol": _symbols(front, look),
-            "size": 9,
-            "color": look.colour,
-            "line": {"color": look.colour, "width": 2},
-        },
-        text=[_hover(front, i) for i in range(len(front.points))],
-        meta=places,
-        hovertemplate=f"<b>{plain(name)}</b>: %{{y:.4~g}} {plain(units[1])}<br>%{{text}}<extra></extra>",
-    )
-
-
-def _symbols(front: Front, look: Look) -> list[str]:
-    """The markers of a front's points: filled where the swept bound is active."""
+    """The solved points as one line, interrupted where a point between them has no solution; filled where the swept
+    bound is active.
+    """
     active = [isinstance(one, Solution) and one.multiplier(front.bound) > 0 for one in front.points]
-    return [look.symbol if is_active else f"{look.symbol}-open" for is_active in active]
+    symbols = [look.symbol if is_active else f"{look.symbol}-open" for is_active in active]
+    hover = f"<b>{plain(name)}</b>: %{{y:.4~g}} {plain(unit)}<br>{below}"
+    values = [measure(one) if one else None for one in front.optima]
+    marks = {"marker_symbol": symbols, "marker_line_width": 2, "marker_line_color": look.colour}
+    linked = {"name": name, "legendgroup": plain(name), "meta": places, "hover": hover}
+    draw(figure, front.values, values, look, **linked, **marks, **style)
 
 
 def _hover(front: Front, i: int) -> str:
@@ -155,24 +187,21 @@ def _add_infeasible(
 ) -> None:
     """Points without a solution, on the axis, with the smallest violations."""
     missing = [i for i, one in enumerate(front.points) if not one.ok]
-    if not missing:
-        return
     last, middle = max(missing, key=lambda i: front.values[i]), (front.values.min() + front.values.max()) / 2
-    figure.add_scatter(
-        x=front.values[missing],
-        y=[height] * len(missing),
+    draw(
+        figure,
+        front.values[missing],
+        [height] * len(missing),
+        Look(look.colour, "x"),
+        name=f"{name}: no design exists",
         mode="markers+text",
-        name=plain(f"{name}: no design exists"),
-        showlegend=False,
-        marker={"symbol": "x", "size": 10, "color": look.colour},
+        hover=f"<b>{plain(name)}</b>: not solved at %{{x:.4~g}} {plain(unit)}<br>%{{customdata}}",
         text=[f" {plain(name)} infeasible" if i == last else "" for i in missing],
         textposition="middle right" if front.values[last] < middle else "middle left",
         textfont={"size": SIZE - 1, "color": look.colour},
         customdata=[_why(front.points[i]) for i in missing],
         meta=[places[i] for i in missing],
-        hovertemplate=(
-            f"<b>{plain(name)}</b>: not solved at %{{x:.4~g}} {plain(unit)}<br>%{{customdata}}<extra></extra>"
-        ),
+        showlegend=False,
         cliponaxis=False,
     )
 
@@ -191,45 +220,11 @@ def _shade_infeasible(figure: "Figure", name: str, front: Front) -> None:
     if not len(missing):
         return
     gap = float(np.min(np.abs(np.diff(np.sort(front.values))))) / 2 if len(front.values) > 1 else 0.0
-    figure.add_vrect(
-        x0=float(missing.min()) - gap, x1=float(missing.max()) + gap, fillcolor=MUTED, opacity=0.13, line_width=0
-    )
-    figure.add_annotation(
-        x=float(missing.max()) + gap,
-        y=0.02,
-        yref="paper",
-        ax=28,
-        ay=0,
-        xanchor="left",
-        yanchor="bottom",
-        text=f"◄ no {plain(name)} exists here",
-        showarrow=False,
-        font={"size": SIZE - 1, "color": LIMIT},
-    )
-
-
-def shadow_price_figure(
-    fronts: Mapping[str, Front], *, x: str, y: str, x_unit: str = "", y_unit: str = "", scale: float = 1.0
-) -> "Figure":
-    """The value of relaxing a bound: the multiplier along each front, times `scale`."""
-    figure = blank(label(x, x_unit), label(y, y_unit), height=360)
-    for name, (front, places) in in_order(fronts).items():
-        look = looks(fronts)[name]
-        figure.add_scatter(
-            x=front.values,
-            y=[scale * one.multiplier(front.bound) if one else None for one in front.optima],
-            mode="lines+markers",
-            name=plain(name),
-            line={"color": look.colour, "width": 2},
-            marker={"symbol": _symbols(front, look), "size": 8, "color": look.colour, "line": {"width": 2}},
-            cliponaxis=False,
-            meta=places,
-            hovertemplate=(
-                f"<b>{plain(name)}</b>: %{{y:.4~g}} {plain(y_unit)}<br>limit %{{x:.4~g}} {plain(x_unit)}<extra></extra>"
-            ),
-        )
-    figure.update_yaxes(rangemode="tozero")
-    return figure
+    low, high = float(missing.min()) - gap, float(missing.max()) + gap
+    figure.add_vrect(x0=low, x1=high, fillcolor=MUTED, opacity=0.13, line_width=0)
+    place = {"x": high, "y": 0.02, "yref": "paper", "xanchor": "left", "yanchor": "bottom"}
+    font = {"size": SIZE - 1, "color": LIMIT}
+    figure.add_annotation(text=f"◄ no {plain(name)} exists here", showarrow=False, font=font, **place)
 
 
 def decision_path_figure(
@@ -247,65 +242,66 @@ def decision_path_figure(
     figure = blank(plain(x), plain(y))
     for name, (front, _) in in_order(fronts).items():
         look = looks(fronts)[name]
-        found = [(value, one) for value, one in zip(front.values, front.optima, strict=True) if one]
-        places = [float(one.decisions[across]) for _, one in found]
-        bounds = [given(float(f"{value:.4g}"), bound_unit) for value, _ in found]
-        figure.add_scatter(
-            x=places,
-            y=[float(one.decisions[up]) for _, one in found],
-            mode="lines+markers+text",
-            name=plain(name),
-            line={"color": look.colour, "width": 1.5},
-            marker={"symbol": f"{look.symbol}-open", "size": 10, "color": look.colour, "line": {"width": 2}},
-            # Labels at both ends of several fronts would overlap.
-            text=[text if place == max(places) else "" for place, text in zip(places, bounds, strict=True)],
-            textposition="middle left",
-            textfont={"size": SIZE - 2, "color": look.colour},
-            customdata=bounds,
-            hovertemplate=(
-                f"<b>{plain(name)}</b>, {plain(front.bound)} limit %{{customdata}}"
-                f"<br>{plain(across)} = %{{x:.5~g}}<br>{plain(up)} = %{{y:.5~g}}<extra></extra>"
-            ),
-            cliponaxis=False,
+        solved = [(value, one) for value, one in zip(front.values, front.optima, strict=True) if one]
+        xs, ys = ([float(one.decisions[key]) for _, one in solved] for key in (across, up))
+        bounds = [given(float(f"{value:.4g}"), bound_unit) for value, _ in solved]
+        # Labels at both ends of several fronts would overlap.
+        texts = [text if place == max(xs) else "" for place, text in zip(xs, bounds, strict=True)]
+        hover = (
+            f"<b>{plain(name)}</b>, {plain(front.bound)} limit %{{customdata}}"
+            f"<br>{plain(across)} = %{{x:.5~g}}<br>{plain(up)} = %{{y:.5~g}}"
         )
+        marks = {"line_width": 1.5, "marker_symbol": f"{look.symbol}-open", "marker_size": 10, "marker_line_width": 2}
+        written = {"text": texts, "textposition": "middle left", "textfont": {"size": SIZE - 2, "color": look.colour}}
+        named = {"name": name, "customdata": bounds, "hover": hover, "cliponaxis": False}
+        draw(figure, xs, ys, look, mode="lines+markers+text", **named, **marks, **written)
     if lower is not None:
         limit_line(figure, lower, lower_text, dash="dot", under=True)
         reached = [float(one.decisions[up]) for front in fronts.values() for one in front.optima if one]
         figure.update_yaxes(range=padded([lower, *reached], 0.12))
-    figure.update_yaxes(tickformat=",d")
-    return figure
+    return figure.update_yaxes(tickformat=",d")
 
 
 def relative_figure(
     front: Front, names: Mapping[str, str], *, x: str, y: str, x_unit: str = "", reference: str = "initial value"
 ) -> "Figure":
     """Decisions along a front in percent of their initial values (figure 7.5); `names` are their labels."""
-    front, figure = ordered(front), blank(label(x, x_unit), plain(y))
-    starts = {name: front.solutions[0].problem.placements.decisions[name].decision.initial for name in names}
-    styles: dict[str, dict[str, Any]] = {
-        name: {"colour": colour, "symbol": symbol, "dash": dash}
-        for (name, colour, symbol, dash) in zip(
-            names,
-            ("#0072b2", "#a3508a", "#b07400", "#5b5b5b"),
-            ("square", "triangle-up", "circle", "diamond"),
-            ("solid", "dash", "dot", "dashdot"),
-            strict=False,
-        )
-    }
-    for name, style in styles.items():
-        figure.add_scatter(
-            x=front.values,
-            y=[100 * float(one.decisions[name]) / float(starts[name]) if one else None for one in front.optima],
-            mode="lines+markers",
-            name=plain(names[name]),
-            line={"color": style["colour"], "width": 2, "dash": style["dash"]},
-            marker={"symbol": style["symbol"], "size": 9, "color": style["colour"]},
-            customdata=[number(float(one.decisions[name])) if one else "" for one in front.optima],
-            hovertemplate=(
-                f"<b>{plain(names[name])}</b>: %{{customdata}}, %{{y:.4~g}} % of the {reference}<extra></extra>"
-            ),
-        )
+    (front, _), figure = in_order({"": front})[""], blank(label(x, x_unit), plain(y))
+    places = front.solutions[0].problem.placements.decisions
+    for (name, text), look, dash in zip(names.items(), looks(names).values(), DASHES, strict=False):
+        values = [float(one.decisions[name]) if one else np.nan for one in front.optima]
+        hover = f"<b>{plain(text)}</b>: %{{customdata}}, %{{y:.4~g}} % of the {reference}"
+        shown = {"name": text, "customdata": [number(one) for one in values], "hover": hover, "line_dash": dash}
+        draw(figure, front.values, 100 * np.array(values) / float(places[name].decision.initial), look, **shown)
     limit_line(figure, 100.0, f"{reference} (100 %)")
     _shade_infeasible(figure, "design", front)
-    figure.update_yaxes(rangemode="tozero")
-    return figure
+    return figure.update_yaxes(rangemode="tozero")
+
+
+def unit_of(front: TradeOff, which: int) -> str:
+    """The unit of a wish; empty where it is unknown."""
+    return unit_of_expression(front.wishes[which], front.solutions[0].problem) if front.solutions else ""
+
+
+def wishes_text(front: TradeOff) -> list[str]:
+    """The values of all wishes of each design, to be shown over its point."""
+    named = [(plain(name), unit_of(front, i)) for i, name in enumerate(front.names)]
+    rows = [
+        [f"{name}: {plain(number(float(value), 5, unit))}" for (name, unit), value in zip(named, row, strict=True)]
+        for row in front.values
+    ]
+    return ["<br>".join(row) for row in rows]
+
+
+def trade_off_figure(front: TradeOff) -> "list[Figure]":
+    """A figure for each pair of wishes: every design, with the values of all wishes to hover over."""
+    return [pair_figure(front, *pair) for pair in itertools.combinations(range(len(front.names)), 2)]
+
+
+def pair_figure(front: TradeOff, first: int, second: int) -> "Figure":
+    """Two wishes, by their places among `front.names`, against one another."""
+    figure = blank(*(label(front.names[i], unit_of(front, i)) for i in (first, second)))
+    look, (x, y) = looks(["design"])["design"], (front.values[:, i] for i in (first, second))
+    line = {"line_color": look.fill(0.4), "line_width": 1.5} if len(front.names) == 2 else {"mode": "markers"}
+    draw(figure, x, y, look, hover="%{text}", text=wishes_text(front), meta=list(range(len(x))), **line)
+    return figure.update_layout(showlegend=False)

@@ -15,7 +15,8 @@ from aleator.reporting._designs import mesh_drawing, search_drawings
 from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._numbers import unit_of_limit, units_of_moments, words
 from aleator.reporting._page import Page, verdict, write_page
-from aleator.reporting._samples import percentile_figure, trajectory_figure
+from aleator.reporting._paths import trajectory_figure
+from aleator.reporting._samples import percentile_figure
 from aleator.reporting._store import provenance
 from aleator.reporting._sweeps import disagreements, front_blocks, trade_off_blocks
 from aleator.reporting._tables import certificate_table, designs_table, evidence_table, statistics_table
@@ -159,7 +160,9 @@ def trade_offs_section(
     swept = {name: one for name, one in fronts.items() if isinstance(one, Front) and one.solutions}
     traded = {name: one for name, one in fronts.items() if isinstance(one, TradeOff)}
     optima = [Text(said, lead="Several local optima.")] if (said := disagreements(designs, swept)) else []
-    return Section("Trade-offs", [*optima, *front_blocks(swept, known), *trade_off_blocks(traded, known)])
+    # The page opens where its design is.
+    shown = next((one for one in reversed(list(designs.values())) if one.ok), None)
+    return Section("Trade-offs", [*optima, *front_blocks(swept, known, shown), *trade_off_blocks(traded, known, shown)])
 
 
 def _page(

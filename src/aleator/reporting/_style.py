@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
-INK, MUTED, GRID, LIMIT, ALARM = "#1b2733", "#5b6875", "#e4e8ec", "#33404d", "#8a1c5b"
+INK, MUTED, GRID, LIMIT, ALARM, CLOUD = "#1b2733", "#5b6875", "#e4e8ec", "#33404d", "#8a1c5b", "#a9b4bf"
 SIZE = 14
-# Characters along a vertical axis.
-_LINE = 38
+# Characters along a vertical axis, also of a figure in the size of a paper's column.
+_LINE = 30
 
 DASHES = ("solid", "dash", "dot", "dashdot")
 """Lines of boxes and limits that belong together."""
@@ -45,11 +45,11 @@ KNOWN = {"dOpt": Look("#d55e00", "circle"), "uOpt": Look("#0072b2", "square"), "
 
 def looks(names: Iterable[str]) -> dict[str, Look]:
     """A look for each design: that of the known design whose name begins it, or the next in the palette."""
-    found: dict[str, Look] = {}
+    styles: dict[str, Look] = {}
     for i, name in enumerate(names):
         known = KNOWN.get(name.split(",")[0].strip())
-        found[name] = known or Look(_COLOURS[i % len(_COLOURS)], _SYMBOLS[i % len(_SYMBOLS)])
-    return found
+        styles[name] = known or Look(_COLOURS[i % len(_COLOURS)], _SYMBOLS[i % len(_SYMBOLS)])
+    return styles
 
 
 def plain(text: str) -> str:
@@ -80,24 +80,19 @@ def blank(x: str, y: str, *, title: str = "", height: int = 420) -> "Figure":
         # Not "1µ" on an axis whose unit has a prefix of its own.
         "exponentformat": "power",
     }
+    above = {"text": title, "font": {"size": SIZE + 2}, "x": 0, "xref": "paper"}
+    above |= {"y": 1, "yref": "container", "yanchor": "top", "pad": {"t": 10}, "automargin": True}
     figure.update_layout(
         # Only our own template: plotly's default one would add 7 kB to every figure of a page.
         template="none",
-        title={"text": title, "font": {"size": SIZE + 2}, "x": 0, "xref": "paper"} if title else None,
+        title=above if title else None,
         font={"family": FONT, "size": SIZE, "color": INK},
         height=height,
         autosize=True,
         paper_bgcolor="white",
         plot_bgcolor="white",
-        margin={"l": 64, "r": 24, "t": 40 if not title else 64, "b": 56},
-        legend={
-            "orientation": "h",
-            "x": 0,
-            "y": 1.02,
-            "xanchor": "left",
-            "yanchor": "bottom",
-            "font": {"size": SIZE - 1},
-        },
+        margin={"l": 64, "r": 24, "t": 48 if title else 40, "b": 56},
+        legend={"orientation": "h", "x": 0, "xanchor": "left", "font": {"size": SIZE - 1}} | legend_at(bool(title)),
         hoverlabel={"font": {"size": SIZE - 1, "family": FONT}, "bgcolor": "white", "align": "left"},
         xaxis=axis | {"title": {"text": x, "standoff": 10}},
         yaxis=axis | {"title": {"text": _in_lines(y), "standoff": 8}},
@@ -105,6 +100,12 @@ def blank(x: str, y: str, *, title: str = "", height: int = 420) -> "Figure":
         separators=".\u202f",
     )
     return figure
+
+
+def legend_at(is_below: bool) -> dict[str, Any]:
+    """The place of a legend: above the plot, or below it, where its rows do not reach into a title."""
+    below, above = {"y": 0, "yref": "container", "yanchor": "bottom"}, {"y": 1.02, "yref": "paper", "yanchor": "bottom"}
+    return below if is_below else above
 
 
 def _in_lines(text: str) -> str:
@@ -129,32 +130,42 @@ def padded(values: Iterable[float], share: float = 0.07) -> list[float]:
     return [low - room, high + room]
 
 
-def legend_entry(figure: "Figure", name: str, look: Look, *, line: bool = True) -> None:
+def draw(
+    figure: "Figure",
+    x: Any,
+    y: Any,
+    look: Look | str,
+    *,
+    name: str = "",
+    mode: str = "lines+markers",
+    hover: str = "",
+    **style: Any,
+) -> None:
+    """A curve, its markers or both, in the house style.
+
+    - `look`: its look, or its colour alone; `hover`: the text over a point, with Plotly's placeholders;
+    - `style`: further properties of Plotly's scatter traces, such as `line_dash`, which precede those of the house.
+    """
+    known = look if isinstance(look, Look) else Look(look, "circle")
+    usual = {"x": x, "y": y, "mode": mode, "name": plain(name)}
+    if "lines" in mode:
+        usual |= {"line_color": known.colour, "line_width": 2}
+    if "markers" in mode:
+        usual |= {"marker_color": known.colour, "marker_symbol": known.symbol, "marker_size": 9}
+    usual |= {"hovertemplate": f"{hover}<extra></extra>"} if hover else {"hoverinfo": "skip"}
+    figure.add_scatter(**(usual | style))
+
+
+def legend_entry(figure: "Figure", name: str, look: Look) -> None:
     """A legend entry with the filled marker, whatever the first point's marker is."""
-    figure.add_scatter(
-        x=[None],
-        y=[None],
-        mode="lines+markers" if line else "markers",
-        name=plain(name),
-        legendgroup=plain(name),
-        line={"color": look.colour, "width": 2},
-        marker={"symbol": look.symbol, "size": 9, "color": look.colour},
-        hoverinfo="skip",
-    )
+    draw(figure, [None], [None], look, name=name, legendgroup=plain(name))
 
 
 def add_band(figure: "Figure", times: np.ndarray, low: np.ndarray, high: np.ndarray, fill: str) -> None:
     """A filled band between two curves over time."""
-    figure.add_scatter(
-        x=short(np.concatenate([times, times[::-1]])),
-        y=short(np.concatenate([high, low[::-1]])),
-        mode="lines",
-        line={"width": 0},
-        fill="toself",
-        fillcolor=fill,
-        showlegend=False,
-        hoverinfo="skip",
-    )
+    around, edges = np.concatenate([times, times[::-1]]), np.concatenate([high, low[::-1]])
+    filled = {"fill": "toself", "fillcolor": fill, "line_width": 0, "showlegend": False}
+    draw(figure, short(around), short(edges), fill, mode="lines", **filled)
 
 
 def limit_line(
@@ -171,23 +182,18 @@ def limit_line(
     """A limit as a line across the whole figure, with its name at its end, inside the plot.
 
     The name of a vertical limit is written along it, or `upright` beside its foot; that of a horizontal one above it,
-    or `under` it. On a `logarithmic` axis Plotly places texts by exponents, but lines by values.
+    or `under` it, as always where it is negative. On a `logarithmic` axis Plotly places texts by exponents, but lines
+    by values.
     """
-    place_of_text = float(np.log10(value)) if logarithmic else value
-    note = {
-        "text": plain(text),
-        "showarrow": False,
-        "font": {"size": SIZE - 1, "color": LIMIT},
-        "bgcolor": "rgba(255,255,255,0.8)",
-    }
-    line = {"color": LIMIT, "width": 1.3, "dash": dash}
+    line = {"line_color": LIMIT, "line_width": 1.3, "line_dash": dash}
+    font = {"font_size": SIZE - 1, "font_color": LIMIT, "bgcolor": "rgba(255,255,255,0.8)"}
+    note = {"text": plain(text), "showarrow": False, axis: float(np.log10(value)) if logarithmic else value, **font}
     if axis == "y":
-        figure.add_shape(type="line", xref="paper", x0=0, x1=1, y0=value, y1=value, line=line)
-        anchor = "top" if under else "bottom"
-        figure.add_annotation(xref="paper", x=1, xanchor="right", y=place_of_text, yanchor=anchor, **note)
+        figure.add_hline(value, **line)
+        anchor = "top" if under or value < 0 else "bottom"
+        figure.add_annotation(xref="paper", x=1, xanchor="right", yanchor=anchor, **note)
     else:
-        figure.add_shape(type="line", yref="paper", y0=0, y1=1, x0=value, x1=value, line=line)
-        place = {"xanchor": "left"} if upright else {"xanchor": "right", "textangle": -90}
+        figure.add_vline(value, **line)
         # Above the foot of a density, which is low at its limits.
-        height = 0.0 if upright else 0.3
-        figure.add_annotation(yref="paper", y=height, yanchor="bottom", x=place_of_text, **place, **note)
+        turned = {"xanchor": "left", "y": 0.0} if upright else {"xanchor": "right", "y": 0.3, "textangle": -90}
+        figure.add_annotation(yref="paper", yanchor="bottom", **turned, **note)

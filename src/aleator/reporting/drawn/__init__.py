@@ -10,9 +10,7 @@ from aleator.reporting.drawn import _evidence as _evidence
 from aleator.reporting.drawn import _expansions as _expansions
 from aleator.reporting.drawn import _sweeps as _sweeps
 from aleator.reporting.drawn._facts import AbstractPlots as AbstractPlots
-from aleator.reporting.drawn._facts import Backend as Backend
 from aleator.reporting.drawn._facts import Facts as Facts
-from aleator.reporting.drawn._facts import drawn_by as drawn_by
 from aleator.reporting.drawn._facts import facts_of as facts_of
 from aleator.reporting.drawn._facts import page_of as page_of
 from aleator.reporting.drawn._facts import plots_of as plots_of

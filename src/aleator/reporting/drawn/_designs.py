@@ -1,22 +1,22 @@
 """Figures and facts of solutions: paths, histories of simulated systems, decisions, states, costates, switching."""
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
-from aleator._core.arrays import numbers_to_arrays
 from aleator._core.border import positive, whole
-from aleator._core.compilation import Compiled
-from aleator._core.errors import ProblemError, SimulationError
-from aleator.design import AbstractFunctional, Problem, history, path, responses
-from aleator.ensemble import draw
+from aleator._core.errors import ProblemError
+from aleator.design import history
 from aleator.reporting._blocks import Table
-from aleator.reporting._designs import decisions_figure, mesh_figure, search_figure
+from aleator.reporting._designs import mesh_figure, search_figure
 from aleator.reporting._numbers import (
+    given,
+    number,
+    unit_of_decision,
     unit_of_expression,
     unit_of_functional,
     unit_of_objective,
@@ -24,99 +24,71 @@ from aleator.reporting._numbers import (
     words,
 )
 from aleator.reporting._paths import components, histories_figure, limits_of, limits_text, path_figure, paths_of
+from aleator.reporting._style import ALARM, LIMIT, MUTED, SIZE, Look, blank, draw, label, looks, plain
 from aleator.reporting._tables import decision_text, limit_rows, objective_text, status_words
-from aleator.reporting.drawn._facts import AbstractPlots, Backend, Facts, chosen, drawn_by, facts_of, plots_of, unknown
+from aleator.reporting.drawn._facts import AbstractPlots, Facts, chosen, facts_of, plots_of, unknown
 from aleator.solution import Costates, MeshError, Solution, States, Switching
+from aleator.solving import simulate_systems
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 
-def _respond(
-    problem: Problem, functional: AbstractFunctional, germ: Float[jax.Array, "systems variables"], decisions: jax.Array
-) -> Float[jax.Array, "systems instants ..."]:
-    return responses(problem, (functional,), germ, decisions)[0]
-
-
-_RESPOND = Compiled(_respond)
-
-
-def simulated(solution: Solution, output: str, samples: int, seed: int) -> Float[np.ndarray, "systems instants ..."]:
-    """An output of random systems at the decisions of a solution; of the one system where nothing is uncertain.
-
-    Raises `ProblemError` if the code of the system has changed, and `SimulationError` for what is not finite.
-    """
+def _over_time(solution: Solution) -> Mapping[str, str]:
+    """The outputs, inputs and states of a system, by name. Raises `ProblemError` for a system without time."""
     problem = solution.problem
-    germs = tuple(problem.placements.germs.values())
-    points = draw(germs, samples, np.random.default_rng(seed)) if germs else np.zeros((1, 0))
-    found = _RESPOND(numbers_to_arrays(problem), path(output), jnp.asarray(points), jnp.asarray(solution.vector))
-    values = np.asarray(found)
-    if not np.isfinite(values).all():
-        raise SimulationError(
-            f"plot.histories: expected finite numbers; '{output}' is not finite on some systems: see al.validate."
-        )
-    return values
-
-
-def outputs_of(problem: Problem, solution: Solution) -> Mapping[str, str]:
-    """The outputs of a system, by name. Raises `ProblemError` for a system without time."""
     if not problem.system.has_time:
         raise ProblemError("plot.histories: expected a system that evolves in time; received an algebraic one.")
     germ = jnp.zeros(len(problem.placements.germs))
-    return dict.fromkeys(jax.eval_shape(lambda: history(problem, germ, jnp.asarray(solution.vector))), "")
+    outputs = jax.eval_shape(lambda: history(problem, germ, jnp.asarray(solution.vector)))
+    return dict.fromkeys((*outputs, *problem.inputs, *getattr(problem.system, "states", ())), "")
 
 
-_NO_INPUT = "expected inputs that are certain; received none."
-_NONE = "expected states that are variables of the program; received a system without states."
+_NO_STATE = "expected states that are variables of the program; received a system without states."
 
 
-def state_figure(states: States, name: str | None, units: Mapping[str, str]) -> "Figure":
-    """A state of all realisations over time, with its unit as far as it is known."""
-    name, values = chosen("plot.state", name, states.values, _NONE)
+def _state_figure(states: States, name: str | None, units: Mapping[str, str] = MappingProxyType({})) -> "Figure":
+    name, values = chosen("plot.state", name, states.values, _NO_STATE)
     return histories_figure(states.times, values, y=name, unit=units.get(name, ""), who="realisations")
 
 
+def _costate_figure(costates: Costates, name: str | None) -> "Figure":
+    name, values = chosen("plot.costate", name, costates.values, _NO_STATE)
+    return histories_figure(costates.times, values, y=f"Costate of {name}", who="realisations")
+
+
+def _switching_figure(switching: Switching, name: str | None) -> "Figure":
+    name, values = chosen("plot.input", name, switching.values, "expected inputs that are certain; received none.")
+    limits = {0.0: "an input inside its bounds makes it zero"}
+    y, who = f"Switching function of {name}", "switching functions"
+    return histories_figure(switching.times, np.asarray(values)[None], y=y, who=who, limits=limits)
+
+
+@plots_of.register(States)
 class StatesPlots(AbstractPlots[States]):
     """Figures of the states of all realisations."""
 
-    def state(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+    def state(self, name: str | None = None) -> "Figure":
         """A state over time, of every realisation at the collocation points; by default the first."""
-        return drawn_by(backend, state_figure(self._result, name, {}))
+        return _state_figure(self._result, name)
 
 
-plots_of.register(States, StatesPlots)
-
-
+@plots_of.register(Costates)
 class CostatesPlots(AbstractPlots[Costates]):
     """Figures of costates."""
 
-    def costate(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+    def costate(self, name: str | None = None) -> "Figure":
         """The costate of a state over time, of every realisation at the collocation points; by default the first."""
-        name, values = chosen("plot.costate", name, self._result.values, _NONE)
-        figure = histories_figure(self._result.times, values, y=f"Costate of {name}", who="realisations")
-        return drawn_by(backend, figure)
+        return _costate_figure(self._result, name)
 
 
-plots_of.register(Costates, CostatesPlots)
-
-
+@plots_of.register(Switching)
 class SwitchingPlots(AbstractPlots[Switching]):
     """Figures of switching functions."""
 
-    def input(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+    def input(self, name: str | None = None) -> "Figure":
         """The switching function of an input over time, with its zero; by default of the first."""
-        name, values = chosen("plot.input", name, self._result.values, _NO_INPUT)
-        figure = histories_figure(
-            self._result.times,
-            np.asarray(values)[None],
-            y=f"Switching function of {name}",
-            who="switching functions",
-            limits={0.0: "an input inside its bounds makes it zero"},
-        )
-        return drawn_by(backend, figure)
-
-
-plots_of.register(Switching, SwitchingPlots)
+        return _switching_figure(self._result, name)
 
 
 _NO_PATH = (
@@ -127,136 +99,169 @@ _NO_OUTPUT = "expected a system with outputs; received one without."
 _SIMULATED = "expected a solution by al.Simultaneous(); received one whose states were simulated: see plot.histories."
 
 
+@plots_of.register(Solution)
 class SolutionPlots(AbstractPlots[Solution]):
     """Figures of a solution."""
 
-    def __call__(self, *, backend: Backend = "plotly") -> Any:
-        """The band of the first path in the problem; without one, where the decisions lie."""
-        return self.band(backend=backend) if paths_of(self._result.problem) else self.decisions(backend=backend)
+    def __call__(self) -> "Figure":
+        """The limit over time that is active, by the band of its path where it is on one alone; without such a limit,
+        the band of the first path; without a path, where the decisions lie.
+        """
+        if self._active() and self._held_path() is None:
+            return self.limit()
+        return self.band() if paths_of(self._result.problem) else self.decisions()
 
-    def band(self, output: str | None = None, *, sigmas: float | None = None, backend: Backend = "plotly") -> Any:
+    def band(self, output: str | None = None, *, sigmas: float | None = None) -> "Figure":
         """The mean of a path over time with the band of `sigmas` standard deviations about it, and its limits.
 
-        - `output`: of a path in the problem, by default the first; `sigmas`: by default as in its limits, else 2.
+        - `output`: of a path in the problem, by default one with an active limit, else the first; `sigmas`: by default
+          as in its limits, else 2.
         """
         problem, known = self._result.problem, paths_of(self._result.problem)
         if known and output is not None and not (isinstance(output, str) and output in known):
             raise ProblemError(f"{unknown('plot.band', output, known)} plot.histories simulates any other output.")
-        name, functional = chosen("plot.band", output, known, _NO_PATH)
+        name, functional = chosen("plot.band", self._held_path() if output is None else output, known, _NO_PATH)
         unit = unit_of_functional(functional, problem)
-        limits, found = limits_of(problem, functional, unit), self._result.moments[functional.text()]
-        figure = path_figure(
+        limits, moments = limits_of(problem, functional, unit), self._result.moments[functional.text()]
+        return path_figure(
             self._result.instants,
-            components(f"mean of {name}", found.mean, found.std),
+            components(f"mean of {name}", moments.mean, moments.std),
             sigmas=limits.sigmas if sigmas is None else positive("plot.band: sigmas", sigmas),
             y=name,
             unit=unit,
             limits=limits.texts,
-            title=self._told(),
+            title=self._warning(),
         )
-        return drawn_by(backend, figure)
 
-    def histories(
-        self, output: str | None = None, *, samples: int = 50, seed: int = 0, backend: Backend = "plotly"
-    ) -> Any:
-        """Any output of the system over time, simulated anew on random systems, with its limits.
+    def histories(self, output: str | None = None, *, samples: int = 50, seed: int = 0) -> "Figure":
+        """Any output of the system over time, simulated anew on random systems, with its limits; or an input or a
+        state, in the systems of the expansion.
 
-        - `output`: by default that of the first path in the problem, else the first of the system; `samples`: how many
-          systems, drawn from `seed`; a system of which nothing is uncertain is simulated once.
+        - `output`: by default that of a path with an active limit, else of the first path in the problem, else the
+          first of the system; `samples`: how many systems, drawn from `seed`; a system of which nothing is uncertain is
+          simulated once.
         """
         problem, paths = self._result.problem, paths_of(self._result.problem)
         samples, seed = whole("plot.histories: samples", samples), whole("plot.histories: seed", seed, least=0)
-        outputs = outputs_of(problem, self._result)
-        first = next((one.output for one in paths.values()), None)
-        name, _ = chosen(
-            "plot.histories",
-            first if output is None else output,
-            outputs,
-            _NO_OUTPUT,
-        )
-        unit = units_of_outputs(problem).get(name, "")
-        values = simulated(self._result, name, samples, seed)
-        limits = [one for text, one in paths.items() if one.output == name and text == name]
-        texts = limits_of(problem, limits[0], unit).texts if limits else {}
-        figure = histories_figure(
-            self._result.instants, values, y=name, unit=unit, limits=texts, title=self._told(), who="random systems"
-        )
-        return drawn_by(backend, figure)
+        usual = paths.get(self._held_path() or next(iter(paths), ""))
+        output = usual.output if output is None and usual is not None else output
+        name, _ = chosen("plot.histories", output, _over_time(self._result), _NO_OUTPUT)
+        unit, motions, who = units_of_outputs(problem).get(name, ""), self._result.outputs, "systems"
+        if name not in motions:
+            motions = self._result.inputs if name in problem.inputs else self._result.states
+        elif problem.placements.germs:
+            motions, who = simulate_systems(self._result, samples, seed=seed), "random systems"
+        limited = paths.get(name)
+        limits = {} if limited is None or limited.output != name else limits_of(problem, limited, unit).texts
+        shown = {"unit": unit, "limits": limits, "title": self._warning(), "who": who}
+        return histories_figure(np.asarray(motions.times), motions.systems[name], y=name, **shown)
 
-    def limit(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
-        """What a limit over time is on (such as mean + 2 σ), its bounds, and where it is active."""
-        pairs = zip(self._result.constraints, self._result.problem.constraints, strict=True)
-        over_time = {one.name: (one, one.times, declared) for one, declared in pairs if one.times is not None}
-        nothing = "expected a limit over time; received a problem without one."
-        name, (one, times, declared) = chosen("plot.limit", name, over_time, nothing)
-        unit = unit_of_expression(declared.expression, self._result.problem)
-        figure = path_figure(
-            times,
-            components(str(declared.expression), one.values, np.zeros_like(one.values)),
-            sigmas=1.0,
-            y=name,
-            unit=unit,
-            limits=limits_text([one.lower, one.upper], unit),
-            title=self._told(),
-        )
-        active = np.reshape(one.active, (len(times), -1))
-        figure.add_scatter(
-            x=np.repeat(times, active.sum(axis=1)),
-            y=np.reshape(one.values, active.shape)[active],
-            mode="markers",
-            name="active",
-            marker={"symbol": "circle", "size": 8, "color": "#8a1c5b"},
-        )
-        return drawn_by(backend, figure)
+    def limit(self, name: str | None = None) -> "Figure":
+        """What a limit over time is on (such as mean + 2 σ), its bounds, and where it is active; by default the one
+        that is active, else the first.
+        """
+        every = zip(self._result.constraints, self._result.problem.constraints, strict=True)
+        pairs = [(one, declared) for one, declared in every if one.times is not None]
+        over_time = {one.name: declared.expression for one, declared in pairs}
+        nothing, first = "expected a limit over time; received a problem without one.", next(iter(self._active()), None)
+        name, expression = chosen("plot.limit", first if name is None else name, over_time, nothing)
+        unit = unit_of_expression(expression, self._result.problem)
+        # Both sides of a limit, or limits on several paths, may have one name.
+        named = [(one, str(declared.expression)) for one, declared in pairs if one.name == name]
+        times = np.asarray(named[0][0].times)
+        parts = [(one, text) for one, text in named if np.array_equal(np.asarray(one.times), times)]
+        lines = [components(text, one.values, np.zeros_like(one.values)) for one, text in parts]
+        bounds = [bound for one, _ in parts for bound in (one.lower, one.upper)]
+        shown = {"unit": unit, "limits": limits_text(bounds, unit), "title": self._warning()}
+        figure = path_figure(times, {text: one for line in lines for text, one in line.items()}, y=name, **shown)
+        active = [np.reshape(one.active, (len(times), -1)) for one, _ in parts]
+        values = [np.reshape(one.values, part.shape)[part] for (one, _), part in zip(parts, active, strict=True)]
+        places = [np.repeat(times, part.sum(axis=1)) for part in active]
+        marks = {"name": "active", "mode": "markers", "hover": "active at %{x:.4~g} s", "marker_size": 8}
+        draw(figure, np.concatenate(places), np.concatenate(values), ALARM, **marks)
+        return figure
 
-    def decisions(self, *, backend: Backend = "plotly") -> Any:
-        """Where each decision lies between its bounds, and where it began."""
-        return drawn_by(backend, decisions_figure(self._result))
+    def decisions(self) -> "Figure":
+        """Each decision between its bounds, in percent of the way from the lower to the upper one, with where it began.
 
-    def state(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+        An array of decisions has one marker for each entry. Decisions without two finite bounds have no such place.
+        """
+        solution = self._result
+        places = {name: one.decision for name, one in solution.problem.placements.decisions.items()}
+        shown = {name: one for name, one in places.items() if np.all(np.isfinite(np.subtract(one.upper, one.lower)))}
+        if not shown:
+            raise ProblemError(
+                f"plot.decisions: expected a decision with two finite bounds; received {list(places)} without them."
+            )
+        figure = blank(label("Way from the lower to the upper bound", "%"), "", height=130 + 44 * len(shown))
+        look = looks(["design"])["design"]
+        for row, (name, one) in enumerate(shown.items()):
+            low, wide = np.asarray(one.lower, float), np.subtract(one.upper, one.lower)
+            unit, value, place = unit_of_decision(name, solution.problem), solution.decisions[name], plain(name)
+            draw(figure, [0, 100], [place] * 2, MUTED, mode="lines", line_width=1, showlegend=False)
+            rows = (("start", one.initial, Look(MUTED, f"{look.symbol}-open")), ("design", value, look))
+            for kind, values, each in rows:
+                ways = np.ravel(100 * (np.asarray(values, float) - low) / np.where(wide > 0, wide, 1.0))
+                texts = [number(entry, 5, plain(unit)) for entry in np.ravel(values)]
+                named = {"name": kind, "legendgroup": kind, "showlegend": row == 0, "text": texts}
+                hover = f"<b>{place}</b>, {kind}: %{{text}}"
+                draw(figure, ways, [place] * len(ways), each, mode="markers", hover=hover, cliponaxis=False, **named)
+            sentence = f"{number(float(value), 5, unit)}, " if np.ndim(value) == 0 else ""
+            sentence += f"between {given(float(np.min(one.lower)))} and {given(float(np.max(one.upper)), unit)}"
+            above = {"xanchor": "right", "yanchor": "bottom", "yshift": 9, "showarrow": False}
+            figure.add_annotation(
+                x=100, y=place, text=plain(sentence), font={"size": SIZE - 2, "color": LIMIT}, **above
+            )
+        figure.update_xaxes(range=[-4, 104])
+        return figure.update_yaxes(type="category", range=[len(shown) - 0.5, -0.7], showgrid=False)
+
+    def state(self, name: str | None = None) -> "Figure":
         """A state over time, of all realisations of a simultaneous program."""
         units = units_of_outputs(self._result.problem)
-        return drawn_by(backend, state_figure(_found(self._result.mesh_states, "plot.state"), name, units))
+        return _state_figure(_collocated(self._result.mesh_states, "plot.state"), name, units)
 
-    def costate(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+    def costate(self, name: str | None = None) -> "Figure":
         """The costate of a state over time, of all realisations of a simultaneous program."""
-        return CostatesPlots(_found(self._result.costates, "plot.costate")).costate(name, backend=backend)
+        return _costate_figure(_collocated(self._result.costates, "plot.costate"), name)
 
-    def switching(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+    def switching(self, name: str | None = None) -> "Figure":
         """The switching function of an input over time, of a simultaneous program."""
-        return SwitchingPlots(_found(self._result.switching, "plot.switching")).input(name, backend=backend)
+        return _switching_figure(_collocated(self._result.switching, "plot.switching"), name)
 
-    def mesh(self, *, backend: Backend = "plotly") -> Any:
+    def mesh(self) -> "Figure":
         """The meshes of a simultaneous program, with their errors."""
         meshes = self._result.meshes
-        if not any(one.worst for one in meshes):
-            raise ProblemError(f"plot.mesh: {_SIMULATED}")
-        return drawn_by(backend, mesh_figure(meshes))
+        return mesh_figure(_collocated(meshes if any(one.worst for one in meshes) else None, "plot.mesh"))
 
-    def search(self, *, backend: Backend = "plotly") -> Any:
+    def search(self) -> "Figure":
         """What a search without derivatives evaluated, or the local solver where there was none."""
         searched = self._result.effort.searched or self._result.effort.visited
         if searched is None or not searched.evaluations:
             raise ProblemError("plot.search: expected a solve that evaluated designs; received one without a history.")
-        return drawn_by(backend, search_figure(searched, unit_of_objective(self._result.problem)))
+        return search_figure(searched, unit_of_objective(self._result.problem))
 
-    def _told(self) -> str:
+    def _active(self) -> list[str]:
+        """The limits over time that are active."""
+        return [one.name for one in self._result.constraints if one.times is not None and np.any(one.active)]
+
+    def _held_path(self) -> str | None:
+        """A path on which alone there is an active limit; None without one."""
+        problem, active = self._result.problem, set(self._active())
+        paths = paths_of(problem).items()
+        return next((name for name, one in paths if limits_of(problem, one, "").names & active), None)
+
+    def _warning(self) -> str:
         """What a reader must know of a design that is not solved."""
         return "" if self._result.ok else f"Not a design: {status_words(self._result)}"
 
 
-plots_of.register(Solution, SolutionPlots)
-
-
+@plots_of.register(MeshError)
 class MeshPlots(AbstractPlots[MeshError]):
     """The figure of one mesh."""
 
-    def mesh(self, *, backend: Backend = "plotly") -> Any:
+    def mesh(self) -> "Figure":
         """The nodes of the mesh, and the error of each interval."""
-        return drawn_by(backend, mesh_figure([self._result]))
-
-
-plots_of.register(MeshError, MeshPlots)
+        return mesh_figure([self._result])
 
 
 @facts_of.register(Solution)
@@ -270,7 +275,8 @@ def _(solution: Solution) -> Facts:
     return Facts(heading, "" if solution.ok else solution.why(), [table])
 
 
-def _found(part: Any, what: str) -> Any:
+def _collocated(part: Any, what: str) -> Any:
+    """A part that only simultaneous programs have. Raises `ProblemError` if it is missing."""
     if part is None:
         raise ProblemError(f"{what}: {_SIMULATED}")
     return part

@@ -1,7 +1,7 @@
 """Figures and facts of expanded functions and of tolerance analyses."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -11,7 +11,10 @@ from aleator.analysis import AbstractExpanded, ElementExpanded, Expanded, Tolera
 from aleator.reporting._blocks import Table
 from aleator.reporting._methods import bars_figure, density_figure
 from aleator.reporting._numbers import given, number, percent
-from aleator.reporting.drawn._facts import AbstractPlots, Backend, Facts, chosen, drawn_by, facts_of, plots_of
+from aleator.reporting.drawn._facts import AbstractPlots, Facts, chosen, facts_of, plots_of
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
 
 # Points of a density, and the sample whose range it spans.
 _POINTS, _SAMPLE = 201, 4096
@@ -19,12 +22,11 @@ _POINTS, _SAMPLE = 201, 4096
 _MOST = 12
 
 
+@plots_of.register(AbstractExpanded)
 class ExpandedPlots(AbstractPlots[AbstractExpanded]):
     """Figures of an expanded function."""
 
-    def density(
-        self, output: str | None = None, *, entry: int | tuple[int, ...] | None = None, backend: Backend = "plotly"
-    ) -> Any:
+    def density(self, output: str | None = None, *, entry: int | tuple[int, ...] | None = None) -> "Figure":
         """The probability density of an output, with its mean and standard deviation.
 
         - `output`: by its name, by default the first;
@@ -38,11 +40,9 @@ class ExpandedPlots(AbstractPlots[AbstractExpanded]):
         values = np.linspace(sample.min(), sample.max(), _POINTS)
         heights = np.asarray(one.pdf(jax.numpy.asarray(values)))[(slice(None), *where)]
         title = f"mean {number(mean)}, σ {number(std)}"
-        return drawn_by(backend, density_figure(values, {name: heights}, x=name, title=title))
+        return density_figure(values, {name: heights}, x=name, title=title)
 
-    def sensitivities(
-        self, output: str | None = None, *, entry: int | tuple[int, ...] | None = None, backend: Backend = "plotly"
-    ) -> Any:
+    def sensitivities(self, output: str | None = None, *, entry: int | tuple[int, ...] | None = None) -> "Figure":
         """Which inputs an output's variance comes from: Sobol indices alone, and with interactions; largest first.
 
         Correlated inputs have Shapley effects instead, which share their common part. With more than twelve inputs, the
@@ -56,17 +56,14 @@ class ExpandedPlots(AbstractPlots[AbstractExpanded]):
         last = next(reversed(shares.values()))
         order = sorted(last, key=lambda key: -last[key])[:_MOST]
         groups = {kind: {key: 100 * by_input[key] for key in order} for kind, by_input in shares.items()}
-        return drawn_by(backend, bars_figure(groups, y=f"Share of the variance of {name}", unit="%"))
-
-
-plots_of.register(AbstractExpanded, ExpandedPlots)
+        return bars_figure(groups, y=f"Share of the variance of {name}", unit="%")
 
 
 def _shares(one: AbstractExpanded, where: tuple[int, ...]) -> dict[str, dict[str, float]]:
     """The shares of inputs in the variance of one number, by their kind."""
 
-    def number_of(found: Any) -> float:
-        return float(np.asarray(found)[where])
+    def number_of(moments: Any) -> float:
+        return float(np.asarray(moments)[where])
 
     if any(each.dependence for each in one.distributions.values()):
         if not isinstance(one, Expanded):
@@ -103,10 +100,11 @@ def _scalar(
     return f"{name}[{', '.join(map(str, where))}]" if where else name, one, where
 
 
+@plots_of.register(ToleranceAnalysis)
 class TolerancePlots(AbstractPlots[ToleranceAnalysis]):
     """Figures of a tolerance analysis."""
 
-    def density(self, *, backend: Backend = "plotly") -> Any:
+    def density(self) -> "Figure":
         """The density of the output, with its limits and the rejects beyond them."""
         one = self._result
         limits = [limit for limit in (one.lower, one.upper) if np.isfinite(limit)]
@@ -115,10 +113,9 @@ class TolerancePlots(AbstractPlots[ToleranceAnalysis]):
         heights = np.asarray(one.expanded.pdf(jax.numpy.asarray(values)))
         tails = [f"{number(part, 3)}\nppm" for part in (one.rejects_low, one.rejects_high)] if len(limits) == 2 else []
         title = f"mean {number(one.mean)}, σ {number(one.std)}, rejects {number(one.rejects, 3)} ppm"
-        figure = density_figure(values, {one.output: heights}, x=one.output, limits=limits, tails=tails, title=title)
-        return drawn_by(backend, figure)
+        return density_figure(values, {one.output: heights}, x=one.output, limits=limits, tails=tails, title=title)
 
-    def contributions(self, *, backend: Backend = "plotly") -> Any:
+    def contributions(self) -> "Figure":
         """The share of each dimension in the variance, linearly and by the expansion, largest first."""
         parts = dict(sorted(self._result.contributions.items(), key=lambda item: -item[1].linear)[:_MOST])
         groups = {
@@ -126,10 +123,7 @@ class TolerancePlots(AbstractPlots[ToleranceAnalysis]):
             "by the expansion (total)": {name: one.total for name, one in parts.items() if np.isfinite(one.total)},
         }
         shown = {kind: one for kind, one in groups.items() if one}
-        return drawn_by(backend, bars_figure(shown, y=f"Share of the variance of {self._result.output}", unit="%"))
-
-
-plots_of.register(ToleranceAnalysis, TolerancePlots)
+        return bars_figure(shown, y=f"Share of the variance of {self._result.output}", unit="%")
 
 
 @facts_of.register(AbstractExpanded)

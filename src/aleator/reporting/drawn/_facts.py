@@ -4,7 +4,7 @@ import functools
 import html
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from aleator.dynamics import AbstractSystem
 from aleator.mechanics import AbstractMechanical
 from aleator.reporting._blocks import Table
 from aleator.reporting._numbers import given
-from aleator.reporting._paper import paper_figure
 from aleator.uncertainty import AbstractDistribution, Decision, fields_of
 
 if TYPE_CHECKING:
@@ -23,21 +22,17 @@ if TYPE_CHECKING:
 
 Result = TypeVar("Result")
 Value = TypeVar("Value")
-Backend = Literal["plotly", "matplotlib"]
 
 
 class AbstractPlots(Generic[Result]):
-    """The figures of a result, one method for each. Called, it draws the usual one: by its first method.
-
-    Each takes `backend`: `"plotly"`, a figure to hover over, or `"matplotlib"`, the same one for papers.
-    """
+    """The figures of a result, one method for each. Called, it draws the usual one: by its first method."""
 
     def __init__(self, result: Result):
         self._result = result
 
-    def __call__(self, *, backend: Backend = "plotly") -> Any:
+    def __call__(self) -> "Figure":
         """The usual figure."""
-        return getattr(self, self._names()[0])(backend=backend)
+        return getattr(self, self._names()[0])()
 
     def __repr__(self) -> str:
         named = ", ".join(f".{name}()" for name in self._names())
@@ -51,16 +46,6 @@ class AbstractPlots(Generic[Result]):
 def plots_of(result: Any) -> AbstractPlots[Any]:
     """The figures of a result, by its type."""
     raise refusal("plot", "a result whose figures are known to aleator.reporting.drawn", result)
-
-
-def drawn_by(backend: Backend, figure: "Figure") -> Any:
-    """A figure by one library or the other.
-
-    Raises `ProblemError` for an unknown one, and `MissingExtraError` if Matplotlib is not installed.
-    """
-    if backend not in get_args(Backend):
-        raise refusal("plot: backend", " or ".join(map(repr, get_args(Backend))), backend)
-    return figure if backend == "plotly" else paper_figure(figure)
 
 
 def chosen(what: str, name: str | None, known: Mapping[str, Value], nothing: str) -> tuple[str, Value]:
@@ -80,9 +65,9 @@ def chosen(what: str, name: str | None, known: Mapping[str, Value], nothing: str
 def unknown(what: str, name: Any, known: Collection[str]) -> ProblemError:
     """The refusal of a name that is not known, with those that are."""
     listed = list(known)
-    told = f"one of {listed}" if len(listed) <= 8 else f"one of {listed[:8]} and {len(listed) - 8} others"
+    expected = f"one of {listed}" if len(listed) <= 8 else f"one of {listed[:8]} and {len(listed) - 8} others"
     near = meant(name, known) if isinstance(name, str) else ""
-    return ProblemError(f"{what}: expected {told}; received {shown(name)}.{near}")
+    return ProblemError(f"{what}: expected {expected}; received {shown(name)}.{near}")
 
 
 # Rows of a table that are shown at most; all are in the printed text.
@@ -117,43 +102,41 @@ def page_of(result: Any) -> str:
         # A notebook would show the trace of this in the place of the result, which can be printed all the same.
         facts = Facts(type(result).__name__)
     tables = "".join(map(_table, facts.tables))
-    sentence = f"<p>{_escaped(facts.sentence)}</p>" if facts.sentence else ""
-    printed = f'<pre style="overflow-x:auto;line-height:1.35">{_escaped(str(result))}</pre>'
+    sentence = _element("p", facts.sentence) if facts.sentence else ""
+    printed = _element("pre", str(result), "overflow-x:auto;line-height:1.35")
     if facts.tables:
         printed = f"<details><summary>as printed</summary>{printed}</details>"
-    inside = f"<p><b>{_escaped(facts.heading)}</b></p>{sentence}{tables}{printed}"
+    inside = f"<p>{_element('b', facts.heading)}</p>{sentence}{tables}{printed}"
     # Notebooks set what is between dollar signs as mathematics, unless told not to.
     return f'<div class="aleator tex2jax_ignore mathjax_ignore">{inside}</div>'
 
 
 def _table(table: Table) -> str:
-    rows = [list(row) for row in table.rows[:_MOST]]
-    caption = f'<caption style="{_CAPTION}">{_escaped(table.caption)}</caption>' if table.caption else ""
-    head = _row(table.header, "th") if any(table.header) else ""
     left = len(table.rows) - _MOST
     note = f"and {left} more. {table.note}" if left > 0 else table.note
-    below = f"<p>{_escaped(note)}</p>" if note else ""
-    body = "".join(_row(row, "td") for row in rows)
-    return f'<table style="{_TABLE}">{caption}{head}{body}</table>{below}'
+    caption = _element("caption", table.caption, _CAPTION) if table.caption else ""
+    head = [_row(table.header, "th")] if any(table.header) else []
+    rows = "".join([*head, *(_row(row, "td") for row in table.rows[:_MOST])])
+    return f'<table style="{_TABLE}">{caption}{rows}</table>' + (_element("p", note) if note else "")
 
 
 def _row(cells: Sequence[str], kind: str) -> str:
-    inside = "".join(f'<{kind} style="{_CELL}">{_escaped(cell)}</{kind}>' for cell in cells)
-    return f"<tr>{inside}</tr>"
+    return f"<tr>{''.join(_element(kind, cell, _CELL) for cell in cells)}</tr>"
 
 
-def _escaped(text: str) -> str:
-    return html.escape(text)
+def _element(kind: str, text: str, style: str = "") -> str:
+    opened = f'{kind} style="{style}"' if style else kind
+    return f"<{opened}>{html.escape(text)}</{kind}>"
 
 
 @facts_of.register(AbstractMechanical)
 @facts_of.register(AbstractSystem)
 def _(system: AbstractMechanical | AbstractSystem) -> Facts:
     rows = [[name, _value(value), str(field.metadata.get("unit", ""))] for name, field, value in fields_of(system)]
-    name, said = type(system).__name__, (type(system).__doc__ or "").strip().split("\n")[0]
+    name, sentence = type(system).__name__, (type(system).__doc__ or "").strip().split("\n")[0]
     # A class without a docstring is given its signature as one.
-    said = "" if said.startswith(f"{name}(") else said
-    return Facts(name, said, [Table("", ["number", "value", "unit"], rows)] if rows else [])
+    sentence = "" if sentence.startswith(f"{name}(") else sentence
+    return Facts(name, sentence, [Table("", ["number", "value", "unit"], rows)] if rows else [])
 
 
 @facts_of.register(Problem)

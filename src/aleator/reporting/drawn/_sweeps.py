@@ -1,6 +1,7 @@
 """Figures and facts of sweeps: fronts, trade-offs, calibrations, penalties, many starts, portfolios, cross-checks."""
 
-from typing import Any
+import html
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -8,6 +9,15 @@ from aleator._core.errors import ProblemError
 from aleator.nlp import Searched
 from aleator.reporting._blocks import Table
 from aleator.reporting._designs import search_figure
+from aleator.reporting._fronts import (
+    bound_unit,
+    in_order,
+    optimum_figure,
+    pair_figure,
+    price_figure,
+    unit_of,
+    wishes_text,
+)
 from aleator.reporting._methods import bars_figure
 from aleator.reporting._numbers import (
     count,
@@ -15,46 +25,66 @@ from aleator.reporting._numbers import (
     number,
     percent,
     share_text,
-    unit_of_expression,
+    unit_of_decision,
     unit_of_objective,
     words,
 )
-from aleator.reporting._samples import calibration_figure, magnitudes_figure
-from aleator.reporting._style import ALARM, blank, label, looks, padded
-from aleator.reporting._sweeps import (
-    bound_unit,
-    decision_figure,
-    excesses_figure,
-    optimum_figure,
-    pair_figure,
-    parallel_figure,
-    price_figure,
-    space_figure,
+from aleator.reporting._samples import calibration_figure
+from aleator.reporting._style import (
+    ALARM,
+    FONT,
+    GRID,
+    INK,
+    MUTED,
+    SIZE,
+    Look,
+    blank,
+    draw,
+    label,
+    limit_line,
+    looks,
+    padded,
+    plain,
 )
-from aleator.reporting.drawn._facts import AbstractPlots, Backend, Facts, chosen, drawn_by, facts_of, plots_of, unknown
-from aleator.solution import Solution
-from aleator.sweep import Calibration, CrossChecked, Front, Hardened, Portfolio, Refused, Starts, TradeOff
+from aleator.reporting._sweeps import front_table, trade_off_table
+from aleator.reporting.drawn._facts import AbstractPlots, Facts, chosen, facts_of, plots_of, unknown
+from aleator.sweep import Calibration, CrossChecked, Front, Hardened, Portfolio, Starts, TradeOff
 
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+# Relative differences below this are drawn there: on a logarithmic axis, zero has no place.
+_LEAST = 1e-16
 _EMPTY = "expected a solved design; received none"
 
 
+@plots_of.register(Front)
 class FrontPlots(AbstractPlots[Front]):
     """Figures of a front along a bound."""
 
-    def curve(self, *, backend: Backend = "plotly") -> Any:
+    def curve(self) -> "Figure":
         """The optimum against the bound: filled where it is active; crosses where there is no design."""
-        return drawn_by(backend, optimum_figure({"design": self._solved("plot.curve")}))
+        return optimum_figure({"design": self._solved("plot.curve")})
 
-    def shadow_prices(self, *, backend: Backend = "plotly") -> Any:
+    def shadow_prices(self) -> "Figure":
         """By what the optimum falls for each unit by which the bound is relaxed."""
-        return drawn_by(backend, price_figure({"design": self._solved("plot.shadow_prices")}))
+        return price_figure({"design": self._solved("plot.shadow_prices")})
 
-    def decision(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+    def decision(self, name: str | None = None) -> "Figure":
         """A decision against the bound, of an array each entry; by default the first."""
-        front = self._solved("plot.decision")
-        problem = front.solutions[0].problem
-        name, _ = chosen("plot.decision", name, problem.placements.decisions, "expected a decision; received none.")
-        return drawn_by(backend, decision_figure(front, name))
+        (front, _) = in_order({"": self._solved("plot.decision")})[""]
+        problem, nothing = front.solutions[0].problem, "expected a decision; received none."
+        name, place = chosen("plot.decision", name, problem.placements.decisions, nothing)
+        unit = unit_of_decision(name, problem)
+        figure = blank(label(f"Limit of {front.bound}", bound_unit(front)), label(name, unit))
+        shape = np.shape(place.decision.initial)
+        entries = [f"{name}[{i}]" for i in range(int(np.prod(shape)))] if shape else [name]
+        missing = np.full(len(entries), np.nan)
+        rows = np.array([np.ravel(one.decisions[name]) if one else missing for one in front.optima], dtype=float)
+        for (entry, look), column in zip(looks(entries).items(), rows.T, strict=True):
+            hover = f"{plain(entry)} = %{{y:.5~g}} {plain(unit)} at %{{x:.4~g}}"
+            draw(figure, front.values, column, look, name=entry, hover=hover, marker_size=8)
+        return figure.update_layout(showlegend=len(entries) > 1)
 
     def _solved(self, what: str) -> Front:
         """The front. Raises `ProblemError` if it has no design."""
@@ -65,39 +95,62 @@ class FrontPlots(AbstractPlots[Front]):
         return front
 
 
-plots_of.register(Front, FrontPlots)
-
-
+@plots_of.register(TradeOff)
 class TradeOffPlots(AbstractPlots[TradeOff]):
     """Figures of a trade-off between wishes."""
 
-    def __call__(self, *, backend: Backend = "plotly") -> Any:
+    def __call__(self) -> "Figure":
         """Two wishes as a curve, three in space, more of them as parallel coordinates."""
         wishes = len(self._result.names)
         drawn = self.curve if wishes == 2 else self.space if wishes == 3 else self.parallel
-        return drawn(backend=backend)
+        return drawn()
 
-    def curve(self, x: str | None = None, y: str | None = None, *, backend: Backend = "plotly") -> Any:
+    def curve(self, x: str | None = None, y: str | None = None) -> "Figure":
         """Two wishes against one another, by their names; by default the first two."""
         front, places = self._solved("plot.curve"), []
         for name, usual in ((x, 0), (y, 1)):
             if name is not None and name not in front.names:
                 raise unknown("plot.curve", name, front.names)
             places.append(usual if name is None else front.names.index(name))
-        return drawn_by(backend, pair_figure(front, *places))
+        return pair_figure(front, *places)
 
-    def space(self, *, backend: Backend = "plotly") -> Any:
+    def space(self) -> "Figure":
         """Three wishes as points in space."""
         front = self._solved("plot.space")
         if len(front.names) != 3:
             raise ProblemError(
                 f"plot.space: expected three wishes; received {len(front.names)}. Draw plot.curve or plot.parallel."
             )
-        return drawn_by(backend, space_figure(front))
+        figure = blank("", "", height=560)
+        x, y, z = front.values.T
+        marker = {"size": 5, "color": z, "colorscale": "Cividis", "line": {"width": 0.5, "color": INK}}
+        over = {"text": wishes_text(front), "hovertemplate": "%{text}<extra></extra>"}
+        figure.add_scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, **over)
+        # There Plotly reads markup but no escaped characters.
+        labels = [html.unescape(label(name, unit_of(front, i))) for i, name in enumerate(front.names)]
+        axes = {
+            f"{axis}axis": {
+                "title": {"text": text.replace("<", "‹").replace(">", "›")},
+                **{"gridcolor": GRID, "linecolor": MUTED, "showbackground": False},
+            }
+            for axis, text in zip("xyz", labels, strict=True)
+        }
+        return figure.update_layout(scene=axes | {"camera": {"eye": {"x": 1.6, "y": 1.6, "z": 0.9}}}, showlegend=False)
 
-    def parallel(self, *, backend: Backend = "plotly") -> Any:
+    def parallel(self) -> "Figure":
         """One axis for each wish, and one line for each design."""
-        return drawn_by(backend, parallel_figure(self._solved("plot.parallel")))
+        front = self._solved("plot.parallel")
+        figure = blank("", "", height=420)
+        figure.add_parcoords(
+            dimensions=[
+                {"label": label(name, unit_of(front, i)), "values": column}
+                for i, (name, column) in enumerate(zip(front.names, front.values.T, strict=True))
+            ],
+            line={"color": front.values[:, 0], "colorscale": "Cividis"},
+            labelfont={"size": SIZE, "family": FONT, "color": INK},
+        )
+        # Labels stand above the axes, and those of the outer ones reach beyond them.
+        return figure.update_layout(margin={"t": 80, "l": 110, "r": 110})
 
     def _solved(self, what: str) -> TradeOff:
         if not len(self._result.values):
@@ -106,73 +159,64 @@ class TradeOffPlots(AbstractPlots[TradeOff]):
         return self._result
 
 
-plots_of.register(TradeOff, TradeOffPlots)
-
-
+@plots_of.register(Calibration)
 class CalibrationPlots(AbstractPlots[Calibration]):
     """Figures of a calibration."""
 
-    def trials(self, *, backend: Backend = "plotly") -> Any:
+    def trials(self) -> "Figure":
         """The violation rate of each margin tried, the target, and the choice on fresh systems."""
-        return drawn_by(backend, calibration_figure(self._result))
+        return calibration_figure(self._result)
 
 
-plots_of.register(Calibration, CalibrationPlots)
-
-
+@plots_of.register(Hardened)
 class HardenedPlots(AbstractPlots[Hardened]):
     """Figures of growing penalties."""
 
-    def excesses(self, *, backend: Backend = "plotly") -> Any:
+    def excesses(self) -> "Figure":
         """The excess of each constraint against the weight of its penalty, and the one accepted."""
-        return drawn_by(backend, excesses_figure(self._result))
-
-
-plots_of.register(Hardened, HardenedPlots)
+        hardened = self._result
+        figure = blank(label("Weight of the penalties"), label("Excess over the limit, relative"))
+        for name, look in looks(hardened.excesses[0]).items():
+            excesses = [one[name] if one[name] > 0 else None for one in hardened.excesses]
+            hover = f"{plain(name)}: %{{y:.2~e}} at weight %{{x:.4~g}}"
+            draw(figure, list(hardened.weights), excesses, look, name=name, hover=hover)
+        limit_line(figure, hardened.tolerance, f"accepted: {given(hardened.tolerance)}", logarithmic=True)
+        powers = {"type": "log", "exponentformat": "power", "dtick": 1}
+        return figure.update_layout(showlegend=True).update_xaxes(powers).update_yaxes(powers)
 
 
 @facts_of.register(Front)
 def _(front: Front) -> Facts:
     solved, every = int(front.solved.sum()), len(front.points)
-    unit = bound_unit(front) if front.solutions else ""
-    rows = [[given(value, unit), *_point(front, one)] for value, one in zip(front.values, front.points, strict=True)]
     heading = f"Front over {front.bound}: {solved} of {every} points solved{', interrupted' * front.interrupted}"
-    return Facts(heading, "", [Table("", [front.bound, "objective", "shadow price", "active"], rows)])
-
-
-def _point(front: Front, one: Solution | Refused) -> list[str]:
-    """Objective, shadow price and active limits; why there is no design, where there is none."""
-    if isinstance(one, Refused) or not one.ok:
-        return ["–", "–", one.why()]
-    return [number(one.objective, 5), number(one.multiplier(front.bound), 4), words(list(one.active), "nothing")]
+    points = zip(front.values, front.points, strict=True)
+    reasons = [f"No design at {given(value, bound_unit(front))}: {one.why()}" for value, one in points if not one.ok]
+    return Facts(heading, " ".join(reasons), [front_table({"": front})])
 
 
 @facts_of.register(TradeOff)
 def _(front: TradeOff) -> Facts:
-    problem = front.solutions[0].problem if front.solutions else None
-    units = [unit_of_expression(one, problem) if problem else "" for one in front.wishes]
-    rows = [[number(value, 5, unit) for value, unit in zip(row, units, strict=True)] for row in front.values]
     failed = f"No design: {'; '.join(front.failed)}" if front.failed else ""
-    heading = f"Trade-off of {words(list(front.names))}: {len(rows)} designs{', interrupted' * front.interrupted}"
-    return Facts(heading, failed, [Table("", front.names, rows)])
+    designs = f"{len(front.solutions)} designs{', interrupted' * front.interrupted}"
+    return Facts(f"Trade-off of {words(list(front.names))}: {designs}", failed, [trade_off_table(front)])
 
 
 @facts_of.register(Calibration)
-def _(found: Calibration) -> Facts:
-    rows = [[f"{one.sigmas:.4f}", number(one.solution.objective, 5), share_text(one.violation)] for one in found.trials]
-    heading = (
-        f"Calibration of {found.name} for {percent(found.target)}: "
-        f"{found.sigmas:.4f} σ, {'' if found.confirmed else 'not '}confirmed{', interrupted' * found.interrupted}"
-    )
-    return Facts(heading, found.sentence(), [Table("", ["sigmas", "objective", f"violates {found.name}"], rows)])
+def _(calibration: Calibration) -> Facts:
+    name, trials = calibration.name, calibration.trials
+    rows = [[f"{one.sigmas:.4f}", number(one.solution.objective, 5), share_text(one.violation)] for one in trials]
+    end = f"{'' if calibration.confirmed else 'not '}confirmed{', interrupted' * calibration.interrupted}"
+    heading = f"Calibration of {name} for {percent(calibration.target)}: {calibration.sigmas:.4f} σ, {end}"
+    return Facts(heading, calibration.sentence(), [Table("", ["sigmas", "objective", f"violates {name}"], rows)])
 
 
 @facts_of.register(Hardened)
-def _(one: Hardened) -> Facts:
-    told = ["; ".join(f"{excess:.1e} of {name}" for name, excess in each.items()) for each in one.excesses]
-    found = zip(one.weights, one.solutions, told, strict=True)
-    rows = [[f"{weight:g}", number(each.objective, 5), excesses] for weight, each, excesses in found]
-    heading = f"Penalties: {'all' if one.holds else 'not all'} limits hold{', interrupted' * one.interrupted}"
+def _(hardened: Hardened) -> Facts:
+    rows = [
+        [f"{weight:g}", number(one.objective, 5), "; ".join(f"{size:.1e} of {name}" for name, size in excesses.items())]
+        for weight, one, excesses in zip(hardened.weights, hardened.solutions, hardened.excesses, strict=True)
+    ]
+    heading = f"Penalties: {'all' if hardened.holds else 'not all'} limits hold{', interrupted' * hardened.interrupted}"
     return Facts(heading, "", [Table("", ["weight", "objective", "excess"], rows)])
 
 
@@ -180,32 +224,25 @@ def _(one: Hardened) -> Facts:
 _ALIKE = 1e-4
 
 
+@plots_of.register(Starts)
 class StartsPlots(AbstractPlots[Starts]):
     """Figures of a problem solved from many starts."""
 
-    def objectives(self, *, backend: Backend = "plotly") -> Any:
+    def objectives(self) -> "Figure":
         """The objectives that the starts led to, best first; starts that failed come last, as crosses."""
         every = self._result.solutions
         figure = blank(label("Starts, best first"), label("Objective", unit_of_objective(every[0].problem)))
-        look = looks(["solved"])["solved"]
-        solved = sorted(one.objective for one in every if one.ok)
-        failed = sorted(one.objective for one in every if not one.ok)
-        marked = (("solved", solved, 1, look.symbol, look.colour), ("failed", failed, 1 + len(solved), "x", ALARM))
-        for name, values, first, symbol, colour in marked:
+        solved, failed = (sorted(one.objective for one in every if one.ok == ok) for ok in (True, False))
+        groups = (
+            ("solved", solved, 1, looks(["solved"])["solved"]),
+            ("failed", failed, 1 + len(solved), Look(ALARM, "x")),
+        )
+        for name, values, first, look in groups:
             if values:
-                figure.add_scatter(
-                    x=first + np.arange(len(values)),
-                    y=values,
-                    mode="markers",
-                    name=name,
-                    marker={"symbol": symbol, "size": 9, "color": colour},
-                    hovertemplate=f"{name}: %{{y:.6g}}<extra></extra>",
-                )
+                places = first + np.arange(len(values))
+                draw(figure, places, values, look, name=name, mode="markers", hover=f"{name}: %{{y:.6g}}")
         figure.update_yaxes(range=_range([*solved, *failed]))
-        return drawn_by(backend, figure.update_layout(showlegend=bool(failed)))
-
-
-plots_of.register(Starts, StartsPlots)
+        return figure.update_layout(showlegend=bool(failed))
 
 
 def _range(values: list[float]) -> list[float]:
@@ -217,10 +254,11 @@ def _range(values: list[float]) -> list[float]:
     return padded([*known, *([known[0] - 0.1 * size, known[0] + 0.1 * size] if known else [])])
 
 
+@plots_of.register(Portfolio)
 class PortfolioPlots(AbstractPlots[Portfolio]):
     """Figures of a portfolio of searches."""
 
-    def optima(self, *, backend: Backend = "plotly") -> Any:
+    def optima(self) -> "Figure":
         """How many starts led to each optimum, best first: in all, and of the random ones."""
         unit = unit_of_objective(self._result.best.problem)
         places = [f"{i + 1}: {number(one.objective, 5, unit)}" for i, one in enumerate(self._result.optima)]
@@ -231,35 +269,31 @@ class PortfolioPlots(AbstractPlots[Portfolio]):
             "of these random": dict(zip(places, (float(one.random) for one in self._result.optima), strict=True)),
         }
         figure = bars_figure(groups, y="Starts that led there")
-        return drawn_by(backend, figure.update_xaxes(title_text="Objective of each optimum, best first"))
+        return figure.update_xaxes(title_text="Objective of each optimum, best first")
 
-    def search(self, *, backend: Backend = "plotly") -> Any:
+    def search(self) -> "Figure":
         """What the global search evaluated."""
         if self._result.searched is None:
             raise ProblemError("plot.search: expected a portfolio with a global search; received one without.")
-        return drawn_by(backend, search_figure(self._result.searched, unit_of_objective(self._result.best.problem)))
+        return search_figure(self._result.searched, unit_of_objective(self._result.best.problem))
 
 
-plots_of.register(Portfolio, PortfolioPlots)
-
-
+@plots_of.register(Searched)
 class SearchedPlots(AbstractPlots[Searched]):
     """The figure of a search."""
 
-    def search(self, *, backend: Backend = "plotly") -> Any:
+    def search(self) -> "Figure":
         """The objective of every point evaluated, in order, and the best so far."""
         if not self._result.evaluations:
             raise ProblemError("plot.search: expected a search that evaluated designs; received one without any.")
-        return drawn_by(backend, search_figure(self._result))
+        return search_figure(self._result)
 
 
-plots_of.register(Searched, SearchedPlots)
-
-
+@plots_of.register(CrossChecked)
 class CrossCheckedPlots(AbstractPlots[CrossChecked]):
     """The figure of a cross-check."""
 
-    def differences(self, *, backend: Backend = "plotly") -> Any:
+    def differences(self) -> "Figure":
         """The relative differences of two solutions: of the objective, of decisions, statistics and multipliers."""
         one = self._result
         groups = {
@@ -268,29 +302,35 @@ class CrossCheckedPlots(AbstractPlots[CrossChecked]):
             "statistics": one.statistics,
             "multipliers": {f"multiplier of {text}": value for text, value in one.multipliers.items()},
         }
-        shown = {kind: each for kind, each in groups.items() if each}
-        return drawn_by(backend, magnitudes_figure(shown, x="Relative difference", accepted=one.tolerance))
-
-
-plots_of.register(CrossChecked, CrossCheckedPlots)
+        groups = {kind: each for kind, each in groups.items() if each}
+        rows = sum(map(len, groups.values()))
+        figure = blank(label("Relative difference"), "", height=130 + 34 * rows)
+        for kind, look in looks(groups).items():
+            values, names = groups[kind].values(), [plain(name) for name in groups[kind]]
+            places = [max(size, _LEAST) if np.isfinite(size) else None for size in values]
+            texts = [f"{size:.1e}" for size in values]
+            draw(figure, places, names, look, name=kind, mode="markers", text=texts, hover="%{y}: %{text}")
+        limit_line(figure, one.tolerance, f"accepted: {given(one.tolerance)}", axis="x", logarithmic=True)
+        figure.update_layout(showlegend=True).update_xaxes(type="log", exponentformat="power", dtick=2)
+        return figure.update_yaxes(type="category", range=[rows - 0.5, -0.5])
 
 
 @facts_of.register(Starts)
 def _(starts: Starts) -> Facts:
     unit, every = unit_of_objective(starts.best.problem), len(starts.solutions)
     rows = [[number(one.objective, 6, unit), f"{led} of {every}"] for one, led in starts.optima]
-    said = "" if starts.best.ok else starts.best.why()
+    sentence = "" if starts.best.ok else starts.best.why()
     heading = f"{every} starts: {len(rows)} local optima{', interrupted' * starts.interrupted}"
-    return Facts(heading, said, [Table("", ["objective", "starts"], rows)])
+    return Facts(heading, sentence, [Table("", ["objective", "starts"], rows)])
 
 
 @facts_of.register(Portfolio)
-def _(found: Portfolio) -> Facts:
-    unit = unit_of_objective(found.best.problem)
-    rows = [[number(one.objective, 6, unit), f"{one.starts}", f"{one.random}"] for one in found.optima]
-    heading = f"Portfolio of {found.starts} starts: {len(rows)} optima{', interrupted' * found.interrupted}"
-    said = found.sure() if found.best.ok else found.best.why()
-    return Facts(heading, said, [Table("", ["objective", "starts", "of these random"], rows)])
+def _(portfolio: Portfolio) -> Facts:
+    unit = unit_of_objective(portfolio.best.problem)
+    rows = [[number(one.objective, 6, unit), f"{one.starts}", f"{one.random}"] for one in portfolio.optima]
+    heading = f"Portfolio of {portfolio.starts} starts: {len(rows)} optima{', interrupted' * portfolio.interrupted}"
+    sentence = portfolio.sure() if portfolio.best.ok else portfolio.best.why()
+    return Facts(heading, sentence, [Table("", ["objective", "starts", "of these random"], rows)])
 
 
 @facts_of.register(Searched)
@@ -299,5 +339,5 @@ def _(searched: Searched) -> Facts:
 
 
 @facts_of.register(CrossChecked)
-def _(found: CrossChecked) -> Facts:
-    return Facts(f"Cross-check: {'the solutions agree' if found.agree else 'the solutions do not agree'}")
+def _(check: CrossChecked) -> Facts:
+    return Facts(f"Cross-check: {'the solutions agree' if check.agree else 'the solutions do not agree'}")

@@ -5,6 +5,8 @@ function link(figure) {
   const buttons = [...figure.querySelectorAll("input[type=radio]")];
   const plots = [...figure.querySelectorAll(".chooser .plot")];
   const bands = [...figure.querySelectorAll(".chosen .plot")];
+  // A page that draws its figures on scroll may link them before.
+  for (const plot of [...plots, ...bands]) if (!plot.data) draw(plot);
   const stages = bands.map(dataFor);
   const name = figure.querySelector(".chosen-name");
 

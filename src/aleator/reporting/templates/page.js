@@ -29,10 +29,20 @@ function fitToPaper(plots) {
 }
 
 addEventListener("DOMContentLoaded", () => {
-  const plots = [...document.querySelectorAll(".plot")];
-  for (const plot of plots) draw(plot);
-  for (const figure of document.querySelectorAll(".linked")) link(figure);
+  // A figure is drawn when it is about to be seen, and all of them before the page is printed.
+  const waiting = new Set(document.querySelectorAll(".drawing, .linked"));
+  const show = (figure) => {
+    if (!waiting.delete(figure)) return;
+    if (figure.matches(".linked")) link(figure);
+    else for (const plot of figure.querySelectorAll(".plot")) draw(plot);
+  };
+  const watcher = new IntersectionObserver(
+    (entries) => entries.filter((one) => one.isIntersecting).forEach((one) => show(one.target)),
+    { rootMargin: "600px 0px" },
+  );
+  for (const figure of waiting) watcher.observe(figure);
   // A contents list that fills a phone's first screen would hide the report.
   if (matchMedia("(max-width: 900px)").matches) document.querySelector("nav details").open = false;
-  fitToPaper(plots);
+  addEventListener("beforeprint", () => [...waiting].forEach(show));
+  fitToPaper([...document.querySelectorAll(".plot")]);
 });

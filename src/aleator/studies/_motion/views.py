@@ -80,7 +80,7 @@ def tip_paths(
 def angles_figure(family: Family, title: str, targets: Mapping[str, float] | None = None) -> "Figure":
     """Both joints' angles over time."""
     angles = {"q₁": family.systems["q1"], "q₂": family.systems["q2"]}
-    return bands_figure(family.times, angles, y="Joint angle", unit="rad", targets=targets, title=title)
+    return bands_figure(family.times, angles, y="Joint angle", unit="rad", targets=targets or {}, title=title)
 
 
 def joints_and_tip(family: Family, angles: Sequence[float], tip: Sequence[float]) -> list["Figure"]:

@@ -152,6 +152,8 @@ def chapter(page: Draft, quick: bool) -> None:
         page.add(built_table(designs, evidence, built), printed=True)
         page.add(*(_margin(one, f"The margin to build {name} with") for name, one in built.items()))
 
+    chosen = designs | {name: one.solution for name, one in built.items()}
+
     page.section("How often cars exceed a narrow travel")
     narrow, narrow_evidence = _sampled(page, "narrow", narrow_problems(), samples)
     lessons = {
@@ -169,13 +171,22 @@ def chapter(page: Draft, quick: bool) -> None:
         page.add(_margin(exact, "The margin that meets the target for violations"))
 
     page.section("Trade-offs of ride")
-    known, nominal_and_robust = list(evidence.values()), {"dOpt": deterministic_problem(), "uOpt": robust_problem()}
+    shown = list(evidence.values()), chosen["uOpt"]
+    nominal_and_robust = {"dOpt": deterministic_problem(), "uOpt": robust_problem()}
     over_travel = _fronts(page, "travel_fronts", nominal_and_robust, "travel", np.linspace(0.25, 0.145, points))
     rides = curves(over_travel, "Travel limit R", "Ride ∫ z̈ₛ² dt, μ + σ", RIDE_UNIT)
     told = f"{FILLED} {transition(over_travel, 'travel')} Accounting for uncertainty shifts the whole trade-off up; "
     told += "where the curves are flat, holding is active and more travel brings no gain."
     page.add(
-        linked_front(over_travel, [rides], f"Ride against the travel limit, H = {HOLDING:g} m", told, "6.4", known),
+        linked_front(
+            over_travel,
+            [rides],
+            f"Ride against the travel limit, H = {HOLDING:g} m",
+            told,
+            "6.4",
+            known,
+            chosen["uOpt"],
+        ),
         shadow_price(over_travel, "Travel limit R", "centimetre of travel", 0.01, "cm"),
     )
     over_holding = _fronts(page, "holding_fronts", nominal_and_robust, "holding", np.linspace(0.0365, 0.0280, points))
@@ -183,7 +194,15 @@ def chapter(page: Draft, quick: bool) -> None:
     told = f"{FILLED} {transition(over_holding, 'holding')} The robust design changes its active limit first, because "
     told += "its box meets the travel limit earlier (figure 6.7). Crosses: no design meets all limits."
     page.add(
-        linked_front(over_holding, [rides], f"Ride against the holding limit, R = {TRAVEL:g} m", told, "6.5", known),
+        linked_front(
+            over_holding,
+            [rides],
+            f"Ride against the holding limit, R = {TRAVEL:g} m",
+            told,
+            "6.5",
+            known,
+            chosen["uOpt"],
+        ),
         shadow_price(over_holding, "Holding limit H", "millimetre of holding", 0.001, "mm"),
         projections(
             {name: designs[name] for name in ("dOpt", "uOpt")},
@@ -209,13 +228,13 @@ def chapter(page: Draft, quick: bool) -> None:
     heading = f"Cost of the spreads against the travel limit (ride ≤ {RIDE:g}, H = {HOLDING:g} m)"
     told = f"{FILLED} Above the line, spreads must be tighter than the initial ones; at the crosses no choice of "
     told += "spreads meets all limits."
-    page.add(linked_front(costs, [priced], heading, told, "7.3", known))
+    page.add(linked_front(costs, [priced], heading, told, "7.3", evidence.values(), chosen["aOpt"]))
     bounds: dict[str, Any] = {"limits": {f"ride limit of aOpt, {RIDE:g}": RIDE}, "infeasible": costs}
     rides = curves(over_travel, "Travel limit R", "Ride ∫ z̈ₛ² dt, μ + σ", RIDE_UNIT, **bounds)
     heading = "Why there is no apportioned design for narrow travel"
     told = "Where uOpt lies above the ride limit, aOpt must tighten spreads to meet it. In the grey band even that is "
     told += "not enough: the load mₛ and the tyre kᵤ keep their spreads."
-    page.add(linked_front(over_travel, [rides], heading, told, "7.4", known))
+    page.add(linked_front(over_travel, [rides], heading, told, "7.4", *shown))
     if costs["aOpt"].solved.any():
         page.add(apportioned(costs["aOpt"]))
 
