@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
+import aleator
 import aleator_command
 from aleator import cli, studies  # noqa: F401  the commands are imported before a fork
 from aleator._core.border import Progress
@@ -120,7 +121,7 @@ def rehearse(moment: str, number: int, folder: Path) -> None:
     interruption._PATIENCE = 0.5
     studies.load = load
     if moment == "while the package is imported":
-        sys.modules["aleator.cli"] = types.SimpleNamespace(main=send)
+        aleator.cli = types.SimpleNamespace(run=lambda *arguments, **named: send())
     sys.argv = ["aleator", "run", "rehearsal", "--out", str(folder)]
     aleator_command.main()
 
