@@ -91,10 +91,6 @@ def executed(
             raise
 
 
-# Results are saved again once this many times as long has passed as saving them took.
-_SAVING = 20
-
-
 @final
 class _Course:
     """One run of a study: its finished stages, which are on disk, and its messages."""
@@ -110,7 +106,6 @@ class _Course:
         # How many results the journal has, and had before the present stage.
         self._count: Callable[[], int] = lambda: 0
         self._before = 0
-        self._next_save = 0.0
 
     def execute(self, job: AbstractStudy, folder: Path, results: Journal) -> int:
         """Run all stages, saving after each, write the page, and print the tables; returns the exit code."""
@@ -205,27 +200,17 @@ class _Course:
                 progress.begin(name)
                 with self.interruptions.work():
                     job.run(name, progress.show)
-                self._name(job)
-                if time.perf_counter() > self._next_save:
-                    self._save(job)
+                self._save(job, [*self._finished, name])
                 counts = self._journal.recalled - recalled, self._journal.begun - begun
                 progress.end(name, stage.share, _duration(time.perf_counter() - started, *counts))
         self._stage = ""
 
-    def _save(self, job: AbstractStudy) -> None:
-        """Write all results so far. What takes long is in the journal already."""
-        began = time.perf_counter()
+    def _save(self, job: AbstractStudy, finished: list[str]) -> None:
         try:
-            self._paths, self._finished = job.save(self._folder), list(job.finished)
+            self._paths, self._finished = job.save(self._folder), finished
         except PartlySavedError as error:
-            self._paths, self._finished = error.paths, list(job.finished)
+            self._paths, self._finished = error.paths, finished
             raise
-        finally:
-            now = time.perf_counter()
-            self._next_save = now + _SAVING * (now - began)
-
-    def _name(self, job: AbstractStudy) -> None:
-        """Let the journal call results as the study does."""
         results = by_place(job.results())
         designs = {place: result for place, result in results.items() if isinstance(result, Solution | Evidence)}
         # The last name is that of the result: what a study calls a design comes before its place along a front.
@@ -235,10 +220,9 @@ class _Course:
         self._tables = tables_of(job)
 
     def _save_rest(self, job: AbstractStudy) -> None:
-        """Save what is not saved yet, of a stage that was not completed as well."""
+        """Save the results of a stage that was not completed."""
         if len(self._finished) < len(job.stages):
-            self._save(job)
-            self._name(job)
+            self._save(job, self._finished)
 
     def _write_page(self, job: AbstractStudy) -> None:
         """Write the page, never beside results of an earlier run; a reduced one where the study's own fails."""

@@ -16,7 +16,7 @@ _NOW_AND_THEN = 10.0  # seconds between two lines
 class Shown:
     """The progress of stages, whose shares add up to `total`, and of the work inside the present one."""
 
-    def __init__(self, console: Console, bars: Bars, total: float):
+    def __init__(self, console: Console, bars: Bars, total: float | None):
         self._console, self._bars = console, bars if console.is_terminal else None
         self._stages = bars.add_task("all stages", total=total)
         self.begin("")
@@ -50,8 +50,8 @@ class Shown:
 
 
 @contextmanager
-def shown(console: Console, total: float) -> Iterator[Shown]:
-    """Show progress within a block, of stages whose shares add up to `total`."""
+def shown(console: Console, total: float | None) -> Iterator[Shown]:
+    """Show progress within a block, of stages whose shares add up to `total`, if that is known."""
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
     clocks = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
     with Bars(*columns, *clocks, console=console, disable=not console.is_terminal) as bars:
