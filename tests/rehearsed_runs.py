@@ -12,60 +12,52 @@ import sys
 import tempfile
 import time
 import types
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable
+from functools import partial, partialmethod
 from pathlib import Path
 
 import aleator
 import aleator_command
 from aleator import cli, studies  # noqa: F401  the commands are imported before a fork
-from aleator._core.border import Progress
 from aleator.cli import _interruption as interruption
-from aleator.reporting import PAGE, Section, Table, Verdict
-from aleator.reporting._files import write_text, write_together
-from aleator.studies import AbstractStudy, Stage
+from aleator.cli._terminal import Terminal
+from aleator.reporting import Table, Verdict
+from aleator.studies import AbstractStudy, Draft
 
 STAGES = ("first", "second", "third")
 
 
 class Rehearsal(AbstractStudy):
-    """A study of three stages without work, which passes its moments to a function as it comes to them."""
+    """A study of three sections without work, which passes its moments to a function as it comes to them."""
 
     def __init__(self, at: Callable[[str], object] = lambda moment: None):
         self.at = at
+        self.begun = list[str]()
 
-    @property
-    def stages(self) -> Mapping[str, Stage]:
-        return {name: Stage(partial(self.work, name), 1.0) for name in STAGES}
+    def chapter(self, page: Draft) -> None:
+        for stage in STAGES:
+            self.begun.append(stage)
+            page.section(stage)
+            page.progress("inside", 0, 2)
+            self.at(f"in the {stage} stage")
+            page.add(f"{stage} is done", Table(stage, ["stage"], [[stage]]), printed=True)
+        page.recommend(Verdict("good", "Done", "as far as it went."))
 
-    def work(self, stage: str, progress: Progress) -> None:
-        progress("inside", 0, 2)
-        self.at(f"in the {stage} stage")
 
-    def save(self, folder: Path) -> list[Path]:
-        text = " ".join(self.finished).encode()
-        paths = write_together(folder, {"results.nc": text, "designs.json": text, PAGE: None})
-        self.at("while a stage is saved")
-        return list(paths)
+def watch_the_end(at: Callable[[str], object]) -> None:
+    """Come to the moments after the chapter as well."""
+    for owner, name, moment in (
+        (Draft, "save", "while results are saved"),
+        (Draft, "write", "while the page is written"),
+        (Terminal, "table", "while the tables are printed"),
+        (Draft, "headline", "at the last word"),
+    ):
+        setattr(owner, name, partialmethod(_then, getattr(owner, name), partial(at, moment)))
 
-    def write_page(self, folder: Path) -> Path:
-        self.at("while the page is written")
-        return write_text(folder / PAGE, " ".join(self.finished))
 
-    def tables(self) -> list[Table]:
-        if len(self.finished) == len(STAGES):
-            self.at("while the tables are printed")
-        return [Table("Stages", ["stage"], [[stage] for stage in self.finished])] if self.finished else []
-
-    def results(self) -> Mapping[str, object]:
-        return {}
-
-    def sections(self) -> Sequence[Section]:
-        return []
-
-    def verdict(self) -> Verdict:
-        self.at("at the last word")
-        return Verdict("good", "Done", "as far as it went.")
+def _then(self: object, method: Callable[..., object], at: Callable[[], object], *arguments: object) -> object:
+    at()
+    return method(self, *arguments)
 
 
 def second_stage(moment: str, send: Callable[[], object], number: int) -> None:
@@ -120,6 +112,7 @@ def rehearse(moment: str, number: int, folder: Path) -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     interruption._PATIENCE = 0.5
     studies.load = load
+    watch_the_end(at)
     if moment == "while the package is imported":
         aleator.cli = types.SimpleNamespace(run=lambda *arguments, **named: send())
     sys.argv = ["aleator", "run", "rehearsal", "--out", str(folder)]

@@ -4,7 +4,6 @@ import io
 import subprocess
 import sys
 from pathlib import Path
-from typing import ClassVar
 
 import pytest
 from rich.console import Console
@@ -14,9 +13,9 @@ from aleator import studies
 from aleator.cli._progress import shown
 from aleator.cli._terminal import fitted
 from aleator.reporting import Table, Verdict, _files
-from aleator.studies import Stage
+from aleator.studies import Draft
 from command_line import aleator, said
-from rehearsed_runs import Rehearsal
+from rehearsed_runs import STAGES, Rehearsal
 
 BRACKETS, PARTS = "[bold]a[/] [/wrong] [0] :smile: \\[x] {task}", ("caption", "head", "cell", "note", "headline")
 
@@ -58,20 +57,22 @@ def test_the_exit_code_tells_what_went_wrong_and_what_was_finished_is_kept(
     result = run(study, "--out", str(tmp_path / "new" / "folder"))
     assert result.exit_code == code
     assert word in said(result)
-    assert (tmp_path / "new" / "folder" / "designs.json").read_text() == finished
-    assert (tmp_path / "new" / "folder" / "report.html").exists()
+    page = (tmp_path / "new" / "folder" / "report.html").read_text(encoding="utf-8")
+    assert [stage for stage in STAGES if f"{stage} is done" in page] == finished.split()
+    assert ("as far as it went" in page) == (code == 0)
+    assert (tmp_path / "new" / "folder" / "results.nc").exists()
 
 
 class Bracketed(Rehearsal):
     """A study whose texts look like markup, or like an emoji."""
 
-    stages: ClassVar = {BRACKETS: Stage(lambda progress: progress(BRACKETS, 0, 2), 1.0)}
-
-    def tables(self) -> list[Table]:
-        return [Table(f"caption {BRACKETS}", [f"head {BRACKETS}"], [[f"cell {BRACKETS}"]], f"note {BRACKETS}")]
-
-    def verdict(self) -> Verdict:
-        return Verdict("good", "Done", f"headline {BRACKETS}")
+    def chapter(self, page: Draft) -> None:
+        page.section(BRACKETS)
+        page.progress(BRACKETS, 0, 2)
+        page.tables.append(
+            Table(f"caption {BRACKETS}", [f"head {BRACKETS}"], [[f"cell {BRACKETS}"]], f"note {BRACKETS}")
+        )
+        page.recommend(Verdict("good", "Done", f"headline {BRACKETS}"))
 
 
 def test_text_in_square_brackets_is_printed_as_it_is(run, monkeypatch, tmp_path: Path):
@@ -130,5 +131,5 @@ def test_a_folder_that_another_run_writes_to_is_refused_before_any_work(run, mon
         result = run(study, "--out", str(tmp_path))
         holder.kill()
     assert result.exit_code == 2
-    assert study.finished == ()
+    assert study.begun == []
     assert "Another process" in said(result)

@@ -33,11 +33,11 @@ from aleator.reporting import Section as Section
 from aleator.reporting import Table as Table
 from aleator.reporting import Text as Text
 from aleator.reporting import Verdict as Verdict
+from aleator.reporting import recommendation as recommendation
 from aleator.reporting import save as save
 from aleator.statistics import AbstractStatistic as AbstractStatistic
 from aleator.studies import AbstractStudy as AbstractStudy
-from aleator.studies import Stage as Stage
-from aleator.studies import stop_if_interrupted as stop_if_interrupted
+from aleator.studies import Draft as Draft
 from aleator.transcription import AbstractTranscribed as AbstractTranscribed
 from aleator.transcription import AbstractTranscription as AbstractTranscription
 from aleator.transcription import Meaning as Meaning

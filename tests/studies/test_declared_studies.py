@@ -1,4 +1,4 @@
-"""What every study has by its declaration: stages that count once they end, files, and a page that is honest.
+"""What every study has by its declaration: a page that only grows, files, and no recommendation after a failure.
 
 A study whose members are of the wrong kind, or fail, ends with one sentence, and nothing found is lost.
 """
@@ -6,7 +6,6 @@ A study whose members are of the wrong kind, or fail, ends with one sentence, an
 import json
 import math
 from functools import cache
-from types import SimpleNamespace
 
 import pytest
 import xarray
@@ -22,70 +21,45 @@ def solved():
     return al.solve(bar_problem())
 
 
-def nothing():
-    """A second stage that finds nothing."""
+def nothing(page):
+    """A second section that finds nothing."""
 
 
 class Two(ext.AbstractStudy):
-    """A design, and a second stage that does what it is given."""
+    """A design, and a second section that does what it is given."""
 
-    title = "Two stages"
+    title = "Two sections"
     glossary = (("x", "What decays."),)
     left_out = ""
 
     def __init__(self, second=nothing):
-        self.second, self.ran, self.design = second, [], None
+        self.second = second
 
-    @property
-    def stages(self):
-        return {"design": ext.Stage(self.find, 1.0), "second": ext.Stage(self.go_on, 2.0)}
-
-    def find(self, progress):
-        progress("solving", 0, 1)
-        self.ran.append("design")
-        self.design = solved()
-
-    def go_on(self, progress):
-        self.ran.append("second")
-        self.second()
-
-    def cut_short(self):
-        if "second" in self.ran and "second" not in self.finished:
-            yield "Of the second, half is kept."
-
-    def results(self):
-        return {"design": self.design}
-
-    def verdict(self):
-        return ext.Verdict("good", "Build", "It decays.", ["Build it."], [ext.Card("Rate", "1.1 1/s")])
-
-    def tables(self):
-        return [ext.Table("Found", ["what"], [["design"]])] if self.design else []
-
-    def sections(self):
-        return [ext.Section("The decay", self.tables()), ext.Section("Nothing", [])]
+    def chapter(self, page):
+        page.section("The decay")
+        page.progress("solving", 0, 1)
+        page.keep("design", solved())
+        page.add("It has a rate of 1.1 1/s.", ext.Table("Found", ["what"], [["design"]]), printed=True)
+        page.recommend(ext.Verdict("good", "Build", "It decays.", ["Build it."], [ext.Card("Rate", "1.1 1/s")]))
+        page.section("Nothing")
+        self.second(page)
 
 
 def failing(error):
-    def fail():
+    def fail(page):
         raise error
 
     return fail
 
 
-def finished(study):
-    for stage in study.stages:
-        study.run(stage)
-    return study
+def filled(study):
+    page = ext.Draft(study)
+    page.fill()
+    return page
 
 
-def headings(study):
-    return [one.heading for one in study.page().sections]
-
-
-def unfinished(study):
-    (text,) = next(one for one in study.page().sections if one.heading == "This run").blocks
-    return text.paragraphs
+def headings(page):
+    return [one.heading for one in page.page().sections]
 
 
 def run(study, folder, capsys):
@@ -107,94 +81,108 @@ def saved_objective(folder):
 
 
 def test_a_study_that_came_to_its_end_has_its_sections_its_files_and_the_glossary(tmp_path):
-    study = finished(Two())
-    assert study.finished == ("design", "second")
-    assert headings(study) == ["The decay", "Where this comes from", "How to read this"]
-    assert study.page().sections[-1].blocks[-1].rows == study.glossary
-    assert study.headline() == "Build: It decays."
+    study = Two()
+    page = filled(study)
+    assert page.finished == ["The decay", "Nothing"]
+    assert headings(page) == ["The decay", "Where this comes from", "How to read this"]
+    assert page.page().sections[-1].blocks[-1].rows == study.glossary
+    assert page.headline() == "Build: It decays."
     study.left_out = "the sweep"
-    assert study.page().verdict.headline == "It decays. This was a quick run, without the sweep."
-    study.save(tmp_path)
-    page = study.write_page(tmp_path)
-    assert "It decays." in page.read_text(encoding="utf-8")
-    assert saved_objective(tmp_path) == study.design.objective
+    assert page.page().verdict.headline == "It decays. This was a quick run, without the sweep."
+    page.save(tmp_path)
+    written = page.write(tmp_path)
+    assert "It decays." in written.read_text(encoding="utf-8")
+    assert saved_objective(tmp_path) == solved().objective
     # An old page goes with its results.
-    study.save(tmp_path)
-    assert not page.exists()
-    assert unfinished(Two()) == ["Not reached or not completed: design and second."]
+    page.save(tmp_path)
+    assert not written.exists()
 
 
-def test_a_stage_that_was_cut_short_keeps_what_it_found_and_is_not_finished():
-    study = Two(lambda: ext.stop_if_interrupted(SimpleNamespace(interrupted=True)))
-    study.run("design")
+def test_a_result_that_was_cut_short_is_kept_and_ends_the_chapter():
+    front = al.results.Front("mass", math.nan * solved().vector[:1], (solved(),), interrupted=True)
+    page = ext.Draft(Two(lambda page: page.keep("front", front)))
     with pytest.raises(KeyboardInterrupt):
-        study.run("second")
-    assert study.finished == ("design",)
-    assert unfinished(study) == ["Not reached or not completed: second.", "Of the second, half is kept."]
+        page.fill()
+    assert page.finished == ["The decay"]
+    assert page.kept["front"] is front
+    assert headings(page)[:2] == ["This run", "The decay"]
+    (text,) = page.page().sections[0].blocks
+    assert "stopped early in 'Nothing'" in text.paragraphs[0]
+    # It was made before, of results that are complete.
+    assert page.headline() == "Build: It decays."
+
+
+def test_nothing_is_recommended_where_a_chapter_is_stopped_before_it_recommends():
+    class Stopped(Two):
+        def chapter(self, page):
+            page.section("The decay")
+            raise KeyboardInterrupt
+
+    page = ext.Draft(Stopped())
+    with pytest.raises(KeyboardInterrupt):
+        page.fill()
+    assert page.headline().startswith("Stopped early: Nothing to build yet.")
 
 
 @pytest.mark.parametrize("name", STUDIES)
-def test_every_study_of_the_list_begins_with_nothing_and_a_quick_run_does_less(name):
+def test_every_study_of_the_list_has_problems_and_a_quick_run_says_what_it_skips(name):
     for quick in (False, True):
         study = load(name, quick=quick)
-        assert study.tables() == []
-        assert study.headline().startswith("Incomplete: ")
-        assert all(stage.share > 0 for stage in study.stages.values())
-        assert unfinished(study)[0].startswith(f"Not reached or not completed: {next(iter(study.stages))}, ")
+        study.check_declaration()
+        assert study.problems
         assert bool(study.left_out) == (quick and name != "clutch")
-    assert set(load(name, quick=True).stages) <= set(load(name).stages)
+        assert ext.Draft(study).headline().startswith("No recommendation: ")
 
 
 # --- Studies that are wrong ------------------------------------------------------------------------------------------
 
 
-SHOWN = {
-    "no verdict": ("verdict", ("good", "Done", "It decays."), "expected"),
-    "blocks as sections": ("sections", [ext.Text(["It decays."])], "expected"),
-    "a number among results": ("results", {"more": {"other": math.sin}}, "'more': 'other'"),
-    "what netCDF cannot hold": ("results", {"other": xarray.Dataset({"x": ("a", [object()])})}, "'other'"),
+WRONG = {
+    "no verdict": (lambda page: page.recommend(("good", "Done", "It decays.")), "page.recommend: expected"),
+    "a section as a block": (lambda page: page.add(ext.Section("A", [])), "page.add: expected"),
+    "a number among results": (lambda page: page.keep("more", {"other": math.sin}), "'more': 'other'"),
+    "what netCDF cannot hold": (
+        lambda page: page.keep("other", xarray.Dataset({"x": ("a", [object()])})),
+        "'other': 'x': expected",
+    ),
 }
 
 
-@pytest.mark.parametrize("what", SHOWN)
+@pytest.mark.parametrize("what", WRONG)
 def test_what_cannot_be_shown_or_saved_is_told_on_a_page_that_keeps_the_rest(what, tmp_path, capsys):
-    member, value, words = SHOWN[what]
-    if isinstance(value, dict):
-        value = {**value, "design": solved()}
-    code, said, printed = run(type("Wrong", (Two,), {member: lambda self: value})(), tmp_path, capsys)
+    second, words = WRONG[what]
+    code, said, printed = run(Two(second), tmp_path, capsys)
     assert code == 1
-    assert said.count(f"Wrong.{member}") == 1
+    assert said.count("error during 'Nothing': page.") == 1
     assert words in said
     assert len(said) < 400
     page = page_of(tmp_path)
-    assert f"Wrong.{member}" in page
-    assert "No recommendation after an error in" in page
+    assert "In &#39;Nothing&#39;: page." in page
+    assert "rate of 1.1 1/s" in page
     assert "Build" not in page
-    assert "Failed: No recommendation after an error in" in printed
+    assert "Failed: No recommendation, because of an error." in printed
     assert saved_objective(tmp_path) == solved().objective
 
 
 @pytest.mark.parametrize("error", [al.SolveError("no point"), ValueError("a slip")], ids=repr)
-def test_after_a_failure_chapters_and_numbers_are_kept_and_nothing_is_recommended(error, tmp_path, capsys):
+def test_after_a_failure_sections_and_numbers_are_kept_and_nothing_is_recommended(error, tmp_path, capsys):
     study = Two(failing(error))
     if isinstance(error, ValueError):  # raised with its place once everything is written
         with pytest.raises(ValueError, match="a slip"):
             ext.run_study(study, tmp_path)
-        assert "error during 'second': ValueError: a slip" in capsys.readouterr().err
+        assert "error during 'Nothing': ValueError: a slip" in capsys.readouterr().err
     else:
         assert run(study, tmp_path, capsys)[0] == 1
     page = page_of(tmp_path)
-    for kept in ("The decay", "1.1 1/s", str(error), "Not reached or not completed: second."):
+    for kept in ("The decay", "1.1 1/s", str(error), "An error ended the study in"):
         assert kept in page
     assert "Build" not in page
     assert {path.name for path in tmp_path.iterdir()} >= {"results.nc", "designs.json", "report.html"}
-    assert study.headline() == "Failed: No recommendation after an error in the stage 'second'."
 
 
-@pytest.mark.parametrize("member", ["verdict", "sections", "tables", "results", "cut_short"])
-def test_a_slip_in_what_a_study_says_is_raised_once_a_page_is_written(member, tmp_path):
-    study = type("Slips", (Two,), {member: lambda self: failing(KeyError("a slip"))()})(failing(al.SolveError("no")))
-    with pytest.raises(KeyError, match="a slip"):
-        ext.run_study(study, tmp_path)
-    assert "No recommendation after an error in " in page_of(tmp_path)
-    assert "KeyError" in page_of(tmp_path)
+@pytest.mark.parametrize("member", ["title", "subtitle", "glossary", "left_out"])
+def test_a_member_of_the_wrong_kind_is_refused_by_name_before_anything_is_computed(member, tmp_path, capsys):
+    code, said, _ = run(type("Wrong", (Two,), {member: 7})(), tmp_path, capsys)
+    assert code == 2
+    assert f"Wrong.{member}" in said
+    assert not (tmp_path / "results.nc").exists()

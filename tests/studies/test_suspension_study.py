@@ -12,10 +12,9 @@ from typer.testing import CliRunner
 
 import aleator as al
 from aleator import cli
-from aleator._core.border import silent
 from aleator.design import responses
 from aleator.studies.suspension import apportionment_problem, deterministic_problem, robust_problem
-from aleator.studies.suspension._run import BUILT, TARGET, Effort, SuspensionResults, calibrate_designs
+from aleator.studies.suspension._chapter import BUILT, TARGET, margin_problems
 from aleator.transcription import transcribe
 from compiling import compiled
 from numpy_quarter_car import quarter_car
@@ -89,10 +88,8 @@ def test_the_quick_run_writes_a_report_and_results_that_agree_with_the_library(t
 
 @pytest.mark.slow
 def test_the_designs_to_build_keep_their_limits_on_cars_of_another_sample():
-    results = SuspensionResults(Effort(calibration_samples=5_000))
-    calibrate_designs(results, silent)
     for name, limits in BUILT.items():
-        found = results.built[name]
+        found = al.calibrate(margin_problems()[name], limits, TARGET, samples=5_000)
         assert found.confirmed
         fresh = al.validate(found.solution, 10_000, seed=123)
         assert fresh.joint == fresh.violation(*limits)

@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -17,17 +17,15 @@ from aleator.cli._terminal import FAILED, USAGE, Terminal
 from aleator.journalling import Journal, journal
 from aleator.reporting import (
     PAGE,
-    Table,
     by_place,
     check_writable,
     designs_document,
     only_writer,
-    savable,
     save_study,
     words,
 )
 from aleator.solution import Solution
-from aleator.studies import AbstractStudy, PartlySavedError, tables_of
+from aleator.studies import AbstractStudy, Draft
 from aleator.sweep import Front, point_name
 from aleator.validation import Evidence
 
@@ -75,7 +73,7 @@ def executed(
             terminal.complain("error", error)
             return USAGE
         try:
-            code = course.execute(job, folder, results)
+            code = course.execute(Draft(job), folder, results)
             if taken := len(results.taken):
                 subject = "1 result was" if taken == 1 else f"{taken} results were"
                 hint = "" if afresh is None else "; --afresh computes anew"
@@ -98,53 +96,54 @@ class _Course:
     def __init__(self, terminal: Terminal) -> None:
         self._terminal = terminal
         self.interruptions = Interruptions(self._end_at_once)
-        self._stage, self._folder = "", Path()
-        self._finished, self._paths, self._reduced = list[str](), list[Path](), list[Path]()
-        self._tables: Sequence[Table] = ()
+        self._folder = Path()
+        self._page: Draft | None = None
+        self._paths = list[Path]()
         self._complaints = list[str]()
         self._mistake: Exception | None = None
-        # How many results the journal has, and had before the present stage.
+        # How many results the journal has, and had before the present step.
         self._count: Callable[[], int] = lambda: 0
         self._before = 0
+        # When that began, and how many results were recalled and computed until then.
+        self._started, self._counts = 0.0, (0, 0)
 
-    def execute(self, job: AbstractStudy, folder: Path, results: Journal) -> int:
-        """Run all stages, saving after each, write the page, and print the tables; returns the exit code."""
-        self._folder, self._journal = folder, results
+    def execute(self, page: Draft, folder: Path, results: Journal) -> int:
+        """Run the chapter, save its results, write the page, and print the tables; returns the exit code."""
+        self._folder, self._journal, self._page = folder, results, page
         self._count = lambda: sum(entry.is_finished for entry in results.entries)
         with self._terminal.warning():
-            code = self._run_through(job)
-        self._terminal.note(**self._facts(job), recalled=len(results.taken))
+            code = self._run_through(page)
+        self._terminal.note(**self._facts(page), recalled=len(results.taken))
         return code
 
-    def _run_through(self, job: AbstractStudy) -> int:
-        code = self._attempt(job, "saving", lambda: self._run_stages(job))
-        code = self._attempt(job, "the tables", lambda: self._ask_tables(job)) or code
-        if self._finished or self._tables or job.failed_parts:
-            code = self._attempt(job, "saving", lambda: self._save_rest(job)) or code
-            code = self._attempt(job, "the page", lambda: self._write_page(job)) or code
+    def _run_through(self, page: Draft) -> int:
+        code = self._attempt(page, "the chapter", lambda: self._fill(page))
+        if page.finished or page.kept or page.failures:
+            code = self._attempt(page, "saving", lambda: self._save(page)) or code
+            code = self._attempt(page, "the page", lambda: self._write_page(page)) or code
         if not self._interrupted(code):
             self.interruptions.rest()
-            code = self._attempt(job, "the last word", lambda: self._print_results(job)) or code
+            code = self._attempt(page, "the last word", lambda: self._print_results(page)) or code
         if not self._interrupted(code):
             if self._mistake is not None:
                 raise self._mistake
-            return self._judged(job, code)
+            return self._judged(page, code)
         self.interruptions.conclude()
         self._terminal.last_words(self._last_words())
         return self.interruptions.exit_code
 
-    def _judged(self, job: AbstractStudy, code: int) -> int:
+    def _judged(self, page: Draft, code: int) -> int:
         """The exit code of a run that went through: that of a failure where something has no solution."""
-        if code or not job.unsolved:
+        if code or not page.unsolved:
             return code
-        self._terminal.complain("error", job.unsolved)
+        self._terminal.complain("error", "; ".join(page.unsolved))
         return FAILED
 
     def _interrupted(self, code: int) -> bool:
         return self.interruptions.received is not None or code == self.interruptions.exit_code
 
-    def _attempt(self, job: AbstractStudy, where: str, part: Callable[[], None]) -> int:
-        """Do a part of the run; returns the exit code. The study records failures for its page."""
+    def _attempt(self, page: Draft, where: str, part: Callable[[], None]) -> int:
+        """Do a part of the run; returns the exit code. Failures are noted for the page."""
         try:
             part()
         except KeyboardInterrupt:
@@ -152,11 +151,11 @@ class _Course:
         except Exception as error:
             # Libraries may have turned an interrupt into another exception.
             if self.interruptions.received is not None:
-                job.failed_parts = ()
+                page.stop()
                 return self.interruptions.exit_code
             if isinstance(error, BrokenPipeError):
                 raise
-            job.note_failure(where, error)
+            page.fail(where, error)
             self._tell(error)
             return FAILED
         return 0
@@ -172,86 +171,78 @@ class _Course:
             self._terminal.complain(f"error{self._during()}", said)
 
     def _during(self) -> str:
-        return f" during '{self._stage}'" if self._stage else ""
+        return f" during '{self._page.present}'" if self._page and self._page.present else ""
 
     def _last_words(self) -> str:
         """What an interrupted run has saved."""
-        more = self._count() - self._before if self._stage else 0
-        saved = [f"'{name}'" for name in self._finished]
+        present, finished = (self._page.present, self._page.finished) if self._page else ("", [])
+        more = self._count() - self._before if present else 0
+        saved = [f"'{name}'" for name in finished]
         if more > 0:
-            saved.append(f"{more} result{'s' if more > 1 else ''} of '{self._stage}'")
-        none = "" if self._paths else "no stage was finished; "
+            saved.append(f"{more} result{'s' if more > 1 else ''} of '{present}'")
+        none = "" if finished else "no part was finished; "
         if none and not saved:
             return f"Interrupted{self._during()}: {none}nothing was written."
         verb = "are" if len(saved) > 1 or more > 1 else "is"
-        report = ", without a report" if self._paths and PAGE not in [path.name for path in self._paths] else ""
+        report = ", without a report" if finished and PAGE not in [path.name for path in self._paths] else ""
         subject = words(saved, "what was found")
         return f"Interrupted{self._during()}: {none}{subject} {verb} kept in {self._folder}{report}."
 
     def _end_at_once(self) -> str:
         return self._terminal.ended_at_once(self._last_words(), self.interruptions.exit_code)
 
-    def _run_stages(self, job: AbstractStudy) -> None:
-        total = sum(stage.share for stage in job.stages.values())
-        with shown(self._terminal.console, total) as progress:
-            for name, stage in job.stages.items():
-                self._stage, started, self._before = name, time.perf_counter(), self._count()
-                recalled, begun = self._journal.recalled, self._journal.begun
-                progress.begin(name)
-                with self.interruptions.work():
-                    job.run(name, progress.show)
-                self._save(job, [*self._finished, name])
-                counts = self._journal.recalled - recalled, self._journal.begun - begun
-                progress.end(name, stage.share, _duration(time.perf_counter() - started, *counts))
-        self._stage = ""
+    def _fill(self, page: Draft) -> None:
+        with shown(self._terminal.console, None) as progress, self.interruptions.work():
 
-    def _save(self, job: AbstractStudy, finished: list[str]) -> None:
-        try:
-            self._paths, self._finished = job.save(self._folder), finished
-        except PartlySavedError as error:
-            self._paths, self._finished = error.paths, finished
-            raise
-        results = by_place(job.results())
+            def begun(name: str) -> None:
+                self._before, self._started = self._count(), time.perf_counter()
+                self._counts = self._journal.recalled, self._journal.begun
+                progress.begin(name)
+
+            def ended(name: str) -> None:
+                self._name_results(page)
+                recalled, fresh = self._journal.recalled - self._counts[0], self._journal.begun - self._counts[1]
+                progress.end(name, 1.0, _duration(time.perf_counter() - self._started, recalled, fresh))
+
+            page.fill(progress.show, begun, ended)
+
+    def _name_results(self, page: Draft) -> None:
+        """Let the journal know what the study calls its results, for `aleator validate` and `al.load`."""
+        results = by_place(page.kept)
         designs = {place: result for place, result in results.items() if isinstance(result, Solution | Evidence)}
         # The last name is that of the result: what a study calls a design comes before its place along a front.
         self._journal.call({**_points(results), **dict(reversed(designs.items()))})
 
-    def _ask_tables(self, job: AbstractStudy) -> None:
-        self._tables = tables_of(job)
+    def _save(self, page: Draft) -> None:
+        self._name_results(page)
+        self._paths = page.save(self._folder)
 
-    def _save_rest(self, job: AbstractStudy) -> None:
-        """Save the results of a stage that was not completed."""
-        if len(self._finished) < len(job.stages):
-            self._save(job, self._finished)
+    def _write_page(self, page: Draft) -> None:
+        """Write the page, never beside results of an earlier run."""
+        self._paths = [*(self._paths or save_study(self._folder, {})), page.write(self._folder)]
 
-    def _write_page(self, job: AbstractStudy) -> None:
-        """Write the page, never beside results of an earlier run; a reduced one where the study's own fails."""
-        if not self._paths:
-            self._paths = list(save_study(self._folder, {}))
-        try:
-            page = job.write_page(self._folder)
-        except Exception as error:
-            if self.interruptions.received is None:
-                job.note_failure("the page", error)
-                self._reduced = [job.write_what_is_left(self._folder)]
-                self._paths = [*self._paths, *self._reduced]
-            raise
-        self._paths = [*self._paths, page]
-
-    def _print_results(self, job: AbstractStudy) -> None:
-        for table in self._tables:
+    def _print_results(self, page: Draft) -> None:
+        for table in page.tables:
             self._terminal.table(table)
-        self._terminal.title(job.headline())
+        self._terminal.title(page.headline())
         for path in dict.fromkeys(self._paths):
             if path.exists():
-                self._terminal.tell(f"wrote {path}{', without the parts that failed' if path in self._reduced else ''}")
+                self._terminal.tell(f"wrote {path}")
 
-    def _facts(self, job: AbstractStudy) -> Mapping[str, Any]:
+    def _facts(self, page: Draft) -> Mapping[str, Any]:
         """The run for its JSON document, whatever of it is there."""
         if not self._terminal.is_json:
             return {}
-        facts = {"folder": str(self._folder), "finished": self._finished, "files": [str(path) for path in self._paths]}
-        return {**facts, **_facts(job)}
+        fronts = {place: _front_facts(one) for place, one in by_place(page.kept).items() if isinstance(one, Front)}
+        return {
+            "folder": str(self._folder),
+            "finished": page.finished,
+            "files": [str(path) for path in self._paths],
+            "title": page.title,
+            "verdict": page.headline(),
+            "designs": designs_document(page.kept),
+            "fronts": fronts,
+        }
 
 
 def _points(results: Mapping[str, Any]) -> dict[str, Solution]:
@@ -275,17 +266,6 @@ def _duration(seconds: float, recalled: int, begun: int) -> str:
     if not recalled:
         return f"{seconds:.1f} s"
     return f"{seconds:.1f} s, {recalled} of {recalled + begun} recalled" if begun else "recalled from an earlier run"
-
-
-def _facts(job: AbstractStudy) -> dict[str, Any]:
-    """A study's verdict, designs and fronts, whatever of them is available."""
-    try:
-        results, verdict = savable("results", job.results())[0], job.headline()
-    except ProblemError:  # reported already, where it was saved and printed
-        results, verdict = {}, None
-    named = {"title": job.title, "verdict": verdict}
-    fronts = {place: _front_facts(front) for place, front in by_place(results).items() if isinstance(front, Front)}
-    return {**named, "designs": designs_document(results), "fronts": fronts}
 
 
 def _front_facts(front: Front) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from aleator.reporting import (
     words,
     write_page,
 )
-from aleator.studies import AbstractStudy
+from aleator.studies import AbstractStudy, Draft
 
 _SO_FAR = "report-so-far.html"
 _FOLLOWS_FROM = "what it follows from is missing."
@@ -66,30 +66,25 @@ def _page(folder: Path, run: Recalled, missing: list[str]) -> Page:
     elif is_stale(folder):
         missing.append(stale(folder))
     if study is not None:
-        missing += _recalled(study, run)
-        if any(result is not None for result in by_place(study.results()).values()):
-            return study.page()
+        page = Draft(study)
+        missing += _recalled(page, run)
+        if by_place(page.kept):
+            return page.page()
     return _page_of_designs(folder, run, study, missing)
 
 
-def _recalled(study: AbstractStudy, run: Recalled) -> list[str]:
-    """Let a study take all its results from a folder; what is not there, a sentence each."""
-    missing = []
-    for name in study.stages:
-        try:
-            study.run(name)
-        except KeyboardInterrupt:
-            absent = " ".join(dict.fromkeys(run.missing)) or _FOLLOWS_FROM
-            missing.append(f"'{name}' is not finished: {absent}")
-        except AleatorError as error:
-            missing.append(f"'{name}' failed: {error}")
-        except Exception:  # of whatever kind, where a stage works with what an earlier one would have found
-            if not missing:
-                raise
-            study.failed_parts = ()
-            missing.append(f"'{name}' is not finished: {_FOLLOWS_FROM}")
+def _recalled(page: Draft, run: Recalled) -> list[str]:
+    """Let a study take its results from a folder; what is not there, a sentence."""
+    try:
+        page.fill()
+    except KeyboardInterrupt:
+        absent = " ".join(dict.fromkeys(run.missing)) or _FOLLOWS_FROM
+        return [f"'{page.present}' is not finished, nor what follows it: {absent}"]
+    except AleatorError as error:
+        return [f"'{page.present}' failed: {error}"]
+    finally:
         run.missing.clear()
-    return missing
+    return []
 
 
 def _page_of_designs(folder: Path, run: Recalled, study: AbstractStudy | None, missing: list[str]) -> Page:

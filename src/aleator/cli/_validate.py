@@ -16,7 +16,7 @@ from aleator.cli._progress import shown
 from aleator.cli._terminal import FAILED, Terminal
 from aleator.design import Problem
 from aleator.journalling import Journal, journal
-from aleator.reporting import Table, evidence_document, evidence_table, share_text, solution_document
+from aleator.reporting import Table, evidence_document, evidence_table, solution_document, violations_table
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
 from aleator.studies import AbstractStudy, executor_of, problems_of
@@ -41,8 +41,9 @@ def validate(place: str, samples: int, seed: int, design: str | None, workers: i
         code = sampling.of(designs, run, {} if study is None else study.solving)
     terminal.note(folder=str(folder), samples=samples, seed=seed, designs=sampling.documents)
     if sampling.evidence:
-        for table in _tables(sampling.evidence):
-            terminal.table(table)
+        terminal.table(_decisions(sampling.evidence))
+        terminal.table(violations_table(sampling.evidence))
+        terminal.table(evidence_table(sampling.evidence))
     terminal.conclude(code)
 
 
@@ -81,18 +82,13 @@ def _selected(
     return designs if design is None else {design: designs[design]}
 
 
-def _tables(evidence: Mapping[str, Evidence]) -> Iterator[Table]:
-    """What was sampled, how many systems break each limit, and the numbers, with a column for each design."""
+def _decisions(evidence: Mapping[str, Evidence]) -> Table:
+    """What was sampled, a column for each design."""
     designs = [solution_document(sampled.solution) for sampled in evidence.values()]
     names = list(dict.fromkeys(name for design in designs for name in design["decisions"]))
     rows = [[name, *(value_text(design["decisions"].get(name)) for design in designs)] for name in names]
     rows.append(["Objective", *(value_text(design["objective"]) for design in designs)])
-    yield Table("Designs", ["", *evidence], rows, "")
-    shares = [{**one.violations, **({"any limit": one.joint} if one.violations else {})} for one in evidence.values()]
-    limits = dict.fromkeys([limit for one in shares for limit in one if limit != "any limit"] + ["any limit"])
-    rows = [[limit, *(share_text(one.get(limit)) for one in shares)] for limit in limits]
-    yield Table("Systems that violate limits", ["", *evidence], rows, "In brackets: 95 % confidence.")
-    yield evidence_table(evidence)
+    return Table("Designs", ["", *evidence], rows, "")
 
 
 @final

@@ -29,6 +29,7 @@ from aleator.reporting._files import check_writable as check_writable
 from aleator.reporting._files import has_writer as has_writer
 from aleator.reporting._files import only_writer as only_writer
 from aleator.reporting._files import write_whole as write_whole
+from aleator.reporting._first_screen import recommendation as recommendation
 from aleator.reporting._fronts import decision_path_figure as decision_path_figure
 from aleator.reporting._fronts import front_figure as front_figure
 from aleator.reporting._fronts import relative_figure as relative_figure
@@ -57,9 +58,11 @@ from aleator.reporting._paper import paper_figure as paper_figure
 from aleator.reporting._paths import histories_figure as histories_figure
 from aleator.reporting._paths import path_figure as path_figure
 from aleator.reporting._report import HOW_TO_READ as HOW_TO_READ
+from aleator.reporting._report import evidence_sections as evidence_sections
 from aleator.reporting._report import footer as footer
 from aleator.reporting._report import report as report
 from aleator.reporting._report import sections as sections
+from aleator.reporting._report import trade_offs_section as trade_offs_section
 from aleator.reporting._samples import calibration_figure as calibration_figure
 from aleator.reporting._samples import magnitudes_figure as magnitudes_figure
 from aleator.reporting._samples import percentile_figure as percentile_figure
@@ -92,3 +95,4 @@ from aleator.reporting._tables import certificate_table as certificate_table
 from aleator.reporting._tables import designs_table as designs_table
 from aleator.reporting._tables import evidence_table as evidence_table
 from aleator.reporting._tables import unresolved as unresolved
+from aleator.reporting._tables import violations_table as violations_table

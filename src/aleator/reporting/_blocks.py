@@ -32,13 +32,17 @@ class Card:
 @final
 @dataclass(frozen=True)
 class Verdict:
-    """The first screen: a mark and its word, one headline, a few sentences, three or four key numbers."""
+    """The first screen: a mark and its word, one headline, rows of facts, a few sentences, key numbers.
+
+    - `rows`: what is said of the proposed design, each with its name.
+    """
 
     level: Level
     word: str
     headline: str
     sentences: Sequence[str] = ()
     cards: Sequence[Card] = ()
+    rows: Sequence[tuple[str, str]] = ()
 
     def __post_init__(self) -> None:
         if self.level not in get_args(Level):
@@ -206,10 +210,11 @@ Block = Text | Code | Table | Drawing | Schematic | Linked
 @final
 @dataclass(frozen=True)
 class Section:
-    """A heading and the blocks under it."""
+    """A heading and the blocks under it, which a reader opens if they are `folded`."""
 
     heading: str
     blocks: Sequence[Block]
+    folded: bool = False
 
     def __post_init__(self) -> None:
         _texts(self, "heading")

@@ -131,22 +131,35 @@ def sections(
 
     - `along`: evidence on the designs of fronts and trade-offs.
     """
-    fronts = {name: one for name, one in fronts.items() if one.solutions}
     if not designs:
         return []
-    known = [*along, *evidence.values()]
     failed = [Text([one.why()], lead=f"{name} is not solved.") for name, one in designs.items() if not one.ok]
-    optima = [Text(said, lead="Several local optima.")] if (said := disagreements(designs, fronts)) else []
     meshes = [mesh_drawing(one.meshes, name) for name, one in designs.items() if any(mesh.worst for mesh in one.meshes)]
+    paths, counted = evidence_sections(evidence)
     every = [
         Section("Designs", [*failed, designs_table(designs, evidence)]),
-        Section("Trajectories", _trajectory_blocks(evidence)),
-        Section("Trade-offs", [*optima, *front_blocks(fronts, known), *trade_off_blocks(trade_offs, known)]),
-        Section("Evidence", _evidence_blocks(evidence)),
+        paths,
+        trade_offs_section(designs, {**fronts, **trade_offs}, [*along, *evidence.values()]),
+        counted,
         Section("Certificate", [certificate_table(designs), *meshes, *search_drawings(designs)]),
         Section("The problem as mathematics", [Code(name, one.problem_text, True) for name, one in designs.items()]),
     ]
     return [one for one in every if one.blocks]
+
+
+def evidence_sections(evidence: Mapping[str, Evidence]) -> tuple[Section, Section]:
+    """The chapters on sampled systems: over time, and counted."""
+    return Section("Trajectories", _trajectory_blocks(evidence)), Section("Evidence", _evidence_blocks(evidence))
+
+
+def trade_offs_section(
+    designs: Mapping[str, Solution], fronts: Mapping[str, Front | TradeOff], known: Sequence[Evidence]
+) -> Section:
+    """The chapter on fronts, linked with the evidence that is known of designs on them."""
+    swept = {name: one for name, one in fronts.items() if isinstance(one, Front) and one.solutions}
+    traded = {name: one for name, one in fronts.items() if isinstance(one, TradeOff)}
+    optima = [Text(said, lead="Several local optima.")] if (said := disagreements(designs, swept)) else []
+    return Section("Trade-offs", [*optima, *front_blocks(swept, known), *trade_off_blocks(traded, known)])
 
 
 def _page(
@@ -175,13 +188,14 @@ def _page(
 def footer() -> str:
     """The program that wrote the page, and the time."""
     import datetime
+    from importlib.metadata import version
 
     import aleator
 
     now = datetime.datetime.now().astimezone()
     return (
-        f"Written by aleator {aleator.__version__} on {now:%Y-%m-%d at %H:%M}. This page is one file and needs no"
-        " network."
+        f"Written by aleator {aleator.__version__} with JAX {version('jax')} on {now:%Y-%m-%d at %H:%M}. This page is"
+        " one file and needs no network."
     )
 
 

@@ -137,6 +137,12 @@ def _shadow_price(solution: Solution, name: str) -> str:
     return number(solution.multiplier(name), 4) if any(one.name == name for one in solution.constraints) else "–"
 
 
+def violations_table(evidence: Mapping[str, Evidence]) -> Table:
+    """How many systems break each limit, a column for each design."""
+    rows = _violation_rows(list(evidence), evidence)
+    return Table("Systems that violate limits", ["", *evidence], rows, "In brackets: 95 % confidence.")
+
+
 def certificate_table(solutions: Mapping[str, Solution]) -> Table:
     """The certificate of each design: residuals of the optimality conditions, effort, quality of the expansion."""
     every = list(solutions.values())

@@ -8,10 +8,7 @@ from ._listed import load_file as load_file
 from ._listed import load_module as load_module
 from ._own import Study as Study
 from ._study import AbstractStudy as AbstractStudy
-from ._study import PartlySavedError as PartlySavedError
-from ._study import Stage as Stage
-from ._study import stop_if_interrupted as stop_if_interrupted
-from ._study import tables_of as tables_of
+from ._study import Draft as Draft
 from ._swept import SweptStudy as SweptStudy
 from ._swept import executor_of as executor_of
 from ._swept import problems_of as problems_of

@@ -14,7 +14,7 @@ from aleator._core.border import meant
 from aleator._core.errors import AleatorError, ProblemError
 from aleator.design import Problem
 from aleator.studies._own import Study, study_of
-from aleator.studies._study import AbstractStudy
+from aleator.studies._study import AbstractStudy, CaseStudy
 from aleator.studies._toml import load_toml
 
 
@@ -114,7 +114,7 @@ class Entry(NamedTuple):
 STUDIES = {
     "suspension": Entry(
         "Quarter car: deterministic, robust and apportioned suspension (sections 6.4 and 7.4)",
-        "aleator.studies.suspension._study:SuspensionStudy",
+        "aleator.studies.suspension._chapter",
     ),
     "clutch": Entry(
         "One-way clutch: tolerance analysis by every method, and the cheapest tolerances (section 7.2)",
@@ -156,8 +156,11 @@ def load(name: str, *, quick: bool = False) -> AbstractStudy:
             f"There is no study '{name}'; expected one of {sorted(STUDIES)} (see `aleator list`), or a file of "
             f"your own, such as {own}.py (`aleator new {own}.py` begins one)."
         )
-    module, _, kind = STUDIES[name].place.partition(":")
-    study: Any = getattr(import_module(module), kind)
+    place, _, kind = STUDIES[name].place.partition(":")
+    module = import_module(place)
+    if not kind:
+        return CaseStudy(module, quick=quick)
+    study: Any = getattr(module, kind)
     return study(study.quick if quick else study.full)
 
 

@@ -1,41 +1,34 @@
 """`Study`: a study of one's own, declared by its problems alone."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
-from typing import Any, NamedTuple, TypeVar, final
+from collections.abc import Mapping, Sequence
+from typing import Any, final
 
 from typing_extensions import override
 
-from aleator._core.border import Progress, a_name, one_of, refusal, whole
+from aleator._core.border import a_name, one_of, refusal, whole
 from aleator._core.errors import ProblemError
 from aleator.design import Expression, Problem
-from aleator.nlp import AbstractSolver, Status
-from aleator.reporting import Section, Table, Verdict, certificate_table, designs_table, evidence_table, sections
-from aleator.reporting import verdict as verdict_on
+from aleator.nlp import AbstractSolver
+from aleator.reporting import (
+    certificate_table,
+    designs_table,
+    evidence_sections,
+    evidence_table,
+    sections,
+    trade_offs_section,
+    verdict,
+    violations_table,
+)
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
-from aleator.studies._study import AbstractStudy, Stage, stop_if_interrupted
+from aleator.studies._study import AbstractStudy, Draft
 from aleator.studies._swept import check_sweepable, distinct, executor_of, front_of
-from aleator.sweep import EvidenceOfAll, Front, TradeOff, trade_off, validate_all
+from aleator.sweep import Front, TradeOff, trade_off, validate_all
 from aleator.transcription import DEFAULT, AbstractTranscription
 from aleator.validation import Evidence, validate
 
-Part = TypeVar("Part")
-
 # A quick run takes these parts of the samples, and of the points of fronts.
 _QUICK_SAMPLES, _QUICK_POINTS = 20, 3
-# Relative durations of the stages: the first solve compiles.
-_SOLVE, _EVIDENCE, _POINT, _EVIDENCE_ALONG = 3.0, 2.0, 1.0, 0.5
-
-
-class _Found(NamedTuple):
-    """What a study has found so far, each by the name of its design, bound or trade-off."""
-
-    designs: dict[str, Solution]
-    evidence: dict[str, Evidence]
-    fronts: dict[str, Front]
-    trade_offs: dict[str, TradeOff]
-    along: dict[str, EvidenceOfAll]
 
 
 @final
@@ -96,7 +89,6 @@ class Study(AbstractStudy):
         self._is_quick = quick
         for name, values in self._sweeps.items():
             check_sweepable("Study: sweeps", self._last, name, values)
-        self._found = _Found({}, {}, {}, {}, {})
 
     def quickened(self) -> "Study":
         """The same study, small enough for a first look."""
@@ -160,113 +152,71 @@ class Study(AbstractStudy):
         return len(self.problems) + sum(map(len, self._sweeps.values())) + front
 
     @property
-    def _wished(self) -> str:
-        return " against ".join(self._wishes)
-
-    @property
     def _last(self) -> Problem:
         return list(self.problems.values())[-1]
-
-    @property
-    @override
-    def stages(self) -> Mapping[str, Stage]:
-        solved = {f"design {name}": Stage(partial(self._solve, name), _SOLVE) for name in self.problems}
-        sampled = {f"evidence on {name}": Stage(partial(self._validate, name), _EVIDENCE) for name in self.problems}
-        swept: dict[str, Stage] = {}
-        for name, values in self._sweeps.items():
-            swept[f"front over {name}"] = Stage(partial(self._sweep, name), _POINT * len(values))
-            swept[f"evidence along the front over {name}"] = self._along(name, self._found.fronts, len(values))
-        if self._wishes:
-            swept["trade-off"] = Stage(self._trade_off, _POINT * self._points)
-            swept["evidence along the trade-off"] = self._along(self._wished, self._found.trade_offs, self._points)
-        return {**solved, **sampled, **swept}
-
-    def _along(self, name: str, fronts: Mapping[str, Front | TradeOff], points: int) -> Stage:
-        return Stage(partial(self._validate_along, name, fronts), _EVIDENCE_ALONG * points)
-
-    @override
-    def results(self) -> Mapping[str, Any]:
-        found = self._found
-        along = {name: one.by_place for name, one in found.along.items()}
-        named = {"evidence": found.evidence, "fronts": found.fronts, "trade-offs": found.trade_offs, "along": along}
-        return {"designs": found.designs, **{name: one for name, one in named.items() if one}}
-
-    @override
-    def verdict(self) -> Verdict:
-        found = self._found
-        if not found.designs:
-            return Verdict("caution", "Interrupted", "No design was finished before the study stopped: run it again.")
-        return verdict_on(found.designs, found.evidence)
-
-    @override
-    def sections(self) -> Sequence[Section]:
-        found = self._found
-        along = [each for one in found.along.values() for each in one.by_place.values()]
-        return sections(found.designs, found.evidence, found.fronts, found.trade_offs, along)
-
-    @override
-    def tables(self) -> list[Table]:
-        designs, evidence = self._found.designs, self._found.evidence
-        if not designs:
-            return []
-        counted = [evidence_table(evidence)] if evidence else []
-        return [designs_table(designs, evidence), *counted, certificate_table(designs)]
 
     @property
     @override
     def left_out(self) -> str:
         return "all samples and all points of its fronts" if self._is_quick else ""
 
-    @property
     @override
-    def unsolved(self) -> str:
-        failed = {name: one for name, one in self._found.designs.items() if not one.ok}
-        return "; ".join(f"'{name}' is not solved: {one.why()}" for name, one in failed.items())
+    def chapter(self, page: Draft) -> None:
+        designs, evidence = dict[str, Solution](), dict[str, Evidence]()
+        for name, problem in self.problems.items():
+            page.step(f"design {name}")
+            page.progress(f"design {name}", 0, 1)
+            designs[name] = solve(problem, **self.solving, throw=False)
+            page.progress(f"design {name}: {in_brief(designs[name])}", 1, 1)
+            page.keep("designs", {name: designs[name]})
+        page.unsolved += [f"'{name}' is not solved: {one.why()}" for name, one in designs.items() if not one.ok]
+        first, *trust = sections(designs, {}, {})
+        page.append(first)
+        page.tables.append(designs_table(designs, {}))
+        for name, design in designs.items():
+            page.step(f"evidence on {name}")
+            if design.ok:
+                evidence[name] = validate(design, self._samples, seed=self._seed, progress=page.progress)
+                page.keep("evidence", {name: evidence[name]})
+        page.recommend(verdict(designs, evidence))
+        page.append(*evidence_sections(evidence))
+        if evidence:
+            page.add(violations_table(evidence), printed=True)
+            page.tables.append(evidence_table(evidence))
+        page.tables.append(certificate_table(designs))
+        for bound, values in self._sweeps.items():
+            page.step(f"front over {bound}")
+            sweeping = {"processes": self._workers, "solving": self.solving, "progress": page.progress}
+            self._show(page, designs, evidence, bound, front_of(self._last, bound, values, **sweeping))
+        if self._wishes:
+            page.step("trade-off")
+            front = trade_off(self._last, self._wishes, self._points, progress=page.progress, **self.solving)
+            self._show(page, designs, evidence, " against ".join(self._wishes), front)
+        page.append(*trust)
 
-    @override
-    def cut_short(self) -> Iterator[str]:
-        for name, one in self._found.fronts.items():
-            if one.interrupted:
-                yield f"{len(one.values)} of {len(self._sweeps[name])} points of the front over {name} are available."
-
-    def _solve(self, name: str, progress: Progress) -> None:
-        progress(f"design {name}", 0, 1)
-        found = self._found.designs[name] = solve(self.problems[name], **self.solving, throw=False)
-        progress(f"design {name}: {in_brief(found)}", 1, 1)
-        if found.status is Status.INTERRUPTED:
-            raise KeyboardInterrupt
-
-    def _validate(self, name: str, progress: Progress) -> None:
-        design = _there(self._found.designs, name)
-        if design.ok:
-            self._found.evidence[name] = validate(design, self._samples, seed=self._seed, progress=progress)
-
-    def _sweep(self, bound: str, progress: Progress) -> None:
-        values = self._sweeps[bound]
-        front = front_of(self._last, bound, values, processes=self._workers, solving=self.solving, progress=progress)
-        self._found.fronts[bound] = front
-        stop_if_interrupted(self._found.fronts[bound])
-
-    def _trade_off(self, progress: Progress) -> None:
-        found = trade_off(self._last, self._wishes, self._points, progress=progress, **self.solving)
-        self._found.trade_offs[self._wished] = found
-        stop_if_interrupted(found)
-
-    def _validate_along(self, name: str, fronts: Mapping[str, Front | TradeOff], progress: Progress) -> None:
-        """Count on the same systems at each solved point, so that whoever chooses one sees how often it fails."""
-        front = _there(fronts, name)
-        if any(one.ok for one in front.solutions):
+    def _show(
+        self,
+        page: Draft,
+        designs: Mapping[str, Solution],
+        evidence: Mapping[str, Evidence],
+        name: str,
+        front: Front | TradeOff,
+    ) -> None:
+        """Show a front, with evidence on the same systems at each point, so that a choice shows how often it fails."""
+        kind, work = ("fronts", f"front over {name}") if isinstance(front, Front) else ("trade-offs", "trade-off")
+        page.kept = {**page.kept, kind: {**page.kept.get(kind, {}), name: front}}
+        sampled = None
+        if not front.interrupted and any(one.ok for one in front.solutions):
+            page.step(f"evidence along the {work}")
             with executor_of(self._workers) as executor:
-                found = validate_all(front, self._samples, seed=self._seed, executor=executor, progress=progress)
-            self._found.along[name] = found
-            stop_if_interrupted(found)
-
-
-def _there(found: Mapping[str, Part], name: str) -> Part:
-    """What an earlier stage has found. Raises `KeyboardInterrupt` where that one was stopped before it had anything."""
-    if name not in found:
-        raise KeyboardInterrupt
-    return found[name]
+                everyone = {"seed": self._seed, "executor": executor, "progress": page.progress}
+                sampled = validate_all(front, self._samples, **everyone)
+            page.kept = {**page.kept, "along": {**page.kept.get("along", {}), name: sampled.by_place}}
+        known = [*evidence.values(), *(() if sampled is None else sampled.by_place.values())]
+        page.append(trade_offs_section(designs, {name: front}, known))
+        if front.interrupted or (sampled is not None and sampled.interrupted):
+            page.add(f"{len(front.solutions)} points of the front over {name} are available.")
+            raise KeyboardInterrupt
 
 
 def _checked_wishes(wishes: Mapping[str, Expression] | None) -> dict[str, Expression]:

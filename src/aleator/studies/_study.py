@@ -1,93 +1,61 @@
-"""`AbstractStudy`: the declaration of a case study; running, saving and the frame of its page follow.
-
-Members are checked where they are used; refusals name the study's class and the member, such as `Filling.stages`.
-"""
+"""`AbstractStudy`: a case study is one chapter, read from top to bottom; `Draft`: the page that the chapter writes."""
 
 import abc
-import inspect
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
+from typing import Any, final, get_args
 
-from aleator._core.border import Progress, check_progress, members, one_of, positive, refusal, silent
+from typing_extensions import override
+
+from aleator._core.border import Progress, a_name, one_of, silent
 from aleator._core.errors import AleatorError, ProblemError
 from aleator.design import Problem
+from aleator.nlp import Status
 from aleator.reporting import (
     HOW_TO_READ,
     PAGE,
-    Card,
+    Block,
     Page,
     Section,
     Table,
     Text,
     Verdict,
+    by_place,
     footer,
     provenance,
     savable,
     save_study,
-    words,
     write_page,
 )
-
-Part = TypeVar("Part")
 
 _TERMS = ("Term", "Meaning")
 
 
-class Stage(NamedTuple):
-    """A part of a study: its work, and its approximate duration relative to the other stages."""
-
-    work: Callable[[Progress], None]
-    share: float
-
-
-class PartlySavedError(ProblemError):
-    """Some results could not be saved; all others are in `paths`."""
-
-    def __init__(self, message: str, paths: list[Path]):
-        super().__init__(message)
-        self.paths = paths
-
-
-class Failure(NamedTuple):
-    """The part of a study that failed, and why."""
-
-    where: str
-    why: str
-
-    @classmethod
-    def of(cls, where: str, error: Exception) -> "Failure":
-        """A failure from its exception; the messages of our own exceptions suffice."""
-        kind = "" if isinstance(error, AleatorError) else f"{type(error).__name__}: "
-        return cls(where, f"{kind}{error}")
-
-    def sentence(self) -> str:
-        """The failure as a sentence for the page."""
-        return f"In {self.where}: {self.why}"
-
-
 class AbstractStudy(abc.ABC):
-    """A case study: named stages that are run in order, and the presentation of their results.
+    """A case study: a title, the problems behind its designs, and a chapter that solves them and writes the page.
 
-    Results are saved after each stage; after the last one, an interruption or a failure, the page is written and the
-    tables are printed. So each method must work with incomplete results. A page written after a failure says what
-    failed and where, and recommends nothing.
+    - `title`, `subtitle`: of the page; `glossary`: its terms and their meanings.
 
-    - `title`, `subtitle`: of the page;
-    - `glossary`: its terms and their meanings;
-    - `finished`: the completed stages;
-    - `failed_parts`: what failed, and why.
-
-    Its stages are run again on what is in a folder (`aleator resume`, `aleator report`): what takes long in them goes
+    The chapter is run again on what is in a folder (`aleator resume`, `aleator report`): what takes long in it goes
     through a verb that a journal keeps, such as `solve` and `validate`, or through `aleator.extending.kept`.
     """
 
     title: str = "A case study"
     subtitle: str = ""
-    glossary: ClassVar[Sequence[tuple[str, str]]] = ()
-    finished: tuple[str, ...] = ()
-    failed_parts: tuple[Failure, ...] = ()
+    glossary: Sequence[tuple[str, str]] = ()
+
+    @abc.abstractmethod
+    def chapter(self, page: "Draft") -> None:
+        """Solve, sample and sweep in the order of the page, and append what is found to it.
+
+        Nothing in it deals with incomplete results: Ctrl-C and exceptions end it, and the page so far is written.
+        """
+
+    @property
+    def left_out(self) -> str:
+        """The parts that a quick run skips, in words; empty by default."""
+        return ""
 
     @property
     def problems(self) -> Mapping[str, Problem]:
@@ -111,230 +79,213 @@ class AbstractStudy(abc.ABC):
             "`al.Study` or a study file. `aleator sweep` takes --workers for a front of any study."
         )
 
-    @property
-    @abc.abstractmethod
-    def stages(self) -> Mapping[str, Stage]:
-        """The stages by name, in order."""
-
-    @abc.abstractmethod
-    def results(self) -> Mapping[str, Any]:
-        """The results in a form for `aleator.extending.save`: solutions, evidence, fronts, and mappings of these.
-
-        Results not available yet are None or empty.
-        """
-
-    @abc.abstractmethod
-    def verdict(self) -> Verdict:
-        """The first screen of the page: what to build and why, from the results available so far."""
-
-    @abc.abstractmethod
-    def sections(self) -> Sequence[Section]:
-        """The chapters of the page; those without blocks are omitted."""
-
-    @abc.abstractmethod
-    def tables(self) -> list[Table]:
-        """The tables to print at the end."""
-
-    @property
-    def left_out(self) -> str:
-        """The parts that this run skips to be quick, in words; empty by default."""
-        return ""
-
-    @property
-    def unsolved(self) -> str:
-        """What was asked for and has no solution, in a sentence: the command exits with 1. Empty by default."""
-        return ""
-
-    def cut_short(self) -> Iterator[str]:
-        """Sentences on what is available of interrupted parts; none by default."""
-        yield from ()
-
     def check_declaration(self) -> None:
-        """Refuse an invalid declaration before anything is computed.
-
-        Raises `ProblemError`, naming the study's class and the member.
-        """
+        """Refuse an invalid declaration before anything is computed. Raises `ProblemError`, naming the member."""
         name = type(self).__name__
-        _check_stages(f"{name}.stages", self.stages)
         one_of(f"{name}.title", self.title, str)
         one_of(f"{name}.subtitle", self.subtitle, str)
         one_of(f"{name}.left_out", self.left_out, str)
-        one_of(f"{name}.unsolved", self.unsolved, str)
         Table(f"{name}.glossary", _TERMS, self.glossary)
 
-    def run(self, stage: str, progress: Progress = silent) -> None:
-        """Run one stage and keep its results."""
-        self.check_declaration()
-        check_progress(f"{type(self).__name__}.run", progress)
-        if stage not in self.stages:
-            raise refusal(f"{type(self).__name__}.run", f"one of the stages {words(list(self.stages))}", stage)
-        try:
-            self.stages[stage].work(progress)
-        except Exception as error:
-            self.note_failure(f"the stage '{stage}'", error)
-            raise
-        self.finished = (*self.finished, stage)
 
-    def note_failure(self, where: str, error: Exception) -> None:
-        """Record a failure for the page, once."""
-        failure = Failure.of(where, error)
-        if failure.why not in [one.why for one in self.failed_parts]:
-            self.failed_parts = (*self.failed_parts, failure)
+@final
+class CaseStudy(AbstractStudy):
+    """A study of the list, of a module with `problems()`, `chapter(page, quick)`, and texts.
+
+    - `TITLE`, `SUBTITLE`, `GLOSSARY`: of the page; `LEFT_OUT`: what a quick run skips.
+    """
+
+    def __init__(self, module: Any, *, quick: bool = False):
+        self._module, self._quick = module, quick
+        self.title, self.subtitle, self.glossary = module.TITLE, module.SUBTITLE, module.GLOSSARY
+
+    @property
+    @override
+    def left_out(self) -> str:
+        return self._module.LEFT_OUT if self._quick else ""
+
+    @property
+    @override
+    def problems(self) -> Mapping[str, Problem]:
+        return self._module.problems()
+
+    @override
+    def chapter(self, page: "Draft") -> None:
+        self._module.chapter(page, self._quick)
+
+
+def _unwatched(heading: str) -> None:
+    """Nobody watches a section begin or end."""
+
+
+@final
+class Draft:
+    """The page of a study in the making; it only grows, so that what is on it stands whatever ends the chapter.
+
+    - `progress`: for the verbs that take one;
+    - `kept`: results by name, as `aleator.extending.save` takes them; `tables`: those to print at the end;
+    - `finished`: completed sections and steps; `present`: the one in work, empty between them;
+    - `stopped`: whether Ctrl-C, or a result that is not there, ended the chapter; `failures`: a sentence for each
+      exception;
+    - `unsolved`: what has no solution, a sentence each: the command exits with 1.
+    """
+
+    def __init__(self, study: AbstractStudy):
+        self._study, self._sections = study, list[Section]()
+        self._recommended: Verdict | None = None
+        self._begun = self._ended = _unwatched
+        self.progress: Progress = silent
+        self.kept: dict[str, Any] = {}
+        self.tables, self.finished, self.failures = list[Table](), list[str](), list[str]()
+        self.unsolved = list[str]()
+        self.stopped, self.present = False, ""
+
+    # --- What a chapter calls ------------------------------------------------------------------------------------
+
+    def step(self, name: str) -> None:
+        """Begin a part of the work, which ends the one before: a line of progress, nothing on the page."""
+        self._end_step()
+        self.present = name
+        self._begun(name)
+
+    def section(self, heading: str, *, folded: bool = False) -> None:
+        """Begin a section, and a step of its name; a reader opens it if it is `folded`."""
+        self.step(heading)
+        self.append(Section(heading, [], folded))
+
+    def append(self, *sections: Section) -> None:
+        """Append sections that are there already."""
+        self._sections.extend(one_of("page.append", section, Section) for section in sections)
+
+    def add(self, *blocks: Block | str | None, printed: bool = False) -> None:
+        """Append texts, tables, figures to the present section; tables are `printed` on the terminal as well."""
+        if not self._sections:
+            self.section("Overview")
+        for block in blocks:
+            if block is None:
+                continue
+            block = Text([block]) if isinstance(block, str) else one_of("page.add", block, get_args(Block), "a Table")
+            self._sections[-1] = replace(self._sections[-1], blocks=[*self._sections[-1].blocks, block])
+            if printed and isinstance(block, Table):
+                self.tables.append(block)
+
+    def keep(self, name: str, result: Any) -> None:
+        """Keep a result under a name, or results by name, for the study's files.
+
+        Raises `ProblemError` for what cannot be saved, and `KeyboardInterrupt` where Ctrl-C has cut a result short.
+        """
+        kept, refused = savable("page.keep", {a_name("page.keep: the name", name): result})
+        self.kept = _joined(self.kept, kept)
+        if refused:
+            raise refused[0]
+        if any(_is_cut_short(one) for one in by_place(kept).values()):
+            raise KeyboardInterrupt
+
+    def recommend(self, verdict: Verdict) -> None:
+        """Say what to build, on the first screen; see `aleator.extending.recommendation`."""
+        self._recommended = one_of("page.recommend", verdict, Verdict)
+
+    # --- What a command calls ------------------------------------------------------------------------------------
+
+    @property
+    def title(self) -> str:
+        """That of the study."""
+        return self._study.title
+
+    def fill(
+        self,
+        progress: Progress = silent,
+        begun: Callable[[str], None] = _unwatched,
+        ended: Callable[[str], None] = _unwatched,
+    ) -> None:
+        """Run the chapter; raises what ends it early, after noting that."""
+        self.progress, self._begun, self._ended = progress, begun, ended
+        try:
+            self._study.check_declaration()
+            self._study.chapter(self)
+            self._end_step()
+        except KeyboardInterrupt:
+            self.stopped = True
+            raise
+        except Exception as error:
+            self.fail(f"'{self.present}'" if self.present else "the chapter", error)
+            raise
+
+    def fail(self, where: str, error: Exception) -> None:
+        """Note a failure for the page, once; the messages of our own exceptions suffice."""
+        kind = "" if isinstance(error, AleatorError) else f"{type(error).__name__}: "
+        if not any(failure.endswith(f": {kind}{error}") for failure in self.failures):
+            self.failures.append(f"In {where}: {kind}{error}")
+
+    def stop(self) -> None:
+        """Note that it was Ctrl-C that ended the chapter, where a library has made another exception of it."""
+        self.stopped, self.failures = True, []
 
     def save(self, folder: Path) -> list[Path]:
-        """Write all results as netCDF and JSON files; returns their paths.
+        """Write all results as netCDF and JSON files; returns their paths. An earlier page is removed."""
+        return list(save_study(folder, self.kept))
 
-        Raises `ProblemError` for results that cannot be saved, after saving all others.
-        """
-        kept, refused = savable(*_asked(self, "results"))
-        paths = list(save_study(folder, kept))
-        if refused:
-            raise PartlySavedError(f"{refused[0]} All other results are saved.", paths)
-        return paths
-
-    def page(self) -> Page:
-        """The page as data: verdict, parts that this run did not reach, the study's chapters, and how to read them."""
-        glossary = [Table("Glossary", _TERMS, self.glossary)] if self.glossary else []
-        sections = [
-            Section("This run", self._unfinished()),
-            *_sections_of(self),
-            provenance(savable(*_asked(self, "results"))[0]),
-            Section("How to read this", [Text(HOW_TO_READ), *glossary]),
-        ]
-        return self._framed(self._whole_verdict(), [one for one in sections if one.blocks])
-
-    def write_page(self, folder: Path) -> Path:
+    def write(self, folder: Path) -> Path:
         """Write the page; returns its path."""
         return write_page(self.page(), folder / PAGE)
 
-    def write_what_is_left(self, folder: Path) -> Path:
-        """Write a page without the parts that fail, which are recorded as failures; returns its path."""
-        verdict = _or_else(self._whole_verdict, self._no_verdict())
-        sections = _or_else(lambda: [one for one in _sections_of(self) if one.blocks], [])
-        unfinished = _or_else(self._unfinished, [])
-        sections = [*([Section("This run", unfinished)] if unfinished else []), *sections]
-        try:
-            return write_page(self._framed(verdict, sections), folder / PAGE)
-        except Exception:
-            return write_page(self._framed(self._no_verdict(), []), folder / PAGE)
-
     def headline(self) -> str:
-        """The verdict as a sentence."""
-        said = self._no_verdict() if self.failed_parts else self._whole_verdict()
-        return f"{said.word}: {said.headline}"
+        """The first screen in a sentence."""
+        verdict = self._verdict()
+        return f"{verdict.word}: {verdict.headline}"
 
-    def _framed(self, verdict: Verdict, sections: Sequence[Section]) -> Page:
-        return Page(title=self.title, subtitle=self.subtitle, verdict=verdict, sections=sections, footer=footer())
+    def page(self) -> Page:
+        """The page so far: the recommendation, how the run ended, the sections, and how to read them."""
+        glossary = [Table("Glossary", _TERMS, self._study.glossary)] if self._study.glossary else []
+        every = [
+            Section("This run", [Text([self._end()])] if self.stopped or self.failures else []),
+            *self._sections,
+            replace(provenance(self.kept), folded=True),
+            Section("How to read this", [Text(HOW_TO_READ), *glossary]),
+        ]
+        return Page(
+            title=self.title,
+            subtitle=self._study.subtitle,
+            verdict=self._verdict(),
+            sections=[section for section in every if section.blocks],
+            footer=footer(),
+        )
 
-    def _whole_verdict(self) -> Verdict:
-        """The verdict, with the parts that a quick run skips. After a failure only its key numbers are kept."""
-        said = _verdict_of(self)
-        if self.failed_parts:
-            return self._no_verdict(said.cards)
-        if not self.left_out:
-            return said
-        return replace(said, headline=f"{said.headline} This was a quick run, without {self.left_out}.")
+    def _end_step(self) -> None:
+        if self.present:
+            self.finished.append(self.present)
+            self._ended(self.present)
+        self.present = ""
 
-    def _no_verdict(self, cards: Sequence[Card] = ()) -> Verdict:
-        headline = f"No recommendation after an error in {words([one.where for one in self.failed_parts])}."
-        return Verdict("bad", "Failed", headline, [one.sentence() for one in self.failed_parts], cards)
+    def _end(self) -> str:
+        where = f" in '{self.present}'" if self.present else ""
+        how = "An error ended the study" if self.failures else "The study was stopped early"
+        return f"{how}{where}; what follows it is missing. `aleator resume` goes on from here."
 
-    def _unfinished(self) -> list[Text]:
-        missing = [stage for stage in self.stages if stage not in self.finished]
-        if not missing:
-            return []
-        said = f"Not reached or not completed: {words(missing)}."
-        return [Text([said, *_cut_short(self)], lead="The study was stopped early.")]
-
-
-def _check_stages(what: str, value: Any) -> None:
-    """Refuse what is not stages by name, in order."""
-    expected = "a mapping of names to Stages, as a property"
-    if not isinstance(value, Mapping) or not value:
-        raise refusal(what, expected, value)
-    for name, stage in value.items():
-        one_of(f"{what}: the name of a stage", name, str)
-        place = f"{what}: '{name}'"
-        one_of(place, stage, Stage, "Stage(self.find, 1.0)")
-        positive(f"{place}: share", stage.share)
-        _takes_progress(f"{place}: work", stage.work)
-
-
-def _takes_progress(what: str, work: Any) -> None:
-    """Refuse work that cannot be called with its progress."""
-    expected = "a function of one argument, the progress"
-    if not callable(work):
-        raise refusal(what, expected, work)
-    try:
-        inspect.signature(work).bind(silent)
-    except TypeError as error:
-        raise refusal(what, f"{expected} ({error})", work) from None
-    except ValueError:  # what is not written in Python need not have a signature
-        return
+    def _verdict(self) -> Verdict:
+        """The recommendation; none after a failure, and none where the study was stopped before it."""
+        if self.failures:
+            return Verdict("bad", "Failed", "No recommendation, because of an error.", self.failures)
+        verdict = self._recommended
+        if verdict is None:
+            word, why = (
+                ("Stopped early", self._end()) if self.stopped else ("No recommendation", "The study makes none.")
+            )
+            return Verdict("caution", word, f"Nothing to build yet. {why}")
+        if not (skipped := self._study.left_out):
+            return verdict
+        return replace(verdict, headline=f"{verdict.headline} This was a quick run, without {skipped}.")
 
 
-def _asked(study: object, member: str) -> tuple[str, Any]:
-    """The result of a study's method, and its place in words.
-
-    Exceptions in a study's own code pass through; our refusals are extended by the place.
-    """
-    what, method = f"{type(study).__name__}.{member}", getattr(study, member)
-    if not callable(method):
-        raise refusal(what, "a method", method)
-    try:
-        return what, method()
-    except ProblemError as error:
-        raise ProblemError(f"{what}: {error}") from error
+def _joined(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, Any]:
+    """Results by name, with later ones beside earlier ones of the same group."""
+    joined = dict(earlier)
+    for name, one in later.items():
+        before = joined.get(name)
+        joined[name] = _joined(before, one) if isinstance(before, Mapping) and isinstance(one, Mapping) else one
+    return joined
 
 
-def _verdict_of(study: object) -> Verdict:
-    """A study's verdict."""
-    what, value = _asked(study, "verdict")
-    return one_of(what, value, Verdict)
-
-
-def _sections_of(study: object) -> Sequence[Section]:
-    """A study's sections."""
-    what, value = _asked(study, "sections")
-    return members(what, value, Section)
-
-
-def tables_of(study: object) -> Sequence[Table]:
-    """A study's tables."""
-    what, value = _asked(study, "tables")
-    return members(what, value, Table)
-
-
-def _cut_short(study: object) -> list[str]:
-    """A study's sentences on interrupted parts."""
-    what, value = _asked(study, "cut_short")
-    try:
-        return list(members(what, list(value), str))
-    except TypeError:
-        raise refusal(what, "texts", value) from None
-
-
-def _or_else(part: Callable[[], Part], otherwise: Part) -> Part:
-    """A part of a page, or a substitute where a study's own code fails, which has been reported."""
-    try:
-        return part()
-    except Exception:
-        return otherwise
-
-
-class Interruptible(Protocol):
-    """Work that Ctrl-C may interrupt, with its results so far: a search, a front, a calibration."""
-
-    @property
-    def interrupted(self) -> bool:
-        """Whether it was interrupted."""
-        ...
-
-
-def stop_if_interrupted(found: Interruptible) -> None:
-    """End a stage whose work was interrupted by Ctrl-C; call it after storing the results.
-
-    Raises `KeyboardInterrupt`.
-    """
-    if found.interrupted:
-        raise KeyboardInterrupt
+def _is_cut_short(result: Any) -> bool:
+    """Whether Ctrl-C has ended it: verbs return what they have found until then."""
+    return getattr(result, "interrupted", False) is True or getattr(result, "status", None) is Status.INTERRUPTED

@@ -13,7 +13,7 @@ from aleator._core.errors import ProblemError
 from aleator.design import Problem
 from aleator.reporting import Section, Table, Verdict, count, number, sections, words
 from aleator.solution import Solution, in_brief
-from aleator.studies._study import AbstractStudy, Stage, stop_if_interrupted
+from aleator.studies._study import AbstractStudy, Draft
 from aleator.sweep import Front, Refused, pareto, point_name, workers
 
 
@@ -69,7 +69,6 @@ class SweptStudy(AbstractStudy):
         check_sweepable("sweep", problem, bound, self._values)
         self._workers = study.workers if workers is None else whole("sweep: workers", workers)
         self._name, self._problem, self._bound, self._solving = name, problem, bound, study.solving
-        self.front: Front | None = None
 
     @property
     @override
@@ -81,63 +80,44 @@ class SweptStudy(AbstractStudy):
     def solving(self) -> Mapping[str, Any]:
         return self._solving
 
-    @property
     @override
-    def stages(self) -> Mapping[str, Stage]:
-        return {f"front over {self._bound}": Stage(self._sweep, 1.0)}
-
-    @override
-    def results(self) -> Mapping[str, Any]:
-        return {"fronts": {self._name: self.front}} if self.front is not None else {}
-
-    @override
-    def verdict(self) -> Verdict:
-        solved = [] if self.front is None else [one for one in self.front.optima if one is not None]
-        if self.front is None or (self.front.interrupted and not solved):
-            return Verdict(
-                "caution", "Interrupted", f"No point over {self._bound} was solved before the sweep stopped."
-            )
-        if not solved:
-            return Verdict("bad", "Nothing solved", self.unsolved)
-        told = f"{count(len(solved))} of {count(len(self._values))} points over {self._bound} are solved"
-        whole_front = len(solved) == len(self._values)
-        headline = f"{told}; {_range_of(self.front)}."
-        return Verdict("good" if whole_front else "caution", "Swept" if whole_front else "Partly solved", headline)
-
-    @override
-    def sections(self) -> Sequence[Section]:
-        if self.front is None:
-            return []
-        solved = {_place(self.front, i): one for i, one in enumerate(self.front.points) if isinstance(one, Solution)}
-        ends = {name: solved[name] for name in list(solved)[:: max(len(solved) - 1, 1)]}
-        return [Section("Points", self.tables()), *sections(ends, {}, {self._name: self.front})]
-
-    @override
-    def tables(self) -> list[Table]:
-        return [front_table(self.front, f"{self._name} over {self._bound}")] if self.front is not None else []
-
-    @property
-    @override
-    def unsolved(self) -> str:
-        if self.front is None or not self.front.points or self.front.solved.any():
-            return ""
-        return f"No point over {self._bound} is solved. The first: {self.front.points[0].why()}"
-
-    @override
-    def cut_short(self) -> Iterator[str]:
-        if self.front is not None and self.front.interrupted:
-            yield f"{len(self.front.values)} of {len(self._values)} points are available."
-
-    def _sweep(self, progress: Progress) -> None:
-        self.front = front_of(
+    def chapter(self, page: Draft) -> None:
+        page.step(f"front over {self._bound}")
+        front = front_of(
             self._problem,
             self._bound,
             self._values,
             processes=self._workers,
             solving=self._solving,
-            progress=progress,
+            progress=page.progress,
         )
-        stop_if_interrupted(self.front)
+        solved = {_place(front, i): one for i, one in enumerate(front.points) if isinstance(one, Solution) and one.ok}
+        page.recommend(self._verdict(front, len(solved)))
+        if front.points and not solved:
+            page.unsolved.append(_nothing_solved(front))
+        page.append(Section("Points", []))
+        page.add(front_table(front, f"{self._name} over {self._bound}"), printed=True)
+        if front.interrupted:
+            page.add(f"{len(front.values)} of {len(self._values)} points are available.")
+        ends = {name: solved[name] for name in list(solved)[:: max(len(solved) - 1, 1)]}
+        page.append(*sections(ends, {}, {self._name: front}))
+        page.keep("fronts", {self._name: front})
+
+    def _verdict(self, front: Front, solved: int) -> Verdict:
+        if front.interrupted and not solved:
+            return Verdict(
+                "caution", "Interrupted", f"No point over {self._bound} was solved before the sweep stopped."
+            )
+        if not solved:
+            return Verdict("bad", "Nothing solved", _nothing_solved(front))
+        told = f"{count(solved)} of {count(len(self._values))} points over {self._bound} are solved"
+        whole_front = solved == len(self._values)
+        headline = f"{told}; {_range_of(front)}."
+        return Verdict("good" if whole_front else "caution", "Swept" if whole_front else "Partly solved", headline)
+
+
+def _nothing_solved(front: Front) -> str:
+    return f"No point over {front.bound} is solved. The first: {front.points[0].why()}"
 
 
 def problems_of(study: AbstractStudy) -> dict[str, Problem]:

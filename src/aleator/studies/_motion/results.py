@@ -18,7 +18,7 @@ from aleator.dynamics import History
 from aleator.ensemble import at_levels, few_at_once, random_levels
 from aleator.journalling import kept
 from aleator.studies._motion.facts import CALIBRATED, TARGET
-from aleator.studies._study import stop_if_interrupted
+from aleator.studies._staged import stop_if_interrupted
 from aleator.validation import finer_by
 
 KEPT = 25

@@ -20,10 +20,10 @@ from aleator.studies._motion.facts import (
 )
 from aleator.studies._motion.results import Effort, MotionResults
 from aleator.studies._shared import no_recommendation
-from aleator.studies._study import AbstractStudy, Stage
+from aleator.studies._staged import AbstractStagedStudy, Stage
 
 
-class AbstractMotionStudy(AbstractStudy):
+class AbstractMotionStudy(AbstractStagedStudy):
     """A study that searches for plans of one motion, flies them on their families and reports on them."""
 
     names: ClassVar[tuple[str, ...]]

@@ -28,7 +28,7 @@ from aleator.reporting import (
     sketch,
 )
 from aleator.reporting.sketch import View
-from aleator.studies._study import AbstractStudy, Stage
+from aleator.studies._staged import AbstractStagedStudy, Stage
 from aleator.studies.clutch import LIMITS, MEANS, NAMES, TOLERANCES, allocation_problem, clutch, pressure_angle
 from aleator.studies.clutch._facts import (
     allocation_table,
@@ -298,7 +298,7 @@ def counts_dataset(counts: Mapping[str, Counts]) -> "xarray.Dataset":
 
 
 @final
-class ClutchStudy(AbstractStudy):
+class ClutchStudy(AbstractStagedStudy):
     """Table 7.2, the tolerance analysis and the allocation of the one-way clutch."""
 
     title = "One-way clutch: tolerance analysis and allocation"

@@ -16,7 +16,7 @@ import aleator as al
 from aleator._core.border import Progress, silent
 from aleator.journalling import kept
 from aleator.studies._shared import SECOND_WAY, found_both_ways
-from aleator.studies._study import Stage, stop_if_interrupted
+from aleator.studies._staged import Stage, stop_if_interrupted
 from aleator.studies.four_bar import (
     ANGLES,
     HEIGHT,

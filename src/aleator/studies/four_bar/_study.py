@@ -29,7 +29,7 @@ from aleator.reporting import (
 )
 from aleator.reporting.sketch import Point, View
 from aleator.studies._shared import collocated, second_way
-from aleator.studies._study import AbstractStudy, Stage
+from aleator.studies._staged import AbstractStagedStudy, Stage
 from aleator.studies.four_bar import ANGLES, DURATION, HEIGHT, LENGTHS, SIGMAS, STROKE, WIDTHS, ZONE
 from aleator.studies.four_bar._facts import counts_dataset, counts_table, designs_table, verdict
 from aleator.studies.four_bar._run import (
@@ -227,7 +227,7 @@ def _short(width: str) -> str:
 
 
 @final
-class FourBarStudy(AbstractStudy):
+class FourBarStudy(AbstractStagedStudy):
     """Three designs of a straight-line linkage, their evidence, and the cost of a narrower zone."""
 
     title = "Four-bar linkage on a straight line: robust lengths and the cheapest tolerances"

@@ -12,7 +12,7 @@ from aleator.studies._motion.facts import CALIBRATED
 from aleator.studies._motion.results import Effort, Family
 from aleator.studies._motion.study import AbstractMotionStudy
 from aleator.studies._motion.views import SHADES, angles_figure, animations, joints_and_tip, tip_paths, torques_figure
-from aleator.studies._study import Stage, stop_if_interrupted
+from aleator.studies._staged import Stage, stop_if_interrupted
 from aleator.studies.pick_and_place_effort import DURATION, PAYLOAD
 from aleator.studies.pick_and_place_effort._facts import (
     LESSON,

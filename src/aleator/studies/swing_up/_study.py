@@ -14,7 +14,7 @@ from aleator.studies._motion.facts import CALIBRATED
 from aleator.studies._motion.results import Effort, Family
 from aleator.studies._motion.study import AbstractMotionStudy
 from aleator.studies._motion.views import SHADES, animations, joints_and_tip, tip_paths, torques_figure
-from aleator.studies._study import Stage
+from aleator.studies._staged import Stage
 from aleator.studies.swing_up import MASS_2, TORQUE, DoublePendulum
 from aleator.studies.swing_up._facts import (
     FAR,
