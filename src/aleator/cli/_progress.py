@@ -29,7 +29,8 @@ class Shown:
     def show(self, task: str, done: int, total: int) -> None:
         """Show the work inside the present stage: see `aleator._core.border`."""
         if self._bars and self._work is not None:
-            self._bars.update(self._work, description=f"  {task}", completed=done, total=total)
+            text = task if task.startswith(self._stage) else f"{self._stage}: {task}"
+            self._bars.update(self._work, description=f"  {text}", completed=done, total=total)
             return
         now, (_, done_before, total_before) = time.monotonic(), self._last
         if total != total_before or done < done_before:  # other work, within the same stage
