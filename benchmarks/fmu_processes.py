@@ -40,10 +40,11 @@ def main() -> None:
             stepping = al.foreign.Fmu(path, own_process=own_process, kind="co-simulation")
             grid = al.Grid(1.0, 100)
             runs = [al.foreign.FmuSimulation(fmu, grid) for fmu in (exchange, stepping)]
-            rates = al.foreign.FmuSystem(exchange, {"damping": 0.2})._equations.evaluations().value
-            place = np.array([1.0, 0.0, 0.0, 0.2])
+            system = al.foreign.FmuSystem(exchange, {"damping": 0.2})
+            place = np.array([[0.0, 1.0, 0.0, 0.0, 0.2]])
             times = [milliseconds(lambda run=run: run({"damping": 0.2}), 100) for run in runs]
-            times.append(milliseconds(lambda rates=rates, place=place: rates(0.0, place), 2000))
+            asked = "rates", ["damping"], exchange.inputs, exchange.outputs, place
+            times.append(milliseconds(lambda values=system._equations._values, asked=asked: values(*asked), 2000))
             name = "own process" if own_process else "here"
             print(f"{name:>14} {opened:9.0f} {times[0]:9.2f} {times[1]:9.2f} {times[2]:9.3f}")
 

@@ -172,7 +172,7 @@ def measured(problem: al.Problem, way: al.Simultaneous) -> str:
     assert solution is not None
     assert solution.states is not None
     history = " ".join(f"{one.intervals}x{len(one.scheme.nodes)}({one.worst:.0e})" for one in solution.meshes)
-    points = len(solution.states.times)
+    points = len(solution.mesh_states.times)
     return f"{points:6d} points {seconds[0]:6.2f} s {seconds[1]:6.2f} s {solution.objective:.9f} | {history}"
 
 

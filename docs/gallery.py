@@ -107,44 +107,40 @@ EVERY: dict[str, dict[str, Entry]] = {
         ),
         "five_sources": Entry(
             "A heated stage with five sources of uncertainty",
-            "A parameter, a first temperature, and three random processes (sensor, heater and air) act in one "
-            "expansion. The noisiest thermometer that still holds the temperature is chosen with the controller's "
-            "gain.",
+            "A parameter, a first temperature, and three random processes act in one expansion. Which is the noisiest "
+            "thermometer that still holds the temperature?",
             "The heater's power: its mean, the band of two standard deviations, and its limits.",
             lambda: solved("five_sources").band("power", backend="matplotlib"),
         ),
         "co_design": Entry(
             "An arm, its counterweight, its motion and a tolerance",
-            "A lifting arm is designed together with its fastest motion and the tolerance of its payload. The torque "
-            "keeps its limits in the worst case of all payloads.",
+            "A lifting arm, its fastest motion and the tolerance of its payload are designed together. The torque "
+            "keeps its limits in the worst case.",
             "The torque of the joint for random payloads, between its limits.",
             lambda: solved("co_design").histories("angle_torque", samples=25, backend="matplotlib"),
         ),
         "ride_travel_holding": Entry(
             "Ride, travel and holding of a car",
-            "What three wishes for a car's suspension cost one another, with a margin of one standard deviation in "
-            "each. Every point of the surface is a certified design, counted on fresh cars.",
+            "What three wishes for a car's suspension cost one another. Every point is a certified design.",
             "Designs none of which is better than another in all three wishes.",
             lambda: called("ride_travel_holding")[0].plot(backend="matplotlib"),
         ),
         "from_sympy": Entry(
             "A crane from SymPy",
-            "The equations of motion come from SymPy's `LagrangesMethod`. The trolley moves so that the load hangs "
-            "still at the end, whatever the rope's length and the load's mass.",
+            "The equations come from SymPy's `LagrangesMethod`. The load is as still as possible at the end.",
             "The force of the drive for random ropes and loads, between its limits.",
             lambda: solved("from_sympy").histories("force", samples=25, backend="matplotlib"),
         ),
         "robot_from_file": Entry(
             "A robot from a URDF file",
-            "An arm is read from a file as CAD programs write it, with the torque limits in it. Its counterweight "
-            "and its fastest motion are decided together, for all payloads.",
+            "An arm is read from a file with its torque limits. Its counterweight and fastest motion are decided "
+            "together, for all payloads.",
             "The shoulder's torque: its mean and the band of all payloads, between its limits.",
             lambda: solved("robot_from_file").band("shoulder_torque", backend="matplotlib"),
         ),
         "black_box": Entry(
             "A simulator that is not ours",
-            "A pendulum integrated by SciPy is expanded without being traced: samples run in processes and are kept "
-            "in a journal. The same points can be answered by anyone, anywhere.",
+            "A pendulum integrated by SciPy: samples run in processes and are kept in a journal.",
             "Which uncertain number causes how much of the variance of the period.",
             lambda: called("black_box").plot.sensitivities("period", backend="matplotlib"),
         ),
@@ -201,14 +197,13 @@ def page() -> str:
     parts = [
         "# Gallery",
         "",
-        "Every example and every built-in study, with one of its pictures. Examples are run by `python "
-        "examples/NAME.py`, studies by `aleator run NAME`, which writes a whole report. The pictures and this page are "
-        "made by `python docs/gallery.py`.",
+        "Examples are run by `python examples/NAME.py`, studies by `aleator run NAME`, which writes a report. "
+        "`python docs/gallery.py` makes the pictures and this page.",
     ]
     for chapter, entries in EVERY.items():
         parts += ["", f"## {chapter}"]
         for name, one in entries.items():
-            parts += ["", f"### {one.heading}", "", f"![{one.shows}](pictures/{name}.svg)", ""]
+            parts += ["", f"### {one.heading}", "", f"![](pictures/{name}.svg)", ""]  # the caption describes it
             parts += [one.told, "", f"*{one.shows}* {_source(chapter, name)}"]
     return "\n".join(parts) + "\n"
 

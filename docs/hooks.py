@@ -1,8 +1,11 @@
-"""What the site adds to its pages: formulas as MathML, which needs no script, and the sources that pages link to."""
+"""What the site adds to its pages: formulas as MathML, which needs no script, the sources that pages link to, and the
+tutorials, which are notebooks.
+"""
 
 import html
+import json
 import re
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from latex2mathml.converter import convert
@@ -11,23 +14,28 @@ from mkdocs.structure.files import File
 ROOT = Path(__file__).parents[1]
 # Links from a page to a source of the tree, as they work in the tree.
 _LINK = re.compile(r"\]\(\.\./((?:examples|src|benchmarks)/[\w/]+\.py)\)")
+_NOTEBOOK = re.compile(r"\]\((tutorials/\w+\.ipynb)\)")
 # What pymdownx.arithmatex leaves of a formula, in a line or on its own.
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 _NUMBER = re.compile(r"\\tag\{(.*?)\}")
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """A page for each source that a page links to."""
+    """A page for each source that a page links to, and for each notebook."""
     pages = [Path(one.abs_src_path).read_text(encoding="utf-8") for one in files if one.src_uri.endswith(".md")]
+    for notebook in [one for one in files if one.src_uri.endswith(".ipynb")]:
+        files.append(File.generated(config, _page_of(notebook.src_uri), content=_shown(Path(notebook.abs_src_path))))
     for source in sorted({found for text in pages for found in _LINK.findall(text)}):
         text = (ROOT / source).read_text(encoding="utf-8")
-        files.append(File.generated(config, _page_of(source), content=f"# {source}\n\n```python\n{text}```\n"))
+        content = f"# {source}\n\n```python\n{text}```\n"
+        files.append(File.generated(config, f"source/{_page_of(source)}", content=content))
     return files
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Links to sources lead to their pages."""
-    return _LINK.sub(lambda found: f"]({_page_of(found[1])})", markdown)
+    """Links to sources and notebooks lead to their pages."""
+    markdown = _NOTEBOOK.sub(lambda found: f"]({_page_of(found[1])})", markdown)
+    return _LINK.sub(lambda found: f"](source/{_page_of(found[1])})", markdown)
 
 
 def on_page_content(content: str, **_: Any) -> str:
@@ -45,4 +53,12 @@ def formula(tex: str, *, own_line: bool) -> str:
 
 
 def _page_of(source: str) -> str:
-    return f"source/{source.removesuffix('.py')}.md"
+    return str(PurePosixPath(source).with_suffix(".md"))
+
+
+def _shown(notebook: Path) -> str:
+    """The cells of a notebook as Markdown, with a link to the file."""
+    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    texts = [("".join(cell["source"]), cell["cell_type"] == "code") for cell in cells]
+    shown = [f"```python\n{text}\n```" if is_code else text for text, is_code in texts]
+    return "\n\n".join([*shown, f"[This page as a notebook]({notebook.name})"])

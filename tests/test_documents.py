@@ -1,5 +1,6 @@
 """What documents show runs as it stands, and the site has every page, every public class and every link."""
 
+import json
 import re
 import runpy
 import subprocess
@@ -20,6 +21,7 @@ DOCUMENTS = sorted(
     for path in (ROOT / "docs").glob("*.md")
     if "```python" in path.read_text("utf-8") and path.name != "fmu.md"
 )
+TUTORIALS = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs/tutorials").glob("*.ipynb"))
 EXAMPLES = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "examples").glob("*.py"))
 # Errors and warnings are told where they are raised; topics have pages or guides of their own.
 ELSEWHERE = re.compile(r".*(Error|Warning)$|compilation_cache$|Abstract.*|[a-z_]+$")
@@ -29,8 +31,10 @@ ELSEWHERE = re.compile(r".*(Error|Warning)$|compilation_cache$|Abstract.*|[a-z_]
 
 
 def code_of(document: str) -> str:
-    """All Python shown in a document, as one program; an example as it is."""
+    """All Python shown in a document or a notebook, as one program; an example as it is."""
     text = (ROOT / document).read_text(encoding="utf-8")
+    if document.endswith(".ipynb"):
+        return "\n".join("".join(cell["source"]) for cell in json.loads(text)["cells"] if cell["cell_type"] == "code")
     return text if document.endswith(".py") else "\n".join(re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL))
 
 
@@ -54,7 +58,8 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.mark.parametrize(
-    "document", [*FIRST, *(pytest.param(one, marks=pytest.mark.slow) for one in DOCUMENTS if one not in FIRST)]
+    "document",
+    [*FIRST, *(pytest.param(one, marks=pytest.mark.slow) for one in [*DOCUMENTS, *TUTORIALS] if one not in FIRST)],
 )
 def test_code_shown_in_documents_runs(document: str, run):
     run(document)
@@ -72,7 +77,8 @@ def test_examples_run(example: str, run, capsys):
 
 def test_every_page_is_in_the_navigation_and_links_to_files_that_exist():
     listed = set(re.findall(r"[\w/]+\.md", (ROOT / "mkdocs.yml").read_text(encoding="utf-8")))
-    assert {str(path.relative_to(ROOT / "docs").as_posix()) for path in (ROOT / "docs").rglob("*.md")} == listed
+    pages = [*(ROOT / "docs").rglob("*.md"), *(ROOT / "docs").rglob("*.ipynb")]
+    assert {str(path.relative_to(ROOT / "docs").with_suffix(".md").as_posix()) for path in pages} == listed
     for page in [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]:
         links = r"\]\((?!http)([^)#]+)\)" if page.parent == ROOT else r"\]\((\.\./[^)#]+)\)"
         for target in re.findall(links, page.read_text(encoding="utf-8")):

@@ -77,8 +77,10 @@ from .mechanics import actuation_of as actuation_of
 from .nlp import Status as Status
 from .reporting import report as report
 from .solution import Solution as Solution
+from .solving import simulate_systems as simulate_systems
 from .solving import solve as solve
 from .studies import Study as Study
+from .sweep import allocate as allocate
 from .sweep import calibrate as calibrate
 from .sweep import conflict as conflict
 from .sweep import cross_check as cross_check

@@ -19,6 +19,7 @@ from aleator.solution import ExpansionQuality as ExpansionQuality
 from aleator.solution import GridError as GridError
 from aleator.solution import MeshError as MeshError
 from aleator.solution import Moments as Moments
+from aleator.solution import Motions as Motions
 from aleator.solution import Objection as Objection
 from aleator.solution import SecondOpinion as SecondOpinion
 from aleator.solution import States as States
@@ -27,6 +28,7 @@ from aleator.solution import Tangent as Tangent
 from aleator.solution import Times as Times
 from aleator.solution import WorstCase as WorstCase
 from aleator.solution import WorstRealisation as WorstRealisation
+from aleator.sweep import Allocation as Allocation
 from aleator.sweep import Calibration as Calibration
 from aleator.sweep import Conflict as Conflict
 from aleator.sweep import CrossChecked as CrossChecked
@@ -38,6 +40,7 @@ from aleator.sweep import Optimum as Optimum
 from aleator.sweep import Portfolio as Portfolio
 from aleator.sweep import Refused as Refused
 from aleator.sweep import Starts as Starts
+from aleator.sweep import Tolerances as Tolerances
 from aleator.sweep import TradeOff as TradeOff
 from aleator.sweep import Trial as Trial
 from aleator.validation import Checked as Checked

@@ -89,5 +89,5 @@ def test_collocation_finds_the_source_that_leads_to_the_published_end():
     )
     solution = al.solve(problem, transcription=al.Simultaneous(al.schemes.Radau(3), error=1e-8, guess=near))
     assert solution.decisions["source"] == pytest.approx(0.0007, rel=1e-6)
-    assert solution.states is not None
-    assert [solution.states[name][0, -1] for name in Hires.states] == pytest.approx(END, rel=1e-6)
+    assert solution.mesh_states is not None
+    assert [solution.mesh_states[name][0, -1] for name in Hires.states] == pytest.approx(END, rel=1e-6)

@@ -1,12 +1,13 @@
 """Wrong names of parameters of FMUs, and runs that fail: one sentence each, with the FMU's name."""
 
+import gc
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import aleator as al
-from aleator.foreign._fmu._description import kind_of
+from aleator.foreign._fmu._fmu import kind_of
 from rods import here
 
 GRID = al.Grid(2.0, 4)
@@ -51,9 +52,22 @@ def test_a_run_that_fails_says_when_and_what_the_fmu_said(rods, version, kind, b
         assert np.isfinite(run({"fail_at": 9.0})["angle"]).all()
 
 
-def test_a_kind_that_is_misspelt_is_told_the_nearest():
-    with pytest.raises(al.ProblemError, match=r"received 'model-exchange'\. Did you mean 'model exchange'\?"):
-        kind_of("rod", SimpleNamespace(modelExchange=True, coSimulation=True), "model-exchange")
+def test_a_kind_is_understood_as_fmi_and_its_tools_spell_it_and_a_misspelt_one_is_told_the_nearest():
+    both = SimpleNamespace(modelExchange=True, coSimulation=True)
+    for kind in ("model exchange", "model-exchange", "ModelExchange", "me"):
+        assert kind_of("rod", both, kind) == "model exchange"
+    assert kind_of("rod", both, "CoSimulation") == kind_of("rod", both, "CS") == "co-simulation"
+    with pytest.raises(al.ProblemError, match=r"received 'modl exchange'\. Did you mean 'model exchange'\?"):
+        kind_of("rod", both, "modl exchange")
+    with pytest.raises(al.ProblemError, match=r"one of \['co-simulation'\]; received 'ModelExchange'"):
+        kind_of("rod", SimpleNamespace(modelExchange=None, coSimulation=True), "ModelExchange")
+
+
+def test_an_fmu_is_heard_after_another_one_was_forgotten(rods):
+    run = al.foreign.FmuSimulation(here(rods(2)), GRID)
+    here(rods(2, wall=True))
+    gc.collect()
+    refused(al.SimulationError, "failed to initialise: a length must be positive .t = 0.", run, {"rod.length": -1.0})
 
 
 def test_a_failure_among_uncertain_parameters_names_them(rods):

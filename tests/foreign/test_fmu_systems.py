@@ -47,6 +47,12 @@ def test_a_system_of_an_fmu_is_differentiated_like_the_same_system_written_here(
     assert np.asarray(found) == pytest.approx(np.asarray(expected), abs=1e-9)
 
 
+def test_second_derivatives_of_rates_are_those_of_the_closed_form(rods):
+    system = al.foreign.FmuSystem(here(rods(3)))
+    curvature = jax.jacfwd(jax.jacfwd(lambda angle: system.rhs(0.0, (angle, 0.3))[1]))(1.0)
+    assert float(curvature) == pytest.approx(1.5 * 9.81 * np.sin(1.0), abs=1e-7)
+
+
 @pytest.mark.slow
 def test_a_robust_design_of_an_fmu_is_that_of_the_same_system_written_here(rods):
     fmu, energy = here(rods(3)), al.terminal("energy")
@@ -67,6 +73,14 @@ def test_a_robust_design_of_an_fmu_is_that_of_the_same_system_written_here(rods)
     found = solution(al.foreign.FmuSystem(fmu, {"damping": damping, "rod.length": 1.1}))
     assert found.ok
     assert found.objective == pytest.approx(solution(Rod(damping, 1.1)).objective, rel=1e-9)
+
+
+def test_a_system_begins_where_the_fmu_does_whatever_moved_before(rods):
+    fmu = here(rods(3))
+    al.simulate(al.foreign.FmuSystem(fmu, {"damping": 0.2}), GRID)
+    again = al.foreign.FmuSystem(fmu, {"damping": 0.2})
+    assert again._equations.first["states"] == pytest.approx([1.0, 0.0], abs=0.0)
+    assert float(again.initial()["angle"]) == 1.0
 
 
 def test_what_is_no_system_is_refused(rods):

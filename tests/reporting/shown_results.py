@@ -89,7 +89,7 @@ EVERY = {
     "evidence of all": evidence_of_all,
     "penalties": hardened,
     "cross-check": cross_checked,
-    "states": lambda: given.collocated().states,
+    "states": lambda: given.collocated().mesh_states,
     "costates": lambda: given.collocated().costates,
     "switching functions": lambda: given.collocated().switching,
     "mesh": lambda: given.collocated().mesh,

@@ -61,8 +61,12 @@ def test_a_solution_reopens_with_equal_numbers_and_units(tree):
 
 def test_a_solution_by_collocation_reopens_with_states_costates_meshes_and_its_scheme(tree):
     data, found = tree["designs/a∕b"].to_dataset(), given.collocated()
-    np.testing.assert_array_equal(data["germ"], found.states.germs)
-    for kind, one in (("state", found.states), ("costate", found.costates), ("switching function", found.switching)):
+    np.testing.assert_array_equal(data["germ"], found.mesh_states.germs)
+    for kind, one in (
+        ("state", found.mesh_states),
+        ("costate", found.costates),
+        ("switching function", found.switching),
+    ):
         np.testing.assert_array_equal(data[f"times of {kind}s"], one.times)
         for name, values in one.values.items():
             np.testing.assert_array_equal(data[f"{kind} {name}"], values)

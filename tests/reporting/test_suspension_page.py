@@ -7,7 +7,8 @@ import pytest
 import report_problems as given
 
 import aleator as al
-from aleator.studies.suspension._chapter import BUILT, VIOLATIONS, box, cost, problems, published_table, recommended
+from aleator.studies.suspension._chapter import BUILT, problems, recommended
+from aleator.studies.suspension._views import VIOLATIONS, box, cost, published_table
 from aleator.sweep import Trial
 
 INSTANTS = 5

@@ -194,3 +194,8 @@ def test_distributions_and_decisions_stand_in_control_points_and_ends():
 def test_splines_that_make_no_sense_are_refused_in_words(wrong, message):
     with pytest.raises(al.ProblemError, match=message):
         wrong()
+
+
+def test_a_spline_over_a_grid_may_be_asked_at_a_plain_instant():
+    signal = al.BSpline([0.0, 1.0], degree=1).over(0.0, 2.0)
+    assert float(signal(0.5)) == pytest.approx(0.25)

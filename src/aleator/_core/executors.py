@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from functools import partial
 from multiprocessing import connection, parent_process
 from multiprocessing.connection import Connection
-from typing import Any, TypeAlias, TypeVar, final
+from typing import IO, Any, TypeAlias, TypeVar, final
 
 from aleator._core.border import refusal, shown
 from aleator._core.errors import AleatorError, AleatorWarning, ProblemError, SimulationError, warned_of
@@ -32,6 +32,9 @@ _Item = TypeVar("_Item")
 
 # Calls of an executor at most for many items: enough to share them evenly, few enough that sending costs nothing.
 _CALLS = 32
+
+# As much of the end of what a process printed as a message repeats.
+_SHOWN = 160
 
 # Executors whose threads have interpreters of their own, which share no objects: since Python 3.14.
 _APART: Any = getattr(concurrent.futures, "InterpreterPoolExecutor", ())
@@ -305,6 +308,13 @@ def exit_told(code: int | None) -> str:
         return f"the signal {signal.Signals(-code).name}"
     except ValueError:
         return f"the signal {-code}"
+
+
+def last_lines(printed: IO[bytes]) -> str:
+    """The end of what a process printed into a file, in one line; empty if there is nothing."""
+    printed.seek(max(0, printed.seek(0, os.SEEK_END) - 10 * _SHOWN))
+    lines = [" ".join(line.split()) for line in printed.read().decode(errors="replace").splitlines() if line.strip()]
+    return " / ".join(lines[-3:])[-_SHOWN:].rstrip(".")
 
 
 def end_with_parent(end: Callable[[], None] = end_running) -> None:

@@ -97,7 +97,7 @@ def solution_of(
             visited=outcome.visited,
         ),
         meshes=transcribed.meshes_at(outcome.point),
-        states=transcribed.states_at(outcome.point),
+        mesh_states=transcribed.states_at(outcome.point),
         costates=costates,
         switching=switching,
     )

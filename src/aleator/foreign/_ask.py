@@ -14,13 +14,12 @@ from typing_extensions import override
 
 from aleator._core import border
 from aleator._core.arrays import Pytree, jax_array
-from aleator._core.border import real_array
 from aleator._core.errors import ProblemError, SimulationError
 from aleator.analysis import Expanded, expand, fresh_points
 from aleator.ensemble import AbstractBox, Realisation, inputs_at, listed
 from aleator.expansion import Expansion, candidate_terms
-from aleator.foreign._campaign import drop_given, most_of, sound, warn_of_dropped
-from aleator.trajectories import entry, numbers_in, read_table
+from aleator.foreign._black_box import drop_given, most_of, sound, warn_of_dropped
+from aleator.trajectories import numbers_in, read_table
 from aleator.uncertainty import placements
 
 if TYPE_CHECKING:
@@ -45,14 +44,19 @@ _ENTRY = re.compile(r"(.+)\[(\d+)\]")
 def columns_of(responses: Any, inputs: list[str]) -> Pytree:
     """Responses in any form as a dict of arrays with a row for each sample, or as one array."""
     if isinstance(responses, str | os.PathLike):
-        return _required(str(responses), _from_table(responses), inputs)
-    if hasattr(responses, "data_vars"):
-        return _required("tell: the dataset", _from_dataset(responses), inputs)
-    if isinstance(responses, Mapping):
-        if odd := [name for name in responses if not isinstance(name, str)]:
-            raise border.refusal("tell: the responses", "names of outputs that are texts", odd[0])
-        return {name: _rows_of(f"tell: {name!r}", values) for name, values in responses.items()}
-    return _rows_of("tell", responses)
+        columns = _from_table(responses)
+    elif hasattr(responses, "data_vars"):
+        columns = _from_dataset(responses)
+    elif isinstance(responses, Mapping):
+        return {border.a_name("tell: an output", name): _rows_of(name, values) for name, values in responses.items()}
+    else:
+        return _rows_of("the responses", responses)
+    if missing := [name for name in (NUMBER, *inputs) if name not in columns]:
+        raise ProblemError(
+            f"tell: expected the points that were asked for beside the outputs, to compare them; {missing} are missing "
+            f"among {list(columns)}."
+        )
+    return columns
 
 
 def answers(points: Mapping[str, Float[np.ndarray, " n"]], columns: Pytree) -> list[Pytree | None]:
@@ -62,17 +66,16 @@ def answers(points: Mapping[str, Float[np.ndarray, " n"]], columns: Pytree) -> l
     """
     named = columns if isinstance(columns, dict) else {}
     count = len(next(iter(points.values())))
-    numbers = _numbers(named[NUMBER], count) if NUMBER in named else None
     outputs = {name: values for name, values in named.items() if name not in (NUMBER, *points)} if named else columns
     lengths = {len(values) for values in jax.tree.leaves(columns)}
     if not jax.tree.leaves(outputs):
         raise ProblemError(f"tell: expected an output besides {[NUMBER, *points]}; received {list(named)}.")
-    if len(lengths) > 1 or (numbers is None and lengths != {count}):
+    if len(lengths) > 1 or (NUMBER not in named and lengths != {count}):
         raise ProblemError(
             f"tell: expected {count} rows, one for each sample, or a column {NUMBER!r} with their numbers; received "
             f"{' and '.join(map(str, sorted(lengths)))} rows."
         )
-    numbers = np.arange(count) if numbers is None else numbers
+    numbers = _numbers(named[NUMBER], count) if NUMBER in named else np.arange(count)
     _refuse_changed(points, named, numbers)
     rows: list[Pytree | None] = [None] * count
     for row, number in enumerate(numbers.tolist()):
@@ -84,37 +87,38 @@ def answers(points: Mapping[str, Float[np.ndarray, " n"]], columns: Pytree) -> l
 
 def _numbers(values: np.ndarray, count: int) -> Int[np.ndarray, " rows"]:
     """The samples of rows as indices from 0 on."""
-    whole = np.isfinite(values) & (values == np.round(values)) & (values >= 1) & (values <= count)
+    whole = np.isin(values, np.arange(1, count + 1))
     if values.ndim != 1 or not whole.all():
         bad = values if values.ndim != 1 else float(values[~whole][0])
         raise border.refusal(f"tell: {NUMBER!r}", f"the numbers of samples from 1 to {count}", bad)
-    found, times = np.unique(values, return_counts=True)
+    samples, times = np.unique(values, return_counts=True)
     if (times > 1).any():
-        raise ProblemError(f"tell: sample {found[times > 1][0]:g} has {times.max()} rows; expected one.")
+        raise ProblemError(f"tell: sample {samples[times > 1][0]:g} has {times.max()} rows; expected one.")
     return values.astype(int) - 1
 
 
 def _refuse_changed(points: Mapping[str, np.ndarray], named: Mapping[str, np.ndarray], numbers: np.ndarray) -> None:
     """Refuse inputs that differ from those that were asked for, and rounded ones that might be those of two samples."""
-    told = {name: asked for name, asked in points.items() if name in named}
-    rounded = np.zeros(len(numbers), dtype=bool)
-    for name, asked in told.items():
-        received, expected = named[name], asked[numbers]
-        if received.shape != expected.shape:
-            raise border.refusal(f"tell: the input {name!r}", "one number in each row", received)
-        rounded |= received != expected
-        wrong = ~(np.abs(received - expected) <= _to_six_digits(asked)[numbers])
-        if wrong.any():
-            row = int(np.argmax(wrong))
-            raise ProblemError(
-                f"tell: expected {name} = {float(expected[row])!r} at sample {numbers[row] + 1}, as asked; received "
-                f"{float(received[row])!r} ({np.count_nonzero(wrong)} of {len(wrong)} rows differ). Were points "
-                "changed or rows reordered? Ask again, or answer the points that were asked."
-            )
-    for row in np.flatnonzero(rounded):
-        fits = [np.abs(asked - named[name][row]) <= _to_six_digits(asked) for name, asked in told.items()]
-        others = [asked != asked[numbers[row]] for asked in told.values()]
-        if np.any(np.all(fits, axis=0) & np.any(others, axis=0)):
+    names = [name for name in points if name in named]
+    for name in names:
+        if named[name].ndim != 1:
+            raise border.refusal(f"tell: the input {name!r}", "one number in each row", named[name])
+    if not names:
+        return
+    received = np.stack([named[name] for name in names], axis=1)
+    asked = np.stack([points[name] for name in names], axis=1)
+    allowed = np.stack([_to_six_digits(points[name]) for name in names], axis=1)
+    wrong = ~(np.abs(received - asked[numbers]) <= allowed[numbers])
+    if wrong.any():
+        row, column = np.argwhere(wrong)[0]
+        raise ProblemError(
+            f"tell: expected {names[column]} = {float(asked[numbers[row], column])!r} at sample {numbers[row] + 1}, as "
+            f"asked; received {float(received[row, column])!r} ({wrong.any(axis=1).sum()} of {len(wrong)} rows "
+            "differ). Were points changed or rows reordered? Ask again, or answer the points that were asked."
+        )
+    for row in np.flatnonzero((received != asked[numbers]).any(axis=1)):
+        fits = np.all(np.abs(asked - received[row]) <= allowed, axis=1)
+        if np.any(fits & np.any(asked != asked[numbers[row]], axis=1)):
             raise ProblemError(
                 f"tell: expected inputs with more digits; those of sample {numbers[row] + 1} are rounded so that they "
                 "fit another sample too."
@@ -127,34 +131,19 @@ def _to_six_digits(asked: np.ndarray) -> Float[np.ndarray, " n"]:
     return np.maximum(np.minimum(_SIX_DIGITS * np.abs(asked), _OF_RANGE * np.ptp(asked)), least)
 
 
-def _required(what: str, columns: dict[str, np.ndarray], inputs: list[str]) -> dict[str, np.ndarray]:
-    if missing := [name for name in (NUMBER, *inputs) if name not in columns]:
-        raise ProblemError(
-            f"{what}: expected the points that were asked for beside the outputs, to compare them; {missing} are "
-            f"missing among {list(columns)}."
-        )
-    return columns
-
-
-def _rows_of(what: str, values: Any) -> np.ndarray:
-    array = real_array(what, values, "real numbers with a row for each sample")
+def _rows_of(name: str, values: Any) -> np.ndarray:
+    array = border.real_array(f"tell: {name}", values, "real numbers with a row for each sample")
     if array.ndim == 0:
-        raise border.refusal(what, "an array with a row for each sample", values)
+        raise border.refusal(f"tell: {name}", "an array with a row for each sample", values)
     return array
 
 
 def _from_dataset(dataset: Any) -> dict[str, np.ndarray]:
     """The variables and coordinates of an `xarray.Dataset`, whose library takes long to import."""
-    columns = {}
-    for name, values in dataset.variables.items():
-        if NUMBER not in values.dims:
-            if name in dataset.data_vars:
-                raise ProblemError(
-                    f"tell: expected {name!r} to have the dimension {NUMBER!r}; received {list(values.dims)}."
-                )
-            continue
-        columns[str(name)] = _rows_of(f"tell: {name!r}", values.transpose(NUMBER, ...).values)
-    return columns
+    if odd := [name for name, values in dataset.data_vars.items() if NUMBER not in values.dims]:
+        raise ProblemError(f"tell: expected {odd[0]!r} to have the dimension {NUMBER!r} of the dataset.")
+    own = {str(name): values for name, values in dataset.variables.items() if NUMBER in values.dims}
+    return {name: _rows_of(name, values.transpose(NUMBER, ...).values) for name, values in own.items()}
 
 
 def _from_table(path: Any) -> dict[str, np.ndarray]:
@@ -162,33 +151,29 @@ def _from_table(path: Any) -> dict[str, np.ndarray]:
     names = [name.strip() for name in names]
     if len(set(names)) < len(names):
         raise ProblemError(f"{path}: expected each column once; received {names}.")
-    columns: dict[str, list[np.ndarray]] = {}
+    columns: dict[str, Any] = {}
     for column, name in enumerate(names):
-        if name.lower() in _COMMENTS and not _is_all_numbers(rows, column):
-            continue
+        is_comment = name.lower() in _COMMENTS
         try:
             values = numbers_in(rows, column)
         except ValueError as error:
-            raise ProblemError(
-                f"{path}: expected numbers in the column {name!r}, empty where there is no response; {error}. "
-                f"Texts may stand in a column {_COMMENTS[0]!r}."
-            ) from error
-        if part := _ENTRY.fullmatch(name):
-            of_output = columns.setdefault(part[1], [])
-            if int(part[2]) != len(of_output):
-                raise ProblemError(f"{path}: expected {part[1]}[{len(of_output)}] next; received the column {name!r}.")
-            of_output.append(values)
-        else:
-            columns[name] = [values]
-    entries = {part[1] for part in map(_ENTRY.fullmatch, names) if part}
-    return {name: np.stack(parts, axis=1) if name in entries else parts[0] for name, parts in columns.items()}
-
-
-def _is_all_numbers(rows: list[list[str]], column: int) -> bool:
-    try:
-        return all(np.isfinite(entry(row, column)) for row in rows)
-    except ValueError:
-        return False
+            if not is_comment:
+                raise ProblemError(
+                    f"{path}: expected numbers in the column {name!r}, empty where there is no response; {error}. "
+                    f"Texts may stand in a column {_COMMENTS[0]!r}."
+                ) from error
+            continue
+        if is_comment and not np.isfinite(values).all():
+            continue
+        part = _ENTRY.fullmatch(name)
+        if part is None:
+            columns[name] = values
+            continue
+        entries = columns.setdefault(part[1], [])
+        if int(part[2]) != len(entries):
+            raise ProblemError(f"{path}: expected {part[1]}[{len(entries)}] next; received the column {name!r}.")
+        entries.append(values)
+    return {name: np.stack(values, axis=1) if isinstance(values, list) else values for name, values in columns.items()}
 
 
 def ask(model: Pytree, expansion: Expansion | None = None) -> "Asked":

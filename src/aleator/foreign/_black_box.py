@@ -1,44 +1,32 @@
-"""`BlackBox`: any function or command line as the model of an uncertainty analysis."""
+"""`BlackBox`: any function or command line as the model of an uncertainty analysis, and how its samples run."""
 
-import hashlib
-from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
+import math
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, final
 
+import jax
+import numpy as np
 from typing_extensions import override
 
 from aleator._core import border
 from aleator._core.arrays import Pytree
-from aleator._core.errors import AleatorError, SimulationError, SimulationWarning, warn_outside
+from aleator._core.errors import AleatorError, ProblemError, SimulationError, SimulationWarning, warn_outside
 from aleator._core.executors import check_executor, end_running
 from aleator._core.identity import code_digest, own_code
-from aleator.ensemble import AbstractBox, Realisation, name_of
-from aleator.foreign._campaign import Campaign, Journal, drop_given, most_of, warn_of_dropped
-from aleator.foreign._command import Command
-from aleator.foreign._runs import Isolated, Runs
+from aleator.ensemble import AbstractBox, Realisation, absent, as_outputs, name_of, same_shapes
+from aleator.foreign._command import Command, Isolated, refuse_unsendable
+from aleator.foreign._journal import Journal
 
-
-def identity(function: Callable[..., Any], version: str) -> str:
-    """A digest of a function's code or its version, or of a command with the contents of the files that it names."""
-    if isinstance(function, Isolated):
-        return identity(function.function, version)
-    if not isinstance(function, Command):
-        return code_digest(function, version)
-    paths = [Path(argument) for argument in function.arguments]
-    files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths if path.is_file()]
-    described = [list(function.arguments), function.input_file, function.output_file, files, version]
-    return hashlib.sha256(repr(described).encode()).hexdigest()
-
-
-def followed(function: Callable[..., Any]) -> Any:
-    """What the outputs follow from, for the journal of a run: a function, told by its code; None for a command.
-
-    A command may read what nobody sees.
-    """
-    if isinstance(function, Isolated):
-        return followed(function.function)
-    return None if isinstance(function, Command) else function
+# Runs that an executor is given at a time: enough for all its workers, and few to cancel.
+_IN_FLIGHT = 256
+# Inputs of the dropped samples are named where these lie within this part of the range of all samples.
+_NARROW = 0.5
+# As many inputs as a warning names, and as much of a reason as a message repeats.
+_MOST_NAMED, _LONGEST = 3, 240
 
 
 @final
@@ -85,19 +73,19 @@ class BlackBox(AbstractBox):
             raise border.refusal("BlackBox", "a function or a Command", function)
         check_executor("BlackBox", executor)
         self._function, self._executor = function, executor
-        self._retries = border.whole("BlackBox: retries", retries, least=0)
-        self._drop = drop_given("BlackBox: drop", drop)
+        self.retries = border.whole("BlackBox: retries", retries, least=0)
+        self.drop = drop_given("BlackBox: drop", drop)
         self._version = str(border.one_of("BlackBox: version", version, (str, int)))
-        self._code = own_code(function)
-        self._journal = Journal(journal, identity(function, self._version))
+        self._inner = function.function if isinstance(function, Isolated) else function
+        self._code = own_code(self._inner)
+        self.journal = Journal(journal, self._identity())
         self.__name__ = name_of(function).strip("'")
 
     @property
     @override
     def follows_from(self) -> Any:
-        # What warns of dropped samples would be silent where a result is recalled.
-        followed_from = None if self._drop else followed(self._function)
-        return followed_from and (followed_from, self._version)
+        # A command may read what nobody sees, and what warns of dropped samples would be silent if it is recalled.
+        return None if self.drop or isinstance(self._inner, Command) else (self._inner, self._version)
 
     @override
     def __call__(self, realised: Pytree) -> Pytree:
@@ -105,60 +93,265 @@ class BlackBox(AbstractBox):
 
     @override
     def at_all(self, realisations: Sequence[Realisation], *, whole: bool) -> list[Pytree | None]:
-        code = own_code(self._function)
-        if isinstance(self._function, Command) or (code != self._code and not self._version):
-            self._code, self._journal.box = code, identity(self._function, self._version)
-        campaign = Campaign(name_of(self), realisations, self._journal, self._retries)
-        self._warn_of_others(campaign)
-        self._run(campaign, whole=whole)
-        if campaign.failures:
-            warn_of_dropped(name_of(self), realisations, campaign.failures)
+        code = own_code(self._inner)
+        if isinstance(self._inner, Command) or (code != self._code and not self._version):
+            self._code, self.journal.box = code, self._identity()
+        campaign = _Campaign(self, realisations, whole=whole)
+        campaign.run(self._function, self._executor)
         return campaign.outputs
 
-    def _run(self, campaign: Campaign, *, whole: bool) -> None:
-        """Run what has not finished yet."""
-        runs = Runs(self._function, campaign.missing, self._executor)
+    def _identity(self) -> str:
+        """A digest of a function's code or its version, or of a command with the contents of the files it names."""
+        if isinstance(self._inner, Command):
+            return self._inner.digest(self._version)
+        return code_digest(self._inner, self._version)
+
+
+@final
+class _Campaign:
+    """The samples of one call of a box, of which those in the journal have finished; `whole`: none may fail."""
+
+    def __init__(self, box: BlackBox, realisations: Sequence[Realisation], *, whole: bool):
+        self._box, self._realisations, self._name = box, realisations, name_of(box)
+        self._most, self._whole = 0 if whole else most_of(box.drop, len(realisations)), whole
+        self._keys = [box.journal.key(realisation) for realisation in realisations]
+        self._failures: dict[int, str] = {}
+        self._tries: Counter[int] = Counter()
+        self._first: tuple[Realisation, Pytree] | None = None
+        for index, outputs in enumerate(self.outputs):
+            try:
+                if outputs is not None:
+                    self._keep(index, outputs)
+            except SimulationError as error:
+                raise ProblemError(
+                    f"{self._name}: the journal has outputs of different shapes: {error}. Its box has changed "
+                    "unnoticed: take another file."
+                ) from error
+
+    @property
+    def outputs(self) -> list[Pytree | None]:
+        """The outputs of each sample; None if it has not finished."""
+        return [self._box.journal.find(key) for key in self._keys]
+
+    def run(self, function: Callable[[Pytree], Pytree], executor: Executor | None) -> None:
+        """Run what has not finished, one of several equal samples.
+
+        Raises `SimulationError` for more failures than may be dropped and for a broken executor, and `ProblemError` if
+        no sample could succeed, after what had finished was kept. Warns of those dropped.
+        """
+        self._warn_of_others()
+        first = {key: i for i, key in reversed([*enumerate(self._keys)]) if self._box.journal.find(key) is None}
+        waiting, running = deque(sorted(first.values())), dict[Future[Any], int]()
+        executor, width = (_InTurn(), 1) if executor is None else (executor, _IN_FLIGHT)
         try:
-            for ended in runs:
-                campaign.take(ended, runs)
-                self._refuse_failures(campaign, whole=whole)
+            while waiting or running:
+                while waiting and len(running) < width:
+                    index = waiting.popleft()
+                    running[_submitted(executor, function, self._realisations[index].model)] = index
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    error = _error_of(future)
+                    index = running.pop(future)
+                    if self._has_to_repeat(index, error, future):
+                        waiting.appendleft(index)
+                self._refuse_failures()
         except BaseException as error:
             # First, or a thread whose run is ended would begin the next one.
-            runs.cancel()
+            for future in running:
+                future.cancel()
             if not isinstance(error, Exception):
                 end_running()
-            campaign.take(run for run in runs.close() if run.error is None)
+            for future, index in running.items():
+                if future.done() and not future.cancelled() and future.exception() is None:
+                    with suppress(AleatorError):
+                        self._keep(index, future.result())
             if not isinstance(error, AleatorError):
                 raise
-            raise type(error)(f"{str(error).rstrip('.')}.{self._kept(campaign, error)}") from error.__cause__
+            raise type(error)(f"{str(error).rstrip('.')}.{self._kept(error)}") from error.__cause__
+        if self._failures:
+            warn_of_dropped(self._name, self._realisations, self._failures)
 
-    def _refuse_failures(self, campaign: Campaign, *, whole: bool) -> None:
+    def _keep(self, index: int, returned: Pytree) -> None:
+        """Keep what a run returned. Raises `SimulationError` if that is no output."""
+        realisation = self._realisations[index]
+        outputs = sound(returned, self._name, self._first)
+        self._first = self._first or (realisation, outputs)
+        if self._box.journal.find(self._keys[index]) is None:
+            self._box.journal.add(self._keys[index], realisation, outputs)
+
+    def _has_to_repeat(self, index: int, error: BaseException | None, future: Future[Any]) -> bool:
+        """Keep what a run returned, or why it failed for good.
+
+        Raises `ProblemError` if it raised one, or asked for an input that there is not: no sample could succeed.
+        """
+        if error is None:
+            try:
+                self._keep(index, future.result())
+                return False
+            except SimulationError as unsound:
+                error = unsound
+        # Once samples have finished, a key that is missing is one of the function's own.
+        if (
+            self._first is None
+            and isinstance(error, Exception)
+            and (missing := absent(error, self._realisations[index].model))
+        ):
+            raise ProblemError(f"{self._name} asks for {missing}.")
+        if isinstance(error, ProblemError) or not isinstance(error, Exception):
+            raise error
+        self._tries[index] += 1
+        if self._tries[index] <= self._box.retries:
+            return True
+        self._failures[index] = _reason(error)
+        return False
+
+    def _refuse_failures(self) -> None:
         """Refuse more failures than may be dropped, naming the last one."""
-        failures, count = campaign.failures, len(campaign.realisations)
-        most = 0 if whole else most_of(self._drop, count)
-        if len(failures) <= most:
+        if len(self._failures) <= self._most:
             return
-        index = next(reversed(failures))
-        said = f"{name_of(self)} failed at {campaign.realisations[index]}: {failures[index]}"
-        if most:
-            said = f"{len(failures)} of {count} samples failed, and drop={self._drop:g} allows {most}: {said}"
-        elif whole and self._drop:
-            said += ". This method needs every sample, so that none is dropped"
-        raise SimulationError(said)
+        count, (index, reason) = len(self._realisations), next(reversed(self._failures.items()))
+        message = f"{self._name} failed at {self._realisations[index]}: {reason}"
+        if self._most:
+            failed = f"{len(self._failures)} of {count} samples failed"
+            message = f"{failed}, and drop={self._box.drop:g} allows {self._most}: {message}"
+        elif self._whole and self._box.drop:
+            message += ". This method needs every sample, so that none is dropped"
+        raise SimulationError(message)
 
-    def _kept(self, campaign: Campaign, error: AleatorError) -> str:
+    def _kept(self, error: AleatorError) -> str:
         """What has been kept, as a sentence."""
-        count = sum(outputs is not None for outputs in campaign.outputs)
-        path = self._journal.path
+        count, path = sum(outputs is not None for outputs in self.outputs), self._box.journal.path
         # A journal that could not be written does not have them.
         place = "by this box" if path is None or not isinstance(error, SimulationError) else f"in {path.name}"
         return f" Finished samples are kept {place} ({count}): a second call goes on." if count else ""
 
-    def _warn_of_others(self, campaign: Campaign) -> None:
-        count = sum(map(self._journal.is_of_others, campaign.keys))
-        if count:
+    def _warn_of_others(self) -> None:
+        if count := sum(map(self._box.journal.is_of_others, self._keys)):
             warn_outside(
-                f"The journal {self._journal.path} has {count} of these samples by another box, or by this one before "
-                "its code, command or version changed: they are not used, and run again.",
+                f"The journal {self._box.journal.path} has {count} of these samples by another box, or by this one "
+                "before its code, command or version changed: they are not used, and run again.",
                 SimulationWarning,
             )
+
+
+@final
+class _InTurn(Executor):
+    """Runs everything at once, in the calling thread."""
+
+    @override
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future = Future[Any]()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except (Exception, SystemExit) as error:
+            future.set_exception(error)
+        return future
+
+
+def _submitted(executor: Executor, function: Callable[[Pytree], Pytree], model: Pytree) -> Future[Any]:
+    """A run of a function, which may change containers and arrays of its model."""
+    model = jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, model)
+    try:
+        return executor.submit(function, model)
+    except BrokenExecutor as error:
+        raise _broken(error) from error
+    except RuntimeError as error:
+        raise ProblemError(f"BlackBox: expected an executor that takes work; it says: {error}.") from error
+
+
+def _error_of(future: Future[Any]) -> BaseException | None:
+    """What a run raised. Raises `SimulationError` if the executor is broken."""
+    error = BrokenExecutor("it cancelled its work") if future.cancelled() else future.exception()
+    if isinstance(error, BrokenExecutor):
+        raise _broken(error) from error
+    if isinstance(error, SystemExit):
+        # A model that ends its own process has failed; it does not end this one.
+        return SimulationError(f"it ended itself by sys.exit({'' if error.code is None else error.code!r})")
+    refuse_unsendable("BlackBox", error)
+    return error
+
+
+def _broken(error: BaseException) -> SimulationError:
+    words = next(iter(str(error).splitlines()), "").rstrip(".")
+    return SimulationError(
+        f"BlackBox: its executor is broken ({words}). If a sample ends its process, let it run in one of its own by "
+        'al.foreign.Isolated; a script that starts processes needs `if __name__ == "__main__":`'
+    )
+
+
+def _reason(error: BaseException) -> str:
+    """Why a run failed, in one line."""
+    words = next((line.strip() for line in str(error).splitlines() if line.strip()), "")[:_LONGEST].rstrip(".")
+    return words if isinstance(error, SimulationError) else f"it raised {type(error).__name__}{words and ': '}{words}"
+
+
+def drop_given(what: str, drop: Any) -> float:
+    """The largest part of the samples that may be dropped, from 0 to less than one half."""
+    part = border.real(what, drop, "a number from 0 to less than 0.5")
+    if not 0 <= part < 0.5:
+        raise border.refusal(what, "a number from 0 to less than 0.5", drop)
+    return part
+
+
+def most_of(drop: float, count: int) -> int:
+    """How many of `count` samples may be dropped; products such as 0.29 * 100 are not rounded down."""
+    return math.floor(drop * count * (1 + 1e-12))
+
+
+def sound(returned: Any, name: str, first: tuple[Realisation, Pytree] | None = None) -> Pytree:
+    """What a box called `name` returned, as finite arrays of the same shapes as those of a `first` sample.
+
+    Raises `SimulationError` if it is anything else, in words that go on after the name of the sample.
+    """
+    try:
+        outputs = as_outputs(returned, name, np)
+    except ProblemError as error:
+        raise SimulationError(str(error).rstrip(".")) from error
+    if not jax.tree.leaves(outputs):
+        raise SimulationError("it returned no outputs")
+    for output, leaf in _by_name(outputs):
+        if not np.isfinite(leaf).all():
+            raise SimulationError(
+                f"{f'output {output!r}' if output else 'its output'} is {leaf[~np.isfinite(leaf)][0]}"
+            )
+    if first is not None and not same_shapes(outputs, first[1]):
+        now, before = (
+            ", ".join(
+                f"{f'{output!r}' if output else 'an array'} of shape {leaf.shape}" for output, leaf in _by_name(of)
+            )
+            for of in (outputs, first[1])
+        )
+        raise SimulationError(f"it returned {now}, where sample {first[0].number} had {before}")
+    return outputs
+
+
+def _by_name(outputs: Pytree) -> list[tuple[str, np.ndarray]]:
+    named = jax.tree_util.tree_leaves_with_path(outputs)
+    return [(jax.tree_util.keystr(path, simple=True, separator="."), leaf) for path, leaf in named]
+
+
+def warn_of_dropped(name: str, realisations: Sequence[Realisation], failures: Mapping[int, str]) -> None:
+    """Warn that samples were dropped: how many, why the first one, and where they lie among all.
+
+    `failures`: the reasons, by index into the realisations.
+    """
+    first = min(failures)
+    warn_outside(
+        f"{len(failures)} of {len(realisations)} samples of {name} failed and were dropped, first {realisations[first]}"
+        f": {failures[first]}. {_whereabouts(realisations, list(failures))} Statistics may be biased: they describe "
+        "the inputs at which it works, and an expansion extrapolates to the others.",
+        SimulationWarning,
+    )
+
+
+def _whereabouts(realisations: Sequence[Realisation], dropped: Sequence[int]) -> str:
+    """In words: whether the dropped samples lie together, and how many others lie among them."""
+    names = list(realisations[0].inputs)
+    values = np.array([list(realisation.inputs.values()) for realisation in realisations])
+    low, high = values[dropped].min(axis=0), values[dropped].max(axis=0)
+    width = (high - low) / np.maximum(np.ptp(values, axis=0), np.finfo(float).tiny)
+    narrow = [i for i in np.argsort(width, kind="stable")[:_MOST_NAMED].tolist() if width[i] <= _NARROW]
+    if not narrow or len(dropped) < 2:
+        return "They do not lie together." if len(dropped) > 1 else "It may be one of many that would fail nearby."
+    among = np.all((values >= low) & (values <= high), axis=1)
+    ranges = ", ".join(f"{names[i]} from {low[i]:.4g} to {high[i]:.4g}" for i in sorted(narrow))
+    return f"They lie within {ranges}, where {len(dropped)} of {np.count_nonzero(among)} samples failed."

@@ -1,12 +1,15 @@
-"""`Command`: a command line as a function of its inputs."""
+"""Functions each of whose calls has a process of its own: `Command`, a command line, and `Isolated`, one of Python."""
 
+import hashlib
 import json
+import multiprocessing
 import re
 import subprocess
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from pickle import PicklingError
 from typing import IO, Any, final
 
 import numpy as np
@@ -14,14 +17,15 @@ import numpy as np
 from aleator._core import border
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
-from aleator._core.executors import ended_with, endings, exit_told, in_group
+from aleator._core.executors import ended_with, endings, exit_told, in_group, last_lines, report
 from aleator._core.files import json_of
-from aleator.foreign._runs import refuse_traced
+from aleator._core.leaves import is_traced
+from aleator.ensemble import name_of
 
 # A placeholder in an argument, such as {mass}.
 _PLACEHOLDER = re.compile(r"\{([A-Za-z_]\w*)\}")
 
-# As much of the end of stderr, or of an output that is no JSON, as a message repeats.
+# As much of an output that is no JSON as a message repeats.
 _SHOWN = 160
 
 
@@ -80,23 +84,17 @@ class Command:
     def _placeholders(self) -> set[str]:
         return {name for argument in self.arguments for name in _PLACEHOLDER.findall(argument)}
 
+    def digest(self, version: str) -> str:
+        """A digest of the command, of the contents of the files that it names, and of a version."""
+        paths = [Path(argument) for argument in self.arguments]
+        files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths if path.is_file()]
+        parts = [list(self.arguments), self.input_file, self.output_file, files, version]
+        return hashlib.sha256(repr(parts).encode()).hexdigest()
+
     def __call__(self, inputs: Mapping[str, Any]) -> Pytree:
         """The outputs of one run."""
-        self._refuse_unfit(inputs)
-        # What a process that was ended still holds open must not hide why it was.
-        own_folder = tempfile.TemporaryDirectory(prefix="aleator-", ignore_cleanup_errors=True)
-        with own_folder as name, tempfile.TemporaryFile() as output:
-            folder = Path(name)
-            if self.input_file is not None:
-                (folder / self.input_file).write_text(json.dumps(_as_json(inputs)), encoding="utf-8")
-            self._run([_filled(argument, inputs) for argument in self.arguments], folder, output)
-            return _numbers(self._text(folder, output), self.output_file or "its standard output")
-
-    def _refuse_unfit(self, inputs: Any) -> None:
         refuse_traced(self, inputs)
-        if not isinstance(inputs, Mapping):
-            raise border.refusal("Command: its model", "a dict of inputs by name", inputs)
-        names = {str(name) for name in inputs}
+        names = {str(name) for name in border.one_of("Command: its model", inputs, Mapping, "{'mass': 1.0}")}
         if unknown := self._placeholders - names:
             raise ProblemError(f"Command: {self.__name__} asks for {sorted(unknown)}; expected some of {list(inputs)}.")
         if self.input_file is None and (unused := names - self._placeholders):
@@ -104,33 +102,40 @@ class Command:
                 f"Command: {sorted(unused)} reach {self.__name__} nowhere. Write them in braces in the place of an "
                 "argument, give an input_file, or drop them."
             )
-
-    def _run(self, arguments: list[str], folder: Path, output: IO[bytes]) -> None:
-        before = endings()
-        with tempfile.TemporaryFile() as errors:
+        # What a process that was ended still holds open must not hide why it was.
+        own_folder = tempfile.TemporaryDirectory(prefix="aleator-", ignore_cleanup_errors=True)
+        with own_folder as name, tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as errors:
+            folder = Path(name)
+            if self.input_file is not None:
+                (folder / self.input_file).write_text(json.dumps(inputs, default=_plain), encoding="utf-8")
+            self._run([_filled(argument, inputs) for argument in self.arguments], folder, output, errors)
+            if self.output_file is None:
+                output.seek(0)
+                return _numbers(output.read().decode(errors="replace"), "its standard output")
             try:
-                process = subprocess.Popen(
-                    arguments, cwd=folder, stdin=subprocess.DEVNULL, stdout=output, stderr=errors, **in_group()
-                )
-            except (OSError, ValueError) as error:
-                said = getattr(error, "strerror", None) or error
-                raise ProblemError(f"Command: {arguments[0]} cannot be run ({said}).") from error
-            with process, ended_with(process.pid, lambda: process.returncode is not None, before):
-                try:
-                    code = process.wait(self.time_limit)
-                except subprocess.TimeoutExpired as error:
-                    raise SimulationError(f"it was ended after its time limit of {self.time_limit:g} s") from error
-            if code:
-                raise SimulationError(f"it ended by {exit_told(code)}; {_end_of(errors)}")
+                text = (folder / self.output_file).read_text(encoding="utf-8", errors="replace")
+            except OSError as error:
+                raise SimulationError(f"it ended without writing {self.output_file}") from error
+            return _numbers(text, self.output_file)
 
-    def _text(self, folder: Path, output: IO[bytes]) -> str:
-        if self.output_file is None:
-            output.seek(0)
-            return output.read().decode(errors="replace")
+    def _run(self, arguments: list[str], folder: Path, output: IO[bytes], errors: IO[bytes]) -> None:
+        before = endings()
         try:
-            return (folder / self.output_file).read_text(encoding="utf-8", errors="replace")
-        except OSError as error:
-            raise SimulationError(f"it ended without writing {self.output_file}") from error
+            process = subprocess.Popen(
+                arguments, cwd=folder, stdin=subprocess.DEVNULL, stdout=output, stderr=errors, **in_group()
+            )
+        except (OSError, ValueError) as error:
+            words = getattr(error, "strerror", None) or error
+            raise ProblemError(f"Command: {arguments[0]} cannot be run ({words}).") from error
+        with process, ended_with(process.pid, lambda: process.returncode is not None, before):
+            try:
+                code = process.wait(self.time_limit)
+            except subprocess.TimeoutExpired as error:
+                raise SimulationError(f"it was ended after its time limit of {self.time_limit:g} s") from error
+        if code:
+            lines = last_lines(errors)
+            words = f"ends with: {lines}" if lines else "is empty"
+            raise SimulationError(f"it ended by {exit_told(code)}; its stderr {words}")
 
 
 def _absolute(argument: str) -> str:
@@ -139,70 +144,57 @@ def _absolute(argument: str) -> str:
 
 
 def _filled(argument: str, inputs: Mapping[str, Any]) -> str:
-    return _PLACEHOLDER.sub(lambda found: _as_text(found[1], inputs[found[1]]), argument)
+    """An argument with inputs in it: numbers with all their digits, and texts."""
+
+    def text(match: re.Match[str]) -> str:
+        value = inputs[match[1]]
+        if isinstance(value, Mapping) or np.ndim(value):
+            raise border.refusal(f"Command: {match[0]}", "one number; arrays and dicts need an input_file", value)
+        return str(value if isinstance(value, bool | int | float | str) else _plain(value))
+
+    return _PLACEHOLDER.sub(text, argument)
 
 
-def _as_text(name: str, value: Any) -> str:
-    """A number with all its digits, or a text."""
-    if isinstance(value, Mapping) or np.ndim(value):
-        raise border.refusal(f"Command: {{{name}}}", "one number; arrays and dicts need an input_file", value)
-    return str(_as_json(value))
-
-
-def _as_json(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: _as_json(part) for name, part in value.items()}
+def _plain(value: Any) -> Any:
+    """What JSON has no form for: numbers of NumPy."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    if isinstance(value, bool | int | float | str):
-        return value
     raise border.refusal("Command: an input", "a number, an array or a text", value)
-
-
-def _end_of(errors: IO[bytes]) -> str:
-    """The end of what a program wrote to stderr."""
-    errors.seek(max(0, errors.seek(0, 2) - 10 * _SHOWN))
-    lines = [line.strip() for line in errors.read().decode(errors="replace").splitlines() if line.strip()]
-    return f"its stderr ends with: {' / '.join(lines[-3:])[-_SHOWN:]}" if lines else "its stderr is empty"
 
 
 def _numbers(text: str, source: str) -> Pytree:
     """JSON as arrays of numbers. Raises `SimulationError` for anything else, and where either of two may be meant."""
     *before, last = [line.strip() for line in text.splitlines() if line.strip()] or [""]
-    for part in (text, last):
-        try:
-            parsed = json_of(part, object_pairs_hook=_once_each)
-        except ValueError:
-            continue
-        if part is last and (other := _rival(before, parsed)) is not None:
+    parsed = _parsed(text)
+    if parsed is None:
+        parsed = _parsed(last)
+        if parsed is None:
+            received = f"received {last[-_SHOWN:]!r}" if last else "received nothing"
+            raise SimulationError(f"expected JSON in {source}; {received}")
+        if rivals := [line for line in before if _rank(line) > _rank(last)]:
             raise SimulationError(
                 f"expected one output in {source}; received the last line {last[-_SHOWN:]!r} after "
-                f'{other[:_SHOWN]!r}, and either may be meant. Write an object, such as {{"y": 1.5}}, in the last line'
+                f"{rivals[-1][:_SHOWN]!r}, and either may be meant. Let the last line be an object, such as "
+                '{"y": 1.5}'
             )
-        return _arrays(parsed, "the output")
-    said = f"received {last[-_SHOWN:]!r}" if last else "received nothing"
-    raise SimulationError(f"expected JSON in {source}; {said}")
+    return _arrays(parsed, "the output")
 
 
-def _rival(before: list[str], parsed: Any) -> str | None:
-    """The last line before the parsed one that rather looks like an output: an object, or a list before a number."""
-    if isinstance(parsed, dict):
-        return None
-    return next((line for line in reversed(before) if _begins(line, lists=not isinstance(parsed, list))), None)
-
-
-def _begins(line: str, *, lists: bool) -> bool:
-    """Whether an object begins in a line, which may go on in others or be printed as Python does, or a list, which
-    `[info] ...` is not.
-    """
-    if line.startswith("{") or not lists:
-        return line.startswith("{")
-    if line == "[":
-        return True
+def _parsed(text: str) -> Any:
+    """What JSON says; None for anything else."""
     try:
-        return isinstance(json_of(line), list)
+        return json_of(text, object_pairs_hook=_once_each)
     except ValueError:
-        return False
+        return None
+
+
+def _rank(line: str) -> int:
+    """How much a line looks like an output: an object, which may go on in others or be printed as Python does, most; a
+    list, which `[info] ...` is not, less; a number least.
+    """
+    if line.startswith("{"):
+        return 2
+    return int(line == "[" or isinstance(_parsed(line), list))
 
 
 def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -218,9 +210,86 @@ def _arrays(parsed: Any, what: str) -> Pytree:
     if isinstance(parsed, dict):
         return {name: _arrays(value, f"the output {name!r}") for name, value in parsed.items()}
     try:
-        array = np.array(parsed)
-    except ValueError:
-        array = None
-    if array is None or array.dtype.kind not in "iuf":
-        raise SimulationError(f"{what}: expected numbers; received {border.shown(parsed)}")
-    return array.astype(float)
+        return border.real_array(what, parsed, "numbers")
+    except ProblemError as error:
+        raise SimulationError(str(error).rstrip(".")) from error
+
+
+@final
+@dataclass(frozen=True)
+class Isolated:
+    """A function each of whose calls has a Python process of its own: for functions that may hang or crash.
+
+    A function that hangs in a thread or in the process of an executor cannot be ended without ending the others there.
+    Here it can: `BlackBox(al.foreign.Isolated(simulate, time_limit=60.0), executor=ThreadPoolExecutor(4))`. The price
+    is the start of a process for each call, which takes a second or more: Python, JAX and the function's own imports.
+
+    - `function`: stands at the top level of a module, so that the process finds it. In a script, whatever is not a
+      definition belongs under `if __name__ == "__main__":`;
+    - `time_limit`: seconds from the start of the process, after which it is ended, with all processes that it started.
+
+    A call raises `SimulationError` if the process exceeds its time or ends by itself, or if the function raises, and
+    `ProblemError` if the function cannot be sent to a process.
+    """
+
+    function: Callable[[Any], Pytree]
+    time_limit: float | None = None
+
+    def __post_init__(self) -> None:
+        if not callable(self.function):
+            raise border.refusal("Isolated", "a function", self.function)
+        if self.time_limit is not None:
+            object.__setattr__(self, "time_limit", border.positive("Isolated: time_limit", self.time_limit))
+
+    @property
+    def __name__(self) -> str:
+        """The name of the function, for messages."""
+        return getattr(self.function, "__name__", type(self.function).__name__)
+
+    def __call__(self, realised: Pytree) -> Pytree:
+        """The outputs of the function at one realisation."""
+        refuse_traced(self, realised)
+        before, context = endings(), multiprocessing.get_context("spawn")
+        receiver, sender = context.Pipe(duplex=False)
+        process = context.Process(target=report, args=(sender, self.function, realised))
+        try:
+            process.start()
+        except Exception as error:
+            refuse_unsendable("Isolated", error)
+            raise
+        sender.close()
+        try:
+            with receiver, ended_with(process.pid or 0, lambda: not process.is_alive(), before):
+                if not receiver.poll(self.time_limit):
+                    raise SimulationError(f"it was ended after its time limit of {self.time_limit:g} s")
+                returned, raised = receiver.recv()
+        except EOFError as error:
+            process.join()
+            raise SimulationError(f"its process ended by itself, by {exit_told(process.exitcode)}") from error
+        finally:
+            process.kill()  # It may not have begun to lead a group.
+            process.join()
+        if raised is not None:
+            raise SimulationError(f"it raised {raised}")
+        return returned
+
+
+def refuse_traced(function: Callable[[Pytree], Pytree], realised: Pytree) -> None:
+    """Raise `ProblemError` for a function that leaves this process if JAX traces it."""
+    if is_traced(realised):
+        kind = type(function).__name__
+        raise ProblemError(f"{name_of(function)} cannot be traced by JAX: wrap it, al.foreign.BlackBox({kind}(...)).")
+
+
+def refuse_unsendable(who: str, error: BaseException | None) -> None:
+    """Raise `ProblemError` if an error says that something cannot be sent to a process.
+
+    Before Python 3.14 the types of these errors are no help.
+    """
+    words = str(error).splitlines()[0].rstrip(".") if str(error) else ""
+    is_named = "pickle" in words.lower() or "local object" in words.lower()
+    if isinstance(error, PicklingError) or (isinstance(error, AttributeError | TypeError) and is_named):
+        raise ProblemError(
+            f"{who}: expected a function and results that can be sent to another process, such as a function at the "
+            f"top level of a module; received: {words}."
+        ) from error

@@ -127,9 +127,9 @@ class AbstractFormulation(System):
         if self.parts.prescribed:
             signals |= followed(self._motion(), self.torque_rates)
         if self.parts.known:
-            signals["known"] = torque = combined(self._known_names(), self.torque)
+            signals["torque"] = torque = combined(self._known_names(), self.torque)
             if isinstance(torque, AbstractTrajectory) and torque.derivatives > 0:
-                signals["known_rate"] = torque.derivative()
+                signals["torque_rate"] = torque.derivative()
         return signals | course(self.model, self.torque_rates and bool(self.parts.prescribed))
 
     @override
@@ -170,12 +170,12 @@ class AbstractFormulation(System):
         position: Any = None,
         velocity: Any = None,
         acceleration: Any = None,
-        known: Any = None,
+        torque: Any = None,
         parameters: Any = None,
     ) -> tuple[Array, ...]:
         if not self.states:
             return ()
-        given = self._prescribed(position, velocity, acceleration, known)
+        given = self._prescribed(position, velocity, acceleration, torque)
         return self._rates_of(solved(at(self.model, t, parameters), self.parts, given, *self._integrated(z)))
 
     @override
@@ -191,17 +191,18 @@ class AbstractFormulation(System):
         velocity: Any = None,
         acceleration: Any = None,
         jerk: Any = None,
-        known: Any = None,
-        known_rate: Any = None,
+        torque: Any = None,
+        torque_rate: Any = None,
         parameters: Any = None,
     ) -> tuple[tuple[Array, ...], dict[str, Any]]:
         model, parts = at(self.model, t, parameters), self.parts
         where = (
-            self._prescribed(position, velocity, acceleration, known),
+            self._prescribed(position, velocity, acceleration, torque),
             *self._integrated(z),
         )
-        if jerk is None or not parts.unknown or (known is not None and known_rate is None):
-            whole, torque_rate = solved(model, parts, *where), None if parts.unknown else known_rate
+        if jerk is None or not parts.unknown or (torque is not None and torque_rate is None):
+            whole = solved(model, parts, *where)
+            torque_rates = None if parts.unknown else torque_rate
         else:
 
             def torques(now: AbstractMechanical, *where: Any) -> tuple[Array, Solved]:
@@ -210,9 +211,9 @@ class AbstractFormulation(System):
 
             # The integrated motion changes as it is found to.
             whole, change = linearised(torques, model, where)
-            moved = Prescribed(velocity, acceleration, jerk, self._known(known_rate))
-            torque_rate = change(moved, taken(whole.q_dot, parts.others), taken(whole.v_dot, parts.undriven))
-        return self._rates_of(whole), outputs_of(model, t, whole, torque_rate)
+            moved = Prescribed(velocity, acceleration, jerk, self._known(torque_rate))
+            torque_rates = change(moved, taken(whole.q_dot, parts.others), taken(whole.v_dot, parts.undriven))
+        return self._rates_of(whole), outputs_of(model, t, whole, torque_rates)
 
     def _rates_of(self, motion: Solved) -> tuple[Array, ...]:
         q_dot, v_dot = taken(motion.q_dot, self.parts.others), taken(motion.v_dot, self.parts.undriven)
@@ -223,10 +224,10 @@ class AbstractFormulation(System):
         q = z.q if self.states else jnp.zeros(0)
         return q, z.v if "v" in self.states else jnp.zeros(len(self.parts.undriven))
 
-    def _prescribed(self, position: Any, velocity: Any, acceleration: Any, known: Any) -> Prescribed:
+    def _prescribed(self, position: Any, velocity: Any, acceleration: Any, torque: Any) -> Prescribed:
         if not self.parts.prescribed:
             position = velocity = acceleration = jnp.zeros(0)
-        return Prescribed(position, velocity, acceleration, self._known(known))
+        return Prescribed(position, velocity, acceleration, self._known(torque))
 
     def _given(self, inputs: Mapping[str, Any]) -> Prescribed:
         value = inputs.get

@@ -159,8 +159,8 @@ def _of_solution(solution: Solution) -> "xarray.Dataset":
 
 def _add_histories(arrays: _Arrays, solution: Solution) -> None:
     """States, costates and switching functions of a simultaneous program, each along its own instants."""
-    kinds = (("state", solution.states), ("costate", solution.costates), ("switching function", solution.switching))
-    for kind, histories in kinds:
+    kinds = {"state": solution.mesh_states, "costate": solution.costates, "switching function": solution.switching}
+    for kind, histories in kinds.items():
         if histories is None or not histories.values:
             continue
         along = (f"point of {kind}s",) if histories is solution.switching else ("realisation", f"point of {kind}s")
@@ -168,9 +168,9 @@ def _add_histories(arrays: _Arrays, solution: Solution) -> None:
         for name, values in histories.values.items():
             axes = (*along, *(f"component of {size}, {i}" for i, size in enumerate(values.shape[len(along) :])))
             arrays.add(f"{kind} {name}", axes, values, f"{kind} of {name}")
-    if solution.states is not None:
+    if solution.mesh_states is not None:
         axes = ("realisation", "germ variable")
-        arrays.add("germ", axes, solution.states.germs, "germ points of the realisations")
+        arrays.add("germ", axes, solution.mesh_states.germs, "germ points of the realisations")
 
 
 def _of_evidence(evidence: Evidence) -> "xarray.Dataset":

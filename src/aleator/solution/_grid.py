@@ -164,7 +164,7 @@ class MeshError(Drawn):
     - `nodes`: the ends of the intervals, s, shape (intervals + 1,); `scheme`: what holds states to their equations;
     - `drifts`: how far the states of each realisation drift from their equations within each interval, relative to the
       largest magnitude of each state: of the state that drifts most, shape (realisations, intervals). Realisations are
-      those of `solution.states`;
+      those of `solution.mesh_states`;
     - `asked`: the error that was asked for; infinite if none was;
     - `numbers`: the uncertain numbers of the realisation that drifts most, by name.
     """

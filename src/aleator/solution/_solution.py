@@ -1,5 +1,6 @@
 """The answer to a problem: its design, what was limited, what it took, and what certifies it."""
 
+import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, final
@@ -13,6 +14,8 @@ from aleator.design import Problem, grid_at, problem_text
 from aleator.nlp import HELD, Searched, Status
 from aleator.solution._certificate import Certificate, Moments, Objection, lines
 from aleator.solution._grid import Costates, MeshError, States, Switching, system_text
+from aleator.solution._motions import Motions
+from aleator.trajectories import AbstractSignal
 
 
 @final
@@ -170,9 +173,12 @@ class Solution(Drawn):
     - `certificate`: how far the answer can be trusted; `effort`: iterations, evaluations and times;
     - `meshes`: the history of meshes of a simultaneous program, with their errors, that of the answer last (`mesh`);
       empty for others;
-    - `states`: of all realisations of a simultaneous program; `costates`: by what a push of a state would change the
-      objective; `switching`: by what a push of an input would. None where states are simulated,
-      the latter two also where the search was not finished.
+    - `mesh_states`: of all realisations of a simultaneous program, at the points of its mesh; `costates`: by what a
+      push of a state would change the objective; `switching`: by what a push of an input would. None where states are
+      simulated, the latter two also where the search was not finished.
+
+    `inputs`, `states` and `outputs` are the motions, computed when they are asked for: `solution.inputs["force"]` is an
+    `xarray.Dataset` of its mean and standard deviation over time and of its course in each system of the expansion.
     """
 
     problem: Problem
@@ -191,7 +197,7 @@ class Solution(Drawn):
     certificate: Certificate
     effort: Effort
     meshes: tuple[MeshError, ...] = ()
-    states: States | None = None
+    mesh_states: States | None = None
     costates: Costates | None = None
     switching: Switching | None = None
 
@@ -224,6 +230,29 @@ class Solution(Drawn):
     def instants(self) -> Float[np.ndarray, " instants"]:
         """The instants of the grid, s."""
         return np.asarray(grid_at(self.problem, jax_array(self.vector)).times)
+
+    @property
+    def inputs(self) -> Motions:
+        """The inputs of the problem over time, see `Motions`."""
+        return _motions().motions(self, "inputs")
+
+    @property
+    def states(self) -> Motions:
+        """The states over time, see `Motions`; those of the mesh, at its points, where they were variables."""
+        return _motions().motions(self, "states")
+
+    @property
+    def outputs(self) -> Motions:
+        """The outputs of the system over time, see `Motions`."""
+        return _motions().motions(self, "outputs")
+
+    def signal(self, name: str) -> AbstractSignal:
+        """An input, or the mean of an output, as a function of time: an input of another simulation, or a command.
+
+        `float(solution.signal("force")(0.5))` is the force at 0.5 s. Uncertain numbers are at their means. Raises
+        `ProblemError` for a name of neither.
+        """
+        return _motions().signal_of(self, name)
 
     @property
     def active(self) -> tuple[str, ...]:
@@ -289,6 +318,11 @@ class Solution(Drawn):
         if idle:
             return f" (at its start: nothing in the problem was found to depend on {', '.join(idle)})"
         return " (at its bound)" if self.is_at_bound(name) else ""
+
+
+def _motions() -> Any:
+    """What simulates a solution, which is above it in the order of imports."""
+    return importlib.import_module("aleator.solving._motions")
 
 
 def in_brief(solution: Solution) -> str:

@@ -183,6 +183,8 @@ class Stages(NamedTuple):
             simulated = transcribe(transcribed.problem)
         except ProblemError:  # Histories on a fine mesh may not fit into memory.
             return outcome
+        if transcribed.scenarios is not None:
+            simulated = simulated.at_scenarios(transcribed.scenarios)
         groups, program = rows_by_name(simulated), simulated.program
         least = least_excess(Ipopt(), program, groups, (), range(len(groups)), [program.start])
         if least.total <= HELD:

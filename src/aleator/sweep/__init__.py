@@ -1,5 +1,8 @@
 """Many solves of one problem: fronts, many starts, trade-offs, calibrations, cross-checks, evidence on all of them."""
 
+from aleator.sweep._allocate import Allocation as Allocation
+from aleator.sweep._allocate import Tolerances as Tolerances
+from aleator.sweep._allocate import allocate as allocate
 from aleator.sweep._calibrate import Calibration as Calibration
 from aleator.sweep._calibrate import calibrate as calibrate
 from aleator.sweep._conflict import Conflict as Conflict

@@ -259,9 +259,9 @@ class _Stretched(AbstractSignal):
         return self
 
     @override
-    def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
+    def __call__(self, t: Float[Array, ""] | float) -> Float[Array, "..."]:
         duration = self.t_final - self.t_start
-        return self.trajectory.values(((t - self.t_start) / duration)[None], duration)[0]
+        return self.trajectory.values(jax_array((t - self.t_start) / duration)[None], duration)[0]
 
 
 def as_array(number: Any) -> Float[Array, "..."]:

@@ -79,16 +79,20 @@ def germ_box(problem: Problem) -> Float[np.ndarray, "variables 2"]:
 
     Raises `ProblemError` if a variable is unbounded.
     """
-    germs = problem.placements.germs
-    unbounded = [name for name, germ in germs.items() if not np.all(np.isfinite(germ.support()))]
+    ranges = dict[str, tuple[float, float]]()
+    for place, distribution in problem.placements.distributions.items():
+        germs = distribution.germs(place)
+        is_alone = distribution.dependence is None
+        ranges |= {name: distribution.reach() if is_alone else germ.support() for name, germ in germs.items()}
+    unbounded = [name for name, ends in ranges.items() if not np.all(np.isfinite(ends))]
     if unbounded:
         limits = dict.fromkeys(one.name for one in problem.constraints if is_worst_case(one))
         raise ProblemError(
             f"worst_case of {', '.join(map(repr, limits))}: {', '.join(map(repr, unbounded[:5]))} can take values "
             "without bound, of which none is the worst; use bounded distributions such as Uniform or Beta that are "
-            "not correlated, or probability=0.999 in its place."
+            "not correlated, al.Toleranced of a known capability, whose zone counts, or probability=0.999 instead."
         )
-    return np.array([germ.support() for germ in germs.values()], dtype=float).reshape(-1, 2)
+    return np.array(list(ranges.values()), dtype=float).reshape(-1, 2)
 
 
 def first_scenarios(problem: Problem, points: Float[np.ndarray, "points variables"]) -> Scenarios | None:

@@ -311,6 +311,10 @@ class AbstractDistribution(AbstractLeaf):
         """The distribution of each germ variable that it depends on, by name, in the order of `germ_names`."""
         return {place: self.germ()} if self.dependence is None else self.dependence.germs
 
+    def reach(self) -> tuple[float, float]:
+        """From where to where its germ variable goes in a worst case: over its support."""
+        return self.germ().support()
+
     def realised(
         self, germs: tuple[Float[Array, ""], ...], reference: tuple[Scalar, ...] | None = None
     ) -> Float[Array, ""]:

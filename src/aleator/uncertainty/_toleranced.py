@@ -12,6 +12,7 @@ from typing_extensions import override
 from aleator._core.arrays import Scalar
 from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
+from aleator._core.leaves import AbstractLeaf
 from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
 from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm
 
@@ -58,7 +59,7 @@ class Toleranced(AbstractDistribution):
     the zone. For a process that is off centre give `cpk < cp`: the mean is then shifted by `(1 - cpk / cp)` half-widths
     towards the limit named by `towards` (default "upper").
 
-    The distribution is not truncated to the zone. `limits()` gives the zone, which worst-case analysis uses.
+    The distribution is not truncated to the zone. `limits()` gives the zone, which worst cases use.
     """
 
     towards: Literal["upper", "lower"] = eqx.field(static=True)
@@ -101,6 +102,17 @@ class Toleranced(AbstractDistribution):
         """Lower and upper limit of the tolerance zone, once the parameters are plain numbers."""
         nominal, plus, minus = _zone(self.parameters)
         return nominal - minus, nominal + plus
+
+    @override
+    def reach(self) -> tuple[float, float]:
+        """From one limit of the zone to the other."""
+        capability = {name: self.parameters[name] for name in ("cp", "sigmas", "cpk") if name in self.parameters}
+        if any(isinstance(value, AbstractLeaf) for value in capability.values()):
+            return super().reach()  # where the zone lies in the germ would be decided
+        sigmas = float(capability.get("sigmas", 3 * capability.get("cp", 0.0)))
+        shift = sigmas - 3 * float(capability.get("cpk", sigmas / 3))
+        low, high = -sigmas - shift, sigmas - shift
+        return (low, high) if self.towards == "upper" else (-high, -low)
 
     def _is_possible(self, parameters: dict[str, float], shape: tuple[float, ...]) -> bool:
         del shape

@@ -103,7 +103,7 @@ def test_a_solution_tells_costates_of_a_search_that_was_finished_alone():
     known, weak = solved(50.0), solved(0.1)
     assert known.costates["x"] == pytest.approx(np.full((1, 11), -12.0), abs=1e-6)
     assert known.switching["force"] == pytest.approx(np.zeros(len(known.switching.times)), abs=1e-5)
-    assert known.states["x"][0, -1] == pytest.approx(1.0)
+    assert known.mesh_states["x"][0, -1] == pytest.approx(1.0)
     assert not weak.ok
     assert weak.costates is None
     assert weak.switching is None

@@ -23,10 +23,10 @@ def test_an_uncertain_mass_spreads_the_end_by_its_own_spread():
     spread = np.sqrt(1 / (lower * upper) - mean**2) / mean
     assert solution.moments["x(t_f)"].std == pytest.approx(spread, rel=1e-4)
     # States are those of its realisations, each of which moves by the inverse of its mass.
-    masses = 1.0 + 0.5 * solution.states.germs[:, 0]
-    x = solution.states["x"]
+    masses = 1.0 + 0.5 * solution.mesh_states.germs[:, 0]
+    x = solution.mesh_states["x"]
     np.testing.assert_allclose(x * masses[:, None], np.broadcast_to(x[0] * masses[0], x.shape), rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(solution.states.times[[0, -1]], [0.0, 1.0])
+    np.testing.assert_allclose(solution.mesh_states.times[[0, -1]], [0.0, 1.0])
 
 
 EFFORT = al.integral("effort").mean

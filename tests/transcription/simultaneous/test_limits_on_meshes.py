@@ -36,7 +36,7 @@ def above(least, system, grid, most, *more):
 def test_no_limit_is_evaded_between_the_points_of_a_finer_mesh():
     problem = above(1.0, Pushed(1.2, 0.0, 20.0, 1e-7), al.Grid(1.0, 20), 500.0)
     solution = al.solve(problem, transcription=al.Simultaneous(al.schemes.Radau(3), error=1e-3))
-    (limit,), mesh, states = solution.constraints, solution.mesh, solution.states
+    (limit,), mesh, states = solution.constraints, solution.mesh, solution.mesh_states
     assert mesh is not None
     assert states is not None
     assert limit.times is not None
@@ -64,8 +64,8 @@ def test_a_plan_of_an_unstable_system_is_checked_from_its_own_states():
     # Errors grow by e^40 on the way.
     assert "departs" in solution.certificate.departed
     assert "open loop" in str(solution.certificate)
-    assert solution.states is not None
-    assert solution.states["x"].min() == pytest.approx(0.5, abs=1e-3)
+    assert solution.mesh_states is not None
+    assert solution.mesh_states["x"].min() == pytest.approx(0.5, abs=1e-3)
     # Held at 0.5 by a push of -1, for as long as 20 s but for the ends.
     assert solution.objective == pytest.approx(20 * (0.25 + 1e-3), rel=0.02)
 

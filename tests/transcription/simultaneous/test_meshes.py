@@ -71,8 +71,10 @@ def test_an_oscillation_is_followed_by_few_intervals_of_high_order():
     assert stages == sorted(stages)
     assert raised.mesh.is_met
     assert f"where {asked:.2g} is asked" in str(raised)
-    np.testing.assert_allclose(raised.states["x"][0], np.cos(np.sqrt(2.0) * raised.states.times), atol=20 * asked)
-    assert len(raised.states.times) < 100
+    np.testing.assert_allclose(
+        raised.mesh_states["x"][0], np.cos(np.sqrt(2.0) * raised.mesh_states.times), atol=20 * asked
+    )
+    assert len(raised.mesh_states.times) < 100
 
 
 def test_intervals_are_divided_at_a_kink_and_nowhere_else():
@@ -86,7 +88,7 @@ def test_intervals_are_divided_at_a_kink_and_nowhere_else():
     lengths = np.diff(nodes)
     assert lengths[(nodes[:-1] < kink) & (kink < nodes[1:])] < 0.5 / 8
     np.testing.assert_allclose(lengths[(nodes[1:] <= 0.5) | (nodes[:-1] >= 1.0)], 0.5)
-    assert solution.states["w"][0, -1] == pytest.approx((kink**2 + (end - kink) ** 2) / 2, rel=20 * ASKED)
+    assert solution.mesh_states["w"][0, -1] == pytest.approx((kink**2 + (end - kink) ** 2) / 2, rel=20 * ASKED)
 
 
 def test_errors_are_told_of_each_realisation_and_the_worst_system_by_its_numbers():

@@ -2,14 +2,29 @@
 
 import functools
 import hashlib
-from collections.abc import Mapping
+import re
+import shutil
+import tempfile
+import weakref
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, final
 
-from aleator._core.border import positive, refusal, shown
-from aleator._core.errors import ProblemError
-from aleator.foreign._fmu._description import Described, Variables, folder_of, path_of, read_description, unpack_all
-from aleator.foreign._fmu._doors import Here, OwnProcess
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core.border import meant, one_of, positive, refusal, shown
+from aleator._core.errors import MissingExtraError, ProblemError
+from aleator.foreign._fmu._doors import OwnProcess, SameProcess
+
+# What users call the interfaces, and FMI and its tools do. The first one offered is the default.
+_KINDS = {"model exchange": ("modelExchange", "ME"), "co-simulation": ("coSimulation", "CS")}
+_REAL = ("Real", "Float64")  # in FMI 2 and 3
+# What a value of a type is, in words; of others, a whole number.
+_VALUES: dict[str, tuple[str, Any]] = {"Boolean": ("True or False", bool), "String": ("a text", str)}
+_VALUES |= dict.fromkeys((*_REAL, "Float32"), ("a number", (int, float)))
+# As many names are listed in a message, and characters of another library's message repeated.
+_LISTED, _LONGEST = 6, 160
 
 
 @final
@@ -17,13 +32,13 @@ class Fmu:
     """A functional mock-up unit (FMI 2 or 3), as simulation tools export it: `al.foreign.Fmu("pendulum.fmu")`.
 
     - `path`: the file;
-    - `kind`: "model exchange" (the FMU gives the rates of its states, which are integrated here, with sensitivities) or
-      "co-simulation" (it steps by itself); by default the first of the two that it offers;
+    - `kind`: "model exchange" (the FMU gives the rates of its states, which are integrated here) or "co-simulation" (it
+      steps by itself), also spelt "ModelExchange" or "CS"; by default the first of the two that it offers;
     - `settings`: values of parameters of any type (numbers, whole numbers, truth values, texts), for all runs;
     - `own_process`: whether the compiled code of the FMU runs in a process of its own, which starts once, and again
       after a crash. Without one, an FMU that crashes or hangs does so with this process;
-    - `time_limit`: seconds for one run, or for one evaluation of an `FmuSystem`, after which that process is ended and
-      the run has failed; None for no limit.
+    - `time_limit`: seconds for one run, or for those evaluations of an `FmuSystem` that are made at once, after which
+      that process is ended and the run has failed; None for no limit.
 
     `parameters`, `inputs`, `outputs` and `states` list its real variables by name. It is run by `FmuSimulation`, a
     function of its parameters, and by `FmuSystem`, a system. Calls of one FMU are made one at a time.
@@ -41,76 +56,48 @@ class Fmu:
         own_process: bool = True,
         time_limit: float | None = 600.0,
     ):
-        path = path_of(path)
-        if not isinstance(own_process, bool):
-            raise refusal("Fmu: own_process", "True or False", own_process)
+        path = Path(one_of("Fmu: path", path, (str, Path), "'pendulum.fmu'"))
+        one_of("Fmu: own_process", own_process, bool)
         limit = None if time_limit is None else positive("Fmu: time_limit", time_limit)
-        folder = folder_of(self)
-        self.name = path.stem
-        self._described = known = Described(
-            self.name, folder, kind, settings, description=read_description(path, folder)
-        )
-        self.kind = known.kind
+        settings = dict(one_of("Fmu: settings", settings or {}, Mapping, "{'stages': 3}"))
+        folder = Path(tempfile.mkdtemp(prefix="aleator-fmu-"))
+        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        self.name, description = path.stem, unpacked(path, folder)
+        self.kind, self.variables = kind_of(self.name, description, kind), Variables(self.name, description)
+        self.variables.refuse_settings(settings)
+        self._version, self._indicators = description.fmiVersion, int(description.numberOfEventIndicators)
+        self.is_exchange = self.kind == "model exchange"
+        self.states = self.variables.states() if self.is_exchange else []
         # Two files are two models, whatever they are called.
         self._digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        self._settings = dict(settings or {})
-        interface = known.description.modelExchange if self.is_exchange else known.description.coSimulation
-        unpack_all(path, folder, known.description, interface.modelIdentifier)
-        self._given = path.absolute(), self.kind, tuple(self._settings.items()), own_process, limit
-        opening = self.name, folder, self.kind, self._settings
-        self.door = OwnProcess(opening, limit) if own_process else Here(*opening)
+        self._given = path.absolute(), self.kind, tuple(settings.items()), own_process, limit
+        opening = self.name, str(folder), self.is_exchange, settings
+        self.door = OwnProcess(*opening, time_limit=limit) if own_process else SameProcess(*opening)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Sent to other processes as its file, which must be the same there."""
         return _opened_again, (*self._given, self._digest)
 
     @property
-    def variables(self) -> Variables:
-        """Its variables by name."""
-        return self._described.variables
-
-    @property
-    def is_exchange(self) -> bool:
-        """Whether its states are integrated here."""
-        return self._described.is_exchange
-
-    @property
     def parameters(self) -> list[str]:
         """Its real parameters."""
-        return self.variables.parameters()
+        return self.variables.of("parameter")
 
     @property
     def inputs(self) -> list[str]:
         """Its real inputs."""
-        return self.variables.inputs()
+        return self.variables.of("input")
 
     @property
     def outputs(self) -> list[str]:
         """Its real outputs. Other real variables can be read too."""
-        return list(self.variables.outputs)
-
-    @property
-    def states(self) -> list[str]:
-        """Its continuous states, in its own order; none of co-simulation, which keeps them to itself."""
-        return self._described.states
+        return self.variables.of("output")
 
     def __str__(self) -> str:
-        known = self._described
-        parts = {name: getattr(self, name) for name in ("parameters", "inputs", "states", "outputs")}
-        if not self.is_exchange:
-            del parts["states"]
-        lines = [f"  {name}: {', '.join(found) or 'none'}" for name, found in parts.items()]
-        offer = "offers directional derivatives" if known.offers_slopes else "offers no derivatives"
-        events = f"; {known.indicators} event indicators" if self.is_exchange and known.indicators else ""
-        version = known.description.fmiVersion
-        return "\n".join([f"FMU '{self.name}': FMI {version}, {self.kind}; {offer}{events}", *lines])
-
-
-def fmu_given(who: str, given: Any) -> Fmu:
-    """An `Fmu`, or `ProblemError`."""
-    if not isinstance(given, Fmu):
-        raise ProblemError(f"{who}: expected an al.foreign.Fmu, such as Fmu('pendulum.fmu'); received {shown(given)}.")
-    return given
+        listed = {name: getattr(self, name) for name in ("parameters", "inputs", "states", "outputs")}
+        events = f"; {self._indicators} event indicators" if self.is_exchange and self._indicators else ""
+        lines = [f"  {name}: {', '.join(variables) or 'none'}" for name, variables in listed.items()]
+        return "\n".join([f"FMU '{self.name}': FMI {self._version}, {self.kind}{events}", *lines])
 
 
 # Each task that a worker is sent has the model anew: the FMU stays open for the next one.
@@ -123,7 +110,154 @@ def _opened_again(
     time_limit: float | None,
     digest: str,
 ) -> Fmu:
-    found = Fmu(path, kind=kind, settings=dict(settings), own_process=own_process, time_limit=time_limit)
-    if found._digest != digest:
-        raise ProblemError(f"FMU '{found.name}': '{path}' has changed since the model was made: make the model again.")
-    return found
+    fmu = Fmu(path, kind=kind, settings=dict(settings), own_process=own_process, time_limit=time_limit)
+    if fmu._digest != digest:
+        raise ProblemError(f"FMU '{fmu.name}': '{path}' has changed since the model was made: make the model again.")
+    return fmu
+
+
+def unpacked(path: Path, folder: Path) -> Any:
+    """The model description of an FMU, which is unpacked into a folder.
+
+    Raises `ProblemError` for a file that is no FMU of FMI 2 or 3 for this machine; `MissingExtraError` without FMPy.
+    """
+    try:
+        import fmpy
+    except ImportError as error:
+        raise MissingExtraError("Fmu needs the library FMPy: install it with `pip install 'aleator[fmu]'`.") from error
+    try:
+        description: Any = fmpy.read_model_description(str(path))
+        fmpy.extract(str(path), str(folder))
+        platforms = fmpy.supported_platforms(str(folder))
+    except Exception as error:
+        is_lacking = isinstance(error, AttributeError | TypeError)
+        reason = "it lacks what FMI requires" if is_lacking else str(getattr(error, "problems", [error])[0])
+        words = " ".join(reason.split())[:_LONGEST].rstrip(".")
+        raise ProblemError(f"Fmu: '{path}' cannot be read as an FMU ({words}).") from error
+    if description.fmiVersion.startswith("1"):
+        raise ProblemError(f"FMU '{path.stem}': expected FMI 2 or 3; received FMI {description.fmiVersion}.")
+    if fmpy.platform not in platforms:
+        raise ProblemError(
+            f"FMU '{path.stem}': expected a binary for this machine, {fmpy.platform}; it has "
+            f"{', '.join(platforms) or 'none'}: export it for this one, or compile sources by `fmpy compile`."
+        )
+    return description
+
+
+def kind_of(name: str, description: Any, kind: Any) -> str:
+    """How an FMU is run: as it is asked for, or the first of model exchange and co-simulation that it offers."""
+    offered = {words: names for words, names in _KINDS.items() if getattr(description, names[0]) is not None}
+    plain = re.sub(r"[\s_-]", "", kind).lower() if isinstance(kind, str) else ""
+    for words, names in offered.items():
+        if kind is None or plain in map(str.lower, names):
+            return words
+    hint = meant(kind, offered) if isinstance(kind, str) else ""
+    raise ProblemError(f"FMU '{name}': expected as its kind one of {list(offered)}; received {shown(kind)}.{hint}")
+
+
+@final
+class Variables:
+    """The variables of the FMU called `name`, by their names."""
+
+    def __init__(self, name: str, description: Any):
+        self._who = f"FMU '{name}'"
+        self.all: dict[str, Any] = {variable.name: variable for variable in description.modelVariables}
+        self._rates = [derivative.variable for derivative in description.derivatives]
+
+    def states(self) -> list[str]:
+        """The continuous states. Raises `ProblemError` unless each is one real number with a rate."""
+        for rate in self._rates:
+            if rate.derivative is None or not _is_number(rate.derivative):
+                raise ProblemError(
+                    f"{self._who}: expected states of one real number each; '{rate.name}' is the rate of none. Use it "
+                    "for co-simulation, if it offers that."
+                )
+        return [rate.derivative.name for rate in self._rates]
+
+    def of(self, causality: str) -> list[str]:
+        """The real variables of a causality."""
+        return [name for name, variable in self.all.items() if variable.causality == causality and _is_number(variable)]
+
+    def settable(self, names: Iterable[Any]) -> list[str]:
+        """Names, each checked to be of a real variable that may be set before the start, or `ProblemError`."""
+        return self._checked(names, "a parameter, an input or an initial value", "parameter", _is_settable)
+
+    def inputs(self, names: Iterable[Any]) -> list[str]:
+        """Names, each checked to be of a real input, or `ProblemError`."""
+        return self._checked(names, "an input", "input", lambda variable: variable.causality == "input")
+
+    def readable(self, names: Any) -> list[str]:
+        """Names, by default of all outputs, each checked to be of a real variable, or `ProblemError`."""
+        names = self.of("output") if names is None else names
+        if isinstance(names, str | bytes) or not isinstance(names, Sequence) or not names:
+            raise refusal(self._who, "a list of variables to read", names)
+        if len(set(map(str, names))) < len(names):
+            raise refusal(self._who, "each variable to read once", names)
+        return self._checked(names, "a variable", "output", lambda _: True)
+
+    def refuse_settings(self, settings: Mapping[str, Any]) -> None:
+        """Raise `ProblemError` for settings that are no values of variables of any type."""
+        self._checked(
+            settings, "a parameter, an input or an initial value", "parameter", _is_settable, of_any_type=True
+        )
+        for name, value in settings.items():
+            words, kinds = _VALUES.get(self.all[name].type, ("a whole number", int))
+            if not isinstance(value, kinds) or (isinstance(value, bool) and kinds is not bool):
+                raise refusal(f"{self._who}: '{name}'", words, value)
+
+    def nominals(self, names: Iterable[str]) -> Float[np.ndarray, " n"]:
+        """The usual sizes that variables declare; 1 for others."""
+        return np.array([abs(float(self.all[name].nominal or 1.0)) or 1.0 for name in names])
+
+    def units(self, names: Iterable[str]) -> Mapping[str, str]:
+        """The units that variables declare, by name."""
+        declared = {name: self.all[name].unit or getattr(self.all[name].declaredType, "unit", None) for name in names}
+        return {name: unit.replace(".", " ") for name, unit in declared.items() if unit}
+
+    def _checked(
+        self,
+        names: Iterable[Any],
+        expected: str,
+        causality: str,
+        fits: Callable[[Any], bool],
+        *,
+        of_any_type: bool = False,
+    ) -> list[str]:
+        names, near = list(names), self.of(causality)
+        listed = (", ".join(f"'{name}'" for name in near[:_LISTED]) or "none") + ", …" * (len(near) > _LISTED)
+        for name in names:
+            if name not in self.all:
+                hint = isinstance(name, str) and meant(name, list(self.all))
+                raise ProblemError(
+                    f"{self._who} has no variable {shown(name)}.{hint or f' Expected one like {listed}.'}"
+                )
+            variable = self.all[name]
+            if variable.shape or not (of_any_type or _is_number(variable)):
+                raise ProblemError(
+                    f"{self._who}: expected a real variable of one number; received '{name}' of type {variable.type}"
+                    f"{f' and shape {variable.shape}' if variable.shape else ''}. Other types are set for all runs by "
+                    "Fmu(settings={...})."
+                )
+            if not fits(variable):
+                why = "which is constant" if variable.variability == "constant" else "which the FMU computes"
+                why = why if variable.causality not in ("parameter", "input") else "which is none"
+                raise ProblemError(
+                    f"{self._who}: expected {expected}, such as {listed}; received '{name}', {why} (causality "
+                    f"'{variable.causality}', variability '{variable.variability}')."
+                )
+        return names
+
+
+def _is_number(variable: Any) -> bool:
+    return variable.type in _REAL and not variable.shape
+
+
+def _is_settable(variable: Any) -> bool:
+    is_first = variable.variability != "constant" and variable.initial == "exact"
+    return is_first or variable.causality in ("input", "structuralParameter")
+
+
+def with_numbers(names: Iterable[str], values: Iterable[float]) -> str:
+    """Values of variables as the end of a sentence; empty if there are none."""
+    listed = ", ".join(f"{name}={value:.6g}" for name, value in zip(names, values, strict=True))
+    return f", with {listed}" if listed else ""

@@ -216,7 +216,7 @@ class SolutionPlots(AbstractPlots[Solution]):
     def state(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
         """A state over time, of all realisations of a simultaneous program."""
         units = units_of_outputs(self._result.problem)
-        return drawn_by(backend, state_figure(_found(self._result.states, "plot.state"), name, units))
+        return drawn_by(backend, state_figure(_found(self._result.mesh_states, "plot.state"), name, units))
 
     def costate(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
         """The costate of a state over time, of all realisations of a simultaneous program."""

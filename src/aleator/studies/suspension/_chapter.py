@@ -1,44 +1,29 @@
 """The suspension study: three designs of a quarter car, how often their cars exceed limits, and which one to build."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 import aleator as al
-from aleator.design import value_at
 from aleator.reporting import (
-    DASHES,
-    Axis,
-    Box,
     Code,
     Drawing,
     Schematic,
-    Table,
     calibration_figure,
     certificate_table,
     count,
-    decision_path_figure,
     evidence_table,
-    front_figure,
     given,
     linked_front,
-    number,
-    percent,
     percentile_figure,
-    projection_figure,
     recommendation,
-    relative_figure,
-    shadow_price_figure,
-    share_text,
     signal_figure,
     trajectory_figure,
-    words,
 )
 from aleator.studies._shared import comparison_table
 from aleator.studies._study import Draft
 from aleator.studies.suspension import (
-    COST,
     GRID,
     apportionment_problem,
     deterministic_problem,
@@ -46,9 +31,30 @@ from aleator.studies.suspension import (
     road,
     robust_problem,
 )
-from aleator.studies.suspension._drawing import UNITS, car_drawing
+from aleator.studies.suspension._drawing import car_drawing
+from aleator.studies.suspension._views import (
+    HOLDING,
+    HOLDING_TEXT,
+    NARROW,
+    RIDE,
+    RIDE_TEXT,
+    RIDE_UNIT,
+    TRAVEL,
+    apportioned,
+    built_table,
+    cost,
+    curves,
+    decision_path,
+    designs_table,
+    dollars,
+    holding_boxes,
+    margins_text,
+    projections,
+    published_table,
+    shadow_price,
+    transition,
+)
 
-TRAVEL, HOLDING, RIDE, NARROW = 0.203, 0.034, 220.0, 0.152
 TARGET = 0.01
 MARGIN, RIDE_MARGIN = 1.6, 2.4
 """The initial margins of the search for those to build with, of travel and holding, and of ride. Their ratio is kept.
@@ -81,18 +87,7 @@ GLOSSARY = (
 )
 LEFT_OUT = "the margins to build with, and dOpt by direct collocation"
 LABELS = {"k_s.mean": "spring", "b_s.mean": "damper"}
-SPREADS = {"k_s.half_width": "spring kₛ", "b_s.half_width": "damper bₛ", "eta.half_width": "damping ratio η"}
-RIDE_TEXT, HOLDING_TEXT, RIDE_UNIT = "∫comfort dt", "rms(grip)", "m²/s³"
 FILLED = "Filled markers: the swept limit is active; open markers: another limit is."
-
-VIOLATIONS = {"dOpt": 0.596, "uOpt, 1 σ": 0.114, "uOpt, 1.25 σ": 0.035}
-HELD = {"dOpt": "holding", "uOpt": "travel", "aOpt": "ride"}
-CHANGES = {
-    "k_s.half_width": (11_250.0, "11 250 N/m (300 %)"),
-    "b_s.half_width": (423.08, "423.08 N s/m (printed: 20.19 %)"),
-    "eta.half_width": (0.5213, "0.5213 (300.12 %)"),
-}
-PRINTED_COST, SAVING = 17.70, 0.74
 
 
 def problems() -> dict[str, al.Problem]:
@@ -134,7 +129,7 @@ def chapter(page: Draft, quick: bool) -> None:
     caption = "Points are means, boxes extend one σ to each side. dOpt has no spread, and lies on the holding limit. "
     page.add(designs_table("Decisions, performance and violations", designs, evidence), printed=True)
     page.add(
-        _projections(
+        projections(
             designs,
             "The designs among their limits",
             "7.2",
@@ -154,7 +149,7 @@ def chapter(page: Draft, quick: bool) -> None:
             page.keep("built_evidence", {name: built[name].evidence})
             page.keep("margins", {name: built[name]})
         page.recommend(recommended(built["uOpt"].solution, built["uOpt"].evidence, designs, evidence, built))
-        page.add(_built_table(designs, evidence, built), printed=True)
+        page.add(built_table(designs, evidence, built), printed=True)
         page.add(*(_margin(one, f"The margin to build {name} with") for name, one in built.items()))
 
     page.section("How often cars exceed a narrow travel")
@@ -176,21 +171,21 @@ def chapter(page: Draft, quick: bool) -> None:
     page.section("Trade-offs of ride")
     known, nominal_and_robust = list(evidence.values()), {"dOpt": deterministic_problem(), "uOpt": robust_problem()}
     over_travel = _fronts(page, "travel_fronts", nominal_and_robust, "travel", np.linspace(0.25, 0.145, points))
-    rides = _figure(over_travel, "Travel limit R", "Ride ∫ z̈ₛ² dt, μ + σ", RIDE_UNIT)
-    told = f"{FILLED} {_transition(over_travel, 'travel')} Accounting for uncertainty shifts the whole trade-off up; "
+    rides = curves(over_travel, "Travel limit R", "Ride ∫ z̈ₛ² dt, μ + σ", RIDE_UNIT)
+    told = f"{FILLED} {transition(over_travel, 'travel')} Accounting for uncertainty shifts the whole trade-off up; "
     told += "where the curves are flat, holding is active and more travel brings no gain."
     page.add(
         linked_front(over_travel, [rides], f"Ride against the travel limit, H = {HOLDING:g} m", told, "6.4", known),
-        _shadow_price(over_travel, "Travel limit R", "centimetre of travel", 0.01, "cm"),
+        shadow_price(over_travel, "Travel limit R", "centimetre of travel", 0.01, "cm"),
     )
     over_holding = _fronts(page, "holding_fronts", nominal_and_robust, "holding", np.linspace(0.0365, 0.0280, points))
-    rides = _figure(over_holding, "Holding limit H", "Ride ∫ z̈ₛ² dt, μ + σ", RIDE_UNIT)
-    told = f"{FILLED} {_transition(over_holding, 'holding')} The robust design changes its active limit first, because "
+    rides = curves(over_holding, "Holding limit H", "Ride ∫ z̈ₛ² dt, μ + σ", RIDE_UNIT)
+    told = f"{FILLED} {transition(over_holding, 'holding')} The robust design changes its active limit first, because "
     told += "its box meets the travel limit earlier (figure 6.7). Crosses: no design meets all limits."
     page.add(
         linked_front(over_holding, [rides], f"Ride against the holding limit, R = {TRAVEL:g} m", told, "6.5", known),
-        _shadow_price(over_holding, "Holding limit H", "millimetre of holding", 0.001, "mm"),
-        _projections(
+        shadow_price(over_holding, "Holding limit H", "millimetre of holding", 0.001, "mm"),
+        projections(
             {name: designs[name] for name in ("dOpt", "uOpt")},
             "Why uncertainty changes the active limit",
             "6.6",
@@ -199,7 +194,10 @@ def chapter(page: Draft, quick: bool) -> None:
         ),
     )
     boxes = _fronts(page, "boxes", nominal_and_robust, "holding", (0.0305, 0.032, 0.0335, 0.035))
-    page.add(_holding_boxes(boxes), _decision_path(over_holding))
+    page.add(
+        holding_boxes(boxes),
+        decision_path(over_holding, float(designs["dOpt"].problem.placements.decisions["k_s.mean"].decision.lower)),
+    )
 
     page.section("Apportioned spreads")
     costs = _fronts(
@@ -207,19 +205,19 @@ def chapter(page: Draft, quick: bool) -> None:
     )
     initial = cost(designs["uOpt"])
     limits = {f"initial spreads ${initial:.2f}": initial}
-    priced = _figure(costs, "Travel limit R", "Cost of the spreads", "$", limits=limits)
+    priced = curves(costs, "Travel limit R", "Cost of the spreads", "$", limits=limits)
     heading = f"Cost of the spreads against the travel limit (ride ≤ {RIDE:g}, H = {HOLDING:g} m)"
     told = f"{FILLED} Above the line, spreads must be tighter than the initial ones; at the crosses no choice of "
     told += "spreads meets all limits."
     page.add(linked_front(costs, [priced], heading, told, "7.3", known))
     bounds: dict[str, Any] = {"limits": {f"ride limit of aOpt, {RIDE:g}": RIDE}, "infeasible": costs}
-    rides = _figure(over_travel, "Travel limit R", "Ride ∫ z̈ₛ² dt, μ + σ", RIDE_UNIT, **bounds)
+    rides = curves(over_travel, "Travel limit R", "Ride ∫ z̈ₛ² dt, μ + σ", RIDE_UNIT, **bounds)
     heading = "Why there is no apportioned design for narrow travel"
     told = "Where uOpt lies above the ride limit, aOpt must tighten spreads to meet it. In the grey band even that is "
     told += "not enough: the load mₛ and the tyre kᵤ keep their spreads."
     page.add(linked_front(over_travel, [rides], heading, told, "7.4", known))
     if costs["aOpt"].solved.any():
-        page.add(_apportioned(costs["aOpt"]))
+        page.add(apportioned(costs["aOpt"]))
 
     page.section("Evidence")
     page.add(evidence_table(evidence))
@@ -332,24 +330,6 @@ def _cheaper(designs: Mapping[str, al.Solution], built: Mapping[str, al.results.
         )
 
 
-def cost(solution: al.Solution) -> float:
-    """The manufacturing cost of a design's spreads, $: equation (125), for dOpt and uOpt with the initial spreads."""
-    return value_at(COST, solution.problem, solution.vector)
-
-
-def dollars(value: float) -> str:
-    """A cost: `$5.40`."""
-    return f"${value:.2f}"
-
-
-def margins_text(margins: Mapping[str, float]) -> str:
-    """Margins in words, equal ones together: `1.6 σ on travel and holding, 2.4 σ on ride`."""
-    together: dict[str, list[str]] = {}
-    for name, sigmas in margins.items():
-        together.setdefault(number(sigmas, 3), []).append(name)
-    return ", ".join(f"{sigmas} σ on {words(names)}" for sigmas, names in together.items())
-
-
 def _margin(found: al.results.Calibration, heading: str) -> Drawing:
     caption = (
         f"Each trial is a full design, counted on the same random cars, until at most {given(100 * found.target)} % of "
@@ -357,247 +337,3 @@ def _margin(found: al.results.Calibration, heading: str) -> Drawing:
         " intervals; on fresh cars at the confidence stated."
     )
     return Drawing([calibration_figure(found, who="cars")], heading, caption)
-
-
-# --- Tables --------------------------------------------------------------------------------------------------------
-
-
-def designs_table(
-    caption: str,
-    designs: Mapping[str, al.Solution],
-    evidence: Mapping[str, al.results.Evidence | None],
-    first: Sequence[Sequence[str]] = (),
-) -> Table:
-    """Designs in an engineer's terms, a column each."""
-    every, boxes = list(designs.values()), [box(one, name) for name, one in designs.items()]
-    sampled = [evidence.get(name) for name in designs]
-    decided = {"k_s.mean": "Spring, mean kₛ", "b_s.mean": "Damper, mean bₛ"}
-    decided |= {name: f"± half-width, {text}" for name, text in SPREADS.items()}
-    limits = dict.fromkeys(limit for one in sampled if one for limit in one.violations)
-    rows = [
-        *first,
-        *([text, *(_decided(one, name) for one in every)] for name, text in decided.items()),
-        [f"Ride, μ ± σ ({RIDE_UNIT})", *(_spread(one, "ride") for one in boxes)],
-        ["Ride, μ + σ", *(number(one.centre["ride"] + one.half["ride"], 4) for one in boxes)],
-        [f"Travel, μ ± σ (m), limit ±{TRAVEL:g}", *(_spread(one, "travel") for one in boxes)],
-        [f"Holding, μ ± σ (m), limit {HOLDING:g}", *(_spread(one, "holding") for one in boxes)],
-        ["Cost of the spreads", *(dollars(cost(one)) for one in every)],
-        ["Active limits", *(words(constraints_active(one), "none") for one in every)],
-        *(
-            [f"Cars beyond {limit}", *(share_text(one and one.violations.get(limit)) for one in sampled)]
-            for limit in limits
-        ),
-        ["Cars beyond any limit", *(share_text(one and one.joint) for one in sampled)],
-    ]
-    note = (
-        "dOpt is evaluated on the nominal car, so its σ is 0. Travel is at its most critical instant, with the spread "
-        "of equation (119): σ of z_s plus σ of z_u. Intervals are 95 % confidence (Clopper and Pearson). Ride is a "
-        f"limit ({given(RIDE, RIDE_UNIT)}) for aOpt only; for dOpt and uOpt it is the objective."
-    )
-    return Table(caption, ["", *designs], rows, note)
-
-
-def _built_table(
-    designs: Mapping[str, al.Solution],
-    evidence: Mapping[str, al.results.Evidence],
-    built: Mapping[str, al.results.Calibration],
-) -> Table:
-    """The designs to build beside the printed ones from which they are derived."""
-    shown = {f"{name}, {kind}": name for name in built for kind in ("printed", "to build")}
-    solutions = {
-        column: designs[name] if column.endswith("printed") else built[name].solution for column, name in shown.items()
-    }
-    counted = {
-        column: evidence[name] if column.endswith("printed") else built[name].evidence for column, name in shown.items()
-    }
-    margins = [
-        dict.fromkeys(BUILT[name], 1.0) if column.endswith("printed") else built[name].margins
-        for column, name in shown.items()
-    ]
-    first = [["Margins", *map(margins_text, margins)]]
-    return designs_table("The designs to build and the printed ones", solutions, counted, first)
-
-
-def constraints_active(solution: al.Solution) -> tuple[str, ...]:
-    """The active requirements of a design, without decisions at their bounds."""
-    return tuple(name for name in solution.active if name not in solution.at_bounds)
-
-
-def _decided(solution: al.Solution, name: str) -> str:
-    """A number of a design, and whether it was decided: `2.334e4 N/m (at its bound)`."""
-    at = value_at(al.value(name), solution.problem, solution.vector)
-    text = number(at, 4, UNITS[name.split(".")[0]])
-    if name in solution.at_bounds:
-        return f"{text} (at its bound)"
-    return text if name in solution.decisions else f"{text} (given)"
-
-
-def _spread(one: Box, key: str) -> str:
-    spread = f" ± {number(one.half[key], 3)}" if one.half[key] > 0 else ""
-    return f"{number(one.centre[key], 4 if key == 'ride' else 3)}{spread}"
-
-
-def published_table(
-    designs: Mapping[str, al.Solution],
-    narrow: Mapping[str, al.results.Evidence],
-    costs: al.results.Front,
-    holding: Mapping[str, al.results.Front],
-) -> Table:
-    """The dissertation's values compared with the computed ones."""
-    shares = {name: narrow[name].violations["travel"] for name in VIOLATIONS}
-    initial, apportioned = cost(designs["uOpt"]), designs["aOpt"]
-    best = float(np.nanmin(costs.objectives, initial=initial)) if costs.solved.any() else initial
-    starts = {name: apportioned.problem.placements.decisions[name].decision.initial for name in CHANGES}
-    changes = {name: float(apportioned.decisions[name]) - float(start) for name, start in starts.items()}
-    pairs = [
-        *(
-            (
-                f"Violate travel ±{NARROW:g} m: {name}",
-                VIOLATIONS[name],
-                percent(VIOLATIONS[name]),
-                one.estimate,
-                share_text(one),
-            )
-            for name, one in shares.items()
-        ),
-        ("Cost of the initial spreads", PRINTED_COST, dollars(PRINTED_COST), initial, dollars(initial)),
-        (
-            "Largest saving along figure 7.3",
-            SAVING,
-            f"up to {percent(SAVING)}",
-            1 - best / initial,
-            percent(1 - best / initial),
-        ),
-        *(
-            (
-                f"Table 7.4, wider by: {SPREADS[name]}",
-                printed,
-                text,
-                changes[name],
-                number(changes[name], 4, UNITS[name.split(".")[0]]),
-            )
-            for name, (printed, text) in CHANGES.items()
-        ),
-    ]
-    rows = [
-        [text, printed_text, ours_text, f"×{number(ours / printed, 3)}"]
-        for text, printed, printed_text, ours, ours_text in pairs
-    ]
-    for name, printed in HELD.items():
-        active = constraints_active(designs[name])
-        same = "the same" if set(active) == {printed} else "not the same"
-        same = f"{words(sorted(set(active) - {printed}))} as well" if set(active) > {printed} else same
-        rows.append(
-            [f"Held by, at R = {TRAVEL:g} m, H = {HOLDING:g} m: {name}", printed, words(active, "nothing"), same]
-        )
-    found = [one for front in holding.values() for one in front.solutions if one.ok]
-    at_bound = sum("k_s.mean" in one.at_bounds for one in found)
-    same = "the same" if 2 * at_bound > len(found) else "not the same"
-    rows.append(["Spring at its lower bound, figure 6.8", "most designs", f"{at_bound} of {len(found)} designs", same])
-    order = [name for name, _ in sorted(shares.items(), key=lambda pair: -pair[1].estimate)] == list(VIOLATIONS)
-    alike = sum(0.5 <= ours / printed <= 2 for _, printed, _, ours, _ in pairs)
-    note = (
-        "The dissertation's road is not published; this study's road has the same bumps and another noise, so that "
-        f"digits cannot agree. The three shares of violating cars stand {'' if order else 'not '}in the printed order. "
-        f"Of {len(pairs)} printed numbers {alike} are met within a factor of 2. Published violations are of 1000 "
-        "samples. Erratum: 20.19 % in table 7.4 is a misprint, for 423.08 N s/m are 169.2 % of the initial 250 N s/m."
-    )
-    return Table("Chapters 6 and 7, printed and recomputed", ["", "Dissertation", "This study", "Compared"], rows, note)
-
-
-# --- Figures -------------------------------------------------------------------------------------------------------
-
-
-def box(solution: al.Solution, design: str, dash: str = "solid", note: str = "") -> Box:
-    """A design among its requirements: centre and half-widths of ride, holding and travel.
-
-    Travel is taken at the instant at which the printed constraint (119) is most critical: centre `μ_zs - μ_zu`,
-    half-width `σ_zs + σ_zu`.
-    """
-    sprung, unsprung = solution.moments["z_s(t)"], solution.moments["z_u(t)"]
-    middle, spread = sprung.mean - unsprung.mean, sprung.std + unsprung.std
-    at = int(np.argmax(np.abs(middle) + spread))
-    ride, holding = solution.moments[RIDE_TEXT], solution.moments[HOLDING_TEXT]
-    centre = {"travel": abs(float(middle[at])), "ride": float(ride.mean), "holding": float(holding.mean)}
-    half = {"travel": float(spread[at]), "ride": float(ride.std), "holding": float(holding.std)}
-    return Box(design=design, centre=centre, half=half, dash=dash, note=note)
-
-
-def _projections(designs: Mapping[str, al.Solution], heading: str, place: str, caption: str) -> Drawing:
-    boxes = [box(one, name) for name, one in designs.items()]
-    axes = {
-        "holding": Axis("Holding", "m", {"limit H": HOLDING}),
-        "travel": Axis("Travel", "m", {"limit R": TRAVEL}),
-        "ride": Axis("Ride", RIDE_UNIT, {"limit": RIDE} if "aOpt" in designs else {}),
-    }
-    planes = (("holding", "travel"), ("holding", "ride"), ("travel", "ride"))
-    return Drawing([projection_figure(boxes, *plane, axes) for plane in planes], heading, caption, place)
-
-
-def _figure(fronts: Mapping[str, al.results.Front], x: str, y: str, unit: str, **more: Any) -> Any:
-    return front_figure(fronts, x=x, x_unit="m", y=y, y_unit=unit, **more)
-
-
-def _shadow_price(fronts: Mapping[str, al.results.Front], x: str, what: str, scale: float, unit: str) -> Drawing:
-    price = f"{RIDE_UNIT} per {unit}"
-    figure = shadow_price_figure(fronts, x=x, x_unit="m", y="Shadow price of the limit", y_unit=price, scale=scale)
-    caption = f"The improvement of ride if the limit is relaxed by 1 {unit}. Zero: relaxing it brings no gain."
-    return Drawing([figure], f"The value of a {what}", caption)
-
-
-def _transition(fronts: Mapping[str, al.results.Front], bound: str) -> str:
-    """Up to which value of its limit it is active on each front."""
-    parts = []
-    for name, front in fronts.items():
-        pairs = zip(front.values, front.optima, strict=True)
-        if held := [value for value, one in pairs if one and one.multiplier(bound) > 0]:
-            parts.append(f"{name} up to {number(max(held), 3, 'm')}")
-    return f"The {bound} limit is active for {words(parts)}." if parts else ""
-
-
-def _holding_boxes(fronts: Mapping[str, al.results.Front]) -> Drawing:
-    boxes, limits = [], {}
-    for name, front in fronts.items():
-        for bound, one, dash in zip(front.values, front.optima, DASHES, strict=False):
-            limits[f"H = {bound:g}"] = float(bound)
-            if one:
-                boxes.append(box(one, name, dash, f"H = {bound:g} m"))
-    axes = {"holding": Axis("Holding", "m", limits), "travel": Axis("Travel", "m", {"limit R": TRAVEL})}
-    return Drawing(
-        [projection_figure(boxes, "holding", "travel", axes, height=520)],
-        "From an active holding limit to an active travel limit",
-        "Each box has the line style of its holding limit. As H grows, uOpt's box rises until it meets the travel "
-        "limit, and stays there: its last boxes coincide. dOpt, a point, still follows H.",
-        "6.7",
-    )
-
-
-def _decision_path(fronts: Mapping[str, al.results.Front]) -> Drawing:
-    lowest = float(problems()["dOpt"].placements.decisions["k_s.mean"].decision.lower)
-    figure = decision_path_figure(
-        fronts,
-        "b_s.mean",
-        "k_s.mean",
-        x="Damper, mean bₛ (N s/m)",
-        y="Spring, mean kₛ (N/m)",
-        bound_unit="m",
-        lower=lowest,
-        lower_text=f"lower bound of kₛ, {number(lowest)} N/m",
-    )
-    caption = (
-        "Along figure 6.5 mainly the damper changes; the spring leaves its lower bound only at the tightest holding "
-        "limits. Labels: the tightest limit that each design reaches."
-    )
-    return Drawing([figure], f"Spring and damper along the front, R = {TRAVEL:g} m", caption, "6.8")
-
-
-def _apportioned(front: al.results.Front) -> Drawing:
-    decided = front.solutions[0].problem.placements.decisions
-    initial = {name: given(float(decided[name].decision.initial), UNITS[name.split(".")[0]]) for name in SPREADS}
-    names = {name: f"{text} (initially ±{initial[name]})" for name, text in SPREADS.items()}
-    figure = relative_figure(front, names, x="Travel limit R", x_unit="m", y="Half-width (% of its initial value)")
-    caption = (
-        "The spreads that each travel limit allows, relative to the initial ones: above 100 % they are cheaper, "
-        "below more expensive. Bounds of the search: 5 % and 400 %."
-    )
-    return Drawing([figure], "Apportioned spreads against the travel limit", caption, "7.5")

@@ -160,7 +160,7 @@ def _states_of(
             f"{_listed(received)}."
         )
     is_alike = old.placements.germ_names == problem.placements.germ_names
-    if (known := solution.states) is None:
+    if (known := solution.mesh_states) is None:
         same, at = (old, points) if is_alike else (deterministic(old), np.zeros((1, 0)))
         states = _simulated_states(same, fractions, at, solution.vector)
     else:

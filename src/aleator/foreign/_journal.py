@@ -1,0 +1,113 @@
+"""What a black box has found: in memory, and in a file for later processes."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any, final
+
+import jax
+import numpy as np
+
+from aleator._core.arrays import Pytree
+from aleator._core.border import one_of, refusal
+from aleator._core.errors import ProblemError
+from aleator._core.journalled import read_lines
+from aleator.ensemble import Realisation
+
+_HEADER = {"journal": "aleator.foreign", "version": 1}
+
+
+@final
+class Journal:
+    """Outputs by a digest of the `box`, which may become another, and of all numbers of its model.
+
+    A file has a header and then one line of JSON for each finished sample, written as soon as it is known. A line that
+    cannot be read, such as the last one of a process that was killed, counts as not written: its sample runs again.
+    Numbers are written with all their digits, so that outputs read back are the same to the last bit.
+
+    Raises `ProblemError` if the file is no journal, or cannot be read or written.
+    """
+
+    def __init__(self, path: Any, box: str):
+        self.box = box
+        self.path = None if path is None else Path(one_of("BlackBox: journal", path, (str, Path))).absolute()
+        self._known: dict[tuple[str, str], Pytree] = {}
+        self._keys: set[str] = set()
+        if self.path is not None:
+            self._read(self.path)
+
+    def key(self, realisation: Realisation) -> str:
+        """What identifies a sample: all numbers of its model, and whatever else the model holds, as text."""
+        named = jax.tree_util.tree_leaves_with_path(realisation.model)
+        leaves = [(jax.tree_util.keystr(path), _text(leaf)) for path, leaf in named]
+        text = json.dumps([str(jax.tree.structure(realisation.model)), leaves])
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def find(self, key: str) -> Pytree | None:
+        """The outputs of a finished sample; None if it is not known."""
+        return self._known.get((self.box, key))
+
+    def is_of_others(self, key: str) -> bool:
+        """Whether the file has this sample by another box only, or by this one as it was before a change."""
+        return self.path is not None and key in self._keys and (self.box, key) not in self._known
+
+    def add(self, key: str, realisation: Realisation, outputs: Pytree) -> None:
+        """Keep a finished sample."""
+        self._keep(self.box, key, outputs)
+        if self.path is not None:
+            line = {"box": self.box, "key": key, "inputs": realisation.inputs, "outputs": _as_json(outputs)}
+            self._write(self.path, json.dumps(line))
+
+    def _keep(self, box: str, key: str, outputs: Pytree) -> None:
+        self._known[box, key] = outputs
+        self._keys.add(key)
+
+    def _read(self, path: Path) -> None:
+        try:
+            content = read_lines(path)
+        except OSError as error:
+            raise ProblemError(f"BlackBox: the journal {path} cannot be read ({error.strerror}).") from error
+        lines = [line.value for line in content.lines]
+        if (lines or content.cut) and lines[:1] != [_HEADER]:
+            raise ProblemError(
+                f"BlackBox: expected the path of a journal, or of a file that does not exist yet; {path} is another "
+                "file, whose first line is not a journal's."
+            )
+        for line in lines[1:]:
+            if isinstance(line, dict) and {"box", "key", "outputs"} <= set(line):
+                self._keep(line["box"], line["key"], _from_json(line["outputs"]))
+
+    def _write(self, path: Path, line: str) -> None:
+        try:
+            with path.open("a+b") as file:
+                length = file.seek(0, 2)
+                if length == 0:
+                    file.write(f"{json.dumps(_HEADER)}\n".encode())
+                else:
+                    file.seek(-1, 2)
+                    # A line that a killed process left unfinished is ended, so that it spoils no other.
+                    file.write(b"" if file.read(1) == b"\n" else b"\n")
+                file.write(f"{line}\n".encode())
+        except OSError as error:
+            raise ProblemError(f"BlackBox: the journal {path} cannot be written ({error.strerror}).") from error
+
+
+def _text(leaf: Any) -> Any:
+    """A leaf of a model as JSON, with all its digits."""
+    if isinstance(leaf, np.ndarray | np.generic):
+        return [str(leaf.dtype), list(leaf.shape), leaf.tolist() if leaf.dtype != object else repr(leaf)]
+    return leaf if isinstance(leaf, bool | int | float | str) else repr(leaf)
+
+
+def _as_json(outputs: Pytree) -> Any:
+    if isinstance(outputs, dict) and all(isinstance(name, str) for name in outputs):
+        return {name: _as_json(value) for name, value in outputs.items()}
+    if isinstance(outputs, np.ndarray):
+        return outputs.tolist()
+    raise refusal("BlackBox: a journal keeps", "arrays, or dicts of arrays by their names", outputs)
+
+
+def _from_json(outputs: Any) -> Pytree:
+    if isinstance(outputs, dict):
+        return {name: _from_json(value) for name, value in outputs.items()}
+    return np.array(outputs, dtype=float)

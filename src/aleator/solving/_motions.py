@@ -1,0 +1,177 @@
+"""Motions of a design: its inputs, states and outputs over time, of the systems of its expansion or of random ones."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import NUMBER, jax_array, numbers_to_arrays, refuse_beyond_memory
+from aleator._core.border import one_of, refusal, whole
+from aleator._core.compilation import Compiled, Use
+from aleator.design import Problem, output_units, uncertain
+from aleator.dynamics import STATES, Asked, Grid, System, initial_state, observation
+from aleator.dynamics._grid import sampled
+from aleator.ensemble import draw, in_batches, inputs_at, listed, refuse_nonfinite
+from aleator.solution import Moments, Motions, Solution
+from aleator.statistics import Mean, Std
+from aleator.trajectories import AbstractSignal, Tabulated, instants
+from aleator.transcription._expansions import discretised
+from aleator.uncertainty import at_means, realise, uncertain_numbers
+
+
+class Histories(NamedTuple):
+    """Inputs, states and outputs of some systems by name, and their uncertain numbers."""
+
+    inputs: dict[str, Float[Array, "systems instants ..."]]
+    states: dict[str, Float[Array, "systems instants ..."]]
+    outputs: dict[str, Float[Array, "systems ..."]]
+    numbers: dict[str, Float[Array, " systems"]]
+
+
+def _simulated(problem: Problem, germ: Float[Array, "systems variables"], decisions: Float[Array, " n"]) -> Histories:
+    """Simulated from the start."""
+
+    def one(point: Float[Array, " variables"]) -> Histories:
+        simulation = realise(problem.simulation, point, decisions)
+        system, grid = simulation.traced, simulation.grid
+        numbers = uncertain_numbers(problem.placements, point, decisions)
+        if not (isinstance(system, System) and isinstance(grid, Grid)):
+            return Histories({}, {}, {name: value[0] for name, value in simulation.history().items()}, numbers)
+        history = simulation.record(Asked(states=bool(system.states))).history
+        inputs = sampled(simulation.inputs, grid, grid.fractions)
+        states = {}
+        if system.states:
+            template, unravel = ravel_pytree(initial_state(system, *simulation.start()))
+            states = jax.vmap(unravel)(history.pop(STATES)[:, : len(template)])._asdict()
+        return Histories(inputs, states, history, numbers)
+
+    return jax.vmap(one)(germ)
+
+
+_SIMULATED = Compiled(_simulated, use=Use.ONCE)
+
+
+def _on_mesh(
+    problem: Problem, systems: tuple[Array, Array], along: tuple[Float[Array, " n"], Float[Array, " points"]]
+) -> Histories:
+    """The same at the points of a mesh, from the states there: nothing is simulated."""
+    decisions, fractions = along
+
+    def one(system_at: tuple[Array, Array]) -> Histories:
+        point, rows = system_at
+        simulation = realise(problem.simulation, point, decisions)
+        system, grid = simulation.traced, simulation.grid
+        unravel = ravel_pytree(initial_state(system, *simulation.start()))[1]
+        states = jax.vmap(unravel)(rows)
+        inputs = {**system.signals(), **simulation.inputs}
+        values = sampled(inputs, grid, fractions)
+        outputs = jax.vmap(lambda *at: observation(system, *at))(
+            instants(fractions, grid.t_start, grid.t_final), states, values
+        )
+        values = {name: values[name] for name in simulation.inputs}
+        return Histories(values, states._asdict(), outputs, uncertain_numbers(problem.placements, point, decisions))
+
+    return jax.vmap(one)(systems)
+
+
+_ON_MESH = Compiled(_on_mesh, use=Use.ONCE)
+
+
+def motions(solution: Solution, kind: str) -> Motions:
+    """`inputs`, `states` or `outputs` of a solution: in each system of its expansion, with the moments of this.
+
+    They are simulated anew, but where states were variables of the program: these stand for themselves.
+    """
+    problem, known = solution.problem, solution.mesh_states
+    collocation = discretised(problem).collocation
+    points = np.asarray(collocation.points)
+    if known is None:
+        histories, times = _histories(f"solution.{kind}", problem, points, solution.vector), _instants(solution)
+    else:
+        states = [values[: len(points)].reshape(len(points), len(known.times), -1) for values in known.values.values()]
+        systems = jax_array(points), jax_array(np.concatenate(states, axis=2))
+        along = jax_array(solution.vector), jax_array(known.fractions)
+        histories, times = jax.tree.map(np.asarray, _ON_MESH(numbers_to_arrays(problem), systems, along)), known.times
+
+    def moments(values: Float[np.ndarray, "systems ..."]) -> Moments:
+        coefficients = collocation.coefficients(jax_array(values))
+        return Moments(*(np.asarray(statistic.of(coefficients, ())) for statistic in (Mean(), Std())))
+
+    return _motions(problem, histories, kind, times, moments)
+
+
+def simulate_systems(solution: Solution, samples: int = 100, *, seed: int = 0) -> Motions:
+    """All outputs over time of random systems at a design, with their sampled means and standard deviations.
+
+    - `samples`: how many systems, drawn from `seed`; a design of which nothing is uncertain is one system. A solution
+      of `al.deterministic(problem)` is simulated with the uncertainty of `problem`, as by `al.validate`.
+
+    Returns a mapping from names to `xarray.Dataset` (see `Motions`). Raises `ProblemError` for other arguments, or for
+    more systems than fit into memory, and `SimulationError` for a system that is not finite, naming its numbers.
+    """
+    one_of("simulate_systems: solution", solution, Solution)
+    samples, seed = whole("simulate_systems: samples", samples), whole("simulate_systems: seed", seed, least=0)
+    problem = uncertain(solution.problem)
+    germs = tuple(problem.placements.germs.values())
+    equations = problem.simulation.equations
+    numbers = 0 if equations is None else sum(math.prod(shape) for shape in equations.output_shapes().values())
+    size = NUMBER * samples * (len(germs) + numbers * (problem.grid.steps + 1))
+    refuse_beyond_memory(f"simulate_systems: {samples} systems", size, "Simulate fewer.")
+    points = draw(germs, samples, np.random.default_rng(seed)) if germs else np.zeros((1, 0))
+    histories = _histories("simulate_systems", problem, points, solution.vector)
+
+    def moments(values: Float[np.ndarray, "systems ..."]) -> Moments:
+        return Moments(values.mean(axis=0), values.std(axis=0, ddof=int(len(values) > 1)))
+
+    return _motions(problem, histories, "outputs", _instants(solution), moments)
+
+
+def signal_of(solution: Solution, name: str) -> AbstractSignal:
+    """An input at the means of all uncertain numbers, or the mean of an output, as a function of time."""
+    problem = solution.problem
+    if name in problem.inputs:
+        certain = realise(at_means(problem.simulation), jnp.zeros(0), jax_array(solution.vector))
+        return certain.inputs[name].over(certain.grid.t_start, certain.grid.t_final)
+    outputs = solution.outputs
+    if name not in outputs or outputs.times is None:
+        over_time = [] if outputs.times is None else list(outputs)
+        raise refusal("solution.signal: name", f"one of the inputs and outputs {[*problem.inputs, *over_time]}", name)
+    return Tabulated(outputs.times, outputs.moments[name].mean)
+
+
+def _instants(solution: Solution) -> Float[np.ndarray, " instants"] | None:
+    return solution.instants if solution.problem.system.has_time else None
+
+
+def _histories(
+    who: str, problem: Problem, points: Float[np.ndarray, "systems variables"], vector: Float[np.ndarray, " n"]
+) -> Histories:
+    """Systems simulated at some germ points. Raises `SimulationError` for one that is not finite."""
+    decisions = jax_array(vector)
+    histories = in_batches(_SIMULATED, numbers_to_arrays(problem), points, decisions)
+
+    def numbers_at(i: int) -> str:
+        return listed(inputs_at(problem.placements, points[i], decisions))
+
+    refuse_nonfinite(who, histories.outputs, numbers_at)
+    return histories
+
+
+def _motions(
+    problem: Problem,
+    histories: Histories,
+    kind: str,
+    times: Float[np.ndarray, " instants"] | None,
+    moments: Callable[[np.ndarray], Moments],
+) -> Motions:
+    # What is traced comes back in alphabetical order.
+    declared = {"inputs": problem.inputs, "states": getattr(problem.system, "states", ())}
+    traced = getattr(histories, kind)
+    systems = {name: traced[name] for name in declared.get(kind, traced)}
+    each = {name: moments(values) for name, values in systems.items()}
+    return Motions(kind, times, systems, each, histories.numbers, output_units(problem))

@@ -1,0 +1,121 @@
+"""Motions of a solution, its signals and random systems at it: against the closed form of a free mass."""
+
+import math
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray
+
+import aleator as al
+
+HALF = 0.1
+
+
+class Cart(al.System):
+    states = ("x", "v")
+    units: ClassVar = {"x": "m", "v": "m/s", "force": "N"}
+    m: al.Number = al.parameter("kg", positive=True)
+
+    def initial(self):
+        return {"x": 0.0, "v": 0.0}
+
+    def rhs(self, t, z, force):
+        return z.v, force / self.m
+
+    def outputs(self, t, z, force):
+        return {"x": z.x, "momentum": self.m * z.v}
+
+
+def problem(m=None):
+    force = al.Tabulated(np.linspace(0.0, 1.0, 5), al.Decision([4.0, 2.0, 0.0, -2.0, -4.0], -10.0, 10.0))
+    return al.Problem(
+        Cart(al.Uniform(1.0, half_width=HALF) if m is None else m),
+        grid=al.Grid(1.0, 20),
+        inputs={"force": force},
+        minimize=al.terminal("x").std,
+        subject_to=[al.terminal("x").mean.equals(1.0), al.terminal("momentum").mean.equals(0.0)],
+        expansion=al.Expansion(order=6),
+    )
+
+
+# The mean of 1/m and its standard deviation, of m uniform on 1 ± 0.1.
+MEAN = math.log((1 + HALF) / (1 - HALF)) / (2 * HALF)
+SPREAD = math.sqrt(1 / (1 - HALF**2) - MEAN**2)
+
+
+@pytest.mark.parametrize("transcription", [None, al.Simultaneous()], ids=["shooting", "collocation"])
+def test_motions_are_those_of_each_system_of_the_expansion(transcription, tmp_path):
+    solution = al.solve(problem(), **({} if transcription is None else {"transcription": transcription}))
+    assert solution.ok
+    x, v, force = solution.outputs["x"], solution.states["v"], solution.inputs["force"]
+    course = x.systems * x.m  # the same for every system
+    assert np.ptp(course.values, axis=0).max() < 1e-9
+    np.testing.assert_allclose(x["mean"], MEAN * course[0], atol=1e-9)
+    np.testing.assert_allclose(x["std"], SPREAD * course[0], atol=1e-8)
+    np.testing.assert_allclose(solution.outputs["momentum"].systems, v.systems * v.m, atol=1e-12)
+    assert x.time.values[[0, -1]].tolist() == [0.0, 1.0]
+    assert (x["mean"].units, v["mean"].units, force["mean"].units) == ("m", "m/s", "N")
+    np.testing.assert_allclose(force["std"], 0.0)
+    values = solution.decisions["inputs.force.values"]
+    np.testing.assert_allclose(force["mean"], np.interp(force.time, np.linspace(0, 1, 5), values), atol=1e-12)
+
+    solution.outputs.to_netcdf(tmp_path / "motion.nc")
+    with xarray.open_dataset(tmp_path / "motion.nc", group="x", engine="h5netcdf") as written:
+        np.testing.assert_array_equal(written.systems, x.systems)
+    solution.states.to_csv(tmp_path / "motion.csv")
+    table = np.genfromtxt(tmp_path / "motion.csv", delimiter=",", names=True)
+    assert (tmp_path / "motion.csv").read_text().startswith("time (s),x mean (m),x std (m),v mean (m/s),v std (m/s)\n")
+    np.testing.assert_allclose(table["v_mean_ms"], v["mean"], atol=1e-9)
+
+
+def test_a_signal_of_a_solution_drives_another_simulation():
+    solution = al.solve(problem())
+    force = solution.signal("force")
+    assert float(force(jnp.asarray(0.125))) == pytest.approx(np.mean(solution.decisions["inputs.force.values"][:2]))
+    found = al.simulate(Cart(2.0), al.Grid(1.0, 20), {"force": force})
+    np.testing.assert_allclose(2.0 * found["x"], solution.outputs["x"]["mean"] / MEAN, atol=1e-9)
+    np.testing.assert_allclose([solution.signal("x")(jnp.asarray(t)) for t in (0.0, 1.0)], [0.0, 1.0], atol=1e-9)
+
+
+def test_random_systems_at_a_design_have_its_spread():
+    solution = al.solve(al.deterministic(problem()))
+    systems = al.simulate_systems(solution, 4000, seed=2)
+    x = systems["x"]
+    assert x.systems.shape == (4000, 21)
+    assert np.abs(x.m - 1).max() <= HALF
+    np.testing.assert_allclose(x.systems[:, -1] * x.m, 1.0, atol=1e-9)
+    assert float(x["mean"][-1]) == pytest.approx(MEAN, abs=5 * SPREAD / math.sqrt(4000))
+    assert float(x["std"][-1]) == pytest.approx(SPREAD, rel=5 / math.sqrt(8000))
+    assert solution.outputs["x"].sizes["system"] == 1
+
+
+def test_an_algebraic_system_has_outputs_without_time():
+    class Gap(al.AlgebraicSystem):
+        a: al.Number
+        b: al.Number
+
+        def outputs(self):
+            return {"gap": self.a - self.b}
+
+    gap = Gap(al.Normal(al.Decision(3.0, 0.0, 4.0), 0.3), al.Normal(1.0, 0.4))
+    solution = al.solve(al.Problem(gap, minimize=al.output("gap").mean, subject_to=[al.output("gap").at_least(0.5)]))
+    found = solution.outputs["gap"]
+    assert float(found["mean"]) == pytest.approx(0.5)
+    assert float(found["std"]) == pytest.approx(0.5)
+    assert found.systems.dims == ("system",)
+    with pytest.raises(al.ProblemError, match=r"solution\.signal: name: expected one of the inputs and outputs \[\]"):
+        solution.signal("gap")
+
+
+def test_what_is_not_there_is_refused_with_what_is():
+    solution = al.solve(problem(m=1.0))
+    with pytest.raises(al.ProblemError, match=r"outputs: expected one of \['momentum', 'x'\]; received 'speed'"):
+        solution.outputs["speed"]
+    with pytest.raises(al.ProblemError, match=r"expected one of the inputs and outputs \['force', 'momentum', 'x'\]"):
+        solution.signal("v")
+    with pytest.raises(al.ProblemError, match="simulate_systems: solution: expected Solution"):
+        al.simulate_systems(solution.problem)
+    with pytest.raises(al.ProblemError, match="would need"):
+        al.simulate_systems(al.solve(problem()), 10**12)
