@@ -16,6 +16,7 @@ from collections.abc import Callable
 from functools import partial, partialmethod
 from pathlib import Path
 
+import aleator
 import aleator_command
 from aleator import cli, studies  # noqa: F401  the commands are imported before a fork
 from aleator.cli import _interruption as interruption
@@ -113,7 +114,7 @@ def rehearse(moment: str, number: int, folder: Path) -> None:
     studies.load = load
     watch_the_end(at)
     if moment == "while the package is imported":
-        sys.modules["aleator.cli"] = types.SimpleNamespace(main=send)
+        aleator.cli = types.SimpleNamespace(run=lambda *arguments, **named: send())
     sys.argv = ["aleator", "run", "rehearsal", "--out", str(folder)]
     aleator_command.main()
 

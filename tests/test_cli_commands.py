@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +28,18 @@ def objectives(result) -> list[float]:
 
 def states(folder: str) -> dict[str, str]:
     return {row["name"]: row["state"] for row in document(aleator("list", folder, "--json"))["results"]}
+
+
+# --- Before anything is imported -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["new", "bracket.py"], ["new", "."]])
+def test_help_and_a_new_study_do_not_wait_for_jax(tmp_path: Path, arguments: list[str]):
+    script = "import sys, atexit, aleator_command\natexit.register(lambda: print('jax' in sys.modules))\n"
+    command = [sys.executable, "-c", f"{script}aleator_command.main()", *arguments]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "False", done.stderr
+    assert done.returncode == (2 if arguments == ["new", "."] else 0)
 
 
 # --- Run and resume --------------------------------------------------------------------------------------------------
@@ -130,6 +144,7 @@ def test_fresh_evidence_is_counted_on_the_designs_of_a_folder(finished: Path, no
     assert share["lower"] < 0.5 < share["upper"]
     assert designs["robust"]["violations"]["stress"]["count"] == 0
     assert not designs["robust"]["solved_anew"]
+    assert designs["nominal"]["status"].startswith("solved"), "however often its limit breaks"
     assert document(aleator(*arguments))["designs"] == designs
 
 

@@ -1,5 +1,6 @@
 """The commands that compute nothing: list, report and compare; whose folder it is, and what is refused."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -117,6 +118,12 @@ def test_runs_are_compared_by_their_numbers(here: Path, finished: Path):
     told = said(aleator("compare", "results", "copy"))
     assert "designs/robust: results and copy are equal." in told
     assert "Systems that violate stress" in told
+    designs = json.loads((here / "copy/designs.json").read_text())
+    designs["designs/robust"]["digest"] = "of other equations"
+    (here / "copy/designs.json").write_text(json.dumps(designs))
+    told = said(aleator("compare", "results", "copy", "other"))
+    assert "designs/robust: results and copy differ in the equations of the model." in told
+    assert "designs/nominal: other does not have it." in told
 
 
 def test_what_is_said_is_printed_in_any_encoding(here: Path, finished: Path):

@@ -58,6 +58,17 @@ def test_prices_of_limits_that_do_not_act_are_equal_and_progress_tells_each_solv
     assert told == [("cross-check", done, 2) for done in (0, 1, 2)]
 
 
+def test_a_program_beyond_the_budget_is_refused_before_anything_is_solved():
+    problem, told = decay(steps=20), []
+    points = al.solve(problem).certificate.expansion.points
+    # Hermite and Simpson's scheme has the state at both ends of each step, and in its middle.
+    size = points * (2 * 20 + 1)
+    assert al.Simultaneous().count(problem) == size
+    with pytest.raises(al.ProblemError, match=rf"{size} states would be variables, more than the {size - 1} of"):
+        al.cross_check(problem, most_states=size - 1, progress=lambda *words: told.append(words))
+    assert told == []
+
+
 def test_ctrl_c_after_the_first_solve_is_itself():
     def stop(task, done, total):
         if done:

@@ -77,8 +77,9 @@ def test_tolerances_in_study_files_are_those_that_they_read_as(model):
 def test_a_check_prints_a_tolerance_and_refuses_another_zero_with_its_line(model):
     checked = CliRunner().invoke(cli.application, ["check", model('voltage = "50 +/- 10 V"')])
     assert checked.exit_code == 0
-    # Numbers are printed in the units of the model, which are not shown beside them.
+    # As mathematics, numbers are in the units of the model, which the table of numbers shows beside them.
     assert "voltage ~ Toleranced(nominal=50, tolerance=10, cp=1)" in checked.output
+    assert "Toleranced(nominal=50, tolerance=10, cp=1) V " in " ".join(checked.output.split())
     for text in ("25 ± 5 degC", "77 ± 9 degF"):
         refused = CliRunner().invoke(cli.application, ["check", model(f'warmth = "{text}"')])
         said = " ".join(refused.output.split())

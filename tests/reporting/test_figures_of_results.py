@@ -216,3 +216,11 @@ def test_tolerances_show_the_rejects_beyond_the_limits_and_where_spread_comes_fr
     for bars in analysis.plot.contributions().data:
         assert list(bars.x) == ["plate", "housing"]
         np.testing.assert_allclose(bars.y, [64.0, 36.0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", shown.EVERY)
+def test_the_repr_of_a_result_is_one_line(name: str):
+    result = shown.EVERY[name]()
+    (line,) = repr(result).splitlines()
+    assert line.startswith(f"<{type(result).__name__}")
+    assert len(line) < 300

@@ -155,6 +155,9 @@ def test_what_is_done_is_told_before_anything_is_spent(here: Path):
     assert "6 solves in all" in said
     (here / "alone.py").write_text(SWEPT[: SWEPT.index("study")] + "study = al.Study(problem)\n")
     assert "1 solve in all" in aleator("check", "alone.py")[1]
+    code, said = aleator("check", ".")
+    assert code == 2
+    assert "There is no study '.'" in said
     assert not (here / "results").exists()
 
 

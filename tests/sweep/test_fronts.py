@@ -9,8 +9,7 @@ import pytest
 from scipy.stats import norm
 
 import aleator as al
-from aleator.reporting import front_figure
-from aleator.reporting._datasets import front_dataset
+from aleator.reporting import dataset, front_figure
 from aleator.sweep import _runner
 from zoo import MASS, SPREAD, STRESS, Bar, Decay, bar_problem
 
@@ -61,7 +60,7 @@ def test_a_refused_point_is_kept_with_what_was_said_drawn_and_saved_and_the_othe
     figure = front_figure({"one": front}, x="limit", y="objective")
     hovered = [text for trace in figure.data for text in np.ravel(trace.customdata) if trace.customdata is not None]
     assert any("whatever the decisions are" in text for text in hovered)
-    assert np.isnan(front_dataset(front)["objective"].values).tolist() == [True, False]
+    assert np.isnan(dataset(front)["objective"].values).tolist() == [True, False]
     with pytest.raises(al.ProblemError, match="whatever the decisions are"):
         al.pareto(decaying(), "x", [0.9, 0.8])
 

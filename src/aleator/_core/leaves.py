@@ -53,11 +53,20 @@ class _Figures:
 
 
 class Drawn(Printed):
-    """A result of which there are figures."""
+    """A result of which there are figures. Its `repr` is one line, however many numbers it has: `print` shows more."""
 
     __slots__ = ()
 
     plot = _Figures()
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if "__repr__" not in vars(cls):  # a dataclass would write its own, with every number
+            cls.__repr__ = Drawn.__repr__
+
+    def __repr__(self) -> str:
+        first, _, _ = str(self).partition("\n")
+        return f"<{type(self).__name__}: {' '.join(first.split())}>"
 
 
 def _showing() -> Any:

@@ -1,10 +1,18 @@
-"""The command line: `aleator run STUDY` and its fellow commands, and what they share.
+"""What the command line does: `aleator run STUDY` and its fellow commands, which `aleator_command` declares.
 
 Exit codes: 0 success, 1 a solve, a simulation or writing failed, 2 wrong usage, 130 interrupted, 143 terminated.
 Finished results are written in every case. With `--json` one JSON document is printed on stdout, and all else on
 stderr; `docs/studies.md` has its keys.
 """
 
-from aleator.cli._commands import application as application
-from aleator.cli._commands import main as main
+from aleator.cli._commands import check as check
+from aleator.cli._commands import list_results as list_results
+from aleator.cli._commands import list_studies as list_studies
+from aleator.cli._commands import resume as resume
+from aleator.cli._commands import run as run
+from aleator.cli._commands import sweep as sweep
+from aleator.cli._compare import compare as compare
 from aleator.cli._course import run_study as run_study
+from aleator.cli._report import report as report
+from aleator.cli._validate import validate as validate
+from aleator_command import application as application

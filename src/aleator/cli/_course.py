@@ -12,7 +12,7 @@ from aleator._core.border import one_of
 from aleator._core.errors import AleatorError, ProblemError
 from aleator.cli._folder import RECORD, Record, is_stale
 from aleator.cli._interruption import Interruptions
-from aleator.cli._shown import shown
+from aleator.cli._progress import shown
 from aleator.cli._terminal import FAILED, USAGE, Terminal
 from aleator.journalling import Journal, journal
 from aleator.reporting import (

@@ -56,6 +56,11 @@ class Record:
     source: str = ""
 
     @property
+    def is_file(self) -> bool:
+        """Whether the study is a file, not a name or a module."""
+        return self.study.endswith(_FILES)
+
+    @property
     def command(self) -> str:
         """The name of the command."""
         return "sweep" if self.bound else "run"
@@ -75,29 +80,22 @@ class Record:
         if not (folder / RECORD).is_file():
             return
         other = _read(folder)
-        if not self._is_of(other, folder):
-            raise ProblemError(
-                f"The results of `{other}` are in '{folder}', and `{self}` would replace them: name another folder, "
-                f"such as --out {self._another(folder, other)}, or remove that one."
-            )
-
-    def _is_of(self, other: "Record", folder: Path) -> bool:
-        """Whether it goes on with the run that another has begun, wherever its file is now."""
-        if (self.bound, self.design) != (other.bound, other.design):
-            return False
-        if not self.study.endswith(_FILES) or not other.study.endswith(_FILES):
-            return self.study == other.study
-        places = [place for place in other.places(folder) if place.is_file()]
-        if not places:
-            return Path(self.study).name == Path(other.study).name
-        return Path(self.study).resolve() in [place.resolve() for place in places]
-
-    def _another(self, folder: Path, other: "Record") -> Path:
-        """A name for another folder, which tells what differs: the bound, or the kind of the study's file."""
+        if (self.bound, self.design) == (other.bound, other.design) and self._is_of_study(other, folder):
+            return
+        free = folder.with_name(f"{folder.name}-{Path(self.study).suffix[1:] if self.is_file else 'again'}")
         if self.bound and self.bound != other.bound:
-            return folder_over(folder, self.bound)
-        kind = Path(self.study).suffix.removeprefix(".") if self.study.endswith(_FILES) else ""
-        return folder.with_name(f"{folder.name}-{kind or 'again'}")
+            free = folder_over(folder, self.bound)
+        raise ProblemError(
+            f"The results of `{other}` are in '{folder}', and `{self}` would replace them: name another folder, "
+            f"such as --out {free}, or remove that one."
+        )
+
+    def _is_of_study(self, other: "Record", folder: Path) -> bool:
+        """Whether its study is that of another record, wherever the file of this one is now."""
+        if not self.is_file or not other.is_file:
+            return self.study == other.study
+        places = [place.resolve() for place in other.places(folder) if place.is_file()]
+        return Path(self.study).resolve() in places if places else Path(self.study).name == Path(other.study).name
 
     def places(self, folder: Path) -> list[Path]:
         """Where the study's file may be: as it was given, or as it lies from the run's folder."""
@@ -108,22 +106,14 @@ class Record:
         return f"aleator {self.command} {self.study}{bound}{f' --design {self.design}' if self.design else ''}"
 
     def write(self, folder: Path) -> None:
-        """Note it in the run's folder, atomically."""
-        text = json_text({"command": self.command, **asdict(self._placed(folder))})
+        """Note it in the run's folder, with the places from which the study can be found again, and its source."""
+        beside = ""
+        if self.is_file:
+            with suppress(ValueError):  # on another drive of Windows
+                beside = os.path.relpath(Path(self.study).resolve(), folder.resolve())
+        noted = replace(self, directory=str(Path.cwd()), beside=beside, source=_source(self.study))
+        text = json_text({"command": self.command, **asdict(noted)})
         write_whole(folder / RECORD, lambda file: file.write_text(text, encoding="utf-8"))
-
-    def _placed(self, folder: Path) -> "Record":
-        """The same, with the places from which the study can be found again, and its source of now."""
-        here = Path.cwd()
-        beside = _relative(here / self.study, folder.resolve()) if self.study.endswith(_FILES) else ""
-        return replace(self, directory=str(here), beside=beside, source=_source(self.study))
-
-
-def _relative(file: Path, folder: Path) -> str:
-    try:
-        return os.path.relpath(file.resolve(), folder)
-    except ValueError:  # on another drive of Windows
-        return ""
 
 
 def folder_of(study: str) -> Path:
@@ -184,41 +174,12 @@ def study_of(folder: Path) -> tuple[AbstractStudy | None, str]:
 
 
 def recorded(folder: Path) -> Record:
-    """What began the run of a folder, whose modules can be imported from now on.
+    """What began the run of a folder, with the study's file where it is now; its modules can be imported from now on.
 
     Raises `ProblemError` if the folder does not say, or if the study's file has gone.
     """
-    return _in_its_place(_read(folder), folder)
-
-
-def _read(folder: Path) -> Record:
-    """What began the run of a folder, as it was noted. Raises `ProblemError` if the folder does not say."""
-    path = folder / RECORD
-    try:
-        data = json_of(content_of(path))
-        return Record(**{name: _checked(data[name], name) for name in (field.name for field in fields(Record))})
-    except FileNotFoundError:
-        raise ProblemError(
-            f"There is no '{RECORD}' in '{folder}': expected a folder that `aleator run` or `aleator sweep` has begun. "
-            "Name the study instead, or run your script again."
-        ) from None
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise ProblemError(
-            f"'{path}' does not say what began the run ({type(error).__name__}: {error}): remove this file if you know "
-            "it, and run the study by its name, with --out for this folder."
-        ) from error
-
-
-def _checked(value: Any, name: str) -> Any:
-    kinds = {"quick": bool, "workers": int, "values": list}
-    if not isinstance(value, kinds.get(name, str)):
-        raise TypeError(f"{name} = {value!r}")
-    return tuple(map(float, value)) if isinstance(value, list) else value
-
-
-def _in_its_place(record: Record, folder: Path) -> Record:
-    """The record, with the study's file where it is now: as it was given, or as it lies from the folder."""
-    if not record.study.endswith(_FILES):
+    record = _read(folder)
+    if not record.is_file:
         if record.directory not in sys.path:
             sys.path.insert(0, record.directory)
         return record
@@ -231,6 +192,28 @@ def _in_its_place(record: Record, folder: Path) -> Record:
         f"The study of '{folder}' has gone: there is no file '{places[0]}', nor '{places[1]}'. Put it back, or run it "
         "where it is now, with --out for this folder."
     )
+
+
+def _read(folder: Path) -> Record:
+    """What began the run of a folder, as it was noted. Raises `ProblemError` if the folder does not say."""
+    path, kinds = folder / RECORD, {"quick": bool, "workers": int, "values": list}
+    try:
+        data = json_of(content_of(path))
+        noted = {field.name: data[field.name] for field in fields(Record)}
+        for name, value in noted.items():
+            if not isinstance(value, kinds.get(name, str)):
+                raise TypeError(f"{name} = {value!r}")
+        return Record(**{**noted, "values": tuple(map(float, noted["values"]))})
+    except FileNotFoundError:
+        raise ProblemError(
+            f"There is no '{RECORD}' in '{folder}': expected a folder that `aleator run` or `aleator sweep` has begun. "
+            "Name the study instead, or run your script again."
+        ) from None
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise ProblemError(
+            f"'{path}' does not say what began the run ({type(error).__name__}: {error}): remove this file if you know "
+            "it, and run the study by its name, with --out for this folder."
+        ) from error
 
 
 def designs_and_evidence(results: Mapping[str, Any]) -> tuple[dict[str, Solution], dict[str, Evidence]]:
@@ -246,11 +229,11 @@ def designs_and_evidence(results: Mapping[str, Any]) -> tuple[dict[str, Solution
 
 
 def _is_on(evidence: Evidence, design: Solution) -> bool:
-    on = evidence.solution
+    sampled = evidence.solution
     return (
-        type(on.problem.system) is type(design.problem.system)
-        and np.array_equal(on.vector, design.vector)
-        and on.problem_text == design.problem_text
+        type(sampled.problem.system) is type(design.problem.system)
+        and np.array_equal(sampled.vector, design.vector)
+        and sampled.problem_text == design.problem_text
     )
 
 

@@ -1,27 +1,29 @@
-"""What a command says, and the arguments that commands share.
-
-Results go to stdout, errors to stderr; or one JSON document to stdout, and all else to stderr.
-"""
+"""What a command says: results on stdout, errors on stderr; or one JSON document on stdout, and all else on stderr."""
 
 import io
 import os
 import sys
+import textwrap
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Annotated, Any, NoReturn, TypeAlias, final
+from typing import Any, NoReturn, final
 
 import typer
+from rich.cells import cell_len
 from rich.console import Console
+from rich.table import Table as RichTable
 from rich.text import Text
 
 from aleator._core.errors import AleatorError, AleatorWarning
-from aleator.cli._shown import fitted
 from aleator.reporting import Table, json_text
-from aleator.studies import STUDIES
 
 FAILED, USAGE = 1, 2
+
+# What rich draws around the cells of each column, and at the end of a row.
+_AROUND, _END = 3, 1
+# Narrower than this no column is wrapped for the sake of its neighbours.
+_COMFORT = 16
 
 
 @final
@@ -35,75 +37,60 @@ class Terminal:
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, io.TextIOWrapper):  # of whatever encoding, perhaps one without μ and ξ
                 stream.reconfigure(errors="backslashreplace")
-        self._errors = _console(stderr=True)
-        self.console = self._errors if as_json else _console()
-        self._document: dict[str, Any] | None = {"command": command} if as_json else None
-        self._said = list[str]()
+        # Text is printed literally, without markup.
+        self._stderr = Console(stderr=True, markup=False, emoji=False, highlight=False)
+        self.console = self._stderr if as_json else Console(markup=False, emoji=False, highlight=False)
+        self.is_json, self._document, self._errors = as_json, {"command": command}, list[str]()
 
-    def tell(self, said: str) -> None:
+    def tell(self, sentence: str) -> None:
         """Print a sentence."""
-        self.console.print(said, soft_wrap=True)
+        self.console.print(sentence, soft_wrap=True)
 
-    def title(self, said: str) -> None:
+    def title(self, heading: str) -> None:
         """Print a heading."""
-        self.console.print(Text(said, style="bold"))
+        self.console.print(Text(heading, style="bold"))
 
     def table(self, table: Table) -> None:
         """Print a table."""
         for block in fitted(table, self.console.width):
             self.console.print(block)
 
-    def look_at(self, said: str) -> None:
+    def look_at(self, sentence: str) -> None:
         """Print what deserves a look."""
-        self.console.print(Text.assemble(("look at", "bold yellow"), f": {said}"), soft_wrap=True)
+        self.console.print(Text.assemble(("look at", "bold yellow"), f": {sentence}"), soft_wrap=True)
 
     def complain(self, what: str, error: Exception | str) -> None:
         """Print an error."""
-        self._said.append(f"{error}")
-        self._errors.print(Text.assemble((what, "bold red"), f": {error}"), soft_wrap=True)
+        self._errors.append(f"{error}")
+        self._stderr.print(Text.assemble((what, "bold red"), f": {error}"), soft_wrap=True)
 
-    def warn(self, said: str) -> None:
-        """Print a warning."""
-        self._errors.print(Text.assemble(("warning", "bold yellow"), f": {said}"), soft_wrap=True)
-
-    def last_words(self, said: str) -> None:
+    def last_words(self, sentence: str) -> None:
         """Print on stderr what an interrupted run has kept."""
-        self._said.append(said)
-        self._errors.print(said, soft_wrap=True)
+        self._errors.append(sentence)
+        self._stderr.print(sentence, soft_wrap=True)
 
-    def ended_at_once(self, said: str, code: int) -> str:
+    def ended_at_once(self, sentence: str, code: int) -> str:
         """The last word of a process that another thread ends at once, after its JSON document, if there is one."""
-        self._said.append(said)
-        if self._document is not None:
+        self._errors.append(sentence)
+        if self.is_json:
             with os.fdopen(os.dup(1), "w", encoding="utf-8") as stdout:
-                stdout.write(self._finished_document(code))
-        return said
+                stdout.write(self._text(code))
+        return sentence
 
     def note(self, **facts: Any) -> None:
-        """Add to the JSON document, if there is one."""
-        if self._document is not None:
-            self._document.update(facts)
-
-    @property
-    def is_json(self) -> bool:
-        """Whether a JSON document is asked for."""
-        return self._document is not None
+        """Add to the JSON document."""
+        self._document.update(facts)
 
     def print_document(self, code: int) -> None:
-        """Print the JSON document, if there is one, with the exit code."""
-        if self._document is not None:
-            typer.echo(self._finished_document(code), nl=False)
+        """Print the JSON document, if it is asked for, with the exit code."""
+        if self.is_json:
+            typer.echo(self._text(code), nl=False)
 
-    def print_refusal(self, said: str, code: int) -> None:
-        """Print the JSON document, if there is one, of an error that people have read elsewhere."""
-        self._said.append(said)
-        self.print_document(code)
-
-    def _finished_document(self, code: int) -> str:
-        return json_text({**(self._document or {}), "exit_code": code, "errors": self._said})
+    def _text(self, code: int) -> str:
+        return json_text({**self._document, "exit_code": code, "errors": self._errors})
 
     def conclude(self, code: int) -> NoReturn:
-        """Print the JSON document, if there is one, and end with an exit code."""
+        """Print the JSON document, if it is asked for, and end with an exit code."""
         self.print_document(code)
         raise typer.Exit(code)
 
@@ -120,58 +107,67 @@ class Terminal:
     def warning(self) -> Iterator[None]:
         """Show our warnings within a block as sentences, without their place in the code."""
         with warnings.catch_warnings():
-            elsewhere = warnings.showwarning
+            show_others = warnings.showwarning
 
             def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
                 if issubclass(category, AleatorWarning):
-                    self.warn(f"{message}")
+                    self._stderr.print(Text.assemble(("warning", "bold yellow"), f": {message}"), soft_wrap=True)
                 else:
-                    elsewhere(message, category, *place)
+                    show_others(message, category, *place)
 
             warnings.showwarning = show
             yield
 
 
-def _console(*, stderr: bool = False) -> Console:
-    """A console that prints text literally, without markup."""
-    return Console(stderr=stderr, markup=False, emoji=False, highlight=False)
+def fitted(table: Table, width: int) -> Iterator[RichTable]:
+    """A table of a report as tables that fit a width, with no number cut: lines are wrapped between words alone.
+
+    As many columns as fit make a block, two at least; each block repeats the first column. The caption stands above
+    the first block, the note below the last.
+    """
+    columns = [list(column) for column in zip(table.header, *(map(str, row) for row in table.rows), strict=True)]
+    first, *others = columns
+    blocks: list[list[list[str]]] = [[first]]
+    for column in others:
+        if len(blocks[-1]) > 1 and sum(_least(one) + _AROUND for one in (*blocks[-1], column)) + _END > width:
+            blocks.append([first])
+        blocks[-1].append(column)
+    for i, block in enumerate(blocks):
+        drawn = RichTable(caption_justify="left")
+        drawn.title = table.caption if i == 0 else None
+        drawn.caption = table.note if i == len(blocks) - 1 else None
+        cells = [
+            ["\n".join(_wrapped(cell, room)) for cell in column]
+            for column, room in zip(block, _widths(block, width), strict=True)
+        ]
+        for header, *_ in cells:
+            drawn.add_column(header, overflow="fold")
+        for row in zip(*(column[1:] for column in cells), strict=True):
+            drawn.add_row(*row)
+        yield drawn
 
 
-def _names_of_studies(incomplete: str) -> list[str]:
-    """Names of studies, and study files, that begin with what was typed."""
-    paths = [*Path().glob(f"{_literal(incomplete)}*")] if not Path(incomplete).is_absolute() else []
-    folders = [f"{path}/" for path in paths if path.is_dir()]
-    files = [f"{path}" for path in paths if path.is_file() and path.suffix in (".py", ".toml")]
-    return sorted([*(name for name in STUDIES if name.startswith(incomplete)), *folders, *files])
+def _natural(column: Sequence[str]) -> int:
+    return max(cell_len(line) for cell in column for line in cell.split("\n"))
 
 
-def _literal(text: str) -> str:
-    return "".join(f"[{character}]" if character in "*?[" else character for character in text)
+def _least(column: Sequence[str]) -> int:
+    """That of the longest word. Numbers and units are joined by a space at which lines are not broken."""
+    longest = max((cell_len(word) for cell in column for word in cell.replace("\n", " ").split(" ")), default=0)
+    return max(longest, min(_natural(column), _COMFORT))
 
 
-StudyName: TypeAlias = Annotated[
-    str,
-    typer.Argument(
-        help="Name of a case study (see `aleator list`), or a file or module of your own.",
-        autocompletion=_names_of_studies,
-        show_default=False,
-    ),
-]
-StudyOrFolder: TypeAlias = Annotated[
-    str,
-    typer.Argument(
-        help="A study, or a run's folder.", metavar="STUDY|FOLDER", autocompletion=_names_of_studies, show_default=False
-    ),
-]
-Folder: TypeAlias = Annotated[Path, typer.Argument(help="A run's folder.", show_default=False)]
-AsJson: TypeAlias = Annotated[
-    bool, typer.Option("--json", help="Print one JSON document on stdout, and all else on stderr.")
-]
-Afresh: TypeAlias = Annotated[bool, typer.Option("--afresh", help="Compute everything anew.")]
-Workers: TypeAlias = Annotated[
-    int | None,
-    typer.Option("--workers", min=1, help="Processes that share the work.", show_default="as many as the study says"),
-]
-Design: TypeAlias = Annotated[
-    str | None, typer.Option("--design", help="Name of one of its designs.", show_default=False)
-]
+def _widths(columns: Sequence[Sequence[str]], width: int) -> list[int]:
+    """A width for each column: its own, those with most to spare narrowed until all fit, or as far as words allow."""
+    widths, least = [_natural(column) for column in columns], [_least(column) for column in columns]
+    for _ in range(sum(widths) + _AROUND * len(columns) + _END - width):
+        spare = [one - other for one, other in zip(widths, least, strict=True)]
+        if max(spare) <= 0:  # only words longer than a line are cut
+            least = [min(one, _COMFORT) for one in least]
+        widths[spare.index(max(spare))] -= 1
+    return [max(one, 1) for one in widths]
+
+
+def _wrapped(cell: str, room: int) -> list[str]:
+    """The lines of a cell; a word is broken only where it is longer than its column."""
+    return [part for line in cell.split("\n") for part in (textwrap.wrap(line, room, break_on_hyphens=False) or [""])]

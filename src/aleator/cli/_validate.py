@@ -5,17 +5,15 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Annotated, Any, final
-
-import typer
+from typing import Any, NoReturn, final
 
 from aleator import studies
-from aleator._core.border import Progress, meant
+from aleator._core.border import meant
 from aleator._core.errors import AleatorError, ProblemError
 from aleator.cli._folder import Record, designs_and_evidence, folder_of, is_stale, stale, study_of, value_text
 from aleator.cli._interruption import Interruptions
-from aleator.cli._shown import shown
-from aleator.cli._terminal import FAILED, AsJson, Design, StudyOrFolder, Terminal
+from aleator.cli._progress import shown
+from aleator.cli._terminal import FAILED, Terminal
 from aleator.design import Problem
 from aleator.journalling import Journal, journal
 from aleator.reporting import Table, evidence_document, evidence_table, solution_document, violations_table
@@ -29,21 +27,8 @@ _NAME_IT = "Name the study to solve it first."
 _KEPT = "Interrupted: finished evidence is kept."
 
 
-def validate(
-    place: StudyOrFolder,
-    samples: Annotated[int, typer.Option(min=2, help="Fresh random systems for each design.")] = 20_000,
-    seed: Annotated[int, typer.Option(min=0, help="Of the random systems.")] = 0,
-    design: Design = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Processes that simulate the systems.", show_default="this one")
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Count on fresh random systems how often designs break their limits, with 95 % intervals.
-
-    Designs are taken from the folder (of a study: results/STUDY), and solved first where they are not there. A folder
-    whose study has been edited since is refused. The evidence is kept there too; the study's page stays as it is.
-    """
+def validate(place: str, samples: int, seed: int, design: str | None, workers: int | None, as_json: bool) -> NoReturn:
+    """Count on fresh random systems how often the designs of a study or a folder break their limits."""
     terminal = Terminal("validate", as_json)
     with ExitStack() as held:
         sampling = _Sampling(terminal, samples, seed, held.enter_context(executor_of(workers)))
@@ -52,9 +37,9 @@ def validate(
         with terminal.refusing():
             study, folder, why = _study_and_folder(place)
             run = held.enter_context(journal(folder))
-            designs = _selected(study, why, run, folder, design)
+            designs = _selected(study, why, run, design)
         code = sampling.of(designs, run, {} if study is None else study.solving)
-    terminal.note(folder=str(folder), samples=samples, seed=seed, designs=sampling.document())
+    terminal.note(folder=str(folder), samples=samples, seed=seed, designs=sampling.documents)
     if sampling.evidence:
         terminal.table(_decisions(sampling.evidence))
         terminal.table(violations_table(sampling.evidence))
@@ -76,7 +61,7 @@ def _study_and_folder(place: str) -> tuple[AbstractStudy | None, Path, str]:
 
 
 def _selected(
-    study: AbstractStudy | None, why: str, run: Journal, folder: Path, design: str | None
+    study: AbstractStudy | None, why: str, run: Journal, design: str | None
 ) -> Mapping[str, Solution | Problem]:
     """Designs of a folder, and problems that are to be solved first, by name."""
     # A solution without a name in the folder of a study is no design of its run.
@@ -89,9 +74,11 @@ def _selected(
         designs = {**problems_of(study), **designs}
     if design is not None and design not in designs:
         known = f"expected one of {list(designs)}.{meant(design, designs)}"
-        raise ProblemError(f"validate: there is no design '{design}' in '{folder}'; {known}")
+        raise ProblemError(f"validate: there is no design '{design}' in '{run.folder}'; {known}")
     if not designs:
-        raise ProblemError(f"validate: there is no finished design in '{folder}' that can be read. {why or _NAME_IT}")
+        raise ProblemError(
+            f"validate: there is no finished design in '{run.folder}' that can be read. {why or _NAME_IT}"
+        )
     return designs if design is None else {design: designs[design]}
 
 
@@ -106,66 +93,55 @@ def _decisions(evidence: Mapping[str, Evidence]) -> Table:
 
 @final
 class _Sampling:
-    """Designs that are solved where needed, and sampled in order; `evidence` is what there is so far."""
+    """Designs that are solved where needed, and sampled in order; `evidence` and `documents` of what there is so far.
+
+    A document says whether the design is solved (`status`, and `why` there is no evidence if it is not), whether it was
+    solved just now (`solved_anew`), and how often its limits break (`violations`).
+    """
 
     def __init__(self, terminal: Terminal, samples: int, seed: int, executor: Executor | None):
         self._terminal, self._samples, self._seed, self._executor = terminal, samples, seed, executor
         self.interruptions = Interruptions(lambda: terminal.ended_at_once(_KEPT, self.interruptions.exit_code))
         self.evidence: dict[str, Evidence] = {}
-        self._refused: dict[str, str] = {}
-        self._solved: dict[str, bool] = {}
+        self.documents: dict[str, dict[str, Any]] = {}
+        self._is_refused = False
 
     def of(self, designs: Mapping[str, Solution | Problem], run: Journal, solving: Mapping[str, Any]) -> int:
         """Sample designs, problems solved first (as `solving` says); returns the exit code."""
         try:
             with shown(self._terminal.console, len(designs)) as progress, self.interruptions.work():
                 for name, design in designs.items():
-                    started = time.perf_counter()
-                    progress.begin(f"evidence on {name}")
+                    started, stage = time.perf_counter(), f"evidence on {name}"
+                    progress.begin(stage)
                     with self._refusing(name):
-                        self._sample(name, self._solved_design(name, design, run, solving), progress.show)
-                    progress.end(f"evidence on {name}", 1.0, f"{time.perf_counter() - started:.1f} s")
+                        solution = self._solution(name, design, run, solving)
+                        progress.show(f"{name}: {in_brief(solution)}", 0, self._samples)
+                        if not solution.ok:
+                            raise ProblemError(solution.why())
+                        self.evidence[name] = sampled = validated(
+                            solution, self._samples, seed=self._seed, executor=self._executor, progress=progress.show
+                        )
+                        self.documents[name] |= evidence_document(sampled)
+                    progress.end(stage, 1.0, f"{time.perf_counter() - started:.1f} s")
         except KeyboardInterrupt:
             self.interruptions.conclude()
             self._terminal.last_words(_KEPT)
             return self.interruptions.exit_code
         self.interruptions.rest()
-        return FAILED if self._refused else 0
+        return FAILED if self._is_refused else 0
 
-    def document(self) -> Mapping[str, Any]:
-        """The designs with their evidence by name, or why there is none."""
-        designs = {name: solution_document(sampled.solution) for name, sampled in self.evidence.items()}
-        documents = {
-            name: {
-                "solved_anew": self._solved[name],
-                "decisions": design["decisions"],
-                "objective": design["objective"],
-                **evidence_document(self.evidence[name]),
-            }
-            for name, design in designs.items()
-        }
-        return {**documents, **{name: {"why": why} for name, why in self._refused.items()}}
-
-    def _solved_design(
-        self, name: str, design: Solution | Problem, run: Journal, solving: Mapping[str, Any]
-    ) -> Solution:
+    def _solution(self, name: str, design: Solution | Problem, run: Journal, solving: Mapping[str, Any]) -> Solution:
         """A design of the folder, or of a solve of now, which has this name in the folder from now on."""
         begun = run.begun
         solution = design if isinstance(design, Solution) else solve(design, **solving, throw=False)
-        self._solved[name] = run.begun > begun
-        if self._solved[name]:
+        is_new, document = run.begun > begun, solution_document(solution)
+        if is_new:
             run.call({name: solution})
-        origin = "solved, because the folder does not have it" if self._solved[name] else "taken from the folder"
+        facts = {key: document[key] for key in ("status", "decisions", "objective")}
+        self.documents[name] = {"solved_anew": is_new, **facts}
+        origin = "solved, because the folder does not have it" if is_new else "taken from the folder"
         self._terminal.tell(f"design {name}: {origin}.")
         return solution
-
-    def _sample(self, name: str, design: Solution, progress: Progress) -> None:
-        progress(f"{name}: {in_brief(design)}", 0, self._samples)
-        if not design.ok:
-            raise ProblemError(design.why())
-        self.evidence[name] = validated(
-            design, self._samples, seed=self._seed, executor=self._executor, progress=progress
-        )
 
     @contextmanager
     def _refusing(self, name: str) -> Iterator[None]:
@@ -173,5 +149,6 @@ class _Sampling:
         try:
             yield
         except AleatorError as error:
-            self._refused[name] = f"{error}"
+            self._is_refused = True
+            self.documents.setdefault(name, {})["why"] = f"{error}"
             self._terminal.complain(f"error with '{name}'", error)

@@ -4,12 +4,12 @@ from aleator.journalling._entry import FILE as FILE
 from aleator.journalling._entry import Entry as Entry
 from aleator.journalling._entry import State as State
 from aleator.journalling._journal import Journal as Journal
+from aleator.journalling._journal import Recalled as Recalled
 from aleator.journalling._journal import journal as journal
+from aleator.journalling._journal import recalling as recalling
 from aleator.journalling._kept import kept as kept
 from aleator.journalling._load import Loaded as Loaded
 from aleator.journalling._load import examined as examined
 from aleator.journalling._load import listing as listing
 from aleator.journalling._load import load as load
 from aleator.journalling._load import names_of as names_of
-from aleator.journalling._recalling import Recalled as Recalled
-from aleator.journalling._recalling import recalling as recalling

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import NamedTuple, final
+from typing import final
 
 from aleator._core.errors import ProblemError
 from aleator._core.journalled import read_lines
@@ -71,9 +71,9 @@ class Entry:
         return replace(begun, key=begun.waits_as, state=State.WAITING)
 
     def instead_of(self, earlier: "Entry") -> "Entry":
-        """The same, beginning while an earlier result is there, which stays until this one replaces it."""
-        kept = {"file": earlier.file, "digest": earlier.digest, "seconds": earlier.seconds}
-        return replace(self, name=self.name or earlier.name, **kept)
+        """The same, beginning while an earlier result is available, which stays until this one replaces it."""
+        result = {"file": earlier.file, "digest": earlier.digest, "seconds": earlier.seconds}
+        return replace(self, name=self.name or earlier.name, **result)
 
     @property
     def waits_as(self) -> str:
@@ -82,39 +82,40 @@ class Entry:
 
     @property
     def is_finished(self) -> bool:
-        """Whether its result is there: that of an infeasible problem too, and one that nobody asks for any more."""
+        """Whether its result is available: that of an infeasible problem too, and one that is stale."""
         return bool(self.file)
+
+    def unfinished(self, state: State = State.INTERRUPTED, why: str = "") -> "Entry":
+        """The same, ended without a result; one that was to replace an earlier result still has that one."""
+        if not self.is_finished:
+            return replace(self, state=state, why=why)
+        return replace(self, state=State.STALE, why=f"its replacement: {state.value}{f', {why}' if why else ''}")
+
+    def is_abandoned(self, busy: bool = True) -> bool:
+        """Whether a process of this machine had begun it and works no more; `busy`: whether one writes its folder."""
+        is_ours = self.state is State.RUNNING and self.host == socket.gethostname()
+        return is_ours and not (busy and _is_alive(self.process))
 
     def line(self) -> str:
         """The entry as one line of JSON."""
         return json.dumps({**vars(self), "state": self.state.value}, ensure_ascii=False) + "\n"
 
-    def __str__(self) -> str:
-        return self.told(self.what)
-
-    def told(self, what: str) -> str:
-        """The entry as a line for people, in which what it is is called `what`."""
-        told = [what, self.name, self._when(), self.why]
-        return f"{self.state.value:<12} {'  '.join(one for one in told if one)}"
-
-    def _when(self) -> str:
+    def described(self, what: str) -> str:
+        """The entry as a line for people, in which `what` stands for its work."""
+        time = "" if self.state is State.WAITING else f"since {self.since} on {self.host} ({self.process})"
         if self.is_finished and self.state is not State.RUNNING:
-            return f"{self.seconds:.2g} s"
-        return "" if self.state is State.WAITING else f"since {self.since} on {self.host} ({self.process})"
+            time = f"{self.seconds:.2g} s"
+        return f"{self.state.value:<12} {'  '.join(filter(None, [what, self.name, time, self.why]))}"
+
+    def __str__(self) -> str:
+        return self.described(self.what)
 
 
-class Entries(NamedTuple):
-    """The last entry of each key, in order of their beginnings, and the size of their lines in bytes."""
+def read(path: Path) -> tuple[dict[str, Entry], int]:
+    """The last entry of each key, in the order of beginnings, and the size of a journal's lines in bytes.
 
-    by_key: dict[str, Entry]
-    size: int
-
-
-def read(path: Path) -> Entries:
-    """What a journal says; nothing if there is no file.
-
-    A last line that was cut off is ignored: its result is computed again. Raises `ProblemError` for anything else that
-    is no entry, with its line.
+    A last line that was cut off is ignored: its result is computed again. A missing file is an empty journal. Raises
+    `ProblemError` for a line that is no entry.
     """
     try:
         lines, size, _ = read_lines(path)
@@ -123,58 +124,44 @@ def read(path: Path) -> Entries:
     entries: dict[str, Entry] = {}
     for line in lines:
         try:
-            one = Entry(**{**line.value, "state": State(line.value["state"])})
+            note(entries, Entry(**{**line.value, "state": State(line.value["state"])}))
         except (ValueError, TypeError, KeyError) as error:
             raise ProblemError(
                 f"'{path}', line {line.number}: expected an entry of a journal; received {line.text[:60]!r}. Remove "
                 "the line, or begin another folder; finished results in other lines stay valid."
             ) from error
-        note(entries, one)
-    return Entries(entries, size)
+    return entries, size
 
 
-def note(entries: dict[str, Entry], one: Entry) -> None:
+def note(entries: dict[str, Entry], entry: Entry) -> None:
     """Let a further line change what a journal says: what begins does not wait any more."""
-    if one.state is not State.WAITING:
-        entries.pop(one.waits_as, None)
-    if one.state is State.WITHDRAWN:
-        entries.pop(one.key, None)
+    if entry.state is not State.WAITING:
+        entries.pop(entry.waits_as, None)
+    if entry.state is State.WITHDRAWN:
+        entries.pop(entry.key, None)
     else:
-        entries[one.key] = one
+        entries[entry.key] = entry
 
 
-def named(entries: Iterable[Entry]) -> dict[str, Entry]:
-    """The results that are there, by what was done, counted in the order of their beginnings: `solve Bar 1`."""
-    counted: dict[str, int] = {}
-    found: dict[str, Entry] = {}
-    for one in entries:
-        if one.is_finished and one.state is not State.STALE:
-            counted[one.what] = counted.get(one.what, 0) + 1
-            found[f"{one.what} {counted[one.what]}"] = one
-    return found
+def numbered(entries: Iterable[Entry]) -> dict[str, Entry]:
+    """The available results by what was done, counted in the order of their beginnings: `solve Bar 1`."""
+    counts: dict[str, int] = {}
+    results: dict[str, Entry] = {}
+    for entry in entries:
+        if entry.is_finished and entry.state is not State.STALE:
+            counts[entry.what] = counts.get(entry.what, 0) + 1
+            results[f"{entry.what} {counts[entry.what]}"] = entry
+    return results
 
 
-def unfinished(one: Entry, state: State = State.INTERRUPTED, why: str = "") -> Entry:
-    """An entry that ended without a result; one that was to replace an earlier result has this still."""
-    if not one.is_finished:
-        return replace(one, state=state, why=why)
-    return replace(one, state=State.STALE, why=f"its replacement: {state.value}{f', {why}' if why else ''}")
-
-
-def seen(one: Entry) -> Entry:
-    """An entry as a reader sees it: what a process of this machine had begun that is no more was interrupted."""
-    is_over = one.state is State.RUNNING and one.host == socket.gethostname() and _has_ended(one.process)
-    return unfinished(one) if is_over else one
-
-
-def _has_ended(process: int) -> bool:
-    """Whether there is no such process; no where that cannot be told."""
+def _is_alive(process: int) -> bool:
+    """Whether there is such a process, or that cannot be known."""
     if sys.platform == "win32" or process <= 0:
-        return False
+        return True
     try:
         os.kill(process, 0)
     except ProcessLookupError:
-        return True
-    except OSError:
         return False
-    return False
+    except OSError:
+        return True
+    return True

@@ -1,10 +1,11 @@
-"""`journal`: a folder in which every finished result is kept at once."""
+"""`journal`: a folder in which every finished result is kept at once; `recalling`: what it has, for reading alone."""
 
+import abc
 import os
 import threading
 import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -14,11 +15,19 @@ from typing_extensions import override
 
 from aleator._core.errors import JournalWarning, ProblemError
 from aleator._core.identity import DoubtError
-from aleator._core.journalled import AbstractEntry, AbstractJournal, AbstractParts, called, journalling
+from aleator._core.journalled import (
+    AbstractEntry,
+    AbstractJournal,
+    AbstractParts,
+    NotKeptError,
+    Settled,
+    called,
+    journalling,
+)
 from aleator.journalling import _results
-from aleator.journalling._entry import FILE, Entry, State, note, read, unfinished
+from aleator.journalling._entry import FILE, Entry, State, note, numbered, read
 from aleator.journalling._keys import Keys, done_with
-from aleator.journalling._load import finished
+from aleator.journalling._load import entries_in
 from aleator.journalling._parts import Parts
 from aleator.nlp import Status
 from aleator.reporting import check_writable, only_writer
@@ -51,13 +60,110 @@ def journal(folder: str | Path, *, afresh: bool = False) -> "Iterator[Journal]":
     """
     place = check_writable(folder)
     with only_writer(place):
-        kept = Journal(place, afresh=afresh)
-        with journalling(kept):
-            yield kept
+        record = Journal(place, afresh=afresh)
+        with journalling(record):
+            yield record
+
+
+@contextmanager
+def recalling(folder: Path) -> "Iterator[Recalled]":
+    """Take all results within a block from a folder; one that is not there ends its work by `NotKeptError`.
+
+    Nothing is written, so that another process may be writing there. Raises `ProblemError` if there is no journal.
+    """
+    record = Recalled(folder)
+    with journalling(record):
+        yield record
+
+
+class AbstractRecord(AbstractJournal):
+    """The results of a folder, each read from its file when it is asked for."""
+
+    def __init__(self, folder: Path, entries: Iterable[Entry]):
+        self.folder, self._keys = folder, Keys()
+        self._known = {entry.key: entry for entry in entries}
+
+    @abc.abstractmethod
+    def _tell_unreadable(self, error: ProblemError) -> None:
+        """Tell of a result that cannot be read."""
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """What the journal says, in the order of beginnings."""
+        return tuple(self._known.values())
+
+    def finished(self) -> dict[str, Any]:
+        """All results that can be read, by the names that a study gives them, or else those of `load`.
+
+        Where several have one name, it is that of the last.
+        """
+        results = dict[str, Any]()
+        available = numbered(self.entries)
+        last = {entry.name: entry.key for entry in available.values()}
+        for number, entry in available.items():
+            with self._telling():
+                name = entry.name if entry.name and last[entry.name] == entry.key else number
+                results[name] = self._read(entry)
+        return results
+
+    def _read(self, entry: Entry) -> Any:
+        """A finished result. What follows from it is recognised from now on."""
+        result = _results.read(self.folder / entry.file, entry.digest, entry.key)
+        self._keys.remember(result, entry.key)
+        return result
+
+    @contextmanager
+    def _telling(self) -> Iterator[None]:
+        try:
+            yield
+        except ProblemError as error:
+            self._tell_unreadable(error)
 
 
 @final
-class Journal(AbstractJournal):
+class Recalled(AbstractRecord):
+    """The results of a folder, for reading alone.
+
+    - `missing`: what was asked for and is not there, or cannot be read, a sentence each.
+    """
+
+    def __init__(self, folder: Path):
+        super().__init__(folder, entries_in(folder))
+        self.missing = list[str]()
+
+    @override
+    def entry(self, what: str, given: Mapping[str, Any]) -> AbstractEntry:
+        try:
+            identity = self._keys.identity(what, given)
+        except DoubtError as doubt:
+            raise self._absent(f"{what}: no run can tell whether it is the same ({doubt}).") from None
+        entry = self._known.get(identity.key)
+        if entry is None or not entry.is_finished:
+            raise self._absent(f"{identity.what} is missing.")
+        try:
+            return Settled(self._read(entry))
+        except ProblemError as error:
+            raise self._absent(f"{error}") from error
+
+    def _absent(self, why: str) -> NotKeptError:
+        self.missing.append(why)
+        return NotKeptError(why)
+
+    @override
+    def _tell_unreadable(self, error: ProblemError) -> None:
+        self.missing.append(f"{error}")
+
+    @override
+    def expect(self, what: str, problems: Mapping[str, Any]) -> list[str]:
+        return []
+
+    @override
+    def withdraw(self, keys: Sequence[str]) -> None:
+        pass
+
+
+@final
+class Journal(AbstractRecord):
     """The journal of one folder, of which this process is the only writer.
 
     - `recalled`: how often work was answered by a result of an earlier process so far, `begun`: how often it was not;
@@ -65,63 +171,66 @@ class Journal(AbstractJournal):
     """
 
     def __init__(self, folder: Path, *, afresh: bool = False):
-        self.folder, self.recalled, self.begun, self.taken = folder, 0, 0, set[str]()
         entries, size = read(folder / FILE)
-        self._known = dict(entries)
-        self._earlier = {key for key, one in entries.items() if one.is_finished}
+        super().__init__(folder, entries.values())
+        self.recalled, self.begun, self.taken = 0, 0, set[str]()
+        self._earlier = {key for key, entry in entries.items() if entry.is_finished}
         self._outdated = set(self._earlier) if afresh else set[str]()
         self._afresh = afresh
-        self._keys = Keys()
-        self._lock, self._told = threading.Lock(), set[str]()
+        self._lock, self._warned = threading.Lock(), set[str]()
         _prepare(folder, size)
         # Nobody else writes there any more.
-        self.append(*(unfinished(one) for one in entries.values() if one.state is State.RUNNING))
+        self.append(*(entry.unfinished() for entry in entries.values() if entry.state is State.RUNNING))
         # What an earlier run was waiting for need not be wanted now.
-        self.withdraw([key for key, one in self._known.items() if one.state is State.WAITING])
+        self.withdraw([key for key, entry in entries.items() if entry.state is State.WAITING])
 
     @override
     def entry(self, what: str, given: Mapping[str, Any]) -> AbstractEntry:
         try:
-            key, said, parts = self._keys.identity(what, given)
+            key, title, parts = self._keys.identity(what, given)
         except DoubtError as doubt:
-            said = done_with(what, given)
-            self.warn(f"{said} is not kept: another run could not tell whether it is the same ({doubt}).")
-            return _Entry(self, None)
-        begun = Entry.begun(key, said, parts, called())
+            title = done_with(what, given)
+            self.warn(f"{title} is not kept: another run could not tell whether it is the same ({doubt}).")
+            return Settled()
+        begun = Entry.begun(key, title, parts, called())
         waiting = self._known.get(begun.waits_as)
         begun = begun if waiting is None else replace(begun, name=waiting.name)
-        found = None if key in self._outdated else self._recalled(key)
-        if found is None:
-            self._tell_changed(said, parts)
+        known, result = self._known.get(key), None
+        if known is not None and known.is_finished and key not in self._outdated:
+            with self._telling():
+                result = self._read(known)
+        if known is None or result is None:
+            self._tell_changed(title, parts)
             self.begun += 1
-            begun = begun.instead_of(self._known[key]) if key in self._outdated else begun
-        else:
-            if key in self._earlier:
-                self.recalled += 1
-                self.taken.add(key)
-            self._keys.remember(found, key)
-            if self._known[key].state is State.STALE:
-                self.append(replace(self._known[key], state=_state_of(found), why=""))
-            elif waiting is not None:
-                self.withdraw([waiting.key])
-        return _Entry(self, begun, found)
+            return _Entry(self, begun if known is None or key not in self._outdated else begun.instead_of(known))
+        if key in self._earlier:
+            self.recalled += 1
+            self.taken.add(key)
+        if known.state is State.STALE:
+            self.append(replace(known, state=_state_of(result), why=""))
+        elif waiting is not None:
+            self.withdraw([waiting.key])
+        return Settled(result)
+
+    @override
+    def _tell_unreadable(self, error: ProblemError) -> None:
+        self.warn(f"{error} It is computed again.")
 
     @override
     def expect(self, what: str, problems: Mapping[str, Any]) -> list[str]:
         try:
             waiting = [
-                Entry.awaited(done_with(what, {"problem": one}), self._keys.problem_digest(one), name)
-                for name, one in problems.items()
+                Entry.awaited(done_with(what, {"problem": problem}), self._keys.problem_digest(problem), name)
+                for name, problem in problems.items()
             ]
         except DoubtError:  # told where it is computed
             return []
         self.append(*waiting)
-        return [one.key for one in waiting]
+        return [entry.key for entry in waiting]
 
     @override
     def withdraw(self, keys: Sequence[str]) -> None:
-        left = [self._known[key] for key in keys if key in self._known]
-        self.append(*(replace(one, state=State.WITHDRAWN) for one in left))
+        self.append(*(replace(self._known[key], state=State.WITHDRAWN) for key in keys if key in self._known))
 
     def call(self, named: Mapping[str, Any]) -> None:
         """Note what a study calls the results of this journal, by name; a name is that of one result.
@@ -130,42 +239,20 @@ class Journal(AbstractJournal):
         """
         names = {key: name for name, result in named.items() if (key := self._keys.of(result))}
         for key, name in names.items():
-            before = [one for one in self._known.values() if one.name == name and one.key != key]
+            before = [entry for entry in self.entries if entry.name == name and entry.key != key]
             if before or self._known[key].name != name:
-                self.append(*(replace(one, name="") for one in before), replace(self._known[key], name=name))
-
-    @property
-    def entries(self) -> tuple[Entry, ...]:
-        """What the journal says, in the order of beginnings."""
-        return tuple(self._known.values())
-
-    def finished(self) -> dict[str, Any]:
-        """All results that can be read: see `finished` in `_load`."""
-        found, refused = finished(self.folder, self._known.values(), self._keys)
-        for one in refused:
-            self.warn(one)
-        return found
-
-    def _recalled(self, key: str) -> Any:
-        known = self._known.get(key)
-        if known is None or not known.is_finished:
-            return None
-        try:
-            return _results.read(self.folder / known.file, known.digest, key)
-        except ProblemError as error:
-            self.warn(f"{error} It is computed again.")
-            return None
+                self.append(*(replace(entry, name="") for entry in before), replace(self._known[key], name=name))
 
     def append(self, *entries: Entry) -> bool:
         """Write lines, whole, at the end of the journal; returns whether they are there."""
         if not entries:
             return True
         with self._lock:
-            for one in entries:
-                note(self._known, one)
+            for entry in entries:
+                note(self._known, entry)
             try:
                 with (self.folder / FILE).open("ab") as file:
-                    file.write("".join(one.line() for one in entries).encode())
+                    file.write("".join(entry.line() for entry in entries).encode())
                     file.flush()
                     os.fsync(file.fileno())
             except OSError as error:
@@ -176,9 +263,11 @@ class Journal(AbstractJournal):
     def keep(self, entry: Entry, result: Any, seconds: float) -> None:
         """Write a result, then the line that says so."""
         if _state_of(result) is State.INTERRUPTED:
-            self.append(unfinished(entry))
+            self.append(entry.unfinished())
             return
-        name = _place(entry)
+        # Not where an earlier result is, which stays until the journal names the new one.
+        name = f"{_RESULTS}/{entry.what.split()[0]}-{entry.key[:_NAMED]}"
+        name += "-again.nc" if entry.file == f"{name}.nc" else ".nc"
         try:
             digest = _results.write(self.folder / name, result, entry.key)
         except ProblemError as error:
@@ -187,8 +276,8 @@ class Journal(AbstractJournal):
         self._keys.remember(result, entry.key)
         self._outdated.discard(entry.key)
         self._earlier.discard(entry.key)
-        told = self.append(replace(entry, state=_state_of(result), seconds=seconds, file=name, digest=digest))
-        if told and entry.file:
+        noted = self.append(replace(entry, state=_state_of(result), seconds=seconds, file=name, digest=digest))
+        if noted and entry.file:
             (self.folder / entry.file).unlink(missing_ok=True)
         self.parts_of(entry).drop()
 
@@ -198,46 +287,42 @@ class Journal(AbstractJournal):
 
     def warn(self, said: str) -> None:
         """Warn of something, once."""
-        if said not in self._told:
-            self._told.add(said)
+        if said not in self._warned:
+            self._warned.add(said)
             warnings.warn(f"journal: {said}", JournalWarning, stacklevel=2)
 
-    def _tell_changed(self, said: str, parts: Mapping[str, str]) -> None:
+    def _tell_changed(self, title: str, parts: Mapping[str, str]) -> None:
         """Mark as stale, with a warning, what differs from a result only by things that may have changed unnoticed."""
-        for one in list(self._known.values()):
-            changed = [name for name, digest in parts.items() if one.parts.get(name) != digest]
-            if one.is_finished and one.what == said and changed and set(changed) <= set(_UNNOTICED):
-                told = " and ".join(dict.fromkeys(_UNNOTICED[name] for name in changed))
-                if one.state is not State.STALE:
-                    self.append(replace(one, state=State.STALE, why=f"{told} changed"))
-                self.warn(f"what an earlier run found is not used, because {told} has changed since.")
+        for entry in self.entries:
+            changed = [name for name, digest in parts.items() if entry.parts.get(name) != digest]
+            if entry.is_finished and entry.what == title and changed and set(changed) <= set(_UNNOTICED):
+                causes = " and ".join(dict.fromkeys(_UNNOTICED[name] for name in changed))
+                if entry.state is not State.STALE:
+                    self.append(replace(entry, state=State.STALE, why=f"{causes} changed"))
+                self.warn(f"what an earlier run found is not used, because {causes} has changed since.")
 
 
 @final
 class _Entry(AbstractEntry):
-    """One result in the making; without an `Entry` it is not kept."""
+    """One result in the making."""
 
-    def __init__(self, journal: Journal, begun: Entry | None, recalled: Any = None):
-        self._journal, self._begun, self.recalled = journal, begun, recalled
-        self._started = time.perf_counter()
-        if begun is not None and recalled is None:
-            journal.append(begun)
+    def __init__(self, record: Journal, begun: Entry):
+        self._record, self._begun, self._started = record, begun, time.perf_counter()
+        record.append(begun)
 
     @property
     @override
     def parts(self) -> AbstractParts:
-        return super().parts if self._begun is None else self._journal.parts_of(self._begun)
+        return self._record.parts_of(self._begun)
 
     @override
     def keep(self, result: Any) -> None:
-        if self._begun is not None:
-            self._journal.keep(self._begun, result, time.perf_counter() - self._started)
+        self._record.keep(self._begun, result, time.perf_counter() - self._started)
 
     @override
     def failed(self, error: BaseException) -> None:
-        if self._begun is not None:
-            state = State.INTERRUPTED if isinstance(error, KeyboardInterrupt) else State.FAILED
-            self._journal.append(unfinished(self._begun, state, f"{type(error).__name__}: {error}"))
+        state = State.INTERRUPTED if isinstance(error, KeyboardInterrupt) else State.FAILED
+        self._record.append(self._begun.unfinished(state, f"{type(error).__name__}: {error}"))
 
 
 def _prepare(folder: Path, size: int) -> None:
@@ -253,12 +338,6 @@ def _prepare(folder: Path, size: int) -> None:
         ) from None
     except OSError as error:
         raise ProblemError(f"The folder '{folder}' cannot take a journal ({error.strerror}): name another.") from error
-
-
-def _place(entry: Entry) -> str:
-    """Where the result of an entry goes: not where an earlier one is, which stays until the journal names the new."""
-    first = f"{_RESULTS}/{entry.what.split()[0]}-{entry.key[:_NAMED]}"
-    return f"{first}.nc" if entry.file != f"{first}.nc" else f"{first}-again.nc"
 
 
 def _state_of(result: Any) -> State:

@@ -1,7 +1,6 @@
 """Parts of a result that takes long, kept until the whole result is."""
 
 import hashlib
-import os
 import pickle
 from collections.abc import Callable
 from pathlib import Path
@@ -11,18 +10,14 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.journalled import AbstractParts
-from aleator._core.programs import is_private
-from aleator.reporting import write_whole
+from aleator.journalling._results import read_private, write_private
 
 _DIGEST = hashlib.sha256().digest_size
-_OTHERS = 0o022  # may write
 
 
 @final
 class Parts(AbstractParts):
     """One file a part, beside the results: a digest of its place and content, and Python's pickle.
-
-    Files that others could have written are not read.
 
     - `key`: that of the result; `warn`: is told why a part could not be kept;
     - `recalls`: whether parts of an earlier run are taken.
@@ -33,26 +28,19 @@ class Parts(AbstractParts):
 
     @override
     def recall(self, number: int) -> Any:
-        if not self._recalls:
-            return None
         try:
-            with self._place(number).open("rb") as file:
-                private, data = is_private(os.fstat(file.fileno())), file.read()
-        except OSError:
+            data = read_private(self._place(number)) if self._recalls else b""
+        except ProblemError:  # it is missing, or others could have written it
             return None
         digest, content = data[:_DIGEST], data[_DIGEST:]
-        # What others could have written, or a crash has cut off, is computed again.
-        if not private or self._digest(number, content) != digest:
-            return None
-        return pickle.loads(content)
+        # What a crash has cut off is computed again.
+        return pickle.loads(content) if digest == self._digest(number, content) else None
 
     @override
     def keep(self, number: int, part: Any) -> None:
         content = pickle.dumps(part)
-        data = self._digest(number, content) + content
         try:
-            path = write_whole(self._place(number), lambda file: file.write_bytes(data))
-            path.chmod(path.stat().st_mode & ~_OTHERS)
+            write_private(self._place(number), self._digest(number, content) + content)
         except (ProblemError, OSError) as error:
             self._warn(f"a part of a result is not kept: {error}")
 
@@ -62,7 +50,7 @@ class Parts(AbstractParts):
             path.unlink(missing_ok=True)
 
     def _digest(self, number: int, content: bytes) -> bytes:
-        """Of the result and the number too: elsewhere, a part would be another one."""
+        """Of the result and the number too: a part in another place is another one."""
         return hashlib.sha256(f"{self._key} {number}\0".encode() + content).digest()
 
     def _place(self, number: int) -> Path:

@@ -1,7 +1,7 @@
 """Results as labelled arrays with units, and which can be saved: by name, nested as needed."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -24,242 +24,62 @@ from aleator.validation import PERCENTILES, Evidence, Share
 if TYPE_CHECKING:
     import xarray
 
+# This halves time histories; stronger compression takes longer and saves little more.
+_PACKED = {"zlib": True, "complevel": 1, "shuffle": True}
+
+KINDS = (Solution, Evidence, Front, TradeOff, Calibration)
+"""The kinds of results that have labelled arrays."""
+
 
 def leaves(results: Mapping[str, Any], *outer: str) -> Iterator[tuple[tuple[str, ...], Any]]:
     """Each result with the names under which it stands, the outermost first."""
-    for name, one in results.items():
-        if isinstance(one, Mapping):
-            yield from leaves(one, *outer, str(name))
+    for name, result in results.items():
+        if isinstance(result, Mapping):
+            yield from leaves(result, *outer, str(name))
         else:
-            yield (*outer, str(name)), one
+            yield (*outer, str(name)), result
 
 
 def by_place(results: Mapping[str, Any]) -> dict[str, Any]:
     """Each result by its place, such as `designs/robust`."""
-    return {"/".join(names): one for names, one in leaves(results)}
+    return {"/".join(names): result for names, result in leaves(results)}
 
 
-Variable = tuple[Any, Any, dict[str, str], dict[str, Any]]
-# This halves time histories; stronger compression takes longer and saves little more.
-_PACKED = {"zlib": True, "complevel": 1, "shuffle": True}
+@final
+class _Arrays:
+    """The arrays of a dataset, as they are added: name, axes, values, and what they are in which unit."""
 
+    def __init__(self) -> None:
+        self._arrays: dict[str, Any] = {}
 
-def solution_dataset(solution: Solution) -> "xarray.Dataset":
-    """Decisions, constraints with their bounds, multipliers and activity, and the moments of a solution."""
-    import xarray
+    def add(self, name: str, axes: Any, values: Any, about: str, unit: str = "", **more: str) -> None:
+        array = np.asarray(values)
+        packing = _PACKED if array.size > 1000 else {}
+        self._arrays[_key(name)] = axes, array, {"long_name": about, "units": unit or "1", **more}, packing
 
-    problem = solution.problem
-    data: dict[str, Variable] = {
-        "objective": variable((), solution.objective, str(problem.objective), unit_of_objective(solution.problem))
-    }
-    for name, value in solution.decisions.items():
-        data[f"decision {_key(name)}"] = variable(_entries(name, value), value, name, unit_of_decision(name, problem))
-        multiplier = solution.bound_multipliers.get(name, np.nan)
-        data[f"multiplier {_key(name)}"] = variable(
-            _entries(name, value), multiplier, f"multiplier of the bounds of {name}", ""
-        )
-    for i, (one, declared) in enumerate(zip(solution.constraints, problem.constraints, strict=True)):
-        unit, label = unit_of_expression(declared.expression, problem), f"constraint {i} {_key(one.name)}"
-        axes = _axes(one.values, one.times is not None)
-        if one.times is not None and len(one.times) > len(solution.instants):  # Limits on a mesh have more instants.
-            axes = ("point of limits", *axes[1:])
-            data["times of limits"] = variable(axes[0], one.times, "instants of limits over time", "s")
-        data[label] = variable(axes, one.values, one.text, unit, lower=f"{one.lower:g}", upper=f"{one.upper:g}")
-        data[f"{label} multiplier"] = variable(axes, one.multipliers, "minus the objective per bound", "")
-        data[f"{label} active"] = variable(axes, np.asarray(one.active, dtype=np.int8), "1 where active", "")
-    units = units_of_moments(problem)
-    for text, one in solution.moments.items():
-        axes = _axes(one.mean, np.ndim(one.mean) > 0)
-        data[f"mean {_key(text)}"] = variable(axes, one.mean, f"mean of {text} by the expansion", units.get(text, ""))
-        data[f"std {_key(text)}"] = variable(
-            axes, one.std, f"standard deviation of {text} by the expansion", units.get(text, "")
-        )
-    for one in statistics_in(problem.expressions):
-        if not isinstance(one.kind, Mean | Std):
-            values = solution.statistics[one.text()]
-            axes, unit = _axes(values, one.is_path), unit_of_statistic(one, problem)
-            data[f"statistic {_key(one.text())}"] = variable(axes, values, f"{one.text()} by the expansion", unit)
-    for i, one in enumerate(solution.meshes, 1):
-        axes, told = (f"realisation of mesh {i}", f"interval of mesh {i}"), f"drift of the states on mesh {i}"
-        data[f"mesh {i}"] = variable(f"node of mesh {i}", one.nodes, f"nodes of mesh {i}, {one.scheme}", "s")
-        data[f"mesh {i} drift"] = variable(axes, one.drifts, told, "1", asked=f"{one.asked:g}")
-    if (searched := solution.effort.searched) is not None:
-        unit = unit_of_objective(problem)
-        data["searched objective"] = variable("evaluation", searched.objectives, f"by {searched.method}", unit)
-        data["searched violation"] = variable("evaluation", searched.violations, "largest violation", "1")
-    data |= _histories(solution)
-    attributes = {
-        "status": solution.status.value,
-        "solver": solution.effort.solver,
-        "violation": solution.certificate.violation,
-        "stationarity": solution.certificate.stationarity,
-        "complementarity": solution.certificate.complementarity,
-        "problem": solution.problem_text,
-    }
-    return _with_time(xarray.Dataset(data, attrs=attributes), solution)
+    def add_decisions(self, along: str, solutions: Sequence[Any], first: Solution) -> None:
+        """The decisions of several solutions along an axis; NaN for what is none."""
+        for name, value in first.decisions.items():
+            values = [one.decisions[name] if isinstance(one, Solution) else np.nan for one in solutions]
+            axes = (along, *_entries(name, value))
+            self.add(f"decision {name}", axes, _side_by_side(values), name, unit_of_decision(name, first.problem))
 
+    def add_shares(self, axis: str, shares: Sequence[Share]) -> None:
+        """Shares of systems that violate, with their intervals."""
+        level = f"{100 * shares[0].confidence:g} %" if shares else ""
+        self.add("violation", axis, [one.estimate for one in shares], "share of systems that violate")
+        self.add("violation_lower", axis, [one.lower for one in shares], f"lower end of its {level} interval")
+        self.add("violation_upper", axis, [one.upper for one in shares], f"upper end of its {level} interval")
 
-def _histories(solution: Solution) -> dict[str, Variable]:
-    """States, costates and switching functions of a simultaneous program, each along its own instants."""
-    kinds = {"state": solution.mesh_states, "costate": solution.costates, "switching function": solution.switching}
-    data: dict[str, Variable] = {}
-    for kind, found in kinds.items():
-        if found is None or not found.values:
-            continue
-        along = (f"point of {kind}s",) if found is solution.switching else ("realisation", f"point of {kind}s")
-        data[f"times of {kind}s"] = variable(along[-1], found.times, f"instants of {kind}s", "s")
-        for name, values in found.values.items():
-            axes = (*along, *(f"component of {size}, {i}" for i, size in enumerate(values.shape[len(along) :])))
-            data[f"{kind} {_key(name)}"] = variable(axes, values, f"{kind} of {name}", "")
-    if solution.mesh_states is not None:
-        germs = "germ points of the realisations"
-        data["germ"] = variable(("realisation", "germ variable"), solution.mesh_states.germs, germs, "1")
-    return data
+    def dataset(self, attributes: Mapping[str, Any], instants: Any = None, **coordinates: Any) -> "xarray.Dataset":
+        """The dataset of the arrays, some of which may be coordinates; `instants` belong to an axis `time`."""
+        import xarray
 
-
-def evidence_dataset(evidence: Evidence) -> "xarray.Dataset":
-    """Violations with their intervals, sampled statistics, percentiles and the kept trajectories."""
-    import xarray
-
-    problem = evidence.solution.problem
-    units = units_of_moments(problem)
-    shares = {**evidence.violations, "any": evidence.joint}
-    data = _share_variables("limit", list(shares.values()))
-    for text, one in evidence.functionals.items():
-        axes = _axes(one.mean, one.percentiles is None)
-        parts = {"sampled mean": one.mean, "sampled std": one.std, "standard error": one.standard_error}
-        for part, values in parts.items():
-            data[f"{part} {_key(text)}"] = variable(axes, values, f"{part} of {text}", units.get(text, ""))
-        if one.percentiles is not None:
-            data[f"percentiles {_key(text)}"] = variable(
-                "percent", one.percentiles, f"percentiles of {text}", units.get(text, "")
-            )
-    for text, one in evidence.statistics.items():
-        unit = unit_of_statistic(one.statistic, problem)
-        data[f"sampled {_key(text)}"] = variable((), one.estimate, f"{text} of the samples", unit)
-        data[f"standard error {_key(text)}"] = variable((), one.standard_error, f"standard error of {text}", unit)
-    for i, one in enumerate(evidence.trajectories):
-        unit = unit_of_limit(one.name, problem)
-        bounds = {"lower": f"{one.lower:g}", "upper": f"{one.upper:g}"}
-        axes = ("system", *_axes(one.values[0], True))
-        data[f"trajectory {i} {_key(one.name)}"] = variable(
-            axes, one.values, f"sampled systems: {one.name}", unit, **bounds
-        )
-        broken = np.asarray(one.violating, dtype=np.int8)
-        data[f"trajectory {i} violating"] = variable("system", broken, f"1 if the system violates {one.name}", "")
-    coordinates = {"limit": list(shares), "percent": list(PERCENTILES)}
-    attributes = {"samples": evidence.samples, "seed": evidence.seed, "seconds": evidence.seconds}
-    if evidence.instants is not None:
-        attributes["instants"] = evidence.instants
-    return _with_time(xarray.Dataset(data, coords=coordinates, attrs=attributes), evidence.solution)
-
-
-def front_dataset(front: Front) -> "xarray.Dataset":
-    """Objective, shadow price, status and decisions along the values of a bound."""
-    import xarray
-
-    first = front.solutions[0]
-    bound_unit = unit_of_limit(front.bound, first.problem)
-    unit = unit_of_objective(first.problem)
-    active = [", ".join(one.active) if isinstance(one, Solution) else "" for one in front.points]
-    why = ["" if one.ok else one.why() for one in front.points]
-    data: dict[str, Variable] = {
-        "objective": variable("bound", front.objectives, str(first.problem.objective), unit),
-        "shadow_price": variable(
-            "bound", front.shadow_prices, f"shadow price of {front.bound}", f"{unit or '1'} per {bound_unit or '1'}"
-        ),
-        "violation": variable("bound", front.violations, "scaled violation", "1"),
-        "status": variable("bound", [one.status.name for one in front.points], "how each solve ended", ""),
-        "active": variable("bound", active, "active constraints", ""),
-        "why": variable("bound", why, "why there is no optimum", ""),
-    }
-    for name, value in first.decisions.items():
-        values = _side_by_side([one.decisions[name] if isinstance(one, Solution) else np.nan for one in front.points])
-        axes = ("bound", *_entries(name, value))
-        data[f"decision {_key(name)}"] = variable(axes, values, name, unit_of_decision(name, first.problem))
-    bound = variable("bound", front.values, f"limit of {front.bound}", bound_unit)
-    return xarray.Dataset(data, coords={"bound": bound}, attrs={"interrupted": int(front.interrupted)})
-
-
-def _side_by_side(each: Sequence[Any]) -> np.ndarray:
-    """Arrays of one kind stacked, the rest of shorter ones NaN: a control has as many values as its mesh has nodes."""
-    arrays = [np.asarray(one, dtype=float) for one in each]
-    shape = np.max([one.shape for one in arrays if one.ndim == max(other.ndim for other in arrays)], axis=0).astype(int)
-    stacked = np.full((len(arrays), *shape), np.nan)
-    for i, one in enumerate(arrays):
-        stacked[(i, *(slice(size) for size in one.shape))] = one
-    return stacked
-
-
-def calibration_dataset(calibration: Calibration) -> "xarray.Dataset":
-    """Objective and violation for each margin tried; the chosen one, and its violation on fresh samples."""
-    import xarray
-
-    trials = sorted(calibration.trials, key=lambda one: one.sigmas)
-    data = _share_variables("sigmas", [one.violation for one in trials])
-    objectives = [one.solution.objective for one in trials]
-    data["objective"] = variable(
-        "sigmas", objectives, "optimum at this margin", unit_of_objective(trials[0].solution.problem)
-    )
-    sigmas = variable("sigmas", [one.sigmas for one in trials], "multiple of the standard deviation", "1")
-    attributes = {
-        "constraint": calibration.name,
-        "target": calibration.target,
-        "chosen": calibration.sigmas,
-        **{f"chosen for {name}": sigmas for name, sigmas in calibration.margins.items()},
-        "confirmed": int(calibration.confirmed),
-        "verdict": calibration.sentence(),
-        "interrupted": int(calibration.interrupted),
-    }
-    if (fresh := calibration.confirmation) is not None:
-        attributes |= {"fresh": fresh.estimate, "fresh_lower": fresh.lower, "fresh_upper": fresh.upper}
-        attributes |= {"fresh_samples": fresh.samples, "fresh_confidence": fresh.confidence}
-    return xarray.Dataset(data, coords={"sigmas": sigmas}, attrs=attributes)
-
-
-def trade_off_dataset(front: TradeOff) -> "xarray.Dataset":
-    """The wishes, their weights and the decisions at each design."""
-    import xarray
-
-    data: dict[str, Variable] = {}
-    for i, name in enumerate(front.names):
-        unit = unit_of_expression(front.wishes[i], front.solutions[0].problem)
-        data[f"wish {_key(name)}"] = variable("design", front.values[:, i], str(front.wishes[i]), unit)
-        data[f"weight {_key(name)}"] = variable("design", front.weights[:, i], f"how much {name} counts", "")
-    for name, value in front.solutions[0].decisions.items():
-        values = _side_by_side([one.decisions[name] for one in front.solutions])
-        unit = unit_of_decision(name, front.solutions[0].problem)
-        data[f"decision {_key(name)}"] = variable(("design", *_entries(name, value)), values, name, unit)
-    attributes = {"dominated": front.dominated, "failed": " ".join(front.failed), "interrupted": int(front.interrupted)}
-    return xarray.Dataset(data, attrs=attributes)
-
-
-def dataset(result: "Solution | Evidence | Front | TradeOff | Calibration | xarray.Dataset") -> "xarray.Dataset":
-    """Any result as a dataset; a dataset is returned unchanged."""
-    if isinstance(result, Solution):
-        return solution_dataset(result)
-    if isinstance(result, Evidence):
-        return evidence_dataset(result)
-    if isinstance(result, Front):
-        return front_dataset(result)
-    if isinstance(result, TradeOff):
-        return trade_off_dataset(result)
-    if isinstance(result, Calibration):
-        return calibration_dataset(result)
-    # A study may keep a single array of its own, which becomes a dataset of that array.
-    return result
-
-
-def is_own_data(result: object) -> bool:
-    """Whether a result is data that a study has labelled itself."""
-    import xarray
-
-    return isinstance(result, xarray.Dataset | xarray.DataArray)
-
-
-def variable(axes: Any, values: Any, long_name: str, unit: str, **more: str) -> Variable:
-    array = np.asarray(values)
-    return axes, array, {"long_name": long_name, "units": unit or "1", **more}, _PACKED if array.size > 1000 else {}
+        coordinates |= {name: self._arrays.pop(name) for name in coordinates if name in self._arrays}
+        data = xarray.Dataset(self._arrays, coords=coordinates, attrs=attributes)
+        if "time" in data.dims:
+            data = data.assign_coords(time=("time", instants, {"long_name": "time", "units": "s"}))
+        return data
 
 
 def _key(text: str) -> str:
@@ -278,20 +98,172 @@ def _axes(values: Any, is_path: bool) -> tuple[str, ...]:
     return ("time", *rest) if is_path else rest
 
 
-def _share_variables(axis: str, shares: list[Share]) -> dict[str, Variable]:
-    level = f"{100 * shares[0].confidence:g} %" if shares else ""
-    return {
-        "violation": variable(axis, [one.estimate for one in shares], "share of systems that violate", "1"),
-        "violation_lower": variable(axis, [one.lower for one in shares], f"lower end of its {level} interval", "1"),
-        "violation_upper": variable(axis, [one.upper for one in shares], f"upper end of its {level} interval", "1"),
+def _side_by_side(each: Sequence[Any]) -> np.ndarray:
+    """Arrays of one kind stacked, the rest of shorter ones NaN: a control has as many values as its mesh has nodes."""
+    arrays = [np.asarray(one, dtype=float) for one in each]
+    shape = np.max([one.shape for one in arrays if one.ndim == max(other.ndim for other in arrays)], axis=0).astype(int)
+    stacked = np.full((len(arrays), *shape), np.nan)
+    for i, one in enumerate(arrays):
+        stacked[(i, *(slice(size) for size in one.shape))] = one
+    return stacked
+
+
+def _of_solution(solution: Solution) -> "xarray.Dataset":
+    """Decisions, constraints with their bounds, multipliers and activity, and the moments of a solution."""
+    problem, arrays = solution.problem, _Arrays()
+    objective_unit = unit_of_objective(problem)
+    arrays.add("objective", (), solution.objective, str(problem.objective), objective_unit)
+    for name, value in solution.decisions.items():
+        axes, multiplier = _entries(name, value), solution.bound_multipliers.get(name, np.nan)
+        arrays.add(f"decision {name}", axes, value, name, unit_of_decision(name, problem))
+        arrays.add(f"multiplier {name}", axes, multiplier, f"multiplier of the bounds of {name}")
+    for i, (limit, declared) in enumerate(zip(solution.constraints, problem.constraints, strict=True)):
+        unit, label = unit_of_expression(declared.expression, problem), f"constraint {i} {limit.name}"
+        axes = _axes(limit.values, limit.times is not None)
+        if limit.times is not None and len(limit.times) > len(solution.instants):  # Limits on a mesh have more instants
+            axes = ("point of limits", *axes[1:])
+            arrays.add("times of limits", axes[0], limit.times, "instants of limits over time", "s")
+        arrays.add(label, axes, limit.values, limit.text, unit, lower=f"{limit.lower:g}", upper=f"{limit.upper:g}")
+        arrays.add(f"{label} multiplier", axes, limit.multipliers, "minus the objective per bound")
+        arrays.add(f"{label} active", axes, np.asarray(limit.active, dtype=np.int8), "1 where active")
+    units = units_of_moments(problem)
+    for text, moments in solution.moments.items():
+        axes, unit = _axes(moments.mean, np.ndim(moments.mean) > 0), units.get(text, "")
+        arrays.add(f"mean {text}", axes, moments.mean, f"mean of {text} by the expansion", unit)
+        arrays.add(f"std {text}", axes, moments.std, f"standard deviation of {text} by the expansion", unit)
+    for statistic in statistics_in(problem.expressions):
+        if not isinstance(statistic.kind, Mean | Std):
+            text, unit = statistic.text(), unit_of_statistic(statistic, problem)
+            values = solution.statistics[text]
+            axes = _axes(values, statistic.is_path)
+            arrays.add(f"statistic {text}", axes, values, f"{text} by the expansion", unit)
+    for i, mesh in enumerate(solution.meshes, 1):
+        arrays.add(f"mesh {i}", f"node of mesh {i}", mesh.nodes, f"nodes of mesh {i}, {mesh.scheme}", "s")
+        axes, about = (f"realisation of mesh {i}", f"interval of mesh {i}"), f"drift of the states on mesh {i}"
+        arrays.add(f"mesh {i} drift", axes, mesh.drifts, about, asked=f"{mesh.asked:g}")
+    if (searched := solution.effort.searched) is not None:
+        about = f"by {searched.method}"
+        arrays.add("searched objective", "evaluation", searched.objectives, about, objective_unit)
+        arrays.add("searched violation", "evaluation", searched.violations, "largest violation")
+    _add_histories(arrays, solution)
+    attributes = {
+        "status": solution.status.value,
+        "solver": solution.effort.solver,
+        "violation": solution.certificate.violation,
+        "stationarity": solution.certificate.stationarity,
+        "complementarity": solution.certificate.complementarity,
+        "problem": solution.problem_text,
     }
+    return arrays.dataset(attributes, solution.instants)
 
 
-def _with_time(data: "xarray.Dataset", solution: Solution) -> "xarray.Dataset":
-    if "time" not in data.dims:
-        return data
-    times = solution.instants
-    return data.assign_coords(time=("time", times, {"long_name": "time", "units": "s"}))
+def _add_histories(arrays: _Arrays, solution: Solution) -> None:
+    """States, costates and switching functions of a simultaneous program, each along its own instants."""
+    kinds = {"state": solution.mesh_states, "costate": solution.costates, "switching function": solution.switching}
+    for kind, histories in kinds.items():
+        if histories is None or not histories.values:
+            continue
+        along = (f"point of {kind}s",) if histories is solution.switching else ("realisation", f"point of {kind}s")
+        arrays.add(f"times of {kind}s", along[-1], histories.times, f"instants of {kind}s", "s")
+        for name, values in histories.values.items():
+            axes = (*along, *(f"component of {size}, {i}" for i, size in enumerate(values.shape[len(along) :])))
+            arrays.add(f"{kind} {name}", axes, values, f"{kind} of {name}")
+    if solution.mesh_states is not None:
+        axes = ("realisation", "germ variable")
+        arrays.add("germ", axes, solution.mesh_states.germs, "germ points of the realisations")
+
+
+def _of_evidence(evidence: Evidence) -> "xarray.Dataset":
+    """Violations with their intervals, sampled statistics, percentiles and the kept trajectories."""
+    problem, arrays = evidence.solution.problem, _Arrays()
+    units, shares = units_of_moments(problem), {**evidence.violations, "any": evidence.joint}
+    arrays.add_shares("limit", list(shares.values()))
+    for text, sampled in evidence.functionals.items():
+        axes, unit = _axes(sampled.mean, sampled.percentiles is None), units.get(text, "")
+        parts = {"sampled mean": sampled.mean, "sampled std": sampled.std, "standard error": sampled.standard_error}
+        for part, values in parts.items():
+            arrays.add(f"{part} {text}", axes, values, f"{part} of {text}", unit)
+        if sampled.percentiles is not None:
+            arrays.add(f"percentiles {text}", "percent", sampled.percentiles, f"percentiles of {text}", unit)
+    for text, sampled in evidence.statistics.items():
+        unit = unit_of_statistic(sampled.statistic, problem)
+        arrays.add(f"sampled {text}", (), sampled.estimate, f"{text} of the samples", unit)
+        arrays.add(f"standard error {text}", (), sampled.standard_error, f"standard error of {text}", unit)
+    for i, kept in enumerate(evidence.trajectories):
+        axes, unit, label = (
+            ("system", *_axes(kept.values[0], True)),
+            unit_of_limit(kept.name, problem),
+            f"trajectory {i}",
+        )
+        bounds = {"lower": f"{kept.lower:g}", "upper": f"{kept.upper:g}"}
+        arrays.add(f"{label} {kept.name}", axes, kept.values, f"sampled systems: {kept.name}", unit, **bounds)
+        broken = np.asarray(kept.violating, dtype=np.int8)
+        arrays.add(f"{label} violating", "system", broken, f"1 if the system violates {kept.name}")
+    attributes = {"samples": evidence.samples, "seed": evidence.seed, "seconds": evidence.seconds}
+    if evidence.instants is not None:
+        attributes["instants"] = evidence.instants
+    return arrays.dataset(attributes, evidence.solution.instants, limit=list(shares), percent=list(PERCENTILES))
+
+
+def _of_front(front: Front) -> "xarray.Dataset":
+    """Objective, shadow price, status and decisions along the values of a bound."""
+    first, arrays = front.solutions[0], _Arrays()
+    bound_unit, unit = unit_of_limit(front.bound, first.problem), unit_of_objective(first.problem)
+    price_unit = f"{unit or '1'} per {bound_unit or '1'}"
+    active = [", ".join(one.active) if isinstance(one, Solution) else "" for one in front.points]
+    why = ["" if one.ok else one.why() for one in front.points]
+    arrays.add("bound", "bound", front.values, f"limit of {front.bound}", bound_unit)
+    arrays.add("objective", "bound", front.objectives, str(first.problem.objective), unit)
+    arrays.add("shadow_price", "bound", front.shadow_prices, f"shadow price of {front.bound}", price_unit)
+    arrays.add("violation", "bound", front.violations, "scaled violation")
+    arrays.add("status", "bound", [one.status.name for one in front.points], "how each solve ended")
+    arrays.add("active", "bound", active, "active constraints")
+    arrays.add("why", "bound", why, "why there is no optimum")
+    arrays.add_decisions("bound", front.points, first)
+    return arrays.dataset({"interrupted": int(front.interrupted)}, bound=None)
+
+
+def _of_calibration(calibration: Calibration) -> "xarray.Dataset":
+    """Objective and violation for each margin tried; the chosen one, and its violation on fresh samples."""
+    trials, arrays = sorted(calibration.trials, key=lambda trial: trial.sigmas), _Arrays()
+    unit = unit_of_objective(trials[0].solution.problem)
+    arrays.add_shares("sigmas", [trial.violation for trial in trials])
+    objectives = [trial.solution.objective for trial in trials]
+    arrays.add("objective", "sigmas", objectives, "optimum at this margin", unit)
+    arrays.add("sigmas", "sigmas", [trial.sigmas for trial in trials], "multiple of the standard deviation")
+    attributes = {
+        "constraint": calibration.name,
+        "target": calibration.target,
+        "chosen": calibration.sigmas,
+        **{f"chosen for {name}": sigmas for name, sigmas in calibration.margins.items()},
+        "confirmed": int(calibration.confirmed),
+        "verdict": calibration.sentence(),
+        "interrupted": int(calibration.interrupted),
+    }
+    if (fresh := calibration.confirmation) is not None:
+        attributes |= {"fresh": fresh.estimate, "fresh_lower": fresh.lower, "fresh_upper": fresh.upper}
+        attributes |= {"fresh_samples": fresh.samples, "fresh_confidence": fresh.confidence}
+    return arrays.dataset(attributes, sigmas=None)
+
+
+def _of_trade_off(front: TradeOff) -> "xarray.Dataset":
+    """The wishes, their weights and the decisions at each design."""
+    first, arrays = front.solutions[0], _Arrays()
+    for i, (name, wish) in enumerate(zip(front.names, front.wishes, strict=True)):
+        arrays.add(f"wish {name}", "design", front.values[:, i], str(wish), unit_of_expression(wish, first.problem))
+        arrays.add(f"weight {name}", "design", front.weights[:, i], f"how much {name} counts")
+    arrays.add_decisions("design", front.solutions, first)
+    attributes = {"dominated": front.dominated, "failed": " ".join(front.failed), "interrupted": int(front.interrupted)}
+    return arrays.dataset(attributes)
+
+
+def dataset(result: "Solution | Evidence | Front | TradeOff | Calibration | xarray.Dataset") -> "xarray.Dataset":
+    """Any result as a dataset; a dataset, or an array that a study has labelled itself, is returned unchanged."""
+    makers: tuple[Any, ...] = (_of_solution, _of_evidence, _of_front, _of_trade_off, _of_calibration)
+    for kind, make in zip(KINDS, makers, strict=True):
+        if isinstance(result, kind):
+            return make(result)
+    return result  # pyright: ignore[reportReturnType]
 
 
 def tree(results: Mapping[str, Any]) -> "xarray.DataTree":
@@ -299,52 +271,43 @@ def tree(results: Mapping[str, Any]) -> "xarray.DataTree":
     import xarray
 
     nodes = {
-        "/".join(["", *map(_key, names)]): dataset(one)
-        for names, one in leaves(results)
+        "/".join(["", *map(_key, names)]): dataset(result)
+        for names, result in leaves(results)
         # A front may have been interrupted before its first point.
-        if one is not None and not (isinstance(one, Front) and not one.solutions)
+        if result is not None and not (isinstance(result, Front) and not result.solutions)
     }
     return xarray.DataTree.from_dict(nodes)
-
-
-KINDS = (Solution, Evidence, Front, TradeOff, Calibration)
-"""The kinds of results that have labelled arrays."""
 
 
 def savable(what: str, results: Any) -> tuple[dict[str, Any], list[ProblemError]]:
     """The results that can be saved, and a refusal for each of the others, beginning with `what` and its place."""
     if not isinstance(results, Mapping):
         raise refusal(what, "results by name: a mapping", results)
-    kept: dict[str, Any] = {}
+    accepted: dict[str, Any] = {}
     refused: list[ProblemError] = []
-    for name, one in results.items():
+    for name, result in results.items():
         place = f"{what}: '{name}'"
         try:
-            if isinstance(one, Mapping):
-                kept[_name(what, name)], inside = savable(place, one)
+            if not isinstance(name, str | int | float) or str(name) in ("", ".", ".."):  # those stand for other groups
+                raise refusal(what, "results by name", name)
+            if isinstance(result, Mapping):
+                accepted[str(name)], inside = savable(place, result)
                 refused += inside
             else:
-                kept[_name(what, name)] = _leaf(place, one)
+                accepted[str(name)] = _checked(place, result)
         except ProblemError as error:
             refused.append(error)
-    return kept, refused
+    return accepted, refused
 
 
-def _name(what: str, name: Any) -> str:
-    """A valid name of a group; `.` and `..` stand for other groups."""
-    if not isinstance(name, str | int | float) or str(name) in ("", ".", ".."):
-        raise refusal(what, "results by name", name)
-    return str(name)
-
-
-def _leaf(what: str, one: Any) -> Any:
+def _checked(what: str, result: Any) -> Any:
     """A result, or a user's own data in a form that netCDF can hold."""
-    if one is None or not is_own_data(one):
-        return one if one is None else one_of(what, one, KINDS, "what `solve` gives, or a dataset of xarray")
     import xarray
 
+    if not isinstance(result, xarray.Dataset | xarray.DataArray):
+        return None if result is None else one_of(what, result, KINDS, "what `solve` gives, or a dataset of xarray")
     try:
-        xarray.DataTree.from_dict({"/one": one}).to_netcdf(engine="h5netcdf")
+        xarray.DataTree.from_dict({"/one": result}).to_netcdf(engine="h5netcdf")
     except (TypeError, ValueError, NotImplementedError) as error:
         raise ProblemError(f"{what}: expected data that netCDF can hold; received other data: {error}") from error
-    return one
+    return result

@@ -82,9 +82,7 @@ def _locked(folder: Path) -> int:
     try:
         handle = os.open(folder / NAME, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError as error:
-        raise ProblemError(
-            f"The folder '{folder}' cannot be written to ({error.strerror}): name another folder for the results."
-        ) from error
+        raise _refused(folder, error) from error
     patient_until = time.monotonic() + _PATIENCE
     while True:
         try:
@@ -93,12 +91,12 @@ def _locked(folder: Path) -> int:
             if error.errno in _TAKEN and time.monotonic() < patient_until:
                 time.sleep(_PAUSE)
                 continue
-            if error.errno in _IMPOSSIBLE:
-                return handle
-            os.close(handle)
-            raise ProblemError(
-                f"Another process is writing its results into '{folder}': name another folder, or wait until it ends."
-            ) from error
+            if error.errno not in _IMPOSSIBLE:
+                os.close(handle)
+                raise ProblemError(
+                    f"Another process is writing its results into '{folder}': name another folder, or wait until it "
+                    "ends."
+                ) from error
         return handle
 
 
@@ -114,9 +112,11 @@ else:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-# Names of temporary files on their way into a folder, or out of it. The remains of a killed process are removed by
-# the next one that writes there.
-_STAGED = ".aleator-staged-"
+# Names of temporary files on their way into a folder, or out of it: of several that belong together, whose remains are
+# removed by the next writer, and of one.
+_STAGED, _ALONE = ".aleator-staged-", ".aleator-file-"
+
+_ADVICE = "the files last written there are kept. Free some space, or name another place."
 
 # The longest path shown in a message.
 _SHOWN = 200
@@ -133,9 +133,7 @@ def check_writable(folder: str | Path) -> Path:
         with tempfile.NamedTemporaryFile(dir=folder, prefix=".aleator-try-"):
             pass
     except (OSError, ValueError) as error:
-        raise ProblemError(
-            f"The folder '{folder}' cannot be written to ({_reason(error)}): name another folder for the results."
-        ) from error
+        raise _refused(folder, error) from error
     return folder
 
 
@@ -149,13 +147,14 @@ def write_whole(path: str | Path, write: Callable[[Path], object]) -> Path:
     temporary = None
     try:
         _refuse_folder(path)
-        temporary = _temporary(folder, ".aleator-file-", path.suffix)
+        temporary = _temporary(folder, _ALONE, path.suffix)
         write(temporary)
         _finish(temporary)
         temporary.replace(path)
         _sync(folder)
     except (OSError, ValueError) as error:
-        raise ProblemError(f"'{_brief(path)}' cannot be written ({_reason(error)}): {_ADVICE}") from error
+        shown = str(path) if len(str(path)) <= _SHOWN else f"{str(path)[:_SHOWN]}…"
+        raise ProblemError(f"'{shown}' cannot be written ({_reason(error)}): {_ADVICE}") from error
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
@@ -178,21 +177,22 @@ def write_together(folder: str | Path, files: Mapping[str, bytes | None]) -> tup
     Raises `ProblemError` if the folder cannot be written to, or if another process keeps writing into it.
     """
     folder = check_writable(folder)
+    staged = dict[str, Path]()
     with only_writer(folder):
         _clear(folder)
         try:
-            for name in files:
+            for name, content in files.items():
                 _refuse_folder(folder / name)
-            staged = {name: _staged(folder, content) for name, content in files.items() if content is not None}
+                if content is not None:
+                    staged[name] = _temporary(folder, _STAGED, "")
+                    staged[name].write_bytes(content)
+                    _finish(staged[name])
             _exchange(folder, list(files), staged)
         except OSError as error:
             raise ProblemError(f"No results can be written into '{folder}' ({_reason(error)}): {_ADVICE}") from error
         finally:
             _clear(folder)
     return tuple(folder / name for name in staged)
-
-
-_ADVICE = "the files last written there are kept. Free some space, or name another place."
 
 
 def _exchange(folder: Path, names: list[str], staged: Mapping[str, Path]) -> None:
@@ -206,21 +206,14 @@ def _exchange(folder: Path, names: list[str], staged: Mapping[str, Path]) -> Non
         _sync(folder)
         staged[first].replace(folder / first)
     except BaseException:
-        for name, kept in aside.items():
-            kept.replace(folder / name)
+        for name, place in aside.items():
+            place.replace(folder / name)
         raise
     _sync(folder)
     for name in others:
         if name in staged:
             staged[name].replace(folder / name)
     _sync(folder)
-
-
-def _staged(folder: Path, content: bytes) -> Path:
-    temporary = _temporary(folder, _STAGED, "")
-    temporary.write_bytes(content)
-    _finish(temporary)
-    return temporary
 
 
 def _temporary(folder: Path, prefix: str, suffix: str) -> Path:
@@ -231,15 +224,16 @@ def _temporary(folder: Path, prefix: str, suffix: str) -> Path:
 
 def _finish(file: Path) -> None:
     """Give a temporary file ordinary permissions, and flush it to disk before it gets its final name."""
-    file.chmod(0o666 & ~_umask())
+    mask = os.umask(0o022)  # `mkstemp` does not follow it, and it can only be read by setting it
+    os.umask(mask)
+    file.chmod(0o666 & ~mask)
     _flush(file, os.O_RDWR)
 
 
 def _sync(folder: Path) -> None:
     """Flush a folder's names to disk before anything that follows."""
-    if os.name != "posix":  # elsewhere a folder cannot be opened
-        return
-    _flush(folder, os.O_RDONLY)
+    if os.name == "posix":  # elsewhere a folder cannot be opened
+        _flush(folder, os.O_RDONLY)
 
 
 def _flush(path: Path, how: int) -> None:
@@ -252,14 +246,20 @@ def _flush(path: Path, how: int) -> None:
 
 def _clear(folder: Path) -> None:
     """Remove temporary files. They are nobody else's, since only one process writes at a time."""
-    for one in folder.glob(f"{_STAGED}*"):
+    for file in folder.glob(f"{_STAGED}*"):
         with contextlib.suppress(OSError):
-            one.unlink()
+            file.unlink()
 
 
 def _refuse_folder(path: Path) -> None:
     if path.is_dir():
         raise ProblemError(f"'{path}' is a folder; expected the path of a file.")
+
+
+def _refused(folder: Path, error: Exception) -> ProblemError:
+    return ProblemError(
+        f"The folder '{folder}' cannot be written to ({_reason(error)}): name another folder for the results."
+    )
 
 
 def as_path(path: Any) -> Path:
@@ -270,17 +270,5 @@ def as_path(path: Any) -> Path:
         raise ProblemError(f"Expected the path of a file or a folder. Received {path!r}.") from None
 
 
-def _brief(path: Path) -> str:
-    text = str(path)
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
-
-
 def _reason(error: Exception) -> str:
     return getattr(error, "strerror", None) or str(error)
-
-
-def _umask() -> int:
-    """The process's mask for new files, which `mkstemp` does not follow; it can only be read by setting it."""
-    mask = os.umask(0o022)
-    os.umask(mask)
-    return mask

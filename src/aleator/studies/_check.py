@@ -74,11 +74,11 @@ class Check:
         return [Code(name, problem_text(one, ""), True) for name, one in self._problems.items()]
 
     def numbers(self) -> Table | None:
-        """The plain numbers of each model in the units that it declares, as a file may have changed them."""
-        found = {name: _numbers(one) for name, one in self._problems.items()}
-        names = dict.fromkeys(row for one in found.values() for row, value in one.items() if isinstance(value, _Plain))
-        rows = [[row, *(str(one.get(row, "–")) for one in found.values())] for row in names]
-        return Table("Numbers of the model", ["", *found], rows) if rows else None
+        """The numbers of each model in the units that it declares, as a file may have changed them."""
+        numbers = {name: _numbers(problem) for name, problem in self._problems.items()}
+        names = dict.fromkeys(name for each in numbers.values() for name in each)
+        rows = [[name, *(str(each.get(name, "–")) for each in numbers.values())] for name in names]
+        return Table("Numbers of the model", ["", *numbers], rows) if rows else None
 
     def table(self) -> Table:
         """A column for each problem."""
@@ -92,35 +92,36 @@ class Check:
     def document(self) -> Mapping[str, Any]:
         """The same for programs."""
         return {
-            name: {**one._asdict(), "simulations": one.simulations, "numbers": _plain_numbers(self._problems[name])}
+            name: {**one._asdict(), "simulations": one.simulations, "numbers": self._documented(name)}
             for name, one in self.facts.items()
         }
 
+    def _documented(self, name: str) -> dict[str, Any]:
+        return {number: one._asdict() for number, one in _numbers(self._problems[name]).items()}
 
-class _Plain(NamedTuple):
-    """A number of a model that is neither decided nor uncertain, in its unit."""
 
-    value: float
+class _Number(NamedTuple):
+    """A number of a model, or the distribution or decision in its place, in its unit."""
+
+    value: float | str
     unit: str
 
     def __str__(self) -> str:
-        return f"{self.value:.7g} {'' if self.unit == '-' else self.unit}".rstrip()
+        value = self.value if isinstance(self.value, str) else f"{self.value:.7g}"
+        return f"{value} {'' if self.unit == '-' else self.unit}".rstrip()
 
 
-def _numbers(problem: Problem) -> dict[str, "_Plain | str"]:
-    """The numbers of a model by name; of those that are not plain, what they are."""
-    found = dict[str, _Plain | str]()
+def _numbers(problem: Problem) -> dict[str, _Number]:
+    """The numbers of a model by name, as a file may have changed them."""
+    numbers = dict[str, _Number]()
     for name, field, value in fields_of(problem.system):
         is_number = isinstance(value, int | float | np.generic | np.ndarray | jax.Array) and not isinstance(value, bool)
+        unit = field.metadata.get("unit", "")
         if isinstance(value, AbstractLeaf):
-            found[name] = "uncertain" if value.is_uncertain else "decided"
+            numbers[name] = _Number(str(value), unit)
         elif is_number and not field.metadata.get("static", False) and np.ndim(value) == 0:
-            found[name] = _Plain(float(value), field.metadata.get("unit", ""))
-    return found
-
-
-def _plain_numbers(problem: Problem) -> dict[str, dict[str, Any]]:
-    return {name: one._asdict() for name, one in _numbers(problem).items() if isinstance(one, _Plain)}
+            numbers[name] = _Number(float(value), unit)
+    return numbers
 
 
 def _facts(problem: Problem, samples: int | None) -> tuple[Facts, list[str]]:

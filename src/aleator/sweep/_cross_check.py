@@ -6,7 +6,8 @@ from typing import final
 
 import numpy as np
 
-from aleator._core.border import Progress, one_of, positive, refusal, silent
+from aleator._core.border import Progress, one_of, positive, refusal, silent, whole
+from aleator._core.errors import ProblemError
 from aleator._core.leaves import Drawn
 from aleator.design import Estimated, Problem, estimated, statistics_in
 from aleator.nlp import AbstractSolver
@@ -85,6 +86,7 @@ def cross_check(
     solvers: tuple[AbstractSolver | None, AbstractSolver | None] = (None, None),
     tolerance: float = 1e-4,
     refine: bool = False,
+    most_states: int = 20_000,
     progress: Progress = silent,
 ) -> CrossChecked:
     """Solve a problem by two transcriptions and compare objective, decisions, statistics and multipliers.
@@ -92,10 +94,13 @@ def cross_check(
     - `first`, `second`: by default shooting, and direct collocation by Hermite and Simpson's scheme;
     - `solvers`: of each; those that suit them by default;
     - `tolerance`: the relative difference of objective and statistics that is accepted;
-    - `refine`: whether the grid of each is refined until its own error is tolerated.
+    - `refine`: whether the grid of each is refined until its own error is tolerated;
+    - `most_states`: the budget of direct collocation, whose program has the states of all realisations at all points of
+      its first mesh as variables: 1000 of them take some seconds, 5000 half a minute, 100 000 hours and gigabytes.
 
     Solutions that failed are compared as they are, and do not agree. Ctrl-C ends it without a result.
-    Raises `ProblemError` for what is no problem, transcription or pair of solvers.
+    Raises `ProblemError` for what is no problem, transcription or pair of solvers, and for a program of more than
+    `most_states` before anything is solved.
     """
     one_of("cross_check: problem", problem, Problem)
     second = Simultaneous() if second is None else second
@@ -104,7 +109,14 @@ def cross_check(
     if not isinstance(solvers, Sequence) or [isinstance(one, AbstractSolver | None) for one in solvers] != [True, True]:
         raise refusal("cross_check: solvers", "two, such as (None, al.solvers.Ipopt())", solvers)
     tolerance = positive("cross_check: tolerance", tolerance)
-    ways = first, second
+    ways, most_states = (first, second), whole("cross_check: most_states", most_states)
+    for way in ways:
+        if isinstance(way, Simultaneous) and (count := way.count(problem)) > most_states:
+            raise ProblemError(
+                f"cross_check: by {way.name}, {count} states would be variables, more than the {most_states} of "
+                "`most_states`, which would take long: check it on a coarser grid, such as problem.on_grid(al.Grid("
+                "..., 50)), with an expansion of lower order, or allow more."
+            )
     own = {"problem": problem, "refine": refine}
     calls = [{**own, "solver": by, "transcription": way} for way, by in zip(ways, solvers, strict=True)]
     with running("cross_check", lambda: False, progress) as run:

@@ -101,18 +101,29 @@ class Simultaneous(AbstractTranscription):
     def solver(self) -> AbstractSolver:
         return Ipopt()
 
-    @override
-    def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SimultaneouslyTranscribed:
+    def count(self, problem: Problem) -> int:
+        """How many variables of its program are states: at all points of the first mesh, in every realisation.
+
+        Raises `ProblemError` for an algebraic system.
+        """
+        points = self._first_mesh(problem).fractions.size
+        return len(problem.system.states) * points * len(discretised(problem).collocation.points)
+
+    def _first_mesh(self, problem: Problem) -> Mesh:
         if not isinstance(problem.grid, Grid):
             raise ProblemError(
                 f"al.Simultaneous ties states over time: expected a system that moves in time; received "
                 f"{type(problem.system).__name__}, which is algebraic. Use al.Sequential()."
             )
+        return Mesh(first_nodes(problem), self.scheme, Pointwise.of(problem).signals.have_jumps)
+
+    @override
+    def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SimultaneouslyTranscribed:
+        mesh = self._first_mesh(problem)
         discretisation, traced = discretised(problem), numbers_to_arrays(problem)
         scenarios = first_scenarios(problem, np.asarray(discretisation.collocation.points))
         discretisation = discretisation.at_scenarios(scenarios)
         meanwhile(problem, discretisation)
-        mesh = Mesh(first_nodes(problem), self.scheme, Pointwise.of(problem).signals.have_jumps)
         raised = () if self.most_stages is None else self.scheme.raised(self.most_stages)
         goal = Goal(np.inf if self.error is None else float(self.error), (self.scheme, *raised))
         return Recipe(problem, traced, traced, discretisation, scenarios, goal, self._start).on(mesh)
