@@ -178,15 +178,7 @@ def chapter(page: Draft, quick: bool) -> None:
     told = f"{FILLED} {transition(over_travel, 'travel')} Accounting for uncertainty shifts the whole trade-off up; "
     told += "where the curves are flat, holding is active and more travel brings no gain."
     page.add(
-        linked_front(
-            over_travel,
-            [rides],
-            f"Ride against the travel limit, H = {HOLDING:g} m",
-            told,
-            "6.4",
-            known,
-            chosen["uOpt"],
-        ),
+        linked_front(over_travel, [rides], f"Ride against the travel limit, H = {HOLDING:g} m", told, "6.4", *shown),
         shadow_price(over_travel, "Travel limit R", "centimetre of travel", 0.01, "cm"),
     )
     over_holding = _fronts(page, "holding_fronts", nominal_and_robust, "holding", np.linspace(0.0365, 0.0280, points))
@@ -194,15 +186,7 @@ def chapter(page: Draft, quick: bool) -> None:
     told = f"{FILLED} {transition(over_holding, 'holding')} The robust design changes its active limit first, because "
     told += "its box meets the travel limit earlier (figure 6.7). Crosses: no design meets all limits."
     page.add(
-        linked_front(
-            over_holding,
-            [rides],
-            f"Ride against the holding limit, R = {TRAVEL:g} m",
-            told,
-            "6.5",
-            known,
-            chosen["uOpt"],
-        ),
+        linked_front(over_holding, [rides], f"Ride against the holding limit, R = {TRAVEL:g} m", told, "6.5", *shown),
         shadow_price(over_holding, "Holding limit H", "millimetre of holding", 0.001, "mm"),
         projections(
             {name: designs[name] for name in ("dOpt", "uOpt")},
