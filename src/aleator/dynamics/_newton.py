@@ -88,6 +88,7 @@ class _State(NamedTuple):
     step: Float[Array, ""]
     shrinkage: Float[Array, ""]
     steps: Float[Array, ""]
+    noise: Vector
     moving: Bool[Array, ""]
 
 
@@ -135,6 +136,10 @@ def _iterate(
 ) -> tuple[Vector, tuple[Array, ...]]:
     """The root and, as a tuple, the other fields of `Root`."""
 
+    def linearised(at: Vector) -> tuple[Matrix, Vector]:
+        """The Jacobian and what is left of the equations, which derivatives compute along with themselves."""
+        return jax.jacfwd(lambda at: (function(at),) * 2, has_aux=True)(at)
+
     def sizes_of(values: Vector) -> Vector:
         """The scale of each unknown."""
         sizes = jnp.abs(values)
@@ -142,22 +147,22 @@ def _iterate(
 
     def advance(state: _State) -> _State:
         point = state.point
-        jacobian = jax.jacfwd(function)(point)
+        jacobian, left = linearised(point)
         balanced = _balanced(jacobian)
         inverse = jnp.linalg.inv(balanced.matrix)
 
-        def correction(at: Vector) -> Vector:
-            """The step at `at` with the Jacobian of `point`."""
-            return balanced.columns * (inverse @ (-function(at) / balanced.rows))
+        def correction(left: Vector) -> Vector:
+            """The step for what is left of the equations, with the Jacobian of `point`."""
+            return balanced.columns * (inverse @ (-left / balanced.rows))
 
-        direction = correction(point)
+        direction = correction(left)
         noise = _noise(jacobian, balanced, inverse, jnp.maximum(state.size, sizes_of(point + direction)), terms(point))
         # An unknown that is zero up to rounding has no scale yet, since its final magnitude is not known.
         size = jnp.where(state.size > noise, state.size, jnp.maximum(noise, sizes_of(direction)))
         step = _length(direction, size, noise)
 
         def is_refused(damping: Array) -> Bool[Array, ""]:
-            ahead = _length(correction(point + damping * direction), size, noise)
+            ahead = _length(correction(function(point + damping * direction)), size, noise)
             # Unlike `ahead > ...`, this refuses NaN.
             return ~(ahead <= (1 - damping / 4) * step)
 
@@ -176,24 +181,23 @@ def _iterate(
             step=step,
             shrinkage=jnp.where(tells, jnp.maximum(state.shrinkage, step / state.step), state.shrinkage),
             steps=state.steps + moved,
+            noise=noise,
             moving=moved & ~last,
         )
 
     zero = jnp.zeros(())
-    start = _State(guess, sizes_of(guess), jnp.asarray(jnp.inf), zero, zero, jnp.asarray(True))
+    start = _State(guess, sizes_of(guess), jnp.asarray(jnp.inf), zero, zero, jnp.zeros_like(guess), jnp.asarray(True))
     end = jax.lax.while_loop(lambda state: state.moving & (state.steps < _MOST_STEPS), advance, start)
-    residuals = function(end.point)
-    jacobian = jax.jacfwd(function)(end.point)
+    # One after the other, so that a program contains them once.
+    jacobians, residuals = jax.lax.map(linearised, jnp.stack([end.point, end.point + end.noise]))
+    jacobian, moved = jacobians[0], jacobians[1] - jacobians[0]
     balanced = _balanced(jacobian)
     inverse = jnp.linalg.inv(balanced.matrix)
     regularity = 1 / jnp.abs(inverse).sum(axis=1).max()
-    known = terms(end.point)
-    noise = _noise(jacobian, balanced, inverse, end.size, known)
-    moved = jax.jacfwd(function)(end.point + noise) - jacobian
     change = jnp.abs(inverse @ (moved * balanced.columns[None, :] / balanced.rows[:, None])).sum(axis=1).max()
-    sizes = jnp.abs(jacobian) @ end.size + known
-    relative = residuals / jnp.where(sizes > 0, sizes, 1.0)
-    return end.point, (residuals, relative, end.step, end.shrinkage, regularity, change, end.steps)
+    sizes = jnp.abs(jacobian) @ end.size + terms(end.point)
+    relative = residuals[0] / jnp.where(sizes > 0, sizes, 1.0)
+    return end.point, (residuals[0], relative, end.step, end.shrinkage, regularity, change, end.steps)
 
 
 def _length(step: Vector, size: Vector, noise: Vector) -> Float[Array, ""]:

@@ -83,6 +83,8 @@ def _recorded(simulation: Simulation, asked: Asked) -> History:
         history = _HISTORY(numbers_to_arrays(declared), asked)
     except Exception:
         return simulation.record(asked).history
+    if simulation.system.solves_start and not all(np.isfinite(np.asarray(rows[0])).all() for rows in history.values()):
+        simulation.refuse_no_start(simulation.system)
     _warn_of_jumps(declared)
     return history
 

@@ -133,7 +133,7 @@ def orientation(rotation: np.ndarray) -> Any:
     """A rotation matrix, or no angles for none; entries that are whole but for rounding are whole."""
     whole = np.round(rotation)
     clean = np.where(np.abs(rotation - whole) < _ROUNDING, whole, rotation)
-    return (0, 0, 0) if np.array_equal(clean, np.eye(3)) else tuple(map(geometry, clean))
+    return (0, 0, 0) if np.array_equal(clean, np.eye(3)) else geometry(clean)
 
 
 def _inertia(moments: np.ndarray, rotation: np.ndarray) -> tuple[float, ...]:
@@ -141,9 +141,9 @@ def _inertia(moments: np.ndarray, rotation: np.ndarray) -> tuple[float, ...]:
     if not np.any(moments):
         return (0, 0, 0)
     if np.array_equal(orientation(rotation), (0, 0, 0)):
-        return tuple(moments.tolist())
+        return np.array(moments)
     matrix = rotation @ np.diag(moments) @ rotation.T
-    return tuple(matrix[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist())
+    return matrix[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
 class _End(NamedTuple):

@@ -228,9 +228,10 @@ class Place:
         return found
 
 
-def geometry(numbers: Iterable[float]) -> tuple[float | int, ...]:
-    """Numbers of a place or a direction; zeros and ones as whole numbers."""
-    return tuple(map(known, numbers))
+def geometry(numbers: Iterable[float]) -> Any:
+    """Numbers of a place, a direction or a rotation: structure if all are zeros and ones, else one array."""
+    array = np.array(numbers, dtype=float)
+    return tuple(array.astype(int).tolist()) if np.isin(array, (-1, 0, 1)).all() else array
 
 
 def checked_effects(reader: str, given: Any) -> frozenset[str]:

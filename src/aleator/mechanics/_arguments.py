@@ -35,6 +35,8 @@ def signals_for(names: tuple[str, ...], given: Any, what: str) -> Signals:
         )
     if unknown := sorted(set(given) - set(names)):
         raise ProblemError(f"{what}: there is no {unknown}; expected some of {list(names)}.")
+    if not given:
+        return PowerSeries(start=(np.zeros(len(names)),))
     return {name: _single(given.get(name, 0.0), f"{what} of '{name}'") for name in names}
 
 

@@ -142,6 +142,11 @@ class AbstractFormulation(System):
             )
         return self.starting(np.zeros(()), {})
 
+    @property
+    @override
+    def solves_start(self) -> bool:
+        return bool(self.states and self.model.constraints)
+
     @override
     def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
         """As `started`. Constraints are solved by one program: operation by operation takes several times as long."""
@@ -157,7 +162,7 @@ class AbstractFormulation(System):
             return {}
         q, v = self._others_near(), self._speeds_near()
         if self.model.constraints:
-            model = at(self.model, t, inputs.get("parameters"))
+            model = at(self.model, t, inputs.get("parameters")).prepared()
             q, v = consistent_start(model, *self._near(model, self._given(inputs)), self._stated())
             q, v = taken(q, self.parts.others), taken(v, self.parts.undriven)
         return dict(zip(self.states, (q, v), strict=False))
@@ -176,7 +181,7 @@ class AbstractFormulation(System):
         if not self.states:
             return ()
         given = self._prescribed(position, velocity, acceleration, known)
-        return self._rates_of(solved(at(self.model, t, parameters), self.parts, given, *self._integrated(z)))
+        return self._rates_of(solved(at(self.model, t, parameters).prepared(), self.parts, given, *self._integrated(z)))
 
     @override
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
@@ -195,7 +200,7 @@ class AbstractFormulation(System):
         known_rate: Any = None,
         parameters: Any = None,
     ) -> tuple[tuple[Array, ...], dict[str, Any]]:
-        model, parts = at(self.model, t, parameters), self.parts
+        model, parts = at(self.model, t, parameters).prepared(), self.parts
         where = (
             self._prescribed(position, velocity, acceleration, known),
             *self._integrated(z),
@@ -270,6 +275,7 @@ class AbstractFormulation(System):
     def posture(self, model: AbstractMechanical, q: Array) -> Posture:
         """What diagnosis asks of the model at one instant. Traceable."""
         q = model.normalised(q)
+        model = model.seen_at(q)
         return Posture(
             q,
             mass_of(model, q),
