@@ -83,6 +83,12 @@ class _Balanced(NamedTuple):
 
 
 class _State(NamedTuple):
+    """Where the iteration is.
+
+    - `looks`: how often it has looked at the point where it ended: there, and beside it by the rounding errors `noise`;
+    - `jacobian`, `residuals`: at the latest point; `beside`: the Jacobian beside it.
+    """
+
     point: Vector
     size: Vector
     step: Float[Array, ""]
@@ -90,6 +96,10 @@ class _State(NamedTuple):
     steps: Float[Array, ""]
     noise: Vector
     moving: Bool[Array, ""]
+    looks: Float[Array, ""]
+    jacobian: Matrix
+    residuals: Vector
+    beside: Matrix
 
 
 def newton(
@@ -147,7 +157,7 @@ def _iterate(
 
     def advance(state: _State) -> _State:
         point = state.point
-        jacobian, left = linearised(point)
+        jacobian, left = linearised(point + jnp.where(state.looks == 1, state.noise, 0.0))
         balanced = _balanced(jacobian)
         inverse = jnp.linalg.inv(balanced.matrix)
 
@@ -166,7 +176,7 @@ def _iterate(
             # Unlike `ahead > ...`, this refuses NaN.
             return ~(ahead <= (1 - damping / 4) * step)
 
-        last = step <= _FINISHED
+        last = (step <= _FINISHED) | ~state.moving
         damping = jax.lax.while_loop(
             lambda damping: ~last & (damping >= _SMALLEST_DAMPING) & is_refused(damping),
             lambda damping: damping / 2,
@@ -175,29 +185,46 @@ def _iterate(
         moved = damping >= _SMALLEST_DAMPING
         tells = (step <= _SHORT) & (state.step > _ABOVE_NOISE)
         following = jnp.where(moved, point + damping * direction, point)
-        return _State(
+        steps = state.steps + moved
+        ahead = _State(
             point=following,
             size=jnp.maximum(state.size, sizes_of(following)),
             step=step,
             shrinkage=jnp.where(tells, jnp.maximum(state.shrinkage, step / state.step), state.shrinkage),
-            steps=state.steps + moved,
+            steps=steps,
             noise=noise,
-            moving=moved & ~last,
+            moving=moved & ~last & (steps < _MOST_STEPS),
+            looks=state.looks,
+            jacobian=jacobian,
+            residuals=left,
+            beside=jacobian,
         )
+        first = state.looks == 0
+        seen = state._replace(
+            looks=state.looks + 1,
+            jacobian=jnp.where(first, jacobian, state.jacobian),
+            residuals=jnp.where(first, left, state.residuals),
+            beside=jacobian,
+        )
+        return jax.tree.map(lambda moving, still: jnp.where(state.moving, moving, still), ahead, seen)
 
-    zero = jnp.zeros(())
-    start = _State(guess, sizes_of(guess), jnp.asarray(jnp.inf), zero, zero, jnp.zeros_like(guess), jnp.asarray(True))
-    end = jax.lax.while_loop(lambda state: state.moving & (state.steps < _MOST_STEPS), advance, start)
-    # One after the other, so that a program contains them once.
-    jacobians, residuals = jax.lax.map(linearised, jnp.stack([end.point, end.point + end.noise]))
-    jacobian, moved = jacobians[0], jacobians[1] - jacobians[0]
+    zero, n = jnp.zeros(()), len(guess)
+    unknown = jnp.zeros((n, n))
+    start = _State(
+        *(guess, sizes_of(guess), jnp.asarray(jnp.inf), zero, zero, jnp.zeros_like(guess), jnp.asarray(True)),
+        *(zero, unknown, jnp.zeros_like(guess), unknown),
+    )
+    # It ends by two looks from where it has stopped, so that a program contains the equations once.
+    end = jax.lax.while_loop(lambda state: state.looks < 2, advance, start)
+    jacobian = end.jacobian
     balanced = _balanced(jacobian)
     inverse = jnp.linalg.inv(balanced.matrix)
     regularity = 1 / jnp.abs(inverse).sum(axis=1).max()
-    change = jnp.abs(inverse @ (moved * balanced.columns[None, :] / balanced.rows[:, None])).sum(axis=1).max()
+    moved = (end.beside - jacobian) * balanced.columns[None, :] / balanced.rows[:, None]
+    change = jnp.abs(inverse @ moved).sum(axis=1).max()
     sizes = jnp.abs(jacobian) @ end.size + terms(end.point)
-    relative = residuals[0] / jnp.where(sizes > 0, sizes, 1.0)
-    return end.point, (residuals[0], relative, end.step, end.shrinkage, regularity, change, end.steps)
+    relative = end.residuals / jnp.where(sizes > 0, sizes, 1.0)
+    return end.point, (end.residuals, relative, end.step, end.shrinkage, regularity, change, end.steps)
 
 
 def _length(step: Vector, size: Vector, noise: Vector) -> Float[Array, ""]:
