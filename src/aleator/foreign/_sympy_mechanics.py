@@ -18,6 +18,7 @@ from aleator.foreign._sympy_symbols import (
     expressions_by_name,
     names_of,
     numbers_for,
+    structure,
     symbols_given,
     time_symbol,
     units_for,
@@ -58,30 +59,11 @@ class SymPyMechanical(AbstractMechanical):
     numbers: dict[str, Any]
     equations: Mechanics = eqx.field(static=True)
 
-    @property
-    def units(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The units of outputs, as far as they are given."""
-        return dict(self.equations.units)
-
-    @property
-    @override
-    def coordinates(self) -> tuple[str, ...]:
-        return self.equations.coordinates
-
-    @property
-    @override
-    def speeds(self) -> tuple[str, ...]:
-        return self.equations.speeds
-
-    @property
-    @override
-    def actuators(self) -> tuple[str, ...]:
-        return self.equations.actuators
-
-    @property
-    @override
-    def constraint_names(self) -> tuple[str, ...]:  # type: ignore[override]
-        return self.equations.constraints
+    units = structure("equations", "units", dict)
+    coordinates = structure("equations", "coordinates")  # pyright: ignore[reportIncompatibleMethodOverride]
+    speeds = structure("equations", "speeds")  # pyright: ignore[reportIncompatibleMethodOverride]
+    actuators = structure("equations", "actuators")  # pyright: ignore[reportIncompatibleMethodOverride]
+    constraint_names = structure("equations", "constraints")
 
     @property
     @override

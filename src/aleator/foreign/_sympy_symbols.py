@@ -1,7 +1,7 @@
 """The symbols of a SymPy model: states, inputs and parameters, against the numbers and assumptions that they have."""
 
 import contextlib
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -206,3 +206,8 @@ def units_for(who: str, units: Any, outputs: Collection[str]) -> tuple[tuple[str
         if name not in outputs:
             raise ProblemError(f"{who}: units has '{name}', which is no output.{meant(name, outputs)}")
     return tuple(given.items())
+
+
+def structure(field: str, name: str, kind: Callable[[Any], Any] = tuple) -> Any:
+    """A property of a system of SymPy that its structure, in a field, has under this name."""
+    return property(lambda system: kind(getattr(getattr(system, field), name)))

@@ -24,6 +24,7 @@ from aleator.foreign._sympy_symbols import (
     number_of,
     numbers_for,
     refuse_unknown,
+    structure,
     symbols_given,
     time_symbol,
     units_for,
@@ -61,20 +62,9 @@ class SymPySystem(System):
     start: dict[str, Any]
     equations: _Equations = eqx.field(static=True)
 
-    @property
-    def states(self) -> tuple[str, ...]:  # type: ignore[override]
-        """The names of the states."""
-        return self.equations.states
-
-    @property
-    def further_inputs(self) -> tuple[str, ...]:  # type: ignore[override]
-        """The names of the inputs: functions of time without a rate."""
-        return self.equations.inputs
-
-    @property
-    def units(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The units of outputs, as far as they are given."""
-        return dict(self.equations.units)
+    states = structure("equations", "states")
+    further_inputs = structure("equations", "inputs")
+    units = structure("equations", "units", dict)
 
     @override
     def initial(self) -> Mapping[str, Any]:
@@ -252,10 +242,7 @@ class SymPyFormulas(AlgebraicSystem):
     numbers: dict[str, Any]
     formulas: _Formulas = eqx.field(static=True)
 
-    @property
-    def units(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The units of outputs, as far as they are given."""
-        return dict(self.formulas.units)
+    units = structure("formulas", "units", dict)
 
     @override
     def outputs(self) -> dict[str, Array]:

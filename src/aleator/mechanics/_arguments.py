@@ -63,19 +63,6 @@ def combined(names: tuple[str, ...], given: Signals) -> AbstractSignal:
     return Stack(trajectories) if len(trajectories) == len(parts) else Columns(parts)
 
 
-def combined_motion(names: tuple[str, ...], given: Signals) -> AbstractTrajectory:
-    """One trajectory of all names in order, from checked motions."""
-    motion = combined(names, given)
-    assert isinstance(motion, AbstractTrajectory)
-    return motion
-
-
-def followed(motion: AbstractTrajectory, torque_rates: bool) -> dict[str, AbstractSignal]:
-    """A motion with the derivatives that dynamics need: one more where torques are differentiated too."""
-    names = ("velocity", "acceleration", "jerk")[: 3 if torque_rates else 2]
-    return {"position": motion, **{name: motion.derivative(k) for k, name in enumerate(names, 1)}}
-
-
 def _single(given: Any, where: str) -> AbstractSignal:
     if isinstance(given, AbstractTrajectory) and given.shape != ():
         raise ProblemError(f"{where}: expected a trajectory of one number; received shape {given.shape}.")

@@ -12,6 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.linalg import block_diag
 
 from aleator._core.border import a_name, refusal
 from aleator._core.errors import ProblemError
@@ -195,13 +196,6 @@ def couplings_apart(
     return jnp.concatenate(left)
 
 
-def checked_closures(kind: str, given: Any) -> Sequence[Closure | Coupling]:
-    """What a user's `closures` gives. Raises `ProblemError` for what is none."""
-    if not isinstance(given, tuple | list) or not all(isinstance(one, Closure | Coupling) for one in given):
-        raise ProblemError(f"{kind}.closures returns a tuple of al.joints.Closure; received {given!r}.")
-    return given
-
-
 class Closed(NamedTuple):
     """Closures of a tree as columns: one for each closure, for each direction, and for each pair of directions.
 
@@ -253,9 +247,10 @@ class Closed(NamedTuple):
 
 def closed(kind: str, closures: Sequence[Closure], tree: Tree) -> Closed:
     """The closures of a tree, as columns. Raises `ProblemError` for bodies that it does not have."""
-    rows: tuple[list[int], list[int]] = ([], [])
-    frames: tuple[list[Pose], list[Pose]] = ([], [])
-    for closure in closures:
+    rows, frames = (list[int](), list[int]()), (list[Pose](), list[Pose]())
+    along, first, second = list[Any](), list[Any](), list[Any]()
+    owners, weights = (list[int](), list[int](), list[int]()), (list[Any](), list[Any]())
+    for i, closure in enumerate(closures):
         ends = zip((closure.parent, closure.child), closure.frames(), strict=True)
         for (end, own), held, poses in zip(ends, rows, frames, strict=True):
             if end is not None and end not in tree.places:
@@ -266,32 +261,18 @@ def closed(kind: str, closures: Sequence[Closure], tree: Tree) -> Closed:
             row, within = (GROUND, None) if end is None else tree.places[end]
             held.append(row)
             poses.append(own if within is None else behind(within, own))
-    along, turned = [closure.along() for closure in closures], [closure.turned() for closure in closures]
-    return Closed(
-        tree,
-        rows,
-        (side_by_side(frames[0]), side_by_side(frames[1])),
-        stacked([one for directions in along for one in directions], (3,)),
-        tuple(stacked([one for pairs in turned for one in pairs[k]], (3,)) for k in range(2)),  # type: ignore[arg-type]
-        tuple(
-            [i for i, part in enumerate(parts) for _ in part]
-            for parts in (along, [pairs[0] for pairs in turned], [closure.names for closure in closures])
-        ),  # type: ignore[arg-type]
-        _weights([len(directions) for directions in along], [weights for *_, weights in turned]),
-    )
-
-
-def _weights(points: Sequence[int], turns: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """What makes equations of directions and of pairs of these: of each closure those of its point, then its turns."""
-    pairs, count = [weights.shape[1] for weights in turns], sum(points) + sum(map(len, turns))
-    by_points, by_pairs = np.zeros((sum(points), count)), np.zeros((sum(pairs), count))
-    place, point, pair = 0, 0, 0
-    for own, weights in zip(points, turns, strict=True):
-        by_points[point : point + own, place : place + own] = np.eye(own)
-        place, point = place + own, point + own
-        by_pairs[pair : pair + weights.shape[1], place : place + len(weights)] = weights.T
-        place, pair = place + len(weights), pair + weights.shape[1]
-    return by_points, by_pairs
+        directions, (outer, inner, own_weights) = closure.along(), closure.turned()
+        along, first, second = [*along, *directions], [*first, *outer], [*second, *inner]
+        # Equations of the point, then of the turns.
+        points, turns = len(directions), len(own_weights)
+        weights[0].append(np.eye(points, points + turns))
+        weights[1].append(own_weights.T @ np.eye(turns, points + turns, points))
+        for listed, count in zip(owners, (points, len(outer), points + turns), strict=True):
+            listed += [i] * count
+    poses = side_by_side(frames[0]), side_by_side(frames[1])
+    turned = stacked(first, (3,)), stacked(second, (3,))
+    by_points, by_pairs = (np.asarray(block_diag(np.zeros((0, 0)), *parts)) for parts in weights)
+    return Closed(tree, rows, poses, stacked(along, (3,)), turned, owners, (by_points, by_pairs))
 
 
 def _with_ground(array: Any, ground: Any) -> Any:

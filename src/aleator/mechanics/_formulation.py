@@ -26,9 +26,7 @@ from aleator.mechanics._arguments import (
     checked_guess,
     checked_start,
     combined,
-    combined_motion,
     coordinates_at,
-    followed,
     motions_for,
     signals_for,
     vector,
@@ -125,7 +123,9 @@ class AbstractFormulation(System):
     def signals(self) -> Mapping[str, AbstractSignal]:
         signals = dict[str, AbstractSignal]()
         if self.parts.prescribed:
-            signals |= followed(self._motion(), self.torque_rates)
+            signals["position"] = motion = self._motion()
+            names = ("velocity", "acceleration", "jerk")[: 3 if self.torque_rates else 2]
+            signals |= {name: motion.derivative(order) for order, name in enumerate(names, 1)}
         if self.parts.known:
             signals["known"] = torque = combined(self._known_names(), self.torque)
             if isinstance(torque, AbstractTrajectory) and torque.derivatives > 0:
@@ -168,20 +168,8 @@ class AbstractFormulation(System):
         return dict(zip(self.states, (q, v), strict=False))
 
     @override
-    def rhs(
-        self,
-        t: Any,
-        z: Any,
-        position: Any = None,
-        velocity: Any = None,
-        acceleration: Any = None,
-        known: Any = None,
-        parameters: Any = None,
-    ) -> tuple[Array, ...]:
-        if not self.states:
-            return ()
-        given = self._prescribed(position, velocity, acceleration, known)
-        return self._rates_of(solved(at(self.model, t, parameters).prepared(), self.parts, given, *self._integrated(z)))
+    def rhs(self, *args: Any, **kwargs: Any) -> tuple[Array, ...]:
+        return self.rates_and_outputs(*args, **kwargs)[0]
 
     @override
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
@@ -201,10 +189,7 @@ class AbstractFormulation(System):
         parameters: Any = None,
     ) -> tuple[tuple[Array, ...], dict[str, Any]]:
         model, parts = at(self.model, t, parameters).prepared(), self.parts
-        where = (
-            self._prescribed(position, velocity, acceleration, known),
-            *self._integrated(z),
-        )
+        where = self._prescribed(position, velocity, acceleration, known), *self._integrated(z)
         if jerk is None or not parts.unknown or (known is not None and known_rate is None):
             whole, torque_rate = solved(model, parts, *where), None if parts.unknown else known_rate
         else:
@@ -267,7 +252,9 @@ class AbstractFormulation(System):
         return Stated.by(self.model, self.start, self.parts.loose)
 
     def _motion(self) -> AbstractTrajectory:
-        return combined_motion(taken_names(self.model.coordinates, self.parts.prescribed), self.motion)
+        motion = combined(taken_names(self.model.coordinates, self.parts.prescribed), self.motion)
+        assert isinstance(motion, AbstractTrajectory)
+        return motion
 
     def _known_names(self) -> tuple[str, ...]:
         return taken_names(self.model.actuators, self.parts.known)

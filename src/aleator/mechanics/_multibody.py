@@ -13,7 +13,7 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.mechanics._bodies import Body, behind, refuse_moving_places, sorted_bodies, with_numbers, without_numbers
-from aleator.mechanics._closures import Closed, Closure, Coupling, checked_closures, closed, couplings_apart
+from aleator.mechanics._closures import Closed, Closure, Coupling, closed, couplings_apart
 from aleator.mechanics._declared import timed_methods
 from aleator.mechanics._instant import is_timed, later
 from aleator.mechanics._joints import AbstractJoint
@@ -297,7 +297,11 @@ class Multibody(AbstractMechanical):
         return closed(type(self).__name__, loops, self._tree()), couplings
 
     def _closures(self) -> tuple[list[Closure], list[Coupling]]:
-        every = checked_closures(type(self).__name__, evaluated(self, "closures"))
+        every = evaluated(self, "closures")
+        if not isinstance(every, tuple | list) or not all(isinstance(each, Closure | Coupling) for each in every):
+            raise ProblemError(
+                f"{type(self).__name__}.closures returns a tuple of al.joints.Closure; received {every!r}."
+            )
         loops = [closure for closure in every if isinstance(closure, Closure)]
         return loops, [closure for closure in every if isinstance(closure, Coupling)]
 
