@@ -1,7 +1,6 @@
 """`Multibody`: a mechanical system from its bodies and joints."""
 
 import abc
-import weakref
 from collections.abc import Callable, Collection, Mapping, Sequence
 from copy import copy
 from typing import Any, Self, TypeVar
@@ -307,59 +306,40 @@ class Multibody(AbstractMechanical):
 
     def _joints(self) -> list[tuple[str, AbstractJoint]]:
         """The moving bodies with the structure of their joints; also before distributions are realised."""
-        return _joints_of(self)
+        return self._once("_joints_known", self._joints_told)
+
+    def _joints_told(self) -> list[tuple[str, AbstractJoint]]:
+        bodies = sorted_bodies(with_numbers(self)._bodies())
+        return [(body.name, without_numbers(body.joint)) for body in bodies if isinstance(body.joint, AbstractJoint)]
 
     def _loops(self) -> Sequence[Closure | Coupling]:
-        """The closures, of which only the structure counts; also before distributions are realised."""
-        return () if type(self).closures is Multibody.closures else _closures_of(self)
+        """The closures, of which only the structure counts; also before distributions are realised.
+
+        Raises `ProblemError` where those of a base class are lost.
+        """
+        return () if type(self).closures is Multibody.closures else self._once("_loops_known", self._loops_told)
+
+    def _loops_told(self) -> Sequence[Closure | Coupling]:
+        model = with_numbers(self)
+        loops, couplings = model._closures()
+        names = {closure.name for closure in (*loops, *couplings)}
+        for base in type(self).__mro__[1:]:
+            own = "closures" in vars(base) and base is not Multibody and "closures" not in timed_methods(base)
+            if lost := sorted({closure.name for closure in vars(base)["closures"](model)} - names) if own else []:
+                raise ProblemError(
+                    f"{type(self).__name__}.closures leaves out {lost} of {base.__name__}: return "
+                    "(*super().closures(), ...)."
+                )
+        return [without_numbers(closure) for closure in (*loops, *couplings)]
+
+    def _once(self, name: str, told: Callable[[], Result]) -> Result:
+        """What this model has told of its structure, once for all: building bodies is slow."""
+        if name not in vars(self):
+            object.__setattr__(self, name, told())
+        return vars(self)[name]
 
     def _gravity(self) -> Any:
         return as_array(self.gravity, f"{type(self).__name__}.gravity", (3,))
-
-
-def once_for_each(function: Callable[[Any], Result]) -> Callable[[Any], Result]:
-    """A function of a model, told by its identity: called again only for another one.
-
-    Its results outlive traces: they must hold no array that is being traced.
-    """
-    known: dict[int, tuple[Any, Result]] = {}
-
-    def forget(key: int, dead: Any) -> None:
-        if known.get(key, (None,))[0] is dead:
-            del known[key]
-
-    def remembered(model: Any) -> Result:
-        key = id(model)
-        reference, result = known.get(key, (lambda: None, None))
-        if reference() is not model:
-            result = function(model)
-            known[key] = weakref.ref(model, lambda dead: forget(key, dead)), result
-        return result  # type: ignore[return-value]
-
-    return remembered
-
-
-@once_for_each
-def _joints_of(model: Multibody) -> list[tuple[str, AbstractJoint]]:
-    """The moving bodies of a model with their joints; cached, since building bodies is slow."""
-    bodies = sorted_bodies(with_numbers(model)._bodies())
-    return [(body.name, without_numbers(body.joint)) for body in bodies if isinstance(body.joint, AbstractJoint)]
-
-
-@once_for_each
-def _closures_of(model: Multibody) -> list[Closure | Coupling]:
-    """The closures of a model; cached too. Raises `ProblemError` where those of a base class are lost."""
-    model = with_numbers(model)
-    loops, couplings = model._closures()
-    names = {closure.name for closure in (*loops, *couplings)}
-    for base in type(model).__mro__[1:]:
-        own = "closures" in vars(base) and base is not Multibody and "closures" not in timed_methods(base)
-        if lost := sorted({closure.name for closure in vars(base)["closures"](model)} - names) if own else []:
-            raise ProblemError(
-                f"{type(model).__name__}.closures leaves out {lost} of {base.__name__}: return (*super().closures(), "
-                "...)."
-            )
-    return [without_numbers(closure) for closure in (*loops, *couplings)]
 
 
 def _pose(tree: Tree, posture: Posture, body: str) -> Pose:
