@@ -199,7 +199,8 @@ def couplings_apart(
 class Closed(NamedTuple):
     """Closures of a tree as columns: one for each closure, for each direction, and for each pair of directions.
 
-    - `rows`: those of the parents and of the children; `frames` (closures): of the joints in these rows;
+    - `rows`: those of the parents and of the children, and for the ground as many as there are; `frames` (closures): of
+      the joints in these rows;
     - `along` (3, directions): of the parents; `turned` (3, pairs): of the parents, and of the children;
     - `owners`: the closure of each direction, pair and equation; `weights`: by which those make up these.
     """
@@ -259,7 +260,7 @@ def closed(kind: str, closures: Sequence[Closure], tree: Tree) -> Closed:
                     f"{sorted(tree.places)}, or None for the ground."
                 )
             row, within = (GROUND, None) if end is None else tree.places[end]
-            held.append(row)
+            held.append(len(tree.above) if row == GROUND else row)
             poses.append(own if within is None else behind(within, own))
         directions, (outer, inner, own_weights) = closure.along(), closure.turned()
         along, first, second = [*along, *directions], [*first, *outer], [*second, *inner]
@@ -276,7 +277,7 @@ def closed(kind: str, closures: Sequence[Closure], tree: Tree) -> Closed:
 
 
 def _with_ground(array: Any, ground: Any) -> Any:
-    """Columns of rows, and behind them that of the ground, which is the place -1."""
+    """Columns of rows, and behind them that of the ground."""
     last = np.broadcast_to(np.asarray(ground)[..., None], (*array.shape[:-1], 1))
     return library(array).concatenate([array, last], axis=-1)
 
