@@ -202,6 +202,5 @@ def consistent_velocities(
     model: AbstractMechanical, q: Array, near: Float[Array, " speeds"], moving: tuple[int, ...]
 ) -> Float[Array, " speeds"]:
     """The velocities nearest to those given that the constraints allow, by some of them; not a number where none."""
-    model = model.seen_at(q)
-    G = taken(jacobian_of(model, q).T, moving).T
-    return near - spread(solve_any(G, constraint_rate(model, q, near)), moving, len(near))
+    bound = Bound(model.seen_at(q), q)
+    return near - spread(solve_any(taken(bound.G.T, moving).T, bound.rate(near)), moving, len(near))
