@@ -1,8 +1,5 @@
 """Executables: one for each structure of the arguments, and the same numbers however they travel."""
 
-import gc
-import weakref
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,7 +8,6 @@ import pytest
 
 from aleator._core.compilation import Compiled, Use
 from aleator._core.programs import Programs
-from aleator.mechanics._multibody import once_for_each
 
 
 def _results(tree, kind, x):
@@ -99,32 +95,6 @@ def test_only_so_many_programs_are_kept():
     for key in "abac":
         assert not kept[key].is_ready
     assert [key in kept for key in "abc"] == [True, False, True]
-
-
-class Thing:
-    """Equal to every other."""
-
-    def __init__(self, size):
-        self.size = size
-
-    def __eq__(self, other):
-        return True
-
-    def __hash__(self):
-        return 0
-
-
-def test_what_is_found_once_for_each_object_is_told_by_identity_and_forgotten_with_the_object():
-    asked = []
-    found = once_for_each(lambda thing: asked.append(thing.size) or thing.size)
-    one, other = Thing(1), Thing(2)
-    assert [found(one), found(other), found(one), found(other)] == [1, 2, 1, 2]
-    assert asked == [1, 2]
-    gone = weakref.ref(one)
-    del one
-    gc.collect()
-    assert gone() is None
-    assert [found(Thing(size)) for size in range(100)] == list(range(100))
 
 
 def _until(x):

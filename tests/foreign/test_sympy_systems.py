@@ -83,11 +83,9 @@ NUMBERS_KEPT = [1 / 3, -2e20 / 3, 1e-300 / 7, 10**30, sp.Rational(10**40, 7), sp
 
 def test_functions_have_the_values_that_sympy_gives_them_and_numbers_are_kept_to_their_last_bit():
     functions = [*FUNCTIONS.values(), *(number * X_0 for number in NUMBERS_KEPT)]
-    program = written("test", functions, {X_0: "x", C: "c"})
+    program = written("test", functions, [X_0, C])
     values = np.array([0.7, 1.4, 3.5, 1.0])
-    *found, one_third, large, small, power, fraction, tenth = compiled(jax.vmap(lambda x: program({"x": x, "c": 1.3})))(
-        values
-    )
+    *found, one_third, large, small, power, fraction, tenth = compiled(jax.vmap(lambda x: program([x, 1.3])))(values)
     real = sp.Symbol("r", real=True)
     for kind, value in zip(FUNCTIONS, found, strict=True):
         formula = FUNCTIONS[kind].xreplace({X_0: real}).doit()

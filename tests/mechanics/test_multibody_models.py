@@ -19,6 +19,21 @@ def test_an_uncertain_body_may_be_a_field_itself():
     np.testing.assert_allclose(mass, [[2.25]], rtol=1e-14)
 
 
+def test_bodies_are_asked_for_the_structure_of_a_model_once_and_again_for_another_model():
+    asked = []
+
+    class Counted(Tree):
+        def bodies(self):
+            asked.append(len(self.given))
+            return super().bodies()
+
+    one = Counted((al.Body("slider", joint=Prismatic("x"), mass=1.0),))
+    other = Counted((al.Body("ball", joint=Ball(), mass=1.0), al.Body("tip", parent="ball", joint=Ball(), mass=1.0)))
+    assert [len(model.speeds) for model in (one, other, one, other)] == [1, 6, 1, 6]
+    assert len(one.coordinates) == 1
+    assert asked == [1, 2]
+
+
 FLOATING = Tree((al.Body("base", joint=Free(), mass=1.0), al.Body("head", parent="base", joint=Ball(), mass=1.0)))
 
 

@@ -83,12 +83,23 @@ class _Balanced(NamedTuple):
 
 
 class _State(NamedTuple):
+    """Where the iteration is.
+
+    - `looks`: how often it has looked at the point where it ended: there, and beside it by the rounding errors `noise`;
+    - `jacobian`, `residuals`: at the latest point; `beside`: the Jacobian beside it.
+    """
+
     point: Vector
     size: Vector
     step: Float[Array, ""]
     shrinkage: Float[Array, ""]
     steps: Float[Array, ""]
+    noise: Vector
     moving: Bool[Array, ""]
+    looks: Float[Array, ""]
+    jacobian: Matrix
+    residuals: Vector
+    beside: Matrix
 
 
 def newton(
@@ -135,6 +146,10 @@ def _iterate(
 ) -> tuple[Vector, tuple[Array, ...]]:
     """The root and, as a tuple, the other fields of `Root`."""
 
+    def linearised(at: Vector) -> tuple[Matrix, Vector]:
+        """The Jacobian and what is left of the equations, which derivatives compute along with themselves."""
+        return jax.jacfwd(lambda at: (function(at),) * 2, has_aux=True)(at)
+
     def sizes_of(values: Vector) -> Vector:
         """The scale of each unknown."""
         sizes = jnp.abs(values)
@@ -142,26 +157,26 @@ def _iterate(
 
     def advance(state: _State) -> _State:
         point = state.point
-        jacobian = jax.jacfwd(function)(point)
+        jacobian, left = linearised(point + jnp.where(state.looks == 1, state.noise, 0.0))
         balanced = _balanced(jacobian)
         inverse = jnp.linalg.inv(balanced.matrix)
 
-        def correction(at: Vector) -> Vector:
-            """The step at `at` with the Jacobian of `point`."""
-            return balanced.columns * (inverse @ (-function(at) / balanced.rows))
+        def correction(left: Vector) -> Vector:
+            """The step for what is left of the equations, with the Jacobian of `point`."""
+            return balanced.columns * (inverse @ (-left / balanced.rows))
 
-        direction = correction(point)
+        direction = correction(left)
         noise = _noise(jacobian, balanced, inverse, jnp.maximum(state.size, sizes_of(point + direction)), terms(point))
         # An unknown that is zero up to rounding has no scale yet, since its final magnitude is not known.
         size = jnp.where(state.size > noise, state.size, jnp.maximum(noise, sizes_of(direction)))
         step = _length(direction, size, noise)
 
         def is_refused(damping: Array) -> Bool[Array, ""]:
-            ahead = _length(correction(point + damping * direction), size, noise)
+            ahead = _length(correction(function(point + damping * direction)), size, noise)
             # Unlike `ahead > ...`, this refuses NaN.
             return ~(ahead <= (1 - damping / 4) * step)
 
-        last = step <= _FINISHED
+        last = (step <= _FINISHED) | ~state.moving
         damping = jax.lax.while_loop(
             lambda damping: ~last & (damping >= _SMALLEST_DAMPING) & is_refused(damping),
             lambda damping: damping / 2,
@@ -170,30 +185,46 @@ def _iterate(
         moved = damping >= _SMALLEST_DAMPING
         tells = (step <= _SHORT) & (state.step > _ABOVE_NOISE)
         following = jnp.where(moved, point + damping * direction, point)
-        return _State(
+        steps = state.steps + moved
+        ahead = _State(
             point=following,
             size=jnp.maximum(state.size, sizes_of(following)),
             step=step,
             shrinkage=jnp.where(tells, jnp.maximum(state.shrinkage, step / state.step), state.shrinkage),
-            steps=state.steps + moved,
-            moving=moved & ~last,
+            steps=steps,
+            noise=noise,
+            moving=moved & ~last & (steps < _MOST_STEPS),
+            looks=state.looks,
+            jacobian=jacobian,
+            residuals=left,
+            beside=jacobian,
         )
+        first = state.looks == 0
+        seen = state._replace(
+            looks=state.looks + 1,
+            jacobian=jnp.where(first, jacobian, state.jacobian),
+            residuals=jnp.where(first, left, state.residuals),
+            beside=jacobian,
+        )
+        return jax.tree.map(lambda moving, still: jnp.where(state.moving, moving, still), ahead, seen)
 
-    zero = jnp.zeros(())
-    start = _State(guess, sizes_of(guess), jnp.asarray(jnp.inf), zero, zero, jnp.asarray(True))
-    end = jax.lax.while_loop(lambda state: state.moving & (state.steps < _MOST_STEPS), advance, start)
-    residuals = function(end.point)
-    jacobian = jax.jacfwd(function)(end.point)
+    zero, n = jnp.zeros(()), len(guess)
+    unknown = jnp.zeros((n, n))
+    start = _State(
+        *(guess, sizes_of(guess), jnp.asarray(jnp.inf), zero, zero, jnp.zeros_like(guess), jnp.asarray(True)),
+        *(zero, unknown, jnp.zeros_like(guess), unknown),
+    )
+    # It ends by two looks from where it has stopped, so that a program contains the equations once.
+    end = jax.lax.while_loop(lambda state: state.looks < 2, advance, start)
+    jacobian = end.jacobian
     balanced = _balanced(jacobian)
     inverse = jnp.linalg.inv(balanced.matrix)
     regularity = 1 / jnp.abs(inverse).sum(axis=1).max()
-    known = terms(end.point)
-    noise = _noise(jacobian, balanced, inverse, end.size, known)
-    moved = jax.jacfwd(function)(end.point + noise) - jacobian
-    change = jnp.abs(inverse @ (moved * balanced.columns[None, :] / balanced.rows[:, None])).sum(axis=1).max()
-    sizes = jnp.abs(jacobian) @ end.size + known
-    relative = residuals / jnp.where(sizes > 0, sizes, 1.0)
-    return end.point, (residuals, relative, end.step, end.shrinkage, regularity, change, end.steps)
+    moved = (end.beside - jacobian) * balanced.columns[None, :] / balanced.rows[:, None]
+    change = jnp.abs(inverse @ moved).sum(axis=1).max()
+    sizes = jnp.abs(jacobian) @ end.size + terms(end.point)
+    relative = end.residuals / jnp.where(sizes > 0, sizes, 1.0)
+    return end.point, (end.residuals, relative, end.step, end.shrinkage, regularity, change, end.steps)
 
 
 def _length(step: Vector, size: Vector, noise: Vector) -> Float[Array, ""]:

@@ -73,6 +73,13 @@ def _recorded(simulation: Simulation, asked: Asked) -> History:
     if is_traced(simulation) or not isinstance(simulation.system, System):
         return simulation.record(asked).history
     simulation.refuse_at_start(simulation.system)
+    history = _by_program(simulation, asked, grid)
+    if simulation.system.solves_start and not all(np.isfinite(np.asarray(rows[0])).all() for rows in history.values()):
+        simulation.refuse_no_start(simulation.system)
+    return history
+
+
+def _by_program(simulation: Simulation, asked: Asked, grid: AbstractGrid) -> History:
     try:
         declared = simulation.declared()
     except Exception:

@@ -150,8 +150,17 @@ class Simulation(Module):
         return replace(self.on(self.grid.finer(factor), integrator), equations=inside)
 
     def refuse_at_start(self, system: System) -> None:
-        """Raise `ProblemError` for what can be told of the start with known numbers, without tracing any rate."""
+        """Raise `ProblemError` for what can be told of the start with known numbers, without tracing any rate.
+
+        A start that is solved for by a program of its own is left to `refuse_no_start`.
+        """
         refuse_unrealised(system=system, grid=self.grid, inputs=self.inputs)
+        self._checked_grid(system)
+        if not system.solves_start:
+            self.refuse_no_start(system)
+
+    def refuse_no_start(self, system: System) -> None:
+        """Raise `ProblemError` for a start that is not finite, with known numbers."""
         grid, start = self._checked_grid(system), self.start()
         assert start is not None
         try:

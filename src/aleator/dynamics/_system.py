@@ -125,6 +125,11 @@ class System(AbstractSystem):
         """Initial values by state; states not named start at zero."""
         return {}
 
+    @property
+    def solves_start(self) -> bool:
+        """Whether `starting` solves equations, as constraints are, which takes a program of its own."""
+        return False
+
     def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
         """Initial values at the time `t` with the inputs' values there: those of `initial`, if it tells them all."""
         del t, inputs

@@ -4,94 +4,27 @@ Defaults, includes, frames, replicated bodies, units of angles, and inertia from
 knows in full: what it compiles is what it simulates.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element
 
 import numpy as np
 from jaxtyping import Bool
 
 from aleator._core.errors import ProblemError
-from aleator.foreign._mjcf_bodies import Equalities, are_held, bodies_of, equalities_of, joints_of, posture_of
-from aleator.foreign._mjcf_model import Model, compiled, is_disabled
+from aleator.foreign._mjcf_bodies import (
+    Equalities,
+    Model,
+    are_held,
+    bodies_of,
+    equalities_of,
+    is_disabled,
+    joints_of,
+    library,
+    posture_of,
+)
 from aleator.foreign._robot import Robot, broken, checked_effects, refuse_effects, robot_of, root_of
-
-
-def gravity_of(model: Model) -> tuple[float, ...]:
-    """Gravity, m/s²."""
-    return (0.0, 0.0, 0.0) if is_disabled(model, "GRAVITY") else tuple(model.opt.gravity.tolist())
-
-
-def has_equations(model: Model) -> bool:
-    """Whether a file's equations are switched on."""
-    return not (is_disabled(model, "CONSTRAINT") or is_disabled(model, "EQUALITY"))
-
-
-def effects_of(model: Model, unheld: Bool[np.ndarray, " equations"]) -> dict[str, list[str]]:
-    """Effects for which a tree of bodies has no place, by name with the elements that have them.
-
-    `unheld`: which of the equations, if they are active, are among them.
-    """
-    constrained = not is_disabled(model, "CONSTRAINT")
-    springs, dampers = (not is_disabled(model, flag) for flag in ("SPRING", "DAMPER"))
-    rubs = constrained and not is_disabled(model, "FRICTIONLOSS")
-    # MuJoCo leaves out all passive forces if both are switched off.
-    passive = springs or dampers
-    quaternions = model.jnt_type <= 1
-    loose = quaternions[model.dof_jntid]
-    found = {
-        "friction": [
-            *_joints(model, model.dof_jntid[(model.dof_frictionloss != 0) & rubs]),
-            *_named(model, "tendon", (model.tendon_frictionloss != 0) & rubs),
-        ],
-        "equality": _named(model, "equality", model.eq_active0.astype(bool) & has_equations(model) & unheld),
-        "tendons": _named(
-            model,
-            "tendon",
-            (_nonzero(model, "tendon_stiffness", "tendon_stiffnesspoly") & springs)
-            | (_nonzero(model, "tendon_damping", "tendon_dampingpoly") & dampers)
-            | _nonzero(model, "tendon_armature"),
-        ),
-        "ball": [
-            *_joints(model, np.flatnonzero(quaternions & (model.jnt_stiffness != 0) & springs)),
-            *_joints(model, model.dof_jntid[loose & (model.dof_damping != 0) & dampers]),
-            *_joints(model, model.dof_jntid[loose & (model.dof_armature != 0)]),
-        ],
-        "polynomials": [
-            *_joints(model, np.flatnonzero(_nonzero(model, "jnt_stiffnesspoly") & springs)),
-            *_joints(model, model.dof_jntid[_nonzero(model, "dof_dampingpoly") & dampers]),
-        ],
-        "actuators": _named(
-            model,
-            "actuator",
-            _nonzero(model, "actuator_armature")
-            | (_nonzero(model, "actuator_damping", "actuator_dampingpoly") & dampers),
-        ),
-        "fluid": ["option"] if passive and (model.opt.density > 0 or model.opt.viscosity > 0) else [],
-        "gravcomp": _named(model, "body", (model.body_gravcomp != 0) & passive & any(gravity_of(model))),
-        "plugins": _named(model, "body", model.body_plugin >= 0),
-    }
-    return {name: list(dict.fromkeys(elements)) for name, elements in found.items() if elements}
-
-
-def _nonzero(model: Model, *fields: str) -> Any:
-    """Where one of some fields is not zero; fields that an older MuJoCo does not have are."""
-    values = [np.asarray(getattr(model, field)) for field in fields if hasattr(model, field)]
-    rows = [(value != 0).any(axis=tuple(range(1, value.ndim))) for value in values]
-    return np.logical_or.reduce(rows) if rows else False
-
-
-def _joints(model: Model, joints: Iterable[Any]) -> list[str]:
-    return [_said("joint", model.joint(int(joint)).name, joint) for joint in joints]
-
-
-def _named(model: Model, kind: str, is_found: Any) -> list[str]:
-    return [_said(kind, getattr(model, kind)(int(i)).name, i) for i in np.flatnonzero(is_found)]
-
-
-def _said(kind: str, name: str, number: Any) -> str:
-    return f"{kind} '{name}'" if name else f"{kind} {int(number)} (without a name)"
 
 
 def read_mjcf(path: str | Path, *, leave_out: Sequence[str] = ()) -> Robot:
@@ -115,22 +48,28 @@ def read_mjcf(path: str | Path, *, leave_out: Sequence[str] = ()) -> Robot:
     `MissingExtraError` without MuJoCo.
     """
     left_out = checked_effects("read_mjcf", leave_out)
-    _refuse_nan(path, root_of("read_mjcf", path, "mujoco"))
-    model, unread = compiled(path, left_out)
-    unheld = ~are_held(model) | ("equality" in left_out)
-    notes = refuse_effects(path, effects_of(model, unheld), left_out)
+    # MuJoCo replaces numbers that are none by its defaults.
+    for element in root_of("read_mjcf", path, "mujoco").iter():
+        for attribute, text in element.attrib.items():
+            if attribute != "name" and "nan" in text.lower().split():
+                where = f"{element.tag} '{element.get('name', '')}'"
+                raise broken(path, where, f"expected numbers as {attribute}; received {text!r}.")
+    model, flexes, unread = _compiled(path)
+    switched_off = is_disabled(model, "CONSTRAINT", "EQUALITY")
+    unheld = (~are_held(model) | ("equality" in left_out)) & (not switched_off)
+    notes = refuse_effects(path, {**_effects(model, unheld), **flexes}, left_out)
     joints = joints_of(model)
-    is_bound = has_equations(model) and "equality" not in left_out
+    is_bound = not (switched_off or "equality" in left_out)
     equalities = equalities_of(path, model, joints) if is_bound else Equalities({}, {}, ())
     try:
-        bodies = bodies_of(model, joints)
+        bodies = list(bodies_of(model, joints))
     except ProblemError as error:
         raise broken(path, "", str(error)) from error
     limits = dict(_limits(model, joints))
     return robot_of(
         path,
         bodies,
-        gravity=gravity_of(model),
+        gravity=_gravity(model),
         limits=limits,
         posture=tuple(posture_of(model, joints).items()),
         loops=equalities.loops,
@@ -139,22 +78,153 @@ def read_mjcf(path: str | Path, *, leave_out: Sequence[str] = ()) -> Robot:
     )
 
 
-def _refuse_nan(path: str | Path, root: Element) -> None:
-    """Raise `ProblemError` for numbers that are none, which MuJoCo replaces by its defaults."""
-    for element in root.iter():
-        for attribute, text in element.attrib.items():
-            if attribute != "name" and "nan" in text.lower().split():
-                where = f"{element.tag} '{element.get('name', '')}'"
-                raise broken(path, where, f"expected numbers as {attribute}; received {text!r}.")
+def _compiled(path: str | Path) -> tuple[Model, dict[str, list[str]], tuple[str, ...]]:
+    """The compiled model; its deformable bodies, which were removed before, as an effect; and notes on what else was.
+
+    Raises `ProblemError` for what MuJoCo refuses, for a model without bodies, and for inertia from a mesh.
+    """
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        try:
+            specification = library().MjSpec.from_file(str(path))
+            flexes = {"flex": [f"flex '{flex.name}'" for flex in specification.flexes]}
+            _delete(specification, specification.flexes)
+            notes = tuple(_without_files(path, specification))
+            # Bodies keep their names and places.
+            specification.compiler.fusestatic = False
+            model = specification.compile()
+        except ProblemError:
+            raise
+        except ValueError as error:
+            said = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
+            raise broken(path, "", f"expected a model that MuJoCo accepts; received its refusal: {said}.") from error
+    if model.nbody == 1:
+        raise broken(path, "", "expected a model with a body; received none.")
+    return model, flexes, (*notes, *(f"MuJoCo: {warning.message}." for warning in heard))
+
+
+def _without_files(path: str | Path, specification: Any) -> Iterator[str]:
+    """Remove what is read from further files: meshes, height fields, textures, skins, and what refers to them."""
+    shapes = [geom for geom in specification.geoms if geom.meshname or geom.hfieldname]
+    for geom in shapes:
+        if _gives_inertia(specification, geom):
+            raise broken(
+                path,
+                f"body '{geom.parent.name}'",
+                f"expected its inertia in numbers; received a mesh ('{geom.meshname or geom.name}') to compute it "
+                "from, which is not read. Give the body an <inertial> with pos, mass and fullinertia (MuJoCo writes "
+                "the numbers that it computes itself by mj_saveLastXML).",
+            )
+    if shapes:
+        yield f"Meshes and height fields are not read ({len(shapes)})."
+        names = {geom.name for geom in shapes if geom.name}
+        _delete(specification, [pair for pair in specification.pairs if {pair.geomname1, pair.geomname2} & names])
+        _delete(specification, shapes)
+    for owner in (*specification.geoms, *specification.sites, *specification.tendons):
+        owner.material = ""
+    for parts in ("sensors", "tuples", "skins", "meshes", "hfields", "materials", "textures"):
+        _delete(specification, getattr(specification, parts))
+
+
+def _gives_inertia(specification: Any, geom: Any) -> bool:
+    """Whether the inertia of a moving body is computed from a shape."""
+    kinds = library().mjtInertiaFromGeom
+    # Bodies of an attached file keep its settings.
+    settings = getattr(geom.parent, "compiler", specification.compiler)
+    rule, (first, last) = settings.inertiafromgeom, settings.inertiagrouprange
+    if not _moves(geom.parent) or not first <= geom.group <= last or rule == kinds.mjINERTIAFROMGEOM_FALSE:
+        return False
+    if rule != kinds.mjINERTIAFROMGEOM_TRUE and geom.parent.explicitinertial:
+        return False
+    # A mass that is not given is NaN.
+    return geom.mass != 0 and (geom.mass > 0 or geom.density > 0)
+
+
+def _moves(body: Any) -> bool:
+    while body is not None and body.name != "world":
+        if len(body.joints):
+            return True
+        body = body.parent
+    return False
+
+
+def _delete(specification: Any, parts: Collection[Any]) -> None:
+    for part in list(parts):
+        specification.delete(part)
+
+
+def _effects(model: Model, unheld: Bool[np.ndarray, " equations"]) -> dict[str, list[str]]:
+    """Effects for which a tree of bodies has no place, by name with the elements that have them.
+
+    `unheld`: which of the equations, if they are active, are among them.
+    """
+    constrained = not is_disabled(model, "CONSTRAINT")
+    springs, dampers = (not is_disabled(model, flag) for flag in ("SPRING", "DAMPER"))
+    rubs = constrained and not is_disabled(model, "FRICTIONLOSS")
+    # MuJoCo leaves out all passive forces if both are switched off.
+    passive = springs or dampers
+    quaternions = model.jnt_type <= 1
+    loose = quaternions[model.dof_jntid]
+    return {
+        "friction": [
+            *_named(model, "joint", model.dof_jntid[(model.dof_frictionloss != 0) & rubs]),
+            *_named(model, "tendon", (model.tendon_frictionloss != 0) & rubs),
+        ],
+        "equality": _named(model, "equality", model.eq_active0.astype(bool) & unheld),
+        "tendons": _named(
+            model,
+            "tendon",
+            (_nonzero(model, "tendon_stiffness", "tendon_stiffnesspoly") & springs)
+            | (_nonzero(model, "tendon_damping", "tendon_dampingpoly") & dampers)
+            | _nonzero(model, "tendon_armature"),
+        ),
+        "ball": [
+            *_named(model, "joint", np.flatnonzero(quaternions & (model.jnt_stiffness != 0) & springs)),
+            *_named(model, "joint", model.dof_jntid[loose & (model.dof_damping != 0) & dampers]),
+            *_named(model, "joint", model.dof_jntid[loose & (model.dof_armature != 0)]),
+        ],
+        "polynomials": [
+            *_named(model, "joint", np.flatnonzero(_nonzero(model, "jnt_stiffnesspoly") & springs)),
+            *_named(model, "joint", model.dof_jntid[_nonzero(model, "dof_dampingpoly") & dampers]),
+        ],
+        "actuators": _named(
+            model,
+            "actuator",
+            _nonzero(model, "actuator_armature")
+            | (_nonzero(model, "actuator_damping", "actuator_dampingpoly") & dampers),
+        ),
+        "fluid": ["option"] if passive and (model.opt.density > 0 or model.opt.viscosity > 0) else [],
+        "gravcomp": _named(model, "body", (model.body_gravcomp != 0) & passive & any(_gravity(model))),
+        "plugins": _named(model, "body", model.body_plugin >= 0),
+    }
+
+
+def _nonzero(model: Model, *fields: str) -> Any:
+    """Where one of some fields is not zero; fields that an older MuJoCo does not have are."""
+    values = [np.asarray(getattr(model, field)) for field in fields if hasattr(model, field)]
+    rows = [(value != 0).any(axis=tuple(range(1, value.ndim))) for value in values]
+    return np.logical_or.reduce(rows) if rows else False
+
+
+def _named(model: Model, kind: str, where: Any) -> list[str]:
+    """The elements of a kind at some places, or where something is true."""
+    places = np.flatnonzero(where) if np.ndim(where) == 0 or np.asarray(where).dtype == bool else where
+    names = [(int(i), getattr(model, kind)(int(i)).name) for i in places]
+    return [f"{kind} '{name}'" if name else f"{kind} {i} (without a name)" for i, name in names]
+
+
+def _gravity(model: Model) -> tuple[float, ...]:
+    """Gravity, m/s²."""
+    return (0.0, 0.0, 0.0) if is_disabled(model, "GRAVITY") else tuple(model.opt.gravity.tolist())
 
 
 def _limits(model: Model, joints: Mapping[int, str]) -> Iterator[tuple[str, tuple[float, float]]]:
     for joint, name in joints.items():
-        if np.isin(model.jnt_type[joint], (2, 3)):  # slides and hinges
-            if model.jnt_limited[joint] and not is_disabled(model, "LIMIT"):
-                yield name, tuple(model.jnt_range[joint].tolist())
-            if model.jnt_actfrclimited[joint]:
-                yield f"{name}_torque", tuple(model.jnt_actfrcrange[joint].tolist())
+        is_axial = model.jnt_type[joint] > 1
+        if is_axial and model.jnt_limited[joint] and not is_disabled(model, "LIMIT"):
+            yield name, tuple(model.jnt_range[joint].tolist())
+        if is_axial and model.jnt_actfrclimited[joint]:
+            yield f"{name}_torque", tuple(model.jnt_actfrcrange[joint].tolist())
 
 
 def _notes(model: Model, limits: Mapping[str, Any]) -> Iterator[str]:

@@ -6,34 +6,45 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
 
-from aleator.foreign._mjcf_model import Model, Posture, is_disabled, library
-from aleator.foreign._robot import broken, carriers, geometry, known
+from aleator._core.errors import MissingExtraError
+from aleator.foreign._robot import broken, carrier, carriers, geometry, moments, orientation
 from aleator.mechanics import AbstractJoint, Ball, Body, Closure, Coupling, Fixed, Free, Prismatic, Revolute
 
+Model: TypeAlias = Any
+"""A compiled model, `mujoco.MjModel`, which declares no types: rows of arrays for bodies, joints, speeds and so on."""
 _FREE, _BALL, _SLIDE, _HINGE = range(4)
-# The rounding error of a rotation matrix from a quaternion, whose zeros and ones are not exact.
-_ROUNDING = 1e-15
 _CONNECT, _WELD, _JOINT = range(3)
 # Directions and places that differ by less, relative to one or in m, are the same.
 _SAME = 1e-9
+
+
+def library() -> Any:
+    """MuJoCo, imported late. Raises `MissingExtraError` where it is not installed."""
+    try:
+        import mujoco
+    except ImportError as error:
+        raise MissingExtraError(
+            "`read_mjcf` needs the library mujoco: install it with `pip install 'aleator[robots]'`."
+        ) from error
+    return mujoco
+
+
+def is_disabled(model: Model, *flags: str) -> bool:
+    """Whether a file switches some of the effects off: "SPRING", "DAMPER", "GRAVITY" and others of `mjtDisableBit`."""
+    return any(model.opt.disableflags & getattr(library().mjtDisableBit, f"mjDSBL_{flag}") for flag in flags)
 
 
 def joints_of(model: Model) -> dict[int, str]:
     """The names of the bodies that carry joints, by MuJoCo's number of the joint: those of the joints, as a rule."""
     links = [link_name(model, body) for body in range(1, model.nbody)]
     given = {i: model.joint(i).name or link_name(model, int(model.jnt_bodyid[i])) for i in range(model.njnt)}
-    carried = carriers({i: name for i, name in given.items() if not _is_link_itself(model, i)}, links)
-    return {i: carried.get(i, name) for i, name in given.items()}
-
-
-def bodies_of(model: Model, joints: Mapping[int, str]) -> list[Body]:
-    """The bodies of a model, parents first: each link, and before it what carries it."""
-    return [part for body in range(1, model.nbody) for part in _link(model, joints, body)]
+    return given | carriers({i: name for i, name in given.items() if not _is_link_itself(model, i)}, links)
 
 
 def posture_of(model: Model, joints: Mapping[int, str]) -> dict[str, float]:
@@ -41,54 +52,53 @@ def posture_of(model: Model, joints: Mapping[int, str]) -> dict[str, float]:
     found: dict[str, float] = {}
     for joint, name in joints.items():
         ends = _joint(model, joint).coordinates
-        first = int(model.jnt_qposadr[joint])
-        values = model.qpos0[first : first + len(ends)].tolist()
+        values = model.qpos0[model.jnt_qposadr[joint] :][: len(ends)].tolist()
         found |= {f"{name}{end}": value for end, value in zip(ends, values, strict=True) if value}
     return found
 
 
-def _link(model: Model, joints: Mapping[int, str], body: int) -> Iterator[Body]:
-    """A link and the bodies of its joints, each of which is turned about its own anchor."""
-    name, above = link_name(model, body), int(model.body_parentid[body])
-    parent = link_name(model, above) if above else None
-    position, rotation = model.body_pos[body], rotation_of(model.body_quat[body])
-    mine: Any = Fixed()
-    for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
-        kind, axis = model.jnt_type[joint], model.jnt_axis[joint]
-        reference = float(model.qpos0[model.jnt_qposadr[joint]])
-        if kind == _FREE:
-            # Its coordinates are those of the world.
-            position, rotation = np.zeros(3), np.eye(3)
-        anchor = np.zeros(3) if kind in (_FREE, _SLIDE) else model.jnt_pos[joint]
-        position = position + rotation @ anchor
-        if kind == _SLIDE:
-            position = position - rotation @ axis * reference
-        if kind == _HINGE:
-            rotation = rotation @ _about(axis, -reference)
-        if _is_link_itself(model, joint):
-            mine = _joint(model, joint)
-            break
-        carrier = joints[joint]
-        place = {"position": geometry(position), "orientation": orientation(rotation)}
-        still = {"mass": 0, "center": (0, 0, 0), "inertia": (0, 0, 0)}
-        yield Body(carrier, parent=parent, joint=_joint(model, joint), **still, **place)
-        parent, position, rotation = carrier, -anchor, np.eye(3)
-    mass = float(model.body_mass[body])
-    yield Body(
-        name,
-        parent=parent,
-        joint=mine,
-        mass=mass or 0,
-        center=geometry(model.body_ipos[body]),
-        inertia=_inertia(model.body_inertia[body], rotation_of(model.body_iquat[body])),
-        position=geometry(position),
-        orientation=orientation(rotation),
-    )
+def bodies_of(model: Model, joints: Mapping[int, str]) -> Iterator[Body]:
+    """The bodies of a model, parents first: each link, and before it those of its joints, each about its anchor."""
+    for body in range(1, model.nbody):
+        parent = link_name(model, int(model.body_parentid[body]))
+        position, turned = model.body_pos[body], _rotation(model.body_quat[body])
+        mine: Any = Fixed()
+        for joint in _joints_on(model, body):
+            kind, axis = model.jnt_type[joint], model.jnt_axis[joint]
+            reference = float(model.qpos0[model.jnt_qposadr[joint]])
+            anchor = model.jnt_pos[joint] if kind in (_BALL, _HINGE) else np.zeros(3)
+            if kind == _FREE:
+                # Its coordinates are those of the world.
+                position, turned = np.zeros(3), Rotation.identity()
+            position = position + turned.apply(anchor)
+            if kind == _SLIDE:
+                position = position - turned.apply(axis) * reference
+            if kind == _HINGE:
+                turned = turned * Rotation.from_rotvec(-reference * axis)
+            if _is_link_itself(model, joint):
+                mine = _joint(model, joint)
+                break
+            yield carrier(joints[joint], parent, _joint(model, joint), geometry(position), orientation(turned))
+            parent, position, turned = joints[joint], -anchor, Rotation.identity()
+        yield Body(
+            link_name(model, body) or "",
+            parent=parent,
+            joint=mine,
+            mass=float(model.body_mass[body]) or 0,
+            center=geometry(model.body_ipos[body]),
+            inertia=moments(np.diag(model.body_inertia[body]), _rotation(model.body_iquat[body])),
+            position=geometry(position),
+            orientation=orientation(turned),
+        )
 
 
-def link_name(model: Model, body: int) -> str:
-    """The name of a body, or one by its number."""
-    return model.body(body).name or f"body_{body}"
+def link_name(model: Model, body: int) -> Any:
+    """The name of a body, or one by its number; None for the ground."""
+    return model.body(body).name or f"body_{body}" if body else None
+
+
+def _joints_on(model: Model, body: int) -> range:
+    return range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
 
 
 def _is_link_itself(model: Model, joint: int) -> bool:
@@ -101,57 +111,30 @@ def _joint(model: Model, joint: int) -> AbstractJoint:
     kind = model.jnt_type[joint]
     if kind in (_FREE, _BALL):
         return Free() if kind == _FREE else Ball()
-    stiffness = 0.0 if is_disabled(model, "SPRING") else float(model.jnt_stiffness[joint])
     speed = model.jnt_dofadr[joint]
-    damping = 0.0 if is_disabled(model, "DAMPER") else float(model.dof_damping[speed])
+    stiffness = 0 if is_disabled(model, "SPRING") else float(model.jnt_stiffness[joint])
+    damping = 0 if is_disabled(model, "DAMPER") else float(model.dof_damping[speed])
     return (Prismatic if kind == _SLIDE else Revolute)(
         geometry(model.jnt_axis[joint]),
         damping=damping or 0,
         stiffness=stiffness or 0,
-        rest=known(float(model.qpos_spring[model.jnt_qposadr[joint]])),
+        rest=float(model.qpos_spring[model.jnt_qposadr[joint]]) or 0,
         armature=float(model.dof_armature[speed]) or 0,
     )
 
 
-def rotation_of(quaternion: np.ndarray) -> np.ndarray:
-    """The rotation matrix of a quaternion of any length."""
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def _about(axis: np.ndarray, angle: float) -> np.ndarray:
-    return rotation_of(np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * axis]))
-
-
-def orientation(rotation: np.ndarray) -> Any:
-    """A rotation matrix, or no angles for none; entries that are whole but for rounding are whole."""
-    whole = np.round(rotation)
-    clean = np.where(np.abs(rotation - whole) < _ROUNDING, whole, rotation)
-    return (0, 0, 0) if np.array_equal(clean, np.eye(3)) else tuple(map(geometry, clean))
-
-
-def _inertia(moments: np.ndarray, rotation: np.ndarray) -> tuple[float, ...]:
-    """Principal moments along turned axes as those along the axes of the body."""
-    if not np.any(moments):
-        return (0, 0, 0)
-    if np.array_equal(orientation(rotation), (0, 0, 0)):
-        return tuple(moments.tolist())
-    matrix = rotation @ np.diag(moments) @ rotation.T
-    return tuple(matrix[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist())
+def _rotation(quaternion: np.ndarray) -> Rotation:
+    return Rotation.from_quat(quaternion, scalar_first=True)
 
 
 class _End(NamedTuple):
-    """A frame that an equation binds: of a body, in whose frame it has a position and a rotation."""
+    """A frame that an equation binds: of a body, in whose frame it has a position and a rotation; and in the world."""
 
     body: int
     position: Float[np.ndarray, "3"]
-    rotation: Float[np.ndarray, "3 3"]
+    turned: Rotation
+    place: Float[np.ndarray, "3"]
+    axes: Float[np.ndarray, "3 3"]
 
 
 class Equalities(NamedTuple):
@@ -167,14 +150,9 @@ def are_held(model: Model) -> Bool[np.ndarray, " equations"]:
 
     A weld of a loop in one plane would say three things twice, and so leave its forces undetermined.
     """
-    data = _at_reference(model)
-    return np.array(
-        [
-            kind in (_CONNECT, _JOINT) or (kind == _WELD and _plane(model, data, _ends(model, index)) is None)
-            for index, kind in enumerate(model.eq_type)
-        ],
-        dtype=bool,
-    )
+    kinds, data = model.eq_type, _at_reference(model)
+    planar = [kind == _WELD and _plane(model, data, _ends(model, data, i)) is not None for i, kind in enumerate(kinds)]
+    return np.isin(kinds, (_CONNECT, _WELD, _JOINT)) & ~np.array(planar, dtype=bool)
 
 
 def equalities_of(path: str | Path, model: Model, joints: Mapping[int, str]) -> Equalities:
@@ -191,76 +169,80 @@ def equalities_of(path: str | Path, model: Model, joints: Mapping[int, str]) -> 
         if model.eq_type[index] == _JOINT:
             couplings[name] = _coupling(model, name, index, joints)
             continue
-        ends = _ends(model, index)
-        if not list(_between(model, ends)):
-            _refuse_apart(path, name, data, ends, np.eye(3))
+        ends = outer, inner = _ends(model, data, index)
+        axis, is_still = _plane(model, data, ends), not _between(model, ends)
+        # Nothing moves the points along these directions.
+        fixed = np.eye(3) if is_still else np.zeros((3, 0)) if axis is None else axis[:, None]
+        if (distance := float(np.linalg.norm((inner.place - outer.place) @ fixed))) > _SAME:
+            what = f"expected points that its joints can bring together; received two that stay {distance:.3g} m apart."
+            raise broken(path, f"equality '{name}'", what)
+        if is_still:
             notes.append(f"Equality '{name}' says nothing: its bodies do not move against one another.")
-            continue
-        axis = _plane(model, data, ends)
-        if axis is not None:
-            _refuse_apart(path, name, data, ends, axis[:, None])
-        loops[name] = _closure(model, data, name, model.eq_type[index] == _WELD, ends, axis)
+        else:
+            loops[name] = _closure(model, name, model.eq_type[index] == _WELD, ends, axis)
     if loops or couplings:
         notes.append(f"Equations hold exactly, where MuJoCo yields: {', '.join([*loops, *couplings])}.")
-    if len(asleep := np.flatnonzero(model.eq_active0 == 0)):
-        notes.append(f"Equations that are not active at the start are not read ({len(asleep)}).")
+    if asleep := int(np.sum(model.eq_active0 == 0)):
+        notes.append(f"Equations that are not active at the start are not read ({asleep}).")
     return Equalities(loops, couplings, tuple(notes))
 
 
 def _coupling(model: Model, name: str, index: int, joints: Mapping[int, str]) -> Coupling:
-    follower, leader = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
-    rest = [known(float(model.qpos0[model.jnt_qposadr[joint]])) if joint >= 0 else 0 for joint in (follower, leader)]
-    coefficients = tuple(model.eq_data[index, :5].tolist())
+    ends = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+    rest, leader_rest = (float(model.qpos0[model.jnt_qposadr[joint]]) or 0 if joint >= 0 else 0 for joint in ends)
     return Coupling(
         name,
-        follower=joints[follower],
-        leader=joints[leader] if leader >= 0 else None,
-        coefficients=coefficients,
-        rest=rest[0],
-        leader_rest=rest[1],
+        follower=joints[ends[0]],
+        leader=joints.get(ends[1]),
+        coefficients=geometry(model.eq_data[index, :5]),
+        rest=rest,
+        leader_rest=leader_rest,
     )
 
 
-def _closure(
-    model: Model, data: Posture, name: str, is_weld: bool, ends: tuple[_End, _End], axis: Float[np.ndarray, "3"] | None
-) -> Closure:
+def _closure(model: Model, name: str, is_weld: bool, ends: tuple[_End, _End], axis: Any) -> Closure:
     outer, inner = ends
     joint: Any = Fixed() if is_weld else Ball()
     if axis is not None:
-        joint = Revolute(_named(_rotation_of_body(data, outer.body).T @ axis))
+        own = outer.axes.T @ axis
+        along = int(np.argmax(np.abs(own)))
+        # An axis of coordinates by its name, whatever its sense.
+        joint = Revolute("xyz"[along] if abs(own[along]) > 1 - _SAME else geometry(own))
+    turned = [orientation(end.turned) if is_weld else (0, 0, 0) for end in ends]
     return Closure(
         name,
-        parent=link_name(model, outer.body) if outer.body else None,
-        child=link_name(model, inner.body) if inner.body else None,
+        parent=link_name(model, outer.body),
+        child=link_name(model, inner.body),
         joint=joint,
         position=geometry(outer.position),
         child_position=geometry(inner.position),
-        orientation=orientation(outer.rotation) if is_weld else (0, 0, 0),
-        child_orientation=orientation(inner.rotation) if is_weld else (0, 0, 0),
+        orientation=turned[0],
+        child_orientation=turned[1],
         planar=axis is not None,
     )
 
 
-def _ends(model: Model, index: int) -> tuple[_End, _End]:
+def _ends(model: Model, data: Any, index: int) -> tuple[_End, _End]:
     """What an equation binds, as MuJoCo's engine takes its numbers."""
+    numbers, straight = model.eq_data[index], Rotation.identity()
+
+    def end(body: int, position: np.ndarray, turned: Rotation = straight) -> _End:
+        axes = data.xmat[body].reshape(3, 3)
+        return _End(body, position, turned, data.xpos[body] + axes @ position, axes)
+
     first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
     if model.eq_objtype[index] == library().mjtObj.mjOBJ_SITE:
-        return _of_site(model, first), _of_site(model, second)
-    numbers, straight = model.eq_data[index], np.eye(3)
+        site = [(int(model.site_bodyid[i]), model.site_pos[i], _rotation(model.site_quat[i])) for i in (first, second)]
+        return end(*site[0]), end(*site[1])
     if model.eq_type[index] == _WELD:
-        return _End(first, numbers[3:6], rotation_of(numbers[6:10])), _End(second, numbers[:3], straight)
-    return _End(first, numbers[:3], straight), _End(second, numbers[3:6], straight)
+        return end(first, numbers[3:6], _rotation(numbers[6:10])), end(second, numbers[:3])
+    return end(first, numbers[:3]), end(second, numbers[3:6])
 
 
-def _of_site(model: Model, site: int) -> _End:
-    return _End(int(model.site_bodyid[site]), model.site_pos[site], rotation_of(model.site_quat[site]))
-
-
-def _between(model: Model, ends: tuple[_End, _End]) -> Iterator[int]:
+def _between(model: Model, ends: tuple[_End, _End]) -> list[int]:
     """The joints by which two bodies move against one another."""
     chains = [set(_upwards(model, end.body)) for end in ends]
-    for body in sorted(chains[0] ^ chains[1]):
-        yield from range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+    return [joint for body in sorted(chains[0] ^ chains[1]) for joint in _joints_on(model, body)]
 
 
 def _upwards(model: Model, body: int) -> Iterator[int]:
@@ -269,9 +251,9 @@ def _upwards(model: Model, body: int) -> Iterator[int]:
         body = int(model.body_parentid[body])
 
 
-def _plane(model: Model, data: Posture, ends: tuple[_End, _End]) -> Float[np.ndarray, "3"] | None:
+def _plane(model: Model, data: Any, ends: tuple[_End, _End]) -> Float[np.ndarray, "3"] | None:
     """The direction, in the world's axes, across a plane to which the joints between two bodies confine them."""
-    joints = list(_between(model, ends))
+    joints = _between(model, ends)
     hinges = [joint for joint in joints if model.jnt_type[joint] == _HINGE]
     if not hinges or any(model.jnt_type[joint] not in (_SLIDE, _HINGE) for joint in joints):
         return None
@@ -283,31 +265,8 @@ def _plane(model: Model, data: Posture, ends: tuple[_End, _End]) -> Float[np.nda
     return axis
 
 
-def _refuse_apart(
-    path: str | Path, name: str, data: Posture, ends: tuple[_End, _End], fixed: Float[np.ndarray, "3 n"]
-) -> None:
-    """Raise `ProblemError` for points that stay apart along `fixed` directions, in which nothing moves them."""
-    outer, inner = (data.xpos[end.body] + _rotation_of_body(data, end.body) @ end.position for end in ends)
-    if (distance := float(np.linalg.norm((inner - outer) @ fixed))) > _SAME:
-        raise broken(
-            path,
-            f"equality '{name}'",
-            f"expected points that its joints can bring together; received two that stay {distance:.3g} m apart.",
-        )
-
-
-def _rotation_of_body(data: Posture, body: int) -> Float[np.ndarray, "3 3"]:
-    return data.xmat[body].reshape(3, 3)
-
-
-def _at_reference(model: Model) -> Posture:
-    """What MuJoCo makes of a model in its reference posture."""
+def _at_reference(model: Model) -> Any:
+    """What MuJoCo makes of a model in its reference posture, `mujoco.MjData`."""
     data = library().MjData(model)
     library().mj_kinematics(model, data)
     return data
-
-
-def _named(axis: Float[np.ndarray, "3"]) -> Any:
-    """An axis of coordinates by its name, whatever its sense, and any other one as numbers."""
-    along = int(np.argmax(np.abs(axis)))
-    return "xyz"[along] if abs(axis[along]) > 1 - _SAME else geometry(axis)

@@ -1,24 +1,27 @@
 """`Robot`: the tree of bodies that a file describes, and what its readers share: XML, sentences, effects left out."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
-from typing import Any, Self, TypeVar, final
+from typing import Any, TypeVar, final
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
 import equinox as eqx
 import numpy as np
+from scipy.spatial.transform import Rotation
 from typing_extensions import override
 
 from aleator._core.border import members
 from aleator._core.errors import ProblemError
 from aleator._core.files import content_of
 from aleator._core.leaves import transparent
-from aleator.mechanics import Body, Closure, Coupling, Multibody
+from aleator.mechanics import Body, Closure, Coupling, Fixed, Multibody
+from aleator.mechanics._bodies import sorted_bodies
 
 Key = TypeVar("Key", int, str)
+# The rounding error of a rotation matrix, whose zeros and ones are not exact.
+_ROUNDING = 1e-15
 _READERS = {"robot": "al.foreign.read_urdf", "mujoco": "al.foreign.read_mjcf"}
 EFFECTS: Mapping[str, str] = {
     "friction": "dry friction; put a smooth law into `bias` of a model of your own",
@@ -99,23 +102,35 @@ class Robot(Multibody):
 
 
 def robot_of(
-    path: str | Path, bodies: Sequence[Body], *, limits: Mapping[str, tuple[float, float]], **fields: Any
+    path: str | Path, bodies: Iterable[Body], *, limits: Mapping[str, tuple[float, float]], **fields: Any
 ) -> Robot:
-    """The robot of some bodies, parents first, with further `fields`.
+    """The robot of some bodies, with further `fields`.
 
-    Raises `ProblemError` for a joint that moves no mass.
+    Raises `ProblemError` for what is no tree, and for a joint that moves no mass.
     """
-    _refuse_massless(path, bodies)
-    parts = {body.name: body for body in bodies}
-    return Robot(parts, order=tuple(parts), allowed=tuple(limits.items()), **fields)
-
-
-def known(number: float) -> float | int:
-    """A number of geometry; zero and one as whole numbers.
-
-    These are structure where a model is traced: what is zero costs nothing there.
-    """
-    return int(number) if number in (-1.0, 0.0, 1.0) else float(number)
+    try:
+        bodies = sorted_bodies(bodies)
+    except ProblemError as error:
+        raise broken(path, "", str(error)) from error
+    carried = {body.name: float(body.mass) for body in bodies}
+    for body in reversed(bodies):
+        if body.parent is not None:
+            carried[body.parent] += carried[body.name]
+    for body in bodies:
+        moves = not isinstance(body.joint, Fixed) and not getattr(body.joint, "armature", 0)
+        if moves and carried[body.name] == 0:
+            raise broken(
+                path,
+                f"joint '{body.name}'",
+                "expected a joint that moves some mass; received none, neither in its link nor beyond. Give the link "
+                "an <inertial>, or fix the joint.",
+            )
+    return Robot(
+        {body.name: body for body in bodies},
+        order=tuple(body.name for body in bodies),
+        allowed=tuple(limits.items()),
+        **fields,
+    )
 
 
 def carriers(joints: Mapping[Key, str], links: Collection[str]) -> dict[Key, str]:
@@ -128,18 +143,37 @@ def carriers(joints: Mapping[Key, str], links: Collection[str]) -> dict[Key, str
     return found
 
 
-def _refuse_massless(path: str | Path, bodies: Sequence[Body]) -> None:
-    carried = {body.name: float(body.mass) for body in bodies}
-    for body in reversed(bodies):
-        if body.parent is not None:
-            carried[body.parent] += carried[body.name]
-    for body in bodies:
-        joint = body.joint
-        if carried[body.name] == 0 and getattr(joint, "coordinates", ()) and not getattr(joint, "armature", 0):
-            raise ProblemError(
-                f"{path}, joint '{body.name}': expected a joint that moves some mass; received none, neither in its "
-                "link nor beyond. Give the link an <inertial>, or fix the joint."
-            )
+def carrier(name: str, parent: str | None, joint: Any, position: Any, orientation: Any) -> Body:
+    """A body without mass that a joint moves, and with it what is fixed to it."""
+    still = {"mass": 0, "center": (0, 0, 0), "inertia": (0, 0, 0)}
+    return Body(name, parent=parent, joint=joint, position=position, orientation=orientation, **still)
+
+
+def geometry(numbers: Any) -> Any:
+    """Numbers of a place, a direction or a rotation: structure if all are zeros and ones, else one array.
+
+    Structure costs nothing where a model is traced.
+    """
+    array = np.array(numbers, dtype=float)
+    return tuple(array.astype(int).tolist()) if np.isin(array, (-1, 0, 1)).all() else array
+
+
+def orientation(turned: Rotation) -> Any:
+    """A rotation as a matrix, or no angles for none; entries that are whole but for rounding are whole."""
+    matrix = turned.as_matrix()
+    whole = np.round(matrix)
+    clean = np.where(np.abs(matrix - whole) < _ROUNDING, whole, matrix)
+    return (0, 0, 0) if np.array_equal(clean, np.eye(3)) else geometry(clean)
+
+
+def moments(matrix: Any, turned: Rotation) -> Any:
+    """Moments of inertia along the axes of a body, from a matrix (3, 3) of those along axes that are turned."""
+    if not np.any(matrix):
+        return (0, 0, 0)
+    if not np.array_equal(orientation(turned), (0, 0, 0)):
+        matrix = turned.as_matrix() @ matrix @ turned.as_matrix().T
+    numbers = matrix[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    return numbers if np.any(numbers[3:]) else numbers[:3]
 
 
 def broken(path: str | Path, where: str, what: str) -> ProblemError:
@@ -174,65 +208,6 @@ def _parsed(text: bytes) -> Element:
     return builder.close()
 
 
-@dataclass(frozen=True)
-class Place:
-    """An element, and where it is: in a file, and under a name that a user finds there."""
-
-    path: str | Path
-    where: str
-    element: Element
-
-    def child(self, tag: str) -> Self | None:
-        """The element of a tag within, if there is one. Raises `ProblemError` for several."""
-        found = self.element.findall(tag)
-        if len(found) > 1:
-            raise broken(self.path, self.where, f"expected one <{tag}>; received {len(found)}.")
-        return type(self)(self.path, f"{self.where}, <{tag}>", found[0]) if found else None
-
-    def needed(self, tag: str) -> Self:
-        """The element of a tag within. Raises `ProblemError` where there is none."""
-        found = self.child(tag)
-        if found is None:
-            raise broken(self.path, self.where, f"expected <{tag}>; received none.")
-        return found
-
-    def text(self, attribute: str) -> str:
-        """An attribute. Raises `ProblemError` where it is missing or empty."""
-        found = self.element.get(attribute, "").strip()
-        if not found:
-            raise broken(self.path, self.where, f"expected the attribute {attribute}; received none.")
-        return found
-
-    def numbers(self, attribute: str, default: Sequence[float] | None = None) -> tuple[float, ...]:
-        """Three finite numbers. Raises `ProblemError` for others."""
-        if default is not None and attribute not in self.element.attrib:
-            return tuple(default)
-        return self._finite(attribute, 3)
-
-    def number(self, attribute: str, default: float | None = None) -> float:
-        """One finite number. Raises `ProblemError` for others."""
-        if default is not None and attribute not in self.element.attrib:
-            return default
-        return self._finite(attribute, 1)[0]
-
-    def _finite(self, attribute: str, count: int) -> tuple[float, ...]:
-        text = self.text(attribute)
-        try:
-            found = tuple(map(float, text.split()))
-        except ValueError:
-            found = ()
-        # Python takes 1_000 for a number, and no other reader of these files does.
-        if len(found) != count or "_" in text or not np.isfinite(found).all():
-            expected = "a finite number" if count == 1 else f"{count} finite numbers"
-            raise broken(self.path, self.where, f"expected {attribute} as {expected}; received {text!r}.")
-        return found
-
-
-def geometry(numbers: Iterable[float]) -> tuple[float | int, ...]:
-    """Numbers of a place or a direction; zeros and ones as whole numbers."""
-    return tuple(map(known, numbers))
-
-
 def checked_effects(reader: str, given: Any) -> frozenset[str]:
     """The effects that a user leaves out. Raises `ProblemError` for what is none."""
     names = members(f"{reader}: leave_out", [given] if isinstance(given, str) else given, str)
@@ -243,18 +218,19 @@ def checked_effects(reader: str, given: Any) -> frozenset[str]:
 
 
 def refuse_effects(
-    path: str | Path, found: Mapping[str, Collection[str]], left_out: Collection[str]
+    path: str | Path, effects: Mapping[str, Iterable[str]], left_out: Collection[str]
 ) -> tuple[str, ...]:
-    """Notes on the effects found, by name with the elements that have them.
+    """Notes on effects, by name with the elements that have them, if any do.
 
     Raises `ProblemError` for one that is not left out.
     """
-    missing = tuple(name for name in found if name not in left_out)
-    if missing:
+    found = {name: list(dict.fromkeys(elements)) for name, elements in effects.items()}
+    found = {name: elements for name, elements in found.items() if elements}
+    shown = {
+        name: ", ".join(elements[:3]) + (f" and {len(elements) - 3} more" if len(elements) > 3 else "")
+        for name, elements in found.items()
+    }
+    if missing := tuple(name for name in found if name not in left_out):
         what = f"a tree of bodies has no place for {EFFECTS[missing[0]]}"
-        raise broken(path, _shown(found[missing[0]]), f"{what}. Or read the robot without it by leave_out={missing!r}.")
-    return tuple(f"Left out, as asked: {name} ({_shown(elements)})." for name, elements in found.items())
-
-
-def _shown(elements: Collection[str]) -> str:
-    return ", ".join(list(elements)[:3]) + (f" and {len(elements) - 3} more" if len(elements) > 3 else "")
+        raise broken(path, shown[missing[0]], f"{what}. Or read the robot without it by leave_out={missing!r}.")
+    return tuple(f"Left out, as asked: {name} ({elements})." for name, elements in shown.items())

@@ -16,10 +16,9 @@ from aleator.foreign._sympy_symbols import (
     Contents,
     contents_of,
     expressions_by_name,
-    name_of,
-    named,
+    names_of,
     numbers_for,
-    refuse_stepping,
+    structure,
     symbols_given,
     time_symbol,
     units_for,
@@ -30,16 +29,18 @@ from aleator.mechanics import AbstractMechanical, Motion
 class Mechanics(NamedTuple):
     """A mechanical system without its numbers: the structure, which determines what is compiled.
 
-    - `bias`: the forces on the left-hand side at zero torque; `torques`: the effect `B` of the torques, row by row;
-    - `rates`: the map `H` from speeds to the coordinates' rates, row by row; none where these are the same;
-    - `multipliers`: the names under which outputs read SymPy's multipliers, which have the other sign.
+    Programs take the coordinates and the parameters; the other ones what is said besides.
+    - `bias`: the forces on the left-hand side at zero torque, of the speeds too; `torques`: the effect `B` of the
+      torques, row by row; `rates`: the map `H` from speeds to the coordinates' rates, row by row; none where these are
+      the same;
+    - `outputs`: of speeds, torques, rates of speeds, rates and accelerations of coordinates, and SymPy's multipliers.
     """
 
     coordinates: tuple[str, ...]
     speeds: tuple[str, ...]
     actuators: tuple[str, ...]
+    parameters: tuple[str, ...]
     constraints: tuple[str, ...]
-    multipliers: tuple[str, ...]
     mass: Program
     bias: Program
     torques: Program
@@ -58,30 +59,11 @@ class SymPyMechanical(AbstractMechanical):
     numbers: dict[str, Any]
     equations: Mechanics = eqx.field(static=True)
 
-    @property
-    def units(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The units of outputs, as far as they are given."""
-        return dict(self.equations.units)
-
-    @property
-    @override
-    def coordinates(self) -> tuple[str, ...]:
-        return self.equations.coordinates
-
-    @property
-    @override
-    def speeds(self) -> tuple[str, ...]:
-        return self.equations.speeds
-
-    @property
-    @override
-    def actuators(self) -> tuple[str, ...]:
-        return self.equations.actuators
-
-    @property
-    @override
-    def constraint_names(self) -> tuple[str, ...]:  # type: ignore[override]
-        return self.equations.constraints
+    units = structure("equations", "units", dict)
+    coordinates = structure("equations", "coordinates")  # pyright: ignore[reportIncompatibleMethodOverride]
+    speeds = structure("equations", "speeds")  # pyright: ignore[reportIncompatibleMethodOverride]
+    actuators = structure("equations", "actuators")  # pyright: ignore[reportIncompatibleMethodOverride]
+    constraint_names = structure("equations", "constraints")
 
     @property
     @override
@@ -94,8 +76,7 @@ class SymPyMechanical(AbstractMechanical):
 
     @override
     def bias(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
-        speeds = dict(zip(self.speeds, v, strict=True))
-        return jnp.stack(self.equations.bias({**self._posture(q), **speeds}))
+        return jnp.stack(self.equations.bias([*self._posture(q), *v]))
 
     @override
     def actuation(self, q: Float[Array, " coordinates"]) -> Float[Array, "speeds actuators"]:
@@ -113,32 +94,16 @@ class SymPyMechanical(AbstractMechanical):
 
     @override
     def outputs(self, motion: Motion) -> dict[str, Array]:
-        mine, at = self.equations, motion
-        values = self._posture(at.q) | dict(zip(mine.actuators, at.torque, strict=True))
-        values |= dict(zip(mine.speeds, at.v, strict=True))
-        values |= dict(zip(map(rate_of, mine.speeds), at.v_dot, strict=True))
-        values |= dict(zip(map(rate_of, mine.coordinates), at.q_dot, strict=True))
-        values |= dict(zip(map(acceleration_of, mine.coordinates), at.q_ddot, strict=True))
-        values |= dict(zip(mine.multipliers, -at.multipliers, strict=True)) if mine.multipliers else {}
-        return dict(zip(mine.names, mine.outputs(values), strict=True))
+        at = motion
+        values = [*self._posture(at.q), *at.v, *at.torque, *at.v_dot, *at.q_dot, *at.q_ddot, *-at.multipliers]
+        return dict(zip(self.equations.names, self.equations.outputs(values), strict=True))
 
-    def _posture(self, q: Array) -> dict[str, Any]:
-        return {**self.numbers, **dict(zip(self.coordinates, q, strict=True))}
+    def _posture(self, q: Array) -> list[Any]:
+        return [*q, *(self.numbers[name] for name in self.equations.parameters)]
 
     def _matrix(self, program: Program, q: Array, *shape: int) -> Array:
         entries = program(self._posture(q))
         return jnp.stack(entries).reshape(shape) if entries else jnp.zeros(shape)
-
-
-# Under these names, which no symbol has, programs read rates and accelerations.
-def rate_of(name: str) -> str:
-    """The rate of a coordinate or a speed."""
-    return f"\0rate of {name}"
-
-
-def acceleration_of(name: str) -> str:
-    """The acceleration of a coordinate."""
-    return f"\0acceleration of {name}"
 
 
 class _Equations(NamedTuple):
@@ -262,47 +227,37 @@ def _mechanical(given: _Equations, numbers: Any, outputs: Any, units: Any) -> Sy
     _refuse_driven(given, forms)
     direct = len(q) == len(v) and forms == sympy.eye(len(q))
 
-    meanings = named(who, (*q, *v, *torques, *parameters))
-    for symbol in (*q, *v, *torques):
-        refuse_stepping(who, symbol, meanings[symbol])
-    posture = {symbol: meanings[symbol] for symbol in (*q, *parameters)}
-    speeds = {symbol: meanings[symbol] for symbol in v}
-    multipliers = {symbol: f"\0{name_of(symbol)}" for symbol in given.multipliers}
-    known = {**_rates(q, speeds), **multipliers, **meanings}
+    moving, parameter_names = names_of(who, (*q, *v, *torques), parameters)
+    coordinates, speeds, actuators = moving[: len(q)], moving[len(q) : len(q) + len(v)], moving[len(q) + len(v) :]
+    posture, time = [*q, *parameters], time_symbol()
+    # Of Lagrange's method the rates of speeds are the accelerations too.
+    dots = [*(speed.diff(time) for speed in v), *(q_i.diff(time) for q_i in q), *(q_i.diff(time, 2) for q_i in q)]
+    known = [*posture, *v, *torques, *dots, *given.multipliers]
     _refuse_unknown_outputs(who, of_outputs, known)
     return SymPyMechanical(
         numbers_for(who, parameters, numbers),
         Mechanics(
-            coordinates=tuple(meanings[coordinate] for coordinate in q),
-            speeds=tuple(speeds.values()),
-            actuators=tuple(meanings[symbol] for symbol in torques),
+            coordinates=coordinates,
+            speeds=speeds,
+            actuators=actuators,
+            parameters=parameter_names,
             constraints=tuple(f"constraint_{i}" for i in range(1, len(given.constraints) + 1)),
-            multipliers=tuple(multipliers.values()),
-            mass=written(who, list(given.mass), posture),
-            bias=written(who, list(bias), speeds | posture),
-            torques=written(who, list(effect), posture),
-            rates=None if direct else written(who, list(forms), posture),
+            mass=written(who, given.mass, posture),
+            bias=written(who, bias, [*posture, *v]),
+            torques=written(who, effect, posture),
+            rates=None if direct else written(who, forms, posture),
             closed=written(who, given.constraints, posture),
             names=tuple(formulas),
-            outputs=written(f"{who}: outputs", list(formulas.values()), known),
-            units=units_for(who, units, [*formulas, *_standard(q, v, torques)]),
+            outputs=written(f"{who}: outputs", formulas.values(), known),
+            units=units_for(who, units, [*formulas, *_standard(coordinates, speeds, actuators)]),
         ),
     )
 
 
-def _rates(q: Sequence[Any], speeds: Mapping[Any, str]) -> dict[Any, str]:
-    """The names under which outputs read rates and accelerations."""
-    time = time_symbol()
-    found = {speed.diff(time): rate_of(name) for speed, name in speeds.items()}
-    # Of Lagrange's method the rates of speeds are these accelerations.
-    found |= {coordinate.diff(time, 2): acceleration_of(name_of(coordinate)) for coordinate in q}
-    return found | {coordinate.diff(time): rate_of(name_of(coordinate)) for coordinate in q}
-
-
-def _standard(q: Sequence[Any], v: Sequence[Any], torques: Sequence[Any]) -> list[str]:
+def _standard(coordinates: Sequence[str], speeds: Sequence[str], actuators: Sequence[str]) -> list[str]:
     """The names of the outputs that every mechanical system has."""
-    motion = [f"{name_of(symbol)}{end}" for symbol in q for end in ("", "_rate", "_acceleration")]
-    return motion + [f"{name_of(symbol)}{end}" for symbol in (*v, *torques) for end in ("", "_rate")]
+    motion = [f"{name}{end}" for name in coordinates for end in ("", "_rate", "_acceleration")]
+    return motion + [f"{name}{end}" for name in (*speeds, *actuators) for end in ("", "_rate")]
 
 
 def _refuse_derivatives(who: str, moving: Contents, motion: Collection[Any]) -> None:
@@ -338,7 +293,7 @@ def _refuse_driven(given: _Equations, forms: Any) -> None:
         )
 
 
-def _refuse_unknown_outputs(who: str, of_outputs: Contents, known: Mapping[Any, str]) -> None:
+def _refuse_unknown_outputs(who: str, of_outputs: Contents, known: Sequence[Any]) -> None:
     """Refuse what outputs contain, but no equation of motion."""
     names = {str(symbol): symbol for symbol in known}
     for symbol in (*of_outputs.functions, *of_outputs.derivatives):

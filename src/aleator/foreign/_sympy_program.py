@@ -1,12 +1,8 @@
-"""Expressions of SymPy as programs of JAX, as plain text: equal models share what is compiled, and others never do.
+"""Expressions of SymPy as programs of JAX, as plain text: equal models are equal, and can be pickled."""
 
-The text has the common subexpressions first. Its variables are numbered: what a symbol is called is no part of it.
-"""
-
-import ast
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -21,21 +17,17 @@ from aleator._core.errors import MissingExtraError, ProblemError
 _SPECIAL = MappingProxyType(
     {name: f"jax.scipy.special.{ours}" for name, ours in (("erf", "erf"), ("erfc", "erfc"), ("loggamma", "gammaln"))}
 )
-# Names in a text besides symbols, and what SymPy writes in Python where it knows nothing of JAX, as for sums.
-_NAMES = {"jax", "functools", "abs"}
-_OF_PYTHON = (ast.IfExp, ast.comprehension, ast.BoolOp, ast.Lambda)
-_MODULES = {"jax", "jax.numpy", "jax.scipy.special", "functools"}
 
 
 class Program(NamedTuple):
-    """A function of named numbers: `text` defines `value` with one argument for each of `arguments`."""
+    """A function of some numbers in order: `text` defines `value`, which takes those at the places it needs."""
 
-    arguments: tuple[str, ...]
+    places: tuple[int, ...]
     text: str
 
-    def __call__(self, values: Mapping[str, Any]) -> list[Array]:
-        """The value of each expression, scalars; `values` may have more names than the program reads."""
-        found = _function(self.text)(*(values[name] for name in self.arguments))
+    def __call__(self, values: Sequence[Any] | Mapping[int, Any]) -> list[Array]:
+        """The value of each expression, scalars."""
+        found = _function(self.text)(*(values[place] for place in self.places))
         return [jnp.asarray(value, dtype=float) for value in found]
 
 
@@ -51,33 +43,57 @@ def load_sympy(who: str) -> Any:
     return sympy
 
 
-def written(who: str, expressions: Sequence[Any], meanings: Mapping[Any, str]) -> Program:
-    """The program of some expressions, all of whose symbols have `meanings`: the names under which it reads them.
+def written(who: str, expressions: Iterable[Any], symbols: Iterable[Any]) -> Program:
+    """The program of some expressions as a function of the values of `symbols`, in their order.
 
-    Raises `ProblemError` for what JAX has no function for, and for numbers that are not real.
+    Raises `ProblemError` for what JAX has no function for, and for numbers that are not real and finite.
     """
     sympy = load_sympy(who)
     # Real, so that `re(x)` and the derivative of `Abs(x)` become what they are for numbers.
-    real = {symbol: sympy.Symbol(f"v{i}", real=True) for i, symbol in enumerate(meanings)}
-    plain = [_evaluated(sympy, expression.xreplace(real)) for expression in expressions]
-    used = set[Any]().union(*(expression.free_symbols for expression in plain))
+    places = {symbol: i for i, symbol in enumerate(symbols)}
+    real = {symbol: sympy.Symbol(f"v{i}", real=True) for symbol, i in places.items()}
+    expressions = list(expressions)
+    plain = [expression.xreplace(real) for expression in expressions]
+    plain = [expression.doit() if expression.has(sympy.Derivative) else expression for expression in plain]
     for ours, theirs in zip(plain, expressions, strict=True):
-        if ours.has(sympy.I, sympy.zoo, sympy.nan):
-            raise ProblemError(f"{who}: expected real and finite expressions; received {_brief(theirs)}.")
-        if any(math.isinf(float(number)) for number in ours.atoms(sympy.Number)):
-            raise ProblemError(f"{who}: expected numbers below 1e308; received {_brief(theirs)}.")
-    common, reduced = sympy.cse(plain, symbols=sympy.numbered_symbols("x"))
-    printer = _printer()
-    lines = [f"    {symbol} = {_printed(who, printer, part)}" for symbol, part in common]
-    values = ", ".join(_printed(who, printer, part) for part in reduced)
-    read = {own: symbol for symbol, own in real.items() if own in used}
-    text = "\n".join([f"def value({', '.join(map(str, read))}):", *lines, f"    return [{values}]"])
-    return Program(tuple(meanings[symbol] for symbol in read.values()), text)
+        infinite = any(math.isinf(float(number)) for number in ours.atoms(sympy.Float, sympy.Rational))
+        if infinite or ours.has(sympy.I, sympy.oo, sympy.zoo, sympy.nan):
+            raise ProblemError(f"{who}: expected real numbers below 1e308; received {str(theirs)[:80]}.")
+    used = set[Any]().union(*(expression.free_symbols for expression in plain))
+    program = _program({i: real[symbol] for symbol, i in places.items() if real[symbol] in used}, plain)
+    if not _is_traceable(program):
+        parts = [part for one in plain for part in sympy.postorder_traversal(one) if isinstance(part, sympy.Expr)]
+        # Of nested functions the innermost is the one that is not known.
+        unknown = next(
+            part for part in parts if not _is_traceable(_program(dict(enumerate(part.free_symbols)), [part]))
+        )
+        raise ProblemError(
+            f"{who}: JAX has no function for {type(unknown).__name__}; rewrite it by elementary ones "
+            "(expression.rewrite(...), .doit()), or write the model as an al.System."
+        )
+    return program
 
 
-def _evaluated(sympy: Any, expression: Any) -> Any:
-    """An expression without derivatives that have become known, such as that of `re(x)` by a real `x`."""
-    return expression.doit() if expression.has(sympy.Derivative) else expression
+def _program(symbols: Mapping[int, Any], expressions: Sequence[Any]) -> Program:
+    """Common subexpressions first. The text has the symbols' numbers, whatever they are called."""
+    sympy = load_sympy("")
+    common, reduced = sympy.cse(expressions, symbols=sympy.numbered_symbols("x"))
+    printed = _printer().doprint
+    lines = [f"    {symbol} = {printed(part)}" for symbol, part in common]
+    values = ", ".join(map(printed, reduced))
+    head = f"def value({', '.join(map(str, symbols.values()))}):"
+    return Program(tuple(symbols), "\n".join([head, *lines, f"    return [{values}]"]))
+
+
+def _is_traceable(program: Program) -> bool:
+    """Whether JAX has all functions of a program, and traces it: no choice or loop of Python depends on a number."""
+    try:
+        jax.eval_shape(
+            lambda *values: program(dict(zip(program.places, values, strict=True))), *[0.5] * len(program[0])
+        )
+    except Exception:  # whatever Python and JAX raise for what they cannot read or trace
+        return False
+    return True
 
 
 @functools.lru_cache(maxsize=1024)
@@ -111,47 +127,5 @@ def _printer() -> Any:
                 return f"(1/({self._print(expr.base**-expr.exp)}))"
             return super()._print_Pow(expr, rational=rational)
 
-    return Printer({"fully_qualified_modules": True, "allow_unknown_functions": False, "user_functions": _SPECIAL})
-
-
-def _printed(who: str, printer: Any, expression: Any) -> str:
-    text = _text(printer, expression)
-    if text is not None:
-        return text
-    from sympy import postorder_traversal
-
-    # Of nested functions the innermost is the one that is not known.
-    unknown = next(part for part in postorder_traversal(expression) if _text(printer, part) is None)
-    raise ProblemError(
-        f"{who}: JAX has no function for {type(unknown).__name__}; rewrite it by elementary ones "
-        "(expression.rewrite(...), .doit()), or write the model as an al.System."
-    )
-
-
-def _text(printer: Any, expression: Any) -> str | None:
-    """An expression in JAX, or none if it has a function that JAX lacks."""
-    from sympy.printing.codeprinter import PrintMethodNotImplementedError
-
-    printer.module_imports.clear()
-    try:
-        text = printer.doprint(expression)
-    except PrintMethodNotImplementedError:
-        return None
-    imports = printer.module_imports
-    known = set(imports) <= _MODULES and all(hasattr(jnp, name) for name in imports.get("jax.numpy", ()))
-    return text if known and _is_traceable(text, {str(symbol) for symbol in expression.free_symbols}) else None
-
-
-def _is_traceable(text: str, symbols: set[str]) -> bool:
-    """Whether a text has names of JAX and symbols alone, and no choices or loops of Python, which JAX cannot trace."""
-    try:
-        nodes = list(ast.walk(ast.parse(text, mode="eval")))
-    except SyntaxError:
-        return False
-    names = {node.id for node in nodes if isinstance(node, ast.Name)}
-    return names <= symbols | _NAMES and not any(isinstance(node, _OF_PYTHON) for node in nodes)
-
-
-def _brief(expression: Any) -> str:
-    text = str(expression)
-    return text if len(text) <= 80 else text[:79] + "…"
+    # What it does not know it writes as it is called, which no program then finds.
+    return Printer({"fully_qualified_modules": True, "allow_unknown_functions": True, "user_functions": _SPECIAL})

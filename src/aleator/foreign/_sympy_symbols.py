@@ -1,75 +1,19 @@
 """The symbols of a SymPy model: states, inputs and parameters, against the numbers and assumptions that they have."""
 
 import contextlib
-import math
-from collections.abc import Collection, Iterable, Mapping
-from types import MappingProxyType
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from aleator._core.border import meant, refusal, shown
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import highest, lowest, realised_shape, stored_numbers
+from aleator._core.leaves import AbstractLeaf, highest, lowest, realised_shape, stored_numbers
 from aleator.foreign._sympy_program import load_sympy
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
-_WHOLE = ("integer", "even", "odd", "prime", "composite")
-_ORDERED = ("positive", "negative", "nonnegative", "nonpositive", "zero", "nonzero")
-_ASSUMED = (*_ORDERED, *_WHOLE, "noninteger", "real", "complex", "finite", "infinite", "imaginary")
-_COMPLEMENT = MappingProxyType(
-    {"nonnegative": "negative", "nonpositive": "positive", "nonzero": "zero", "noninteger": "integer"}
-)
-
-
-def refuse_contradiction(who: str, name: str, symbol: Any, number: Any) -> None:
-    """Raise `ProblemError` if a number can take a value that contradicts what SymPy assumes of its symbol."""
-    low, high = lowest(number), highest(number)
-    if low is None or high is None:  # traced: it has been looked at before
-        return
-    # What the user wrote comes before what follows from it.
-    written = [kind for kind in getattr(symbol, "_assumptions_orig", ()) if kind in _ASSUMED]
-    for kind in dict.fromkeys([*written, *_ASSUMED]):
-        assumed = getattr(symbol, f"is_{kind}")
-        if assumed is not None and assumed is not _holds(kind, low, high):
-            raise ProblemError(
-                f"{who}: SymPy takes '{name}' to be {'' if assumed else 'not '}{kind}, and simplifies by it; received "
-                f"{shown(low if low == high else number)}. Change the number, or the assumption of the symbol."
-            )
-
-
-def refuse_stepping(who: str, symbol: Any, name: str) -> None:
-    """Raise `ProblemError` for a function of time that SymPy takes to be integer, or zero: it moves continuously."""
-    if kind := next((kind for kind in ("integer", "zero") if getattr(symbol, f"is_{kind}")), None):
-        raise ProblemError(
-            f"{who}: SymPy takes '{name}' to be {kind}, and simplifies by it; expected a symbol without this "
-            "assumption for what moves continuously."
-        )
-
-
-def _holds(kind: str, low: float, high: float) -> bool | None:
-    """Whether all values from `low` to `high` are of a kind; None if some are."""
-    if kind in _COMPLEMENT:
-        other = _holds(_COMPLEMENT[kind], low, high)
-        return None if other is None else not other
-    if kind in _WHOLE:
-        return _is_whole(kind, low, high)
-    if kind in ("infinite", "imaginary"):
-        return False
-    if kind in ("real", "complex", "finite"):
-        return True
-    if kind == "zero":
-        return True if low == high == 0 else None if low <= 0 <= high else False
-    above, below = (low > 0, high <= 0) if kind == "positive" else (high < 0, low >= 0)
-    return True if above else False if below else None
-
-
-def _is_whole(kind: str, low: float, high: float) -> bool | None:
-    if low != high:
-        return None if not (math.isfinite(low) and math.isfinite(high)) or math.ceil(low) <= math.floor(high) else False
-    if not float(low).is_integer():
-        return False
-    import sympy
-
-    return bool(getattr(sympy.Integer(int(low)), f"is_{kind}"))
+# Weights of a number within a range that is no fraction of it.
+_GOLDEN = np.array([(5**0.5 - 1) / 2, (3 - 5**0.5) / 2])
 
 
 class Contents(NamedTuple):
@@ -141,18 +85,30 @@ def name_of(symbol: Any) -> str:
     return symbol.func.__name__ if getattr(symbol, "args", ()) else symbol.name
 
 
-def named(who: str, symbols: Iterable[Any]) -> dict[Any, str]:
-    """Each symbol's name. Raises `ProblemError` where two have the same."""
-    found: dict[Any, str] = {}
-    for symbol in symbols:
-        name = name_of(symbol)
-        if name in found.values():
+def names_of(who: str, moving: Iterable[Any], parameters: Iterable[Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The names of symbols that move continuously, and of parameters.
+
+    Raises `ProblemError` where two have the same, and where SymPy takes what moves to be integer, or zero.
+    """
+    found: dict[str, Any] = {}
+    for symbol in (moving := list(moving)):
+        refuse_stepping(who, symbol)
+    for symbol in (*moving, *(parameters := list(parameters))):
+        if found.setdefault(name_of(symbol), symbol) != symbol:
             raise ProblemError(
-                f"{who}: two different symbols are called '{name}'. Rename one; symbols with other assumptions, such "
-                "as Symbol('m') and Symbol('m', positive=True), are different."
+                f"{who}: two different symbols are called '{name_of(symbol)}'. Rename one; symbols with other "
+                "assumptions, such as Symbol('m') and Symbol('m', positive=True), are different."
             )
-        found[symbol] = name
-    return found
+    return tuple(map(name_of, moving)), tuple(map(name_of, parameters))
+
+
+def refuse_stepping(who: str, symbol: Any) -> None:
+    """Raise `ProblemError` for a function of time that SymPy takes to be integer, or zero: it moves continuously."""
+    if kind := next((kind for kind in ("integer", "zero") if getattr(symbol, f"is_{kind}")), None):
+        raise ProblemError(
+            f"{who}: SymPy takes '{name_of(symbol)}' to be {kind}, and simplifies by it; expected a symbol without "
+            "this assumption for what moves continuously."
+        )
 
 
 def symbols_given(what: str, given: Any) -> dict[Any, Any]:
@@ -173,33 +129,24 @@ def numbers_for(who: str, symbols: Collection[Any], given: Mapping[Any, Any]) ->
     Raises `ProblemError` for a parameter without one, for numbers of symbols that nothing contains, and for numbers
     that contradict their symbol's assumptions, by which SymPy has simplified.
     """
-    names = [name_of(symbol) for symbol in symbols]
-    for symbol in given:
-        if symbol not in symbols:
-            raise ProblemError(f"{who}: numbers has '{name_of(symbol)}', {_stray(name_of(symbol), names)}")
+    refuse_unknown(f"{who}: numbers", given, symbols, "Drop it.")
     if missing := sorted(name_of(symbol) for symbol in symbols if symbol not in given):
         raise ProblemError(
             f"{who}: expected a number, a distribution or a decision for each parameter in numbers; received none for "
             f"{missing}."
         )
-    return {name_of(symbol): _number(who, symbol, given[symbol]) for symbol in symbols}
+    return {name_of(symbol): number_of(who, "number", symbol, given[symbol]) for symbol in symbols}
 
 
-def _stray(name: str, names: Collection[str]) -> str:
-    """What is wrong with a number of a symbol that is no parameter."""
-    if name in names:
-        return "another symbol than the model's of this name: their assumptions differ. Use the very same symbol."
-    return f"which is no parameter of the model.{meant(name, names) or ' Drop it.'}"
-
-
-def _number(who: str, symbol: Any, given: Any) -> Any:
+def number_of(who: str, what: str, symbol: Any, given: Any) -> Any:
+    """One number of a symbol. Raises `ProblemError` for what is none, or contradicts what SymPy assumes of it."""
     name = name_of(symbol)
-    if isinstance(given, AbstractSignal):
+    if isinstance(given, AbstractSignal) and what == "number":
         return _signal(who, symbol, given)
-    if realised_shape(given) != ():
+    if not isinstance(given, AbstractLeaf) and realised_shape(given) != ():
         raise ProblemError(f"{who}: expected one number for '{name}'; received shape {realised_shape(given)}.")
-    number = stored_numbers(f"{who}: number '{name}'", given)
-    refuse_contradiction(who, name, symbol, number)
+    number = stored_numbers(f"{who}: {what} of '{name}'", given)
+    _refuse_contradiction(who, symbol, number)
     return number
 
 
@@ -210,23 +157,43 @@ def _signal(who: str, symbol: Any, given: AbstractSignal) -> AbstractSignal:
             f"{who}: SymPy takes the symbol '{symbol}' to be constant; received a signal, {type(given).__name__}. Put "
             "a function of time in its place (dynamicsymbols)."
         )
-    refuse_stepping(who, symbol, name_of(symbol))
+    refuse_stepping(who, symbol)
     if isinstance(given, AbstractTrajectory) and given.shape != ():
         raise ProblemError(f"{who}: expected a signal of one number for '{symbol}'; received shape {given.shape}.")
     return given
 
 
+def _refuse_contradiction(who: str, symbol: Any, number: Any) -> None:
+    """Raise `ProblemError` if a number can take a value that contradicts what SymPy assumes of its symbol."""
+    low, high = lowest(number), highest(number)
+    if low is None or high is None:  # traced: it has been looked at before
+        return
+    sympy = load_sympy(who)
+    # A range has its ends, zero between them, and a number that is not whole.
+    ends = np.nan_to_num([low, high], posinf=1e6, neginf=-1e6)
+    values = [*ends.tolist(), *([0.0] if low < 0 < high else ()), *([float(ends @ _GOLDEN)] if low < high else ())]
+    exact = [sympy.Integer(int(value)) if value.is_integer() else sympy.Float(value) for value in values]
+    # What the user wrote comes before what follows from it.
+    assumed = {**getattr(symbol, "_assumptions_orig", {}), **symbol.assumptions0}
+    for kind, holds in assumed.items():
+        if any(getattr(value, f"is_{kind}") is (not holds) for value in exact):
+            raise ProblemError(
+                f"{who}: SymPy takes '{name_of(symbol)}' to be {'' if holds else 'not '}{kind}, and simplifies by it; "
+                f"received {shown(low if low == high else number)}. Change the number, or the assumption of the symbol."
+            )
+
+
 def refuse_unknown(what: str, symbols: Iterable[Any], known: Iterable[Any], remedy: str) -> None:
     """Raise `ProblemError` for the first of `symbols` that is not `known`."""
     known = list(known)
+    names = [name_of(other) for other in known]
     for symbol in symbols:
+        if symbol not in known and name_of(symbol) in names:
+            raise ProblemError(
+                f"{what}: '{symbol}' is another symbol than the model's of this name: one is a function of time, or "
+                "their assumptions differ. Use the very same symbol."
+            )
         if symbol not in known:
-            names = [name_of(other) for other in known]
-            if name_of(symbol) in names:
-                raise ProblemError(
-                    f"{what}: '{symbol}' is another symbol than the model's of this name: one is a function of time, "
-                    "or their assumptions differ. Use the very same symbol."
-                )
             raise ProblemError(f"{what}: '{symbol}' is not known.{meant(name_of(symbol), names)} {remedy}")
 
 
@@ -239,3 +206,8 @@ def units_for(who: str, units: Any, outputs: Collection[str]) -> tuple[tuple[str
         if name not in outputs:
             raise ProblemError(f"{who}: units has '{name}', which is no output.{meant(name, outputs)}")
     return tuple(given.items())
+
+
+def structure(field: str, name: str, kind: Callable[[Any], Any] = tuple) -> Any:
+    """A property of a system of SymPy that its structure, in a field, has under this name."""
+    return property(lambda system: kind(getattr(getattr(system, field), name)))

@@ -10,7 +10,7 @@ from typing_extensions import override
 
 from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import AbstractLeaf, realised_shape, stored_numbers, transparent
+from aleator._core.leaves import transparent
 from aleator.dynamics import AlgebraicSystem, System
 from aleator.dynamics._system import state_type
 from aleator.foreign._sympy_program import Program, load_sympy, written
@@ -20,30 +20,30 @@ from aleator.foreign._sympy_symbols import (
     expression,
     expressions_by_name,
     name_of,
-    named,
+    names_of,
+    number_of,
     numbers_for,
-    refuse_contradiction,
-    refuse_stepping,
     refuse_unknown,
+    structure,
     symbols_given,
     time_symbol,
     units_for,
 )
 
 _WHO = "from_sympy"
-# Under these names, which no symbol has, programs read the time and the states' rates.
-_TIME = "\0t"
 
 
 class _Equations(NamedTuple):
     """Equations without their numbers: the structure, which determines what is compiled.
 
-    - `mass`: the entries of the matrix before the rates, row by row; none where the rates are explicit;
-    - `start`: the initial values that are expressions, of the states `started`.
+    Programs take the states, the inputs, the parameters and the time; `outputs` the states' rates besides, and those of
+    states that are rates; `start`, the initial values of the states `started`, the parameters alone.
+    - `mass`: the entries of the matrix before the rates, row by row; none where the rates are explicit.
     """
 
     states: tuple[str, ...]
     inputs: tuple[str, ...]
+    parameters: tuple[str, ...]
     rates: Program
     mass: Program | None
     names: tuple[str, ...]
@@ -62,24 +62,13 @@ class SymPySystem(System):
     start: dict[str, Any]
     equations: _Equations = eqx.field(static=True)
 
-    @property
-    def states(self) -> tuple[str, ...]:  # type: ignore[override]
-        """The names of the states."""
-        return self.equations.states
-
-    @property
-    def further_inputs(self) -> tuple[str, ...]:  # type: ignore[override]
-        """The names of the inputs: functions of time without a rate."""
-        return self.equations.inputs
-
-    @property
-    def units(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The units of outputs, as far as they are given."""
-        return dict(self.equations.units)
+    states = structure("equations", "states")
+    further_inputs = structure("equations", "inputs")
+    units = structure("equations", "units", dict)
 
     @override
     def initial(self) -> Mapping[str, Any]:
-        follow = self.equations.start(self.numbers)
+        follow = self.equations.start(self._given())
         return {**self.start, **dict(zip(self.equations.started, follow, strict=True))}
 
     @override
@@ -88,32 +77,26 @@ class SymPySystem(System):
 
     @override
     def outputs(self, t: Any, z: Any, /, **inputs: Any) -> dict[str, Array]:
-        values = self._values(t, z, inputs)
-        return self._outputs(values, self._rates(values))
+        return self.rates_and_outputs(t, z, **inputs)[1]
 
     @override
     def rates_and_outputs(self, t: Any, z: Any, /, **inputs: Any) -> tuple[tuple[Array, ...], dict[str, Array]]:
         values = self._values(t, z, inputs)
         rates = self._rates(values)
-        return rates, self._outputs(values, rates)
+        return rates, dict(zip(self.equations.names, self.equations.outputs([*values, *rates]), strict=True))
 
-    def _values(self, t: Any, z: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
-        return {**self.numbers, **z._asdict(), **inputs, _TIME: t}
+    def _given(self) -> list[Any]:
+        return [self.numbers[name] for name in self.equations.parameters]
 
-    def _rates(self, values: Mapping[str, Any]) -> tuple[Array, ...]:
+    def _values(self, t: Any, z: Any, inputs: Mapping[str, Any]) -> list[Any]:
+        return [*z, *(inputs[name] for name in self.equations.inputs), *self._given(), t]
+
+    def _rates(self, values: Sequence[Any]) -> tuple[Array, ...]:
         rates = self.equations.rates(values)
         if self.equations.mass is None:
             return tuple(rates)
         mass = jnp.stack(self.equations.mass(values)).reshape(len(rates), len(rates))
         return tuple(jnp.linalg.solve(mass, jnp.stack(rates)))
-
-    def _outputs(self, values: Mapping[str, Any], rates: Sequence[Array]) -> dict[str, Array]:
-        slopes = {_rate_of(name): rate for name, rate in zip(self.states, rates, strict=True)}
-        return dict(zip(self.equations.names, self.equations.outputs({**values, **slopes}), strict=True))
-
-
-def _rate_of(name: str) -> str:
-    return f"\0rate of {name}"
 
 
 def from_sympy(
@@ -175,27 +158,26 @@ def from_sympy(
             f"inputs={{'{name_of(signalled[0])}': ...}})."
         )
     parameters = _parameters(states, moving, of_outputs, contents_of(f"{_WHO}: start", follow.values()))
-    meanings = named(_WHO, (*states, *inputs, *parameters)) | {time_symbol(): _TIME}
-    for symbol in (*states, *inputs):
-        refuse_stepping(_WHO, symbol, meanings[symbol])
-    slopes = _slopes(of_outputs, rates, mass_matrix is None)
-    state_type(tuple(meanings[state] for state in states))
+    names, parameter_names = names_of(_WHO, (*states, *inputs), parameters)
+    state_type(names[: len(states)])
+    known, dots = [*states, *inputs, *parameters, time_symbol()], {state: sympy.Dummy() for state in states}
+    slopes = _slopes(of_outputs, rates, dots, mass_matrix is None)
     equations = _Equations(
-        states=tuple(meanings[state] for state in states),
-        inputs=tuple(meanings[symbol] for symbol in inputs),
-        rates=written(_WHO, list(rates.values()), meanings),
-        mass=written(_WHO, mass, meanings) if mass else None,
+        states=names[: len(states)],
+        inputs=names[len(states) :],
+        parameters=parameter_names,
+        rates=written(_WHO, rates.values(), known),
+        mass=written(_WHO, mass, known) if mass else None,
         names=tuple(formulas),
-        outputs=written(f"{_WHO}: outputs", list(formulas.values()), slopes | meanings),
-        started=tuple(meanings[state] for state in follow),
-        start=written(f"{_WHO}: start", list(follow.values()), meanings),
+        outputs=written(
+            f"{_WHO}: outputs", [formula.xreplace(slopes) for formula in formulas.values()], [*known, *dots.values()]
+        ),
+        started=tuple(map(name_of, follow)),
+        start=written(f"{_WHO}: start", follow.values(), parameters),
         units=units_for(_WHO, units, formulas),
     )
-    return SymPySystem(
-        numbers_for(_WHO, parameters, given),
-        {meanings[state]: value for state, value in values.items()},
-        equations,
-    )
+    start_values = {name_of(state): value for state, value in values.items()}
+    return SymPySystem(numbers_for(_WHO, parameters, given), start_values, equations)
 
 
 def _mass_matrix(sympy: Any, given: Any, size: int) -> list[Any]:
@@ -214,14 +196,7 @@ def _started(given: Any, states: Sequence[Any]) -> tuple[dict[Any, Any], dict[An
     refuse_unknown(what, start, states, "Expected initial values of states.")
     sympy = load_sympy(_WHO)
     follow = {state: expression(what, value) for state, value in start.items() if isinstance(value, sympy.Basic)}
-    values: dict[Any, Any] = {}
-    for state, value in start.items():
-        if state in follow:
-            continue
-        if not isinstance(value, AbstractLeaf) and realised_shape(value) != ():
-            raise refusal(what, f"one number for '{name_of(state)}'", value)
-        values[state] = stored_numbers(f"{_WHO}: start of '{name_of(state)}'", value)
-        refuse_contradiction(what, name_of(state), state, values[state])
+    values = {state: number_of(what, "start", state, value) for state, value in start.items() if state not in follow}
     return values, follow
 
 
@@ -233,14 +208,14 @@ def _parameters(states: Sequence[Any], moving: Contents, of_outputs: Contents, o
     return sorted((symbol for symbol in symbols if symbol not in states and symbol != time_symbol()), key=str)
 
 
-def _slopes(of_outputs: Contents, rates: Mapping[Any, Any], explicit: bool) -> dict[Any, str]:
+def _slopes(of_outputs: Contents, rates: Mapping[Any, Any], dots: Mapping[Any, Any], explicit: bool) -> dict[Any, Any]:
     """What derivatives in outputs mean: the first ones of states, and second ones where the first is a state."""
     time, known = time_symbol(), {}
     # Plain symbols have no derivatives by time: SymPy gives zero.
     for state, rate in ((state, rate) for state, rate in rates.items() if state.is_Function):
-        known[state.diff(time)] = _rate_of(name_of(state))
+        known[state.diff(time)] = dots[state]
         if explicit and rate in rates:
-            known[state.diff(time, 2)] = _rate_of(name_of(rate))
+            known[state.diff(time, 2)] = dots[rate]
     for derivative in of_outputs.derivatives:
         if derivative not in known:
             raise ProblemError(
@@ -253,6 +228,7 @@ def _slopes(of_outputs: Contents, rates: Mapping[Any, Any], explicit: bool) -> d
 class _Formulas(NamedTuple):
     """Formulas without their numbers: the structure, which determines what is compiled."""
 
+    parameters: tuple[str, ...]
     names: tuple[str, ...]
     outputs: Program
     units: tuple[tuple[str, str], ...]
@@ -266,14 +242,12 @@ class SymPyFormulas(AlgebraicSystem):
     numbers: dict[str, Any]
     formulas: _Formulas = eqx.field(static=True)
 
-    @property
-    def units(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The units of outputs, as far as they are given."""
-        return dict(self.formulas.units)
+    units = structure("formulas", "units", dict)
 
     @override
     def outputs(self) -> dict[str, Array]:
-        return dict(zip(self.formulas.names, self.formulas.outputs(self.numbers), strict=True))
+        values = [self.numbers[name] for name in self.formulas.parameters]
+        return dict(zip(self.formulas.names, self.formulas.outputs(values), strict=True))
 
 
 def from_sympy_formulas(
@@ -300,8 +274,10 @@ def from_sympy_formulas(
             f"{who}: expected formulas without time; received {(*found.derivatives, *found.functions)[0]}. Use "
             "al.foreign.from_sympy for a system that moves."
         )
-    meanings = named(who, found.symbols)
+    _, names = names_of(who, (), found.symbols)
     return SymPyFormulas(
         numbers_for(who, found.symbols, given),
-        _Formulas(tuple(formulas), written(who, list(formulas.values()), meanings), units_for(who, units, formulas)),
+        _Formulas(
+            names, tuple(formulas), written(who, formulas.values(), found.symbols), units_for(who, units, formulas)
+        ),
     )

@@ -1,6 +1,8 @@
 """Mechanical systems and their forward, inverse and hybrid dynamics. Knows no randomness."""
 
 from aleator.mechanics._bodies import Body as Body
+from aleator.mechanics._closures import Closure as Closure
+from aleator.mechanics._closures import Coupling as Coupling
 from aleator.mechanics._dynamics import Actuation as Actuation
 from aleator.mechanics._dynamics import ForwardDynamics as ForwardDynamics
 from aleator.mechanics._dynamics import HybridDynamics as HybridDynamics
@@ -16,9 +18,7 @@ from aleator.mechanics._joints import Fixed as Fixed
 from aleator.mechanics._joints import Free as Free
 from aleator.mechanics._joints import Prismatic as Prismatic
 from aleator.mechanics._joints import Revolute as Revolute
-from aleator.mechanics._loops_and_loads import BodyLoad as BodyLoad
-from aleator.mechanics._loops_and_loads import Closure as Closure
-from aleator.mechanics._loops_and_loads import Coupling as Coupling
+from aleator.mechanics._loads import BodyLoad as BodyLoad
 from aleator.mechanics._mechanical import AbstractMechanical as AbstractMechanical
 from aleator.mechanics._mechanical import Motion as Motion
 from aleator.mechanics._multibody import Multibody as Multibody

@@ -35,6 +35,8 @@ def signals_for(names: tuple[str, ...], given: Any, what: str) -> Signals:
         )
     if unknown := sorted(set(given) - set(names)):
         raise ProblemError(f"{what}: there is no {unknown}; expected some of {list(names)}.")
+    if not given:
+        return PowerSeries(start=(np.zeros(len(names)),))
     return {name: _single(given.get(name, 0.0), f"{what} of '{name}'") for name in names}
 
 
@@ -59,19 +61,6 @@ def combined(names: tuple[str, ...], given: Signals) -> AbstractSignal:
     parts = tuple(given[name] for name in names)
     trajectories = tuple(part for part in parts if isinstance(part, AbstractTrajectory))
     return Stack(trajectories) if len(trajectories) == len(parts) else Columns(parts)
-
-
-def combined_motion(names: tuple[str, ...], given: Signals) -> AbstractTrajectory:
-    """One trajectory of all names in order, from checked motions."""
-    motion = combined(names, given)
-    assert isinstance(motion, AbstractTrajectory)
-    return motion
-
-
-def followed(motion: AbstractTrajectory, torque_rates: bool) -> dict[str, AbstractSignal]:
-    """A motion with the derivatives that dynamics need: one more where torques are differentiated too."""
-    names = ("velocity", "acceleration", "jerk")[: 3 if torque_rates else 2]
-    return {"position": motion, **{name: motion.derivative(k) for k, name in enumerate(names, 1)}}
 
 
 def _single(given: Any, where: str) -> AbstractSignal:

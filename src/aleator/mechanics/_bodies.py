@@ -1,18 +1,21 @@
 """Rigid bodies: their numbers, checked, and their order in a tree."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, TypeVar, final
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import Literal
+from jaxtyping import Array
 
 from aleator._core.arrays import is_number
 from aleator._core.border import a_name
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, is_leaf
 from aleator.mechanics._instant import at
-from aleator.mechanics._joints import AbstractJoint, Fixed
+from aleator.mechanics._joints import AbstractAxial, AbstractJoint, Fixed
 from aleator.mechanics._mechanical import AbstractMechanical
 from aleator.mechanics._spatial import (
     Pose,
@@ -20,18 +23,18 @@ from aleator.mechanics._spatial import (
     as_array,
     from_angles,
     is_known,
-    library,
+    product,
     skew,
+    stacked,
 )
 from aleator.trajectories import AbstractSignal
 
 # The rounding error allowed in an inertia on the verge of the possible, relative to its largest moment.
 _ROUNDING = 1e-9
 
-# The matrix of moments xx, yy, zz, xy, xz, yz is their product with this.
-_MATRIX = np.zeros((6, 3, 3))
-_MATRIX[range(6), [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]] = 1.0
-_MATRIX[range(6), [0, 1, 2, 1, 2, 2], [0, 1, 2, 0, 0, 1]] = 1.0
+# The matrix of moments xx, yy, zz, xy, xz, yz, row after row, is their product with this.
+_MATRIX = np.eye(9)[[0, 4, 8, 1, 2, 5]]
+_MATRIX[[3, 4, 5], [3, 6, 7]] = 1.0
 
 
 @final
@@ -73,7 +76,7 @@ class Body(Module):
         if self.parent is not None:
             a_name(f"Body '{self.name}': parent", self.parent)
         if all_known(self.mass, self.center, self.inertia):
-            inertia(self)
+            inertias([self])
         if all_known(self.position, self.orientation):
             placement(self)
 
@@ -108,27 +111,30 @@ def _turns(matrix: np.ndarray) -> bool:
 
 
 class Inertia(NamedTuple):
-    """The inertia of a body in its frame: mass, kg, first moments (3,), kg·m, second ones (3, 3), kg·m²."""
+    """The inertia of bodies in their frames: mass (n,), kg, first moments (3, n), kg·m, second (3, 3, n), kg·m²."""
 
     mass: Any
     first: Any
     second: Any
 
 
-def inertia(body: Body) -> Inertia:
-    """The inertia of a body. Raises `ProblemError` for one that no body has."""
-    mass = as_array(body.mass, f"Body '{body.name}': mass", ())
-    if is_known(mass) and np.asarray(mass) < 0:
-        raise ProblemError(f"Body '{body.name}': expected a mass that is not negative; received {body.mass}.")
-    where = f"Body '{body.name}': inertia"
-    moments = as_array(body.inertia, where, (3,), (6,), (3, 3))
-    if moments.shape != (3, 3):
-        moments = library(moments).tensordot(moments, _MATRIX[: len(moments)], 1)
-    if is_known(moments):
-        _check_moments(np.asarray(moments), where)
-    center = as_array(body.center, f"Body '{body.name}': center", (3,))
-    across = skew(center[:, None])[..., 0]
-    return Inertia(mass, mass * center, moments - mass * (across @ across))
+def inertias(bodies: Sequence[Body]) -> Inertia:
+    """The inertias of bodies, as columns. Raises `ProblemError` for one that no body has."""
+    mass, center, moments = list[Any](), list[Any](), list[Any]()
+    for body in bodies:
+        mass.append(as_array(body.mass, f"Body '{body.name}': mass", ()))
+        if is_known(mass[-1]) and np.asarray(mass[-1]) < 0:
+            raise ProblemError(f"Body '{body.name}': expected a mass that is not negative; received {body.mass}.")
+        where = f"Body '{body.name}': inertia"
+        given = as_array(body.inertia, where, (3,), (6,), (3, 3))
+        moments.append(given.reshape(9) if given.shape == (3, 3) else given @ _MATRIX[: len(given)])
+        if is_known(given):
+            _check_moments(np.asarray(moments[-1]).reshape(3, 3), where)
+        center.append(as_array(body.center, f"Body '{body.name}': center", (3,)))
+    masses, centers = stacked(mass, ()), stacked(center, (3,))
+    across = skew(centers)
+    second = stacked(moments, (9,)).reshape(3, 3, -1) - masses[None, None] * product(across, across)
+    return Inertia(masses, masses[None] * centers, second)
 
 
 def _check_moments(matrix: np.ndarray, where: str) -> None:
@@ -200,3 +206,30 @@ def _as_number(leaf: Any) -> Any:
         plain = jax.tree.map(_as_number, leaf, is_leaf=is_leaf)
         return np.ones(jax.eval_shape(plain, jax.ShapeDtypeStruct((), float)).shape)
     return np.ones(leaf.shape) if is_leaf(leaf) else leaf
+
+
+def refuse_moving_places(kind: str, bodies: Callable[[Array], Sequence[Body]]) -> None:
+    """Raise `ProblemError` if the place or the axis of a body's joint depends on the time in `bodies(time)`.
+
+    The recursions would miss the velocity that this causes. The dependence is read off the traced equations, not off
+    values.
+    """
+    names: list[str] = []
+
+    def places(s: Array) -> list[Any]:
+        every = list(bodies(s))
+        names[:] = [body.name for body in every]
+        axes = [body.joint.direction() if isinstance(body.joint, AbstractAxial) else 0.0 for body in every]
+        return [(jnp.asarray(axis), *map(jnp.asarray, placement(body))) for axis, body in zip(axes, every, strict=True)]
+
+    closed = jax.make_jaxpr(places)(jnp.zeros(()))
+    moved = set(closed.jaxpr.invars)
+    for equation in closed.jaxpr.eqns:
+        if any(not isinstance(one, Literal) and one in moved for one in equation.invars):
+            moved.update(equation.outvars)
+    for i, variable in enumerate(closed.jaxpr.outvars):
+        if not isinstance(variable, Literal) and variable in moved:
+            raise ProblemError(
+                f"{kind}.bodies: the place or the axis of '{names[i // 3]}' depends on time: only masses and inertias "
+                "may do so. Put a joint there, and prescribe its motion in al.HybridDynamics."
+            )

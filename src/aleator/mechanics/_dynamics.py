@@ -64,11 +64,11 @@ class ForwardDynamics(AbstractFormulation):
       `start` may be among them.
 
     Constraints are solved together with the accelerations (equation 6), and every output satisfies them. Values named
-    in `start` are kept; the other coordinates are those nearest to `guess`, and the other velocities those nearest to
-    rest, that satisfy the constraints, in each realisation separately. A start may also name all coordinates, or all
-    velocities, as published: those that satisfy the constraints to three digits are taken, and become the nearest that
-    do so exactly. `constraint_drift` is how far the integrated
-    coordinates had left the constraints before they were projected back: a measure of the grid's error.
+    in `start` are kept; the other coordinates are those that satisfy the constraints on the shortest way from `guess`,
+    and the other velocities those nearest to rest that do, in each realisation separately. A start may also name all
+    coordinates, or all velocities, as published: if these miss the constraints by less than a hundredth, they are
+    brought onto them on the shortest way. `constraint_drift` is how far the integrated coordinates had left the
+    constraints before they were projected back: a measure of the grid's error.
 
     Every realisation receives the same torques. They are part of the system: their control points are named
     `torque.free`. Raises `ProblemError` for torques and starts of actuators, coordinates or velocities that the model

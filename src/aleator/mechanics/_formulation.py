@@ -26,9 +26,7 @@ from aleator.mechanics._arguments import (
     checked_guess,
     checked_start,
     combined,
-    combined_motion,
     coordinates_at,
-    followed,
     motions_for,
     signals_for,
     vector,
@@ -125,7 +123,9 @@ class AbstractFormulation(System):
     def signals(self) -> Mapping[str, AbstractSignal]:
         signals = dict[str, AbstractSignal]()
         if self.parts.prescribed:
-            signals |= followed(self._motion(), self.torque_rates)
+            signals["position"] = motion = self._motion()
+            names = ("velocity", "acceleration", "jerk")[: 3 if self.torque_rates else 2]
+            signals |= {name: motion.derivative(order) for order, name in enumerate(names, 1)}
         if self.parts.known:
             signals["torque"] = torque = combined(self._known_names(), self.torque)
             if isinstance(torque, AbstractTrajectory) and torque.derivatives > 0:
@@ -142,6 +142,11 @@ class AbstractFormulation(System):
             )
         return self.starting(np.zeros(()), {})
 
+    @property
+    @override
+    def solves_start(self) -> bool:
+        return bool(self.states and self.model.constraints)
+
     @override
     def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
         """As `started`. Constraints are solved by one program: operation by operation takes several times as long."""
@@ -157,26 +162,14 @@ class AbstractFormulation(System):
             return {}
         q, v = self._others_near(), self._speeds_near()
         if self.model.constraints:
-            model = at(self.model, t, inputs.get("parameters"))
+            model = at(self.model, t, inputs.get("parameters")).prepared()
             q, v = consistent_start(model, *self._near(model, self._given(inputs)), self._stated())
             q, v = taken(q, self.parts.others), taken(v, self.parts.undriven)
         return dict(zip(self.states, (q, v), strict=False))
 
     @override
-    def rhs(
-        self,
-        t: Any,
-        z: Any,
-        position: Any = None,
-        velocity: Any = None,
-        acceleration: Any = None,
-        torque: Any = None,
-        parameters: Any = None,
-    ) -> tuple[Array, ...]:
-        if not self.states:
-            return ()
-        given = self._prescribed(position, velocity, acceleration, torque)
-        return self._rates_of(solved(at(self.model, t, parameters), self.parts, given, *self._integrated(z)))
+    def rhs(self, *args: Any, **kwargs: Any) -> tuple[Array, ...]:
+        return self.rates_and_outputs(*args, **kwargs)[0]
 
     @override
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
@@ -195,11 +188,8 @@ class AbstractFormulation(System):
         torque_rate: Any = None,
         parameters: Any = None,
     ) -> tuple[tuple[Array, ...], dict[str, Any]]:
-        model, parts = at(self.model, t, parameters), self.parts
-        where = (
-            self._prescribed(position, velocity, acceleration, torque),
-            *self._integrated(z),
-        )
+        model, parts = at(self.model, t, parameters).prepared(), self.parts
+        where = self._prescribed(position, velocity, acceleration, torque), *self._integrated(z)
         if jerk is None or not parts.unknown or (torque is not None and torque_rate is None):
             whole = solved(model, parts, *where)
             torque_rates = None if parts.unknown else torque_rate
@@ -263,7 +253,9 @@ class AbstractFormulation(System):
         return Stated.by(self.model, self.start, self.parts.loose)
 
     def _motion(self) -> AbstractTrajectory:
-        return combined_motion(taken_names(self.model.coordinates, self.parts.prescribed), self.motion)
+        motion = combined(taken_names(self.model.coordinates, self.parts.prescribed), self.motion)
+        assert isinstance(motion, AbstractTrajectory)
+        return motion
 
     def _known_names(self) -> tuple[str, ...]:
         return taken_names(self.model.actuators, self.parts.known)
@@ -271,6 +263,7 @@ class AbstractFormulation(System):
     def posture(self, model: AbstractMechanical, q: Array) -> Posture:
         """What diagnosis asks of the model at one instant. Traceable."""
         q = model.normalised(q)
+        model = model.seen_at(q)
         return Posture(
             q,
             mass_of(model, q),

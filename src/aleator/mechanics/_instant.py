@@ -171,7 +171,7 @@ class Instants(NamedTuple):
 
     def each(self, function: Callable[..., Any], *given: Array) -> Any:
         """`function(model, *given)` at every instant, with the rows of `given` there."""
-        return jax.vmap(lambda t, row, *own: function(at(self.model, t, row), *own))(
+        return jax.vmap(lambda t, row, *own: function(at(self.model, t, row).prepared(), *own))(
             self.times, self.parameters, *given
         )
 

@@ -106,6 +106,11 @@ def _large_solver(M: Float[Array, "n n"]) -> Callable[[Float[Array, "n ..."]], F
     return lambda b: jnp.where(regular, linalg.cho_solve((factor, True), b), jnp.nan)
 
 
+def entries(vector: Float[Array, " n"]) -> list[Array]:
+    """The numbers of a vector: half the equations of an iteration over it."""
+    return [part.reshape(()) for part in jax.lax.split(vector, [1] * len(vector))] if len(vector) else []
+
+
 def taken(array: Float[Numbers, "n ..."], places: Sequence[int]) -> Float[Numbers, "places ..."]:
     """The entries at some places along the first axis, in the order of the places."""
     if tuple(places) == tuple(range(len(array))):

@@ -259,8 +259,12 @@ class AbstractMechanical(Module, Printed):
             )
         return np.array([[float(name == one) for one in actuators] for name in along]).reshape(len(along), -1)
 
-    def seen_at(self, q: Float[Array, " coordinates"]) -> Self:
-        """The model, which may have computed what its outputs ask for in a posture."""
+    def prepared(self) -> Self:
+        """The model at an instant, which may have computed what does not depend on its posture."""
+        return self
+
+    def seen_at(self, q: Float[Numbers, " coordinates"]) -> Self:
+        """The model at an instant, which may have computed what several of its methods need at these coordinates."""
         del q
         return self
 

@@ -1,7 +1,6 @@
 """`Multibody`: a mechanical system from its bodies and joints."""
 
 import abc
-import weakref
 from collections.abc import Callable, Collection, Mapping, Sequence
 from copy import copy
 from typing import Any, Self, TypeVar
@@ -12,19 +11,12 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
-from aleator.mechanics._bodies import Body, behind, sorted_bodies, with_numbers, without_numbers
+from aleator.mechanics._bodies import Body, behind, refuse_moving_places, sorted_bodies, with_numbers, without_numbers
+from aleator.mechanics._closures import Closed, Closure, Coupling, closed, couplings_apart
 from aleator.mechanics._declared import timed_methods
 from aleator.mechanics._instant import is_timed, later
 from aleator.mechanics._joints import AbstractJoint
-from aleator.mechanics._loops_and_loads import (
-    BodyLoad,
-    Closure,
-    Coupling,
-    bodies_bound,
-    checked_closures,
-    generalised,
-    refuse_moving_places,
-)
+from aleator.mechanics._loads import BodyLoad, generalised
 from aleator.mechanics._mechanical import AbstractMechanical, evaluated
 from aleator.mechanics._spatial import GROUND, Numbers, Pose, as_array
 from aleator.mechanics._tree_dynamics import (
@@ -32,7 +24,6 @@ from aleator.mechanics._tree_dynamics import (
     forward_dynamics,
     inverse_dynamics,
     jacobian_at,
-    kinetic_energy,
     mass_matrix,
     posture_of,
     potential_energy,
@@ -131,35 +122,26 @@ class Multibody(AbstractMechanical):
 
     @override
     def closing(self, q: Float[Array, " coordinates"]) -> Float[Array, " closing"]:
-        loops, couplings = self._closures()
-        *_, poses = self._bound(loops, q)
-        parts = [loop.residual(poses) for loop in loops] + [self._apart(coupling, q) for coupling in couplings]
-        return jnp.concatenate([jnp.zeros(0), *parts])
+        loops, couplings = self._closed()
+        apart = couplings_apart(couplings, self.coordinates, q)
+        return (
+            jnp.concatenate([loops.apart(self._posture(q)[1]), apart])
+            if couplings
+            else loops.apart(self._posture(q)[1])
+        )
 
     @override
     def closing_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "closing speeds"]:
-        loops, couplings = self._closures()
-        bound = self._bound(loops, q)
-        rows = [loop.jacobian(*bound) for loop in loops]
-        if couplings:
-            map_ = self.velocity_map(q)
-            rows += [jax.jacfwd(lambda at, one=one: self._apart(one, at))(q) @ map_ for one in couplings]
-        return jnp.concatenate([jnp.zeros((0, len(self.speeds))), *rows])
-
-    def _apart(self, coupling: Coupling, q: Float[Array, " coordinates"]) -> Float[Array, " 1"]:
-        return coupling.residual(dict(zip(self.coordinates, q, strict=True)))[None]
-
-    def _bound(
-        self, loops: Sequence[Closure], q: Float[Array, " coordinates"]
-    ) -> tuple[Tree, Posture, dict[str, Pose]]:
-        """The tree, its posture, and the poses of the bodies that loops bind."""
-        tree = self._tree()
-        names, posture = bodies_bound(type(self).__name__, loops, tree), posture_of(tree, q)
-        return tree, posture, {name: _pose(tree, posture, name) for name in names}
+        loops, couplings = self._closed()
+        rows = loops.jacobian(self._posture(q)[1])
+        if not couplings:
+            return rows
+        slope = jax.jacfwd(lambda at: couplings_apart(couplings, self.coordinates, at))(q)
+        return jnp.concatenate([rows, slope if self.moves_directly else slope @ self.velocity_map(q)])
 
     def mass_matrix(self, q: Float[Numbers, " coordinates"]) -> Float[Array, "speeds speeds"]:
         """`M(q)` of bodies and rotors."""
-        return mass_matrix(self._tree(), q)
+        return mass_matrix(*self._posture(q))
 
     def bias(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
         """`C(q, v) v + N(q, v)`, with gravity, springs and dampers, by the equations of Newton and Euler."""
@@ -195,7 +177,7 @@ class Multibody(AbstractMechanical):
     def external(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
         """The sum of `load` and the loads on the bodies."""
         loads = evaluated(self, "body_loads", q, v)
-        return super().external(q, v) + generalised(type(self).__name__, self._tree(), q, loads)
+        return super().external(q, v) + generalised(type(self).__name__, *self._posture(q), loads)
 
     def velocity_map(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates speeds"]:
         """`H(q)`, with `q̇ = H(q) v`: block diagonal, one block per joint."""
@@ -239,19 +221,19 @@ class Multibody(AbstractMechanical):
 
     def kinetic_energy(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, ""]:
         """The kinetic energy of the bodies and of the joints' rotors, J."""
-        return kinetic_energy(self._tree(), q, v)
+        return 0.5 * v @ mass_matrix(*self._posture(q)) @ v
 
     def potential_energy(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
         """The energy of gravity (zero at the world's origin) and of springs, J."""
-        return potential_energy(self._tree(), self._gravity(), q)
+        return potential_energy(*self._posture(q), self._gravity(), q)
 
     def poses(self, q: Float[Array, " coordinates"]) -> dict[str, Pose]:
         """The pose of each body in the world, by name: `rotation` (3, 3) and `position` (3,), m."""
-        return _by_name(*self._seen(q))
+        return _by_name(*self._posture(q))
 
     def point(self, q: Float[Array, " coordinates"], body: str, local: Any = (0.0, 0.0, 0.0)) -> Float[Array, "3"]:
         """The position in the world of a point of a body, `local` in its frame, m."""
-        return _point(*self._seen(q), body, local)[1]
+        return _point(*self._posture(q), body, local)[1]
 
     def point_velocity(
         self,
@@ -261,33 +243,39 @@ class Multibody(AbstractMechanical):
         local: Any = (0.0, 0.0, 0.0),
     ) -> Float[Array, "3"]:
         """The velocity in the world of a point of a body, `local` in its frame, m/s."""
-        tree, posture = self._seen(q)
+        tree, posture = self._posture(q)
         row, place = _point(tree, posture, body, local)
         return jnp.asarray(jacobian_at(tree, posture, row, place).linear @ v)
 
     @override
-    def seen_at(self, q: Float[Array, " coordinates"]) -> Self:
-        if type(self).outputs is Multibody.outputs:
-            return self
-        seen = copy(self)
-        # No field: what becomes of the model in transformations does not know this.
-        object.__setattr__(seen, "_at", (q, *self._seen(q)))
-        return seen
+    def prepared(self) -> Self:
+        instant = self._remembering(tree=self._tree())
+        return instant._remembering(closed=instant._closed())
 
-    def _seen(self, q: Float[Array, " coordinates"]) -> tuple[Tree, Posture]:
-        """The tree and its posture; the one whose outputs are being computed is not computed again."""
-        at, tree, posture = getattr(self, "_at", (None, None, None))
-        if at is q and tree is not None and posture is not None:
-            return tree, posture
+    @override
+    def seen_at(self, q: Float[Numbers, " coordinates"]) -> Self:
+        return self._remembering(posture=(q, self._posture(q)[1]))
+
+    def _remembering(self, **known: Any) -> Self:
+        """The model with its tree or a posture: no fields, so that transformations of the model forget them."""
+        instant = copy(self)
+        for name, value in known.items():
+            object.__setattr__(instant, f"_{name}_known", value)
+        return instant
+
+    def _posture(self, q: Float[Numbers, " coordinates"]) -> tuple[Tree, Posture]:
+        """The tree and its posture at some coordinates."""
         tree = self._tree()
-        return tree, posture_of(tree, q)
+        where, posture = getattr(self, "_posture_known", (None, None))
+        return tree, posture if where is q and posture is not None else posture_of(tree, q)
 
     def _is_bodies_alone(self) -> bool:
         """Whether the equations of motion are those of the bodies alone, without overrides."""
         return type(self).bias is Multibody.bias and type(self).mass_matrix is Multibody.mass_matrix
 
     def _tree(self) -> Tree:
-        return build_tree(self._tree_bodies())
+        known = getattr(self, "_tree_known", None)
+        return build_tree(self._tree_bodies()) if known is None else known
 
     def _tree_bodies(self) -> Sequence[Body]:
         if self._when is not None:
@@ -300,66 +288,58 @@ class Multibody(AbstractMechanical):
             raise ProblemError(f"{type(self).__name__}.bodies returns a tuple of al.Body; received {given!r}.")
         return given
 
+    def _closed(self) -> tuple[Closed, list[Coupling]]:
+        """The closed loops, as columns, and the couplings."""
+        if (known := getattr(self, "_closed_known", None)) is not None:
+            return known
+        loops, couplings = self._closures()
+        return closed(type(self).__name__, loops, self._tree()), couplings
+
     def _closures(self) -> tuple[list[Closure], list[Coupling]]:
-        every = checked_closures(type(self).__name__, evaluated(self, "closures"))
+        every = evaluated(self, "closures")
+        if not isinstance(every, tuple | list) or not all(isinstance(each, Closure | Coupling) for each in every):
+            raise ProblemError(
+                f"{type(self).__name__}.closures returns a tuple of al.joints.Closure; received {every!r}."
+            )
         loops = [closure for closure in every if isinstance(closure, Closure)]
         return loops, [closure for closure in every if isinstance(closure, Coupling)]
 
     def _joints(self) -> list[tuple[str, AbstractJoint]]:
         """The moving bodies with the structure of their joints; also before distributions are realised."""
-        return _joints_of(self)
+        return self._once("_joints_known", self._joints_told)
+
+    def _joints_told(self) -> list[tuple[str, AbstractJoint]]:
+        bodies = sorted_bodies(with_numbers(self)._bodies())
+        return [(body.name, without_numbers(body.joint)) for body in bodies if isinstance(body.joint, AbstractJoint)]
 
     def _loops(self) -> Sequence[Closure | Coupling]:
-        """The closures, of which only the structure counts; also before distributions are realised."""
-        return () if type(self).closures is Multibody.closures else _closures_of(self)
+        """The closures, of which only the structure counts; also before distributions are realised.
+
+        Raises `ProblemError` where those of a base class are lost.
+        """
+        return () if type(self).closures is Multibody.closures else self._once("_loops_known", self._loops_told)
+
+    def _loops_told(self) -> Sequence[Closure | Coupling]:
+        model = with_numbers(self)
+        loops, couplings = model._closures()
+        names = {closure.name for closure in (*loops, *couplings)}
+        for base in type(self).__mro__[1:]:
+            own = "closures" in vars(base) and base is not Multibody and "closures" not in timed_methods(base)
+            if lost := sorted({closure.name for closure in vars(base)["closures"](model)} - names) if own else []:
+                raise ProblemError(
+                    f"{type(self).__name__}.closures leaves out {lost} of {base.__name__}: return "
+                    "(*super().closures(), ...)."
+                )
+        return [without_numbers(closure) for closure in (*loops, *couplings)]
+
+    def _once(self, name: str, told: Callable[[], Result]) -> Result:
+        """What this model has told of its structure, once for all: building bodies is slow."""
+        if name not in vars(self):
+            object.__setattr__(self, name, told())
+        return vars(self)[name]
 
     def _gravity(self) -> Any:
         return as_array(self.gravity, f"{type(self).__name__}.gravity", (3,))
-
-
-def once_for_each(function: Callable[[Any], Result]) -> Callable[[Any], Result]:
-    """A function of a model, told by its identity: called again only for another one.
-
-    Its results outlive traces: they must hold no array that is being traced.
-    """
-    known: dict[int, tuple[Any, Result]] = {}
-
-    def forget(key: int, dead: Any) -> None:
-        if known.get(key, (None,))[0] is dead:
-            del known[key]
-
-    def remembered(model: Any) -> Result:
-        key = id(model)
-        reference, result = known.get(key, (lambda: None, None))
-        if reference() is not model:
-            result = function(model)
-            known[key] = weakref.ref(model, lambda dead: forget(key, dead)), result
-        return result  # type: ignore[return-value]
-
-    return remembered
-
-
-@once_for_each
-def _joints_of(model: Multibody) -> list[tuple[str, AbstractJoint]]:
-    """The moving bodies of a model with their joints; cached, since building bodies is slow."""
-    bodies = sorted_bodies(with_numbers(model)._bodies())
-    return [(body.name, without_numbers(body.joint)) for body in bodies if isinstance(body.joint, AbstractJoint)]
-
-
-@once_for_each
-def _closures_of(model: Multibody) -> list[Closure | Coupling]:
-    """The closures of a model; cached too. Raises `ProblemError` where those of a base class are lost."""
-    model = with_numbers(model)
-    loops, couplings = model._closures()
-    names = {closure.name for closure in (*loops, *couplings)}
-    for base in type(model).__mro__[1:]:
-        own = "closures" in vars(base) and base is not Multibody and "closures" not in timed_methods(base)
-        if lost := sorted({closure.name for closure in vars(base)["closures"](model)} - names) if own else []:
-            raise ProblemError(
-                f"{type(model).__name__}.closures leaves out {lost} of {base.__name__}: return (*super().closures(), "
-                "...)."
-            )
-    return [without_numbers(closure) for closure in (*loops, *couplings)]
 
 
 def _pose(tree: Tree, posture: Posture, body: str) -> Pose:

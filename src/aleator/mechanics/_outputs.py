@@ -4,11 +4,13 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from aleator._core.errors import ProblemError
-from aleator.mechanics._mechanical import AbstractMechanical, Motion, accelerations, constraint_of
+from aleator.mechanics._matrices import entries
+from aleator.mechanics._mechanical import AbstractMechanical, Motion, accelerations
 from aleator.mechanics._partial import Solved
 
 
@@ -19,40 +21,40 @@ def outputs_of(model: AbstractMechanical, t: Any, solved: Solved, torque_rate: A
 
     Raises `ProblemError` where two of them have the same name, or one of the model's own has a name already taken.
     """
+    if solved.valid is not None:
+        beside = {"drift": solved.drift, "motion_error": solved.motion_error}
+        solved = jax.tree.map(lambda part: jnp.where(solved.valid, part, jnp.nan), solved)._replace(**beside)
     q, q_dot, v, v_dot, torque = solved[:5]
     q_ddot = accelerations(model, q, v, v_dot) if solved.q_ddot is None else solved.q_ddot
     motion = Motion(t, q, q_dot, q_ddot, v, v_dot, torque)
     if model.constraints:
         motion = motion._replace(multipliers=solved.multipliers)
-    own = model.seen_at(motion.q).outputs(motion)
-    listed, missed = _standard(model, motion, torque_rate, solved), _missed(solved)
-    outputs = _named(model, listed + missed, own)
-    if solved.valid is None:
-        return outputs
-    kept = dict(missed)
-    return {name: one if name in kept else jnp.where(solved.valid, one, jnp.nan) for name, one in outputs.items()}
+    own = model.seen_at(q).outputs(motion)
+    if solved.valid is not None:
+        own = jax.tree.map(lambda part: jnp.where(solved.valid, part, jnp.nan), own)
+    return _named(model, _standard(model, motion, torque_rate, solved) + _missed(solved), own)
 
 
 def _standard(
     model: AbstractMechanical, motion: Motion, torque_rate: Array | None, solved: Solved
 ) -> list[tuple[str, Any]]:
     listed: list[tuple[str, Any]] = []
-    for name, *along in zip(model.coordinates, motion.q, motion.q_dot, motion.q_ddot, strict=True):
+    for name, *along in zip(model.coordinates, *map(entries, (motion.q, motion.q_dot, motion.q_ddot)), strict=True):
         listed += zip((name, f"{name}_rate", f"{name}_acceleration"), along, strict=True)
     coordinate_rates = {f"{name}_rate" for name in model.coordinates}
-    for name, *along in zip(model.speeds, motion.v, motion.v_dot, strict=True):
+    for name, *along in zip(model.speeds, entries(motion.v), entries(motion.v_dot), strict=True):
         listed += zip((name, f"{name}_rate"), along, strict=True) if name not in coordinate_rates else ()
-    listed += zip(model.actuators, motion.torque, strict=True)
+    listed += zip(model.actuators, entries(motion.torque), strict=True)
     if torque_rate is not None:
-        listed += zip((f"{name}_rate" for name in model.actuators), torque_rate, strict=True)
+        listed += zip((f"{name}_rate" for name in model.actuators), entries(torque_rate), strict=True)
     if model.constraints:
         listed += [
-            ("constraint_error", jnp.abs(constraint_of(model, motion.q)).max()),
+            ("constraint_error", jnp.abs(solved.constraint).max()),
             ("constraint_rate_error", jnp.abs(solved.constraint_rate).max()),
         ]
-        listed += zip((f"{name}_multiplier" for name in model.constraints), motion.multipliers, strict=True)
+        listed += zip((f"{name}_multiplier" for name in model.constraints), entries(motion.multipliers), strict=True)
         listed += zip(
-            (f"{name.removesuffix('_rate')}_reaction" for name in model.speeds), solved.reactions, strict=True
+            (f"{name.removesuffix('_rate')}_reaction" for name in model.speeds), entries(solved.reactions), strict=True
         )
     return listed
 

@@ -16,6 +16,7 @@ from aleator.mechanics._mechanical import (
     AbstractMechanical,
     actuation_map,
     bias_of,
+    constraint_of,
     driven,
     jacobian_of,
     load_on,
@@ -98,9 +99,9 @@ class Solved(NamedTuple):
     """The complete motion at one instant.
 
     - `q_ddot`: `None` where it follows from `v_dot`;
-    - `multipliers`, `reactions`, `constraint_rate`, `drift`: of constraints; `drift` is how far the coordinates had
-      been from them before they were put back; `motion_error`: how far prescribed rates are from `H v`; `None` where
-      there is nothing to check;
+    - `multipliers`, `reactions`, `constraint`, `constraint_rate`, `drift`: of constraints; `drift` is how far the
+      coordinates had been from them before they were put back; `motion_error`: how far prescribed rates are from `H v`;
+      `None` where there is nothing to check;
     - `valid`: whether constraints and rates could be obeyed; `None` where they always are.
     """
 
@@ -112,6 +113,7 @@ class Solved(NamedTuple):
     q_ddot: Any = None
     multipliers: Any = None
     reactions: Any = None
+    constraint: Any = None
     constraint_rate: Any = None
     drift: Any = None
     motion_error: Any = None
@@ -157,6 +159,7 @@ def _partly_prescribed(
         q, valid, drift = put_back(model, integrated, parts.loose)
         q_u = taken(q, parts.others)
     q, rate, _, v_a, v_dot_a = follow(model, parts, given, q_u, v_u)
+    model = model.seen_at(q)
     M, bound = mass_of(model, q), Bound(model, q)
     G_a, G_u = (columns(bound.G, some) for some in (a, u))
     saddle = Saddle(block(M, u, u), G_u)
@@ -185,7 +188,10 @@ def _partly_prescribed(
     motion = Solved(q, rates(model, q, v), v, v_dot, torque, drift=drift, valid=valid)
     if model.constraints:
         motion = motion._replace(
-            multipliers=multipliers, reactions=-product(bound.G.T, multipliers), constraint_rate=bound.rate(v)
+            multipliers=multipliers,
+            reactions=-product(bound.G.T, multipliers),
+            constraint=constraint_of(model, q),
+            constraint_rate=bound.rate(v),
         )
     error = motion_error(model, parts, q, rate, v)
     if error is not None:

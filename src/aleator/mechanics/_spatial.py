@@ -100,6 +100,14 @@ def _stacked(value: Any) -> Any:
     return jnp.asarray(value, dtype=float) if isinstance(value, Tracer) else real_array("", value)
 
 
+def stacked(parts: Sequence[Any], shape: tuple[int, ...]) -> Any:
+    """Arrays of one shape as columns: in one equation, however many there are."""
+    xp = library(*parts)
+    if xp is np or not shape:
+        return xp.stack(parts, axis=-1) if parts else np.zeros((*shape, 0))
+    return jnp.moveaxis(jnp.concatenate(parts).reshape(len(parts), *shape), 0, -1)
+
+
 def columns(array: Any, places: Sequence[int]) -> Any:
     """Some columns of an array: a slice where they follow one another, else a product with known numbers."""
     if len(places) == 0 or list(places) == list(range(places[0], places[0] + len(places))):
@@ -162,10 +170,10 @@ def composed_upwards(local: Pose, above: Sequence[int]) -> Pose:
     """
     poses, further = local, np.array(above, dtype=int)
     while (further != GROUND).any():
-        rest, moved = (np.flatnonzero(part).tolist() for part in (further == GROUND, further != GROUND))
-        outer, inner = (Pose(*(columns(part, at) for part in poses)) for at in (further[moved].tolist(), moved))
-        parts = zip(poses, composed(outer, inner), strict=True)
-        poses = Pose(*(scattered([(rest, columns(before, rest)), (moved, after)]) for before, after in parts))
+        carried = (np.arange(len(further))[:, None] == further[None]).astype(float)
+        # What is on the ground is composed with the ground's own frame.
+        straight = np.eye(3)[..., None] * (further == GROUND)
+        poses = composed(Pose(poses.rotation @ carried + straight, poses.position @ carried), poses)
         further = np.where(further == GROUND, GROUND, further[further])
     return poses
 

@@ -143,7 +143,7 @@ def forward_dynamics(
     def acceleration(system: _System, q: Any, v: Any, force: Any) -> Any:
         posture = posture_of(system.tree, q)
         rest = force - _force(system.tree, posture, system.gravity, q, v, None)
-        return solve_positive(jax_array(_mass_matrix(system.tree, posture)), rest)
+        return solve_positive(mass_matrix(system.tree, posture), rest)
 
     def slope(system: _System, v_dot: Any, state: Sequence[Any], changes: Sequence[Any]) -> Array:
         by = _slopes(system, state[0], state[1], v_dot)
@@ -232,12 +232,8 @@ def along_screws(screws: Screws, carries: Float[np.ndarray, "speeds n"], loads: 
     return (screws.angular * borne.angular + screws.linear * borne.linear).sum(0)
 
 
-def mass_matrix(tree: Tree, q: Float[Numbers, " coordinates"]) -> Float[Array, "speeds speeds"]:
+def mass_matrix(tree: Tree, posture: Posture) -> Float[Array, "speeds speeds"]:
     """The mass matrix: for each speed, the momentum of all that it carries, along the speeds that carry its joint."""
-    return jax_array(_mass_matrix(tree, posture_of(tree, q)))
-
-
-def _mass_matrix(tree: Tree, posture: Posture) -> Any:
     # Of all that each speed carries, about the origin of the tree.
     n = tree.axes.shape[1]
     total: list[Any] = [np.zeros(n), np.zeros((3, n)), np.zeros((3, 3, n))]
@@ -253,17 +249,14 @@ def _mass_matrix(tree: Tree, posture: Posture) -> Any:
     # Entry (j, k): speed j carries the joint of k, or belongs to it; the others by symmetry.
     carried = tree.carries[:, list(tree.carrier)]
     matrix = carried * products + (carried * (1 - carried.T) * products).T
-    return matrix if _is_zero(tree.armature) else matrix + library(tree.armature).diag(tree.armature)
+    return jax_array(matrix if _is_zero(tree.armature) else matrix + library(tree.armature).diag(tree.armature))
 
 
-def kinetic_energy(tree: Tree, q: Float[Numbers, " coordinates"], v: Float[Numbers, " speeds"]) -> Float[Array, ""]:
-    """The kinetic energy of bodies and rotors, J."""
-    return 0.5 * v @ mass_matrix(tree, q) @ v
-
-
-def potential_energy(tree: Tree, gravity: Float[Numbers, " 3"], q: Float[Numbers, " coordinates"]) -> Float[Array, ""]:
+def potential_energy(
+    tree: Tree, posture: Posture, gravity: Float[Numbers, " 3"], q: Float[Numbers, " coordinates"]
+) -> Float[Array, ""]:
     """The energy of gravity (zero at the world's origin) and of springs, J."""
-    poses = posture_of(tree, q).poses
+    poses = posture.poses
     energy = 0.5 * (tree.stiffness * (along_speeds(tree, q) - tree.rest) ** 2).sum()
     for rows, (mass, first, _) in tree.lumps:
         moments = columns(poses.position, rows) @ mass + times(columns(poses.rotation, rows), first).sum(1)

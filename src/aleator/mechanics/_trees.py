@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from aleator.mechanics._bodies import STRAIGHT, Body, Inertia, behind, inertia, placement, sorted_bodies
+from aleator.mechanics._bodies import STRAIGHT, Body, Inertia, behind, inertias, placement, sorted_bodies
 from aleator.mechanics._joints import AbstractAxial, Ball, Fixed, Free, Prismatic
 from aleator.mechanics._spatial import (
     GROUND,
@@ -20,6 +20,7 @@ from aleator.mechanics._spatial import (
     library,
     product,
     skew,
+    stacked,
     times,
 )
 
@@ -116,18 +117,18 @@ def build_tree(bodies: Iterable[Body]) -> Tree:
         tuple(row.kind for row in rows),
         tuple(row.q for row in rows),
         tuple(row.v for row in rows),
-        _side_by_side([STRAIGHT if row.body is None else frames[row.body] for row in rows]),
+        side_by_side([STRAIGHT if row.body is None else frames[row.body] for row in rows]),
         carries,
         tuple(place_of[row] for row in carrier),
         np.array([listed[row].kind is not Prismatic for row in carrier], dtype=float),
-        _stacked(axes, (3,)),
+        stacked(axes, (3,)),
         _lumps(bodies, by_body, frames),
-        *(_stacked([part[k] for part in numbers], ()) for k in range(len(_PASSIVE))),
+        *(stacked([part[k] for part in numbers], ()) for k in range(len(_PASSIVE))),
     )
 
 
-def _side_by_side(poses: Sequence[Pose]) -> Pose:
-    return Pose(_stacked([pose.rotation for pose in poses], (3, 3)), _stacked([pose.position for pose in poses], (3,)))
+def side_by_side(poses: Sequence[Pose]) -> Pose:
+    return Pose(stacked([pose.rotation for pose in poses], (3, 3)), stacked([pose.position for pose in poses], (3,)))
 
 
 class Lumps(NamedTuple):
@@ -150,10 +151,9 @@ def _lumps(bodies: Sequence[Body], rows: Sequence[int], frames: Sequence[Pose]) 
     for some in ([i for i in held if not is_traced[i]], [i for i in held if is_traced[i]]):
         if not some:
             continue
-        parts = zip(*(inertia(bodies[i]) for i in some), strict=True)
-        lump = Lumps(tuple(rows[i] for i in some), Inertia(*(_stacked(part, ()) for part in parts)))
+        lump = Lumps(tuple(rows[i] for i in some), inertias([bodies[i] for i in some]))
         if any(isinstance(bodies[i].joint, Fixed) for i in some):
-            lump = lump._replace(inertia=moved(lump.inertia, _side_by_side([poses[i] for i in some])))
+            lump = lump._replace(inertia=moved(lump.inertia, side_by_side([poses[i] for i in some])))
         if len(set(lump.rows)) < len(some) and not is_traced[some[0]]:
             heavy = sorted(set(lump.rows))
             sums = np.array([[float(row == place) for place in heavy] for row in lump.rows])
@@ -189,11 +189,6 @@ def _is_light(body: Body) -> bool:
     return all(is_known(leaf) and not np.any(leaf) for leaf in jax.tree.leaves((body.mass, body.inertia)))
 
 
-def _stacked(parts: Sequence[Any], shape: tuple[int, ...]) -> Any:
-    """Arrays of one shape as columns."""
-    return library(*parts).stack(parts, axis=-1) if parts else np.zeros((*shape, 0))
-
-
 def _frames(bodies: Sequence[Body]) -> list[Pose]:
     """The frame of each body's joint in that of the nearest row below.
 
@@ -203,7 +198,7 @@ def _frames(bodies: Sequence[Body]) -> list[Pose]:
     rotations = [placement(body).rotation if is_known(one) else one for body, one in zip(bodies, given, strict=True)]
     angles = [i for i, rotation in enumerate(rotations) if rotation.shape == (3,)]
     if angles:
-        turned = from_angles(_stacked([rotations[i] for i in angles], (3,)))
+        turned = from_angles(stacked([rotations[i] for i in angles], (3,)))
         for column, i in enumerate(angles):
             rotations[i] = turned[..., column]
     fixed: dict[str | None, Pose] = {}
