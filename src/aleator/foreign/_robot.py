@@ -150,12 +150,12 @@ def carrier(name: str, parent: str | None, joint: Any, position: Any, orientatio
 
 
 def geometry(numbers: Any) -> Any:
-    """Numbers of a place, a direction or a rotation: structure if all are zeros and ones, else one array.
+    """Numbers of a place, a direction or a rotation, each by itself: structure if all are zeros and ones.
 
     Structure costs nothing where a model is traced.
     """
     array = np.array(numbers, dtype=float)
-    return tuple(array.astype(int).tolist()) if np.isin(array, (-1, 0, 1)).all() else array
+    return tuple((array.astype(int) if np.isin(array, (-1, 0, 1)).all() else array).tolist())
 
 
 def orientation(turned: Rotation) -> Any:
