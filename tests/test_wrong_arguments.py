@@ -169,6 +169,7 @@ PARTICULAR: dict[str, dict[str, Any]] = {
     "InverseDynamics": {"model": Pendulum(), "motion": {"angle": al.PowerSeries(start=(0.0, 0.0), end=(1.0, 0.0))}},
     "Problem": {"grid": al.Grid(1.0, 2)},
     "actuation_of": {"model": Pendulum()},
+    "residuals": {"data": [0.0, 1.0]},
     "cross_check": {"problem": oscillator_problem},
     "expand": {"function": lambda at: np.ones(3) * at["a"]},
     "fit_control_points": {"path": np.linspace(0.0, 1.0, 20), "free": 4},

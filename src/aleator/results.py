@@ -38,6 +38,7 @@ from aleator.sweep import Hardened as Hardened
 from aleator.sweep import Limit as Limit
 from aleator.sweep import Optimum as Optimum
 from aleator.sweep import Portfolio as Portfolio
+from aleator.sweep import Posterior as Posterior
 from aleator.sweep import Refused as Refused
 from aleator.sweep import Starts as Starts
 from aleator.sweep import Tolerances as Tolerances

@@ -124,6 +124,7 @@ def _check_time(problem: AbstractProblem) -> None:
                 f"al.output is for systems without time, but {name} evolves in time: choose a functional, such as "
                 f"al.terminal('{functional.output}'), al.path('{functional.output}') or al.rms('{functional.output}')."
             )
+        functional.refuse_on(problem.grid)
 
 
 def _check_worst_cases(problem: AbstractProblem) -> None:

@@ -25,6 +25,7 @@ from aleator.uncertainty._placements import placements as placements
 from aleator.uncertainty._placements import realise as realise
 from aleator.uncertainty._placements import uncertain_again as uncertain_again
 from aleator.uncertainty._placements import uncertain_numbers as uncertain_numbers
+from aleator.uncertainty._placements import with_decisions as with_decisions
 from aleator.uncertainty._placements import with_distributions as with_distributions
 from aleator.uncertainty._polynomials import AbstractGerm as AbstractGerm
 from aleator.uncertainty._polynomials import HermiteGerm as HermiteGerm

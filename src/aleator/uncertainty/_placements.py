@@ -285,6 +285,11 @@ def with_distributions(model: Pytree, choose: Callable[[str, AbstractDistributio
     return _with_leaves(model, change)
 
 
+def with_decisions(model: Pytree, choose: Callable[[str, Decision], Any]) -> Pytree:
+    """The model with each decision in the place of a number replaced by `choose(name, decision)`."""
+    return _with_leaves(model, lambda name, leaf: choose(name, leaf) if isinstance(leaf, Decision) else leaf)
+
+
 def _with_leaves(model: Pytree, change: Callable[[str, Any], Any]) -> Pytree:
     """The model with each leaf replaced by `change(name, leaf)`."""
     structure = jax.tree.structure(model, is_leaf=is_leaf)
