@@ -156,6 +156,7 @@ PARTICULAR: dict[str, dict[str, Any]] = {
     "Exponential": {"mean": 1.0},
     "Gamma": {"shape": 2.0, "scale": 1.0},
     "Gumbel": {"location": 2.0, "scale": 1.0},
+    "Integer": {"lower": 0, "upper": 1},
     "LogNormal": {"mean": 1.0, "std": 0.1},
     "Normal": {"mean": 1.0, "std": 0.1},
     "Toleranced": {"nominal": 1.0, "tolerance": 0.1, "cp": 1.0},

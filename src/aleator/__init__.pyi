@@ -103,11 +103,13 @@ from .trajectories import fit_control_points as fit_control_points
 from .transcription import Sequential as Sequential
 from .transcription import Simultaneous as Simultaneous
 from .uncertainty import Beta as Beta
+from .uncertainty import Choice as Choice
 from .uncertainty import Decision as Decision
 from .uncertainty import Density as Density
 from .uncertainty import Exponential as Exponential
 from .uncertainty import Gamma as Gamma
 from .uncertainty import Gumbel as Gumbel
+from .uncertainty import Integer as Integer
 from .uncertainty import LogNormal as LogNormal
 from .uncertainty import Normal as Normal
 from .uncertainty import Sample as Sample

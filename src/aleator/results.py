@@ -10,6 +10,7 @@ from aleator.expansion import Unseen as Unseen
 from aleator.nlp import Searched as Searched
 from aleator.solution import AtMeans as AtMeans
 from aleator.solution import Between as Between
+from aleator.solution import Branching as Branching
 from aleator.solution import Certificate as Certificate
 from aleator.solution import ConstraintResult as ConstraintResult
 from aleator.solution import Costates as Costates

@@ -38,6 +38,7 @@ from aleator.uncertainty import (
     placements,
     realise,
     refuse_nonpositive,
+    tables_of,
     uncertain_numbers,
 )
 
@@ -142,6 +143,8 @@ def _check_worst_cases(problem: AbstractProblem) -> None:
 
 
 def _check_values(problem: AbstractProblem) -> None:
+    """Refuse tables that do not go together, and numbers in expressions that the model does not have."""
+    tables_of(problem.placements)
     numbers = named_numbers(problem.simulation, jax_array(problem.placements.vector("initial")))
     for expression in problem.expressions:
         for atom in expression.leaves:

@@ -18,8 +18,8 @@ from aleator.design import Composed, OneSystem, Problem, SquaredResiduals, funct
 from aleator.dynamics import System
 from aleator.solution import Solution
 from aleator.uncertainty import (
+    AbstractDecision,
     AbstractDistribution,
-    Decision,
     LogNormal,
     Normal,
     correlated,
@@ -86,7 +86,7 @@ class Posterior(Printed):
         Raises `ProblemError` for a decision that is an array, in whose place no distribution can stand.
         """
 
-        def placed(name: str, decision: Decision) -> Any:
+        def placed(name: str, decision: AbstractDecision) -> Any:
             if decision.shape:
                 raise ProblemError(
                     f"Posterior.system: '{name}' is an array of decisions, which no distribution replaces; take those "
