@@ -100,6 +100,14 @@ def test_several_experiments_are_the_entries_of_a_state():
     assert len(found.residuals) == 50
 
 
+def test_of_an_uncertain_model_the_mean_is_fitted():
+    def rate_of(start):
+        model = Decay(rate=al.Decision(1.5, 0.01, 10.0), start=start)
+        return al.solve(al.Problem(model, grid=GRID, minimize=al.residuals("x", TIMES, DECAYED))).decisions["rate"]
+
+    assert rate_of(al.Normal(2.0, 0.1)) == pytest.approx(rate_of(2.0), rel=1e-6)
+
+
 def test_the_spread_of_a_fit_is_ready_for_the_next_design():
     found = al.posterior(al.solve(decay_problem()))
     places = placements(found.system)

@@ -80,18 +80,21 @@ class SquaredResiduals(AbstractRule):
     def is_never_negative(self) -> bool:
         return True
 
-    def residuals(self, values: Float[Array, "times ..."]) -> Float[Array, " data"]:
-        """The residuals themselves, one for each datum."""
-        if values.shape != self.data.shape:
+    def residuals(self, values: Float[Array, "times ..."]) -> Float[Array, "times ..."]:
+        """The residuals themselves, in the shape of the values, which may have a last axis of several systems."""
+        shape = self.data.shape
+        if values.shape[: len(shape)] != shape:
             raise ProblemError(
                 f"residuals: expected data of shape {values.shape}, one number for each time and each entry of the "
-                f"output; received shape {self.data.shape}."
+                f"output; received shape {shape}."
             )
-        return jnp.ravel((values - self.data) / (1.0 if self.std is None else self.std))
+        alike = shape + (1,) * (values.ndim - len(shape))
+        away = values - jnp.reshape(self.data, alike)
+        return away if self.std is None else away / jnp.reshape(self.std, alike)
 
     @override
     def of(self, *values: Array) -> Array:
-        return jnp.sum(self.residuals(values[0]) ** 2)
+        return jnp.sum(self.residuals(values[0]) ** 2, axis=tuple(range(self.data.ndim)))
 
     @override
     def text(self, *texts: str) -> str:

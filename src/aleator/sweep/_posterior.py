@@ -191,7 +191,7 @@ def _fitted(problem: Problem, decisions: Float[Array, " n"]) -> tuple[Float[Arra
         values = {one: sample[0] for one, sample in zip(functionals, samples, strict=True)}
         scope = OneSystem(values, named_numbers(problem.simulation, decisions), step_at(problem, decisions))
         rows = [
-            jnp.sqrt(factor) * atom.rule.residuals(atom.expressions[0].evaluate(scope))  # type: ignore[union-attr]
+            jnp.sqrt(factor) * atom.rule.residuals(atom.expressions[0].evaluate(scope)).ravel()  # type: ignore[union-attr]
             for factor, atom in zip(problem.objective.factors, problem.objective.atoms, strict=True)
         ]
         every = jnp.concatenate(rows)
