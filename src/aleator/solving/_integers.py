@@ -54,9 +54,9 @@ class Node(NamedTuple):
 class Tree:
     """The nodes of one search.
 
-    - `decided`: the complete solution with some rows, from a point;
+    - `decided`: the complete solution with some rows, from a point; `nodes`: the outcomes of all nodes;
     - `tried`: rows that were solved in full; `answer`: the best solution so far; `passed`: those that are none or were
-      refused, though a node met the limits; `nearest`: the least violated of the outcomes of all nodes.
+      refused, though a node met the limits.
     """
 
     transcribed: AbstractTranscribed
@@ -67,7 +67,6 @@ class Tree:
     open: list[Node] = field(default_factory=list)
     answer: Solution | None = None
     passed: list[Solution | ProblemError] = field(default_factory=list)
-    nearest: Outcome | None = None
     nodes: list[Outcome] = field(default_factory=list)
 
     def grow(self, left: Left, start: np.ndarray, bound: float = -np.inf) -> None:
@@ -81,35 +80,32 @@ class Tree:
         self.nodes.append(outcome)
         if outcome.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
-        if self.nearest is None or not outcome.violation >= self.nearest.violation:
-            self.nearest = outcome
         if outcome.status is Status.INFEASIBLE:
             return
         own = outcome.evaluation.objective if outcome.ok else -np.inf  # a search that failed says nothing
-        size = math.prod(map(len, left))
-        heapq.heappush(self.open, Node(max(own, bound), size, len(self.nodes), left, outcome.point))
+        node = Node(max(own, bound), math.prod(map(len, left)), len(self.nodes), left, outcome.point)
+        heapq.heappush(self.open, node)
 
-    def distances(self, node: Node) -> list[Float[np.ndarray, "..."]]:
-        """How far the numbers of a node are from each row that is left, as parts of the ranges."""
-        numbers = self.transcribed.decisions(node.point)
-        each = zip(self.tables, node.left, strict=True)
-        return [np.abs(table.rows[rows] - numbers[table.where]) / _spans(table.rows) for table, rows in each]
+    def distances(self, left: Left, point: np.ndarray) -> list[Float[np.ndarray, "..."]]:
+        """How far the numbers at a point are from each row that is left, as parts of the ranges."""
+        numbers, each = self.transcribed.decisions(point), zip(self.tables, left, strict=True)
+        return [np.abs(table.rows[rows] - numbers[table.where]) / table.spans for table, rows in each]
 
-    def nearest_rows(self, node: Node) -> tuple[Rows, float]:
-        """The rows that are nearest to a node's numbers, and how far they are."""
-        away = [one.max(axis=1) for one in self.distances(node)]
-        rows = tuple(int(left[np.argmin(one)]) for left, one in zip(node.left, away, strict=True))
+    def nearest_rows(self, left: Left, point: np.ndarray) -> tuple[Rows, float]:
+        """The rows that are nearest to the numbers at a point, and how far they are."""
+        away = [one.max(axis=1) for one in self.distances(left, point)]
+        rows = tuple(int(of_table[np.argmin(one)]) for of_table, one in zip(left, away, strict=True))
         return rows, max(float(one.min()) for one in away)
 
     def divide(self, node: Node) -> None:
         """Solve both parts of a node: where its numbers are furthest from any row, else in the longest table."""
-        away = self.distances(node)
+        away = self.distances(node.left, node.point)
         free = [i for i, rows in enumerate(node.left) if len(rows) > 1]
         i = max(free, key=lambda i: (round(float(away[i].max(axis=1).min()), 6), len(node.left[i])))
         table, rows = self.tables[i], self.tables[i].rows[node.left[i]]
         column = int(np.argmax(np.where(np.ptp(rows, axis=0) > 0, 1.0 + away[i].min(axis=0), 0.0)))
         values, number = rows[:, column], self.transcribed.decisions(node.point)[table.where[column]]
-        below = values <= number + _SAME * _spans(table.rows)[column]
+        below = values <= number + _SAME * table.spans[column]
         below = values < values.max() if below.all() else below
         for part in (below, ~below):
             left = (*node.left[:i], node.left[i][part], *node.left[i + 1 :])
@@ -123,17 +119,16 @@ class Tree:
         except ProblemError as error:
             self.passed.append(error)
             return np.inf
-        if not solution.ok:
-            self.passed += [solution] if solution.status is not Status.INFEASIBLE else []
-            return np.inf
-        if self.answer is None or solution.objective < self.answer.objective:
+        if solution.ok and (self.answer is None or solution.objective < self.answer.objective):
             self.answer = solution
-        return solution.objective
+        if not (solution.ok or solution.status is Status.INFEASIBLE):
+            self.passed.append(solution)
+        return solution.objective if solution.ok else np.inf
 
     def step(self) -> None:
         """Solve the node of the lowest bound in full where it lies on rows, and divide it if others may be better."""
         node = heapq.heappop(self.open)
-        rows, away = self.nearest_rows(node)
+        rows, away = self.nearest_rows(node.left, node.point)
         is_new = away <= _SAME and rows not in self.tried
         try:
             objective = self.complete(rows, node) if is_new else np.inf
@@ -197,25 +192,25 @@ def branched(
         while not tree.is_over and len(tree.nodes) < _MOST:
             tree.step()
         if tree.answer is None and tree.open:
-            tree.complete(tree.nearest_rows(tree.open[0])[0], tree.open[0])
+            node = tree.open[0]
+            tree.complete(tree.nearest_rows(node.left, node.point)[0], node)
     except KeyboardInterrupt:
         if tree.answer is None:
             raise
         interrupted = True
     if tree.answer is None:
         return _as_declared(_unsolved(tree, every), problem, None, tree.nodes)
-    objective, passed = tree.answer.objective, len(tree.passed)
-    alone = sum(len(table.where) for table in tables) == places.size
+    objective, alone = tree.answer.objective, sum(len(table.where) for table in tables) == places.size
     branching = Branching(
         combinations=combinations,
         nodes=len(tree.nodes),
         candidates=len(tree.tried),
-        passed_over=passed,
+        passed_over=len(tree.passed),
         listed=listed,
         bound=min(tree.bound, objective),
         gap=max(0.0, objective - tree.bound),
         is_finished=tree.is_over,
-        is_proven=listed and tree.is_over and alone and not passed,
+        is_proven=listed and tree.is_over and alone and not tree.passed,
     )
     answer = replace(tree.answer, status=Status.INTERRUPTED) if interrupted else tree.answer
     return _as_declared(answer, problem, branching, tree.nodes)
@@ -227,10 +222,9 @@ def _unsolved(tree: Tree, every: Left) -> Solution:
         if isinstance(one, ProblemError):
             raise one
         return one
-    assert tree.nearest is not None
-    point, count = tree.nearest.point, math.prod(map(len, every))
-    solution = tree.decided(tree.nearest_rows(Node(-np.inf, count, 0, every, point))[0], point)
-    said = f"None of {count} combinations of integers and choices was found to meet all limits"
+    point = min(tree.nodes, key=lambda one: np.nan_to_num(one.violation, nan=np.inf)).point
+    solution = tree.decided(tree.nearest_rows(every, point)[0], point)
+    said = f"None of {math.prod(map(len, every))} combinations of integers and choices was found to meet all limits"
     return replace(solution, message=f"{said}. {solution.message}".strip())
 
 
@@ -253,11 +247,4 @@ def _as_declared(solution: Solution, problem: Problem, branching: Branching | No
 
 
 def _with_decisions(problem: Problem, choose: Callable[[str, Any], Any]) -> Problem:
-    simulation = with_decisions(problem.simulation, choose)
-    return eqx.tree_at(lambda one: one.simulation, problem, simulation)
-
-
-def _spans(rows: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, " columns"]:
-    """The range of each column; 1 where all rows are equal in it."""
-    spans = np.ptp(rows, axis=0)
-    return np.where(spans > 0, spans, 1.0)
+    return eqx.tree_at(lambda one: one.simulation, problem, with_decisions(problem.simulation, choose))

@@ -151,6 +151,12 @@ class Table(NamedTuple):
     where: Int[np.ndarray, " columns"]
     rows: Float[np.ndarray, "rows columns"]
 
+    @property
+    def spans(self) -> Float[np.ndarray, " columns"]:
+        """The range of each column; 1 where all rows have one number."""
+        spans = np.ptp(self.rows, axis=0)
+        return np.where(spans > 0, spans, 1.0)
+
 
 def tables_of(places: Placements) -> tuple[Table, ...]:
     """The tables from which decisions of a model are chosen, those of integers among them.
