@@ -46,6 +46,7 @@ from .design import integral as integral
 from .design import output as output
 from .design import path as path
 from .design import peak as peak
+from .design import residuals as residuals
 from .design import rms as rms
 from .design import soft as soft
 from .design import terminal as terminal
@@ -88,6 +89,7 @@ from .sweep import harden as harden
 from .sweep import multistart as multistart
 from .sweep import pareto as pareto
 from .sweep import portfolio as portfolio
+from .sweep import posterior as posterior
 from .sweep import trade_off as trade_off
 from .sweep import validate_all as validate_all
 from .sweep import workers as workers
@@ -101,11 +103,13 @@ from .trajectories import fit_control_points as fit_control_points
 from .transcription import Sequential as Sequential
 from .transcription import Simultaneous as Simultaneous
 from .uncertainty import Beta as Beta
+from .uncertainty import Choice as Choice
 from .uncertainty import Decision as Decision
 from .uncertainty import Density as Density
 from .uncertainty import Exponential as Exponential
 from .uncertainty import Gamma as Gamma
 from .uncertainty import Gumbel as Gumbel
+from .uncertainty import Integer as Integer
 from .uncertainty import LogNormal as LogNormal
 from .uncertainty import Normal as Normal
 from .uncertainty import Sample as Sample

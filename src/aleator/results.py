@@ -10,6 +10,7 @@ from aleator.expansion import Unseen as Unseen
 from aleator.nlp import Searched as Searched
 from aleator.solution import AtMeans as AtMeans
 from aleator.solution import Between as Between
+from aleator.solution import Branching as Branching
 from aleator.solution import Certificate as Certificate
 from aleator.solution import ConstraintResult as ConstraintResult
 from aleator.solution import Costates as Costates
@@ -38,6 +39,7 @@ from aleator.sweep import Hardened as Hardened
 from aleator.sweep import Limit as Limit
 from aleator.sweep import Optimum as Optimum
 from aleator.sweep import Portfolio as Portfolio
+from aleator.sweep import Posterior as Posterior
 from aleator.sweep import Refused as Refused
 from aleator.sweep import Starts as Starts
 from aleator.sweep import Tolerances as Tolerances

@@ -49,6 +49,8 @@ from aleator.design._problem import frozen as frozen
 from aleator.design._problem import has_random_signals as has_random_signals
 from aleator.design._problem import soft as soft
 from aleator.design._problem import uncertain as uncertain
+from aleator.design._residuals import SquaredResiduals as SquaredResiduals
+from aleator.design._residuals import residuals as residuals
 from aleator.design._response import Estimated as Estimated
 from aleator.design._response import OneSystem as OneSystem
 from aleator.design._response import Sampled as Sampled

@@ -38,6 +38,7 @@ from aleator.uncertainty import (
     placements,
     realise,
     refuse_nonpositive,
+    tables_of,
     uncertain_numbers,
 )
 
@@ -124,6 +125,7 @@ def _check_time(problem: AbstractProblem) -> None:
                 f"al.output is for systems without time, but {name} evolves in time: choose a functional, such as "
                 f"al.terminal('{functional.output}'), al.path('{functional.output}') or al.rms('{functional.output}')."
             )
+        functional.refuse_on(problem.grid)
 
 
 def _check_worst_cases(problem: AbstractProblem) -> None:
@@ -141,6 +143,8 @@ def _check_worst_cases(problem: AbstractProblem) -> None:
 
 
 def _check_values(problem: AbstractProblem) -> None:
+    """Refuse tables that do not go together, and numbers in expressions that the model does not have."""
+    tables_of(problem.placements)
     numbers = named_numbers(problem.simulation, jax_array(problem.placements.vector("initial")))
     for expression in problem.expressions:
         for atom in expression.leaves:

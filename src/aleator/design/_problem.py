@@ -28,7 +28,7 @@ from aleator.dynamics import AbstractGrid, AbstractIntegrator, AbstractSystem, G
 from aleator.expansion import Expansion
 from aleator.statistics import Mean
 from aleator.trajectories import AbstractSignal
-from aleator.uncertainty import Decision, at_means, placements, uncertain_again
+from aleator.uncertainty import AbstractDecision, Choice, Decision, Integer, at_means, placements, uncertain_again
 
 # The first value of an excess, as a part of the limit.
 _FIRST_EXCESS = 0.1
@@ -61,7 +61,7 @@ class Problem(AbstractProblem):
         inputs: Mapping[str, AbstractSignal] | None = None,
         expansion: Expansion | None = None,
         integrator: AbstractIntegrator | None = None,
-        decisions: Mapping[str, Decision] | None = None,
+        decisions: Mapping[str, AbstractDecision] | None = None,
     ):
         if inputs is not None and not isinstance(inputs, Mapping):
             raise ProblemError(f"inputs: expected signals by name, such as {{'road': ...}}; received {type(inputs)}.")
@@ -69,7 +69,8 @@ class Problem(AbstractProblem):
         if not isinstance(decisions, Mapping):
             raise refusal("Problem: decisions", "decisions by name, such as {'slack': al.Decision(...)}", decisions)
         for name, one in decisions.items():
-            one_of(f"Problem: decisions['{a_name('Problem: a name in decisions', name)}']", one, Decision)
+            kinds = Decision, Integer, Choice
+            one_of(f"Problem: decisions['{a_name('Problem: a name in decisions', name)}']", one, kinds)
         simulation = simulation_of(system, grid, inputs, integrator, dict(decisions))
         # Later changes of NumPy arrays do not affect a problem.
         self.simulation = jax.tree.map(
@@ -206,7 +207,7 @@ def declared_anew(
     *,
     minimize: Expression | None = None,
     subject_to: tuple[Constraint, ...] | None = None,
-    decisions: Mapping[str, Decision] = MappingProxyType({}),
+    decisions: Mapping[str, AbstractDecision] = MappingProxyType({}),
 ) -> Problem:
     """The same problem of another simulation, objective or constraints, or with further decisions, checked anew."""
     return Problem(
@@ -248,7 +249,7 @@ def frozen(problem: Problem) -> tuple[Problem, Int[np.ndarray, " direct"]]:
 
     def still(tree: Any) -> Any:
         return jax.tree.map(
-            lambda leaf: jax_array(leaf.initial) if isinstance(leaf, Decision) else leaf, tree, is_leaf=is_leaf
+            lambda leaf: jax_array(leaf.initial) if isinstance(leaf, AbstractDecision) else leaf, tree, is_leaf=is_leaf
         )
 
     whole, system = problem.simulation, problem.system

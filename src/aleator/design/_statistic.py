@@ -112,6 +112,9 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
         del grid
         return peaks[self.output]
 
+    def refuse_on(self, grid: AbstractGrid) -> None:
+        """Raise `ProblemError` if it cannot be taken on a grid."""
+
     def unit(self, outputs: Mapping[str, str]) -> str:
         """Its unit, from those of outputs as far as known (see `statistics._units`): by default its output's."""
         return outputs.get(self.output, "")

@@ -6,7 +6,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import numpy as np
 
 from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
@@ -18,7 +17,15 @@ from aleator.design._scope import AbstractAtom, Units
 from aleator.design._statistic import Statistic, statistics_in
 from aleator.dynamics import Grid, System
 from aleator.statistics import PURE, Mean, is_same, measure, rate
-from aleator.uncertainty import AbstractDistribution, AbstractGerm, Decision, Placements, correlations_at, fields_of
+from aleator.uncertainty import (
+    AbstractDecision,
+    AbstractDistribution,
+    AbstractGerm,
+    Placements,
+    correlations_at,
+    ends,
+    fields_of,
+)
 
 # The parameters of distributions that have the unit of the uncertain number itself.
 _LIKE_THE_NUMBER = (
@@ -168,9 +175,8 @@ def _labelled(label: str, texts: list[str]) -> list[tuple[str, str]]:
     return [(label if i == 0 else "", text) for i, text in enumerate(texts)]
 
 
-def _decision_text(name: str, decision: object) -> str:
-    lower, upper, start = (_range(getattr(decision, part)) for part in ("lower", "upper", "initial"))
-    return f"{name} ∈ [{lower}, {upper}], from {start}"
+def _decision_text(name: str, decision: AbstractDecision) -> str:
+    return f"{name} ∈ {decision.domain()}, from {ends(decision.initial)}"
 
 
 def _distribution_texts(distributions: Mapping[str, AbstractDistribution]) -> Iterator[str]:
@@ -195,11 +201,6 @@ def _numbered(named: tuple[str, AbstractDistribution]) -> tuple[str, str]:
     return (before if number.isdigit() else name), str(distribution)
 
 
-def _range(values: object) -> str:
-    low, high = float(np.min(np.asarray(values))), float(np.max(np.asarray(values)))
-    return f"{low:g}" if low == high else f"{low:g}…{high:g}"
-
-
 def _physics_row(problem: AbstractProblem, advanced: str) -> tuple[str, str]:
     grid, system = problem.grid, problem.system
     name = type(system).__name__
@@ -207,7 +208,7 @@ def _physics_row(problem: AbstractProblem, advanced: str) -> tuple[str, str]:
         unknowns = getattr(system, "unknowns", ())
         solved = f"{name}({', '.join(unknowns)}), solved by Newton's method"
         return "equations", solved if unknowns else f"{name}, in closed form"
-    free = isinstance(grid.t_final, Decision)
+    free = isinstance(grid.t_final, AbstractDecision)
     steps = f"{grid.steps} steps to t_final" if free else f"{grid.steps} steps of {float(grid.step):g} s"
     who = name if system.formulated is system else f"{name} of {type(system.formulated).__name__}"
     if not system.states:

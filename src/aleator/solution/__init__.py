@@ -1,5 +1,6 @@
 """The answer to a problem: its design, and what certifies it."""
 
+from aleator.solution._branching import Branching as Branching
 from aleator.solution._certificate import COSTLY as COSTLY
 from aleator.solution._certificate import TOLERATED as TOLERATED
 from aleator.solution._certificate import Between as Between

@@ -12,6 +12,7 @@ from aleator._core.arrays import jax_array
 from aleator._core.leaves import Drawn, Printed
 from aleator.design import Problem, grid_at, problem_text
 from aleator.nlp import HELD, Searched, Status
+from aleator.solution._branching import Branching
 from aleator.solution._certificate import Certificate, Moments, Objection, lines
 from aleator.solution._grid import Costates, MeshError, States, Switching, system_text
 from aleator.solution._motions import Motions
@@ -175,7 +176,8 @@ class Solution(Drawn):
       empty for others;
     - `mesh_states`: of all realisations of a simultaneous program, at the points of its mesh; `costates`: by what a
       push of a state would change the objective; `switching`: by what a push of an input would. None where states are
-      simulated, the latter two also where the search was not finished.
+      simulated, the latter two also where the search was not finished;
+    - `branching`: how integers and choices were found, and what is known of all others; None if there are none.
 
     `inputs`, `states` and `outputs` are the motions, computed when they are asked for: `solution.inputs["force"]` is an
     `xarray.Dataset` of its mean and standard deviation over time and of its course in each system of the expansion.
@@ -200,6 +202,7 @@ class Solution(Drawn):
     mesh_states: States | None = None
     costates: Costates | None = None
     switching: Switching | None = None
+    branching: Branching | None = None
 
     @property
     def ok(self) -> bool:
@@ -306,6 +309,7 @@ class Solution(Drawn):
                 ("status", f"{self.verdict} by {self.effort.solver}"),
                 ("objective", f"{self.objective:.8g} = {self.problem.objective}"),
                 *(("decision", text) for text in decisions),
+                *(("chosen", str(one)) for one in (self.branching,) if one is not None),
                 *(("constraint", str(one)) for one in self.constraints),
                 *self.certificate.rows(),
                 *(("mesh", str(one)) for one in self.meshes[-1:]),

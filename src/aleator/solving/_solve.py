@@ -27,8 +27,10 @@ from aleator.certification import doubts, refinement, unconverged
 from aleator.design import Problem, deterministic
 from aleator.nlp import HELD, AbstractSearch, AbstractSolver, Status
 from aleator.solution import AtMeans, Solution
+from aleator.solving._integers import branched
 from aleator.solving._stages import Stages, with_opinion
 from aleator.transcription import DEFAULT, OF_ROUNDING, AbstractTranscription, started_from
+from aleator.uncertainty import tables_of
 
 # The finest accuracy of a grid that may be asked for.
 _FINEST = 1e-9
@@ -130,6 +132,9 @@ def solve(
 ) -> Solution:
     """Solve a design problem: transcribe, compile once, optimise with exact derivatives, certify.
 
+    Where decisions are `al.Integer` or `al.Choice`, the best combination is sought by branch and bound, and
+    `solution.branching` tells what is known of the others.
+
     - `solver`: `al.solvers.FilterSQP()` by default; `Ipopt()` or `Slsqp()` for a second opinion; a search without
       derivatives, such as `DifferentialEvolution()`, where there may be several optima, which is then polished;
     - `transcription`: how the problem becomes a nonlinear program: `Sequential()` by default;
@@ -175,14 +180,32 @@ def solve(
 
 def _solved(call: Call) -> Solution:
     """The solution, whatever its status: see `solve`."""
-    problem, warm, transcription = call.problem, call.warm_start, call.transcription
-    transcription = transcription if warm is None else transcription.starting_from(warm)
-    places, first, before = problem.placements, None, Compiled.seconds
+    if not tables_of(call.problem.placements):
+        return _solved_at_once(call)
+
+    def full(problem: Problem, start: Mapping[str, Any]) -> Solution:
+        return _solved_at_once(call._replace(problem=problem, start=start))
+
+    return branched(call.problem, call.transcription, call.chosen_solver, _first(call, call.transcription), full)
+
+
+def _first(call: Call, transcription: AbstractTranscription) -> np.ndarray | None:
+    """The decisions to start from; None for their own initial values."""
+    problem, warm, places = call.problem, call.warm_start, call.problem.placements
+    first = None
     if call.start is not None:  # What the user says is checked first.
         first = places.moved(transcription.first(problem) if warm is None else places.vector("initial"), call.start)
     if warm is not None:
         first = started_from(problem, warm, call.start or ())
         first = first if call.start is None else places.moved(first, call.start)
+    return first
+
+
+def _solved_at_once(call: Call) -> Solution:
+    """The solution of a problem whose decisions may have any value between their bounds."""
+    problem, warm, transcription = call.problem, call.warm_start, call.transcription
+    transcription = transcription if warm is None else transcription.starting_from(warm)
+    first, before = _first(call, transcription), Compiled.seconds
     known = (None, None) if warm is None else (warm.multipliers, warm.certificate.worst_case)
     # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
     with heeding() as heed, dropped_on_failure():

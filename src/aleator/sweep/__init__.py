@@ -20,6 +20,8 @@ from aleator.sweep._harden import harden as harden
 from aleator.sweep._margins import Trial as Trial
 from aleator.sweep._portfolio import multistart as multistart
 from aleator.sweep._portfolio import portfolio as portfolio
+from aleator.sweep._posterior import Posterior as Posterior
+from aleator.sweep._posterior import posterior as posterior
 from aleator.sweep._starts import Optimum as Optimum
 from aleator.sweep._starts import Portfolio as Portfolio
 from aleator.sweep._starts import Starts as Starts

@@ -101,7 +101,9 @@ def conflict(problem: Problem, *, solver: AbstractSolver | None = None, progress
     limit after the other is left out as long as the others still contradict each other (the deletion filter, Chinneck
     and Dravnieks 1991). Nothing is compiled anew. Searches are local, from several starts: for a problem that is not
     convex, "cannot" means that none of them found a design. Limits on the worst case are imposed at the collocation
-    points and at corners of the distributions' box, not searched for: that they can hold there is no proof.
+    points and at corners of the distributions' box, not searched for: that they can hold there is no proof. Integers
+    and choices may be anywhere between their bounds: what conflicts there conflicts for their values too, but not the
+    other way round.
 
     - `problem`: as declared, states being simulated; `solver`: `al.solvers.Ipopt()` by default, since elastic programs
       are almost linear, where others know no length of a step.

@@ -27,6 +27,7 @@ from aleator.solving import check_search, solve
 from aleator.sweep._runner import SOLVE, Work, finished, running
 from aleator.sweep._starts import Optimum, Portfolio, Starts, alike
 from aleator.transcription import DEFAULT, AbstractTranscription, transcribe, valued_by
+from aleator.uncertainty import refuse_choices
 
 # Optima that are certified at most, from the best one on, until one stands.
 _CERTIFIED = 5
@@ -106,7 +107,7 @@ def portfolio(
 
     Raises `ProblemError` for too few starts, and for decisions without bounds if there is a search that needs them.
     """
-    one_of("portfolio: problem", problem, Problem)
+    refuse_choices("portfolio", one_of("portfolio: problem", problem, Problem).placements)
     starts, seed = whole("portfolio: starts", starts), whole("portfolio: seed", seed, least=0)
     if search is not None:
         one_of("portfolio: search", search, AbstractSearch, "al.solvers.DifferentialEvolution(), or None")

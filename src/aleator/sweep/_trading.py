@@ -17,6 +17,7 @@ from aleator.sweep._seeking import Member, Method, Search
 from aleator.sweep._trade_off import TradeOff, efficient, far_apart
 from aleator.sweep._wishes import LEVEL, Design, Wishes, without_level
 from aleator.transcription import DEFAULT, AbstractTranscription, transcribe, valued_by
+from aleator.uncertainty import refuse_choices
 
 # Violations of at most this part of a constraint's magnitude count as none.
 _HELD = 1e-6
@@ -68,7 +69,7 @@ def trade_off(
     with `exact=True`) would not count, and for decisions without bounds if a population is asked for. Names of
     constraints that begin with `trade-off` are its own.
     """
-    one_of("trade_off: problem", problem, Problem)
+    refuse_choices("trade_off", one_of("trade_off: problem", problem, Problem).placements)
     _check_wishes(problem, wishes)
     points = whole("trade_off: points", points, least=len(wishes))
     starts = whole("trade_off: starts", starts)

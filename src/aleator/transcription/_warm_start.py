@@ -15,7 +15,7 @@ from aleator._core.leaves import is_leaf
 from aleator.design import Problem
 from aleator.solution import Solution
 from aleator.trajectories import AbstractTrajectory
-from aleator.uncertainty import Decision, at_means, realise
+from aleator.uncertainty import AbstractDecision, at_means, realise
 
 # Gauss points in each piece of the curves, at which they are compared.
 _POINTS = 12
@@ -82,7 +82,7 @@ def _sought(problem: Problem, curves: Collection[AbstractTrajectory]) -> tuple[s
 
 
 def _decisions(tree: Pytree) -> list[Any]:
-    return [leaf for leaf in jax.tree.leaves(tree, is_leaf=is_leaf) if isinstance(leaf, Decision)]
+    return [leaf for leaf in jax.tree.leaves(tree, is_leaf=is_leaf) if isinstance(leaf, AbstractDecision)]
 
 
 def _refitted(

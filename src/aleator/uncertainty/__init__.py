@@ -4,12 +4,19 @@ from aleator.uncertainty._bounded_families import Triangular as Triangular
 from aleator.uncertainty._bounded_families import TriangularGerm as TriangularGerm
 from aleator.uncertainty._bounded_families import TruncatedNormal as TruncatedNormal
 from aleator.uncertainty._bounded_families import TruncatedNormalGerm as TruncatedNormalGerm
+from aleator.uncertainty._choices import Choice as Choice
+from aleator.uncertainty._choices import Integer as Integer
+from aleator.uncertainty._choices import Table as Table
+from aleator.uncertainty._choices import refuse_choices as refuse_choices
+from aleator.uncertainty._choices import tables_of as tables_of
 from aleator.uncertainty._copula import correlated as correlated
 from aleator.uncertainty._data_families import Density as Density
 from aleator.uncertainty._data_families import DensityGerm as DensityGerm
 from aleator.uncertainty._data_families import Sample as Sample
 from aleator.uncertainty._data_families import SampleGerm as SampleGerm
+from aleator.uncertainty._decision import AbstractDecision as AbstractDecision
 from aleator.uncertainty._decision import Decision as Decision
+from aleator.uncertainty._decision import ends as ends
 from aleator.uncertainty._distribution import AbstractDistribution as AbstractDistribution
 from aleator.uncertainty._distribution import Canonical as Canonical
 from aleator.uncertainty._distribution import Form as Form
@@ -25,6 +32,7 @@ from aleator.uncertainty._placements import placements as placements
 from aleator.uncertainty._placements import realise as realise
 from aleator.uncertainty._placements import uncertain_again as uncertain_again
 from aleator.uncertainty._placements import uncertain_numbers as uncertain_numbers
+from aleator.uncertainty._placements import with_decisions as with_decisions
 from aleator.uncertainty._placements import with_distributions as with_distributions
 from aleator.uncertainty._polynomials import AbstractGerm as AbstractGerm
 from aleator.uncertainty._polynomials import HermiteGerm as HermiteGerm

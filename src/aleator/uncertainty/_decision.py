@@ -1,10 +1,12 @@
 """`Decision`: a number of a model that the optimiser chooses."""
 
+import abc
 from typing import Any, final
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
+from typing_extensions import override
 
 from aleator._core.arrays import Scalar
 from aleator._core.border import a_name, real_array, refusal
@@ -15,8 +17,38 @@ from aleator._core.leaves import AbstractLeaf, highest, lowest
 _ROUNDING = 1e-9
 
 
+class AbstractDecision(AbstractLeaf):
+    """A number of a model, or an array of numbers, that the optimiser chooses between a lower and an upper bound."""
+
+    initial: eqx.AbstractVar[Any]
+    lower: eqx.AbstractVar[Any]
+    upper: eqx.AbstractVar[Any]
+
+    @property
+    def values(self) -> Float[np.ndarray, " rows"] | None:
+        """The values that it may have; None for all between its bounds."""
+        return None
+
+    @abc.abstractmethod
+    def domain(self) -> str:
+        """What it may be, in words."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of the numbers that are chosen."""
+        return np.shape(self.initial)
+
+    def lowest(self) -> float | None:
+        """The smallest number that may be chosen."""
+        return lowest(self.lower)
+
+    def highest(self) -> float | None:
+        """The largest number that may be chosen."""
+        return highest(self.upper)
+
+
 @final
-class Decision(AbstractLeaf):
+class Decision(AbstractDecision):
     """A number (or an array of numbers) that the optimiser chooses, placed anywhere in a model.
 
     `Decision(30e3, lower=23_339, upper=300e3)` starts at 30 000. An array as `initial` makes one decision of each
@@ -52,18 +84,15 @@ class Decision(AbstractLeaf):
         """A copy whose placements are all one decision, together with any others shared under this name."""
         return Decision(self.initial, self.lower, self.upper, shared_name=a_name("shared", name))
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """The shape of the numbers that are chosen."""
-        return np.shape(self.initial)
+    @override
+    def domain(self) -> str:
+        return f"[{ends(self.lower)}, {ends(self.upper)}]"
 
-    def lowest(self) -> float | None:
-        """The smallest number that may be chosen."""
-        return lowest(self.lower)
 
-    def highest(self) -> float | None:
-        """The largest number that may be chosen."""
-        return highest(self.upper)
+def ends(values: Any) -> str:
+    """The smallest and the largest of some numbers, as text."""
+    low, high = float(np.min(np.asarray(values))), float(np.max(np.asarray(values)))
+    return f"{low:g}" if low == high else f"{low:g}…{high:g}"
 
 
 def _real(value: Any) -> np.ndarray:
@@ -87,7 +116,7 @@ def _check(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> None:
         raise ProblemError(f"A Decision starts between its bounds [{lower}, {upper}]; received {start}.")
 
 
-def start_given(name: str, value: Any, decision: Decision) -> Float[np.ndarray, "..."]:
+def start_given(name: str, value: Any, decision: AbstractDecision) -> Float[np.ndarray, "..."]:
     """Another start of a decision, clipped to its bounds, which it may exceed only by rounding."""
     expected = f"finite numbers of shape {decision.shape}"
     numbers = real_array(f"start: '{name}'", value, expected)

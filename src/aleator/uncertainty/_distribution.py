@@ -19,7 +19,7 @@ from aleator._core.border import a_name, real_array, refusal
 from aleator._core.errors import ProblemError
 from aleator._core.identity import is_library
 from aleator._core.leaves import AbstractLeaf, is_traced, realised_shape
-from aleator.uncertainty._decision import Decision
+from aleator.uncertainty._decision import AbstractDecision
 from aleator.uncertainty._polynomials import AbstractGerm, Dependence
 
 # Probability levels at which methods of a user's own distribution are compared, and the tolerance by its spread.
@@ -50,7 +50,7 @@ def constant(tree: Any) -> Any:
 
 def plain(name: str, value: Any, family: type) -> Any:
     """A parameter as a float, a scalar array or a scalar `Decision`."""
-    if isinstance(value, Decision | jax.Array) and realised_shape(value) == ():
+    if isinstance(value, AbstractDecision | jax.Array) and realised_shape(value) == ():
         return value
     what, expected = f"{family.__name__}: '{name}'", "one number or one Decision"
     number = real_array(what, value, expected)
@@ -61,8 +61,8 @@ def plain(name: str, value: Any, family: type) -> Any:
 
 def brief(value: Any) -> str:
     """A parameter as text."""
-    if isinstance(value, Decision):
-        return f"Decision({float(value.initial):g} in [{float(value.lower):g}, {float(value.upper):g}])"
+    if isinstance(value, AbstractDecision):
+        return f"{type(value).__name__}({float(value.initial):g} in {value.domain()})"
     return f"{float(value):g}" if not isinstance(value, Tracer) else "traced"
 
 
@@ -226,19 +226,19 @@ class AbstractDistribution(AbstractLeaf):
         """The distribution at the initial values of its decisions."""
         return self.decided(lambda _, decision: decision.initial)
 
-    def decided(self, choose: Callable[[str, Decision], Any]) -> Self:
+    def decided(self, choose: Callable[[str, AbstractDecision], Any]) -> Self:
         """The distribution with each decision replaced by `choose(parameter_name, decision)`."""
         chosen = {
-            name: choose(name, value) if isinstance(value, Decision) else value
+            name: choose(name, value) if isinstance(value, AbstractDecision) else value
             for name, value in self.parameters.items()
         }
         return self._with(parameters=chosen)
 
     @property
-    def decisions(self) -> dict[str, Decision]:
+    def decisions(self) -> dict[str, AbstractDecision]:
         """The decisions among the parameters, by parameter name."""
         ordered = ((name, self.parameters[name]) for name in self._names())
-        return {name: value for name, value in ordered if isinstance(value, Decision)}
+        return {name: value for name, value in ordered if isinstance(value, AbstractDecision)}
 
     @property
     def shape_is_decided(self) -> bool:

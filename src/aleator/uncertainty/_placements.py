@@ -19,7 +19,7 @@ from aleator._core.border import refusal, refuse_missing
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf, is_leaf, is_traced, named_leaves
 from aleator.uncertainty._copula import pearson
-from aleator.uncertainty._decision import Decision, start_given
+from aleator.uncertainty._decision import AbstractDecision, start_given
 from aleator.uncertainty._distribution import AbstractDistribution
 from aleator.uncertainty._polynomials import AbstractGerm, Dependence
 
@@ -45,7 +45,7 @@ class Place(NamedTuple):
     """One decision of a model: its name, the decision itself, and its slice of the decision vector."""
 
     name: str
-    decision: Decision
+    decision: AbstractDecision
     where: slice
 
 
@@ -156,9 +156,9 @@ def placements(model: Pytree) -> Placements:
     return Placements(distributions, decisions)
 
 
-def _decisions_in(name: str, leaf: Any) -> Iterator[tuple[str, Decision]]:
+def _decisions_in(name: str, leaf: Any) -> Iterator[tuple[str, AbstractDecision]]:
     """The decisions in one leaf, each with its own name: `k_s`, or `k_s.half_width` inside a distribution."""
-    if isinstance(leaf, Decision):
+    if isinstance(leaf, AbstractDecision):
         yield name, leaf
         return
     for parameter, decision in leaf.decisions.items():
@@ -201,7 +201,7 @@ def realise(model: Pytree, germ: Float[Array, " variables"], decisions: Float[Ar
     uncertain = uncertain_numbers(places, germ, decisions)
 
     def value(name: str, leaf: Any) -> Any:
-        if isinstance(leaf, Decision):
+        if isinstance(leaf, AbstractDecision):
             return _chosen(places, decisions, name)
         if isinstance(leaf, AbstractDistribution):
             return uncertain[name] if leaf.is_uncertain else _decided(leaf, name, places, decisions).mean()
@@ -255,7 +255,7 @@ def named_numbers(model: Pytree, decisions: Float[Array, " n"]) -> dict[str, Any
     places = placements(model)
     numbers: dict[str, Any] = {}
     for name, leaf in named_leaves(model):
-        if isinstance(leaf, Decision):
+        if isinstance(leaf, AbstractDecision):
             numbers[name] = _chosen(places, decisions, name)
         elif is_leaf(leaf):
             distribution = _decided(leaf, name, places, decisions)
@@ -281,6 +281,19 @@ def with_distributions(model: Pytree, choose: Callable[[str, AbstractDistributio
             return leaf
         distribution = choose(name, leaf)
         return distribution.shared(leaf.shared_name) if leaf.shared_name else distribution
+
+    return _with_leaves(model, change)
+
+
+def with_decisions(model: Pytree, choose: Callable[[str, AbstractDecision], Any]) -> Pytree:
+    """The model with each decision, also inside a distribution, replaced by `choose(name, decision)`."""
+
+    def change(name: str, leaf: Any) -> Any:
+        if isinstance(leaf, AbstractDecision):
+            return choose(name, leaf)
+        if isinstance(leaf, AbstractDistribution):
+            return leaf.decided(lambda part, decision: choose(decision.shared_name or f"{name}.{part}", decision))
+        return leaf
 
     return _with_leaves(model, change)
 

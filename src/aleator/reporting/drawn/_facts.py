@@ -15,7 +15,7 @@ from aleator.dynamics import AbstractSystem
 from aleator.mechanics import AbstractMechanical
 from aleator.reporting._blocks import Table
 from aleator.reporting._numbers import given
-from aleator.uncertainty import AbstractDistribution, Decision, fields_of
+from aleator.uncertainty import AbstractDecision, AbstractDistribution, fields_of
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -149,7 +149,7 @@ def _value(value: Any) -> str:
     """A number, distribution or decision in words; arrays and others shortened."""
     if isinstance(value, AbstractDistribution):
         return str(value)
-    if isinstance(value, Decision):
+    if isinstance(value, AbstractDecision):
         many = f"{np.size(value.initial)} numbers" if np.ndim(value.initial) else f"from {float(value.initial):g}"
         return f"Decision in [{np.min(value.lower):g}, {np.max(value.upper):g}], {many}"
     if isinstance(value, int | float | np.number) and not isinstance(value, bool):

@@ -1,0 +1,165 @@
+"""Models fitted to data: the best fit and its spread against SciPy's, and as distributions of the next design."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy
+
+import aleator as al
+from aleator.uncertainty import correlations_at, placements
+from zoo import Decay, Gain, Launched, Oscillator, sine
+
+GRID = al.Grid(3.0, 120)
+TIMES = np.sort(np.random.default_rng(0).uniform(0.0, 3.0, 25))
+NOISE = 0.02 * np.random.default_rng(1).normal(size=25)
+DECAYED = 2.0 * np.exp(-0.7 * TIMES) + NOISE
+
+
+def decay_problem(times: Any = TIMES, data: Any = DECAYED, **options: Any) -> al.Problem:
+    model = Decay(rate=al.Decision(1.5, 0.01, 10.0), start=al.Decision(1.0, -10.0, 10.0))
+    return al.Problem(model, grid=GRID, minimize=al.residuals("x", times, data, **options))
+
+
+def curve_fit(function, data, start, jacobian, **options):
+    tight = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-14)
+    return scipy.optimize.curve_fit(function, TIMES, data, start, jac=jacobian, **tight, **options)
+
+
+def by_name(posterior, *names):
+    order = [posterior.names.index(name) for name in names]
+    return posterior.mean[order], posterior.covariance[np.ix_(order, order)]
+
+
+def test_a_straight_line_is_that_of_linear_regression():
+    data = 1.0 + 0.5 * TIMES + NOISE
+    line = Launched(place=al.Decision(0.0), speed=al.Decision(1.0))
+    still = {"force": al.Tabulated([0.0, 3.0], [0.0, 0.0])}
+    problem = al.Problem(line, grid=GRID, inputs=still, minimize=al.residuals("x", TIMES, data))
+    mean, covariance = by_name(al.posterior(al.solve(problem)), "place", "speed")
+    expected = curve_fit(
+        lambda t, a, b: a + b * t, data, (0.0, 1.0), lambda t, a, b: np.stack([np.ones_like(t), t], axis=1)
+    )
+    np.testing.assert_allclose(mean, expected[0], rtol=1e-6)
+    np.testing.assert_allclose(covariance, expected[1], rtol=1e-6)
+
+
+@pytest.mark.parametrize("known_std", [False, True])
+def test_a_decay_measured_between_the_instants_is_fitted_as_scipy_fits_it(known_std):
+    spread = np.linspace(0.01, 0.03, 25)
+    found = al.posterior(al.solve(decay_problem(std=spread)), known_std=known_std)
+    mean, covariance = by_name(found, "start", "rate")
+    expected = curve_fit(
+        lambda t, a, b: a * np.exp(-b * t),
+        DECAYED,
+        (1.0, 1.5),
+        lambda t, a, b: np.stack([np.exp(-b * t), -a * t * np.exp(-b * t)], axis=1),
+        sigma=spread,
+        absolute_sigma=known_std,
+    )
+    np.testing.assert_allclose(mean, expected[0], rtol=1e-6)
+    np.testing.assert_allclose(covariance, expected[1], rtol=1e-6)
+    assert "correlation" in str(found)
+
+
+def test_an_oscillator_with_two_measured_outputs_is_fitted_as_least_squares_fits_it():
+    def motion(numbers):
+        damping, stiffness = numbers
+        delta, omega = damping / 2, np.sqrt(stiffness - damping**2 / 4)
+        waves = np.exp(-delta * TIMES) * np.array([np.cos(omega * TIMES), np.sin(omega * TIMES)])
+        x = 0.1 * (waves[0] + delta / omega * waves[1])
+        return x, -0.1 * stiffness / omega * waves[1]
+
+    x, v = (course + one * NOISE for course, one in zip(motion((0.7, 9.0)), (0.1, 0.3), strict=True))
+    model = Oscillator(m=1.0, c=al.Decision(0.3, 0.05, 8.0), k=al.Decision(10.0, 1.0, 100.0), x0=0.1)
+    fit = al.residuals("x", TIMES, x, std=0.002) + al.residuals("v", TIMES, v, std=0.006)
+    inputs = {"force": sine(0.0)}
+    found = al.posterior(al.solve(al.Problem(model, grid=al.Grid(3.0, 300), inputs=inputs, minimize=fit)))
+
+    def residuals(numbers):
+        own = motion(numbers)
+        return np.concatenate([(own[0] - x) / 0.002, (own[1] - v) / 0.006])
+
+    expected = scipy.optimize.least_squares(residuals, (0.3, 10.0), jac="3-point", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    mean, covariance = by_name(found, "c", "k")
+    np.testing.assert_allclose(mean, expected.x, rtol=1e-6)
+    squares = 2 * expected.cost / (2 * len(TIMES) - 2)
+    np.testing.assert_allclose(covariance, squares * np.linalg.inv(expected.jac.T @ expected.jac), rtol=1e-6)
+    assert found.variance == pytest.approx(squares, rel=1e-6)
+
+
+def test_several_experiments_are_the_entries_of_a_state():
+    starts = np.array([1.0, 2.0])
+    data = starts * np.exp(-0.7 * TIMES[:, None]) + np.stack([NOISE, NOISE[::-1]], axis=1)
+    model = Decay(rate=al.Decision(1.5, 0.01, 10.0), start=starts)
+    found = al.posterior(al.solve(al.Problem(model, grid=GRID, minimize=al.residuals("x", TIMES, data))))
+    expected = scipy.optimize.least_squares(
+        lambda rate: np.ravel(starts * np.exp(-rate * TIMES[:, None]) - data), 1.5, jac="3-point", xtol=1e-14
+    )
+    assert found.mean[0] == pytest.approx(expected.x[0], rel=1e-6)
+    assert len(found.residuals) == 50
+
+
+def test_of_an_uncertain_model_the_mean_is_fitted():
+    def rate_of(start):
+        model = Decay(rate=al.Decision(1.5, 0.01, 10.0), start=start)
+        return al.solve(al.Problem(model, grid=GRID, minimize=al.residuals("x", TIMES, DECAYED))).decisions["rate"]
+
+    assert rate_of(al.Normal(2.0, 0.1)) == pytest.approx(rate_of(2.0), rel=1e-6)
+
+
+def test_the_spread_of_a_fit_is_ready_for_the_next_design():
+    found = al.posterior(al.solve(decay_problem()))
+    places = placements(found.system)
+    assert isinstance(places.distributions["rate"], al.LogNormal)
+    assert isinstance(places.distributions["start"], al.Normal)
+    for i, name in enumerate(found.names):
+        assert float(places.distributions[name].mean()) == pytest.approx(found.mean[i])
+        assert float(places.distributions[name].std()) == pytest.approx(found.std[i])
+    (correlation,) = correlations_at(places, np.zeros(0)).values()
+    assert correlation == pytest.approx(found.correlation[0, 1], abs=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("declare", "message"),
+    [
+        (lambda: decay_problem(data=np.where(np.arange(25) == 4, np.nan, DECAYED)), "nan at index 4, t = 0.122921 s"),
+        (lambda: decay_problem(times=TIMES[:-1]), "each of the 24 times; received data of shape .25"),
+        (lambda: decay_problem(times=TIMES + 1.0), "from 0 to 3 s; received 3.01187 s at index 16"),
+        (lambda: decay_problem(times=[]), "expected a list of times"),
+        (lambda: decay_problem(std=np.ones(3)), "one positive number, one for each time"),
+        (lambda: decay_problem(std=0.0), "one positive number, one for each time"),
+        (lambda: decay_problem(data=np.stack([DECAYED, DECAYED], axis=1)), "expected data of shape .25,."),
+        (lambda: al.Problem(Decay(al.Decision(1.0)), grid=GRID, minimize=al.residuals("y", [1], [1])), "output .* 'y'"),
+    ],
+)
+def test_data_that_no_model_has_are_refused(declare, message):
+    with pytest.raises(al.ProblemError, match=message):
+        declare()
+
+
+@pytest.mark.parametrize(
+    ("output", "times", "message"),
+    [
+        ("gain", [0.0, 0.3, 0.6], "received 'shift', by which no residual changes"),
+        ("response", [0.0, 0.3, 0.6], "received 'gain' and 'shift', which can change together"),
+        ("response", [0.0, 0.3], "received 2 data and 2 numbers: gain, shift"),
+    ],
+)
+def test_numbers_that_the_data_do_not_tell_are_named(output, times, message):
+    model = Gain(gain=al.Decision(1.0, 0.0, 10.0), theta=1.0, shift=al.Decision(0.5, -3.0, 3.0))
+    fit = al.solve(al.Problem(model, grid=al.Grid(1.0, 6), minimize=al.residuals(output, times, times)), throw=False)
+    with pytest.raises(al.ProblemError, match=message):
+        al.posterior(fit)
+
+
+def test_a_spread_is_refused_where_it_would_not_be_normal_or_is_none_of_a_fit():
+    bounded = Decay(rate=al.Decision(1.5, 1.0, 10.0), start=2.0)
+    fit = al.solve(al.Problem(bounded, grid=GRID, minimize=al.residuals("x", TIMES, DECAYED)))
+    with pytest.raises(al.ProblemError, match="at that of 'rate'"):
+        al.posterior(fit)
+    with pytest.raises(al.ProblemError, match="expected a `std`"):
+        al.posterior(fit, known_std=True)
+    other = al.solve(al.Problem(bounded, grid=GRID, minimize=al.terminal("x").mean))
+    with pytest.raises(al.ProblemError, match="posterior: expected an objective"):
+        al.posterior(other)
