@@ -69,6 +69,9 @@ class Multibody(AbstractMechanical):
     Raises `ProblemError` if the bodies do not form a tree.
     """
 
+    # Beside the fields, for equinox tells classes of one field more or less apart.
+    __slots__ = ("_facts",)
+
     # Not annotated: otherwise a dataclass would put a subclass's field of this name before all its others.
     gravity = (0.0, 0.0, -9.81)
 
@@ -256,17 +259,22 @@ class Multibody(AbstractMechanical):
     def seen_at(self, q: Float[Numbers, " coordinates"]) -> Self:
         return self._remembering(posture=(q, self._posture(q)[1]))
 
-    def _remembering(self, **known: Any) -> Self:
-        """The model with its tree or a posture: no fields, so that transformations of the model forget them."""
+    def _remembering(self, **facts: Any) -> Self:
+        """The model with its tree or a posture: in no field, so that transformations of the model forget them."""
         instant = copy(self)
-        for name, value in known.items():
-            object.__setattr__(instant, f"_{name}_known", value)
+        object.__setattr__(instant, "_facts", {**self._remembered(), **facts})
         return instant
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self)  # copies and pickles have the fields alone
+
+    def _remembered(self) -> dict[str, Any]:
+        return getattr(self, "_facts", {})
 
     def _posture(self, q: Float[Numbers, " coordinates"]) -> tuple[Tree, Posture]:
         """The tree and its posture at some coordinates."""
         tree = self._tree()
-        where, posture = getattr(self, "_posture_known", (None, None))
+        where, posture = self._remembered().get("posture", (None, None))
         return tree, posture if where is q and posture is not None else posture_of(tree, q)
 
     def _is_bodies_alone(self) -> bool:
@@ -274,7 +282,7 @@ class Multibody(AbstractMechanical):
         return type(self).bias is Multibody.bias and type(self).mass_matrix is Multibody.mass_matrix
 
     def _tree(self) -> Tree:
-        known = getattr(self, "_tree_known", None)
+        known = self._remembered().get("tree")
         return build_tree(self._tree_bodies()) if known is None else known
 
     def _tree_bodies(self) -> Sequence[Body]:
@@ -290,7 +298,7 @@ class Multibody(AbstractMechanical):
 
     def _closed(self) -> tuple[Closed, list[Coupling]]:
         """The closed loops, as columns, and the couplings."""
-        if (known := getattr(self, "_closed_known", None)) is not None:
+        if (known := self._remembered().get("closed")) is not None:
             return known
         loops, couplings = self._closures()
         return closed(type(self).__name__, loops, self._tree()), couplings
@@ -306,7 +314,7 @@ class Multibody(AbstractMechanical):
 
     def _joints(self) -> list[tuple[str, AbstractJoint]]:
         """The moving bodies with the structure of their joints; also before distributions are realised."""
-        return self._once("_joints_known", self._joints_told)
+        return self._once("joints", self._joints_told)
 
     def _joints_told(self) -> list[tuple[str, AbstractJoint]]:
         bodies = sorted_bodies(with_numbers(self)._bodies())
@@ -317,7 +325,7 @@ class Multibody(AbstractMechanical):
 
         Raises `ProblemError` where those of a base class are lost.
         """
-        return () if type(self).closures is Multibody.closures else self._once("_loops_known", self._loops_told)
+        return () if type(self).closures is Multibody.closures else self._once("loops", self._loops_told)
 
     def _loops_told(self) -> Sequence[Closure | Coupling]:
         model = with_numbers(self)
@@ -334,9 +342,11 @@ class Multibody(AbstractMechanical):
 
     def _once(self, name: str, told: Callable[[], Result]) -> Result:
         """What this model has told of its structure, once for all: building bodies is slow."""
-        if name not in vars(self):
-            object.__setattr__(self, name, told())
-        return vars(self)[name]
+        if not hasattr(self, "_facts"):
+            object.__setattr__(self, "_facts", {})
+        if name not in self._facts:
+            self._facts[name] = told()
+        return self._facts[name]
 
     def _gravity(self) -> Any:
         return as_array(self.gravity, f"{type(self).__name__}.gravity", (3,))
