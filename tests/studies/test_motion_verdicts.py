@@ -47,7 +47,7 @@ def test_a_confirmed_margin_is_a_design_to_build_with_its_interval_and_its_price
     share = max(margin.confirmation, margin.evidence.joint, key=lambda one: one.upper)
     assert interval(share) in dict(said.rows)["Limits broken"]
     # (1 - 1 / √3) / 2 of the samples break the printed one.
-    against = int(re.search(r"against (\d+) with the printed margin", said.headline).group(1))
+    (against,) = map(int, re.findall(r"against (\d+) with the printed margin", said.headline))
     assert against == pytest.approx(1000 * (1 - 1 / np.sqrt(3)) / 2, abs=4.5 * np.sqrt(1000 * 1000 * 0.17 / 2_000))
 
 
@@ -92,7 +92,7 @@ def test_the_variance_of_the_tip_is_told_with_the_error_of_its_sample():
     # Of n normal numbers the variance has the standard error s² sqrt(2 / n); so has the norm of two of equal size.
     count, spread = 20_000, 0.3
     ends = np.random.default_rng(4).normal(0.0, spread, (2, count, 1))
-    systems = dict(zip(("tip_x", "tip_y"), ends, strict=True))
+    systems: dict[str, np.ndarray] = {"tip_x": ends[0], "tip_y": ends[1]}
     family = al.results.Motions("outputs", np.zeros(1), systems, {}, {}, {})
     value, error = (float(part) for part in terminal_norm(family).split(" ± "))
     assert error == pytest.approx(spread**2 * np.sqrt(2 / count), rel=0.35)

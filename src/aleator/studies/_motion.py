@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -54,13 +53,6 @@ Outputs = Mapping[str, Float[np.ndarray, "..."]]
 
 
 # --- Plans ---------------------------------------------------------------------------------------------------------
-
-
-def named(problem: al.Problem, together: Mapping[str, str]) -> al.Problem:
-    """The problem with renamed constraints; those of one name count as one limit."""
-    constraints = tuple(one.named(together.get(one.name, one.name)) for one in problem.constraints)
-    changed: Any = eqx.tree_at(lambda tree: tree.constraints, problem, constraints)
-    return changed
 
 
 def search(page: Draft, name: str, problem: al.Problem, starts: int | Sequence[Mapping[str, Any]]) -> al.results.Starts:
@@ -209,21 +201,14 @@ class Linkage(NamedTuple):
         around = {"scene": self.scene, "target": self.target}
         return plane_figure(tips, tips[at], look=look, broken=broken, title=name.capitalize(), **around)
 
-    def histories(self, family: al.results.Motions, title: str = "Joints") -> list["Figure"]:
+    def histories(self, family: al.results.Motions) -> list["Figure"]:
         """Both joints' angles and the place of the tip over time, with their targets."""
-        angles, places = ({"q₁": "q1", "q₂": "q2"}, {"x": "tip_x", "y": "tip_y"})
+        posture = {"q₁": float(self.posture[0]), "q₂": float(self.posture[1])}
+        target = {"x": float(self.target[0]), "y": float(self.target[1])}
         return [
-            self._bands(family, angles, self.posture, y="Joint angle", unit="rad", title=title),
-            self._bands(family, places, self.target, y="Place of the tip", unit="m", title="Tip"),
+            bands(family, {"q₁": "q1", "q₂": "q2"}, y="Joint angle", unit="rad", targets=posture, title="Joints"),
+            bands(family, {"x": "tip_x", "y": "tip_y"}, y="Place of the tip", unit="m", targets=target, title="Tip"),
         ]
-
-    def _bands(
-        self, family: al.results.Motions, names: Mapping[str, str], ends: Sequence[float], **more: Any
-    ) -> "Figure":
-        rows = {label: family.systems[name] for label, name in names.items()}
-        return bands_figure(
-            np.asarray(family.times), rows, targets=dict(zip(names, map(float, ends), strict=True)), **more
-        )
 
 
 def median(family: al.results.Motions) -> int:
@@ -232,9 +217,12 @@ def median(family: al.results.Motions) -> int:
     return int(np.argsort(numbers)[len(numbers) // 2])
 
 
-def torques_figure(
-    family: al.results.Motions, names: Mapping[str, str], limit: float, title: str = "", only: slice = slice(None)
-) -> "Figure":
-    """Torques over time, between their limits (N m); of some systems `only`."""
-    torques = {label: family.systems[name][only] for label, name in names.items()}
-    return bands_figure(np.asarray(family.times), torques, y="Torque", unit="N m", limits=(-limit, limit), title=title)
+def bands(family: al.results.Motions, names: Mapping[str, str], **more: Any) -> "Figure":
+    """Outputs of all systems over time; `names` by their labels."""
+    rows = {label: family.systems[name] for label, name in names.items()}
+    return bands_figure(np.asarray(family.times), rows, **more)
+
+
+def torques_figure(family: al.results.Motions, names: Mapping[str, str], limit: float, title: str = "") -> "Figure":
+    """Torques over time, between their limits (N m)."""
+    return bands(family, names, y="Torque", unit="N m", limits=(-limit, limit), title=title)

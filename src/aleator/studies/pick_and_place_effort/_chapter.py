@@ -29,7 +29,6 @@ from aleator.studies._motion import (
     compared,
     counted,
     flown,
-    named,
     optima,
     search,
     to_build,
@@ -47,7 +46,7 @@ from aleator.studies.pick_and_place_effort import (
     terminal_variance_problem,
 )
 from aleator.studies.two_link_arm import TORQUE
-from aleator.studies.two_link_arm._views import ARM, TOGETHER, TORQUES, arm_schematic, touches
+from aleator.studies.two_link_arm._views import ARM, TORQUES, arm_schematic, touches
 from aleator.transcription import transcribe
 
 MEAN, ROBUST, LEAST = "deterministic", "robust", "least variance"
@@ -97,8 +96,7 @@ LESSON = (
 
 def problems() -> dict[str, al.Problem]:
     """The problems of the plans."""
-    bare = {MEAN: deterministic_problem(), ROBUST: robust_problem(), LEAST: terminal_variance_problem(effort=MOST)}
-    return {name: named(one, TOGETHER) for name, one in bare.items()}
+    return {MEAN: deterministic_problem(), ROBUST: robust_problem(), LEAST: terminal_variance_problem(effort=MOST)}
 
 
 def chapter(page: Draft, quick: bool) -> None:
@@ -159,7 +157,7 @@ def chapter(page: Draft, quick: bool) -> None:
         if name in families:
             histories, heading = ARM.histories(families[name]), f"{name.capitalize()} plan on its family"
             page.add(Drawing(histories, heading, f"Rings: the target. {SHADES}", figure))
-    torques = [torques_figure(one, TORQUES, TORQUE, name.capitalize(), slice(1)) for name, one in families.items()]
+    torques = [torques_figure(one, TORQUES, TORQUE, name.capitalize()) for name, one in families.items()]
     page.add(Drawing(torques, "Torques", "They act as planned on every arm, and so have no spread."))
 
     if not quick:
@@ -167,7 +165,7 @@ def chapter(page: Draft, quick: bool) -> None:
         bare = terminal_variance_problem(effort=MOST, guess=plans[LEAST].decisions["torque.free"])
         # From where more effort brings no gain down to that of the robust plan.
         efforts = np.linspace(effort(families[LEAST]), 1.01 * plans[ROBUST].objective, 7)
-        front = al.pareto(named(bare, TOGETHER), "effort", efforts, progress=page.progress)
+        front = al.pareto(bare, "effort", efforts, progress=page.progress)
         page.keep("front", front)
         fronts = {LEAST: front}
         figure = front_figure(fronts, x="Effort allowed", x_unit=UNIT, y="Norm of the tip's variances", y_unit="m²")
@@ -176,7 +174,7 @@ def chapter(page: Draft, quick: bool) -> None:
         page.add(linked_front(fronts, [figure], "The cost of a smaller spread", f"{told}helps."))
 
         page.section("How wide a payload")
-        wide = named(robust_problem(payload=WIDE), TOGETHER)
+        wide = robust_problem(payload=WIDE)
         thrown = flown(f"payload {WIDE}", plans[ROBUST], systems, wide)
         page.add(
             Text(LESSON, lead="No single open-loop plan suits widely spread payloads."),
@@ -200,7 +198,7 @@ def chapter(page: Draft, quick: bool) -> None:
 
 def margin_problem(plan: al.Solution) -> al.Problem:
     """The problem of least effort whose margin is calibrated, to be solved from a plan."""
-    return named(robust_problem(TRIED, guess=plan.decisions["torque.free"]), TOGETHER)
+    return robust_problem(TRIED, guess=plan.decisions["torque.free"])
 
 
 def effort(family: al.results.Motions) -> float:
@@ -269,7 +267,7 @@ def spreads_table(plan: al.Solution, families: Sequence[tuple[al.Uniform, al.res
     """The joints' standard deviations at the end by payload: sampled, and by the expansion with its error."""
     rows = []
     for payload, family in families:
-        problem = named(robust_problem(payload=payload), TOGETHER)
+        problem = robust_problem(payload=payload)
         for name, (spread, error) in kept(f"expansion, payload {payload}", ends, problem, plan.vector).items():
             spreads = number(float(family.moments[name].std[-1]), 3), number(spread, 3)
             rows.append([f"{name}(t_f), {payload}", *spreads, percent(error)])

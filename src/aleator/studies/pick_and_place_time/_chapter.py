@@ -28,7 +28,6 @@ from aleator.studies._motion import (
     counted,
     duration,
     flown,
-    named,
     optima,
     search,
     torques_figure,
@@ -37,7 +36,7 @@ from aleator.studies._shared import margin_drawing
 from aleator.studies._study import Draft
 from aleator.studies.pick_and_place_time import PAYLOAD, deterministic_problem, robust_problem
 from aleator.studies.two_link_arm import TORQUE
-from aleator.studies.two_link_arm._views import ARM, TOGETHER, TORQUES, arm_schematic
+from aleator.studies.two_link_arm._views import ARM, TORQUES, arm_schematic
 
 MEAN, ONE, WORST = "deterministic", "robust, a = 1", "robust, a = √3"
 MARGINS = {ONE: 1.0, WORST: float(np.sqrt(3.0))}
@@ -75,8 +74,7 @@ WHY = (
 
 def problems() -> dict[str, al.Problem]:
     """The problems of the plans, each with its own start."""
-    bare = {MEAN: deterministic_problem(), **{name: robust_problem(sigmas) for name, sigmas in MARGINS.items()}}
-    return {name: named(one, TOGETHER) for name, one in bare.items()}
+    return {MEAN: deterministic_problem(), **{name: robust_problem(sigmas) for name, sigmas in MARGINS.items()}}
 
 
 def chapter(page: Draft, quick: bool) -> None:
@@ -171,7 +169,7 @@ def chapter(page: Draft, quick: bool) -> None:
 
 def from_plan(sigmas: float, plan: al.Solution) -> al.Problem:
     """The problem of a robust plan, to be solved from another plan."""
-    return named(robust_problem(sigmas, guess=plan.decisions["motion.free"]), TOGETHER)
+    return robust_problem(sigmas, guess=plan.decisions["motion.free"])
 
 
 def predicted_share(sigmas: float) -> float:

@@ -1,13 +1,12 @@
 """The swing-up study: plans for the mean pendulum and for all, finer steps, the effect of friction, which to build."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
 import numpy as np
 
 import aleator as al
-from aleator.design import uncertain
 from aleator.nlp import HELD
 from aleator.references._estimate import estimate, group_count
 from aleator.reporting import (
@@ -34,7 +33,6 @@ from aleator.studies._motion import (
     counted,
     duration,
     flown,
-    named,
     optima,
     search,
     to_build,
@@ -43,9 +41,6 @@ from aleator.studies._motion import (
 from aleator.studies._shared import margin_drawing
 from aleator.studies._study import Draft
 from aleator.studies.swing_up import (
-    DEGREE,
-    ENDS,
-    FREE,
     MASS_2,
     SMOOTHING,
     STEPS,
@@ -56,10 +51,10 @@ from aleator.studies.swing_up import (
     robust_problem,
 )
 from aleator.studies.swing_up._drawing import pendulum_drawing
+from aleator.studies.swing_up._starts import FAMILY_SWINGS, SWINGS, swing
 
 MEAN, EXPECTED, ENERGY = "deterministic", "robust, expected torque", "robust, expected energy"
 NAMES = (MEAN, ENERGY, EXPECTED, CALIBRATED)
-TOGETHER = {"q1_torque": "torque", "q2": "upright", "q2_rate": "upright"}
 FAR = 0.2
 """A tip that ends further than this from upright, m, is a miss."""
 FINER = 4
@@ -71,19 +66,6 @@ PENDULUM = Linkage(
     target=(0.0, LENGTH_1 + 1.0),
     scene=Scene(),
 )
-
-SWINGS = (
-    (3.0, 6, 0.8, 5),
-    (4.0, 4, -0.8, 5),
-    (3.0, 4, -0.8, 2),
-    (4.0, 4, -0.8, 2),
-    (3.0, 3, 0.8, 2),
-    (4.0, 3, -0.8, 2),
-    (3.0, 5, -0.8, 2),
-)
-"""Duration (s), half swings, their width (rad), and lateness of the rise, for a motion to start a search from."""
-FAMILY_SWINGS = ((3.0, 4, -0.8, 2), (3.0, 5, -0.8, 2), (4.0, 3, -0.8, 2), (3.0, 6, -0.8, 5))
-"""The swings from which searches for the whole family start: late and wide ones spread it too far."""
 
 PUBLISHED = {MEAN: (1060.0, "5.66", "–"), EXPECTED: (310.0, "4.46", "0.0032")}
 """In the dissertation: "powers" (W), durations (s), and the norm of the tip's variances at the end (m²)."""
@@ -123,12 +105,11 @@ FRICTION = (
 
 def problems() -> dict[str, al.Problem]:
     """The problems of the plans, each with its own start."""
-    bare = {
+    return {
         MEAN: deterministic_problem(),
         ENERGY: robust_problem(expected="energy"),
         EXPECTED: robust_problem(expected="torque"),
     }
-    return {name: named(one, TOGETHER) for name, one in bare.items()}
 
 
 def chapter(page: Draft, quick: bool) -> None:
@@ -200,23 +181,19 @@ def chapter(page: Draft, quick: bool) -> None:
         )
 
     if margin is not None:
-        page.section("Accuracy of the steps")
-        finer, frictionless = dict[str, al.results.Motions](), dict[str, al.results.Motions]()
+        page.section("Accuracy of the steps, and the effect of friction")
+        variants = list[tuple[str, al.results.Motions]]()
         for i, (name, plan) in enumerate(plans.items()):
             page.progress(f"finer steps, {name}", i, len(plans))
-            whole: Any = uncertain(plan.problem)
-            finer[name] = flown(f"{name}, finer steps", plan, systems, whole.on_grid(whole.grid.finer(FINER)))
-            bare = eqx.tree_at(lambda tree: tree.system.model.damping, whole, 0.0)
-            frictionless[name] = flown(f"{name}, frictionless", plan, systems, bare)
-        page.add(steps_table(families, finer))
-
-        page.section("The effect of friction")
-        ends = {
-            name: [number(float(one.moments["q2"].std[-1]), 2) for one in (families[name], frictionless[name])]
-            for name in plans
-        }
-        rows = [[name, *texts] for name, texts in ends.items()]
-        page.add(Text(FRICTION), Table("σ of q₂ at the end (rad)", ["Plan", "With friction", "Without"], rows))
+            whole: Any = al.uncertain(plan.problem)
+            finer = whole.on_grid(whole.grid.finer(FINER))
+            frictionless = eqx.tree_at(lambda tree: tree.system.model.damping, whole, 0.0)
+            variants += [
+                (f"{name}, {STEPS} steps", families[name]),
+                (f"{FINER * STEPS} steps", flown(f"{name}, finer steps", plan, systems, finer)),
+                ("without friction", flown(f"{name}, without friction", plan, systems, frictionless)),
+            ]
+        page.add(variants_table(variants), Text(FRICTION))
 
         page.section("How wide a margin")
         page.add(margin_drawing(margin, "The margin for a tolerated share of violations", "pendulums"))
@@ -231,14 +208,7 @@ def chapter(page: Draft, quick: bool) -> None:
 def margin_problem(plan: al.Solution) -> al.Problem:
     """The problem of minimum energy of the expected torque, to be solved from a plan."""
     guess, lasting = plan.decisions["motion.q1.free"], float(plan.decisions["t_final"])
-    return named(robust_problem(TRIED, guess=guess, duration=lasting), TOGETHER)
-
-
-def swing(lasting: float, halves: int, width: float, late: int) -> dict[str, np.ndarray | float]:
-    """A motion that rises `late`, superposed with `halves` half swings of growing width."""
-    fractions = np.linspace(0.0, 1.0, 80)
-    angle = -np.pi * (1 - fractions**late) + width * np.sin(halves * np.pi * fractions) * fractions
-    return {"motion.q1.free": al.fit_control_points(angle, FREE, degree=DEGREE, **ENDS), "t_final": lasting}
+    return robust_problem(TRIED, guess=guess, duration=lasting)
 
 
 def overloads(family: al.results.Motions) -> np.ndarray:
@@ -317,23 +287,23 @@ def published_table(plans: Mapping[str, al.Solution], families: Mapping[str, al.
     return Table("Published and reference values compared with ours", header, rows, note)
 
 
-def steps_table(families: Mapping[str, al.results.Motions], finer: Mapping[str, al.results.Motions]) -> Table:
-    """The same systems with the problem's steps and with finer ones."""
+def variants_table(variants: Sequence[tuple[str, al.results.Motions]]) -> Table:
+    """The same pendulums with the problem's steps, with finer ones, and without friction."""
     rows = []
-    for name, fine in finer.items():
-        for label, family in ((f"{name}, {STEPS} steps", families[name]), (f"{FINER * STEPS}", fine)):
-            ends = [family.moments[joint] for joint in ("q2", "q2_rate")]
-            errors = [float(one.std[-1]) / np.sqrt(len(tips(family))) for one in ends]
-            means = [f"{number(float(one.mean[-1]), 3)} ± {number(e, 2)}" for one, e in zip(ends, errors, strict=True)]
-            torque = family.moments["q1_torque"]
-            largest = number(float(np.max(np.abs(torque.mean) + torque.std)), 4)
-            rows.append([label, *means, terminal_norm(family), largest])
-    header = ["", "E[q₂(t_f)] (rad)", "E[q̇₂(t_f)] (rad/s)", "Variance of the tip (m²)", "Largest |μ| + σ of τ₁ (N m)"]
+    for label, family in variants:
+        ends, torque = [family.moments[joint] for joint in ("q2", "q2_rate")], family.moments["q1_torque"]
+        errors = [float(one.std[-1]) / np.sqrt(len(tips(family))) for one in ends]
+        means = [f"{number(float(one.mean[-1]), 3)} ± {number(e, 2)}" for one, e in zip(ends, errors, strict=True)]
+        largest = number(float(np.max(np.abs(torque.mean) + torque.std)), 4)
+        rows.append([label, *means, number(float(ends[0].std[-1]), 2), terminal_norm(family), largest])
+    header = ["", "E[q₂(t_f)] (rad)", "E[q̇₂(t_f)] (rad/s)", "σ[q₂(t_f)] (rad)", "Variance of the tip (m²)"]
+    header += ["Largest |μ| + σ of τ₁ (N m)"]
     note = (
         f"The same random pendulums, integrated with RK4 in {STEPS} steps and in {FINER} times as many; ± is one "
-        "standard error of that sample, which both rows of a plan share. Differences between the rows are integration "
-        "errors and, in the last column, mainly the peaks between the coarser instants. The robust plans require true "
-        f"means of zero and a true variance of at most {given(VARIANCE, 'm²')}: deviations within the sample's error "
-        "do not contradict that. The deterministic plan swings up the pendulum of mean mass, not the mean of all."
+        "standard error of that sample, which all rows of a plan share. Differences between the first two are "
+        "integration errors and, in the last column, mainly the peaks between the coarser instants. The robust plans "
+        f"require true means of zero and a true variance of at most {given(VARIANCE, 'm²')}: deviations within the "
+        "sample's error do not contradict that. The deterministic plan swings up the pendulum of mean mass, not the "
+        "mean of all."
     )
-    return Table("The plans with finer steps", header, rows, note)
+    return Table("The plans with finer steps, and without friction", header, rows, note)

@@ -1,4 +1,4 @@
-"""The two-link arm on pages: a drawing to scale, the arm among its surroundings, the names of its limits."""
+"""The two-link arm on pages: a drawing to scale, the arm among its surroundings."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -20,17 +20,6 @@ ARM = Linkage(
     scene=Scene(((float(OBSTACLE.center[0]), float(OBSTACLE.center[1]), float(OBSTACLE.radius)),), wall=0.0),
 )
 TORQUES = {"τ₁": "q1_torque", "τ₂": "q2_torque"}
-
-TOGETHER = {
-    "q1_torque": "torque",
-    "q2_torque": "torque",
-    "gap_1": "obstacle",
-    "gap_2": "obstacle",
-    "elbow_x": "wall",
-    "tip_x": "wall",
-    **dict.fromkeys(("q1", "q2", "q1_rate", "q2_rate"), "target"),
-}
-"""The names of the limits of the arm's problems, by their outputs."""
 
 WIDTH, MARGIN = 420.0, 34.0
 REACH = 250.0
