@@ -1,7 +1,6 @@
 """The studies of motion planning: their optima against other programs and quadratures, and the runs of users. Slow."""
 
 import json
-from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -12,17 +11,14 @@ from typer.testing import CliRunner
 import aleator as al
 from aleator import cli
 from aleator.reporting import page_html
-from aleator.studies import load, pick_and_place_effort, pick_and_place_time, six_axis_arm, swing_up
-from aleator.studies._motion.facts import TARGET as TOLERATED
-from aleator.studies._motion.facts import price
-from aleator.studies._motion.results import Effort, fly
-from aleator.studies.pick_and_place_time._study import MEAN, ONE, WORST, PickAndPlaceTime
+from aleator.studies import Draft, load, pick_and_place_effort, pick_and_place_time, six_axis_arm, swing_up
+from aleator.studies._motion import TARGET as TOLERATED
+from aleator.studies.pick_and_place_time._chapter import MEAN, ONE, REFERENCE, WORST
 from aleator.studies.two_link_arm import START, TARGET, TwoLinkArm
 from aleator.uncertainty import realise
 
 pytestmark = pytest.mark.slow
 
-SMALL = Effort(starts=2, samples=1_500, family=100, calibration_samples=2_000)
 TORQUES, GAPS = ("q1_torque", "q2_torque"), ("gap_1", "gap_2", "elbow_x", "tip_x")
 
 
@@ -82,87 +78,85 @@ def test_the_six_axis_arm_is_as_fast_as_an_independent_program_finds():
     assert solution.objective == pytest.approx(0.7866628406, rel=1e-6)
 
 
-# --- From stage to page ----------------------------------------------------------------------------------------------
+# --- Chapter and page ------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
-def study():
-    found = PickAndPlaceTime(SMALL)
-    for stage in found.stages:
-        found.run(stage)
-    return found
+def page():
+    draft = Draft(load("pick-and-place-time", quick=True))
+    draft.fill()
+    return draft
 
 
-def test_the_plans_are_as_fast_as_those_of_an_independent_program_and_break_limits_as_often_as_expected(study):
-    for name, reference in ((MEAN, 1.4142), (ONE, 1.5938)):
-        assert study.done.coarse[name].objective == pytest.approx(reference, abs=1e-4)
+def test_the_plans_are_as_fast_as_those_of_an_independent_program_and_break_limits_as_often_as_expected(page):
+    for name, reference in REFERENCE.items():
+        plan = page.kept["plans"][name]
+        coarse = al.solve(plan.problem, start=plan.decisions, between=1)
+        assert coarse.objective == pytest.approx(reference, abs=1e-4)
         # Limits that hold between the instants too cost a little.
-        assert reference < study.done.plans[name].objective < 1.002 * reference
+        assert reference < plan.objective < 1.002 * reference
     for name, expected in ((MEAN, 1.0), (ONE, 1 - 1 / np.sqrt(3)), (WORST, 0.0)):
-        share = study.done.evidence[name].violations["torque"]
+        share = page.kept["evidence"][name].violations["torque"]
         assert share.estimate == pytest.approx(expected, abs=4.5 * np.sqrt(0.25 / share.samples))
     # They are counted between the instants.
-    assert {one.instants for one in study.done.evidence.values()} == {1171}
+    assert {one.instants for one in page.kept["evidence"].values()} == {1171}
     # A uniform distribution leaves 1 - a/√3 outside μ ± aσ, which lies below the target by the error of a count.
-    found, error = study.done.calibration, 4.5 * np.sqrt(TOLERATED / SMALL.calibration_samples)
-    assert TOLERATED - error < 1 - found.sigmas / np.sqrt(3) < TOLERATED
-    assert found.confirmed
-    assert study.done.plans["calibrated"] is found.solution
+    margin = page.kept["calibration"]
+    error = 4.5 * np.sqrt(TOLERATED / margin.chosen.violation.samples)
+    assert TOLERATED - error < 1 - margin.sigmas / np.sqrt(3) < TOLERATED
+    assert margin.confirmed
+    assert page.kept["plans"]["calibrated"] is margin.solution
 
 
-def test_the_design_to_build_holds_at_both_ends_of_the_distribution_and_its_price_is_told(study):
-    plan, printed = study.done.plans[WORST], study.done.plans[ONE]
+def test_the_design_to_build_holds_at_both_ends_of_the_distribution_and_its_price_is_told(page):
+    plan, printed = page.kept["plans"][WORST], page.kept["plans"][ONE]
     # Torques are straight lines in the payload, so that the ends of its distribution are their worst case.
     for end in (-1.0, 1.0):
         realised = realise(plan.problem.simulation, jnp.array([end]), jnp.asarray(plan.vector))
         torques = al.simulate(realised.system, realised.grid.finer(13), realised.inputs, only=TORQUES)
         assert max(np.max(np.abs(rows)) for rows in torques.values()) <= 10 * (1 + 2e-6)
-    said = study.verdict()
+    said = page.page().verdict
     assert (said.level, said.word) == ("good", "Build")
-    assert price(plan.objective, printed.objective, "s") in said.headline
-    assert study.done.evidence[WORST].joint.upper <= TOLERATED
+    assert f"Duration is {100 * (plan.objective / printed.objective - 1):.2g}\u202f% longer" in said.headline
+    assert page.kept["evidence"][WORST].joint.upper <= TOLERATED
 
 
-def test_a_family_follows_the_plan_and_its_extremes_are_those_of_a_finer_flight(study):
-    plan, family = study.done.plans[ONE], study.done.families[ONE]
+def test_random_systems_follow_the_plan_and_their_torques_are_affine_in_the_payload(page):
+    plan = page.kept["plans"][ONE]
+    family = al.simulate_systems(plan, 100, seed=2)
     np.testing.assert_allclose(np.ptp(family.systems["q1"], axis=0), 0.0, atol=1e-12)
-    np.testing.assert_allclose(family.nominal["q1"][[0, -1]], [START[0], TARGET[0]], atol=1e-9)
+    np.testing.assert_allclose(family.systems["q1"][0, [0, -1]], [START[0], TARGET[0]], atol=1e-9)
     _, tip = TwoLinkArm(payload=1.0).places(np.array(TARGET))
-    np.testing.assert_allclose([family.nominal[name][-1] for name in ("tip_x", "tip_y")], tip, atol=1e-9)
-    # The torque is affine in the payload, so that the nominal one is its mean.
+    np.testing.assert_allclose([family.systems[name][0, -1] for name in ("tip_x", "tip_y")], tip, atol=1e-9)
+    # The torque is affine in the payload, so that all systems lie on a line through the expansion's mean.
     moments, torques = plan.moments["q1_torque(t)"], family.systems["q1_torque"]
-    np.testing.assert_allclose(family.nominal["q1_torque"], moments.mean, atol=1e-9)
-    error = np.abs(torques.mean(axis=0) - moments.mean)
-    assert np.all(error <= 4.5 * moments.std / np.sqrt(len(torques)) + 1e-9)
-    finer = fly(plan.problem, plan.vector, SMALL.family, seed=2, finer=13)
-    for name in ("q2_torque", "gap_2"):
-        rows = finer.systems[name]
-        np.testing.assert_allclose(family.extremes[name], np.stack([rows.min(axis=1), rows.max(axis=1)], axis=1))
-        assert np.all(family.extremes[name][:, 0] <= family.systems[name].min(axis=1) + 1e-12)
-    assert np.any(family.extremes["q2_torque"][:, 1] > family.systems["q2_torque"].max(axis=1) + 1e-6)
+    (payload,) = family.numbers.values()
+    slope, nominal = np.polyfit(np.asarray(payload) - 1.0, torques, 1)
+    np.testing.assert_allclose(torques, nominal + np.outer(np.asarray(payload) - 1.0, slope), atol=1e-9)
+    np.testing.assert_allclose(nominal, moments.mean, atol=1e-9)
+    np.testing.assert_allclose(0.5 * np.abs(slope), moments.std, atol=1e-9)
 
 
-def test_the_page_shows_the_figures_of_the_chapter_and_the_numbers(study, tmp_path):
-    html = page_html(study.page())
+def test_the_page_shows_the_figures_of_the_chapter_and_the_numbers(page, tmp_path):
+    html = page_html(page.page())
     assert all(f"Figure {number}" in html for number in ("5.5", "5.6", "5.7"))
-    assert "Not reached" not in html
     assert html.count('"frames":[') == 2
-    assert study.done.calibration.sentence("payloads") in html
-    study.save(tmp_path)
+    assert page.kept["calibration"].sentence("payloads") in html
+    page.save(tmp_path)
     saved = json.loads((tmp_path / "designs.json").read_text(encoding="utf-8"))
-    assert saved[f"plans/{ONE}"]["objective"]["value"] == study.done.plans[ONE].objective
+    assert saved[f"plans/{ONE}"]["objective"]["value"] == page.kept["plans"][ONE].objective
 
 
-def test_a_search_that_was_cut_short_keeps_its_finished_starts_and_the_page_says_so(study, monkeypatch):
-    begun = load("pick-and-place-time", quick=True)
-    finished = study.done.searches[MEAN]
-    monkeypatch.setattr(al, "multistart", lambda *arguments, **options: replace(finished, interrupted=True))
+def test_a_search_that_was_cut_short_keeps_its_finished_starts_and_the_page_says_so(page, monkeypatch):
+    begun, plan = Draft(load("pick-and-place-time", quick=True)), page.kept["plans"][MEAN]
+    cut_short = al.results.Starts((plan, plan), interrupted=True)
+    monkeypatch.setattr(al, "multistart", lambda *arguments, **options: cut_short)
     with pytest.raises(KeyboardInterrupt):
-        begun.run("plans")
-    assert begun.done.plans == {MEAN: finished.best}
+        begun.fill()
+    assert begun.kept["plans"] == {MEAN: plan}
     html = page_html(begun.page())
-    assert "Not reached or not completed: plans" in html
-    assert f"{len(finished.solutions)} are finished and kept" in html
+    assert "The study was stopped early in 'The plans'" in html.replace("&#39;", "'").replace("&#x27;", "'")
+    assert "2 are finished and kept" in html
 
 
 @pytest.mark.parametrize(
@@ -170,7 +164,7 @@ def test_a_search_that_was_cut_short_keeps_its_finished_starts_and_the_page_says
     [
         ("pick-and-place-effort", ("5.2", "5.3"), "Build: "),
         # Its calibration takes minutes, and is left out.
-        ("swing-up", ("5.10", "5.11", "5.13", "5.14"), "Not calibrated: No design to build yet"),
+        ("swing-up", ("5.10", "5.11", "5.13", "5.14"), "Do not build yet: "),
     ],
 )
 def test_the_quick_run_writes_a_report_and_says_what_it_leaves_out(name, figures, verdict, tmp_path):
@@ -181,6 +175,5 @@ def test_the_quick_run_writes_a_report_and_says_what_it_leaves_out(name, figures
     assert "This was a quick run, without" in told
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert all(f"Figure {number}" in page for number in figures)
-    assert "Not reached" not in page
     saved = json.loads((tmp_path / "designs.json").read_text(encoding="utf-8"))
     assert {one["status"] for one in saved.values()} == {al.Status.SOLVED.value}

@@ -13,7 +13,7 @@ from aleator.studies.four_bar._study import linkage_drawing
 from aleator.studies.suspension import nominal, road
 from aleator.studies.suspension._drawing import car_drawing
 from aleator.studies.swing_up import DoublePendulum
-from aleator.studies.swing_up._study import pendulum_drawing
+from aleator.studies.swing_up._drawing import pendulum_drawing
 from aleator.studies.two_link_arm import OBSTACLE, TwoLinkArm
 from aleator.studies.two_link_arm._views import arm_drawing
 

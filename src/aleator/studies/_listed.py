@@ -122,15 +122,15 @@ STUDIES = {
     ),
     "pick-and-place-effort": Entry(
         "Two-link arm with an uncertain payload: least effort, least spread at the end (section 5.5.1)",
-        "aleator.studies.pick_and_place_effort._study:PickAndPlaceEffort",
+        "aleator.studies.pick_and_place_effort._chapter",
     ),
     "pick-and-place-time": Entry(
         "Two-link arm with an uncertain payload: least time, and the margin that it takes (section 5.5.2)",
-        "aleator.studies.pick_and_place_time._study:PickAndPlaceTime",
+        "aleator.studies.pick_and_place_time._chapter",
     ),
     "swing-up": Entry(
         "Double pendulum of uncertain mass, driven at one joint: swing-up of least energy (section 5.5.3)",
-        "aleator.studies.swing_up._study:SwingUp",
+        "aleator.studies.swing_up._chapter",
     ),
     "four-bar": Entry(
         "Straight-line linkage, a closed loop driven by its crank: robust lengths, and the cheapest tolerances",

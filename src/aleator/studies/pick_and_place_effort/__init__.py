@@ -90,9 +90,8 @@ def _problem(
 def on_target() -> list[al.Constraint]:
     """In the mean, the arm ends in the target posture, at rest."""
     posture = zip(("q1", "q2"), TARGET, strict=True)
-    return [al.terminal(name).mean.equals(angle) for name, angle in posture] + [
-        al.terminal(f"{name}_rate").mean.equals(0.0) for name in ("q1", "q2")
-    ]
+    ends = {**dict(posture), "q1_rate": 0.0, "q2_rate": 0.0}
+    return [al.terminal(name).mean.equals(end).named("target") for name, end in ends.items()]
 
 
 def start_torques(bend: float = 1.9) -> np.ndarray:

@@ -50,7 +50,7 @@ def robust_problem(
     """
     arm = TwoLinkArm(payload=PAYLOAD, obstacle=obstacle)
     plan = al.InverseDynamics(arm, motion=motion(free, guess))
-    torques = [al.path(name).within(-TORQUE, TORQUE, sigmas=sigmas) for name in arm.actuators]
+    torques = [al.path(name).within(-TORQUE, TORQUE, sigmas=sigmas).named("torque") for name in arm.actuators]
     return al.Problem(
         plan,
         grid=al.Grid(al.Decision(2.0, 0.5, 6.0), steps),

@@ -160,8 +160,8 @@ def _problem(
         grid=al.Grid(al.Decision(duration, 2.0, 8.0), STEPS),
         minimize=objective,
         subject_to=[
-            al.path("q1_torque").within(-TORQUE, TORQUE, sigmas=sigmas),
-            *(al.terminal(name).mean.equals(0.0) for name in ("q2", "q2_rate")),
+            al.path("q1_torque").within(-TORQUE, TORQUE, sigmas=sigmas).named("torque"),
+            *(al.terminal(name).mean.equals(0.0).named("upright") for name in ("q2", "q2_rate")),
             *limits,
             *(al.path(name).at_least(0.0, sigmas=sigmas) for name in gaps),
         ],

@@ -83,5 +83,6 @@ def clear_of_wall_and_obstacle(arm: TwoLinkArm, sigmas: float = 0.0) -> list[al.
     """Elbow and tip stay before the wall at x = 0, and both links clear of the obstacle, by `sigmas` standard
     deviations.
     """
-    kept = ["elbow_x", "tip_x"] + ([] if arm.obstacle is None else ["gap_1", "gap_2"])
-    return [al.path(name).at_least(0.0, sigmas=sigmas) for name in kept]
+    kept = {"elbow_x": "wall", "tip_x": "wall"}
+    kept |= {} if arm.obstacle is None else {"gap_1": "obstacle", "gap_2": "obstacle"}
+    return [al.path(name).at_least(0.0, sigmas=sigmas).named(limit) for name, limit in kept.items()]

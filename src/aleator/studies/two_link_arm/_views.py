@@ -1,55 +1,39 @@
-"""The two-link arm on pages: a drawing to scale, its joints, its surroundings, the names of its limits."""
+"""The two-link arm on pages: a drawing to scale, the arm among its surroundings."""
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 import aleator as al
-from aleator.reporting import Scene, Schematic, given, sketch
+from aleator.reporting import Code, Scene, Schematic, given, sketch
 from aleator.reporting.sketch import Point, View
-from aleator.studies._motion.results import Family
-from aleator.studies._motion.views import Outputs, linkage
+from aleator.studies._motion import Linkage
 from aleator.studies.two_link_arm import OBSTACLE, START, TARGET, TwoLinkArm
 
-TIP = (np.cos(TARGET[0]) + np.cos(sum(TARGET)), np.sin(TARGET[0]) + np.sin(sum(TARGET)))
-"""The target of the tip, m."""
-
-SCENE = Scene(((float(OBSTACLE.center[0]), float(OBSTACLE.center[1]), float(OBSTACLE.radius)),), wall=0.0)
-
-TOGETHER = {
-    "q1_torque": "torque",
-    "q2_torque": "torque",
-    "gap_1": "obstacle",
-    "gap_2": "obstacle",
-    "elbow_x": "wall",
-    "tip_x": "wall",
-    **dict.fromkeys(("q1", "q2", "q1_rate", "q2_rate"), "target"),
-}
-"""The names of the limits of the arm's problems, by their outputs."""
+ARM = Linkage(
+    elbow=lambda outputs: np.stack([outputs["elbow_x"], outputs["elbow_y"]], axis=-1),
+    posture=TARGET,
+    target=(np.cos(TARGET[0]) + np.cos(sum(TARGET)), np.sin(TARGET[0]) + np.sin(sum(TARGET))),
+    scene=Scene(((float(OBSTACLE.center[0]), float(OBSTACLE.center[1]), float(OBSTACLE.radius)),), wall=0.0),
+)
+TORQUES = {"τ₁": "q1_torque", "τ₂": "q2_torque"}
 
 WIDTH, MARGIN = 420.0, 34.0
 REACH = 250.0
 """Pixels along the longer path, that of both links."""
 
 
-def joints(outputs: Outputs) -> Float[np.ndarray, "... joints 2"]:
-    """Base, elbow and tip, m."""
-    return linkage(np.stack([outputs["elbow_x"], outputs["elbow_y"]], axis=-1), outputs)
-
-
-def touches(family: Family) -> Bool[np.ndarray, " systems"]:
-    """Which systems hit the obstacle or the wall at any time."""
-    kept = ("gap_1", "gap_2", "elbow_x", "tip_x")
-    return np.any([family.extremes[name][:, 0] < 0 for name in kept], axis=0)
+def touches(family: al.results.Motions) -> Bool[np.ndarray, " systems"]:
+    """Which systems hit the obstacle or the wall at an instant."""
+    return np.any([family.systems[name].min(axis=1) < 0 for name in ("gap_1", "gap_2", "elbow_x", "tip_x")], axis=0)
 
 
 def arm_drawing(arm: TwoLinkArm, start: Sequence[float] = START, target: Sequence[float] = TARGET) -> str:
     """The arm (with numbers for its lengths) at its start, solid, and at its target, dashed, as SVG."""
-    lengths = [_number(arm.length_1), _number(arm.length_2)]
+    lengths = [float(arm.length_1), float(arm.length_2)]  # pyright: ignore[reportArgumentType]
     scale = REACH / sum(lengths)
     heights = [float(place[1]) for q in (start, target) for place in arm.places(jnp.array(q))]
     top, bottom = max(heights), min(heights)
@@ -77,18 +61,15 @@ def arm_drawing(arm: TwoLinkArm, start: Sequence[float] = START, target: Sequenc
     return sketch.drawing(parts, width=WIDTH, height=height, title=title)
 
 
-def arm_schematic(payload: al.Uniform) -> Schematic:
-    """The drawing with its caption, for the page of a study."""
+def arm_schematic(payload: al.Uniform, problems: Mapping[str, al.Problem]) -> Schematic:
+    """The drawing with its caption, and the problems of a study beside it."""
     caption = (
         "To scale, seen from above: the arm at its start (solid) and at its target (dashed). Mass of the payload M in "
         f"kg: {payload}. Elbow and tip stay before the wall, both links clear of the obstacle."
     )
     drawing = arm_drawing(TwoLinkArm(payload=payload, obstacle=OBSTACLE))
-    return Schematic([drawing], "Two-link arm", caption, "5.1")
-
-
-def _number(value: Any) -> float:
-    return float(value)
+    texts = [Code(f"{name.capitalize()} plan as mathematics", str(problem)) for name, problem in problems.items()]
+    return Schematic([drawing], "Two-link arm", caption, "5.1", texts)
 
 
 def _posture(arm: TwoLinkArm, q: Sequence[float], at: View, kind: str, dash: str) -> list[str]:

@@ -1,0 +1,222 @@
+"""What the motion studies share: searches from several starts, a calibrated margin, tables and figures of plans.
+
+The margin of one standard deviation in the dissertation leaves a fifth to two fifths of the systems beyond a limit. So
+every study calibrates a margin until fresh systems confirm it for `TARGET`, counting all limits of the problem jointly.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+import aleator as al
+from aleator.journalling import kept
+from aleator.reporting import (
+    Code,
+    Drawing,
+    Scene,
+    Text,
+    Verdict,
+    bands_figure,
+    linkage_animation,
+    looks,
+    plane_figure,
+    recommendation,
+    words,
+)
+from aleator.studies._shared import signed
+from aleator.studies._study import Draft
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+TARGET = 0.01
+"""The share of systems that may break any limit."""
+
+CALIBRATED = "calibrated"
+
+TRIED = 1.6
+"""The margin at which the search starts: four in a hundred of a uniform distribution lie beyond it on one side."""
+
+SHADES = "Line: mean. Dark band: one σ to each side. Light band: from the minimum to the maximum over all systems."
+
+Outputs = Mapping[str, Float[np.ndarray, "..."]]
+
+
+# --- Plans ---------------------------------------------------------------------------------------------------------
+
+
+def search(page: Draft, name: str, problem: al.Problem, starts: int | Sequence[Mapping[str, Any]]) -> al.results.Starts:
+    """Solve for a plan from several starts and keep the best. Raises `SolveError` if none is solved."""
+    every = al.multistart(problem, starts, progress=lambda _, done, total: page.progress(name, done, total))
+    if every.best.ok:
+        page.keep("plans", {name: every.best})
+    if every.interrupted:
+        page.add(f"Of the starts of the search for '{name}', {len(every.solutions)} are finished and kept.")
+        raise KeyboardInterrupt
+    if not every.best.ok:
+        raise al.SolveError(f"{name}: {every.best.why()}", every.best)
+    return every
+
+
+def calibrated(page: Draft, problem: al.Problem, limits: Sequence[str], samples: int) -> al.results.Calibration:
+    """The margin at which at most `TARGET` of the systems break one of the limits."""
+    # Half a per cent of an objective is at stake between a = 1 and the worst case, so that precision brings little.
+    margin = al.calibrate(problem, limits, TARGET, samples=samples, precision=0.2, progress=page.progress)
+    page.keep("calibration", margin)
+    page.keep("plans", {CALIBRATED: margin.solution})
+    return margin
+
+
+def counted(
+    page: Draft, plans: Mapping[str, al.Solution], samples: int, margin: al.results.Calibration | None
+) -> dict[str, al.results.Evidence]:
+    """How often fresh systems break the limits of each plan; for a calibrated one this is known."""
+    evidence = {}
+    for name, plan in plans.items():
+        known = margin.evidence if margin is not None and name == CALIBRATED else None
+        evidence[name] = known or al.validate(plan, samples, seed=1, keep=25, progress=page.progress)
+        page.keep("evidence", {name: evidence[name]})
+    return evidence
+
+
+def flown(name: str, plan: al.Solution, systems: int, problem: al.Problem | None = None) -> al.results.Motions:
+    """A plan on random systems, those of another problem with the same decisions if it is given."""
+    at_design = replace(plan, problem=problem or plan.problem)
+    return kept(f"systems, {name}", al.simulate_systems, at_design, systems, seed=2)
+
+
+def to_build(
+    margin: al.results.Calibration | None, printed: al.Solution, evidence: al.results.Evidence, **said: Any
+) -> Verdict:
+    """The calibrated plan, or the `printed` one where no margin was calibrated.
+
+    All limits of a calibrated plan have to hold as often as those with a margin.
+    """
+    if margin is None:
+        return recommendation(printed, evidence, target=TARGET, **said)
+    shares = [one for one in (margin.confirmation, margin.evidence and margin.evidence.joint) if one is not None]
+    return recommendation(
+        margin.solution,
+        margin.evidence,
+        nominal=printed,
+        compared={"with the printed margin": evidence},
+        confirmation=max(shares, key=lambda one: one.upper, default=None),
+        target=margin.target,
+        **said,
+    )
+
+
+# --- Texts ---------------------------------------------------------------------------------------------------------
+
+
+def duration(plan: al.Solution) -> float:
+    """The duration of a plan, s."""
+    return float(plan.instants[-1])
+
+
+def optima(searches: Mapping[str, al.results.Starts]) -> list[Text | Code]:
+    """The local optima of each search."""
+    note = (
+        "The problem is not convex: each start leads to a local optimum nearby, or to none. The plan is the best of "
+        "them, but there may be a better one. Plans of equal objective, such as mirrored ones, count as one."
+    )
+    return [Text([note]), *(Code(name.capitalize(), str(search), opened=True) for name, search in searches.items())]
+
+
+def compared(printed: Mapping[str, float], ours: Mapping[str, float], what: str) -> str:
+    """Whether `what` agrees between plans of the same names, in a sentence; others are relative to the first plan.
+
+    Signs agree if every plan changes the first one's value in the same direction, orders if they are the same from
+    smallest to largest, sizes if the relative changes differ by at most a tenth of the published ones.
+    """
+    names = [name for name in printed if name in ours]
+    if len(names) < 2:
+        return ""
+    theirs, changes = (np.array([one[name] / one[names[0]] - 1 for name in names[1:]]) for one in (printed, ours))
+    agreement = {
+        "signs": bool(np.all(np.sign(theirs) == np.sign(changes))),
+        "order": sorted(names, key=printed.__getitem__) == sorted(names, key=ours.__getitem__),
+        "sizes": bool(np.all(np.abs(changes - theirs) <= 0.1 * np.abs(theirs))),
+    }
+    yes, no = ([one for one, agrees in agreement.items() if agrees is side] for side in (True, False))
+    parts = [f"{words(yes)} agree"] * bool(yes) + [f"{words(no)} do not{'' if yes else ' agree'}"] * bool(no)
+    listed = [
+        f"{name} {signed(one)} (published {signed(other)})"
+        for name, one, other in zip(names[1:], changes, theirs, strict=True)
+    ]
+    return f"Of {what}, {', '.join(parts)}: relative to {names[0]}, {words(listed)}."
+
+
+# --- Figures -------------------------------------------------------------------------------------------------------
+
+
+class Linkage(NamedTuple):
+    """Two links in the plane, with their fixed joint at the origin.
+
+    - `elbow`: its place from the outputs, m; `posture`, `target`: the joints' angles (rad) and the tip (m) at the end;
+    - `scene`: what stands around it.
+    """
+
+    elbow: Callable[[Outputs], Float[np.ndarray, "... 2"]]
+    posture: Sequence[float]
+    target: Sequence[float]
+    scene: Scene
+
+    def joints(self, outputs: Outputs) -> Float[np.ndarray, "... joints 2"]:
+        """Base, elbow and tip, m."""
+        tip = np.stack([outputs["tip_x"], outputs["tip_y"]], axis=-1)
+        return np.stack([np.zeros_like(tip), self.elbow(outputs), tip], axis=-2)
+
+    def animation(self, families: Mapping[str, al.results.Motions], every: Sequence[str], figure: str = "") -> Drawing:
+        """Plans on their systems, side by side; `every` are all plans of the study, which determines the colours."""
+        figures = [
+            linkage_animation(
+                np.asarray(one.times),
+                self.joints(one.systems),
+                self.joints(one.systems)[median(one)],
+                look=looks(every)[name],
+                scene=self.scene,
+                target=self.target,
+                title=name.capitalize(),
+            )
+            for name, one in families.items()
+        ]
+        caption = "Press play, or drag the slider. Thin: random systems under the same plan. Thick: the median one."
+        return Drawing(figures, "The plans in motion", caption, figure)
+
+    def paths(
+        self, name: str, family: al.results.Motions, broken: Bool[np.ndarray, " systems"], every: Sequence[str]
+    ) -> "Figure":
+        """The path of each system's tip, and which systems break a limit."""
+        tips, at, look = self.joints(family.systems)[..., -1, :], median(family), looks(every)[name]
+        around = {"scene": self.scene, "target": self.target}
+        return plane_figure(tips, tips[at], look=look, broken=broken, title=name.capitalize(), **around)
+
+    def histories(self, family: al.results.Motions) -> list["Figure"]:
+        """Both joints' angles and the place of the tip over time, with their targets."""
+        posture = {"q₁": float(self.posture[0]), "q₂": float(self.posture[1])}
+        target = {"x": float(self.target[0]), "y": float(self.target[1])}
+        return [
+            bands(family, {"q₁": "q1", "q₂": "q2"}, y="Joint angle", unit="rad", targets=posture, title="Joints"),
+            bands(family, {"x": "tip_x", "y": "tip_y"}, y="Place of the tip", unit="m", targets=target, title="Tip"),
+        ]
+
+
+def median(family: al.results.Motions) -> int:
+    """Which of the systems has the median of the one uncertain number."""
+    (numbers,) = family.numbers.values()
+    return int(np.argsort(numbers)[len(numbers) // 2])
+
+
+def bands(family: al.results.Motions, names: Mapping[str, str], **more: Any) -> "Figure":
+    """Outputs of all systems over time; `names` by their labels."""
+    rows = {label: family.systems[name] for label, name in names.items()}
+    return bands_figure(np.asarray(family.times), rows, **more)
+
+
+def torques_figure(family: al.results.Motions, names: Mapping[str, str], limit: float, title: str = "") -> "Figure":
+    """Torques over time, between their limits (N m)."""
+    return bands(family, names, y="Torque", unit="N m", limits=(-limit, limit), title=title)

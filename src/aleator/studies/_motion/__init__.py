@@ -1,1 +1,0 @@
-"""Common parts of the motion planning studies: stages, results and presentation."""
