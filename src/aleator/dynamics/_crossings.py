@@ -1,0 +1,378 @@
+"""Events of a realisation: steps that end where a function crosses zero, and grids that do.
+
+A step that meets an event is divided: up to the event, the jump, and the rest, which may meet others. Where the event
+is follows first from cubic Hermite interpolation of the function, without derivatives, then from corrections by the
+function over its rate. Each of these multiplies errors of the time and of its derivatives of any order by the order of
+the error of the step: what the crossing does to derivatives of later states (saltation) comes out by itself.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float, Int
+
+from aleator._core.compilation import Use, evaluate
+from aleator._core.equations import as_time
+from aleator.dynamics._evaluation import (
+    after_events,
+    completed,
+    derivative,
+    event_levels,
+    initial_state,
+    observation,
+    variables_of,
+)
+from aleator.dynamics._grid import Grid, Inputs, inputs_on
+from aleator.dynamics._newton import listed, numbers_in
+from aleator.dynamics._record import ONLY_STATES, STATES, Asked, Occurrence, Record
+from aleator.dynamics._steps import Steps, signals_within, steps_of
+from aleator.dynamics._system import System, state_type
+from aleator.dynamics._tableaux import Tableau, square
+
+# Halvings of a step in which an event is sought, and corrections of its time after that.
+_HALVED, _CORRECTIONS = 20, 4
+# Passes that correct the end of a grid.
+_PASSES = 5
+# A correction that is a smaller part of a step, or of the time, is rounding. Sides of zero look ahead by as much.
+_CLOSE = 1e-9
+# A jump that leaves a smaller part of the rate of an event leaves it where it is.
+_LEAST = 1e-6
+# The most events in one step.
+_MOST = 12
+# What may go wrong.
+_LOST, _MANY, _AT_START, _TOGETHER, _STAYS = range(1, 6)
+
+Vector = Float[Array, " n"]
+
+
+class Seen(NamedTuple):
+    """The first of each event that is looked for: when, s, and states and signals then; NaN before."""
+
+    t: Float[Array, " events"]
+    states: Float[Array, "events states"]
+    signals: dict[str, Float[Array, "events ..."]]
+
+
+class Fault(NamedTuple):
+    """The first thing that went wrong: what (0: nothing), with which event, and when, s."""
+
+    kind: Int[Array, ""]
+    event: Int[Array, ""]
+    t: Float[Array, ""]
+
+
+class Course(NamedTuple):
+    """The integration of all steps of a grid; `places`: where its instants are among their beginnings."""
+
+    record: Record
+    places: Int[Any, " instants"]
+    seen: Seen
+    fault: Fault
+
+
+class _State(NamedTuple):
+    """How far the integration of one step of the grid is.
+
+    - `vector`: all that is integrated, at the share `begin` of the step; `target`: the share to integrate to;
+    - `phase`: 0 on the way to the end of the step, then the number of the correction of the time of `event`;
+    - `speed`: the magnitude of the rate of the last event in this step; `left`: how many more there may be;
+    - `goes_on`: whether the step is not finished.
+    """
+
+    vector: Vector
+    begin: Float[Array, ""]
+    target: Float[Array, ""]
+    phase: Int[Array, ""]
+    event: Int[Array, ""]
+    speed: Float[Array, ""]
+    left: Int[Array, ""]
+    goes_on: Bool[Array, ""]
+    seen: Seen
+    fault: Fault
+
+
+def course(
+    tableau: Tableau,
+    system: System,
+    grid: Grid,
+    inputs: Inputs,
+    asked: Asked,
+    names: tuple[str, ...],
+) -> Course:
+    """The record of all steps, which end at the events `names` too; NaN from a fault on."""
+    steps, places = steps_of(grid, inputs, [])
+    t, now = steps.t[0], {name: values[places[0]] for name, values in steps.first.items()}
+    start = initial_state(system, t, now)
+    vector, named = ravel_pytree(((*start,), _zeros(jax.eval_shape(lambda: asked.rates(system, t, start, now)))))
+    size = sum(map(jnp.size, start))
+    every = list(system.events)
+    which = np.array([every.index(name) for name in names])
+    directions = jnp.asarray([system.events[name].direction for name in names])
+
+    def states_of(vector: Vector) -> Any:
+        return state_type(system.states)(*named(vector)[0])
+
+    def advance(carried: tuple[Vector, Seen, Fault], step: Steps) -> tuple[Any, dict[str, Array]]:
+        vector, seen, fault = carried
+        signals = signals_within(grid, inputs, step)
+
+        def rates(share: Any, vector: Vector) -> Vector:
+            """By the share of the step."""
+            t, u = as_time(step.t + share * step.h), signals(share)
+            z = completed(system, t, states_of(vector), u)
+            return step.h * ravel_pytree(asked.slopes(system, t, z, u))[0]
+
+        def levels(share: Any, vector: Vector) -> Float[Array, " events"]:
+            return event_levels(system, step.t + share * step.h, states_of(vector), signals(share))[which]
+
+        def after(share: Any, vector: Vector) -> Float[Array, "events n"]:
+            states = after_events(system, step.t + share * step.h, states_of(vector), signals(share))[which]
+            return jax.vmap(lambda one: jnp.concatenate([one, vector[size:]]))(states)
+
+        def moved(state: _State) -> _State:
+            return _moved(state, step, tableau, rates, levels, after, directions, signals, size)
+
+        outputs = asked.at_instant(system, step.t, states_of(vector), step.first)
+        zero, none = jnp.zeros(()), jnp.zeros((), dtype=int)
+        begin = _State(vector, zero, zero + 1, none, none, zero, none + _MOST, fault.kind == 0, seen, fault)
+        end = jax.lax.while_loop(lambda state: state.goes_on, moved, begin)
+        return (end.vector, end.seen, end.fault), outputs
+
+    nothing = jnp.full(len(names), jnp.nan)
+    signals = {name: jnp.full((len(names), *jnp.shape(one)), jnp.nan) for name, one in now.items()}
+    seen = Seen(nothing, jnp.full((len(names), size), jnp.nan), signals)
+    fault = Fault(jnp.zeros((), dtype=int), jnp.zeros((), dtype=int), jnp.asarray(jnp.nan))
+    (end, seen, fault), history = jax.lax.scan(advance, (vector, seen, fault), steps)
+    wanted = sorted(set(names) & asked.events)
+    at = jax.tree.map(lambda one: one[np.array([names.index(name) for name in wanted], dtype=int)], seen)
+
+    def outputs(t: Array, states: Vector, now: dict[str, Array]) -> dict[str, Array]:
+        return observation(system, t, variables_of(system, named(jnp.concatenate([states, end[size:]]))[0]), now)
+
+    values = jax.vmap(outputs)(*at) if wanted and asked.at_events else {}
+    each = (Occurrence(at.t[i], {name: one[i] for name, one in values.items()}) for i in range(len(wanted)))
+    record = Record(history, {}, named(end)[1], events=dict(zip(wanted, each, strict=True)))
+    is_known = ~jnp.isnan(at.t).any()
+    return Course(jax.tree.map(lambda one: jnp.where(is_known, one, jnp.nan), record), places, seen, fault)
+
+
+def _moved(
+    state: _State,
+    step: Steps,
+    tableau: Tableau,
+    rates: Callable[[Any, Vector], Vector],
+    levels: Callable[[Any, Vector], Float[Array, " events"]],
+    after: Callable[[Any, Vector], Float[Array, "events n"]],
+    directions: Int[Array, " events"],
+    signals: Callable[[Any], dict[str, Array]],
+    size: int,
+) -> _State:
+    """One step of the method further: to the end of the step of the grid, or to where an event should be."""
+    vector, begin, target = state.vector, state.begin, state.target
+    end, first, last = _run(tableau, rates, begin, target - begin, vector)
+    ends = jnp.stack([begin, target]), jnp.stack([vector, end])
+
+    def level_and_rate(share: Array, vector: Vector, slope: Vector) -> tuple[Array, Array]:
+        return jax.jvp(levels, (share, vector), (jnp.ones(()), slope))
+
+    (level, level_at), (rate, rate_at) = jax.vmap(level_and_rate)(*ends, jnp.stack([first, last]))
+    # On the side of zero are those that will be there in a moment: so a start on the ground is no landing.
+    side, side_at = level + _CLOSE * rate >= 0, level_at + _CLOSE * rate_at >= 0
+    heads = (directions == 0) | (directions == jnp.where(side_at, 1, -1))
+    crosses = (side != side_at) & heads & jnp.isfinite(level_at)
+
+    parts = jnp.where(crosses, _crossing(side, level, rate, level_at, rate_at, target - begin), jnp.inf)
+    event = jnp.where(state.phase == 0, jnp.argmin(parts), state.event)
+    correction = level_at[event] / rate_at[event]
+
+    is_whole, lands = state.phase == 0, state.phase == _CORRECTIONS + 1
+    meets, place = crosses.any(), begin + parts[event] * (target - begin)
+    others = jnp.arange(level.size) != event
+    near, falls = jnp.abs(level_at) <= _CLOSE * jnp.abs(rate_at), (directions == 0) | (directions * rate_at > 0)
+    stood = (jnp.abs(level) <= _CLOSE * jnp.abs(rate)) & (directions * rate > 0)
+    stays = (jnp.abs(level) <= _CLOSE * state.speed) & ~(jnp.abs(rate) > _LEAST * state.speed)
+    is_first = is_whole & (step.begin == 0) & (begin == 0) & (state.left == _MOST)
+    is_off = ~(jnp.abs(correction) <= _CLOSE) | (target < begin - _CLOSE) | (target > 1 + _CLOSE)
+    kind = jnp.select(
+        [
+            is_first & stood.any(),
+            is_whole & (begin < 1) & (state.left < _MOST) & stays[state.event],
+            is_whole & meets & (state.left == 0),
+            lands & is_off,
+            lands & (others & near & falls).any(),
+        ],
+        [_AT_START, _STAYS, _MANY, _LOST, _TOGETHER],
+        0,
+    )
+    which = jnp.where(kind == _AT_START, jnp.argmax(stood), jnp.where(kind == _STAYS, state.event, event))
+    t = step.t + target * step.h
+    fault = jax.tree.map(
+        lambda old, new: jnp.where(kind > 0, new, old),
+        state.fault,
+        Fault(kind, which, jnp.where(is_whole, step.t + begin * step.h, t)),
+    )
+    is_new = lands & (jnp.arange(level.size) == event) & jnp.isnan(state.seen.t)
+    seen = jax.tree.map(
+        lambda old, new: jnp.where(is_new.reshape(-1, *[1] * (old.ndim - 1)), new, old),
+        state.seen,
+        Seen(t, end[:size], signals(target)),
+    )
+    is_finished = is_whole & ~meets
+    onward = jnp.where(is_finished, end, jnp.where(lands, after(target, end)[event], vector))
+    return _State(
+        jnp.where(kind > 0, jnp.nan, onward),
+        jnp.where(lands, target, begin),
+        jnp.where(is_whole, jnp.where(meets, place, target), jnp.where(lands, 1.0, target - correction)),
+        jnp.where(lands | is_finished, 0, state.phase + 1),
+        event,
+        jnp.where(lands, jnp.abs(rate_at[event]), state.speed),
+        state.left - lands,
+        ~(is_finished | (kind > 0)),
+        seen,
+        fault,
+    )
+
+
+def _crossing(side: Array, level: Array, rate: Array, level_at: Array, rate_at: Array, length: Array) -> Array:
+    """Where levels that end on the other `side` of zero in an interval cross it, as a part of it: without derivatives.
+
+    By cubic Hermite interpolation, which is as accurate as a step of fourth order.
+    """
+    level, rise, level_at, rise_at = stop_gradient((level, rate * length, level_at, rate_at * length))
+
+    def halved(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = ends
+        c = (low + high) / 2
+        d = 1 - c
+        middle = d * d * ((1 + 2 * c) * level + c * rise) + c * c * ((1 + 2 * d) * level_at - d * rise_at)
+        is_before = (middle >= 0) != side
+        return jnp.where(is_before, low, c), jnp.where(is_before, c, high)
+
+    return jax.lax.fori_loop(0, _HALVED, halved, (jnp.zeros_like(level), jnp.ones_like(level)))[1]
+
+
+def _run(
+    tableau: Tableau, rates: Callable[[Any, Vector], Vector], begin: Any, share: Any, vector: Vector
+) -> tuple[Vector, Vector, Vector]:
+    """The end of one step of the method, and the rates at its beginning and end."""
+    # The last stage is at the end, so that rates are compiled once.
+    couplings = jnp.asarray(square((*tableau.couplings, tableau.weights)))
+    rows = jnp.arange(len(couplings)), jnp.asarray([*tableau.nodes, 1.0]), couplings
+
+    def stage(stages: Array, row: tuple[Array, Array, Array]) -> tuple[Array, None]:
+        index, node, coupling = row
+        slope = rates(begin + node * share, vector + share * (coupling @ stages))
+        return jax.lax.dynamic_update_index_in_dim(stages, slope, index, 0), None
+
+    stages, _ = jax.lax.scan(stage, jnp.zeros((len(couplings), vector.size)), rows)
+    return vector + share * (couplings[-1] @ stages), stages[0], stages[-1]
+
+
+def _zeros(shapes: Any) -> Any:
+    return jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), shapes)
+
+
+def watched(system: System, grid: Grid, events: frozenset[str]) -> tuple[str, ...]:
+    """The events at which steps have to end: those with a jump, and those asked for; not the one that ends the grid."""
+    return tuple(
+        name
+        for name, event in system.events.items()
+        if name != grid.until and (event.jump is not None or name in events)
+    )
+
+
+def needed(system: System, grid: Grid, events: frozenset[str]) -> tuple[str, ...]:
+    """The same with the event that ends the grid, last."""
+    return (*watched(system, grid, events), *([] if grid.until is None else [grid.until]))
+
+
+def ended(record: Callable[[System, Grid, Inputs, Asked], Record], system: System, grid: Grid, inputs: Inputs) -> Grid:
+    """The grid of a realisation that ends at the event `until`; its end is NaN where that does not happen.
+
+    - `record`: that of an integrator; `inputs`: known on the whole grid, the system's own signals among them.
+
+    A first pass on the whole grid tells about when the event happens, without derivatives. Passes over the grid that
+    ends there correct the time, so that the function of the event vanishes at the last instant to rounding.
+    """
+    assert grid.until is not None
+    where, direction = list(system.events).index(grid.until), system.events[grid.until].direction
+    start = initial_state(system, grid.t_start, inputs_on(grid, inputs)(grid.t_start))
+    named = ravel_pytree(start)[1]
+
+    def passed(state: tuple[Array, Array], is_first: Array) -> tuple[tuple[Array, Array], None]:
+        end, _ = state
+        one = grid.ending(end)
+        now = inputs_on(one, inputs)
+
+        def level_and_rate(t: Array, row: Vector) -> tuple[Array, Array]:
+            z, u = named(row), now(t)
+            slopes = jnp.ones(()), derivative(system, t, z, u)
+            return jax.jvp(lambda t, z: event_levels(system, t, z, now(t))[where], (t, z), slopes)
+
+        level, rate = jax.vmap(level_and_rate)(one.times, record(system, one, inputs, ONLY_STATES).history[STATES])
+        side = level + _CLOSE * one.step * rate >= 0
+        heads = (direction == 0) | (direction == jnp.where(side[1:], 1, -1))
+        crosses = (side[1:] != side[:-1]) & heads & jnp.isfinite(level[1:])
+        stood = (jnp.abs(level[0]) <= _CLOSE * one.step * jnp.abs(rate[0])) & (direction * rate[0] > 0)
+        part = _crossing(side[:-1], level[:-1], rate[:-1], level[1:], rate[1:], jnp.asarray(one.step))
+        k = jnp.argmax(crosses)
+        sought = jnp.where(crosses.any() & ~stood, one.times[k] + part[k] * stop_gradient(one.step), jnp.nan)
+        correction = jnp.where(is_first, 0.0, level[-1] / rate[-1])
+        return (jnp.where(is_first, stop_gradient(sought), end - correction), correction), None
+
+    is_first = np.arange(1 + _PASSES) == 0
+    (t_final, correction), _ = jax.lax.scan(passed, (jnp.asarray(grid.t_final), jnp.zeros(())), is_first)
+    is_close = jnp.abs(correction) <= _CLOSE * (t_final - grid.t_start)
+    return grid.ending(jnp.where(is_close, t_final, jnp.nan))
+
+
+def explain_events(tableau: Tableau, system: System, grid: Grid, inputs: Inputs, events: frozenset[str]) -> str:
+    """Why an event that is needed is not found in a realisation, with its numbers; empty if all are."""
+    names = needed(system, grid, events)
+    if not names:
+        return ""
+    one = evaluate(lambda: course(tableau, system, grid, inputs, Asked(frozenset()), names), use=Use.ONCE)
+    numbers = listed(numbers_in(system))
+    who = f"{system.title}{f' with {numbers}' if numbers else ''}"
+    fault, times = one.fault, dict(zip(names, np.asarray(one.seen.t), strict=True))
+    if int(fault.kind) > 0 and not float(fault.t) > times.get(grid.until or "", np.inf):
+        return f"{who} {_FAULTS[int(fault.kind)].format(name=names[int(fault.event)], t=float(fault.t))}"
+    never = [name for name, t in times.items() if np.isnan(t)]
+    span = f"from {float(grid.t_start):.4g} to {float(grid.t_final):.4g} s"
+    if grid.until in never:
+        return (
+            f"{who} never meets '{grid.until}', at which its grid ends, {span}: raise at_most, or bound the "
+            "distributions and decisions that lead past it."
+        )
+    if missing := [name for name in never if name in events]:
+        return f"{who} never meets '{missing[0]}', which is asked for by al.at, {span}."
+    return ""
+
+
+_FAULTS = {
+    _LOST: (
+        "meets '{name}' at about t = {t:.4g} s, but its function touches zero there with next to no rate, or steps are "
+        "too long to find where. Take more steps, or bound what leads there."
+    ),
+    _MANY: (
+        "meets '{name}' again and again within one step, at about t = {t:.4g} s. Infinitely many events in a finite "
+        "time have no simulation: end the grid before, or let al.Grid(until=...) end it at another event."
+    ),
+    _AT_START: (
+        "starts at '{name}', at t = {t:.4g} s, and moves on through it. Start on one side of it, or choose the other "
+        "direction."
+    ),
+    _TOGETHER: (
+        "meets '{name}' and another event at the same time, t = {t:.4g} s, where their order decides. Make one event "
+        "of both, or let them happen one after the other."
+    ),
+    _STAYS: (
+        "stays at '{name}' after t = {t:.4g} s: its jump leaves the rate of the function at zero. Let the jump lead "
+        "away from it, or end the grid there, al.Grid(until='{name}', ...)."
+    ),
+}
