@@ -71,10 +71,9 @@ class Grid(AbstractGrid):
         until: str | None = None,
         at_most: float | None = None,
     ):
-        self.until, self.steps = until, _steps(steps)
         if until is not None or at_most is not None:
             at_most = t_final = _latest(t_final, until, at_most)
-        self.at_most = at_most
+        self.until, self.at_most, self.steps = until, at_most, _steps(steps)
         t_final, t_start = _scalar(t_final), _scalar(t_start)
         free = _is_decided(t_final)
         earliest: Any = lowest(t_final) if free else t_final
