@@ -336,3 +336,31 @@ class Rows(al.System):
 def test_states_that_are_arrays_jump():
     history = al.simulate(Rows(jnp.array([1.0, 3.0])), al.Grid(0.9, 7))
     assert np.asarray(history["q"][-1]) == pytest.approx([0.5 - 0.8, 1.5 - 2.4], abs=1e-13)
+
+
+class Hanging(al.Lagrangian):
+    """A mass on a spring, above a stop."""
+
+    coordinates = ("height",)
+    k: al.Number = 4.0
+    e: al.Number = 0.5
+    events: ClassVar = {
+        "stop": al.Event(lambda self, t, z: z.q[0] + 0.5, direction=-1, jump=lambda self, t, z: {"v": -self.e * z.v})
+    }
+
+    def kinetic_energy(self, q, v):
+        return 0.5 * v[0] ** 2
+
+    def potential_energy(self, q):
+        return 0.5 * self.k * q[0] ** 2
+
+
+def test_a_mechanical_model_has_events_in_forward_dynamics_alone():
+    # cos 2t from 1 reaches -1/2 at 2t = 2 pi / 3 with the rate -sqrt 3; then it goes on from there.
+    grid, hit = al.Grid(1.5, 150), np.pi / 3
+    history = al.simulate(al.ForwardDynamics(Hanging(), start={"height": 1.0}), grid)
+    after = 2 * (1.5 - hit)
+    right = -0.5 * np.cos(after) + 0.25 * np.sqrt(3) * np.sin(after)
+    assert float(history["height"][-1]) == pytest.approx(right, abs=1e-8)
+    prescribed = al.InverseDynamics(Hanging(), motion={"height": al.PowerSeries(start=(1.0,), end=(-1.0,))})
+    assert np.isfinite(al.simulate(prescribed, grid)["height"]).all()

@@ -110,9 +110,9 @@ def course(
     start = initial_state(system, t, now)
     vector, named = ravel_pytree(((*start,), _zeros(jax.eval_shape(lambda: asked.rates(system, t, start, now)))))
     size = sum(map(jnp.size, start))
-    every = list(system.events)
+    every = list(system.declared_events)
     which = np.array([every.index(name) for name in names])
-    directions = jnp.asarray([system.events[name].direction for name in names])
+    directions = jnp.asarray([system.declared_events[name].direction for name in names])
 
     def states_of(vector: Vector) -> Any:
         return state_type(system.states)(*named(vector)[0])
@@ -281,7 +281,7 @@ def watched(system: System, grid: Grid, events: frozenset[str]) -> tuple[str, ..
     """The events at which steps have to end: those with a jump, and those asked for; not the one that ends the grid."""
     return tuple(
         name
-        for name, event in system.events.items()
+        for name, event in system.declared_events.items()
         if name != grid.until and (event.jump is not None or name in events)
     )
 
@@ -300,7 +300,7 @@ def ended(record: Callable[[System, Grid, Inputs, Asked], Record], system: Syste
     ends there correct the time, so that the function of the event vanishes at the last instant to rounding.
     """
     assert grid.until is not None
-    where, direction = list(system.events).index(grid.until), system.events[grid.until].direction
+    where, direction = list(system.declared_events).index(grid.until), system.declared_events[grid.until].direction
     start = initial_state(system, grid.t_start, inputs_on(grid, inputs)(grid.t_start))
     named = ravel_pytree(start)[1]
 

@@ -94,7 +94,7 @@ class Equations:
             assert isinstance(system, System)
             assert start is not None
             functions, names = _dynamical(system, start), [system.states, system.algebraic, tuple(start.inputs)]
-            names += [(name, event.direction) for name, event in system.events.items()]
+            names += [(name, event.direction) for name, event in system.declared_events.items()]
         # Equations speak of numbers by their order alone.
         parts = {name: digest_of(one.closed) for name, one in functions.items()}
         return cls(
@@ -177,7 +177,7 @@ def _dynamical(system: System, start: Start) -> dict[str, TracedFunction]:
         functions["guess"] = TracedFunction(guessed_algebraic, system, start.t, z, start.inputs)
         z = with_algebraic(system, z, functions["guess"](system, start.t, z, start.inputs))
         functions["residual"] = TracedFunction(algebraic_residuals, system, start.t, z, start.inputs)
-    if system.events:
+    if system.declared_events:
         functions["levels"] = TracedFunction(event_levels, system, start.t, z, start.inputs)
         functions["after"] = TracedFunction(after_events, system, start.t, z, start.inputs)
     return functions | {"instant": TracedFunction(_instant, system, start.t, z, start.inputs)}
@@ -248,8 +248,8 @@ class TracedSystem(System):
 
     @property
     @override
-    def events(self) -> Mapping[str, Event]:  # type: ignore[override]
-        return self.system.events
+    def declared_events(self) -> Mapping[str, Event]:
+        return self.system.declared_events
 
     @override
     def event_levels(self, t: Any, z: Any, *args: Any, **inputs: Any) -> Float[Array, " events"]:

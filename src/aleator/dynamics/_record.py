@@ -4,7 +4,6 @@ depend only on the inputs there.
 
 import math
 from collections.abc import Callable, Collection, Mapping
-from types import MappingProxyType
 from typing import Any, NamedTuple, TypeAlias, final
 
 import equinox as eqx
@@ -139,7 +138,7 @@ class Record(NamedTuple):
     nodes: History
     integrals: tuple[Float[Array, "..."], ...]
     folded: Any = ()
-    events: Mapping[str, Occurrence] = MappingProxyType({})
+    events: dict[str, Occurrence] | None = None
     grid: Any = None
 
     @property

@@ -84,7 +84,7 @@ class Simulation(Module):
         instants = None if asked.instants is None else asked.instants | asked.at_events
         record = self.integrator.record(system, grid, inputs, asked._replace(instants=instants))
         end = Occurrence(jnp.asarray(grid.t_final), {name: values[-1] for name, values in record.history.items()})
-        return record._replace(grid=grid, events={**record.events, grid.until: end})
+        return record._replace(grid=grid, events={**(record.events or {}), grid.until: end})
 
     def realised(self, system: System) -> tuple[Grid, Inputs]:
         """The grid of the realisation, which may end by an event, and its signals: the system's own ones, too."""
@@ -229,8 +229,8 @@ def simulation_of(
 
 def refuse_unknown_event(system: System, name: str | None) -> None:
     """Raise `ProblemError` for the name of an event that a system does not have."""
-    if name is not None and name not in system.events:
-        known = list(system.events)
+    if name is not None and name not in system.declared_events:
+        known = list(system.declared_events)
         remedy = meant(name, known) if known else " Write events = {...: al.Event(...)} in the class."
         raise ProblemError(f"{system.title} has no event '{name}'; expected one of {known}.{remedy}")
 

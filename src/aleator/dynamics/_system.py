@@ -127,13 +127,19 @@ class System(AbstractSystem):
         del args, kwargs
         return {}
 
+    @property
+    def declared_events(self) -> Mapping[str, Event]:
+        """Its events; those of the model that it formulates, whose functions take that, if it has states."""
+        events = getattr(self.formulated, "events", {})
+        return events if self.states or self.formulated is self else {}
+
     def event_levels(self, t: Any, z: Any, *args: Any, **inputs: Any) -> Float[Array, " events"]:
         """The functions of all events, in order; an event is where one crosses zero."""
         del args
         levels = []
-        for name, event in self.events.items():
+        for name, event in self.declared_events.items():
             who = f"{self.title}.events['{name}']"
-            level = traceable(who, evaluated(self, MethodType(event.function, self), t, z, inputs, who))
+            level = traceable(who, evaluated(self, MethodType(event.function, self.formulated), t, z, inputs, who))
             if level.shape != ():
                 raise ProblemError(f"{who}: expected one number that crosses zero; received shape {level.shape}.")
             levels.append(level)
@@ -142,11 +148,11 @@ class System(AbstractSystem):
     def after_events(self, t: Any, z: Any, *args: Any, **inputs: Any) -> Float[Array, "events states"]:
         """The states side by side after each event, if it happened now."""
         del args
-        return jnp.stack([self._after(name, event, t, z, inputs) for name, event in self.events.items()])
+        return jnp.stack([self._after(name, event, t, z, inputs) for name, event in self.declared_events.items()])
 
     def _after(self, name: str, event: Event, t: Any, z: Any, inputs: dict[str, Any]) -> Float[Array, " states"]:
         who, values = f"{self.title}.events['{name}'].jump", {one: getattr(z, one) for one in self.states}
-        jump = {} if event.jump is None else evaluated(self, MethodType(event.jump, self), t, z, inputs, who)
+        jump = {} if event.jump is None else evaluated(self, MethodType(event.jump, self.formulated), t, z, inputs, who)
         if not isinstance(jump, Mapping) or not set(jump) <= set(values):
             raise ProblemError(
                 f"{who}: expected new values by the names of some of the states {self.states}, as a dict; "
@@ -267,7 +273,9 @@ def _inputs_of(method: Callable[..., Any]) -> _Inputs:
 def _methods(system: System) -> list[Callable[..., Any]]:
     """The methods that a system writes with inputs among their arguments."""
     further = [getattr(system, name) for name in _IMPLICIT if _writes(system, name)]
-    functions = (one for event in system.events.values() for one in (event.function, event.jump) if one is not None)
+    functions = (
+        one for event in system.declared_events.values() for one in (event.function, event.jump) if one is not None
+    )
     return [system.rhs, system.outputs, *further, *(MethodType(one, system) for one in functions)]
 
 
@@ -287,7 +295,7 @@ def check_variables(system: System) -> None:
     for names in (system.states, system.algebraic):
         state_type(names)
     state_type((*system.states, *system.algebraic))
-    events = system.events
+    events = system.declared_events
     if not (isinstance(events, Mapping) and all(isinstance(one, Event) for one in events.values())):
         raise refusal(f"{name}.events", "events by name, such as {'floor': al.Event(...)}", events)
     if events and not system.states:
