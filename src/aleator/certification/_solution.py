@@ -270,9 +270,9 @@ def diagnose(transcribed: AbstractTranscribed, decisions: Float[np.ndarray, " n"
     realised = min(len(uncertain), MOST_NUMBERS - min(len(numbers), 2))
     place = f"collocation point {point + 1} of {count}" if point < count else "a scenario of the worst case"
     finite = [np.isfinite(values).all(axis=tuple(range(1, values.ndim))) for values in outputs.values()]
-    if (failed := int(np.sum(~np.all(finite, axis=0)))) > 1:
-        place += f", one of {failed} that fail"
-    who = f"{place} ({system_text(uncertain, realised)})" if uncertain else ""
+    failed = int(np.sum(~np.all(finite, axis=0)))
+    share = f", one of {failed} that fail" if failed > 1 else ""
+    who = f"{place} ({system_text(uncertain, realised)}){share}" if uncertain else ""
     where = f"The decisions are {system_text(numbers, MOST_NUMBERS - realised)}."
     if reason := unsolved(transcribed.problem, germ, x):
         return f"{reason.rstrip('.')}.{who and f' This is {who}.'} {where}"
