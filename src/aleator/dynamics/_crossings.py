@@ -75,6 +75,17 @@ class Course(NamedTuple):
     fault: Fault
 
 
+class _Functions(NamedTuple):
+    """What is said at a share of a step of the grid, and a vector there: the rates by this share, the functions of the
+    events, and the vectors after each of these; the signals follow from the share alone.
+    """
+
+    rates: Callable[[Any, Vector], Vector]
+    levels: Callable[[Any, Vector], Float[Array, " events"]]
+    after: Callable[[Any, Vector], Float[Array, "events n"]]
+    signals: Callable[[Any], dict[str, Array]]
+
+
 class _State(NamedTuple):
     """How far the integration of one step of the grid is.
 
@@ -134,19 +145,19 @@ def course(
             states = after_events(system, step.t + share * step.h, states_of(vector), signals(share))[which]
             return jax.vmap(lambda one: jnp.concatenate([one, vector[size:]]))(states)
 
-        def moved(state: _State) -> _State:
-            return _moved(state, step, tableau, rates, levels, after, directions, signals, size)
-
+        functions = _Functions(rates, levels, after, signals)
         outputs = asked.at_instant(system, step.t, states_of(vector), step.first)
-        zero, none = jnp.zeros(()), jnp.zeros((), dtype=int)
+        zero, none = _nothing(vector)
         begin = _State(vector, zero, zero + 1, none, none, zero, none + _MOST, fault.kind == 0, seen, fault)
-        end = jax.lax.while_loop(lambda state: state.goes_on, moved, begin)
+        end = jax.lax.while_loop(
+            lambda state: state.goes_on, lambda state: _moved(tableau, step, functions, directions, state), begin
+        )
         return (end.vector, end.seen, end.fault), outputs
 
-    nothing = jnp.full(len(names), jnp.nan)
-    signals = {name: jnp.full((len(names), *jnp.shape(one)), jnp.nan) for name, one in now.items()}
-    seen = Seen(nothing, jnp.full((len(names), size), jnp.nan), signals)
-    fault = Fault(jnp.zeros((), dtype=int), jnp.zeros((), dtype=int), jnp.asarray(jnp.nan))
+    zero, none = _nothing(vector)
+    signals = {name: zero + jnp.full((len(names), *jnp.shape(one)), jnp.nan) for name, one in now.items()}
+    seen = Seen(zero + jnp.full(len(names), jnp.nan), zero + jnp.full((len(names), size), jnp.nan), signals)
+    fault = Fault(none, none, zero + jnp.nan)
     (end, seen, fault), history = jax.lax.scan(advance, (vector, seen, fault), steps)
     wanted = sorted(set(names) & asked.events)
     at = jax.tree.map(lambda one: one[np.array([names.index(name) for name in wanted], dtype=int)], seen)
@@ -162,80 +173,81 @@ def course(
 
 
 def _moved(
-    state: _State,
-    step: Steps,
-    tableau: Tableau,
-    rates: Callable[[Any, Vector], Vector],
-    levels: Callable[[Any, Vector], Float[Array, " events"]],
-    after: Callable[[Any, Vector], Float[Array, "events n"]],
-    directions: Int[Array, " events"],
-    signals: Callable[[Any], dict[str, Array]],
-    size: int,
+    tableau: Tableau, step: Steps, functions: _Functions, directions: Int[Array, " events"], state: _State
 ) -> _State:
     """One step of the method further: to the end of the step of the grid, or to where an event should be."""
     vector, begin, target = state.vector, state.begin, state.target
-    end, first, last = _run(tableau, rates, begin, target - begin, vector)
-    ends = jnp.stack([begin, target]), jnp.stack([vector, end])
+    end, *slopes = _run(tableau, functions.rates, begin, target - begin, vector)
 
     def level_and_rate(share: Array, vector: Vector, slope: Vector) -> tuple[Array, Array]:
-        return jax.jvp(levels, (share, vector), (jnp.ones(()), slope))
+        return jax.jvp(functions.levels, (share, vector), (jnp.ones(()), slope))
 
-    (level, level_at), (rate, rate_at) = jax.vmap(level_and_rate)(*ends, jnp.stack([first, last]))
-    # On the side of zero are those that will be there in a moment: so a start on the ground is no landing.
-    side, side_at = level + _CLOSE * rate >= 0, level_at + _CLOSE * rate_at >= 0
-    heads = (directions == 0) | (directions == jnp.where(side_at, 1, -1))
-    crosses = (side != side_at) & heads & jnp.isfinite(level_at)
-
+    ends = jnp.stack([begin, target]), jnp.stack([vector, end]), jnp.stack(slopes)
+    (level, level_at), (rate, rate_at) = jax.vmap(level_and_rate)(*ends)
+    side, crosses = _crosses(level, rate, level_at, rate_at, directions)
     parts = jnp.where(crosses, _crossing(side, level, rate, level_at, rate_at, target - begin), jnp.inf)
-    event = jnp.where(state.phase == 0, jnp.argmin(parts), state.event)
-    correction = level_at[event] / rate_at[event]
+    is_whole, lands, meets = state.phase == 0, state.phase == _CORRECTIONS + 1, crosses.any()
+    event = jnp.where(is_whole, jnp.argmin(parts), state.event)
+    correction, place = level_at[event] / rate_at[event], begin + parts[event] * (target - begin)
+    t = step.t + target * step.h
 
-    is_whole, lands = state.phase == 0, state.phase == _CORRECTIONS + 1
-    meets, place = crosses.any(), begin + parts[event] * (target - begin)
-    others = jnp.arange(level.size) != event
-    near, falls = jnp.abs(level_at) <= _CLOSE * jnp.abs(rate_at), (directions == 0) | (directions * rate_at > 0)
-    stood = (jnp.abs(level) <= _CLOSE * jnp.abs(rate)) & (directions * rate > 0)
+    # Before the step: at an event from the start, or still at the last one. After it: not at the event, or at another.
+    stood = _is_near(level, rate) & (directions * rate > 0)
     stays = (jnp.abs(level) <= _CLOSE * state.speed) & ~(jnp.abs(rate) > _LEAST * state.speed)
-    is_first = is_whole & (step.begin == 0) & (begin == 0) & (state.left == _MOST)
     is_off = ~(jnp.abs(correction) <= _CLOSE) | (target < begin - _CLOSE) | (target > 1 + _CLOSE)
+    heads = _is_near(level_at, rate_at) & ((directions == 0) | (directions * rate_at > 0))
+    is_fresh = state.left == _MOST
     kind = jnp.select(
         [
-            is_first & stood.any(),
-            is_whole & (begin < 1) & (state.left < _MOST) & stays[state.event],
+            is_whole & is_fresh & (step.begin == 0) & stood.any(),
+            is_whole & ~is_fresh & (begin < 1) & stays[state.event],
             is_whole & meets & (state.left == 0),
             lands & is_off,
-            lands & (others & near & falls).any(),
+            lands & (heads & (jnp.arange(level.size) != event)).any(),
         ],
         [_AT_START, _STAYS, _MANY, _LOST, _TOGETHER],
         0,
     )
     which = jnp.where(kind == _AT_START, jnp.argmax(stood), jnp.where(kind == _STAYS, state.event, event))
-    t = step.t + target * step.h
-    fault = jax.tree.map(
-        lambda old, new: jnp.where(kind > 0, new, old),
-        state.fault,
-        Fault(kind, which, jnp.where(is_whole, step.t + begin * step.h, t)),
-    )
+    new = Fault(kind, which, jnp.where(is_whole, step.t + begin * step.h, t))
+    fault = jax.tree.map(lambda old, one: jnp.where(kind > 0, one, old), state.fault, new)
+
     is_new = lands & (jnp.arange(level.size) == event) & jnp.isnan(state.seen.t)
+    now = Seen(t, end[: state.seen.states.shape[1]], functions.signals(target))
     seen = jax.tree.map(
-        lambda old, new: jnp.where(is_new.reshape(-1, *[1] * (old.ndim - 1)), new, old),
-        state.seen,
-        Seen(t, end[:size], signals(target)),
+        lambda old, one: jnp.where(is_new.reshape(-1, *[1] * (old.ndim - 1)), one, old), state.seen, now
     )
     is_finished = is_whole & ~meets
-    onward = jnp.where(is_finished, end, jnp.where(lands, after(target, end)[event], vector))
+    onward = jnp.where(is_finished, end, jnp.where(lands, functions.after(target, end)[event], vector))
     return _State(
-        jnp.where(kind > 0, jnp.nan, onward),
-        jnp.where(lands, target, begin),
-        jnp.where(is_whole, jnp.where(meets, place, target), jnp.where(lands, 1.0, target - correction)),
-        jnp.where(lands | is_finished, 0, state.phase + 1),
-        event,
-        jnp.where(lands, jnp.abs(rate_at[event]), state.speed),
-        state.left - lands,
-        ~(is_finished | (kind > 0)),
-        seen,
-        fault,
+        vector=jnp.where(kind > 0, jnp.nan, onward),
+        begin=jnp.where(lands, target, begin),
+        target=jnp.where(is_whole, jnp.where(meets, place, target), jnp.where(lands, 1.0, target - correction)),
+        phase=jnp.where(lands | is_finished, 0, state.phase + 1),
+        event=event,
+        speed=jnp.where(lands, jnp.abs(rate_at[event]), state.speed),
+        left=state.left - lands,
+        goes_on=~(is_finished | (kind > 0)),
+        seen=seen,
+        fault=fault,
     )
+
+
+def _crosses(
+    level: Array, rate: Array, level_at: Array, rate_at: Array, directions: Any
+) -> tuple[Bool[Array, " n"], Bool[Array, " n"]]:
+    """On which side of zero levels begin, and whether they end on the other one, in a direction that counts.
+
+    - `rate`: in a step. The side is that of a moment later: so a start on the ground is no landing.
+    """
+    side, side_at = level + _CLOSE * rate >= 0, level_at + _CLOSE * rate_at >= 0
+    counts = (directions == 0) | (directions == jnp.where(side_at, 1, -1))
+    return side, (side != side_at) & counts & jnp.isfinite(level_at)
+
+
+def _is_near(level: Array, rate: Array) -> Array:
+    """Whether levels are zero up to rounding."""
+    return jnp.abs(level) <= _CLOSE * jnp.abs(rate)
 
 
 def _crossing(side: Array, level: Array, rate: Array, level_at: Array, rate_at: Array, length: Array) -> Array:
@@ -273,6 +285,12 @@ def _run(
     return vector + share * (couplings[-1] @ stages), stages[0], stages[-1]
 
 
+def _nothing(vector: Vector) -> tuple[Float[Array, ""], Int[Array, ""]]:
+    """Zeros that follow from a vector: JAX differentiates and vectorises a loop once more for each state that joins."""
+    zero = jnp.where(False, vector[0], 0.0)
+    return zero, (zero != 0).astype(int)
+
+
 def _zeros(shapes: Any) -> Any:
     return jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), shapes)
 
@@ -301,8 +319,8 @@ def ended(record: Callable[[System, Grid, Inputs, Asked], Record], system: Syste
     """
     assert grid.until is not None
     where, direction = list(system.declared_events).index(grid.until), system.declared_events[grid.until].direction
-    start = initial_state(system, grid.t_start, inputs_on(grid, inputs)(grid.t_start))
-    named = ravel_pytree(start)[1]
+    first, named = ravel_pytree(initial_state(system, grid.t_start, inputs_on(grid, inputs)(grid.t_start)))
+    zero, _ = _nothing(first)
 
     def passed(state: tuple[Array, Array], is_first: Array) -> tuple[tuple[Array, Array], None]:
         end, _ = state
@@ -314,19 +332,20 @@ def ended(record: Callable[[System, Grid, Inputs, Asked], Record], system: Syste
             slopes = jnp.ones(()), derivative(system, t, z, u)
             return jax.jvp(lambda t, z: event_levels(system, t, z, now(t))[where], (t, z), slopes)
 
-        level, rate = jax.vmap(level_and_rate)(one.times, record(system, one, inputs, ONLY_STATES).history[STATES])
-        side = level + _CLOSE * one.step * rate >= 0
-        heads = (direction == 0) | (direction == jnp.where(side[1:], 1, -1))
-        crosses = (side[1:] != side[:-1]) & heads & jnp.isfinite(level[1:])
-        stood = (jnp.abs(level[0]) <= _CLOSE * one.step * jnp.abs(rate[0])) & (direction * rate[0] > 0)
-        part = _crossing(side[:-1], level[:-1], rate[:-1], level[1:], rate[1:], jnp.asarray(one.step))
+        history = record(system, one, inputs, ONLY_STATES).history[STATES]
+        level, rate = jax.vmap(level_and_rate)(one.times, history)
+        rate = rate * jnp.asarray(one.step)  # in a step, as elsewhere
+        known = level[:-1], rate[:-1], level[1:], rate[1:]
+        side, crosses = _crosses(*known, direction)
+        stood = _is_near(level[0], rate[0]) & (direction * rate[0] > 0)
+        part = _crossing(side, *known, jnp.ones(()))
         k = jnp.argmax(crosses)
         sought = jnp.where(crosses.any() & ~stood, one.times[k] + part[k] * stop_gradient(one.step), jnp.nan)
-        correction = jnp.where(is_first, 0.0, level[-1] / rate[-1])
+        correction = jnp.where(is_first, 0.0, level[-1] / rate[-1] * one.step)
         return (jnp.where(is_first, stop_gradient(sought), end - correction), correction), None
 
     is_first = np.arange(1 + _PASSES) == 0
-    (t_final, correction), _ = jax.lax.scan(passed, (jnp.asarray(grid.t_final), jnp.zeros(())), is_first)
+    (t_final, correction), _ = jax.lax.scan(passed, (zero + grid.t_final, zero), is_first)
     is_close = jnp.abs(correction) <= _CLOSE * (t_final - grid.t_start)
     return grid.ending(jnp.where(is_close, t_final, jnp.nan))
 
@@ -339,18 +358,20 @@ def explain_events(tableau: Tableau, system: System, grid: Grid, inputs: Inputs,
     one = evaluate(lambda: course(tableau, system, grid, inputs, Asked(frozenset()), names), use=Use.ONCE)
     numbers = listed(numbers_in(system))
     who = f"{system.title}{f' with {numbers}' if numbers else ''}"
-    fault, times = one.fault, dict(zip(names, np.asarray(one.seen.t), strict=True))
-    if int(fault.kind) > 0 and not float(fault.t) > times.get(grid.until or "", np.inf):
+    fault, times = one.fault, dict(zip(names, np.asarray(one.seen.t).tolist(), strict=True))
+    end = times.get(grid.until or "", float(grid.t_final))
+    if int(fault.kind) > 0 and not float(fault.t) > end:
         return f"{who} {_FAULTS[int(fault.kind)].format(name=names[int(fault.event)], t=float(fault.t))}"
-    never = [name for name, t in times.items() if np.isnan(t)]
-    span = f"from {float(grid.t_start):.4g} to {float(grid.t_final):.4g} s"
-    if grid.until in never:
+    if np.isnan(end):
         return (
-            f"{who} never meets '{grid.until}', at which its grid ends, {span}: raise at_most, or bound the "
-            "distributions and decisions that lead past it."
+            f"{who} never meets '{grid.until}', at which its grid ends, from {float(grid.t_start):.4g} to "
+            f"{float(grid.t_final):.4g} s: raise at_most, or bound the distributions and decisions that lead past it."
         )
-    if missing := [name for name in never if name in events]:
-        return f"{who} never meets '{missing[0]}', which is asked for by al.at, {span}."
+    if missing := [name for name in names if name in events and not times[name] <= end]:
+        return (
+            f"{who} never meets '{missing[0]}', which is asked for by al.at, from {float(grid.t_start):.4g} to "
+            f"{end:.4g} s."
+        )
     return ""
 
 
