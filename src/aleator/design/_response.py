@@ -122,8 +122,7 @@ def grid_at(problem: AbstractProblem, decisions: Float[Array, " n"]) -> Abstract
 
 
 def _instants(problem: AbstractProblem, decisions: Float[Array, " n"]) -> Array:
-    simulation = realise(at_means(problem.simulation), jnp.zeros(0), decisions)
-    return simulation.realised(simulation.traced)[0].times  # type: ignore[arg-type]
+    return realise(at_means(problem.simulation), jnp.zeros(0), decisions).record(Asked(frozenset())).grid.times
 
 
 _INSTANTS = Compiled(_instants, use=Use.BRIEF)

@@ -16,7 +16,6 @@ from jax.flatten_util import ravel_pytree
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
-from aleator._core.compilation import Use, evaluate
 from aleator._core.equations import as_time
 from aleator.dynamics._evaluation import (
     after_events,
@@ -28,8 +27,7 @@ from aleator.dynamics._evaluation import (
     variables_of,
 )
 from aleator.dynamics._grid import Grid, Inputs, inputs_on
-from aleator.dynamics._newton import listed, numbers_in
-from aleator.dynamics._record import ONLY_STATES, STATES, Asked, Occurrence, Record
+from aleator.dynamics._record import STATES, Asked, Occurrence, Record
 from aleator.dynamics._steps import Steps, signals_within, steps_of
 from aleator.dynamics._system import System, state_type
 from aleator.dynamics._tableaux import Tableau, square
@@ -45,7 +43,7 @@ _LEAST = 1e-6
 # The most events in one step.
 _MOST = 12
 # What may go wrong.
-_LOST, _MANY, _AT_START, _TOGETHER, _STAYS = range(1, 6)
+LOST, MANY, AT_START, TOGETHER, STAYS = range(1, 6)
 
 Vector = Float[Array, " n"]
 
@@ -205,10 +203,10 @@ def _moved(
             lands & is_off,
             lands & (heads & (jnp.arange(level.size) != event)).any(),
         ],
-        [_AT_START, _STAYS, _MANY, _LOST, _TOGETHER],
+        [AT_START, STAYS, MANY, LOST, TOGETHER],
         0,
     )
-    which = jnp.where(kind == _AT_START, jnp.argmax(stood), jnp.where(kind == _STAYS, state.event, event))
+    which = jnp.where(kind == AT_START, jnp.argmax(stood), jnp.where(kind == STAYS, state.event, event))
     new = Fault(kind, which, jnp.where(is_whole, step.t + begin * step.h, t))
     fault = jax.tree.map(lambda old, one: jnp.where(kind > 0, one, old), state.fault, new)
 
@@ -309,22 +307,28 @@ def needed(system: System, grid: Grid, events: frozenset[str]) -> tuple[str, ...
     return (*watched(system, grid, events), *([] if grid.until is None else [grid.until]))
 
 
-def ended(record: Callable[[System, Grid, Inputs, Asked], Record], system: System, grid: Grid, inputs: Inputs) -> Grid:
-    """The grid of a realisation that ends at the event `until`; its end is NaN where that does not happen.
+def ended(
+    record: Callable[[System, Grid, Inputs, Asked], Record], system: System, grid: Grid, inputs: Inputs, asked: Asked
+) -> Record:
+    """The record of a realisation that ends at the event `until`, with its grid; NaN where that does not happen.
 
     - `record`: that of an integrator; `inputs`: known on the whole grid, the system's own signals among them.
 
     A first pass on the whole grid tells about when the event happens, without derivatives. Passes over the grid that
-    ends there correct the time, so that the function of the event vanishes at the last instant to rounding.
+    ends there correct the time, so that the function of the event vanishes at the last instant to rounding; the last
+    one is the record. All are one loop, whose body is compiled once.
     """
     assert grid.until is not None
     where, direction = list(system.declared_events).index(grid.until), system.declared_events[grid.until].direction
     first, named = ravel_pytree(initial_state(system, grid.t_start, inputs_on(grid, inputs)(grid.t_start)))
     zero, _ = _nothing(first)
 
-    def passed(state: tuple[Array, Array], is_first: Array) -> tuple[tuple[Array, Array], None]:
+    def recorded(end: Array) -> Record:
+        return record(system, grid.ending(end), inputs, asked._replace(states=True))
+
+    def passed(state: tuple[Array, Any], is_first: Array) -> tuple[tuple[Array, Any], None]:
         end, _ = state
-        one = grid.ending(end)
+        one, taken = grid.ending(end), recorded(end)
         now = inputs_on(one, inputs)
 
         def level_and_rate(t: Array, row: Vector) -> tuple[Array, Array]:
@@ -332,8 +336,7 @@ def ended(record: Callable[[System, Grid, Inputs, Asked], Record], system: Syste
             slopes = jnp.ones(()), derivative(system, t, z, u)
             return jax.jvp(lambda t, z: event_levels(system, t, z, now(t))[where], (t, z), slopes)
 
-        history = record(system, one, inputs, ONLY_STATES).history[STATES]
-        level, rate = jax.vmap(level_and_rate)(one.times, history)
+        level, rate = jax.vmap(level_and_rate)(one.times, taken.history[STATES])
         rate = rate * jnp.asarray(one.step)  # in a step, as elsewhere
         known = level[:-1], rate[:-1], level[1:], rate[1:]
         side, crosses = _crosses(*known, direction)
@@ -341,59 +344,14 @@ def ended(record: Callable[[System, Grid, Inputs, Asked], Record], system: Syste
         part = _crossing(side, *known, jnp.ones(()))
         k = jnp.argmax(crosses)
         sought = jnp.where(crosses.any() & ~stood, one.times[k] + part[k] * stop_gradient(one.step), jnp.nan)
-        correction = jnp.where(is_first, 0.0, level[-1] / rate[-1] * one.step)
-        return (jnp.where(is_first, stop_gradient(sought), end - correction), correction), None
+        correction = level[-1] / rate[-1] * one.step
+        return (jnp.where(is_first, stop_gradient(sought), end - correction), (end, correction, taken)), None
 
-    is_first = np.arange(1 + _PASSES) == 0
-    (t_final, correction), _ = jax.lax.scan(passed, (zero + grid.t_final, zero), is_first)
+    nothing = jax.eval_shape(recorded, zero)
+    nothing = jax.tree.map(lambda one: zero + jnp.zeros(one.shape, one.dtype), (zero, zero, nothing))
+    is_first = np.arange(2 + _PASSES) == 0
+    (_, (t_final, correction, taken)), _ = jax.lax.scan(passed, (zero + grid.t_final, nothing), is_first)
     is_close = jnp.abs(correction) <= _CLOSE * (t_final - grid.t_start)
-    return grid.ending(jnp.where(is_close, t_final, jnp.nan))
-
-
-def explain_events(tableau: Tableau, system: System, grid: Grid, inputs: Inputs, events: frozenset[str]) -> str:
-    """Why an event that is needed is not found in a realisation, with its numbers; empty if all are."""
-    names = needed(system, grid, events)
-    if not names:
-        return ""
-    one = evaluate(lambda: course(tableau, system, grid, inputs, Asked(frozenset()), names), use=Use.ONCE)
-    numbers = listed(numbers_in(system))
-    who = f"{system.title}{f' with {numbers}' if numbers else ''}"
-    fault, times = one.fault, dict(zip(names, np.asarray(one.seen.t).tolist(), strict=True))
-    end = times.get(grid.until or "", float(grid.t_final))
-    if int(fault.kind) > 0 and not float(fault.t) > end:
-        return f"{who} {_FAULTS[int(fault.kind)].format(name=names[int(fault.event)], t=float(fault.t))}"
-    if np.isnan(end):
-        return (
-            f"{who} never meets '{grid.until}', at which its grid ends, from {float(grid.t_start):.4g} to "
-            f"{float(grid.t_final):.4g} s: raise at_most, or bound the distributions and decisions that lead past it."
-        )
-    if missing := [name for name in names if name in events and not times[name] <= end]:
-        return (
-            f"{who} never meets '{missing[0]}', which is asked for by al.at, from {float(grid.t_start):.4g} to "
-            f"{end:.4g} s."
-        )
-    return ""
-
-
-_FAULTS = {
-    _LOST: (
-        "meets '{name}' at about t = {t:.4g} s, but its function touches zero there with next to no rate, or steps are "
-        "too long to find where. Take more steps, or bound what leads there."
-    ),
-    _MANY: (
-        "meets '{name}' again and again within one step, at about t = {t:.4g} s. Infinitely many events in a finite "
-        "time have no simulation: end the grid before, or let al.Grid(until=...) end it at another event."
-    ),
-    _AT_START: (
-        "starts at '{name}', at t = {t:.4g} s, and moves on through it. Start on one side of it, or choose the other "
-        "direction."
-    ),
-    _TOGETHER: (
-        "meets '{name}' and another event at the same time, t = {t:.4g} s, where their order decides. Make one event "
-        "of both, or let them happen one after the other."
-    ),
-    _STAYS: (
-        "stays at '{name}' after t = {t:.4g} s: its jump leaves the rate of the function at zero. Let the jump lead "
-        "away from it, or end the grid there, al.Grid(until='{name}', ...)."
-    ),
-}
+    t_final, taken = jax.tree.map(lambda one: jnp.where(is_close, one, jnp.nan), (t_final, taken))
+    history = {name: values for name, values in taken.history.items() if asked.states or name != STATES}
+    return taken._replace(history=history, grid=grid.ending(t_final))

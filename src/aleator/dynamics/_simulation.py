@@ -69,8 +69,8 @@ class Simulation(Module):
         parts = self._parts(self._checked_grid(system))
         if parts > 1:
             return self.on(self.grid.finer(parts)).record(asked).thinned(parts)
-        self.integrator.check_events(system, self._checked_grid(system), asked.events)
-        grid, inputs = self.realised(system)
+        grid, inputs = self._checked_grid(system), self.signals(system)
+        self.integrator.check_events(system, grid, asked.events)
         if asked.outputs is not None:
             system = system.focused(asked.outputs)
         if asked.course is not None:
@@ -78,21 +78,16 @@ class Simulation(Module):
             return self._in_parts(system, grid, inputs, asked, asked.course)._replace(grid=grid)
         if not system.states:
             return observed(system, grid, inputs, asked)._replace(grid=grid)
-        if grid.until not in asked.events:
+        if grid.until is None:
             return self.integrator.record(system, grid, inputs, asked)._replace(grid=grid)
+        assert isinstance(self.integrator, AbstractFixedStep)
+        if grid.until not in asked.events:
+            return self.integrator.ended(system, grid, inputs, asked)
         # The event that ends the grid is at its end.
         instants = None if asked.instants is None else asked.instants | asked.at_events
-        record = self.integrator.record(system, grid, inputs, asked._replace(instants=instants))
-        end = Occurrence(jnp.asarray(grid.t_final), {name: values[-1] for name, values in record.history.items()})
-        return record._replace(grid=grid, events={**(record.events or {}), grid.until: end})
-
-    def realised(self, system: System) -> tuple[Grid, Inputs]:
-        """The grid of the realisation, which may end by an event, and its signals: the system's own ones, too."""
-        grid, signals = self._checked_grid(system), self.signals(system)
-        if grid.until is None:
-            return grid, signals
-        assert isinstance(self.integrator, AbstractFixedStep)
-        return self.integrator.ended(system.focused(()), grid, signals), signals
+        record = self.integrator.ended(system, grid, inputs, asked._replace(instants=instants))
+        end = Occurrence(record.grid.t_final, {name: values[-1] for name, values in record.history.items()})
+        return record._replace(events={**(record.events or {}), grid.until: end})
 
     def signals(self, system: System) -> Inputs:
         """All signals, the system's own ones too: on a grid that ends by an event, the same functions of time in all
@@ -126,7 +121,7 @@ class Simulation(Module):
     def folds(self) -> bool:
         """Whether outputs can be folded instant by instant while they are simulated (see `Asked`)."""
         system, grid = self.system, self.grid
-        if not (isinstance(system, System) and system.states and isinstance(grid, Grid)):
+        if not (isinstance(system, System) and system.states and isinstance(grid, Grid) and grid.until is None):
             return False
         return isinstance(self.integrator, AbstractFixedStep) and self._parts(grid) == 1
 
