@@ -25,8 +25,8 @@ from aleator.dynamics._evaluation import (
     variables_of,
 )
 from aleator.dynamics._grid import Grid, Inputs, inputs_on
-from aleator.dynamics._integrators import AbstractIntegrator, on_grid, zeros
-from aleator.dynamics._record import Asked, Record
+from aleator.dynamics._integrators import AbstractIntegrator, on_grid
+from aleator.dynamics._record import Asked, Record, zeros
 from aleator.dynamics._steps import Steps, signals_within, steps_of
 from aleator.dynamics._system import System, state_type
 from aleator.dynamics._tableaux import RODAS_5P, TSITOURAS_5, Tableau, square

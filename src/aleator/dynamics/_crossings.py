@@ -27,7 +27,7 @@ from aleator.dynamics._evaluation import (
     variables_of,
 )
 from aleator.dynamics._grid import Grid, Inputs, inputs_on
-from aleator.dynamics._record import STATES, Asked, Occurrence, Record
+from aleator.dynamics._record import STATES, Asked, Occurrence, Record, zeros
 from aleator.dynamics._steps import Steps, signals_within, steps_of
 from aleator.dynamics._system import System, state_type
 from aleator.dynamics._tableaux import Tableau, square
@@ -117,7 +117,7 @@ def course(
     steps, places = steps_of(grid, inputs, [])
     t, now = steps.t[0], {name: values[places[0]] for name, values in steps.first.items()}
     start = initial_state(system, t, now)
-    vector, named = ravel_pytree(((*start,), _zeros(jax.eval_shape(lambda: asked.rates(system, t, start, now)))))
+    vector, named = ravel_pytree(((*start,), zeros(jax.eval_shape(lambda: asked.rates(system, t, start, now)))))
     size = sum(map(jnp.size, start))
     every = list(system.declared_events)
     which = np.array([every.index(name) for name in names])
@@ -175,7 +175,8 @@ def _moved(
 ) -> _State:
     """One step of the method further: to the end of the step of the grid, or to where an event should be."""
     vector, begin, target = state.vector, state.begin, state.target
-    end, *slopes = _run(tableau, functions.rates, begin, target - begin, vector)
+    length = target - begin
+    end, *slopes = _run(tableau, functions.rates, begin, length, vector)
 
     def level_and_rate(share: Array, vector: Vector, slope: Vector) -> tuple[Array, Array]:
         return jax.jvp(functions.levels, (share, vector), (jnp.ones(()), slope))
@@ -183,10 +184,10 @@ def _moved(
     ends = jnp.stack([begin, target]), jnp.stack([vector, end]), jnp.stack(slopes)
     (level, level_at), (rate, rate_at) = jax.vmap(level_and_rate)(*ends)
     side, crosses = _crosses(level, rate, level_at, rate_at, directions)
-    parts = jnp.where(crosses, _crossing(side, level, rate, level_at, rate_at, target - begin), jnp.inf)
+    parts = jnp.where(crosses, _crossing(side, level, length * rate, level_at, length * rate_at), jnp.inf)
     is_whole, lands, meets = state.phase == 0, state.phase == _CORRECTIONS + 1, crosses.any()
     event = jnp.where(is_whole, jnp.argmin(parts), state.event)
-    correction, place = level_at[event] / rate_at[event], begin + parts[event] * (target - begin)
+    correction, place = level_at[event] / rate_at[event], begin + parts[event] * length
     t = step.t + target * step.h
 
     # Before the step: at an event from the start, or still at the last one. After it: not at the event, or at another.
@@ -248,12 +249,12 @@ def _is_near(level: Array, rate: Array) -> Array:
     return jnp.abs(level) <= _CLOSE * jnp.abs(rate)
 
 
-def _crossing(side: Array, level: Array, rate: Array, level_at: Array, rate_at: Array, length: Array) -> Array:
+def _crossing(side: Array, level: Array, rise: Array, level_at: Array, rise_at: Array) -> Array:
     """Where levels that end on the other `side` of zero in an interval cross it, as a part of it: without derivatives.
 
-    By cubic Hermite interpolation, which is as accurate as a step of fourth order.
+    By cubic Hermite interpolation, which is as accurate as a step of fourth order. `rise`: the rates by this part.
     """
-    level, rise, level_at, rise_at = stop_gradient((level, rate * length, level_at, rate_at * length))
+    level, rise, level_at, rise_at = stop_gradient((level, rise, level_at, rise_at))
 
     def halved(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = ends
@@ -287,10 +288,6 @@ def _nothing(vector: Vector) -> tuple[Float[Array, ""], Int[Array, ""]]:
     """Zeros that follow from a vector: JAX differentiates and vectorises a loop once more for each state that joins."""
     zero = jnp.where(False, vector[0], 0.0)
     return zero, (zero != 0).astype(int)
-
-
-def _zeros(shapes: Any) -> Any:
-    return jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), shapes)
 
 
 def watched(system: System, grid: Grid, events: frozenset[str]) -> tuple[str, ...]:
@@ -341,14 +338,13 @@ def ended(
         known = level[:-1], rate[:-1], level[1:], rate[1:]
         side, crosses = _crosses(*known, direction)
         stood = _is_near(level[0], rate[0]) & (direction * rate[0] > 0)
-        part = _crossing(side, *known, jnp.ones(()))
+        part = _crossing(side, *known)
         k = jnp.argmax(crosses)
         sought = jnp.where(crosses.any() & ~stood, one.times[k] + part[k] * stop_gradient(one.step), jnp.nan)
         correction = level[-1] / rate[-1] * one.step
         return (jnp.where(is_first, stop_gradient(sought), end - correction), (end, correction, taken)), None
 
-    nothing = jax.eval_shape(recorded, zero)
-    nothing = jax.tree.map(lambda one: zero + jnp.zeros(one.shape, one.dtype), (zero, zero, nothing))
+    nothing = jax.tree.map(lambda one: zero + one, (zero, zero, zeros(jax.eval_shape(recorded, zero))))
     is_first = np.arange(2 + _PASSES) == 0
     (_, (t_final, correction, taken)), _ = jax.lax.scan(passed, (zero + grid.t_final, nothing), is_first)
     is_close = jnp.abs(correction) <= _CLOSE * (t_final - grid.t_start)

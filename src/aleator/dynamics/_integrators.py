@@ -24,7 +24,7 @@ from aleator.dynamics._equations import TracedSystem
 from aleator.dynamics._evaluation import completed, derivative, explain_algebraic, initial_state
 from aleator.dynamics._explained import explain_events
 from aleator.dynamics._grid import Grid, Inputs
-from aleator.dynamics._record import ONLY_STATES, STATES, Asked, Record
+from aleator.dynamics._record import ONLY_STATES, STATES, Asked, Record, zeros
 from aleator.dynamics._steps import Steps, is_divided, steps_of
 from aleator.dynamics._system import System
 from aleator.dynamics._tableaux import DORMAND_PRINCE_5, RUNGE_KUTTA_4, Tableau, square
@@ -202,11 +202,6 @@ def _moved(z: Pytree, h: Any, weights: tuple[float, ...], slopes: list[Pytree]) 
         z,
         *(slope for _, slope in used),
     )
-
-
-def zeros(shapes: Pytree) -> Pytree:
-    """Zeros of the shapes of something that was not computed."""
-    return jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), shapes)
 
 
 def _interleaved(ends: Array, inside: Array) -> Array:

@@ -156,6 +156,11 @@ class Record(NamedTuple):
         return self._replace(history=history, nodes=nodes, grid=self.grid.divided(self.grid.steps // parts))
 
 
+def zeros(shapes: Pytree) -> Pytree:
+    """Zeros of the shapes of something that was not computed."""
+    return jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), shapes)
+
+
 def chosen(system: Any, outputs: dict[str, Array], only: Collection[str] | None) -> dict[str, Array]:
     """The outputs that are asked for. Raises `ProblemError` for any that the system does not have."""
     if only is None:
