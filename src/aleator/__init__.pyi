@@ -39,6 +39,7 @@ from .design import Constraint as Constraint
 from .design import Control as Control
 from .design import Expression as Expression
 from .design import Problem as Problem
+from .design import at as at
 from .design import correlation as correlation
 from .design import covariance as covariance
 from .design import deterministic as deterministic
@@ -55,6 +56,7 @@ from .design import uncertain as uncertain
 from .design import value as value
 from .dynamics import AlgebraicSystem as AlgebraicSystem
 from .dynamics import Assembly as Assembly
+from .dynamics import Event as Event
 from .dynamics import Grid as Grid
 from .dynamics import Instant as Instant
 from .dynamics import System as System

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from aleator import _core
 from aleator.certification._check import Check, certain
-from aleator.design import Problem, expanded_functionals, first_broken, grid_at, statistics_in, unsolved
+from aleator.design import Problem, expanded_functionals, first_broken, instants_at, statistics_in, unsolved
 from aleator.dynamics import Grid
 from aleator.ensemble import inputs_at
 from aleator.expansion import ILL_CONDITIONED, unseen
@@ -254,7 +254,8 @@ def moved_correlations(problem: Problem, decisions: Float[np.ndarray, " n"]) -> 
 
 def diagnose(transcribed: AbstractTranscribed, decisions: Float[np.ndarray, " n"]) -> str:
     """A message on the first point, output and instant whose value is not finite: the reason, then a few numbers."""
-    broken = first_broken({name: np.asarray(values) for name, values in transcribed.outputs(decisions).items()})
+    outputs = {name: np.asarray(values) for name, values in transcribed.outputs(decisions).items()}
+    broken = first_broken(outputs)
     numbers, x = dict(zip(transcribed.places.entry_names(), decisions.tolist(), strict=True)), jnp.asarray(decisions)
     if broken is None:
         return (
@@ -268,7 +269,10 @@ def diagnose(transcribed: AbstractTranscribed, decisions: Float[np.ndarray, " n"
     # The realisation's numbers take precedence: one of many failed, while all have the same decisions.
     realised = min(len(uncertain), MOST_NUMBERS - min(len(numbers), 2))
     place = f"collocation point {point + 1} of {count}" if point < count else "a scenario of the worst case"
-    who = f"{place} ({system_text(uncertain, realised)})" if uncertain else ""
+    finite = [np.isfinite(values).all(axis=tuple(range(1, values.ndim))) for values in outputs.values()]
+    failed = int(np.sum(~np.all(finite, axis=0)))
+    share = f", one of {failed} that fail" if failed > 1 else ""
+    who = f"{place} ({system_text(uncertain, realised)}){share}" if uncertain else ""
     where = f"The decisions are {system_text(numbers, MOST_NUMBERS - realised)}."
     if reason := unsolved(transcribed.problem, germ, x):
         return f"{reason.rstrip('.')}.{who and f' This is {who}.'} {where}"
@@ -276,6 +280,6 @@ def diagnose(transcribed: AbstractTranscribed, decisions: Float[np.ndarray, " n"
     if not isinstance(transcribed.problem.grid, Grid):
         return f"{what}. Look for a root or logarithm of zero, or a division by zero. {where}"
     return (
-        f"{what} from t = {grid_at(transcribed.problem, x).times[instant]:.4g} s on. Shorten the time step, tighten "
-        f"the decisions' bounds or use an implicit integrator (al.integrators.Kvaerno5). {where}"
+        f"{what} from t = {instants_at(transcribed.problem, decisions)[instant]:.4g} s on. Shorten the time step, "
+        f"tighten the decisions' bounds or use an implicit integrator (al.integrators.Kvaerno5). {where}"
     )

@@ -17,6 +17,7 @@ from aleator.design import (
     Constraint,
     OneSystem,
     Problem,
+    ends_by_event,
     functionals_of,
     grid_at,
     is_worst_case,
@@ -165,7 +166,7 @@ def _reached(
             beyond = jnp.ravel(jnp.maximum(value - limit.upper, limit.lower - value))
             # The first NaN counts as the largest.
             worst = jnp.argmax(beyond)
-            time = times[worst * len(times) // beyond.size] if limit.is_path else jnp.nan
+            time = times[worst * len(times) // beyond.size] if limit.is_path and not ends_by_event(problem) else jnp.nan
             reached.append((beyond[worst], jnp.ravel(value)[worst], time))
         return tuple(jnp.stack(part) for part in zip(*reached, strict=True))  # type: ignore[return-value]
 

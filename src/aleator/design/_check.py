@@ -10,6 +10,8 @@ from jaxtyping import Float
 from aleator._core.arrays import jax_array
 from aleator._core.border import meant
 from aleator._core.errors import ProblemError
+from aleator.design._functionals import events_of
+from aleator.design._objectives import time_integrals
 from aleator.design._response import AbstractProblem
 from aleator.design._scope import AbstractComposite, Value
 from aleator.design._statistic import (
@@ -27,6 +29,8 @@ from aleator.dynamics import (
     Simulation,
     System,
     check_signals,
+    check_variables,
+    refuse_unknown_event,
 )
 from aleator.expansion import Expansion
 from aleator.statistics import Sobol, TotalSobol, refuse_correlated
@@ -95,8 +99,24 @@ def _check_inputs(problem: AbstractProblem) -> None:
             name = type(problem.system).__name__
             raise ProblemError(f"{name} is algebraic and takes no inputs; received {sorted(problem.inputs)}.")
         return
+    check_variables(problem.system)
     check_signals(problem.system, problem.grid, problem.inputs)
     _refuse_jumps_inside(problem.system)
+    _check_events(problem, problem.system, problem.grid)
+
+
+def _check_events(problem: AbstractProblem, system: System, grid: Grid) -> None:
+    """Refuse events that a system does not have, or that nothing looks for, and integrals over times that differ."""
+    events = events_of(functionals_of(problem.expressions))
+    for name in (*sorted(events), grid.until):
+        refuse_unknown_event(system, name)
+    problem.integrator.check_events(system, grid, events)
+    every = (inner for one in problem.expressions for inner in time_integrals(one))
+    if grid.until is not None and (inner := next(every, None)) is not None:
+        raise ProblemError(
+            f"'{inner}' is integrated over time, but each realisation ends at its own '{grid.until}': integrate along "
+            "each realisation, al.integral(output) or al.rms(output), and take statistics of that."
+        )
 
 
 def _refuse_jumps_inside(system: System) -> None:

@@ -18,14 +18,14 @@ from aleator._core.identity import code_digest, is_library, own_code
 from aleator._core.leaves import is_leaf
 from aleator.design._check import unknown
 from aleator.design._expression import Expression
-from aleator.design._functionals import AbstractIntegral
-from aleator.design._response import AbstractProblem, grid_at
+from aleator.design._functionals import AbstractIntegral, events_of
+from aleator.design._response import AbstractProblem
 from aleator.design._scope import AbstractScope
 from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, joined, statistics_in
-from aleator.dynamics import Equations, Grid, called, jump_times, time_switches
+from aleator.dynamics import Equations, Grid, Occurrence, called, jump_times, time_switches
 from aleator.statistics import AbstractStatistic
 from aleator.trajectories import AbstractSignal
-from aleator.uncertainty import named_numbers, realise, uncertain_again
+from aleator.uncertainty import at_means, named_numbers, realise, uncertain_again
 
 # How far from the initial decisions others are tried, as a part of their ranges.
 _BESIDE = 1e-2
@@ -175,7 +175,7 @@ class _ShapeScope(AbstractScope):
 
     def __init__(self, problem: AbstractProblem, outputs: dict[str, jax.Array]):
         self._problem, self._outputs = problem, outputs
-        self._grid = grid_at(problem, jnp.zeros(problem.placements.size))
+        self._grid = realise(at_means(problem.simulation), jnp.zeros(0), jnp.zeros(problem.placements.size)).grid
 
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> jax.Array:
         # A statistic has the shape of its functional, without the axis of jointly taken ones.
@@ -190,11 +190,12 @@ class _ShapeScope(AbstractScope):
             integrals[functional] = traceable(
                 f"{type(functional).__name__}.integrand", called(functional, functional.integrand, now)
             )
-        taken = Taken(self._outputs, integrals)
+        first = {name: one[0] for name, one in self._outputs.items()}
+        events = {name: Occurrence(jnp.ones(()), first) for name in events_of([functional])}
+        taken = Taken(self._outputs, integrals, events)
         who = f"{type(functional).__name__}.evaluate"
         value = traceable(who, called(functional, functional.evaluate, taken, self._grid))
-        instants = len(self._outputs[functional.output])
-        if functional.is_path and value.shape[:1] != (instants,):
+        if functional.is_path and value.shape[:1] != (instants := len(self._outputs[functional.output]),):
             raise ProblemError(f"{who}: expected one number per instant, {instants} in all; received {value.shape}.")
         return value
 

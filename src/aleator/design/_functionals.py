@@ -1,7 +1,7 @@
 """The functionals: integrals of an output, rms, terminal, path and peak; an output without time."""
 
 import abc
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, final
 
 import equinox as eqx
@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 from typing_extensions import override
 
+from aleator._core.border import a_name
 from aleator.design._expression import Constraint, Expression
 from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, statistics_in
 from aleator.dynamics import AbstractGrid, Grid
@@ -93,6 +94,37 @@ class Terminal(AbstractFunctional):
 
 
 @final
+class At(AbstractFunctional):
+    """An output at the first event of a name, before its jump; its time, s, without an output."""
+
+    order = INTEGRATED
+    event: str = eqx.field(static=True)
+
+    @property
+    @override
+    def output(self) -> str:
+        return self.outputs[0] if self.outputs else self.text()
+
+    @override
+    def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
+        del grid
+        first = taken.events[self.event]
+        return first.outputs[self.output] if self.outputs else first.t
+
+    @override
+    def reach(self, peaks: Mapping[str, Array], grid: Any) -> Array:
+        return super().reach(peaks, grid) if self.outputs else jnp.asarray(grid.duration)
+
+    @override
+    def text(self) -> str:
+        return f"{self.outputs[0]}(t_{self.event})" if self.outputs else f"t_{self.event}"
+
+    @override
+    def unit(self, outputs: Mapping[str, str]) -> str:
+        return super().unit(outputs) if self.outputs else "s"
+
+
+@final
 class Path(AbstractFunctional):
     """An output at every instant of the grid."""
 
@@ -154,6 +186,14 @@ def terminal(output: str) -> Terminal:
     return Terminal((output,))
 
 
+def at(event: str, output: str | None = None) -> At:
+    """An output at the first event of that name (see `Event`), before its jump; the event's time, s, without an output.
+
+    A realisation that never meets the event has no value: solving, expanding and validating then name its numbers.
+    """
+    return At(() if output is None else (output,), a_name("at: event", event))
+
+
 def path(output: str) -> Path:
     """An output at every instant: bounds on it hold at each."""
     return Path((output,))
@@ -172,6 +212,11 @@ def output(name: str) -> Output:
 def is_over_time(constraint: Constraint) -> bool:
     """Whether a constraint limits a path or a peak, so that times between the grid's instants count too."""
     return constraint.is_path or any(isinstance(one, Peak) for one in functionals_of((constraint.expression,)))
+
+
+def events_of(functionals: Iterable[AbstractFunctional]) -> frozenset[str]:
+    """The events whose first occurrence functionals need."""
+    return frozenset(one.event for one in functionals if isinstance(one, At))
 
 
 def expanded_functionals(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctional, ...]:

@@ -11,15 +11,27 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import NUMBER, jax_array, refuse_beyond_memory
+from aleator._core.arrays import NUMBER, jax_array, numbers_to_arrays, refuse_beyond_memory
+from aleator._core.compilation import Compiled, Use
 from aleator._core.equations import Digest
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, Printed
 from aleator.design._expression import Constraint, Expression
-from aleator.design._functionals import AbstractIntegral
+from aleator.design._functionals import AbstractIntegral, At, events_of
 from aleator.design._scope import AbstractScopeOfInstants, Value
 from aleator.design._statistic import AbstractFunctional, Statistic, Taken, functionals_of, numbers_of
-from aleator.dynamics import AbstractGrid, AbstractIntegrator, AbstractSystem, Asked, History, Simulation
+from aleator.dynamics import (
+    AbstractGrid,
+    AbstractIntegrator,
+    AbstractSystem,
+    Asked,
+    Grid,
+    History,
+    Record,
+    Simulation,
+    System,
+    needed,
+)
 from aleator.expansion import Expansion
 from aleator.statistics import AbstractStatistic
 from aleator.trajectories import AbstractSignal
@@ -99,13 +111,41 @@ class AbstractProblem(Module, Printed):
 
 
 def history(problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> History:
-    """Time histories of all outputs of one realisation."""
-    return realise(problem.simulation, germ, decisions).history()
+    """Time histories of all outputs of one realisation; NaN where an event that the problem names does not happen."""
+    asked = Asked(events=events_of(functionals_of(problem.expressions)))
+    return realise(problem.simulation, germ, decisions).record(asked).history
 
 
 def grid_at(problem: AbstractProblem, decisions: Float[Array, " n"]) -> AbstractGrid:
-    """The problem's grid, with the decided final time."""
+    """The problem's grid, with the decided final time; the latest one where an event ends it."""
     return realise(at_means(problem.simulation), jnp.zeros(0), decisions).grid
+
+
+def _instants(problem: AbstractProblem, decisions: Float[Array, " n"]) -> Array:
+    return realise(at_means(problem.simulation), jnp.zeros(0), decisions).record(Asked(frozenset())).grid.times
+
+
+_INSTANTS = Compiled(_instants, use=Use.BRIEF)
+
+
+def instants_at(problem: AbstractProblem, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " instants"]:
+    """The instants of the grid, s: those at the means, where each realisation has its own."""
+    if ends_by_event(problem):
+        return np.asarray(_INSTANTS(numbers_to_arrays(problem), jax_array(decisions)))
+    return np.asarray(grid_at(problem, jax_array(decisions)).times)
+
+
+def ends_by_event(problem: AbstractProblem) -> bool:
+    """Whether each realisation ends at a time of its own."""
+    return isinstance(problem.grid, Grid) and problem.grid.until is not None
+
+
+def needed_events(problem: AbstractProblem) -> tuple[str, ...]:
+    """The events that simulations of a problem look for."""
+    system, grid = problem.system, problem.grid
+    if not (isinstance(system, System) and isinstance(grid, Grid)):
+        return ()
+    return needed(system, grid, events_of(functionals_of(problem.expressions)))
 
 
 def step_at(problem: AbstractProblem, decisions: Float[Array, " n"]) -> Array:
@@ -145,25 +185,36 @@ def sampled(
 
     - `courses`: the states from which parts of the time are simulated, see `Asked.course`.
     """
-    integrals = tuple(one for one in functionals if isinstance(one, AbstractIntegral))
-    asked = Asked(
-        instants=_outputs([one for one in functionals if not isinstance(one, AbstractIntegral)]),
-        nodes=_outputs(paths),
-        integrands=tuple(one.integrand for one in integrals),
-        integrated=_outputs(integrals),
-    )
+    asked = asked_for(functionals)._replace(nodes=_outputs(paths))
 
     def one(point: Float[Array, " variables"], course: Float[Array, "parts states"] | None) -> Sampled:
         realised = realise(problem.simulation, point, decisions)
         record = realised.record(asked._replace(course=course))
-        taken = Taken(record.history, dict(zip(integrals, record.integrals, strict=True)))
         between = Taken(record.nodes, {})
         return Sampled(
-            numbers_of(functionals, taken, realised.grid),
-            numbers_of(paths, between, realised.grid),
+            numbers_of(functionals, taken_from(record, functionals), record.grid),
+            numbers_of(paths, between, record.grid),
         )
 
     return jax.vmap(one)(germ, courses)
+
+
+def asked_for(functionals: tuple[AbstractFunctional, ...]) -> Asked:
+    """What a simulation records for functionals."""
+    integrals = tuple(one for one in functionals if isinstance(one, AbstractIntegral))
+    return Asked(
+        instants=_outputs(one for one in functionals if not isinstance(one, AbstractIntegral | At)),
+        integrands=tuple(one.integrand for one in integrals),
+        integrated=_outputs(integrals),
+        events=events_of(functionals),
+        at_events=_outputs(one for one in functionals if isinstance(one, At)),
+    )
+
+
+def taken_from(record: Record, functionals: tuple[AbstractFunctional, ...]) -> Taken:
+    """The data for functionals in a record of what is `asked_for` them."""
+    integrals = (one for one in functionals if isinstance(one, AbstractIntegral))
+    return Taken(record.history, dict(zip(integrals, record.integrals, strict=True)), record.events or {})
 
 
 def _outputs(functionals: Iterable[AbstractFunctional]) -> frozenset[str]:
@@ -191,7 +242,7 @@ def first_broken(outputs: Mapping[str, Float[np.ndarray, "points instants ..."]]
 
 def unsolved(problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> str:
     """Why one realisation has no solution, as far as its equations or its integrator can tell; empty if it has."""
-    return realise(problem.simulation, germ, decisions).explain()
+    return realise(problem.simulation, germ, decisions).explain(events_of(functionals_of(problem.expressions)))
 
 
 @final

@@ -2,6 +2,7 @@
 
 import abc
 from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, final
 
 import equinox as eqx
@@ -14,7 +15,7 @@ from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
 from aleator.design._expression import Constraint, Expression, Range
 from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Units, a_number, ordered
-from aleator.dynamics import AbstractGrid, History
+from aleator.dynamics import AbstractGrid, History, Occurrence
 from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance, Std, a_statistic
 
 
@@ -26,7 +27,7 @@ class AbstractOfFunctionals(AbstractAtom):
     @property
     @override
     def subjects(self) -> tuple[str, ...]:
-        return tuple(name for one in self.functionals for name in one.outputs)
+        return tuple(name for one in self.functionals for name in one.outputs or (one.output,))
 
     @property
     @override
@@ -211,10 +212,13 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
 
 
 class Taken(NamedTuple):
-    """The data of one realisation for functionals: its outputs over time, and the integrals that they need."""
+    """The data of one realisation for functionals: its outputs over time, the integrals that they need, and the first
+    occurrence of each event that they name.
+    """
 
     history: History
     integrals: Mapping[AbstractFunctional, Float[Array, "..."]]
+    events: Mapping[str, Occurrence] = MappingProxyType({})
 
 
 @final

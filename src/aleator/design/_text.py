@@ -208,8 +208,9 @@ def _physics_row(problem: AbstractProblem, advanced: str) -> tuple[str, str]:
         unknowns = getattr(system, "unknowns", ())
         solved = f"{name}({', '.join(unknowns)}), solved by Newton's method"
         return "equations", solved if unknowns else f"{name}, in closed form"
-    free = isinstance(grid.t_final, AbstractDecision)
-    steps = f"{grid.steps} steps to t_final" if free else f"{grid.steps} steps of {float(grid.step):g} s"
+    free = isinstance(grid.t_final, AbstractDecision) or grid.until is not None
+    end = "t_final" if grid.until is None else f"'{grid.until}', at most {grid.latest:g} s"
+    steps = f"{grid.steps} steps to {end}" if free else f"{grid.steps} steps of {float(grid.step):g} s"
     who = name if system.formulated is system else f"{name} of {type(system.formulated).__name__}"
     if not system.states:
         return "dynamics", f"{who}, {steps}, nothing is integrated"

@@ -6,6 +6,7 @@ from aleator.dynamics._algebraic import AlgebraicSystem as AlgebraicSystem
 from aleator.dynamics._algebraic import explain_failure as explain_failure
 from aleator.dynamics._algebraic import solve_algebraic as solve_algebraic
 from aleator.dynamics._assembly import Assembly as Assembly
+from aleator.dynamics._crossings import needed as needed
 from aleator.dynamics._equations import FINER as FINER
 from aleator.dynamics._equations import Equations as Equations
 from aleator.dynamics._evaluation import algebraic_residuals as algebraic_residuals
@@ -16,6 +17,7 @@ from aleator.dynamics._evaluation import initial_state as initial_state
 from aleator.dynamics._evaluation import observation as observation
 from aleator.dynamics._evaluation import solved_algebraic as solved_algebraic
 from aleator.dynamics._evaluation import with_algebraic as with_algebraic
+from aleator.dynamics._event import Event as Event
 from aleator.dynamics._grid import AbstractGrid as AbstractGrid
 from aleator.dynamics._grid import Grid as Grid
 from aleator.dynamics._grid import Inputs as Inputs
@@ -31,6 +33,8 @@ from aleator.dynamics._record import STATES as STATES
 from aleator.dynamics._record import Asked as Asked
 from aleator.dynamics._record import History as History
 from aleator.dynamics._record import Known as Known
+from aleator.dynamics._record import Occurrence as Occurrence
+from aleator.dynamics._record import Record as Record
 from aleator.dynamics._record import known_at as known_at
 from aleator.dynamics._record import observed_at as observed_at
 from aleator.dynamics._schemes import MOST_STAGES as MOST_STAGES
@@ -43,6 +47,7 @@ from aleator.dynamics._schemes import Radau as Radau
 from aleator.dynamics._schemes import Trapezoid as Trapezoid
 from aleator.dynamics._simulate import simulate as simulate
 from aleator.dynamics._simulation import Simulation as Simulation
+from aleator.dynamics._simulation import refuse_unknown_event as refuse_unknown_event
 from aleator.dynamics._simulation import simulation_of as simulation_of
 from aleator.dynamics._switches import jump_times as jump_times
 from aleator.dynamics._switches import time_switches as time_switches
@@ -50,4 +55,5 @@ from aleator.dynamics._system import AbstractSystem as AbstractSystem
 from aleator.dynamics._system import System as System
 from aleator.dynamics._system import called as called
 from aleator.dynamics._system import check_inputs as check_inputs
+from aleator.dynamics._system import check_variables as check_variables
 from aleator.dynamics._system import returned as returned

@@ -25,8 +25,8 @@ from aleator.dynamics._evaluation import (
     variables_of,
 )
 from aleator.dynamics._grid import Grid, Inputs, inputs_on
-from aleator.dynamics._integrators import AbstractIntegrator, on_grid, zeros
-from aleator.dynamics._record import Asked, Record
+from aleator.dynamics._integrators import AbstractIntegrator, on_grid
+from aleator.dynamics._record import Asked, Record, zeros
 from aleator.dynamics._steps import Steps, signals_within, steps_of
 from aleator.dynamics._system import System, state_type
 from aleator.dynamics._tableaux import RODAS_5P, TSITOURAS_5, Tableau, square
@@ -183,12 +183,12 @@ class AbstractAdaptive(AbstractIntegrator):
         return jax.lax.while_loop(is_on_the_way, attempt, begin)
 
     @override
-    def explain(self, system: System, grid: Grid, inputs: Inputs) -> str:
+    def explain(self, system: System, grid: Grid, inputs: Inputs, events: frozenset[str] = frozenset()) -> str:
         _, steps, shares, end, _ = evaluate(
             lambda: self._course(system, grid, inputs, Asked(frozenset())), use=Use.ONCE
         )
         if np.all(np.asarray(shares) == 1.0):
-            return super().explain(system, grid, inputs)
+            return super().explain(system, grid, inputs, events)
         name, now = type(self).__name__, inputs_on(grid, inputs)
         reached, last = float(grid.t_start + np.asarray(shares) @ np.asarray(steps.h)), float(grid.t_final)
         states, named = ravel_pytree(initial_state(system, grid.times[0], now(grid.times[0])))

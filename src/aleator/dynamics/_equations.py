@@ -23,13 +23,16 @@ from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
 from aleator.dynamics._algebraic import AlgebraicSystem, equations, first_guess, outputs_at
 from aleator.dynamics._evaluation import (
+    after_events,
     algebraic_residuals,
     derivative_and_observation,
+    event_levels,
     guessed_algebraic,
     initial_state,
     observation,
     with_algebraic,
 )
+from aleator.dynamics._event import Event
 from aleator.dynamics._system import AbstractSystem, System
 from aleator.trajectories import AbstractSignal
 
@@ -91,6 +94,7 @@ class Equations:
             assert isinstance(system, System)
             assert start is not None
             functions, names = _dynamical(system, start), [system.states, system.algebraic, tuple(start.inputs)]
+            names += [(name, event.direction) for name, event in system.declared_events.items()]
         # Equations speak of numbers by their order alone.
         parts = {name: digest_of(one.closed) for name, one in functions.items()}
         return cls(
@@ -173,6 +177,9 @@ def _dynamical(system: System, start: Start) -> dict[str, TracedFunction]:
         functions["guess"] = TracedFunction(guessed_algebraic, system, start.t, z, start.inputs)
         z = with_algebraic(system, z, functions["guess"](system, start.t, z, start.inputs))
         functions["residual"] = TracedFunction(algebraic_residuals, system, start.t, z, start.inputs)
+    if system.declared_events:
+        functions["levels"] = TracedFunction(event_levels, system, start.t, z, start.inputs)
+        functions["after"] = TracedFunction(after_events, system, start.t, z, start.inputs)
     return functions | {"instant": TracedFunction(_instant, system, start.t, z, start.inputs)}
 
 
@@ -238,6 +245,19 @@ class TracedSystem(System):
     @override
     def title(self) -> str:
         return self.system.title
+
+    @property
+    @override
+    def declared_events(self) -> Mapping[str, Event]:
+        return self.system.declared_events
+
+    @override
+    def event_levels(self, t: Any, z: Any, *args: Any, **inputs: Any) -> Float[Array, " events"]:
+        return self.equations["levels"](self.system, t, z, inputs)
+
+    @override
+    def after_events(self, t: Any, z: Any, *args: Any, **inputs: Any) -> Float[Array, "events states"]:
+        return self.equations["after"](self.system, t, z, inputs)
 
     @override
     def rhs(self, t: Any, z: Any, **inputs: Any) -> Any:

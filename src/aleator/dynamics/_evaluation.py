@@ -90,6 +90,16 @@ def observation(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> dic
         return as_outputs(system, evaluated(system, system.outputs, t, completed(system, t, z, inputs), inputs))
 
 
+def event_levels(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> Float[Array, " events"]:
+    """The functions of all events. Algebraic variables that `z` lacks are solved for."""
+    return system.event_levels(t, completed(system, t, z, inputs), **inputs)
+
+
+def after_events(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> Float[Array, "events states"]:
+    """The states after each event. Algebraic variables that `z` lacks are solved for."""
+    return system.after_events(t, completed(system, t, z, inputs), **inputs)
+
+
 @contextlib.contextmanager
 def _signals_told(system: System) -> Iterator[None]:
     """What is refused because a field holds a signal where a number is used, with how a signal is given instead."""

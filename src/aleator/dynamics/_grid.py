@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import NUMBER, Scalar, refuse_beyond_memory
-from aleator._core.border import is_masked, shown, whole
+from aleator._core.border import is_masked, real, refusal, shown, whole
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf, Module, highest, lowest, realised_shape
 from aleator.dynamics._system import System, check_inputs
@@ -48,14 +48,32 @@ class Grid(AbstractGrid):
     """Uniform instants from `t_start` to `t_final`, in seconds: `steps` steps, so `steps + 1` instants.
 
     `t_final` may be a `Decision`: a free final time. Trajectories among the inputs are stretched to the grid.
+
+    `Grid(until="ground", at_most=10.0, steps=40)` ends in each realisation at the first event of that name of the
+    system, at the latest at `at_most`, s: the instants of a realisation divide its own time into equal steps.
+    Trajectories are stretched from `t_start` to `at_most`, and so are the same functions of time in all realisations.
+
+    Raises `ProblemError` for times that are not finite or not in order, and for a final time beside `until`.
     """
 
     t_final: Any
     steps: int = eqx.field(static=True)
     t_start: Scalar
+    until: str | None = eqx.field(static=True)
+    at_most: float | None = eqx.field(static=True)
 
-    def __init__(self, t_final: Any, steps: int, t_start: float = 0.0):
-        self.steps = _steps(steps)
+    def __init__(
+        self,
+        t_final: Any = None,
+        steps: Any = None,
+        t_start: float = 0.0,
+        *,
+        until: str | None = None,
+        at_most: float | None = None,
+    ):
+        if until is not None or at_most is not None:
+            at_most = t_final = _latest(t_final, until, at_most)
+        self.until, self.at_most, self.steps = until, at_most, _steps(steps)
         t_final, t_start = _scalar(t_final), _scalar(t_start)
         free = _is_decided(t_final)
         earliest: Any = lowest(t_final) if free else t_final
@@ -73,7 +91,9 @@ class Grid(AbstractGrid):
 
     @property
     def latest(self) -> float:
-        """The final time, or the largest that may be chosen, s."""
+        """The final time, or the largest that may be chosen or reached, s."""
+        if self.at_most is not None:
+            return self.at_most
         return float(self.t_final if (latest := highest(self.t_final)) is None else latest)
 
     @override
@@ -84,6 +104,12 @@ class Grid(AbstractGrid):
         """The same time span with `steps` steps."""
         grid = copy(self)  # its times may be traced, and were checked
         object.__setattr__(grid, "steps", _steps(steps))
+        return grid
+
+    def ending(self, t_final: Scalar) -> "Grid":
+        """The grid of a realisation that ends at this time by the event `until`."""
+        grid = copy(self)
+        object.__setattr__(grid, "t_final", t_final)
         return grid
 
     @property
@@ -155,6 +181,18 @@ def _steps(steps: Any) -> int:
     steps = whole("Grid: steps", steps)
     refuse_beyond_memory(f"Grid: {shown(steps)} steps", 3 * NUMBER * steps, "Take fewer steps.")
     return steps
+
+
+def _latest(t_final: Any, until: Any, at_most: Any) -> float:
+    """The final time of a grid that ends by an event, if this does not happen before."""
+    if not (isinstance(until, str) and until):
+        raise refusal("Grid: until", "the name of an event of the system, such as 'ground'", until)
+    if t_final is not None:
+        raise ProblemError(
+            f"Grid: it ends at '{until}': expected the latest time as at_most; received t_final={t_final!r} too. Write "
+            f"al.Grid(until='{until}', at_most=10.0, steps=40)."
+        )
+    return real(f"Grid: at_most, the latest time that '{until}' happens, s", at_most)
 
 
 def _is_decided(t_final: Any) -> bool:

@@ -17,15 +17,17 @@ from typing_extensions import override
 from aleator._core.arrays import Pytree
 from aleator._core.compilation import Use, evaluate
 from aleator._core.equations import as_time
+from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
+from aleator.dynamics._crossings import course, ended, needed, watched
 from aleator.dynamics._equations import TracedSystem
 from aleator.dynamics._evaluation import completed, derivative, explain_algebraic, initial_state
+from aleator.dynamics._explained import explain_events
 from aleator.dynamics._grid import Grid, Inputs
-from aleator.dynamics._record import ONLY_STATES, STATES, Asked, Record
-from aleator.dynamics._steps import Steps, steps_of
+from aleator.dynamics._record import ONLY_STATES, STATES, Asked, Record, zeros
+from aleator.dynamics._steps import Steps, is_divided, steps_of
 from aleator.dynamics._system import System
 from aleator.dynamics._tableaux import DORMAND_PRINCE_5, RUNGE_KUTTA_4, Tableau, square
-from aleator.trajectories import jumping_in
 
 # Systems of more equations take longer to compile for each stage than a loop over the stages takes to run.
 _LARGE = 500
@@ -44,8 +46,20 @@ class AbstractIntegrator(Module):
         tolerances, if it has any.
         """
 
-    def explain(self, system: System, grid: Grid, inputs: Inputs) -> str:
-        """Why it fails on one realised system, with the remedy; empty if it does not fail, or cannot tell."""
+    def check_events(self, system: System, grid: Grid, events: frozenset[str]) -> None:
+        """Raise `ProblemError` if steps have to end at events, those asked for among them, and it looks for none."""
+        if names := needed(system, grid, events):
+            raise ProblemError(
+                f"{system.title}: {type(self).__name__} does not look for its event '{names[0]}', which needs fixed "
+                "steps: use al.integrators.RungeKutta4(), the default."
+            )
+
+    def explain(self, system: System, grid: Grid, inputs: Inputs, events: frozenset[str] = frozenset()) -> str:
+        """Why it fails on one realised system, with the remedy; empty if it does not fail, or cannot tell.
+
+        - `events`: those without which nothing is known of the system.
+        """
+        del events
         if not system.algebraic:
             return ""
         rows = evaluate(lambda: self.record(system, grid, inputs, ONLY_STATES).history[STATES], use=Use.ONCE)
@@ -65,8 +79,25 @@ class AbstractFixedStep(AbstractIntegrator):
     tableau: ClassVar[Tableau]
 
     @override
+    def check_events(self, system: System, grid: Grid, events: frozenset[str]) -> None:
+        """Its steps end at all events."""
+
+    def ended(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
+        """The record of one realised system that ends at its event `grid.until`; NaN if this does not happen."""
+        return ended(self.record, system, grid, inputs, asked)
+
+    @override
+    def explain(self, system: System, grid: Grid, inputs: Inputs, events: frozenset[str] = frozenset()) -> str:
+        why = explain_events(self.tableau, system, grid, inputs, events)
+        return why or super().explain(system, grid, inputs)
+
+    @override
     def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
-        if not jumping_in(inputs):
+        if names := watched(system, grid, asked.events):
+            return on_grid(
+                grid, asked, lambda grid, asked: course(self.tableau, system, grid, inputs, asked, names)[:2]
+            )
+        if not is_divided(grid, inputs):
             return self._taken(system, grid, inputs, asked)[0]
         # A step that a jump divides has its middle anywhere.
         return on_grid(grid, asked, lambda grid, asked: self._taken(system, grid, inputs, asked))
@@ -131,7 +162,7 @@ def on_grid(grid: Grid, asked: Asked, along: Callable[[Grid, Asked], tuple[Recor
     nodes = {name: values[places] if is_divided else values for name, values in record.history.items()}
     history = {name: values[::parts] for name, values in nodes.items()}
     if asked.fold is None:
-        return Record(history, {name: nodes[name] for name in asked.nodes}, record.integrals)
+        return record._replace(history=history, nodes={name: nodes[name] for name in asked.nodes})
     folded, history = jax.lax.scan(asked.folded, asked.unfolded({n: v[0] for n, v in history.items()}), history)
     return Record(history, {}, record.integrals, folded and folded[1])
 
@@ -171,11 +202,6 @@ def _moved(z: Pytree, h: Any, weights: tuple[float, ...], slopes: list[Pytree]) 
         z,
         *(slope for _, slope in used),
     )
-
-
-def zeros(shapes: Pytree) -> Pytree:
-    """Zeros of the shapes of something that was not computed."""
-    return jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), shapes)
 
 
 def _interleaved(ends: Array, inside: Array) -> Array:

@@ -42,6 +42,8 @@ class Asked(NamedTuple):
       outputs that they depend on;
     - `states`: whether to record the states too, side by side, as `STATES`;
     - `fold`: what is made of the outputs at every instant instead of keeping them, where `Simulation.folds`;
+    - `events`: those whose first occurrence is needed, without which nothing is known of a realisation; `at_events`:
+      the outputs at these;
     - `course`: the states, side by side, from which each of so many equal parts of the time is simulated; None for one
       simulation from the first instant. Integrators are asked for one part at a time.
     """
@@ -53,6 +55,15 @@ class Asked(NamedTuple):
     states: bool = False
     fold: Fold | None = None
     course: Float[Array, "parts states"] | None = None
+    events: frozenset[str] = frozenset()
+    at_events: frozenset[str] = frozenset()
+
+    @property
+    def outputs(self) -> frozenset[str] | None:
+        """All outputs that are needed at any time; None for all."""
+        if self.instants is None:
+            return None
+        return self.instants | self.nodes | self.integrated | self.at_events
 
     def unfolded(self, outputs: dict[str, Any]) -> Any:
         """What is carried to the first instant, of which the outputs or their shapes are told."""
@@ -107,25 +118,47 @@ class Asked(NamedTuple):
 ONLY_STATES = Asked(frozenset(), states=True)
 
 
+class Occurrence(NamedTuple):
+    """The first time at which an event happens, s, and outputs then: those before its jump."""
+
+    t: Float[Array, ""]
+    outputs: dict[str, Array]
+
+
 class Record(NamedTuple):
     """What a simulation recorded.
 
     - `history`: outputs at every instant, shape (instants, ...); `nodes`: outputs at every instant and at the midpoint
       of every step, shape (2 steps + 1, ...);
-    - `integrals`: in the order of the integrands; `folded`: what a fold carried to the last instant.
+    - `integrals`: in the order of the integrands; `folded`: what a fold carried to the last instant;
+    - `events`: the first occurrence of each event asked for; `grid`: of the realisation.
     """
 
     history: History
     nodes: History
     integrals: tuple[Float[Array, "..."], ...]
     folded: Any = ()
+    events: dict[str, Occurrence] | None = None
+    grid: Any = None
+
+    @property
+    def outputs(self) -> History:
+        """The history, with the instants as `"time"` where an event ends the grid: nobody could know them else."""
+        ends = getattr(self.grid, "until", None) is not None
+        return {"time": self.grid.times, **self.history} if ends else self.history
 
     def thinned(self, parts: int) -> "Record":
         """The record of a grid with so many times fewer steps."""
         every = slice(None, None, parts)
         history = {name: values[every] for name, values in self.history.items()}
         # Between two instants of the finer grid lies one more node, so that nodes are as many apart.
-        return Record(history, {name: values[every] for name, values in self.nodes.items()}, self.integrals)
+        nodes = {name: values[every] for name, values in self.nodes.items()}
+        return self._replace(history=history, nodes=nodes, grid=self.grid.divided(self.grid.steps // parts))
+
+
+def zeros(shapes: Pytree) -> Pytree:
+    """Zeros of the shapes of something that was not computed."""
+    return jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), shapes)
 
 
 def chosen(system: Any, outputs: dict[str, Array], only: Collection[str] | None) -> dict[str, Array]:

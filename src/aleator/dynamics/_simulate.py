@@ -32,7 +32,8 @@ def simulate(
 
     Returns a dict of arrays of shape (instants, ...). The default integrator is `RungeKutta4`. An `AlgebraicSystem` has
     one instant and takes no grid, inputs or integrator: `simulate(system)`. A system without states is not integrated
-    either: its outputs follow from its inputs at each instant. `only` lists the names of the outputs wanted (default:
+    either: its outputs follow from its inputs at each instant. Where an event ends the grid, the instants are returned
+    as `"time"`, unless the system has an output of that name. `only` lists the names of the outputs wanted (default:
     all). Where equations could not be solved, or an adaptive integrator gives up, the outputs are NaN, and a
     `SimulationWarning` says so; where rates jump at a time that no input declares (`StepFunction`, `Tabulated`), which
     costs fixed steps their order, a `GridWarning`. Equations are traced at each call and compiled once: the same with
@@ -69,9 +70,9 @@ def _recorded(simulation: Simulation, asked: Asked) -> History:
         inside.is_met = True
         if inside.factor > 1:
             finer = simulation.on(grid.finer(inside.factor), simulation.integrator.reference())
-            return finer.record(asked).thinned(inside.factor).history
+            return finer.record(asked).thinned(inside.factor).outputs
     if is_traced(simulation) or not isinstance(simulation.system, System):
-        return simulation.record(asked).history
+        return _history(simulation, asked)
     simulation.refuse_at_start(simulation.system)
     history = _by_program(simulation, asked, grid)
     if simulation.system.solves_start and not all(np.isfinite(np.asarray(rows[0])).all() for rows in history.values()):
@@ -83,19 +84,19 @@ def _by_program(simulation: Simulation, asked: Asked, grid: AbstractGrid) -> His
     try:
         declared = simulation.declared()
     except Exception:
-        return simulation.record(asked).history
+        return _history(simulation, asked)
     assert declared.equations is not None
     declared.equations.refuse_large_history(simulation.system.title, grid.steps, asked.instants)
     try:
         history = _HISTORY(numbers_to_arrays(declared), asked)
     except Exception:
-        return simulation.record(asked).history
+        return _history(simulation, asked)
     _warn_of_jumps(declared)
     return history
 
 
 def _history(simulation: Simulation, asked: Asked) -> History:
-    return simulation.record(asked).history
+    return simulation.record(asked).outputs
 
 
 _HISTORY = Compiled(_history, use=Use.BRIEF)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import in_library, jax_array, numbers_to_arrays
-from aleator._core.border import refuse_missing
+from aleator._core.border import meant, refuse_missing
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, is_leaf, named_leaves, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, explain_failure
@@ -20,7 +20,7 @@ from aleator.dynamics._equations import Equations, Start, TracedSystem
 from aleator.dynamics._evaluation import initial_state
 from aleator.dynamics._grid import AbstractGrid, Grid, Inputs, Instant, check_signals, sampled
 from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator, RungeKutta4
-from aleator.dynamics._record import Asked, History, Record, chosen, observed
+from aleator.dynamics._record import Asked, History, Occurrence, Record, chosen, observed
 from aleator.dynamics._system import AbstractSystem, System, check_variables
 from aleator.trajectories import AbstractSignal, least_steps
 
@@ -64,23 +64,39 @@ class Simulation(Module):
         refuse_unrealised(system=self.system, grid=self.grid, inputs=self.inputs)
         system = self.traced
         if isinstance(system, AlgebraicSystem):
-            return Record(chosen(system, self._solved(system), asked.instants), {}, ())
+            return Record(chosen(system, self._solved(system), asked.instants), {}, (), grid=self.grid)
         assert isinstance(system, System)
-        grid = self._checked_grid(system)
-        parts = self._parts(grid)
+        parts = self._parts(self._checked_grid(system))
         if parts > 1:
-            return self.on(grid.finer(parts)).record(asked).thinned(parts)
-        if asked.instants is not None:
-            system = system.focused(asked.instants | asked.nodes | asked.integrated)
-        inputs = {**system.signals(), **self.inputs}
+            return self.on(self.grid.finer(parts)).record(asked).thinned(parts)
+        grid, inputs = self._checked_grid(system), self.signals(system)
+        self.integrator.check_events(system, grid, asked.events)
+        if asked.outputs is not None:
+            system = system.focused(asked.outputs)
         if asked.course is not None:
             assert isinstance(system, TracedSystem)
-            return self._in_parts(system, grid, inputs, asked, asked.course)
-        return (
-            self.integrator.record(system, grid, inputs, asked)
-            if system.states
-            else observed(system, grid, inputs, asked)
-        )
+            return self._in_parts(system, grid, inputs, asked, asked.course)._replace(grid=grid)
+        if not system.states:
+            return observed(system, grid, inputs, asked)._replace(grid=grid)
+        if grid.until is None:
+            return self.integrator.record(system, grid, inputs, asked)._replace(grid=grid)
+        assert isinstance(self.integrator, AbstractFixedStep)
+        if grid.until not in asked.events:
+            return self.integrator.ended(system, grid, inputs, asked)
+        # The event that ends the grid is at its end.
+        instants = None if asked.instants is None else asked.instants | asked.at_events
+        record = self.integrator.ended(system, grid, inputs, asked._replace(instants=instants))
+        end = Occurrence(record.grid.t_final, {name: values[-1] for name, values in record.history.items()})
+        return record._replace(events={**(record.events or {}), grid.until: end})
+
+    def signals(self, system: System) -> Inputs:
+        """All signals, the system's own ones too: on a grid that ends by an event, the same functions of time in all
+        realisations.
+        """
+        grid, signals = self.grid, {**system.signals(), **self.inputs}
+        if not isinstance(grid, Grid) or grid.until is None:
+            return signals
+        return {name: signal.over(grid.t_start, grid.t_final) for name, signal in signals.items()}
 
     def _in_parts(
         self, system: TracedSystem, grid: Grid, inputs: Inputs, asked: Asked, course: Float[Array, "parts states"]
@@ -105,12 +121,17 @@ class Simulation(Module):
     def folds(self) -> bool:
         """Whether outputs can be folded instant by instant while they are simulated (see `Asked`)."""
         system, grid = self.system, self.grid
-        if not (isinstance(system, System) and system.states and isinstance(grid, Grid)):
+        if not (isinstance(system, System) and system.states and isinstance(grid, Grid) and grid.until is None):
             return False
         return isinstance(self.integrator, AbstractFixedStep) and self._parts(grid) == 1
 
     def _parts(self, grid: Grid) -> int:
-        """Steps that are taken in the place of each: none may cross a node of a control, where order would be lost."""
+        """Steps that are taken in the place of each: none may cross a node of a control, where order would be lost.
+
+        Where an event ends the grid, nodes divide steps.
+        """
+        if grid.until is not None:
+            return 1
         return math.lcm(least_steps((self.system, self.inputs)), grid.steps) // grid.steps
 
     def declared(self) -> "Simulation":
@@ -129,14 +150,17 @@ class Simulation(Module):
         """All outputs at every instant, by name, with known numbers: shape (instants, ...)."""
         return self.record(Asked()).history
 
-    def explain(self) -> str:
-        """Why it has no solution, as far as its equations or its integrator can tell; empty if there is one."""
+    def explain(self, events: frozenset[str] = frozenset()) -> str:
+        """Why it has no solution, as far as its equations or its integrator can tell; empty if there is one.
+
+        - `events`: those without which nothing is known of it.
+        """
         system = self.traced
         if isinstance(system, AlgebraicSystem):
             return explain_failure(system)
         if not (isinstance(system, System) and isinstance(self.grid, Grid) and system.states):
             return ""
-        return self.integrator.explain(system, self.grid, {**system.signals(), **self.inputs})
+        return self.integrator.explain(system, self.grid, self.signals(system), events)
 
     def on(self, grid: AbstractGrid, integrator: AbstractIntegrator | None = None) -> "Simulation":
         """The same simulation on another grid, by another integrator if one is given."""
@@ -178,6 +202,7 @@ class Simulation(Module):
         if self.equations is None:
             check_variables(system)
             check_signals(system, self.grid, self.inputs)
+        refuse_unknown_event(system, self.grid.until)
         return self.grid
 
     def _solved(self, system: AlgebraicSystem) -> History:
@@ -204,6 +229,14 @@ def simulation_of(
     instants = Instant() if grid is None and not has_time else grid
     integrator = RungeKutta4() if integrator is None else integrator
     return Simulation(system, dict(inputs or {}), instants, integrator, dict(numbers))  # type: ignore[arg-type]
+
+
+def refuse_unknown_event(system: System, name: str | None) -> None:
+    """Raise `ProblemError` for the name of an event that a system does not have."""
+    if name is not None and name not in system.declared_events:
+        known = list(system.declared_events)
+        remedy = meant(name, known) if known else " Write events = {...: al.Event(...)} in the class."
+        raise ProblemError(f"{system.title} has no event '{name}'; expected one of {known}.{remedy}")
 
 
 def refuse_unrealised(**parts: Any) -> None:

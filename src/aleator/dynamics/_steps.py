@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from aleator.dynamics._grid import Grid, Inputs, sampled
-from aleator.trajectories import before_jumps, has_jumps, instants, jumping_in, on_pieces
+from aleator.trajectories import before_jumps, has_jumps, instants, jumping_in, on_pieces, piecewise_in
 
 
 class Steps(NamedTuple):
@@ -35,11 +35,16 @@ class Steps(NamedTuple):
 def steps_of(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> tuple[Steps, Int[Any, " instants"]]:
     """The steps of a grid, with signals at `inner` fractions of each, and where among these its instants are.
 
-    A declared jump divides the step in which it lies.
+    A declared jump divides the step in which it lies; so does a node of a control, where an event ends the grid.
     """
-    if jumping_in(inputs):
+    if is_divided(grid, inputs):
         return _divided(grid, inputs, inner)
     return _whole(grid, inputs, inner), np.arange(grid.steps + 1)
+
+
+def is_divided(grid: Grid, inputs: Inputs) -> bool:
+    """Whether steps are divided at times that follow from the numbers."""
+    return bool(jumping_in(inputs)) or (grid.until is not None and bool(piecewise_in(inputs)))
 
 
 def _whole(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> Steps:
@@ -58,19 +63,22 @@ def _whole(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> Steps:
 
 
 def _divided(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> tuple[Steps, Int[Array, " instants"]]:
-    """The steps of a grid with one more for each declared jump, and where among these its instants are.
+    """The steps of a grid with one more for each declared jump or node, and where among these its instants are.
 
     The jumps may be anywhere, in any order, so that the steps that they divide are data. Each step is told by its rank
     on which piece of a signal it is: times differ by rounding, and a step of no length has a side too, that of the
     derivative by the time of the jump.
     """
     jumps = [(one.jumps - grid.t_start) / grid.duration for one in jumping_in(inputs)]
-    every = jnp.concatenate([*jumps, jnp.asarray(grid.fractions)])
+    # All signals fill the grid to its latest end.
+    nodes = [] if grid.until is None else [np.array(one.nodes[1:-1]) for one in piecewise_in(inputs)]
+    nodes = [one * (grid.latest - grid.t_start) / grid.duration for one in nodes]
+    every = jnp.concatenate([*jumps, *nodes, jnp.asarray(grid.fractions)])
     order = jnp.argsort(every)  # stable: outputs at a jump are those of the step that begins there
     ends, ranks = jnp.clip(every[order], 0.0, 1.0), jnp.argsort(order)
-    *own, places = jnp.split(ranks, np.cumsum([one.size for one in jumps]))
+    *own, places = jnp.split(ranks, np.cumsum([one.size for one in (*jumps, *nodes)]))
     steps = np.arange(every.size)
-    pieces = [jnp.sum(one[None] <= steps[:, None], axis=1) for one in own]
+    pieces = [jnp.sum(one[None] <= steps[:, None], axis=1) for one in own[: len(jumps)]]
 
     def seen(first: Array, length: Array, pieces: list[Array]) -> tuple[dict[str, Array], dict[str, Array]]:
         held = on_pieces(inputs, pieces)

@@ -5,16 +5,19 @@ import inspect
 from collections import namedtuple
 from collections.abc import Callable, Collection, Mapping
 from functools import cache
+from types import MethodType
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
-from jaxtyping import Array
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.border import refusal
+from aleator._core.border import refusal, traceable
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.leaves import Module, Printed
+from aleator.dynamics._event import Event
 from aleator.trajectories import AbstractSignal
 
 # The longest quotation of another library's error message.
@@ -80,6 +83,8 @@ class System(AbstractSystem):
     the guess at the start alone, and then follows the solution from step to step. The equations must determine the
     algebraic variables at a fixed state (index 1).
 
+    `events` names what happens at certain states, such as an impact: see `Event`.
+
     Their signatures are open here, so that each system names its own inputs. `units` may give the units of outputs, for
     reports.
     """
@@ -89,6 +94,7 @@ class System(AbstractSystem):
     algebraic: ClassVar[tuple[str, ...]] = ()
     signal_fields: ClassVar[tuple[str, ...]] = ()
     further_inputs: ClassVar[tuple[str, ...] | None] = None
+    events: ClassVar[Mapping[str, Event]] = {}
 
     @property
     @override
@@ -120,6 +126,46 @@ class System(AbstractSystem):
         """`algebraic_guess(self, t, z, ...)`: values near the algebraic variables by name; those not named are zero."""
         del args, kwargs
         return {}
+
+    @property
+    def declared_events(self) -> Mapping[str, Event]:
+        """Its events; those of the model that it formulates, whose functions take that, if it has states."""
+        events = getattr(self.formulated, "events", {})
+        return events if self.states or self.formulated is self else {}
+
+    def event_levels(self, t: Any, z: Any, *args: Any, **inputs: Any) -> Float[Array, " events"]:
+        """The functions of all events, in order; an event is where one crosses zero."""
+        del args
+        levels = []
+        for name, event in self.declared_events.items():
+            who = f"{self.title}.events['{name}']"
+            level = traceable(who, evaluated(self, MethodType(event.function, self.formulated), t, z, inputs, who))
+            if level.shape != ():
+                raise ProblemError(f"{who}: expected one number that crosses zero; received shape {level.shape}.")
+            levels.append(level)
+        return jnp.stack(levels)
+
+    def after_events(self, t: Any, z: Any, *args: Any, **inputs: Any) -> Float[Array, "events states"]:
+        """The states side by side after each event, if it happened now."""
+        del args
+        return jnp.stack([self._after(name, event, t, z, inputs) for name, event in self.declared_events.items()])
+
+    def _after(self, name: str, event: Event, t: Any, z: Any, inputs: dict[str, Any]) -> Float[Array, " states"]:
+        who, values = f"{self.title}.events['{name}'].jump", {one: getattr(z, one) for one in self.states}
+        jump = {} if event.jump is None else evaluated(self, MethodType(event.jump, self.formulated), t, z, inputs, who)
+        if not isinstance(jump, Mapping) or not set(jump) <= set(values):
+            raise ProblemError(
+                f"{who}: expected new values by the names of some of the states {self.states}, as a dict; "
+                f"received {jump!r}."
+            )
+        for one, value in jump.items():
+            value = traceable(f"{who}, '{one}'", value)
+            if value.shape != jnp.shape(values[one]):
+                raise ProblemError(
+                    f"{who}: expected '{one}' of shape {jnp.shape(values[one])}; received {value.shape}."
+                )
+            values[one] = value
+        return jnp.concatenate([jnp.ravel(value) for value in values.values()])
 
     def initial(self) -> Mapping[str, Any]:
         """Initial values by state; states not named start at zero."""
@@ -165,11 +211,13 @@ def _state_type(names: tuple[str, ...]) -> Any:
         ) from error
 
 
-def evaluated(system: System, method: Callable[..., Any], t: Any, z: Any, inputs: dict[str, Array]) -> Any:
-    """`method(t, z, ...)` with the inputs that it names."""
+def evaluated(
+    system: System, method: Callable[..., Any], t: Any, z: Any, inputs: dict[str, Array], who: str = ""
+) -> Any:
+    """`method(t, z, ...)` with the inputs that it names; `who` it is in messages, by default a method of the system."""
     named, _, takes_all = _inputs_of(method)
     taken = {name: signal for name, signal in inputs.items() if takes_all or name in named}
-    return called(system, method, t, z, **taken)
+    return returned(who, method, t, z, **taken) if who else called(system, method, t, z, **taken)
 
 
 def called(system: eqx.Module, method: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
@@ -230,7 +278,10 @@ def _inputs_of(method: Callable[..., Any]) -> _Inputs:
 def _methods(system: System) -> list[Callable[..., Any]]:
     """The methods that a system writes with inputs among their arguments."""
     further = [getattr(system, name) for name in _IMPLICIT if _writes(system, name)]
-    return [system.rhs, system.outputs, *further]
+    functions = (
+        one for event in system.declared_events.values() for one in (event.function, event.jump) if one is not None
+    )
+    return [system.rhs, system.outputs, *further, *(MethodType(one, system) for one in functions)]
 
 
 def _writes(system: System, name: str) -> bool:
@@ -249,6 +300,11 @@ def check_variables(system: System) -> None:
     for names in (system.states, system.algebraic):
         state_type(names)
     state_type((*system.states, *system.algebraic))
+    events = system.declared_events
+    if not (isinstance(events, Mapping) and all(isinstance(one, Event) for one in events.values())):
+        raise refusal(f"{name}.events", "events by name, such as {'floor': al.Event(...)}", events)
+    if events and not system.states:
+        raise ProblemError(f"{name}: events {sorted(events)} need states that reach them; received none.")
     written = [one for one in _IMPLICIT if _writes(system, one)]
     if system.algebraic and "residual" not in written:
         raise ProblemError(

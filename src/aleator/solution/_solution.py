@@ -8,9 +8,8 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.arrays import jax_array
 from aleator._core.leaves import Drawn, Printed
-from aleator.design import Problem, grid_at, problem_text
+from aleator.design import Problem, instants_at, problem_text
 from aleator.nlp import HELD, Searched, Status
 from aleator.solution._branching import Branching
 from aleator.solution._certificate import Certificate, Moments, Objection, lines
@@ -231,8 +230,8 @@ class Solution(Drawn):
 
     @property
     def instants(self) -> Float[np.ndarray, " instants"]:
-        """The instants of the grid, s."""
-        return np.asarray(grid_at(self.problem, jax_array(self.vector)).times)
+        """The instants of the grid, s; those at the means, where an event ends each realisation at its own time."""
+        return instants_at(self.problem, self.vector)
 
     @property
     def inputs(self) -> Motions:

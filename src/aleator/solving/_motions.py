@@ -42,8 +42,9 @@ def _simulated(problem: Problem, germ: Float[Array, "systems variables"], decisi
         numbers = uncertain_numbers(problem.placements, point, decisions)
         if not (isinstance(system, System) and isinstance(grid, Grid)):
             return Histories({}, {}, {name: value[0] for name, value in simulation.history().items()}, numbers)
-        history = simulation.record(Asked(states=bool(system.states))).history
-        inputs = sampled(simulation.inputs, grid, grid.fractions)
+        record = simulation.record(Asked(states=bool(system.states)))
+        history, signals = record.outputs, simulation.signals(system)
+        inputs = sampled({name: signals[name] for name in simulation.inputs}, record.grid, grid.fractions)
         states = {}
         if system.states:
             template, unravel = ravel_pytree(initial_state(system, *simulation.start()))

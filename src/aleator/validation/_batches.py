@@ -22,13 +22,13 @@ from aleator.design import (
     Path,
     Problem,
     Statistic,
-    Taken,
     Value,
+    asked_for,
     functionals_of,
     numbers_of,
     step_at,
+    taken_from,
 )
-from aleator.dynamics import Asked
 from aleator.uncertainty import named_numbers, realise
 
 
@@ -178,17 +178,10 @@ def _simulate(
                 now = jax.tree.map(jnp.maximum, carried[0], now[0]), carried[1] + now[1]
             return now, {functionals.index(one): _moments(value, is_wanted, count) for one, value in values.items()}
 
-        asked = Asked(
-            instants=frozenset(name for one in others for name in one.outputs),
-            integrands=tuple(one.integrand for one in integrals),
-            integrated=frozenset(name for one in integrals for name in one.outputs),
-            fold=fold if is_folded else None,
-        )
-        realised = realise(problem.simulation, point, decisions)
-        record = realised.record(asked)
-        taken = Taken(record.history, dict(zip(integrals, record.integrals, strict=True)))
+        asked = asked_for(functionals)._replace(fold=fold if is_folded else None)
+        record = realise(problem.simulation, point, decisions).record(asked)
         known = integrals if is_folded else functionals
-        values = dict(zip(known, numbers_of(known, taken, realised.grid), strict=True))
+        values = dict(zip(known, numbers_of(known, taken_from(record, functionals), record.grid), strict=True))
         (worst, broken), moments = (record.folded, record.history) if is_folded else (({}, 0.0), {})
         expressions = evaluated(values, [i for i in range(len(limits)) if i not in worst])
         worst = worst | excess(expressions)

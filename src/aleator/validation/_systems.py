@@ -13,8 +13,8 @@ from aleator.design import (
     as_expression,
     first_broken,
     functionals_of,
-    grid_at,
     history,
+    instants_at,
     is_over_time,
     refuse_changed_code,
     responses,
@@ -130,7 +130,8 @@ class Systems:
         points = jax_array(fill(germ, batch))
         found, finite = SIMULATE(problem, points, self._decisions, jax_array(count), factor, is_folded)
         if not np.asarray(finite)[:count].all():
-            raise _not_finite(problem, jax_array(germ[np.argmin(finite)]), self._decisions)
+            failed = f"{np.sum(~np.asarray(finite)[:count])} of {count} systems fail"
+            raise _not_finite(problem, jax_array(germ[np.argmin(finite)]), self._decisions, failed)
         return found.first(count, keep)
 
 
@@ -139,13 +140,15 @@ def _on_finer(problem: Problem, factor: int) -> Problem:
     return numbers_to_arrays(problem if factor == 1 else problem.on_grid(problem.grid.finer(factor)))
 
 
-def _not_finite(problem: Problem, point: Float[Array, " variables"], decisions: Float[Array, " n"]) -> SimulationError:
+def _not_finite(
+    problem: Problem, point: Float[Array, " variables"], decisions: Float[Array, " n"], failed: str
+) -> SimulationError:
     """The error for a system without a result: its numbers, and which output is not finite, and from when on."""
     numbers = listed(inputs_at(problem.placements, point, decisions))
     outputs = {name: np.asarray(values)[None] for name, values in history(problem, point, decisions).items()}
     what = ""
     if (broken := first_broken(outputs)) is not None:
-        instant = grid_at(problem, decisions).times[broken.instant]
+        instant = instants_at(problem, np.asarray(decisions))[broken.instant]
         what = f": output '{broken.name}'" + (f" from t = {instant:.4g} s on" if problem.system.has_time else "")
     else:
         functionals = functionals_of(problem.expressions)
@@ -154,6 +157,6 @@ def _not_finite(problem: Problem, point: Float[Array, " variables"], decisions: 
         what = next((f": {one.text()}" for one, value in values if not np.isfinite(value).all()), "")
     remedy = "Shorten the time step, use an implicit integrator (al.integrators.Kvaerno5), or bound the distributions."
     return SimulationError(
-        f"Monte Carlo: the simulation of the system{numbers and ' with '}{numbers} is not finite{what}. "
+        f"Monte Carlo: the simulation of the system{numbers and ' with '}{numbers} is not finite{what}; {failed}. "
         f"{unsolved(problem, point, decisions) or remedy}"
     )

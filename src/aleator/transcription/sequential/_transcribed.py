@@ -19,7 +19,7 @@ from typing_extensions import override
 from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.border import refusal
 from aleator._core.compilation import Compiled
-from aleator.design import AbstractFunctional, Problem, functionals_of
+from aleator.design import AbstractFunctional, Problem, ends_by_event, functionals_of, instants_at
 from aleator.expansion import Collocation
 from aleator.nlp import Hessian, NonlinearProgram, with_entries
 from aleator.statistics import Constants, Std
@@ -128,7 +128,7 @@ class SequentiallyTranscribed(AbstractTranscribed):
             samples=blocks.samples,
             tangents=blocks.tangents,
             statistics=blocks.statistics,
-            times=blocks.times,
+            times=instants_at(self.problem, point) if ends_by_event(self.problem) else blocks.times,
         )
 
     @override

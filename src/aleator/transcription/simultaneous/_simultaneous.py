@@ -10,7 +10,7 @@ from typing_extensions import override
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.border import one_of, positive, refusal, whole
 from aleator._core.errors import ProblemError
-from aleator.design import Problem
+from aleator.design import Problem, needed_events
 from aleator.dynamics import MOST_STAGES, AbstractScheme, Grid, HermiteSimpson
 from aleator.nlp import AbstractSolver, Ipopt
 from aleator.solution import Solution
@@ -119,6 +119,11 @@ class Simultaneous(AbstractTranscription):
 
     @override
     def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SimultaneouslyTranscribed:
+        if names := needed_events(problem):
+            raise ProblemError(
+                f"al.Simultaneous ties states at fixed shares of the time: it has no place for the event '{names[0]}' "
+                f"of {type(problem.system).__name__}. Use al.Sequential(), the default."
+            )
         mesh = self._first_mesh(problem)
         discretisation, traced = discretised(problem), numbers_to_arrays(problem)
         scenarios = first_scenarios(problem, np.asarray(discretisation.collocation.points))

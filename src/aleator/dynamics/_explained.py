@@ -1,0 +1,60 @@
+"""Why an event that is needed is not found in a realisation."""
+
+import numpy as np
+
+from aleator._core.compilation import Use, evaluate
+from aleator.dynamics._crossings import AT_START, LOST, MANY, STAYS, TOGETHER, course, needed
+from aleator.dynamics._grid import Grid, Inputs
+from aleator.dynamics._newton import listed, numbers_in
+from aleator.dynamics._record import Asked
+from aleator.dynamics._system import System
+from aleator.dynamics._tableaux import Tableau
+
+
+def explain_events(tableau: Tableau, system: System, grid: Grid, inputs: Inputs, events: frozenset[str]) -> str:
+    """Why an event that is needed is not found in a realisation, with its numbers; empty if all are."""
+    names = needed(system, grid, events)
+    if not names:
+        return ""
+    one = evaluate(lambda: course(tableau, system, grid, inputs, Asked(frozenset()), names), use=Use.ONCE)
+    numbers = listed(numbers_in(system))
+    who = f"{system.title}{f' with {numbers}' if numbers else ''}"
+    fault, times = one.fault, dict(zip(names, np.asarray(one.seen.t).tolist(), strict=True))
+    end = times.get(grid.until or "", float(grid.t_final))
+    if int(fault.kind) > 0 and not float(fault.t) > end:
+        return f"{who} {_FAULTS[int(fault.kind)].format(name=names[int(fault.event)], t=float(fault.t))}"
+    if np.isnan(end):
+        return (
+            f"{who} never meets '{grid.until}', at which its grid ends, from {float(grid.t_start):.4g} to "
+            f"{float(grid.t_final):.4g} s: raise at_most, or bound the distributions and decisions that lead past it."
+        )
+    if missing := [name for name in names if name in events and not times[name] <= end]:
+        return (
+            f"{who} never meets '{missing[0]}', which is asked for by al.at, from {float(grid.t_start):.4g} to "
+            f"{end:.4g} s."
+        )
+    return ""
+
+
+_FAULTS = {
+    LOST: (
+        "meets '{name}' at about t = {t:.4g} s, but its function touches zero there with next to no rate, or steps are "
+        "too long to find where. Take more steps, or bound what leads there."
+    ),
+    MANY: (
+        "meets '{name}' again and again within one step, at about t = {t:.4g} s. Infinitely many events in a finite "
+        "time have no simulation: end the grid before, or let al.Grid(until=...) end it at another event."
+    ),
+    AT_START: (
+        "starts at '{name}', at t = {t:.4g} s, and moves on through it. Start on one side of it, or choose the other "
+        "direction."
+    ),
+    TOGETHER: (
+        "meets '{name}' and another event at the same time, t = {t:.4g} s, where their order decides. Make one event "
+        "of both, or let them happen one after the other."
+    ),
+    STAYS: (
+        "stays at '{name}' after t = {t:.4g} s: its jump leaves the rate of the function at zero. Let the jump lead "
+        "away from it, or end the grid there, al.Grid(until='{name}', ...)."
+    ),
+}

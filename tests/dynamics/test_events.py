@@ -1,0 +1,366 @@
+"""Events: jumps of states, and grids that end by one, against closed forms and SciPy's own events."""
+
+import typing
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy
+from jaxtyping import Array
+
+import aleator as al
+from aleator.dynamics import Asked
+from aleator.uncertainty import realise
+
+G = 9.81
+FIXED = [al.integrators.RungeKutta4(), al.integrators.RungeKutta4().reference()]
+
+
+class Ball(al.System):
+    """A ball that bounces: `v -> -e v` on the floor."""
+
+    states = ("y", "v")
+    e: al.Number = 0.7
+    height: al.Number = 1.0
+    events: ClassVar = {
+        "floor": al.Event(lambda self, t, z: z.y, direction=-1, jump=lambda self, t, z: {"v": -self.e * z.v})
+    }
+
+    def rhs(self, t, z):
+        return z.v, -G
+
+    def initial(self):
+        return {"y": self.height}
+
+    def outputs(self, t, z):
+        return {"h": z.y, "v": z.v}
+
+
+class Shot(al.System):
+    """A body thrown upwards, with drag `c |v| v`."""
+
+    states = ("x", "y", "vx", "vy")
+    speed: al.Number = 20.0
+    angle: al.Number = 0.7
+    height: al.Number = 0.0
+    c: al.Number = 0.0
+    events: ClassVar = {
+        "ground": al.Event(lambda self, t, z: z.y, direction=-1),
+        "top": al.Event(lambda self, t, z: z.vy, direction=-1),
+    }
+
+    def rhs(self, t, z):
+        drag = self.c * jnp.sqrt(z.vx**2 + z.vy**2)
+        return z.vx, z.vy, -drag * z.vx, -G - drag * z.vy
+
+    def initial(self):
+        return {"y": self.height, "vx": self.speed * jnp.cos(self.angle), "vy": self.speed * jnp.sin(self.angle)}
+
+    def outputs(self, t, z):
+        return {"x": z.x, "y": z.y}
+
+
+LANDED = al.Grid(until="ground", at_most=10.0, steps=40)
+
+
+def second_flight(e, height, t):
+    """The height of the ball between its second bounce and the third one."""
+    first = jnp.sqrt(2 * height / G)
+    after = t - first * (1 + 2 * e)
+    return e**2 * G * first * after - G / 2 * after**2
+
+
+def landing(speed, angle, height):
+    """When and where a body without drag lands."""
+    up = speed * jnp.sin(angle)
+    t = (up + jnp.sqrt(up**2 + 2 * G * height)) / G
+    return jnp.stack([t, speed * jnp.cos(angle) * t])
+
+
+@pytest.mark.parametrize("integrator", FIXED, ids=str)
+def test_a_ball_bounces_wherever_in_a_step_and_twice_in_one(integrator):
+    history = al.simulate(Ball(), al.Grid(1.2, 2), integrator=integrator)
+    assert float(history["h"][-1]) == pytest.approx(float(second_flight(0.7, 1.0, 1.2)), abs=1e-13)
+
+
+def test_derivatives_after_jumps_are_those_of_the_closed_form_to_third_order():
+    def simulated(at):
+        return al.simulate(Ball(at[0], at[1]), al.Grid(1.2, 12), only=["h"])["h"][-1]
+
+    def exact(at):
+        return second_flight(at[0], at[1], 1.2)
+
+    ours, right, at = simulated, exact, jnp.array([0.7, 1.0])
+    for _ in range(3):
+        ours, right = jax.jacfwd(ours), jax.jacfwd(right)
+        assert np.asarray(jax.jit(ours)(at)) == pytest.approx(np.asarray(jax.jit(right)(at)), rel=1e-9)
+
+
+def test_the_end_of_a_grid_and_its_derivatives_are_those_of_the_closed_form():
+    def simulated(at):
+        history = al.simulate(Shot(at[0], at[1], at[2]), LANDED)
+        return jnp.stack([history["time"][-1], history["x"][-1]])
+
+    ours, right, at = simulated, lambda at: landing(at[0], at[1], at[2]), jnp.array([20.0, 0.7, 1.0])
+    for _ in range(3):
+        assert np.asarray(jax.jit(ours)(at)) == pytest.approx(np.asarray(jax.jit(right)(at)), rel=1e-9, abs=1e-10)
+        ours, right = jax.jacfwd(ours), jax.jacfwd(right)
+
+
+def test_derivatives_with_drag_agree_with_central_differences():
+    def ranged(angle):
+        return al.simulate(Shot(20.0, angle, 1.0, 0.02), LANDED)["x"][-1]
+
+    slope = jax.jacfwd(ranged)
+    beside, near = 0.7 + 1e-5, 0.7 - 1e-5
+    assert float(slope(0.7)) == pytest.approx(float(ranged(beside) - ranged(near)) / 2e-5, rel=1e-7)
+    assert float(jax.jacfwd(slope)(0.7)) == pytest.approx(float(slope(beside) - slope(near)) / 2e-5, rel=1e-7)
+
+
+def test_a_body_lands_on_the_ground_to_rounding_with_the_order_of_the_integrator():
+    c, start = 0.02, [0.0, 1.0, 20 * np.cos(0.7), 20 * np.sin(0.7)]
+
+    def rates(t, z):
+        drag = c * np.hypot(z[2], z[3])
+        return [z[2], z[3], -drag * z[2], -G - drag * z[3]]
+
+    ground: Any = lambda t, z: z[1]  # noqa: E731
+    ground.terminal, ground.direction = True, -1
+    right = scipy.integrate.solve_ivp(rates, (0, 10), start, "DOP853", events=ground, rtol=1e-12, atol=1e-13).y[0, -1]
+    errors = []
+    for steps in (20, 40, 80):
+        history = al.simulate(Shot(20.0, 0.7, 1.0, c), al.Grid(until="ground", at_most=10.0, steps=steps))
+        assert abs(float(history["y"][-1])) < 1e-13
+        errors.append(abs(float(history["x"][-1]) - right))
+    assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx([4.0, 4.0], abs=0.1)
+
+
+def test_uncertain_speed_angle_and_height_spread_the_range_as_quadrature_says():
+    ends = {"speed": (19.0, 21.0), "angle": (0.65, 0.75), "height": (0.5, 1.5)}
+    numbers = {name: al.Uniform((low + high) / 2, half_width=(high - low) / 2) for name, (low, high) in ends.items()}
+    found = al.expand(lambda at: al.simulate(Shot(**at), LANDED)["x"][-1], numbers, al.Expansion(order=7))
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    grids = np.meshgrid(*((low + high) / 2 + (high - low) / 2 * nodes for low, high in ends.values()), indexing="ij")
+    values, weight = np.asarray(landing(*grids)[1]), np.einsum("i,j,k->ijk", *[weights / 2] * 3)
+    mean = np.sum(weight * values)
+    assert float(found.mean) == pytest.approx(mean, rel=1e-8)
+    assert float(found.std) == pytest.approx(np.sqrt(np.sum(weight * (values - mean) ** 2)), rel=1e-8)
+
+
+def test_an_uncertain_restitution_spreads_the_height_as_the_closed_form_says():
+    found = al.expand(
+        lambda at: al.simulate(Ball(at["e"]), al.Grid(1.2, 12))["h"][-1],
+        {"e": al.Uniform(0.7, half_width=0.1)},
+        al.Expansion(order=4),
+    )
+    assert float(found.mean) == pytest.approx(0.1558396995, abs=1e-10)
+    assert float(found.std) == pytest.approx(0.0302186563, abs=1e-10)
+
+
+class Pushed(al.System):
+    """`x'' = force`, until `x` is 0.5."""
+
+    states = ("x", "v")
+    events: ClassVar = {"there": al.Event(lambda self, t, z: z.x - 0.5)}
+
+    def rhs(self, t, z, force):
+        return z.v, force
+
+    def outputs(self, t, z):
+        return {"v": z.v}
+
+
+THERE = al.Grid(until="there", at_most=4.0, steps=8)
+
+
+def test_an_input_is_the_same_function_of_time_whenever_the_grid_ends():
+    # A ramp over the 4 s of the grid, force = t: x = t^3 / 6.
+    history = al.simulate(Pushed(), THERE, {"force": al.PowerSeries(start=(0.0,), end=(4.0,))})
+    assert float(history["time"][-1]) == pytest.approx(3 ** (1 / 3), rel=1e-12)
+
+
+def test_a_declared_jump_before_the_end_divides_its_step():
+    # Force 1 up to 0.7 s, 0 later: x = 0.245 + 0.7 (t - 0.7).
+    history = al.simulate(Pushed(), THERE, {"force": al.StepFunction([0.7], [1.0, 0.0])})
+    assert float(history["time"][-1]) == pytest.approx(0.7 + 0.255 / 0.7, rel=1e-12)
+
+
+@pytest.mark.parametrize("degree", [0, 1])
+def test_steps_end_at_the_nodes_of_a_control_whenever_the_grid_ends(degree):
+    # Accelerations that are polynomials between nodes are integrated exactly if no step crosses one.
+    levels = np.array([0.2, 0.9, -0.4, 0.5, 0.3])[: 4 + degree]
+    control = al.Control(0.0, degree=degree)
+    problem = al.Problem(
+        Pushed(),
+        grid=al.Grid(until="there", at_most=4.0, steps=4),
+        inputs={"force": control},
+        minimize=al.at("there").mean,
+    )
+    solution = realise(problem.simulation, jnp.zeros(0), jnp.asarray(levels))
+    fine = np.linspace(0.0, 4.0, 400_001)
+    force = np.interp(fine, np.arange(5.0), levels) if degree else levels[np.minimum(fine.astype(int), 3)]
+    speed = np.concatenate([[0.0], np.cumsum((force[1:] + force[:-1]) / 2 * 1e-5)])
+    place = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * 1e-5)])
+    right = np.interp(0.5, place[: np.argmax(place > 0.5) + 1], fine[: np.argmax(place > 0.5) + 1])
+    assert float(solution.record(Asked()).grid.t_final) == pytest.approx(right, abs=1e-5)
+
+
+class Rocket(al.System):
+    """Two stages: an empty tank is dropped with its stage, and the next one burns."""
+
+    states = ("m", "fuel", "v")
+    events: ClassVar = {
+        "staging": al.Event(
+            lambda self, t, z: z.fuel, direction=-1, jump=lambda self, t, z: {"m": z.m - 0.2, "fuel": jnp.asarray(0.3)}
+        )
+    }
+
+    def rhs(self, t, z):
+        return -0.5, -0.5, 0.5 * 3.0 / z.m
+
+    def initial(self):
+        return {"m": 1.0, "fuel": 0.3}
+
+    def outputs(self, t, z):
+        return {"v": z.v}
+
+
+def test_a_jump_may_take_the_function_of_its_event_anywhere():
+    # Tsiolkovsky, stage by stage: the first one burns until 0.6 s.
+    history = al.simulate(Rocket(), al.Grid(1.0, 50))
+    assert float(history["v"][-1]) == pytest.approx(3 * np.log(1.0 / 0.7) + 3 * np.log(0.5 / 0.3), abs=1e-6)
+
+
+class Switched(Ball):
+    """A ball on a plate at rest, which is thrown off by what the input says."""
+
+    events: ClassVar = {
+        "floor": al.Event(lambda self, t, z: z.y, direction=-1, jump=lambda self, t, z, speed: {"v": speed}),
+    }
+
+
+def test_functions_of_events_take_inputs():
+    # The plate throws it off with 1 m/s, whenever it falls.
+    grid = al.Grid(0.6, 6)
+    history = al.simulate(Switched(), grid, {"speed": al.StepFunction([0.1], [3.0, 1.0])})
+    after = 0.6 - np.sqrt(2 / G)
+    assert float(history["h"][-1]) == pytest.approx(after - G / 2 * after**2, abs=1e-12)
+    with pytest.raises(al.ProblemError, match="speed"):
+        al.simulate(Switched(), grid)
+
+
+def refused(system, grid, *words):
+    with pytest.warns(al.SimulationWarning) as caught:
+        history = al.simulate(system, grid)
+    assert np.isnan(np.asarray(next(iter(history.values())))[-1]).all()
+    for word in words:
+        assert word in str(caught[0].message)
+
+
+class Parts(Ball):
+    """A ball that meets a wall at the floor, at the same time."""
+
+    events: ClassVar = {
+        **Ball.events,
+        "wall": al.Event(lambda self, t, z: 2 * z.y, jump=lambda self, t, z: {"v": 0 * z.v}),
+    }
+
+
+class Grazing(Shot):
+    events: ClassVar = {"ceiling": al.Event(lambda self, t, z: z.y - (self.speed * jnp.sin(self.angle)) ** 2 / (2 * G))}
+
+
+class Stopped(Ball):
+    events: ClassVar = {"floor": al.Event(lambda self, t, z: z.y, direction=-1, jump=lambda self, t, z: {"v": 0.0})}
+
+
+def test_what_has_no_simulation_is_nan_and_said_in_a_sentence_with_the_numbers():
+    refused(Ball(0.5), al.Grid(3.0, 30), "meets 'floor' again and again", "e=0.5", "t = 1.3")
+    refused(Stopped(), al.Grid(1.0, 10), "stays at 'floor'", "t = 0.4515 s")
+    refused(Parts(), al.Grid(1.0, 10), "and another event at the same time", "t = 0.4515 s")
+    refused(Shot(angle=-0.7), LANDED, "starts at 'ground'", "angle=-0.7")
+    refused(Shot(), al.Grid(until="ground", at_most=2.0, steps=9), "never meets 'ground'", "from 0 to 2 s")
+    refused(Grazing(), al.Grid(until="ceiling", at_most=2.0, steps=9), "'ceiling'")
+
+
+def test_events_that_nothing_can_look_for_are_refused():
+    with pytest.raises(al.ProblemError, match=r"no event 'grond'.*Did you mean 'ground'"):
+        al.simulate(Shot(), al.Grid(until="grond", at_most=1.0, steps=4))
+    for system, grid in ((Ball(), al.Grid(1.0, 4)), (Shot(), LANDED)):
+        with pytest.raises(al.ProblemError, match=r"Tsit5 does not look for its event.*RungeKutta4"):
+            al.simulate(system, grid, integrator=al.integrators.Tsit5())
+
+
+def declaring(*event, **fields):
+    return type("Own", (Ball,), {"__annotations__": {}, "events": {"floor": al.Event(*event, **fields)}})()
+
+
+def test_an_event_is_checked_where_it_is_declared():
+    for wrong in ((1.0,), (lambda self, t, z: z.y, 2), (lambda self, t, z: z.y, 0, {"v": 1.0})):
+        with pytest.raises(al.ProblemError, match=r"Event: .*expected"):
+            al.Event(*typing.cast(Any, wrong))
+    grid = al.Grid(1.0, 4)
+    with pytest.raises(al.ProblemError, match=r"events\['floor'\]: expected one number"):
+        al.simulate(declaring(lambda self, t, z: jnp.stack([z.y, z.v]), jump=lambda self, t, z: {}), grid)
+    with pytest.raises(al.ProblemError, match=r"events\['floor'\].jump: expected new values by the names"):
+        al.simulate(declaring(lambda self, t, z: z.y, jump=lambda self, t, z: {"w": 1.0}), grid)
+    with pytest.raises(al.ProblemError, match=r"events\['floor'\].jump, 'v': expected a number|shape"):
+        al.simulate(declaring(lambda self, t, z: z.y, jump=lambda self, t, z: {"v": jnp.zeros(2)}), grid)
+    with pytest.raises(al.ProblemError, match="Grid: until"):
+        al.Grid(at_most=1.0, steps=4)
+    with pytest.raises(al.ProblemError, match="at_most"):
+        al.Grid(1.0, 4, until="floor")
+    with pytest.raises(al.ProblemError, match="at_most"):
+        al.Grid(until="floor", steps=4)
+
+
+class Rows(al.System):
+    """States that are arrays, one of which an event sets."""
+
+    states = ("q", "w")
+    events: ClassVar = {"turn": al.Event(lambda self, t, z: z.q[0] - 0.5, jump=lambda self, t, z: {"w": -2 * z.w})}
+    first: Array
+
+    def rhs(self, t, z):
+        return z.w, 0 * z.w
+
+    def initial(self):
+        return {"q": jnp.zeros(2), "w": self.first}
+
+    def outputs(self, t, z):
+        return {"q": z.q}
+
+
+def test_states_that_are_arrays_jump():
+    history = al.simulate(Rows(jnp.array([1.0, 3.0])), al.Grid(0.9, 7))
+    assert np.asarray(history["q"][-1]) == pytest.approx([0.5 - 0.8, 1.5 - 2.4], abs=1e-13)
+
+
+class Hanging(al.Lagrangian):
+    """A mass on a spring, above a stop."""
+
+    coordinates = ("height",)
+    k: al.Number = 4.0
+    e: al.Number = 0.5
+    events: ClassVar = {
+        "stop": al.Event(lambda self, t, z: z.q[0] + 0.5, direction=-1, jump=lambda self, t, z: {"v": -self.e * z.v})
+    }
+
+    def kinetic_energy(self, q, v):
+        return 0.5 * v[0] ** 2
+
+    def potential_energy(self, q):
+        return 0.5 * self.k * q[0] ** 2
+
+
+def test_a_mechanical_model_has_events_in_forward_dynamics_alone():
+    # cos 2t from 1 reaches -1/2 at 2t = 2 pi / 3 with the rate -sqrt 3; then it goes on from there.
+    grid, hit = al.Grid(1.5, 150), np.pi / 3
+    history = al.simulate(al.ForwardDynamics(Hanging(), start={"height": 1.0}), grid)
+    after = 2 * (1.5 - hit)
+    right = -0.5 * np.cos(after) + 0.25 * np.sqrt(3) * np.sin(after)
+    assert float(history["height"][-1]) == pytest.approx(right, abs=1e-8)
+    prescribed = al.InverseDynamics(Hanging(), motion={"height": al.PowerSeries(start=(1.0,), end=(-1.0,))})
+    assert np.isfinite(al.simulate(prescribed, grid)["height"]).all()
