@@ -14,6 +14,7 @@ from aleator.design import Problem, is_at_points, is_worst_case, number_unit, un
 from aleator.nlp import Evaluation
 from aleator.statistics import measure
 from aleator.transcription import transcribe
+from aleator.uncertainty import refuse_choices
 
 _OBJECTIVE = "objective"
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺", "0123456789-+")
@@ -52,6 +53,7 @@ def openmdao_component(problem: Problem, *, declared: bool = True) -> Any:
     one_of(who, problem, Problem)
     if not isinstance(declared, bool):
         raise ProblemError(f"{who}: expected True or False as `declared`; received {shown(declared)}.")
+    refuse_choices(who, problem.placements)
     for constraint in problem.constraints:
         if is_worst_case(constraint) or is_at_points(constraint):
             raise ProblemError(
