@@ -119,3 +119,16 @@ def test_what_is_not_there_is_refused_with_what_is():
         al.simulate_systems(solution.problem)
     with pytest.raises(al.ProblemError, match="would need"):
         al.simulate_systems(al.solve(problem()), 10**12)
+
+
+def test_inputs_are_drawn_over_time_and_first_on_a_report(tmp_path):
+    solution = al.solve(problem())
+    figure = solution.plot.input()
+    (mean,) = (trace for trace in figure.data if trace.mode == "lines" and trace.name == "force")
+    values = np.interp(np.linspace(0.0, 1.0, 21), np.linspace(0, 1, 5), solution.decisions["inputs.force.values"])
+    np.testing.assert_allclose(np.array(mean.y), values, rtol=1e-3, atol=1e-3)
+    assert figure.layout.yaxis.title.text == "force (N)"
+    page = al.report(solution, path=tmp_path / "report.html").read_text(encoding="utf-8")
+    assert page.index("Inputs of design") < page.rindex("Certificate")
+    with pytest.raises(al.ProblemError, match=r"plot\.input: expected one of"):
+        solution.plot.input("torque")

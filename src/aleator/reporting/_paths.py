@@ -25,7 +25,7 @@ from aleator.reporting._style import (
     plain,
     short,
 )
-from aleator.solution import Moments
+from aleator.solution import Moments, Motions
 from aleator.validation import Evidence
 
 if TYPE_CHECKING:
@@ -171,6 +171,13 @@ def _add_strokes(figure: "Figure", times: np.ndarray, name: str, strokes: Stroke
     x, y = (np.hstack([part, gap]).ravel() for part in (np.broadcast_to(times, strokes.rows.shape), strokes.rows))
     shown = {"name": name, "line_width": strokes.width, "opacity": 0.7, "showlegend": False}
     draw(figure, short(x), short(y), strokes.colour, mode="lines", **shown)
+
+
+def motion_figure(motions: Motions, name: str, title: str = "") -> "Figure":
+    """The mean of an input, a state or an output over time, with the band of two standard deviations about it."""
+    moments, unit = motions.moments[name], motions.units.get(name, "")
+    paths = components(name, moments.mean, moments.std)
+    return path_figure(np.asarray(motions.times), paths, y=name, unit=unit, sigmas=_USUAL, title=title)
 
 
 def histories_figure(

@@ -1,6 +1,6 @@
 """`report`: the results of any problem as one page, verdict first."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TypeVar, cast
@@ -15,13 +15,14 @@ from aleator.reporting._designs import mesh_drawing, search_drawings
 from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._numbers import unit_of_limit, units_of_moments, words
 from aleator.reporting._page import Page, verdict, write_page
-from aleator.reporting._paths import trajectory_figure
+from aleator.reporting._paths import motion_figure, trajectory_figure
 from aleator.reporting._samples import percentile_figure
 from aleator.reporting._store import provenance
 from aleator.reporting._sweeps import disagreements, front_blocks, trade_off_blocks
 from aleator.reporting._tables import certificate_table, designs_table, evidence_table, statistics_table
 from aleator.solution import Solution
 from aleator.sweep import EvidenceOfAll, Front, TradeOff
+from aleator.uncertainty import placements
 from aleator.validation import Evidence
 
 Result = TypeVar("Result", Solution, Evidence, Front | TradeOff, EvidenceOfAll)
@@ -138,7 +139,7 @@ def sections(
     meshes = [mesh_drawing(one.meshes, name) for name, one in designs.items() if any(mesh.worst for mesh in one.meshes)]
     paths, counted = evidence_sections(evidence)
     every = [
-        Section("Designs", [*failed, designs_table(designs, evidence)]),
+        Section("Designs", [*failed, designs_table(designs, evidence), *_input_drawings(designs)]),
         paths,
         trade_offs_section(designs, {**fronts, **trade_offs}, [*along, *evidence.values()]),
         counted,
@@ -146,6 +147,15 @@ def sections(
         Section("The problem as mathematics", [Code(name, one.problem_text, True) for name, one in designs.items()]),
     ]
     return [one for one in every if one.blocks]
+
+
+def _input_drawings(designs: Mapping[str, Solution]) -> Iterator[Drawing]:
+    """The inputs that designs decide, over time."""
+    for name, one in designs.items():
+        if placements(one.problem.inputs).decisions:
+            motions = one.inputs
+            caption = "The mean, with two standard deviations to each side where an input is uncertain."
+            yield Drawing([motion_figure(motions, each) for each in motions], f"Inputs of {name}", caption)
 
 
 def evidence_sections(evidence: Mapping[str, Evidence]) -> tuple[Section, Section]:

@@ -23,7 +23,15 @@ from aleator.reporting._numbers import (
     units_of_outputs,
     words,
 )
-from aleator.reporting._paths import components, histories_figure, limits_of, limits_text, path_figure, paths_of
+from aleator.reporting._paths import (
+    components,
+    histories_figure,
+    limits_of,
+    limits_text,
+    motion_figure,
+    path_figure,
+    paths_of,
+)
 from aleator.reporting._style import ALARM, LIMIT, MUTED, SIZE, Look, blank, draw, label, looks, plain
 from aleator.reporting._tables import decision_text, limit_rows, objective_text, status_words
 from aleator.reporting.drawn._facts import AbstractPlots, Facts, chosen, facts_of, plots_of, unknown
@@ -214,6 +222,12 @@ class SolutionPlots(AbstractPlots[Solution]):
             )
         figure.update_xaxes(range=[-4, 104])
         return figure.update_yaxes(type="category", range=[len(shown) - 0.5, -0.7], showgrid=False)
+
+    def input(self, name: str | None = None) -> "Figure":
+        """An input over time, with the band of two standard deviations about its mean; by default the first."""
+        inputs = dict.fromkeys(self._result.problem.inputs, "")
+        name, _ = chosen("plot.input", name, inputs, "expected a problem with inputs; received one without.")
+        return motion_figure(self._result.inputs, name, self._warning())
 
     def state(self, name: str | None = None) -> "Figure":
         """A state over time, of all realisations of a simultaneous program."""
