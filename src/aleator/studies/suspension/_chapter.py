@@ -85,7 +85,7 @@ GLOSSARY = (
     ("Shadow price", "The improvement of the objective per unit by which an active limit is relaxed."),
     ("95 % interval", "Clopper and Pearson: encloses the true share of cars in at least 95 of 100 such countings."),
 )
-LEFT_OUT = "the margins to build with, and dOpt by direct collocation"
+LEFT_OUT = "the margins to build with, and the check by direct collocation"
 LABELS = {"k_s.mean": "spring", "b_s.mean": "damper"}
 FILLED = "Filled markers: the swept limit is active; open markers: another limit is."
 
