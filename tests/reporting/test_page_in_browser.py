@@ -27,6 +27,20 @@ def opened(browser, address, *, width=1400, height=900):
     return browser
 
 
+def scrolled(browser):
+    """The page, once a reader has scrolled to its end: figures are drawn when they are about to be seen."""
+    browser.execute_async_script(
+        "const done = arguments[0];"
+        "const step = () => {"
+        "  scrollBy({top: 300, behavior: 'instant'});"
+        "  if (scrollY + innerHeight < document.documentElement.scrollHeight - 1) setTimeout(step, 30);"
+        "  else setTimeout(done, 200);"
+        "};"
+        "step();"
+    )
+    return browser
+
+
 def errors(browser):
     return [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
 
@@ -48,7 +62,7 @@ def ring(browser, which=0):
 
 @pytest.mark.parametrize(("width", "height"), [(1400, 900), (360, 740)])
 def test_the_page_renders_without_errors_or_sideways_scrolling(browser, address, width, height):
-    opened(browser, address, width=width, height=height)
+    scrolled(opened(browser, address, width=width, height=height))
     assert browser.execute_script("return innerWidth") == width
     assert browser.execute_script("return document.documentElement.scrollWidth") <= width
     drawn, rights = browser.execute_script(
@@ -70,14 +84,15 @@ def test_a_click_on_a_point_and_arrow_keys_show_one_design_after_another(browser
     def press(key):
         ActionChains(browser).send_keys(key).perform()
 
-    opened(browser, address)
+    scrolled(opened(browser, address))
     front = given.front()
-    assert text(browser, CHOSEN).endswith("0.9 m")
+    assert text(browser, CHOSEN).endswith("0.2 m")  # the design of the page
     browser.execute_script("document.querySelector('.linked').scrollIntoView()")
     # The first trace is the entry of the legend.
     points = browser.find_elements("css selector", ".linked .chooser .plot .scatterlayer .trace:nth-child(2) .point")
-    ActionChains(browser).move_to_element(points[2]).click().perform()
-    assert text(browser, CHOSEN).endswith("0.2 m")
+    for which, name in ((0, "0.9 m"), (2, "0.2 m")):
+        ActionChains(browser).move_to_element(points[which]).click().perform()
+        assert text(browser, CHOSEN).endswith(name)
     assert f"{front.solutions[2].decisions['c.mean']:.4f} N s/m" in text(browser, ".linked .facts")
     assert ring(browser) == pytest.approx([0.2, front.objectives[2]])
     assert ring(browser, 1) == pytest.approx([0.2, front.shadow_prices[2]])
@@ -90,15 +105,15 @@ def test_a_click_on_a_point_and_arrow_keys_show_one_design_after_another(browser
     assert mean == pytest.approx(front.solutions[2].moments["back(t)"].mean, abs=2e-3)
     assert limits == [0.2]
     assert "0.2" in said
-    opened(browser, address)
+    scrolled(opened(browser, address)).execute_script("scrollTo({top: 0, behavior: 'instant'})")
     for _ in range(60):
         press(Keys.TAB)
         if browser.execute_script("return document.activeElement.type") == "radio":
             break
-    assert browser.execute_script("return document.activeElement.value") == "0"
+    assert browser.execute_script("return document.activeElement.value") == "2"
     assert browser.execute_script("return getComputedStyle(document.activeElement).outlineStyle") == "solid"
-    for name in ("0.3 m", "0.2 m"):
-        press(Keys.ARROW_DOWN)
+    for key, name in ((Keys.ARROW_UP, "0.3 m"), (Keys.ARROW_DOWN, "0.2 m")):
+        press(key)
         assert text(browser, CHOSEN).endswith(name)
     press(Keys.ARROW_DOWN)
     assert "infeasible" in text(browser, ".linked .facts")
