@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import aleator as al
+from aleator.studies._study import Draft
 from aleator.studies.four_bar import DURATION, HEIGHT, LENGTHS, WIDTHS, ZONE, FourBar, _run, driven
 from aleator.studies.four_bar._run import (
     ALLOCATED,
@@ -175,6 +176,11 @@ def test_the_designs_hold_on_fresh_linkages_which_elimination_counts_as_well(stu
 @pytest.mark.slow
 def test_the_page_has_every_section_and_a_verdict(study, tmp_path):
     assert study.verdict().word in ("Build", "Not confirmed yet")
-    assert [one.heading for one in study.page().sections][:3] == ["The linkage", "The three designs", "The path"]
-    written = [*study.save(tmp_path), study.write_page(tmp_path)]
+    page = Draft(study)
+    page.recommend(study.verdict())
+    page.append(*study.sections())
+    for name, result in study.results().items():
+        page.keep(name, result)
+    assert [one.heading for one in page.page().sections][:3] == ["The linkage", "The three designs", "The path"]
+    written = [*page.save(tmp_path), page.write(tmp_path)]
     assert {one.name for one in written} == {"results.nc", "designs.json", "report.html"}

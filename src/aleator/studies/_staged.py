@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 
 from typing_extensions import override
 
-from aleator._core.border import Progress
+from aleator._core.border import Progress, silent
 from aleator.reporting import Section, Table, Verdict
 from aleator.studies._study import AbstractStudy, Draft
 
@@ -51,7 +51,7 @@ class AbstractStagedStudy(AbstractStudy):
         """Sentences on what is available of interrupted parts; none by default."""
         yield from ()
 
-    def run(self, stage: str, progress: Progress) -> None:
+    def run(self, stage: str, progress: Progress = silent) -> None:
         """Run one stage and keep its results."""
         self.stages[stage].work(progress)
         self.finished = (*self.finished, stage)
