@@ -217,7 +217,7 @@ def fragile(large, until):
     ("large", "until", "said"),
     [
         (1.0, 0.55, r"output 'x' from t = 0\.6 s on"),
-        pytest.param(1e200, 9.0, r"rms\(x\)\.", marks=pytest.mark.slow),
+        pytest.param(1e200, 9.0, r"rms\(x\); \d+ of 250 systems fail\.", marks=pytest.mark.slow),
     ],
     ids=["on the way", "its square"],
 )
