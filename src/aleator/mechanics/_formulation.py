@@ -168,8 +168,19 @@ class AbstractFormulation(System):
         return dict(zip(self.states, (q, v), strict=False))
 
     @override
-    def rhs(self, *args: Any, **kwargs: Any) -> tuple[Array, ...]:
-        return self.rates_and_outputs(*args, **kwargs)[0]
+    def rhs(
+        self,
+        t: Any,
+        z: Any,
+        position: Any = None,
+        velocity: Any = None,
+        acceleration: Any = None,
+        torque: Any = None,
+        parameters: Any = None,
+    ) -> tuple[Array, ...]:
+        # Not those of `rates_and_outputs`: diagnosis traces the rates at each stage.
+        where = self._prescribed(position, velocity, acceleration, torque), *self._integrated(z)
+        return self._rates_of(solved(at(self.model, t, parameters).prepared(), self.parts, *where))
 
     @override
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
