@@ -10,4 +10,5 @@ from aleator.analysis._sampling import fresh_points as fresh_points
 from aleator.analysis._tolerance import Contribution as Contribution
 from aleator.analysis._tolerance import ToleranceAnalysis as ToleranceAnalysis
 from aleator.analysis._tolerance import Zone as Zone
+from aleator.analysis._tolerance import check_limits as check_limits
 from aleator.analysis._tolerance import tolerance_analysis as tolerance_analysis

@@ -215,11 +215,7 @@ def tolerance_analysis(
 
     Raises `ProblemError` for limits in the wrong order, an unknown output, a tolerance of an unknown dimension.
     """
-    limits = [real_array(f"tolerance_analysis: {name}", limit) for name, limit in (("lower", lower), ("upper", upper))]
-    if any(limit.ndim for limit in limits) or not limits[0] < limits[1] or (np.isinf(lower) and np.isinf(upper)):
-        raise ProblemError(
-            f"tolerance_analysis: expected limits lower < upper, one of them finite; received {lower} and {upper}."
-        )
+    check_limits("tolerance_analysis", lower, upper)
     if expansion is not None:
         one_of("tolerance_analysis: expansion", expansion, Expansion)
     function, name = _function(model, output)
@@ -247,6 +243,13 @@ def tolerance_analysis(
         contributions=_contributions(expanded, linear, zones),
         expanded=expanded,
     )
+
+
+def check_limits(who: str, lower: Any, upper: Any) -> None:
+    """Raise `ProblemError` unless the limits of an output are two numbers in order, one of them finite."""
+    limits = [real_array(f"{who}: {name}", limit) for name, limit in (("lower", lower), ("upper", upper))]
+    if any(limit.ndim for limit in limits) or not limits[0] < limits[1] or (np.isinf(lower) and np.isinf(upper)):
+        raise ProblemError(f"{who}: expected limits lower < upper, one of them finite; received {lower} and {upper}.")
 
 
 def _function(model: Pytree, output: str | Callable[[Any], Any]) -> tuple[Callable[[Any], Any], str]:

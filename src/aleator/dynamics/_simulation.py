@@ -66,10 +66,11 @@ class Simulation(Module):
         if isinstance(system, AlgebraicSystem):
             return Record(chosen(system, self._solved(system), asked.instants), {}, (), grid=self.grid)
         assert isinstance(system, System)
-        parts = self._parts(self._checked_grid(system))
+        grid = self._checked_grid(system)
+        parts = self._parts(grid)
         if parts > 1:
-            return self.on(self.grid.finer(parts)).record(asked).thinned(parts)
-        grid, inputs = self._checked_grid(system), self.signals(system)
+            return self.on(grid.finer(parts)).record(asked).thinned(parts)
+        inputs = self.signals(system)
         self.integrator.check_events(system, grid, asked.events)
         if asked.outputs is not None:
             system = system.focused(asked.outputs)

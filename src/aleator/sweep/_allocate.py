@@ -8,9 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.border import one_of, positive, real_array, refusal
-from aleator._core.errors import ProblemError
 from aleator._core.leaves import Printed
-from aleator.analysis import ToleranceAnalysis, tolerance_analysis
+from aleator.analysis import ToleranceAnalysis, check_limits, tolerance_analysis
 from aleator.design import Expression, Problem, value, value_at
 from aleator.design import output as output_of
 from aleator.dynamics import AlgebraicSystem
@@ -113,7 +112,6 @@ def allocate(
     positive, and limits in the wrong order.
     """
     one_of("allocate: stack", stack, AlgebraicSystem, "an al.Assembly of al.Toleranced dimensions")
-    limits = [real_array(f"allocate: {name}", limit) for name, limit in (("lower", lower), ("upper", upper))]
     cpk, functional = positive("allocate: cpk", cpk), output_of(output)
     dimensions = placements(stack).distributions
     expected = f"(fixed, slope) of some of the dimensions {list(dimensions)}, slope above 0"
@@ -127,25 +125,22 @@ def allocate(
         if not isinstance(dimension, Toleranced) or dimension != dimension.initial():
             expected = "an al.Toleranced dimension without decisions, such as al.toleranced('40 ±0.1')"
             raise refusal(f"allocate: '{name}'", expected, dimension)
-    if any(limit.ndim for limit in limits) or not lower < upper or (np.isinf(lower) and np.isinf(upper)):
-        raise ProblemError(
-            f"allocate: expected limits lower < upper, one of them finite; received {lower} and {upper}."
-        )
+    check_limits("allocate", lower, upper)
     toleranced = {name: each for name, each in dimensions.items() if isinstance(each, Toleranced)}
-    decided = with_distributions(stack, lambda name, leaf: _decided(toleranced[name]) if name in costs else leaf)
-    (first, *others) = (fixed + slope / _half_width(name, toleranced[name]) for name, (fixed, slope) in costs.items())
+    sought = {name: _decided(toleranced[name]) for name in costs}
+    decided = with_distributions(stack, lambda name, leaf: sought.get(name, leaf))
+    (first, *others) = (fixed + slope / _half_width(name, sought[name]) for name, (fixed, slope) in costs.items())
     cost = sum(others, start=first)
+    costed = Problem(decided, minimize=cost)
     nominals = {name: float(each.parameters["nominal"]) for name, each in toleranced.items()}
 
     def tolerances(vector: Float[np.ndarray, " n"], solution: Solution | None = None) -> Tolerances:
-        places = placements(decided)
-        at = places.named(vector)
+        at = costed.placements.named(vector)
         made = with_distributions(decided, lambda name, leaf: leaf.decided(lambda part, _: float(at[f"{name}.{part}"])))
         zones = {name: _zone(placements(made).distributions[name], nominal) for name, nominal in nominals.items()}
         analysis = tolerance_analysis(made, output, lower=lower, upper=upper)
         return Tolerances(zones, value_at(cost, costed, vector), analysis, solution)
 
-    costed = Problem(decided, minimize=cost)
     answers = dict[str, Tolerances | None]()
     failed = dict[str, str]()
     margins: dict[str, dict[str, Any]] = {"statistical": {"sigmas": 3 * cpk}, "worst case": {"worst_case": True}}
@@ -184,7 +179,7 @@ def _sought(width: float, beyond: float = 0.0) -> Decision:
 
 def _half_width(name: str, dimension: Toleranced) -> Expression:
     """Half the width of a dimension's zone, in terms of what is chosen."""
-    if "tolerance" in _decided(dimension).parameters:
+    if "tolerance" in dimension.parameters:
         return value(f"{name}.tolerance")
     return 0.5 * (value(f"{name}.plus") + value(f"{name}.minus"))
 

@@ -43,13 +43,14 @@ if TYPE_CHECKING:
 
 
 def _over_time(solution: Solution) -> Mapping[str, str]:
-    """The outputs, inputs and states of a system, by name. Raises `ProblemError` for a system without time."""
+    """Which of the outputs, inputs and states of a system each is, by name. Raises `ProblemError` without time."""
     problem = solution.problem
     if not problem.system.has_time:
         raise ProblemError("plot.histories: expected a system that evolves in time; received an algebraic one.")
     germ = jnp.zeros(len(problem.placements.germs))
     outputs = jax.eval_shape(lambda: history(problem, germ, jnp.asarray(solution.vector)))
-    return dict.fromkeys((*outputs, *problem.inputs, *getattr(problem.system, "states", ())), "")
+    others = dict.fromkeys(getattr(problem.system, "states", ()), "states") | dict.fromkeys(problem.inputs, "inputs")
+    return {**dict.fromkeys(outputs, "outputs"), **{name: kind for name, kind in others.items() if name not in outputs}}
 
 
 _NO_STATE = "expected states that are variables of the program; received a system without states."
@@ -153,14 +154,12 @@ class SolutionPlots(AbstractPlots[Solution]):
         samples, seed = whole("plot.histories: samples", samples), whole("plot.histories: seed", seed, least=0)
         usual = paths.get(self._held_path() or next(iter(paths), ""))
         output = usual.output if output is None and usual is not None else output
-        name, _ = chosen("plot.histories", output, _over_time(self._result), _NO_OUTPUT)
-        unit, motions, who = units_of_outputs(problem).get(name, ""), self._result.outputs, "systems"
-        if name not in motions:
-            motions = self._result.inputs if name in problem.inputs else self._result.states
-        elif problem.placements.germs:
-            motions, who = simulate_systems(self._result, samples, seed=seed), "random systems"
+        name, kind = chosen("plot.histories", output, _over_time(self._result), _NO_OUTPUT)
+        unit, is_random = units_of_outputs(problem).get(name, ""), kind == "outputs" and bool(problem.placements.germs)
+        motions = simulate_systems(self._result, samples, seed=seed) if is_random else getattr(self._result, kind)
         limited = paths.get(name)
         limits = {} if limited is None or limited.output != name else limits_of(problem, limited, unit).texts
+        who = "random systems" if is_random else "systems"
         shown = {"unit": unit, "limits": limits, "title": self._warning(), "who": who}
         return histories_figure(np.asarray(motions.times), motions.systems[name], y=name, **shown)
 
