@@ -91,7 +91,7 @@ def test_progress_is_few_lines_where_it_cannot_overwrite_itself():
         progress.begin("front")
         for done in range(51):
             progress.show(f"point {done}", done, 50)
-        progress.end("front", 1.0, "1.0 s")
+        progress.end("front", "1.0 s")
     first, last, end = console.file.getvalue().splitlines()
     assert first.startswith("  point 1, 1 of 50, about ")
     assert (last, end) == ("  point 50, 50 of 50", "front: 1.0 s")

@@ -1,4 +1,4 @@
-"""The course of a study: stages in order, saved one by one, its page and its tables, whatever ends it."""
+"""The course of a study: its chapter, its results, its page and its tables, whatever ends it."""
 
 import time
 from collections import Counter
@@ -33,8 +33,8 @@ from aleator.validation import Evidence
 def run_study(study: AbstractStudy, folder: str | Path) -> int:
     """Run your own study as `aleator run` runs the built-in ones; returns the exit code.
 
-    Stages run in order, with progress bars. Finished results are saved into `folder` after each stage, and on Ctrl-C;
-    then the page is written and the tables are printed.
+    The chapter runs with progress bars; the journal keeps each result as soon as it is there. Then, and on Ctrl-C,
+    all results are saved into `folder`, the page is written and the tables are printed.
     """
     return executed(Terminal("run"), lambda: study, Path(folder))
 
@@ -91,7 +91,7 @@ def executed(
 
 @final
 class _Course:
-    """One run of a study: its finished stages, which are on disk, and its messages."""
+    """One run of a study, and its messages."""
 
     def __init__(self, terminal: Terminal) -> None:
         self._terminal = terminal
@@ -202,7 +202,7 @@ class _Course:
             def ended(name: str) -> None:
                 self._name_results(page)
                 recalled, fresh = self._journal.recalled - self._counts[0], self._journal.begun - self._counts[1]
-                progress.end(name, 1.0, _duration(time.perf_counter() - self._started, recalled, fresh))
+                progress.end(name, _duration(time.perf_counter() - self._started, recalled, fresh))
 
             page.fill(progress.show, begun, ended)
 
@@ -262,7 +262,7 @@ def _points(results: Mapping[str, Any]) -> dict[str, Solution]:
 
 
 def _duration(seconds: float, recalled: int, begun: int) -> str:
-    """How a stage came to its end: by computing, or with results of an earlier run."""
+    """How a part came to its end: by computing, or with results of an earlier run."""
     if not recalled:
         return f"{seconds:.1f} s"
     return f"{seconds:.1f} s, {recalled} of {recalled + begun} recalled" if begun else "recalled from an earlier run"

@@ -14,26 +14,26 @@ _NOW_AND_THEN = 10.0  # seconds between two lines
 
 @final
 class Shown:
-    """The progress of stages, whose shares add up to `total`, and of the work inside the present one."""
+    """The progress of parts, `total` of them where that is known, and of the work inside the present one."""
 
     def __init__(self, console: Console, bars: Bars, total: float | None):
         self._console, self._bars = console, bars if console.is_terminal else None
-        self._stages = bars.add_task("all stages", total=total)
+        self._parts = bars.add_task("all parts", total=total)
         self.begin("")
 
-    def begin(self, stage: str) -> None:
-        """A stage begins."""
-        self._stage, self._begun, self._printed, self._last = stage, time.monotonic(), 0.0, ("", 0, 0)
-        self._work = self._bars.add_task(f"  {stage}", total=None) if self._bars and stage else None
+    def begin(self, part: str) -> None:
+        """A part begins."""
+        self._part, self._begun, self._printed, self._last = part, time.monotonic(), 0.0, ("", 0, 0)
+        self._work = self._bars.add_task(f"  {part}", total=None) if self._bars and part else None
 
     def show(self, task: str, done: int, total: int) -> None:
-        """Show the work inside the present stage: see `aleator._core.border`."""
+        """Show the work inside the present part: see `aleator._core.border`."""
         if self._bars and self._work is not None:
-            text = task if task.startswith(self._stage) else f"{self._stage}: {task}"
+            text = task if task.startswith(self._part) else f"{self._part}: {task}"
             self._bars.update(self._work, description=f"  {text}", completed=done, total=total)
             return
         now, (_, done_before, total_before) = time.monotonic(), self._last
-        if total != total_before or done < done_before:  # other work, within the same stage
+        if total != total_before or done < done_before:  # other work, within the same part
             self._begun, self._printed = now, 0.0
         is_new, self._last = (task, done, total) != self._last, (task, done, total)
         if done and is_new and (done == total or not self._printed or now > self._printed + _NOW_AND_THEN):
@@ -42,17 +42,17 @@ class Shown:
             self._console.print(f"  {task}, {done} of {total}{estimate}", soft_wrap=True)
             self._printed = now
 
-    def end(self, stage: str, share: float, told: str) -> None:
-        """A stage has ended; `share` is its part of all, `told` how long it took."""
+    def end(self, part: str, told: str) -> None:
+        """A part has ended; `told` says how long it took."""
         if self._bars and self._work is not None:
             self._bars.remove_task(self._work)
-            self._bars.advance(self._stages, share)
-        self._console.print(f"{stage}: {told}", soft_wrap=True)
+            self._bars.advance(self._parts)
+        self._console.print(f"{part}: {told}", soft_wrap=True)
 
 
 @contextmanager
 def shown(console: Console, total: float | None) -> Iterator[Shown]:
-    """Show progress within a block, of stages whose shares add up to `total`, if that is known."""
+    """Show progress within a block, of `total` parts, if that is known."""
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
     clocks = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
     with Bars(*columns, *clocks, console=console, disable=not console.is_terminal) as bars:

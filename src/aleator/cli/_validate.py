@@ -111,8 +111,8 @@ class _Sampling:
         try:
             with shown(self._terminal.console, len(designs)) as progress, self.interruptions.work():
                 for name, design in designs.items():
-                    started, stage = time.perf_counter(), f"evidence on {name}"
-                    progress.begin(stage)
+                    started, part = time.perf_counter(), f"evidence on {name}"
+                    progress.begin(part)
                     with self._refusing(name):
                         solution = self._solution(name, design, run, solving)
                         progress.show(f"{name}: {in_brief(solution)}", 0, self._samples)
@@ -122,7 +122,7 @@ class _Sampling:
                             solution, self._samples, seed=self._seed, executor=self._executor, progress=progress.show
                         )
                         self.documents[name] |= evidence_document(sampled)
-                    progress.end(stage, 1.0, f"{time.perf_counter() - started:.1f} s")
+                    progress.end(part, f"{time.perf_counter() - started:.1f} s")
         except KeyboardInterrupt:
             self.interruptions.conclude()
             self._terminal.last_words(_KEPT)

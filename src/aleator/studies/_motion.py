@@ -4,7 +4,7 @@ The margin of one standard deviation in the dissertation leaves a fifth to two f
 every study calibrates a margin until fresh systems confirm it for `TARGET`, counting all limits of the problem jointly.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -17,9 +17,9 @@ from aleator.reporting import (
     Code,
     Drawing,
     Scene,
-    Text,
     Verdict,
     bands_figure,
+    certificate_table,
     linkage_animation,
     looks,
     plane_figure,
@@ -88,6 +88,13 @@ def flown(name: str, plan: al.Solution, systems: int, problem: al.Problem | None
     return kept(f"systems, {name}", al.simulate_systems, at_design, systems, seed=2)
 
 
+def held_at_instants(page: Draft, plans: Mapping[str, al.Solution], names: Iterable[str]) -> dict[str, al.Solution]:
+    """The plans whose limits hold at the instants alone, as in the programs that they are compared with."""
+    coarse = {name: al.solve(plans[name].problem, start=plans[name].decisions, between=1) for name in names}
+    page.keep("at_instants", coarse)
+    return coarse
+
+
 def to_build(
     margin: al.results.Calibration | None, printed: al.Solution, evidence: al.results.Evidence, **said: Any
 ) -> Verdict:
@@ -117,13 +124,16 @@ def duration(plan: al.Solution) -> float:
     return float(plan.instants[-1])
 
 
-def optima(searches: Mapping[str, al.results.Starts]) -> list[Text | Code]:
-    """The local optima of each search."""
+def add_trust(page: Draft, searches: Mapping[str, al.results.Starts], plans: Mapping[str, al.Solution]) -> None:
+    """Append how far plans can be trusted: the local optima of each search, and the certificates."""
+    page.section("Local optima", folded=True)
     note = (
         "The problem is not convex: each start leads to a local optimum nearby, or to none. The plan is the best of "
         "them, but there may be a better one. Plans of equal objective, such as mirrored ones, count as one."
     )
-    return [Text([note]), *(Code(name.capitalize(), str(search), opened=True) for name, search in searches.items())]
+    page.add(note, *(Code(name.capitalize(), str(search), opened=True) for name, search in searches.items()))
+    page.section("Certificate", folded=True)
+    page.add(certificate_table(plans))
 
 
 def compared(printed: Mapping[str, float], ours: Mapping[str, float], what: str) -> str:

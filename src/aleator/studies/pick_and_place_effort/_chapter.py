@@ -12,7 +12,6 @@ from aleator.reporting import (
     Drawing,
     Table,
     Text,
-    certificate_table,
     designs_table,
     front_figure,
     given,
@@ -25,11 +24,12 @@ from aleator.studies._motion import (
     CALIBRATED,
     SHADES,
     TRIED,
+    add_trust,
     calibrated,
     compared,
     counted,
     flown,
-    optima,
+    held_at_instants,
     search,
     to_build,
     torques_figure,
@@ -134,11 +134,7 @@ def chapter(page: Draft, quick: bool) -> None:
     page.add(designs_table(plans, evidence), printed=True)
 
     page.section("Comparison with published values")
-    coarse = {}
-    if not quick:
-        for name in (MEAN, ROBUST):
-            coarse[name] = al.solve(plans[name].problem, start=plans[name].decisions, between=1)
-        page.keep("at_instants", coarse)
+    coarse = {} if quick else held_at_instants(page, plans, (MEAN, ROBUST))
     page.add(published_table(plans, coarse, families), printed=True)
 
     page.section("The motion")
@@ -189,11 +185,7 @@ def chapter(page: Draft, quick: bool) -> None:
     page.section("How wide a margin")
     page.add(margin_drawing(margin, "The margin for a tolerated share of violations", "payloads"))
 
-    page.section("Local optima", folded=True)
-    page.add(*optima(searches))
-
-    page.section("Certificate", folded=True)
-    page.add(certificate_table(plans))
+    add_trust(page, searches, plans)
 
 
 def margin_problem(plan: al.Solution) -> al.Problem:

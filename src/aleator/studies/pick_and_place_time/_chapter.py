@@ -10,7 +10,6 @@ from aleator.reporting import (
     Drawing,
     Table,
     Text,
-    certificate_table,
     designs_table,
     given,
     number,
@@ -23,12 +22,13 @@ from aleator.studies._motion import (
     SHADES,
     TARGET,
     TRIED,
+    add_trust,
     calibrated,
     compared,
     counted,
     duration,
     flown,
-    optima,
+    held_at_instants,
     search,
     torques_figure,
 )
@@ -112,11 +112,7 @@ def chapter(page: Draft, quick: bool) -> None:
     page.add(designs_table(plans, evidence), printed=True)
 
     page.section("Comparison with published values")
-    coarse = {}
-    if not quick:
-        for name in REFERENCE:
-            coarse[name] = al.solve(plans[name].problem, start=plans[name].decisions, between=1)
-        page.keep("at_instants", coarse)
+    coarse = {} if quick else held_at_instants(page, plans, REFERENCE)
     page.add(published_table(plans, coarse), printed=True)
 
     page.section("Torques against their limits")
@@ -160,11 +156,7 @@ def chapter(page: Draft, quick: bool) -> None:
         margin_drawing(margin, "The margin for a tolerated share of violations", "payloads"),
     )
 
-    page.section("Local optima", folded=True)
-    page.add(*optima(searches))
-
-    page.section("Certificate", folded=True)
-    page.add(certificate_table(plans))
+    add_trust(page, searches, plans)
 
 
 def from_plan(sigmas: float, plan: al.Solution) -> al.Problem:

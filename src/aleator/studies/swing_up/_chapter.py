@@ -16,7 +16,6 @@ from aleator.reporting import (
     Schematic,
     Table,
     Text,
-    certificate_table,
     designs_table,
     given,
     number,
@@ -28,12 +27,12 @@ from aleator.studies._motion import (
     SHADES,
     TRIED,
     Linkage,
+    add_trust,
     calibrated,
     compared,
     counted,
     duration,
     flown,
-    optima,
     search,
     to_build,
     torques_figure,
@@ -199,11 +198,7 @@ def chapter(page: Draft, quick: bool) -> None:
         page.section("How wide a margin")
         page.add(margin_drawing(margin, "The margin for a tolerated share of violations", "pendulums"))
 
-    page.section("Local optima", folded=True)
-    page.add(*optima(searches))
-
-    page.section("Certificate", folded=True)
-    page.add(certificate_table(plans))
+    add_trust(page, searches, plans)
 
 
 def margin_problem(plan: al.Solution) -> al.Problem:
