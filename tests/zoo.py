@@ -8,7 +8,7 @@ order) costs a second of a processor for `Bar`, three for `Gain`, six for `Oscil
 
 import os
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -228,6 +228,33 @@ def block_problem(mass: Any = 1.0, steps: int = 10, **options: Any) -> al.Proble
         "subject_to": [x.mean.equals(1.0), v.mean.equals(0.0)],
     }
     return al.Problem(Block(mass), **(defaults | options))
+
+
+G = 9.81
+
+
+class Shot(al.System):
+    """A body thrown upwards from some height, with drag `c |v| v`."""
+
+    states = ("x", "y", "vx", "vy")
+    speed: al.Number = 20.0
+    angle: al.Number = 0.7
+    height: al.Number = 0.0
+    c: al.Number = 0.0
+    events: ClassVar = {
+        "ground": al.Event(lambda self, t, z: z.y, direction=-1),
+        "top": al.Event(lambda self, t, z: z.vy, direction=-1),
+    }
+
+    def rhs(self, t, z):
+        drag = self.c * jnp.sqrt(z.vx**2 + z.vy**2)
+        return z.vx, z.vy, -drag * z.vx, -G - drag * z.vy
+
+    def initial(self):
+        return {"y": self.height, "vx": self.speed * jnp.cos(self.angle), "vy": self.speed * jnp.sin(self.angle)}
+
+    def outputs(self, t, z):
+        return {"x": z.x, "y": z.y, "vx": z.vx}
 
 
 class Tank(al.System):

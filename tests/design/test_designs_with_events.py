@@ -1,39 +1,14 @@
 """Designs whose realisations end at an event of their own, or are judged at one."""
 
 from functools import cache
-from typing import Any, ClassVar
+from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy
 
 import aleator as al
-
-G = 9.81
-
-
-class Shot(al.System):
-    """A body thrown from 1 m, with drag `c |v| v`."""
-
-    states = ("x", "y", "vx", "vy")
-    angle: al.Number
-    c: al.Number
-    speed: al.Number = 20.0
-    events: ClassVar = {
-        "ground": al.Event(lambda self, t, z: z.y, direction=-1),
-        "top": al.Event(lambda self, t, z: z.vy, direction=-1),
-    }
-
-    def rhs(self, t, z):
-        drag = self.c * jnp.sqrt(z.vx**2 + z.vy**2)
-        return z.vx, z.vy, -drag * z.vx, -G - drag * z.vy
-
-    def initial(self):
-        return {"y": 1.0, "vx": self.speed * jnp.cos(self.angle), "vy": self.speed * jnp.sin(self.angle)}
-
-    def outputs(self, t, z):
-        return {"x": z.x, "y": z.y, "vx": z.vx}
+from zoo import G, Shot
 
 
 def landing(angle, c):
@@ -57,7 +32,7 @@ LANDED = al.Grid(until="ground", at_most=10.0, steps=80)
 @cache
 def solution():
     problem = al.Problem(
-        Shot(al.Decision(0.6, 0.1, 1.5), al.Uniform(0.02, half_width=0.01)),
+        Shot(angle=al.Decision(0.6, 0.1, 1.5), c=al.Uniform(0.02, half_width=0.01), height=1.0),
         grid=LANDED,
         minimize=al.terminal("x").std - al.terminal("x").mean,
         subject_to=[al.at("top", "y").mean <= 100.0, al.at("ground").mean <= 100.0, al.integral("vx").mean <= 100.0],
@@ -105,18 +80,24 @@ def test_fresh_systems_end_at_their_own_time_too():
 
 
 def problem(system=None, grid=LANDED, minimize=None, **options):
-    system = Shot(al.Decision(0.6, 0.1, 1.5), al.Uniform(0.02, half_width=0.01)) if system is None else system
+    system = (
+        Shot(angle=al.Decision(0.6, 0.1, 1.5), c=al.Uniform(0.02, half_width=0.01), height=1.0)
+        if system is None
+        else system
+    )
     return al.Problem(system, grid=grid, minimize=al.terminal("x").mean if minimize is None else minimize, **options)
 
 
 def test_a_system_that_never_meets_the_event_is_named_with_the_share_of_such():
     grid = al.Grid(until="ground", at_most=2.45, steps=20)
     with pytest.raises(al.SimulationError, match=r"never meets 'ground'.*from 0 to 2.45 s.*one of 4 that fail"):
-        al.solve(problem(Shot(al.Decision(0.7, 0.1, 1.5), al.Uniform(0.02, half_width=0.01)), grid))
+        al.solve(problem(Shot(angle=al.Decision(0.7, 0.1, 1.5), c=al.Uniform(0.02, half_width=0.01), height=1.0), grid))
     with pytest.raises(al.SimulationError, match=r"c=.*never meets 'top', which is asked for by al.at"):
         al.solve(
             problem(
-                Shot(al.Decision(0.7, 0.1, 1.5), al.Uniform(0.02, half_width=0.01)), al.Grid(0.5, 5), al.at("top").mean
+                Shot(angle=al.Decision(0.7, 0.1, 1.5), c=al.Uniform(0.02, half_width=0.01), height=1.0),
+                al.Grid(0.5, 5),
+                al.at("top").mean,
             )
         )
 

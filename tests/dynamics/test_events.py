@@ -13,8 +13,8 @@ from jaxtyping import Array
 import aleator as al
 from aleator.dynamics import Asked
 from aleator.uncertainty import realise
+from zoo import G, Shot
 
-G = 9.81
 FIXED = [al.integrators.RungeKutta4(), al.integrators.RungeKutta4().reference()]
 
 
@@ -36,30 +36,6 @@ class Ball(al.System):
 
     def outputs(self, t, z):
         return {"h": z.y, "v": z.v}
-
-
-class Shot(al.System):
-    """A body thrown upwards, with drag `c |v| v`."""
-
-    states = ("x", "y", "vx", "vy")
-    speed: al.Number = 20.0
-    angle: al.Number = 0.7
-    height: al.Number = 0.0
-    c: al.Number = 0.0
-    events: ClassVar = {
-        "ground": al.Event(lambda self, t, z: z.y, direction=-1),
-        "top": al.Event(lambda self, t, z: z.vy, direction=-1),
-    }
-
-    def rhs(self, t, z):
-        drag = self.c * jnp.sqrt(z.vx**2 + z.vy**2)
-        return z.vx, z.vy, -drag * z.vx, -G - drag * z.vy
-
-    def initial(self):
-        return {"y": self.height, "vx": self.speed * jnp.cos(self.angle), "vy": self.speed * jnp.sin(self.angle)}
-
-    def outputs(self, t, z):
-        return {"x": z.x, "y": z.y}
 
 
 LANDED = al.Grid(until="ground", at_most=10.0, steps=40)

@@ -271,30 +271,3 @@ def test_names_that_say_nothing_are_refused_where_a_class_is_made():
     for name in ("constraints", "constraints_names", "velocities", "velocity_names"):
         with pytest.raises(al.ProblemError, match=f"Misnamed.{name}.*expected some of constraint_names"):
             type("Misnamed", (FourBar,), {name: ("gear",), "__module__": __name__})
-
-
-class Knife(al.Mechanical):
-    """An edge that slides along its direction only."""
-
-    names = ("x", "y", "phi")
-    velocity_names = ("along", "turning")
-    actuator_names = ("push", "steer")
-
-    def mass_matrix(self, q):
-        return jnp.eye(2)
-
-    def velocity_map(self, q):
-        return jnp.array([[jnp.cos(q[2]), 0.0], [jnp.sin(q[2]), 0.0], [0.0, 1.0]])
-
-    def actuation(self, q):
-        return jnp.eye(2)
-
-
-def test_a_motion_that_velocities_cannot_give_is_refused_with_the_amount():
-    rest, moved = al.PowerSeries(start=(0.0, 0.0), end=(0.0, 0.0)), al.PowerSeries(start=(0.0, 0.0), end=(1.0, 0.0))
-    sideways = al.InverseDynamics(Knife(), motion={"x": rest, "y": moved, "phi": rest})
-    # A cubic from rest to rest is fastest in the middle, with 1.5.
-    with pytest.warns(al.SimulationWarning, match="at t = 0.5 s a rate misses velocity_map.* by 1.5"):
-        al.simulate(sideways, al.Grid(1.0, 4))
-    ahead = al.simulate(al.InverseDynamics(Knife(), motion={"x": moved, "y": rest, "phi": rest}), al.Grid(1.0, 4))
-    np.testing.assert_allclose(ahead["push"], [6.0, 3.0, 0.0, -3.0, -6.0], atol=1e-12)

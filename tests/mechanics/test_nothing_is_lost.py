@@ -121,6 +121,8 @@ def test_a_motion_that_a_mechanism_cannot_make_is_refused_with_the_rate_that_it_
     assert "at t = 0.5 s a rate misses velocity_map(q) times the velocities by 1.5" in sideways.diagnose(
         al.Grid(1.0, 4)
     )
+    with pytest.warns(al.SimulationWarning, match="at t = 0.5 s a rate misses velocity_map.* by 1.5"):
+        al.simulate(sideways, al.Grid(1.0, 4))
     forward = simulate(al.InverseDynamics(Knife(), motion={"x": MOVE, "y": REST, "phi": REST}), al.Grid(1.0, 4))
     np.testing.assert_allclose(forward["push"], 6.0 - 12.0 * np.linspace(0.0, 1.0, 5), rtol=0, atol=1e-12)
     assert forward["motion_error"].max() < 1e-12
