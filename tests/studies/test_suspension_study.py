@@ -14,7 +14,7 @@ import aleator as al
 from aleator import cli
 from aleator.design import responses
 from aleator.studies.suspension import apportionment_problem, deterministic_problem, robust_problem
-from aleator.studies.suspension._chapter import BUILT, TARGET, margin_problems
+from aleator.studies.suspension._chapter import BUILT, STATES, TARGET, margin_problems, problems
 from aleator.transcription import transcribe
 from compiling import compiled
 from numpy_quarter_car import quarter_car
@@ -98,6 +98,10 @@ def test_the_designs_to_build_keep_their_limits_on_cars_of_another_sample():
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="resource limits are read on Unix only")
+def test_the_second_way_is_within_its_budget():
+    assert al.Simultaneous().count(problems()["dOpt"]) == STATES
+
+
 def test_memory_does_not_grow_with_the_number_of_samples():
     solution = al.solve(oscillator_problem())
     al.validate(solution, 2_000)
