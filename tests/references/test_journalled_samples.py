@@ -1,4 +1,4 @@
-"""Samples in the journal of a run: what was ended goes on from there, with the same digits."""
+"""Samples in the journal of a run: the same work is the same sample. `test_kept_work.py` ends and resumes them."""
 
 from pathlib import Path
 
@@ -8,9 +8,6 @@ import pytest
 import aleator as al
 
 MODEL = {"off": al.Uniform(0.0, half_width=1.0), "more": al.Normal(2.0, 0.1)}
-
-
-METHODS = [al.references.monte_carlo, al.references.quasi_monte_carlo]
 
 
 def bits(sample: al.references.RandomSample) -> list[bytes]:

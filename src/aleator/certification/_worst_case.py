@@ -239,7 +239,7 @@ def _candidates(transcribed: AbstractTranscribed, oracle: Oracle, point: np.ndar
         if limit.is_path:
             values = values[:, :: max(1, values.shape[1] // _RANKED_INSTANTS)]
         side = 1.0 if np.isfinite(float(limit.upper)) else -1.0
-        terms = side * np.asarray(transcribed.collocation.coefficients(values))
+        terms = side * np.asarray(transcribed.collocation.coefficients(jax_array(values)))
         largest = np.tensordot(matrix, terms, axes=1).reshape(len(many), -1).max(axis=1)
         ranked.append(np.argsort(-np.nan_to_num(largest, nan=-np.inf))[:_RANKED])
     worst = np.unique(np.concatenate(ranked))
