@@ -14,15 +14,14 @@ import sys
 import tempfile
 import types
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 import aleator as al
-from aleator.reporting import Drawing, paper_figure
-from aleator.studies import load
+from aleator.reporting import Drawing, Linked, paper_figure
+from aleator.studies import Draft, load
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -82,15 +81,12 @@ def first() -> "Figure":
     return al.validate(al.solve(names["problem"])).plot(backend="matplotlib")
 
 
-def study(name: str, heading: str, which: int = 0, **more: int) -> "Figure":
-    """A figure of a study's page, under the last such heading, after a quick run or one with more effort."""
-    one: Any = load(name, quick=True)
-    if more:
-        one = type(one)(replace(one.quick, **more))
-    for stage in one.stages:
-        one.run(stage)
-    blocks = [block for section in one.sections() for block in section.blocks]
-    *_, drawing = (block for block in blocks if isinstance(block, Drawing) and block.heading == heading)
+def study(name: str, heading: str, which: int = 0) -> "Figure":
+    """A figure of a study's page, under the last such heading, after a quick run."""
+    page = Draft(load(name, quick=True))
+    page.fill()
+    blocks = [block for section in page.page().sections for block in section.blocks]
+    *_, drawing = (block for block in blocks if isinstance(block, Drawing | Linked) and block.heading == heading)
     return paper_figure(drawing.figures[which])
 
 
@@ -155,7 +151,7 @@ EVERY: dict[str, dict[str, Entry]] = {
             "Spring and damper of a quarter car with five uncertain numbers: designed for the mean car, robustly, and "
             "with spreads apportioned at minimum cost. It recomputes chapters 6 and 7 of the dissertation.",
             "The best ride over the travel allowed, for the mean car (dOpt) and for all cars (uOpt).",
-            lambda: study("suspension", "Ride against the travel limit, H = 0.034 m", front_points=10),
+            lambda: study("suspension", "Ride against the travel limit, H = 0.034 m"),
         ),
         "clutch": Entry(
             "Tolerances of a one-way clutch",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from aleator.studies.clutch import MEANS
-from aleator.studies.clutch._study import clutch_drawing
+from aleator.studies.clutch._drawing import clutch_drawing
 from aleator.studies.four_bar._study import linkage_drawing
 from aleator.studies.suspension import nominal, road
 from aleator.studies.suspension._drawing import car_drawing

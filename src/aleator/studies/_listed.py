@@ -192,7 +192,7 @@ STUDIES = {
     ),
     "clutch": Entry(
         "One-way clutch: tolerance analysis by every method, and the cheapest tolerances (section 7.2)",
-        "aleator.studies.clutch._study:ClutchStudy",
+        "aleator.studies.clutch._chapter",
     ),
     "pick-and-place-effort": Entry(
         "Two-link arm with an uncertain payload: least effort, least spread at the end (section 5.5.1)",
