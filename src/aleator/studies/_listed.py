@@ -208,7 +208,7 @@ STUDIES = {
     ),
     "four-bar": Entry(
         "Straight-line linkage, a closed loop driven by its crank: robust lengths, and the cheapest tolerances",
-        "aleator.studies.four_bar._study:FourBarStudy",
+        "aleator.studies.four_bar._chapter",
     ),
 }
 

@@ -1,23 +1,21 @@
-"""What pages of several studies share: missing recommendations, violation rates, a design found in a second way.
+"""What several studies share: missing recommendations, violation rates, numbers stored, a design in a second way.
 
 The second way is direct collocation, which shares neither discretisation nor solver with shooting.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 import aleator as al
-from aleator._core.border import Progress
 from aleator.reporting import (
     Card,
     Drawing,
-    Section,
     Table,
     Verdict,
     calibration_figure,
     given,
-    mesh_drawing,
     number,
     percent,
     share_text,
@@ -25,10 +23,10 @@ from aleator.reporting import (
     words,
 )
 
-SECOND_WAY = "second way"
-"""The name of its stage."""
+if TYPE_CHECKING:
+    import xarray
 
-_HEADING, _DIGITS = "A second way", 8
+_DIGITS = 8
 
 
 def no_recommendation(
@@ -84,21 +82,13 @@ def margin_drawing(found: al.results.Calibration, heading: str, who: str, margin
     return Drawing([calibration_figure(found, who=who)], heading, caption)
 
 
-def found_both_ways(name: str, problem: al.Problem, progress: Progress) -> al.results.CrossChecked:
-    """A design by shooting and by direct collocation."""
-    return al.cross_check(problem, progress=lambda task, *done: progress(f"{name}, {task}", *done))
+def stored(name: str, rows: Mapping[str, Sequence[float]], units: Mapping[str, str]) -> "xarray.Dataset":
+    """Rows of numbers, whose labels are the coordinate `name`, as columns with units."""
+    import xarray
 
-
-def collocated(name: str, found: al.results.CrossChecked | None) -> dict[str, al.Solution]:
-    """What the study keeps of it: the design by direct collocation, once it is found."""
-    return {} if found is None else {name: found.second}
-
-
-def second_way(name: str, found: al.results.CrossChecked | None) -> Section:
-    """The chapter that compares both, without blocks before they are found."""
-    if found is None:
-        return Section(_HEADING, [])
-    return Section(_HEADING, [comparison_table(name, found), mesh_drawing(found.second.meshes, name)])
+    columns = zip(units.items(), zip(*rows.values(), strict=True), strict=True)
+    variables = {column: (name, list(values), {"units": unit}) for (column, unit), values in columns}
+    return xarray.Dataset(variables, coords={name: list(rows)})
 
 
 def comparison_table(name: str, found: al.results.CrossChecked) -> Table:

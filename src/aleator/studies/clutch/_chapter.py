@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -33,6 +33,7 @@ from aleator.reporting import (
     share_text,
     words,
 )
+from aleator.studies._shared import stored
 from aleator.studies._study import Draft
 from aleator.studies.clutch import (
     COST,
@@ -58,7 +59,6 @@ from aleator.studies.clutch import (
 from aleator.studies.clutch._drawing import clutch_drawing
 
 if TYPE_CHECKING:
-    import xarray
     from plotly.graph_objects import Figure
 
 PUBLISHED = {
@@ -185,15 +185,6 @@ def chapter(page: Draft, quick: bool) -> None:
 
     page.section("Certificate", folded=True)
     page.add(certificate_table({CHEAPEST: design}))
-
-
-def stored(name: str, rows: Mapping[str, Sequence[float]], units: Mapping[str, str]) -> "xarray.Dataset":
-    """Rows of numbers, whose labels are the coordinate `name`, as columns with units."""
-    import xarray
-
-    columns = zip(units.items(), zip(*rows.values(), strict=True), strict=True)
-    variables = {column: (name, list(values), {"units": unit}) for (column, unit), values in columns}
-    return xarray.Dataset(variables, coords={name: list(rows)})
 
 
 def _counted(page: Draft, name: str, tolerances: Mapping[str, float], samples: int) -> dict[str, Tails]:
@@ -383,9 +374,9 @@ def recommended(
     verdict = recommendation(
         design,
         evidence,
-        labels={f"{part}.tolerance": f"{name} ±" for part, name in NAMES.items()},
+        labels={f"{part}.tolerance": f"{name} (mm) ±" for part, name in NAMES.items()},
         who="assemblies",
-        objective=f"cost {COST}",
+        objective=f"cost {COST}, in 1/mm:",
         sentences=sentences,
     )
     given_cost, chosen, safe = cost(TOLERANCES), tolerances[CHEAPEST], cost(tolerances[SAFE])
