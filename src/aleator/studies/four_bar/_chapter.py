@@ -300,7 +300,7 @@ def recommended(
     labels = {f"{name}.nominal": text for name, text in TEXTS.items()} | PLAYS
     sentences = [
         f"Tolerances and clearances cost ${cost(allocated):.2f} instead of the ${cost(robust):.2f} of the given ones "
-        f"({signed(cost(allocated) / cost(robust) - 1)}); a zone that is wider by 0.1 mm saves about ${price / 10:.2f}. "
+        f"({signed(cost(allocated) / cost(robust) - 1)}); a zone wider by 0.1 mm saves about ${price / 10:.2f}. "
         f"Some are widened, up to {number(widths[widest], 3, 'mm')} ({_part(widest)}); tightened: {words(tightened)}.",
         f"Of {count(counts[ALLOCATED].outside.samples)} linkages assembled by elimination {outside[ALLOCATED]} leave "
         f"±{zone} of the line. With the given tolerances it is {outside[PUBLISHED]} of the published linkages, "
