@@ -163,14 +163,15 @@ def chapter(page: Draft, quick: bool) -> None:
     page.keep("tolerances", stored("tolerances", sizes, SIZE_UNITS))
     one, outside = analyses["limits"], counts[GIVEN]["limits"].either
     expected = next(limit.worst for limit in design.constraints if limit.name == "rejects")
+    times = int(float(f"{times_cheaper(methods, exact):.1e}"))
     sentences = [
         f"The given tolerances: the pressure angle is {number(one.mean, 5)}° ± {number(3 * one.std, 4)}° (3σ), within "
         f"6° to 8° with Cpk {number(one.cpk, 3)}; within nominal ± 0.6° only for {percent(1 - allowed)} of the "
         f"assemblies. The worst case of parts within them is {worst_text(TOLERANCES)}; of {count(outside.samples)} "
         f"assemblies counted, {per_million(outside)} in a million lie outside 6° to 8°.",
-        f"Of as many assemblies of the cheapest tolerances {share_text(counts[CHEAPEST]['deviation'].either)} lie outside "
-        f"nominal ± 0.6°, where the expansion predicts {percent(expected)}.",
-        f"An expansion of order 3 on 60 assemblies is about {count(int(float(f'{times_cheaper(methods, exact):.1e}')))} "
+        f"Of as many assemblies of the cheapest tolerances {share_text(counts[CHEAPEST]['deviation'].either)} lie "
+        f"outside nominal ± 0.6°, where the expansion predicts {percent(expected)}.",
+        f"An expansion of order 3 on 60 assemblies is about {count(times)} "
         "times cheaper than plain Monte Carlo of the same error (its measured speed and standard error, scaled up).",
     ]
     page.recommend(recommended(design, evidence, tolerances, sentences))
