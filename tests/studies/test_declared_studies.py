@@ -40,7 +40,7 @@ class Two(ext.AbstractStudy):
         page.progress("solving", 0, 1)
         page.keep("design", solved())
         page.add("It has a rate of 1.1 1/s.", ext.Table("Found", ["what"], [["design"]]), printed=True)
-        page.recommend(ext.Verdict("good", "Build", "It decays.", ["Build it."], [ext.Card("Rate", "1.1 1/s")]))
+        page.recommend(ext.Verdict("good", "Build", "It decays.", ["Build it."]))
         page.section("Nothing")
         self.second(page)
 
@@ -143,7 +143,7 @@ WRONG = {
     "a number among results": (lambda page: page.keep("more", {"other": math.sin}), "'more': 'other'"),
     "what netCDF cannot hold": (
         lambda page: page.keep("other", xarray.Dataset({"x": ("a", [object()])})),
-        "'other': 'x': expected",
+        "'other': expected data that netCDF can hold",
     ),
 }
 

@@ -23,6 +23,7 @@ from aleator.reporting import (
     Verdict,
     by_place,
     footer,
+    is_group,
     provenance,
     savable,
     save_study,
@@ -282,7 +283,7 @@ def _joined(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, A
     joined = dict(earlier)
     for name, one in later.items():
         before = joined.get(name)
-        joined[name] = _joined(before, one) if isinstance(before, Mapping) and isinstance(one, Mapping) else one
+        joined[name] = _joined(before, one) if is_group(before) and is_group(one) else one
     return joined
 
 
