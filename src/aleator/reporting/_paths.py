@@ -173,11 +173,11 @@ def _add_strokes(figure: "Figure", times: np.ndarray, name: str, strokes: Stroke
     draw(figure, short(x), short(y), strokes.colour, mode="lines", **shown)
 
 
-def motion_figure(motions: Motions, name: str, title: str = "") -> "Figure":
-    """The mean of an input, a state or an output over time, with the band of two standard deviations about it."""
-    moments, unit = motions.moments[name], motions.units.get(name, "")
-    paths = components(name, moments.mean, moments.std)
-    return path_figure(np.asarray(motions.times), paths, y=name, unit=unit, sigmas=_USUAL, title=title)
+def motion_figure(motions: Motions, *names: str, title: str = "") -> "Figure":
+    """Means of inputs, states or outputs of one unit over time, with bands of two standard deviations about them."""
+    paths = [components(name, motions.moments[name].mean, motions.moments[name].std) for name in names]
+    every, unit = {part: one for each in paths for part, one in each.items()}, motions.units.get(names[0], "")
+    return path_figure(np.asarray(motions.times), every, y=", ".join(names), unit=unit, sigmas=_USUAL, title=title)
 
 
 def histories_figure(

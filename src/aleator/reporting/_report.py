@@ -16,7 +16,7 @@ from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._first_screen import TARGET, proposal
 from aleator.reporting._numbers import unit_of_limit, units_of_moments, words
 from aleator.reporting._page import Page, write_page
-from aleator.reporting._paths import motion_figure, trajectory_figure
+from aleator.reporting._paths import trajectory_figure
 from aleator.reporting._samples import percentile_figure
 from aleator.reporting._store import provenance
 from aleator.reporting._sweeps import disagreements, front_blocks, trade_off_blocks
@@ -144,7 +144,7 @@ def sections(
     meshes = [mesh_drawing(one.meshes, name) for name, one in designs.items() if any(mesh.worst for mesh in one.meshes)]
     paths, counted = evidence_sections(evidence)
     every = [
-        Section("Designs", [*failed, designs_table(designs, evidence), *_input_drawings(designs)]),
+        Section("Designs", [*failed, *_motions(designs), designs_table(designs, evidence)]),
         paths,
         trade_offs_section(designs, {**fronts, **trade_offs}, [*along, *evidence.values()]),
         counted,
@@ -154,13 +154,15 @@ def sections(
     return [one for one in every if one.blocks]
 
 
-def _input_drawings(designs: Mapping[str, Solution]) -> Iterator[Drawing]:
-    """The inputs that designs decide, over time."""
+def _motions(designs: Mapping[str, Solution]) -> Iterator[Drawing]:
+    """The designs that decide inputs over time, in one figure each."""
     for name, one in designs.items():
         if placements(one.problem.inputs).decisions:
-            motions = one.inputs
-            caption = "The mean, with two standard deviations to each side where an input is uncertain."
-            yield Drawing([motion_figure(motions, each) for each in motions], f"Inputs of {name}", caption)
+            caption = (
+                "The inputs, then what is limited over time, then the decisions between their bounds. Bands: two "
+                "standard deviations to each side, or as many as the limit has."
+            )
+            yield Drawing([one.plot()], f"Inputs of {name}, limits and decisions", caption)
 
 
 def evidence_sections(evidence: Mapping[str, Evidence]) -> tuple[Section, Section]:
