@@ -88,7 +88,9 @@ def test_a_study_that_came_to_its_end_has_its_sections_its_files_and_the_glossar
     assert page.page().sections[-1].blocks[-1].rows == study.glossary
     assert page.headline() == "Build: It decays."
     study.left_out = "the sweep"
-    assert page.page().verdict.headline == "It decays. This was a quick run, without the sweep."
+    assert page.headline() == "Build: It decays. This was a quick run, without the sweep."
+    assert page.page().verdict.headline == "It decays."
+    assert page.page().verdict.rows[-1] == ("Left out", "This was a quick run, without the sweep.")
     page.save(tmp_path)
     written = page.write(tmp_path)
     assert "It decays." in written.read_text(encoding="utf-8")

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 # The multiple of the standard deviation in a band, where no limit says another.
 _USUAL = 2.0
 # Systems drawn of many, and instants of theirs.
-_DRAWN, _PIXELS = 60, 700
+_DRAWN, _SHOWN = 60, 350
 
 
 class Limits(NamedTuple):
@@ -253,10 +253,10 @@ def trajectory_figure(
 
     The first 60 are drawn; those that violate any bound are highlighted. The title gives the share of all samples.
 
-    - `every`: so many instants are drawn as one, by default so many that a figure has no more than its pixels.
+    - `every`: so many instants are drawn as one, by default so many that at most 350 remain.
     """
     sampled, instants = [one for one in evidence.trajectories if one.name == name], evidence.solution.instants
-    step = every or math.ceil(len(instants) / _PIXELS)
+    step = every or math.ceil(len(instants) / _SHOWN)
     # Both sides of a pair of bounds measure the same quantity.
     values = {one.values.tobytes(): one for one in sampled}.values()
     pairs = [curves(one.values[:_DRAWN, ::step], one.violating[:_DRAWN]) for one in values]
