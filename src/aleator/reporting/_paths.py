@@ -177,7 +177,7 @@ def motion_figure(motions: Motions, name: str, title: str = "") -> "Figure":
     """The mean of an input, a state or an output over time, with the band of two standard deviations about it."""
     moments, unit = motions.moments[name], motions.units.get(name, "")
     paths = components(name, moments.mean, moments.std)
-    return path_figure(np.asarray(motions.times), paths, y=name, unit=unit, sigmas=_USUAL, title=title)
+    return path_figure(np.asarray(motions.times_of(name)), paths, y=name, unit=unit, sigmas=_USUAL, title=title)
 
 
 def histories_figure(
@@ -255,7 +255,9 @@ def trajectory_figure(
 
     - `every`: so many instants are drawn as one, by default so many that a figure has no more than its pixels.
     """
-    sampled, instants = [one for one in evidence.trajectories if one.name == name], evidence.solution.instants
+    sampled, solution = [one for one in evidence.trajectories if one.name == name], evidence.solution
+    limits = (one for one in solution.problem.constraints if one.name == name and one.is_path)
+    instants = next((solution.times_of(one) for one in limits), solution.instants)
     step = every or math.ceil(len(instants) / _PIXELS)
     # Both sides of a pair of bounds measure the same quantity.
     values = {one.values.tobytes(): one for one in sampled}.values()
