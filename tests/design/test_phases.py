@@ -39,6 +39,10 @@ class Rocket(al.System):
 HULL, BURNT = 3.0, 10.0
 
 
+def dropped(self, t, z):
+    return {"m": z.m - HULL}
+
+
 def staging(burn=2.0, steps=40, **options):
     """The height at the end of the second stage's burn, whose duration is decided."""
     flight = al.Phases(
@@ -46,7 +50,7 @@ def staging(burn=2.0, steps=40, **options):
             Rocket(al.Uniform(500.0, half_width=50.0), 2.0, BURNT), al.Grid(until="burnout", at_most=20.0, steps=steps)
         ),
         second=al.Phase(Rocket(200.0, 0.5, 1.0), al.Grid(al.Decision(burn, 1.0, 6.0), steps)),
-        link={"second": lambda self, t, z: {"m": z.m - HULL}},
+        link={"second": dropped},
     )
     return al.Problem(flight, expansion=al.Expansion(order=4), **options)
 
@@ -65,7 +69,7 @@ def flown(thrust, burn):
 
 @cache
 def staged():
-    burn, speed = al.value("second.t_final"), al.terminal("v")
+    burn, speed = al.objectives.final_time("second"), al.terminal("v")
     return al.solve(
         staging(
             minimize=burn,
@@ -221,8 +225,92 @@ def test_a_chain_of_delays_costs_what_betts_publishes():
         return {"x1": 1.0} | {f"x{i + 2}": value for i, value in enumerate(z)}
 
     phases = al.Phases(**parts, link=dict.fromkeys(list(parts)[1:], shift))
-    cost = sum((al.integral("cost", phase=name).mean for name in parts), start=al.as_expression(0.0))
-    found = al.solve(al.Problem(phases, minimize=cost), between=1)
-    assert found.status is al.Status.SOLVED
-    # Betts (2010), 10.50, as limits at 20 instants of each unit of time and straight lines between allow.
+    first, *others = (al.integral("cost", phase=name).mean for name in parts)
+    found = al.solve(al.Problem(phases, minimize=sum(others, start=first)))
+    assert found.ok, found
+    # Betts (2010), 10.50, as straight lines between 20 instants of each unit of time allow.
     assert found.objective == pytest.approx(3.10812211, rel=1e-3)
+
+
+def test_one_phase_is_what_it_was():
+    rocket, grid, limit = Rocket(al.Decision(300.0, 250.0, 400.0), 1.0), al.Grid(2.0, 8), al.terminal("h").mean <= 40.0
+    alone = al.solve(al.Problem(rocket, grid=grid, minimize=-al.terminal("v").mean, subject_to=[limit]))
+    phases = al.Phases(only=al.Phase(rocket, grid, subject_to=[limit]))
+    phased = al.solve(al.Problem(phases, minimize=-al.terminal("v").mean))
+    assert phased.objective == alone.objective
+    assert phased.decisions["only.thrust"] == alone.decisions["thrust"]
+    assert np.array_equal(phased.outputs["only.h"]["mean"], alone.outputs["h"]["mean"])
+
+
+def test_a_simulation_returns_the_outputs_of_each_phase():
+    first = al.Phase(Rocket(500.0, 2.0, BURNT), al.Grid(until="burnout", at_most=20.0, steps=40))
+    phases = al.Phases(first=first, second=al.Phase(Rocket(200.0, 0.5), al.Grid(2.0, 40)), link={"second": dropped})
+    found = al.simulate(phases)
+    ends = flown(500.0, 2.0)
+    for name, right in zip(("first", "second"), ends, strict=True):
+        assert [found[f"{name}.{one}"][-1] for one in "hvm"] == pytest.approx(right, rel=1e-7)
+    with pytest.raises(al.ProblemError, match=r"names of their phases, such as 'first.h'; received \['h'\]"):
+        al.simulate(phases, only=["h"])
+
+
+def test_a_system_in_two_phases_has_the_same_numbers_in_both():
+    rocket = Rocket(al.Uniform(500.0, half_width=50.0), 2.0)
+    phases = {"a": al.Phase(rocket, al.Grid(1.0, 4)), "b": al.Phase(rocket, al.Grid(al.Decision(1.0, 0.5, 2.0), 4))}
+    problem = al.Problem(al.Phases(**phases), minimize=al.terminal("h").mean)
+    assert list(problem.placements.germ_names) == ["a.thrust"]
+    assert "b: Rocket(h, v, m), 4 steps to t_final, RungeKutta4" in str(problem)
+
+
+def test_a_phase_that_never_ends_is_named_with_the_states_that_it_begins_with():
+    phases = al.Phases(
+        first=al.Phase(Rocket(al.Decision(500.0, 400.0, 600.0), 2.0), al.Grid(1.0, 4)),
+        second=al.Phase(Rocket(0.0), al.Grid(until="top", at_most=1.0, steps=4)),
+    )
+    with pytest.raises(al.SimulationError, match=r"In the phase 'second', Rocket .*never meets 'top'"):
+        al.solve(al.Problem(phases, minimize=al.terminal("h").mean))
+
+
+def test_phases_that_do_not_fit_together_are_refused_where_they_are_declared():
+    class Capsule(Rocket):
+        states = ("h", "v", "chute")
+        events: ClassVar = {}
+
+        def rhs(self, t, z):
+            return z.v, -G, 0.0
+
+        def outputs(self, t, z):
+            return {"h": z.h}
+
+    first, last = (al.Phase(one, al.Grid(1.0, 2)) for one in (Rocket(300.0), Capsule(al.Decision(1.0, 0.5, 2.0))))
+
+    def problem(minimize=None, link=None, **options):
+        links = {"descent": lambda self, t, z: {"chute": 0.0}} | (link or {})
+        phases = al.Phases(ascent=first, descent=last, link=links)
+        return al.Problem(phases, minimize=al.terminal("h").mean if minimize is None else minimize, **options)
+
+    height = al.path("h")
+    for words, make in {
+        r"'descent' has the state 'chute', which 'ascent' does not have, and no link gives it: write link=": lambda: (
+            al.Problem(al.Phases(ascent=first, descent=last), minimize=al.terminal("h").mean)
+        ),
+        r"some of the states \('h', 'v', 'chute'\) of Capsule": lambda: problem(
+            link={"descent": lambda self, t, z: {"parachute": 0.0}}
+        ),
+        r"There is no phase 'ascend'; expected one of \['ascent', 'descent'\]. Did you mean 'ascent'": lambda: problem(
+            al.terminal("h", phase="ascend").mean
+        ),
+        r"There is no phase 'ascend'; expected one of \['ascent', ": lambda: problem(al.at("top", phase="ascend").mean),
+        r"There is no output of Capsule 'm'; expected one of \['h'\]": lambda: problem(al.terminal("m").mean),
+        "paths of several phases": lambda: problem(subject_to=[height.mean - al.path("h", phase="ascent").mean <= 1.0]),
+        "there are several phases": lambda: problem(al.time_integral(height.std)),
+        r"name of a phase that begins after another, one of \['descent'\]; received 'ascent'": lambda: problem(
+            link={"ascent": lambda self, t, z: {}}
+        ),
+        "grids and inputs of their own": lambda: problem(grid=al.Grid(1.0, 2)),
+        "Phases: ascent": lambda: al.Phases(ascent=Rocket(300.0)),  # pyright: ignore[reportArgumentType]
+        "Phase: grid": lambda: al.Phase(Rocket(300.0), 3.0),  # pyright: ignore[reportArgumentType]
+    }.items():
+        with pytest.raises(al.ProblemError, match=words):
+            make()
+    with pytest.raises(al.ProblemError, match=r"one phase; received Phases\(ascent, descent\). Use al.Sequential"):
+        al.solve(problem(), transcription=al.Simultaneous())

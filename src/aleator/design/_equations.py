@@ -72,7 +72,7 @@ def _unknown_output(problem: AbstractProblem, name: str, known: list[str]) -> st
     if dot:
         return unknown("phase", before, phases)
     there = [one.partition(".")[2] for one in known if phase_of(one) == phase]
-    return unknown(f"output of the phase '{phase}'", own, there)
+    return unknown(f"output of {type(problem.simulation.of(name).system).__name__}", own, there)
 
 
 def refuse_changed_code(problem: AbstractProblem) -> None:

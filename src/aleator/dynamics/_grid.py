@@ -37,6 +37,10 @@ class AbstractGrid(Module):
         del steps
         return self
 
+    def coarser(self, parts: int) -> Self:
+        """The same time span with so many times fewer steps."""
+        return self.divided(self.steps // parts)
+
     @property
     @abc.abstractmethod
     def step(self) -> Scalar:

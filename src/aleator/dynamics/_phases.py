@@ -131,6 +131,14 @@ class LinkedSystems(AbstractSystem):
         """The inputs of a phase, each with its name among those of the simulation."""
         return next(wires for name, _, wires in self.wiring if name == phase)
 
+    def refuse_unknown(self, asked: Asked) -> None:
+        """Raise `ProblemError` for names of no phase."""
+        if unknown := [name for name in asked.instants or () if phase_of(name) not in self.phases]:
+            first = f"{next(iter(self.phases))}.{unknown[0]}"
+            raise ProblemError(
+                f"{self.title}: expected outputs with the names of their phases, such as '{first}'; received {unknown}."
+            )
+
     @property
     @override
     def title(self) -> str:
@@ -195,6 +203,10 @@ class LinkedGrid(AbstractGrid):
         # As many times as many in each phase.
         grids = {name: one.divided(-(-one.steps * steps // self.steps)) for name, one in self.grids.items()}
         return LinkedGrid(grids, self.order)
+
+    @override
+    def coarser(self, parts: int) -> "LinkedGrid":
+        return LinkedGrid({name: one.coarser(parts) for name, one in self.grids.items()}, self.order)
 
     @property
     def until(self) -> str | None:

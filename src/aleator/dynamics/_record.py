@@ -152,7 +152,7 @@ class Record(NamedTuple):
         history = {name: values[every] for name, values in self.history.items()}
         # Between two instants of the finer grid lies one more node, so that nodes are as many apart.
         nodes = {name: values[every] for name, values in self.nodes.items()}
-        return self._replace(history=history, nodes=nodes, grid=self.grid.divided(self.grid.steps // parts))
+        return self._replace(history=history, nodes=nodes, grid=self.grid.coarser(parts))
 
 
 def zeros(shapes: Pytree) -> Pytree:

@@ -49,6 +49,10 @@ class Simulation(Module):
     @property
     def traced(self) -> AbstractSystem:
         """The realised system as programs evaluate it: by the equations that were declared, if they were."""
+        if isinstance(self.system, LinkedSystems):
+            if self.equations is not None:
+                self.equations.complete(self.system, replace(self, equations=None).traced_equations)
+            return self.system
         system = self.system if self.equations is None else self.equations.applied(self.system, self.start)
         return system if self.begun is None else system.beginning(self.begun)  # type: ignore[attr-defined]
 
@@ -72,15 +76,8 @@ class Simulation(Module):
             return self
         phase, equations = phase_of(name), self.equations
         inputs = {key: self.inputs[wire] for key, wire in self.system.wires(phase)}
-        if equations is not None:
-            equations.complete(self.system, self.undeclared.traced_equations)
-            equations = equations.phases[phase]
-        return Simulation(self.system.phases[phase], inputs, self.grid.of(name), self.integrator, {}, equations)
-
-    @property
-    def undeclared(self) -> "Simulation":
-        """The same without equations."""
-        return replace(self, equations=None)
+        own = None if equations is None else equations.phases.get(phase)
+        return Simulation(self.system.phases[phase], inputs, self.grid.of(name), self.integrator, {}, own)
 
     def start(self) -> Start | None:
         """The first instant, and the inputs there; None without time."""
@@ -94,10 +91,11 @@ class Simulation(Module):
     def record(self, asked: Asked) -> Record:
         """Simulate with known numbers, recording what is asked for. Raises `ProblemError` if parts do not match."""
         refuse_unrealised(system=self.system, grid=self.grid, inputs=self.inputs)
-        if isinstance(self.system, LinkedSystems):
+        system = self.traced
+        if isinstance(system, LinkedSystems):
+            system.refuse_unknown(asked)
             declared = self.declared() if self.equations is None else self
             return joined(declared._in_order(asked), asked)
-        system = self.traced
         if isinstance(system, AlgebraicSystem):
             return Record(chosen(system, self._solved(system), asked.instants), {}, (), grid=self.grid)
         assert isinstance(system, System)
@@ -218,9 +216,9 @@ class Simulation(Module):
 
         - `events`: those without which nothing is known of it.
         """
-        if isinstance(self.system, LinkedSystems):
-            return self._explain_phases(events)
         system = self.traced
+        if isinstance(system, LinkedSystems):
+            return self._explain_phases(events)
         if isinstance(system, AlgebraicSystem):
             return explain_failure(system)
         if not (isinstance(system, System) and isinstance(self.grid, Grid) and system.states):
