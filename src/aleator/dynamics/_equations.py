@@ -75,29 +75,32 @@ class Equations:
     phases: "Mapping[str, Equations]" = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
-    def of(cls, system: AbstractSystem, start: "Start | None") -> "Equations":
-        """Those of a realised system, which evolves in time from a start, or has no time."""
-        equations, inside = cls._of(system, start, 1)
-        finer = cls._of(system, start, FINER)[0] if inside.is_met else None
+    def of(cls, system: AbstractSystem, start: "Start | None", states: Any = None) -> "Equations":
+        """Those of a realised system, which evolves in time from a start, or has no time.
+
+        - `states`: the shapes of those with which a later phase begins; None where the system tells them.
+        """
+        equations, inside = cls._of(system, start, states, 1)
+        finer = cls._of(system, start, states, FINER)[0] if inside.is_met else None
         return replace(equations, finer=finer)
 
     @classmethod
-    def _of(cls, system: AbstractSystem, start: "Start | None", factor: int) -> tuple["Equations", Inside]:
+    def _of(cls, system: AbstractSystem, start: "Start | None", states: Any, factor: int) -> tuple["Equations", Inside]:
         inside = Inside(factor)
         before = INSIDE.set(inside)
         try:
-            return cls._traced(system, start), inside
+            return cls._traced(system, start, states), inside
         finally:
             INSIDE.reset(before)
 
     @classmethod
-    def _traced(cls, system: AbstractSystem, start: "Start | None") -> "Equations":
+    def _traced(cls, system: AbstractSystem, start: "Start | None", states: Any) -> "Equations":
         if isinstance(system, AlgebraicSystem):
             functions, names = _algebraic(system), [system.unknowns]
         else:
             assert isinstance(system, System)
             assert start is not None
-            functions, names = _dynamical(system, start), [system.states, system.algebraic, tuple(start.inputs)]
+            functions, names = _dynamical(system, start, states), [system.states, system.algebraic, tuple(start.inputs)]
             names += [(name, event.direction) for name, event in system.declared_events.items()]
         # Equations speak of numbers by their order alone.
         parts = {name: digest_of(one.closed) for name, one in functions.items()}
@@ -110,7 +113,7 @@ class Equations:
         """Those of realised phases, with the first instant of each."""
         phases, functions, links = dict[str, Equations](), dict[str, TracedFunction](), dict(system.links)
         for name, one in system.phases.items():
-            start = starts[name]
+            states = None
             if phases:
                 before, last = next(reversed(phases.items()))
                 ended, z = system.phases[before], zeros(_shapes(last["initial"]))
@@ -119,8 +122,8 @@ class Equations:
                     return linked_states(name, system.phases[name], before, links.get(name), ended, t, z)
 
                 functions[name] = TracedFunction(begun, ended, starts[before].t, z)
-                start = start._replace(states=state_type(one.states)(**_shapes(functions[name])))
-            phases[name] = cls.of(one, start)
+                states = state_type(one.states)(**_shapes(functions[name]))
+            phases[name] = cls.of(one, starts[name], states)
         finer = {name: one.finer or one for name, one in phases.items()}
         is_met = any(one.finer for one in phases.values())
         return replace(cls._joint(phases, functions), finer=cls._joint(finer, functions) if is_met else None)
@@ -196,14 +199,10 @@ def _shapes(function: TracedFunction) -> Any:
 
 
 class Start(NamedTuple):
-    """Where a system begins: the time, and the inputs there with its own signals.
-
-    - `states`: the shapes of those that it begins with; None where its equations tell them.
-    """
+    """Where a system begins: the time, and the inputs there with its own signals."""
 
     t: Any
     inputs: dict[str, Any]
-    states: Any = None
 
 
 class _Instant(NamedTuple):
@@ -214,12 +213,13 @@ class _Instant(NamedTuple):
     names: tuple[str, ...]
 
 
-def _dynamical(system: System, start: Start) -> dict[str, TracedFunction]:
+def _dynamical(system: System, start: Start, states: Any) -> dict[str, TracedFunction]:
     functions = {
         "signals": TracedFunction(lambda system: dict(system.signals()), system),
-        "initial": TracedFunction(_initial(start.states), system, start.t, start.inputs),
+        # The states of a later phase come from the one before: zeros stand in their place.
+        "initial": TracedFunction(initial_state if states is None else lambda *_: zeros(states), system, *start),
     }
-    z = functions["initial"](system, start.t, start.inputs)
+    z = functions["initial"](system, *start)
     if system.algebraic:
         functions["guess"] = TracedFunction(guessed_algebraic, system, start.t, z, start.inputs)
         z = with_algebraic(system, z, functions["guess"](system, start.t, z, start.inputs))
@@ -228,11 +228,6 @@ def _dynamical(system: System, start: Start) -> dict[str, TracedFunction]:
         functions["levels"] = TracedFunction(event_levels, system, start.t, z, start.inputs)
         functions["after"] = TracedFunction(after_events, system, start.t, z, start.inputs)
     return functions | {"instant": TracedFunction(_instant, system, start.t, z, start.inputs)}
-
-
-def _initial(states: Any) -> Callable[..., Any]:
-    """The initial state; of a later phase, whose states come from the one before, zeros in its place."""
-    return initial_state if states is None else lambda *_: zeros(states)
 
 
 def _instant(system: System, t: Any, z: Any, inputs: dict[str, Any]) -> _Instant:

@@ -97,8 +97,10 @@ class Asked(NamedTuple):
         return slopes, tuple(one(outputs) for one in self.integrands), self._recorded(system, z, outputs)
 
     def _recorded(self, system: System, z: Any, outputs: dict[str, Array]) -> dict[str, Array]:
-        states = jnp.concatenate([jnp.ravel(one) for one in z[: len(system.states)]]) if self.states else None
-        return chosen(system, outputs, self.instants) | ({} if states is None else {STATES: states})
+        recorded = chosen(system, outputs, self.instants)
+        if not (self.states and system.states):
+            return recorded
+        return recorded | {STATES: jnp.concatenate([jnp.ravel(one) for one in z[: len(system.states)]])}
 
     def rates(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> tuple[Array, ...]:
         """The integrands at one time."""

@@ -125,11 +125,12 @@ class Simulation(Module):
 
     def _in_order(self, asked: Asked) -> dict[str, Record]:
         """The record of each phase, which begins with the states that the one before ends with."""
-        records, begun = dict[str, Record](), None
-        for name, one in self.phases.items():
+        records, begun, phases = dict[str, Record](), None, self.phases
+        for name, one in phases.items():
             if records:
                 begun = self._begun(name, one, *next(reversed(records.items())))
-            records[name] = replace(one, begun=begun).record(asked_within(name, asked)._replace(states=True))
+            states = asked.states or len(records) + 1 < len(phases)
+            records[name] = replace(one, begun=begun).record(asked_within(name, asked)._replace(states=states))
         if asked.states:
             return records
         return {name: one._replace(history=_without(STATES, one.history)) for name, one in records.items()}
@@ -138,17 +139,17 @@ class Simulation(Module):
         """The states, side by side, with which a phase begins, from the record of the one before."""
         ended, equations = self.of(f"{before}."), self.equations
         assert equations is not None
-        last = ended.unravelled(record.history[STATES][-1])
+        last = ended.unravelled(record.history.get(STATES, jnp.zeros((1, 0)))[-1])
         states = equations[name](ended.system, record.grid.t_final, last)
         assert isinstance(one.system, System)
-        return jnp.concatenate([jnp.ravel(states[state]) for state in one.system.states])
+        return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(states[state]) for state in one.system.states)])
 
     def unravelled(self, states: Float[Array, " states"]) -> Any:
         """The states as the system names them, from these side by side."""
         system, start = self.traced, self.start()
         assert isinstance(system, System)
         assert start is not None
-        return ravel_pytree(initial_state(system, start.t, start.inputs))[1](states)
+        return ravel_pytree(initial_state(system, *start))[1](states)
 
     def signals(self, system: System) -> Inputs:
         """All signals, the system's own ones too: on a grid that ends by an event, the same functions of time in all
@@ -263,7 +264,7 @@ class Simulation(Module):
         grid, start = self._checked_grid(system), self.start()
         assert start is not None
         try:
-            initial_state(system, start.t, start.inputs)
+            initial_state(system, *start)
         except ProblemError as error:
             raise ProblemError(system.diagnose(grid) or f"{error}") from error
 
