@@ -90,7 +90,7 @@ def diagnosis(
     model.refuse_impossible()
     finite = np.isfinite(seen.q).all(axis=1)
     if model.constraints and seen.history is not None and not _begins(model, seen.history):
-        broken = _broken(model, model.stated_twice(jnp.asarray(seen.near)))
+        broken = _broken(model, jax.jit(lambda q: model.stated_twice(q))(seen.near))
         return broken or _missed(model, parts, times, seen, 0) or start_diagnosis(model, seen, stated, speeds)
     largest = np.abs(np.nan_to_num(seen.q)).max(axis=1, initial=0.0)
     moderate = finite & (largest <= _ABSURD * (1 + largest[0]))
