@@ -21,7 +21,7 @@ from aleator.mechanics._mechanical import AbstractMechanical, evaluated
 
 # The most Newton steps, and the parts of each of which the best is taken: where all torques are at bounds, steps are
 # as long as the reciprocal of the damping.
-_STEPS, _PARTS = 50, 0.5 ** np.arange(32)
+_STEPS, _PARTS = 50, 0.5 ** np.arange(32.0)
 
 # What keeps equations regular where too few torques are between their bounds, in the search and in its result.
 _DAMPING, _LEAST_DAMPING = 1e-8, 1e-12
@@ -80,7 +80,7 @@ class _Dual(NamedTuple):
     upper: Float[Array, " torques"]
     beside: Float[Array, "m m"]
 
-    def torque(self, mu: Float[Array, "... m"]) -> Float[Array, "... torques"]:
+    def torque(self, mu: Float[Array, " m"]) -> Float[Array, " torques"]:
         return jnp.clip(mu @ self.E, self.lower, self.upper)
 
     def beyond(self, mu: Float[Array, " m"]) -> Float[Array, " torques"]:
@@ -92,17 +92,20 @@ class _Dual(NamedTuple):
         E, is_free = self.E, self.beyond(mu) == 0
         held = jnp.where(is_free, 0.0, self.torque(mu))
         damped = damping * E @ E.T
-        matrix = (E * is_free) @ E.T + damped + self.beside
+        matrix = (E * is_free[None]) @ E.T + damped + self.beside
         return solve_positive(matrix, self.force - E @ held + damped @ mu), held, is_free
 
     def advanced(self, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         """Multipliers after the best part of a step, the number of steps, and whether other torques are held then."""
         mu, steps, _ = state
         whole, *_ = self.newton(mu, _DAMPING)
-        parts = mu + _PARTS[:, None] * (whole - mu)
-        torques = self.torque(parts)
-        levels = parts @ self.force - ((parts @ self.E) * torques - torques**2 / 2).sum(axis=1)
-        return parts[jnp.argmax(levels)], steps + 1, jnp.any(self.beyond(whole) != self.beyond(mu))
+        best = jnp.argmax(jax.vmap(lambda part: self.level(mu + part * (whole - mu)))(_PARTS))
+        return mu + 0.5**best * (whole - mu), steps + 1, jnp.any(self.beyond(whole) != self.beyond(mu))
+
+    def level(self, mu: Float[Array, " m"]) -> Float[Array, ""]:
+        """What is maximised."""
+        torque = self.torque(mu)
+        return mu @ self.force - (mu @ self.E) @ torque + torque @ torque / 2
 
 
 def bounds_of(
