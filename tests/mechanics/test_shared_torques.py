@@ -177,6 +177,8 @@ def test_a_moment_that_no_actuators_make_is_named_with_its_instant_and_realisati
     # Heavier arms take more: (0.1 + 0.02) * 28.3 + 1.9 N·m at the start.
     with pytest.raises(al.ProblemError, match=r"at t = 0 s .* In the system with inertia = 0.12"):
         declared(Forearm(strongest=125.0, inertia=al.Uniform(INERTIA, half_width=0.02)))
+    with pytest.raises(al.ProblemError, match=r"by inf\. Widen the bounds, of which none may cross"):
+        declared(Forearm(tone=90.0, strongest=80.0))
     with pytest.warns(al.SimulationWarning, match=short):
         found = al.simulate(al.InverseDynamics(Forearm(strongest=100.0), motion=LIFT), GRID)
     assert np.isnan(found["flexor"][0])
