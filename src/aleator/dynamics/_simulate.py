@@ -12,7 +12,7 @@ from aleator._core.errors import GridWarning, ProblemError, SimulationWarning
 from aleator._core.leaves import is_traced
 from aleator.dynamics._algebraic import AlgebraicSystem
 from aleator.dynamics._equations import INSIDE
-from aleator.dynamics._grid import AbstractGrid, Inputs
+from aleator.dynamics._grid import AbstractGrid, Grid, Inputs
 from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator
 from aleator.dynamics._phases import Phases
 from aleator.dynamics._record import Asked, History
@@ -74,8 +74,10 @@ def _recorded(simulation: Simulation, asked: Asked) -> History:
             finer = simulation.on(grid.finer(inside.factor), simulation.integrator.reference())
             return finer.record(asked).thinned(inside.factor).outputs
     first = next(iter(simulation.phases.values()))
-    if is_traced(simulation) or not isinstance(first.system, System):
+    if is_traced(simulation):
         return _history(simulation, asked)
+    if not isinstance(first.system, System):
+        return _by_program(simulation, asked, grid)
     first.refuse_at_start(first.system)
     history = _by_program(simulation, asked, grid)
     if first.system.solves_start and not all(np.isfinite(np.asarray(rows[0])).all() for rows in history.values()):
@@ -95,7 +97,8 @@ def _by_program(simulation: Simulation, asked: Asked, grid: AbstractGrid) -> His
     except Exception:
         return _history(simulation, asked)
     for one in declared.phases.values():
-        _warn_of_jumps(one)
+        if isinstance(one.grid, Grid):
+            _warn_of_jumps(one)
     return history
 
 
