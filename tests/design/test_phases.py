@@ -309,6 +309,7 @@ def test_phases_that_do_not_fit_together_are_refused_where_they_are_declared():
             link={"ascent": lambda self, t, z: {}}
         ),
         "grids and inputs of their own": lambda: problem(grid=al.Grid(1.0, 2)),
+        "declare the problem again": lambda: problem().on_grid(al.Grid(1.0, 2)),
         "Phases: ascent": lambda: al.Phases(ascent=Rocket(300.0)),  # pyright: ignore[reportArgumentType]
         "Phase: grid": lambda: al.Phase(Rocket(300.0), 3.0),  # pyright: ignore[reportArgumentType]
     }.items():
