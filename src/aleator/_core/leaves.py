@@ -106,6 +106,19 @@ class AbstractLeaf(Module):
         """The largest value of any entry, as `lowest`."""
 
 
+class AbstractPlanned(Module):
+    """A model that may hold what it is at the means of its distributions: the model that a controller knows."""
+
+    @property
+    @abc.abstractmethod
+    def has_plan(self) -> bool:
+        """Whether it does."""
+
+    @abc.abstractmethod
+    def beside(self, means: Any) -> Any:
+        """Itself, realised, with the means of its distributions: a tree like its own, with None in other places."""
+
+
 def is_leaf(node: Any) -> bool:
     """Whether `node` is a distribution or a decision, which realisation replaces by a number."""
     return isinstance(node, AbstractLeaf)

@@ -26,6 +26,7 @@ from aleator.design._statistic import Statistic
 from aleator.design._text import problem_text
 from aleator.dynamics import AbstractGrid, AbstractIntegrator, AbstractSystem, Grid, Simulation, simulation_of
 from aleator.expansion import Expansion
+from aleator.feedback import Feedback, closed_loop
 from aleator.statistics import Mean
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import AbstractDecision, Choice, Decision, Integer, at_means, placements, uncertain_again
@@ -44,7 +45,8 @@ class Problem(AbstractProblem):
     - `minimize`: an expression of statistics; `subject_to`: constraints;
     - `expansion`: how outputs are expanded; `integrator`: how states are advanced in time;
     - `decisions`: further decisions by name, which no model contains, such as a slack or a level that several limits
-      share; `al.value(name)` is one in an expression.
+      share; `al.value(name)` is one in an expression;
+    - `feedback`: a controller that makes each realisation follow the plan, that of the means.
 
     Its equations are traced here, and here alone: to change the code of a model, declare again. `print(problem)` shows
     it as mathematics. Raises `ProblemError`, before anything is compiled, for any inconsistency: a missing input or
@@ -62,6 +64,7 @@ class Problem(AbstractProblem):
         expansion: Expansion | None = None,
         integrator: AbstractIntegrator | None = None,
         decisions: Mapping[str, AbstractDecision] | None = None,
+        feedback: Feedback | None = None,
     ):
         if inputs is not None and not isinstance(inputs, Mapping):
             raise ProblemError(f"inputs: expected signals by name, such as {{'road': ...}}; received {type(inputs)}.")
@@ -71,6 +74,8 @@ class Problem(AbstractProblem):
         for name, one in decisions.items():
             kinds = Decision, Integer, Choice
             one_of(f"Problem: decisions['{a_name('Problem: a name in decisions', name)}']", one, kinds)
+        if feedback is not None:
+            system = closed_loop(system, inputs or {}, feedback)
         simulation = simulation_of(system, grid, inputs, integrator, dict(decisions))
         # Later changes of NumPy arrays do not affect a problem.
         self.simulation = jax.tree.map(

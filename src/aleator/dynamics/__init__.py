@@ -9,6 +9,8 @@ from aleator.dynamics._assembly import Assembly as Assembly
 from aleator.dynamics._crossings import needed as needed
 from aleator.dynamics._equations import FINER as FINER
 from aleator.dynamics._equations import Equations as Equations
+from aleator.dynamics._equations import Start as Start
+from aleator.dynamics._equations import TracedSystem as TracedSystem
 from aleator.dynamics._evaluation import algebraic_residuals as algebraic_residuals
 from aleator.dynamics._evaluation import completed as completed
 from aleator.dynamics._evaluation import derivative as derivative
@@ -17,7 +19,9 @@ from aleator.dynamics._evaluation import initial_state as initial_state
 from aleator.dynamics._evaluation import observation as observation
 from aleator.dynamics._evaluation import solved_algebraic as solved_algebraic
 from aleator.dynamics._evaluation import with_algebraic as with_algebraic
+from aleator.dynamics._evaluation import derivative_and_observation as derivative_and_observation
 from aleator.dynamics._event import Event as Event
+from aleator.dynamics._extended import AbstractExtended as AbstractExtended
 from aleator.dynamics._grid import AbstractGrid as AbstractGrid
 from aleator.dynamics._grid import Grid as Grid
 from aleator.dynamics._grid import Inputs as Inputs

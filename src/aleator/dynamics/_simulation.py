@@ -10,14 +10,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.arrays import in_library, jax_array, numbers_to_arrays
 from aleator._core.border import meant, refuse_missing
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import Module, is_leaf, named_leaves, transparent
+from aleator._core.leaves import AbstractPlanned, is_leaf, named_leaves, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, explain_failure
 from aleator.dynamics._equations import Equations, Start, TracedSystem
 from aleator.dynamics._evaluation import initial_state
+from aleator.dynamics._extended import AbstractExtended
 from aleator.dynamics._grid import AbstractGrid, Grid, Inputs, Instant, check_signals, sampled
 from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator, RungeKutta4
 from aleator.dynamics._record import Asked, History, Occurrence, Record, chosen, observed
@@ -27,7 +29,7 @@ from aleator.trajectories import AbstractSignal, least_steps
 
 @final
 @transparent("system", "grid", "numbers")
-class Simulation(Module):
+class Simulation(AbstractPlanned):
     """What is simulated: a system with its inputs, a grid, and an integrator.
 
     Any of its numbers may be a distribution or a decision; once realised, it can be recorded. Only here are kinds of
@@ -40,6 +42,18 @@ class Simulation(Module):
     integrator: AbstractIntegrator
     numbers: dict[str, Any] = eqx.field(default_factory=dict)
     equations: Equations | None = eqx.field(static=True, default=None)
+
+    @property
+    @override
+    def has_plan(self) -> bool:
+        return isinstance(self.system, AbstractExtended) and self.system.has_plan
+
+    @override
+    def beside(self, means: Any) -> "Simulation":
+        assert isinstance(self.system, AbstractExtended)
+        uncertain = tuple(name for name, signal in means.inputs.items() if jax.tree.leaves(signal))
+        inputs = eqx.combine(means.inputs, self.inputs)
+        return replace(self, system=self.system.with_plan(means.system, inputs, uncertain))
 
     @property
     def traced(self) -> AbstractSystem:
