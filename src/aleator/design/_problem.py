@@ -19,6 +19,7 @@ from aleator.design._check import check
 from aleator.design._control import on_grid
 from aleator.design._equations import declared
 from aleator.design._expression import Constraint, Expression, as_expression, value
+from aleator.design._noise import refuse_infinite, with_noise
 from aleator.design._objectives import positive_part, pure, time_integral
 from aleator.design._response import AbstractProblem
 from aleator.design._scope import Value, ordered
@@ -26,7 +27,7 @@ from aleator.design._statistic import Statistic
 from aleator.design._text import problem_text
 from aleator.dynamics import AbstractGrid, AbstractIntegrator, AbstractSystem, Grid, Simulation, simulation_of
 from aleator.expansion import Expansion
-from aleator.feedback import Feedback, closed_loop
+from aleator.feedback import Feedback, Noisy, closed_loop, noisy
 from aleator.statistics import Mean
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import AbstractDecision, Choice, Decision, Integer, at_means, placements, uncertain_again
@@ -76,6 +77,7 @@ class Problem(AbstractProblem):
             one_of(f"Problem: decisions['{a_name('Problem: a name in decisions', name)}']", one, kinds)
         if feedback is not None:
             system = closed_loop(system, inputs or {}, feedback)
+        system, inputs = noisy(system, inputs or {})
         simulation = simulation_of(system, grid, inputs, integrator, dict(decisions))
         # Later changes of NumPy arrays do not affect a problem.
         self.simulation = jax.tree.map(
@@ -89,9 +91,12 @@ class Problem(AbstractProblem):
             )
         self.objective = as_expression(minimize)
         self.constraints = _told_apart(tuple(_flatten(subject_to)))
+        if isinstance(system, Noisy):
+            self.objective, self.constraints = with_noise((self.objective, self.constraints))
         self.expansion = Expansion() if expansion is None else expansion
         self.physics, self.code = Digest("", False), ""
         check(self)
+        refuse_infinite(self)
         equations, self.physics, self.code = declared(self)
         self.simulation = replace(self.simulation, equations=equations)
 

@@ -7,3 +7,6 @@ from aleator.feedback._controllers import AbstractController as AbstractControll
 from aleator.feedback._controllers import Plan as Plan
 from aleator.feedback._controllers import computed_torque as computed_torque
 from aleator.feedback._lqr import lqr as lqr
+from aleator.feedback._noisy import VARIANCE as VARIANCE
+from aleator.feedback._noisy import Noisy as Noisy
+from aleator.feedback._noisy import noisy as noisy

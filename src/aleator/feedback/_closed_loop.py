@@ -300,7 +300,8 @@ def closed_loop(system: Any, inputs: Mapping[str, Any], feedback: Any) -> Closed
     if not (isinstance(system, System) and system.states):
         raise ProblemError(f"Feedback: expected a system with states; received {type(system).__name__}.")
     check_inputs(system, inputs)
-    states, signals = system.states, [*inputs, *system.signals()]
+    states = system.states
+    signals = [*(name for name, one in inputs.items() if not isinstance(one, WhiteNoise)), *system.signals()]
     # The rate of a commanded input is not known.
     signals = [name for name in signals if name.removesuffix("_rate") not in {*signals} - {name}]
     _refuse_unknown("of names states that are measured", feedback.of or (), states)

@@ -139,22 +139,33 @@ class Mean(AbstractStatistic):
 
 @final
 class Variance(AbstractStatistic):
-    """The variance, equation (33): the sum of squares from the second coefficient on."""
+    """The variance, equation (33): the sum of squares from the second coefficient on.
+
+    - `noisy`: whether white noise moves the output in each system: its variance there is stacked beside the output
+      along a last axis, and the mean of this is added (the law of total variance).
+    """
 
     symbol: ClassVar[str] = "Var"
+    noisy: bool = eqx.field(static=True, default=False)
 
     @override
     @quietly
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
         del constants
         library, coefficients = in_library(coefficients)
-        return jax_array(library.sum(coefficients[1:] ** 2, axis=0))
+        output, noise = (coefficients[..., 0], coefficients[0, ..., 1]) if self.noisy else (coefficients, 0.0)
+        return jax_array(library.sum(output[1:] ** 2, axis=0) + noise)
 
     @override
     @quietly
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
         library, values = in_library(values)
-        return jax_array(library.var(values, axis=0, ddof=1))
+        output, noise = (values[..., 0], library.mean(values[..., 1], axis=0)) if self.noisy else (values, 0.0)
+        return jax_array(library.var(output, axis=0, ddof=1) + noise)
+
+    @override
+    def text(self, inside: str) -> str:
+        return super().text(inside.partition(", ")[0] if self.noisy else inside)
 
     @override
     def unit(self, *of: str) -> str:
@@ -166,20 +177,26 @@ class Std(AbstractStatistic):
     """The standard deviation, equation (33).
 
     Where the variance is zero but for rounding, as for a certain initial condition, so is the derivative: the root has
-    no finite one there, and zero is the subgradient of smallest norm.
+    no finite one there, and zero is the subgradient of smallest norm. `noisy`: see `Variance`.
     """
 
     symbol: ClassVar[str] = "σ"
+    noisy: bool = eqx.field(static=True, default=False)
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
         library, coefficients = in_library(coefficients)
-        mean = coefficients[0] if library is np else jax.lax.stop_gradient(coefficients[0])
-        return root(Variance().of(coefficients, constants), ROUNDING * abs(mean))
+        mean = coefficients[0, ..., 0] if self.noisy else coefficients[0]
+        mean = mean if library is np else jax.lax.stop_gradient(mean)
+        return root(Variance(self.noisy).of(coefficients, constants), ROUNDING * abs(mean))
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        return root(Variance().of_sample(values))
+        return root(Variance(self.noisy).of_sample(values))
+
+    @override
+    def text(self, inside: str) -> str:
+        return super().text(inside.partition(", ")[0] if self.noisy else inside)
 
 
 @quietly
