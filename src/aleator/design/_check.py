@@ -122,8 +122,8 @@ def _check_events(problem: AbstractProblem, system: System, grid: Grid) -> None:
 
 def _refuse_jumps_inside(system: System) -> None:
     """Refuse a control that jumps in the place of a number: only signals are told on which side of a jump a step is."""
-    if isinstance(system, AbstractExtended):
-        return _refuse_jumps_inside(system.own)
+    while isinstance(system, AbstractExtended):
+        system = system.own
     for field in dataclasses.fields(system):
         inside = () if field.name in system.signal_fields else piecewise_in(getattr(system, field.name))
         if any(one.degree == 0 for one in inside):

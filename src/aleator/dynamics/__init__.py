@@ -14,12 +14,12 @@ from aleator.dynamics._equations import TracedSystem as TracedSystem
 from aleator.dynamics._evaluation import algebraic_residuals as algebraic_residuals
 from aleator.dynamics._evaluation import completed as completed
 from aleator.dynamics._evaluation import derivative as derivative
+from aleator.dynamics._evaluation import derivative_and_observation as derivative_and_observation
 from aleator.dynamics._evaluation import guessed_algebraic as guessed_algebraic
 from aleator.dynamics._evaluation import initial_state as initial_state
 from aleator.dynamics._evaluation import observation as observation
 from aleator.dynamics._evaluation import solved_algebraic as solved_algebraic
 from aleator.dynamics._evaluation import with_algebraic as with_algebraic
-from aleator.dynamics._evaluation import derivative_and_observation as derivative_and_observation
 from aleator.dynamics._event import Event as Event
 from aleator.dynamics._extended import AbstractExtended as AbstractExtended
 from aleator.dynamics._grid import AbstractGrid as AbstractGrid

@@ -1,6 +1,6 @@
-"""`Feedback`, and the closed loop that it makes of a system: each realisation, and beside it the plan that it follows."""
+"""`Feedback`, and the closed loop that it makes of a system: a realisation, and beside it the plan that it follows."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Any, final
 
@@ -8,27 +8,32 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 from typing_extensions import override
 
 from aleator._core.border import a_name, meant, one_of, refusal
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, is_leaf, stored_number
-from aleator.dynamics import AbstractExtended, Grid, System, called, derivative, derivative_and_observation
-from aleator.dynamics import check_inputs, initial_state
-from aleator.dynamics._grid import sampled
-from aleator.dynamics._system import input_names, state_type
+from aleator.dynamics import (
+    AbstractExtended,
+    Grid,
+    System,
+    called,
+    check_inputs,
+    derivative,
+    derivative_and_observation,
+    initial_state,
+)
+from aleator.dynamics._system import state_type
 from aleator.feedback._controllers import AbstractController, Plan, proportional
-from aleator.feedback._lqr import LQR, linearised
+from aleator.feedback._lqr import LQR
+from aleator.feedback._stability import unstable
 from aleator.trajectories import AbstractSignal, WhiteNoise, as_array
 from aleator.uncertainty import AbstractDecision
 
 # Signals of the closed loop: of the plan where it differs from the realisation, of sensors, of gains. Inputs have no
 # spaces in their names.
 PLANNED, SCHEDULE = " of the plan", "gain schedule"
-# Smaller growth is rounding, as a part of the fastest rate.
-_GROWTH = 1e-6
 
 
 def noise_of(state: str) -> str:
@@ -121,11 +126,6 @@ class ClosedLoop(AbstractExtended):
         return tuple(f"{name}_plan" for name in self.own.states)
 
     @property
-    def moved(self) -> tuple[str, ...]:
-        """The states that noise moves."""
-        return self.own.states
-
-    @property
     def white(self) -> dict[str, WhiteNoise]:
         """White noise of sensors, by the names of its signals."""
         noise = self.feedback.noise.items()
@@ -215,7 +215,7 @@ class ClosedLoop(AbstractExtended):
         self, t: Any, z: Any, inputs: dict[str, Array], command: dict[str, Array] | None = None
     ) -> dict[str, Array]:
         own, _ = _told_apart(inputs)
-        own = {name: value for name, value in own.items() if name.removesuffix("_rate") not in self.to or name in self.to}
+        own = {name: own[name] for name in _without_rates(own, self.to)}
         command = self._command(t, z, inputs) if command is None else command
         if self.feedback.limits:
             low, high = map(as_array, self.feedback.limits)
@@ -238,54 +238,10 @@ class ClosedLoop(AbstractExtended):
 
     @override
     def diagnose(self, grid: Grid) -> str:
-        if said := self.own.diagnose(grid):
+        said = self.own.diagnose(grid)
+        if said or self.means is None or not self.is_judged:
             return said
-        return "" if self.means is None or not self.is_judged else self._unstable(grid)
-
-    def _unstable(self, grid: Grid) -> str:
-        """That the loop grows at the start of the plan faster than without feedback; empty if it does not."""
-        assert self.means is not None
-        t, model = jnp.asarray(grid.times[0]), self.model
-        signals = sampled({**model.signals(), **self.means.inputs}, grid, grid.fractions[:1])
-        signals = {name: jnp.asarray(one[0]) for name, one in signals.items()}
-        start = initial_state(model, t, signals)
-        z, named = ravel_pytree(start)
-        u, back = ravel_pytree(tuple(signals[name] for name in self.to))
-
-        def rates(z: Array, u: Array) -> Array:
-            return ravel_pytree(derivative(model, t, named(z), signals | dict(zip(self.to, back(u), strict=True))))[0]
-
-        A, B = linearised(rates, z, u)
-        law = self.feedback.gains
-        if isinstance(law, LQR):
-            return "" if law.final is not None or _can_be_stabilised(np.asarray(A), np.asarray(B)) else (
-                "al.lqr: expected a plan that its inputs can stabilise; received one whose linearisation at the start "
-                f"has a mode that grows and that {', '.join(self.to)} cannot move. Give final=, the weight at the end."
-            )
-
-        def commanded(z: Array) -> Array:
-            state = named(z)
-            measured = state_type(self.of)(**{name: getattr(state, name) for name in self.of})
-            plan = Plan(start, signals, lambda z, inputs: derivative(model, t, z, inputs), self.to)
-            command = law.command(t, measured, plan)
-            return ravel_pytree(tuple(jnp.asarray(command[name], float) for name in self.to))[0]
-
-        without, loop = (np.linalg.eigvals(one) for one in (np.asarray(A), np.asarray(A + B @ jax.jacfwd(commanded)(z))))
-        growth, before = loop.real.max(), max(without.real.max(), 0.0)
-        if growth <= before + _GROWTH * np.abs(loop).max():
-            return ""
-        return (
-            f"Feedback: its gains destabilise: at the start of the plan errors grow by {growth:.3g} 1/s with them, and "
-            f"by {before:.3g} 1/s without. Change their sign, or add a gain of a rate: a gain multiplies the plan minus "
-            "what is measured, and is added to the planned input."
-        )
-
-
-def _can_be_stabilised(A: np.ndarray, B: np.ndarray) -> bool:
-    """Whether inputs reach every mode that does not decay (Hautus)."""
-    size = max(np.abs(A).max(initial=0.0), np.abs(B).max(initial=0.0))
-    modes = [value for value in np.linalg.eigvals(A) if value.real >= -_GROWTH * size]
-    return all(np.linalg.matrix_rank(np.hstack([A - value * np.eye(len(A)), B])) == len(A) for value in modes)
+        return unstable(self.feedback.gains, self.model, self.means.inputs, grid, self.of, self.to)
 
 
 def _told_apart(inputs: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -302,8 +258,7 @@ def closed_loop(system: Any, inputs: Mapping[str, Any], feedback: Any) -> Closed
     check_inputs(system, inputs)
     states = system.states
     signals = [*(name for name, one in inputs.items() if not isinstance(one, WhiteNoise)), *system.signals()]
-    # The rate of a commanded input is not known.
-    signals = [name for name in signals if name.removesuffix("_rate") not in {*signals} - {name}]
+    signals = _without_rates(signals, signals)
     _refuse_unknown("of names states that are measured", feedback.of or (), states)
     measured = states if feedback.of is None else feedback.of
     _refuse_unknown("noise is that of measured states", feedback.noise, measured)
@@ -327,10 +282,24 @@ def closed_loop(system: Any, inputs: Mapping[str, Any], feedback: Any) -> Closed
             f"Feedback: '{jumps[0]}' of {system.title} sets states anew, at another time in each realisation than in "
             "the plan, and in between their difference is no error to correct: expected events without a jump."
         )
-    return ClosedLoop(system, feedback, tuple(inputs), measured, to or tuple(signals), not feedback.is_decided)
+    return ClosedLoop(
+        own=system,
+        feedback=feedback,
+        taken=tuple(inputs),
+        of=measured,
+        to=to or tuple(signals),
+        is_judged=not feedback.is_decided,
+    )
+
+
+def _without_rates(names: Iterable[str], to: Collection[str]) -> list[str]:
+    """The names of inputs without those of the rates of commanded ones, which are not known."""
+    return [name for name in names if name.removesuffix("_rate") not in {*to} - {name}]
 
 
 def _refuse_unknown(what: str, names: Any, known: Any) -> None:
     for name in names:
         if name not in known:
-            raise ProblemError(f"Feedback: {what}: expected some of {list(known)}; received '{name}'.{meant(name, known)}")
+            raise ProblemError(
+                f"Feedback: {what}: expected some of {list(known)}; received '{name}'.{meant(name, known)}"
+            )

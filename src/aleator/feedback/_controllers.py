@@ -92,7 +92,7 @@ def _block(who: str, numbers: Any, actuators: int, n: int) -> Float[Array, "actu
         return gains
     if n == actuators and gains.shape in ((), (n,)):
         return jnp.diag(jnp.broadcast_to(gains, (n,)))
-    if actuators == 1 and gains.shape in ((), (n,)) or n == 1 and gains.shape == (actuators,):
+    if (actuators == 1 and gains.shape in ((), (n,))) or (n == 1 and gains.shape == (actuators,)):
         return jnp.reshape(jnp.broadcast_to(gains, (max(n, actuators),)), (actuators, n))
     raise _shape_refused(who, f"({actuators}, {n}), actuators by numbers of this state", gains)
 

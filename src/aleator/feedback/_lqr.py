@@ -96,8 +96,8 @@ def lqr(Q: Any, R: Any, *, final: Any = None, steps: int = 200) -> LQR:
 
     Weights may be decisions. Gains are the output `"lqr.gains"`. Raises `ProblemError` for weights that are none.
     """
-    weights = [None if one is None else stored_numbers("lqr: a weight", one) for one in (Q, R, final)]
-    return LQR(*weights, whole("lqr: steps", steps))
+    Q, R = stored_numbers("lqr: Q", Q), stored_numbers("lqr: R", R)
+    return LQR(Q, R, None if final is None else stored_numbers("lqr: final", final), whole("lqr: steps", steps))
 
 
 @final
@@ -113,7 +113,9 @@ class Schedule(AbstractSignal):
     @classmethod
     def of(cls, law: LQR, model: System, inputs: dict[str, AbstractSignal], to: tuple[str, ...]) -> "Schedule":
         """That of a realised model; equations do not depend on the instant at which they are traced."""
-        now = {name: rows[0] for name, rows in sampled({**model.signals(), **inputs}, Grid(1.0, 1), np.zeros(1)).items()}
+        now = {
+            name: rows[0] for name, rows in sampled({**model.signals(), **inputs}, Grid(1.0, 1), np.zeros(1)).items()
+        }
         return cls(law, model, inputs, to, Equations.of(model, Start(jnp.zeros(()), now)))
 
     @override

@@ -12,8 +12,7 @@ from jax.interpreters.partial_eval import dce_jaxpr
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
-from aleator.dynamics import AbstractExtended, System, derivative_and_observation, initial_state
-from aleator.dynamics._system import state_type
+from aleator.dynamics import AbstractExtended, AbstractSystem, System, derivative_and_observation, initial_state
 from aleator.feedback._closed_loop import PLANNED, ClosedLoop
 from aleator.trajectories import AbstractSignal, WhiteNoise
 
@@ -109,7 +108,7 @@ class Noisy(AbstractExtended):
         return {name for name, inputs in zip(names, used, strict=True) if any(inputs)}
 
 
-def noisy(system: System, inputs: Mapping[str, Any]) -> tuple[System, dict[str, Any]]:
+def noisy(system: AbstractSystem, inputs: Mapping[str, Any]) -> tuple[AbstractSystem, dict[str, Any]]:
     """A system with the covariance of its states if there is white noise, and its inputs without this.
 
     Raises `ProblemError` for events that set states anew, which change the covariance too.
@@ -126,4 +125,4 @@ def noisy(system: System, inputs: Mapping[str, Any]) -> tuple[System, dict[str, 
             "events without a jump, or noise with germ variables, al.processes.RandomProcess."
         )
     others = {name: one for name, one in inputs.items() if name not in white}
-    return Noisy(system, white, tuple(others)), others
+    return Noisy(own=system, inputs=white, taken=tuple(others)), others

@@ -153,15 +153,17 @@ class Variance(AbstractStatistic):
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
         del constants
         library, coefficients = in_library(coefficients)
-        output, noise = (coefficients[..., 0], coefficients[0, ..., 1]) if self.noisy else (coefficients, 0.0)
-        return jax_array(library.sum(output[1:] ** 2, axis=0) + noise)
+        if self.noisy:
+            return coefficients[0, ..., 1] + Variance().of(coefficients[..., 0], ())
+        return jax_array(library.sum(coefficients[1:] ** 2, axis=0))
 
     @override
     @quietly
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
         library, values = in_library(values)
-        output, noise = (values[..., 0], library.mean(values[..., 1], axis=0)) if self.noisy else (values, 0.0)
-        return jax_array(library.var(output, axis=0, ddof=1) + noise)
+        if self.noisy:
+            return Mean().of_sample(values[..., 1]) + Variance().of_sample(values[..., 0])
+        return jax_array(library.var(values, axis=0, ddof=1))
 
     @override
     def text(self, inside: str) -> str:

@@ -13,7 +13,7 @@ from aleator.trajectories._signals import AbstractSignal, as_array
 
 @final
 class WhiteNoise(AbstractSignal):
-    """White noise `w` of mean zero with `E[w(t) w(s)] = intensity δ(t - s)`: an input of a problem, or a sensor's noise.
+    """White noise `w` of mean zero, `E[w(t) w(s)] = intensity δ(t - s)`: an input of a problem, or a sensor's noise.
 
     - `intensity`: in the unit of the signal squared times a second, the two-sided power spectral density per hertz: a
       number, a distribution or a `Decision`, or several, whose noises are independent.
