@@ -107,16 +107,18 @@ class AbstractLeaf(Module):
 
 
 class AbstractPlanned(Module):
-    """A model that may hold what it is at the means of its distributions: the model that a controller knows."""
-
-    @property
-    @abc.abstractmethod
-    def has_plan(self) -> bool:
-        """Whether it does."""
+    """A model whose realisations may know what it is at the means of its distributions, as a controller does."""
 
     @abc.abstractmethod
-    def beside(self, means: Any) -> Any:
-        """Itself, realised, with the means of its distributions: a tree like its own, with None in other places."""
+    def beside(self, means: Callable[[], Any]) -> Any:
+        """Itself, realised, and what it knows.
+
+        `means`: gives the means of its distributions, in a tree like its own with None in all other places.
+        """
+
+
+class Known(Module):
+    """What a realised model knows of another one: no numbers of its own."""
 
 
 def is_leaf(node: Any) -> bool:

@@ -67,19 +67,15 @@ class AbstractExtended(System):
     def solves_start(self) -> bool:
         return self.own.solves_start
 
-    @property
-    def has_plan(self) -> bool:
-        """Whether it knows the model at the means of its distributions."""
-        return isinstance(self.own, AbstractExtended) and self.own.has_plan
-
     def with_plan(
         self, means: Any, inputs: Mapping[str, AbstractSignal], uncertain: tuple[str, ...]
     ) -> "AbstractExtended":
-        """Itself with the means of its distributions, in a tree like its own, and the inputs at these.
+        """Itself, knowing the means of its distributions, in a tree like its own, and the inputs at these.
 
         `uncertain`: the inputs that differ from the realisation's.
         """
-        assert isinstance(self.own, AbstractExtended)
+        if not isinstance(self.own, AbstractExtended):
+            return self
         return replace(self, own=self.own.with_plan(means.own, inputs, uncertain))
 
     def own_states(self, z: Any) -> Any:

@@ -1,7 +1,7 @@
 """`Simulation`: a system with everything needed to simulate it."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, final
@@ -43,17 +43,14 @@ class Simulation(AbstractPlanned):
     numbers: dict[str, Any] = eqx.field(default_factory=dict)
     equations: Equations | None = eqx.field(static=True, default=None)
 
-    @property
     @override
-    def has_plan(self) -> bool:
-        return isinstance(self.system, AbstractExtended) and self.system.has_plan
-
-    @override
-    def beside(self, means: Any) -> "Simulation":
-        assert isinstance(self.system, AbstractExtended)
-        uncertain = tuple(name for name, signal in means.inputs.items() if jax.tree.leaves(signal))
-        inputs = eqx.combine(means.inputs, self.inputs)
-        return replace(self, system=self.system.with_plan(means.system, inputs, uncertain))
+    def beside(self, means: Callable[[], Any]) -> "Simulation":
+        if not isinstance(self.system, AbstractExtended):
+            return self
+        known = means()
+        uncertain = tuple(name for name, signal in known.inputs.items() if jax.tree.leaves(signal))
+        system = self.system.with_plan(known.system, eqx.combine(known.inputs, self.inputs), uncertain)
+        return replace(self, system=system)
 
     @property
     def traced(self) -> AbstractSystem:

@@ -13,7 +13,7 @@ from typing_extensions import override
 
 from aleator._core.border import a_name, meant, one_of, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import Module, is_leaf, stored_number
+from aleator._core.leaves import Known, Module, is_leaf, stored_number
 from aleator.dynamics import (
     AbstractExtended,
     Grid,
@@ -93,7 +93,7 @@ def _names(what: str, names: Any) -> tuple[str, ...] | None:
     return None if names is None else tuple(a_name(f"Feedback: a name in {what}", one) for one in names)
 
 
-class Means(Module):
+class Means(Known):
     """The model at the means of its distributions: these, in a tree like the system with None in all other places.
 
     `inputs`: all inputs at the means; `uncertain`: those that differ from the realisation's.
@@ -131,11 +131,6 @@ class ClosedLoop(AbstractExtended):
         noise = self.feedback.noise.items()
         return {noise_of(name): one for name, one in noise if isinstance(one, WhiteNoise)}
 
-    @property
-    @override
-    def has_plan(self) -> bool:
-        return True
-
     @override
     def with_plan(self, means: Any, inputs: Mapping[str, AbstractSignal], uncertain: tuple[str, ...]) -> "ClosedLoop":
         return replace(self, means=Means(means.own, dict(inputs), uncertain))
@@ -159,7 +154,7 @@ class ClosedLoop(AbstractExtended):
 
     @override
     def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
-        own, planned = _told_apart(inputs)
+        own, planned = self._told_apart(inputs)
         both = self._side_by_side(lambda system, u: initial_state(system, t, u), (own,), (planned,))
         return dict(zip(self.states, [one[i] for i in (0, 1) for one in both], strict=True))
 
@@ -169,7 +164,7 @@ class ClosedLoop(AbstractExtended):
 
     @override
     def rates_and_outputs(self, t: Any, z: Any, *args: Any, **inputs: Any) -> tuple[Any, dict[str, Any]]:
-        _, planned = _told_apart(inputs)
+        _, planned = self._told_apart(inputs)
         command = self._command(t, z, inputs)
         applied = self.seen_by_own(t, z, inputs, command)
         rates, outputs = self._side_by_side(
@@ -183,12 +178,17 @@ class ClosedLoop(AbstractExtended):
         further |= {"lqr.gains": inputs[SCHEDULE]} if isinstance(self.feedback.gains, LQR) else {}
         return [one[i] for i in (0, 1) for one in rates], {name: one[0] for name, one in outputs.items()} | further
 
+    def _told_apart(self, inputs: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The inputs of the realisation, and those of the plan."""
+        own = {name: inputs[name] for name in _without_rates(inputs, self.to) if " " not in name}
+        return own, {name: inputs.get(f"{name}{PLANNED}", value) for name, value in own.items()}
+
     def _planned_states(self, z: Any) -> Any:
         return state_type(self.own.states)(*z[len(self.own.states) : 2 * len(self.own.states)])
 
     def _command(self, t: Any, z: Any, inputs: dict[str, Array]) -> dict[str, Array]:
         """What the controller commands."""
-        _, planned = _told_apart(inputs)
+        _, planned = self._told_apart(inputs)
         measured = {name: getattr(z, name) + inputs.get(noise_of(name), 0.0) for name in self.of}
         for name, value in measured.items():
             if jnp.shape(value) != jnp.shape(getattr(z, name)):
@@ -214,8 +214,7 @@ class ClosedLoop(AbstractExtended):
     def seen_by_own(
         self, t: Any, z: Any, inputs: dict[str, Array], command: dict[str, Array] | None = None
     ) -> dict[str, Array]:
-        own, _ = _told_apart(inputs)
-        own = {name: own[name] for name in _without_rates(own, self.to)}
+        own, _ = self._told_apart(inputs)
         command = self._command(t, z, inputs) if command is None else command
         if self.feedback.limits:
             low, high = map(as_array, self.feedback.limits)
@@ -242,12 +241,6 @@ class ClosedLoop(AbstractExtended):
         if said or self.means is None or not self.is_judged:
             return said
         return unstable(self.feedback.gains, self.model, self.means.inputs, grid, self.of, self.to)
-
-
-def _told_apart(inputs: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The inputs of the realisation, and those of the plan."""
-    own = {name: value for name, value in inputs.items() if " " not in name}
-    return own, {name: inputs.get(f"{name}{PLANNED}", value) for name, value in own.items()}
 
 
 def closed_loop(system: Any, inputs: Mapping[str, Any], feedback: Any) -> ClosedLoop:

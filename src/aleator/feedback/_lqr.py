@@ -12,6 +12,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.arrays import numbers_to_arrays
 from aleator._core.border import whole
 from aleator._core.leaves import stored_numbers
 from aleator.dynamics import (
@@ -102,21 +103,25 @@ def lqr(Q: Any, R: Any, *, final: Any = None, steps: int = 200) -> LQR:
 
 @final
 class Schedule(AbstractSignal):
-    """The gains over time: they follow from the model and the inputs of a plan, whose equations are traced once."""
+    """The gains over time: they follow from the model and the inputs of a plan, whose equations are traced once.
 
-    law: LQR
-    model: System
-    inputs: dict[str, AbstractSignal]
+    `numbers`: those of the law, the model and its inputs, flattened, so that nothing else that changes signals finds
+    them; `parts`: the rest of these.
+    """
+
+    numbers: list[Array]
+    parts: Any = eqx.field(static=True)
     to: tuple[str, ...] = eqx.field(static=True)
     equations: Equations = eqx.field(static=True)
 
     @classmethod
     def of(cls, law: LQR, model: System, inputs: dict[str, AbstractSignal], to: tuple[str, ...]) -> "Schedule":
         """That of a realised model; equations do not depend on the instant at which they are traced."""
-        now = {
-            name: rows[0] for name, rows in sampled({**model.signals(), **inputs}, Grid(1.0, 1), np.zeros(1)).items()
-        }
-        return cls(law, model, inputs, to, Equations.of(model, Start(jnp.zeros(()), now)))
+        values = sampled({**model.signals(), **inputs}, Grid(1.0, 1), np.zeros(1))
+        start = Start(jnp.zeros(()), {name: rows[0] for name, rows in values.items()})
+        numbers, rest = eqx.partition(numbers_to_arrays((law, model, inputs)), eqx.is_array)
+        (leaves, structure), (others, frame) = jax.tree.flatten(numbers), jax.tree.flatten(rest)
+        return cls(leaves, (structure, tuple(others), frame), to, Equations.of(model, start))
 
     @override
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
@@ -124,12 +129,15 @@ class Schedule(AbstractSignal):
 
     @override
     def over(self, t_start: Any, t_final: Any) -> "Gains":
-        grid = Grid(1.0, 2 * self.law.steps)
+        structure, others, frame = self.parts
+        rest = jax.tree.unflatten(frame, others)
+        law, model, inputs = eqx.combine(jax.tree.unflatten(structure, self.numbers), rest)
+        grid = Grid(1.0, 2 * law.steps)
         grid = eqx.tree_at(lambda one: (one.t_start, one.t_final), grid, (t_start, t_final))
-        system = TracedSystem(self.model, self.equations)
-        signals = {**system.signals(), **self.inputs}
+        system = TracedSystem(model, self.equations)
+        signals = {**system.signals(), **inputs}
         states = RungeKutta4().record(system, grid, signals, ONLY_STATES).history[STATES]
-        values, law = sampled(signals, grid, grid.fractions), self.law
+        values = sampled(signals, grid, grid.fractions)
         _, named = ravel_pytree(initial_state(system, grid.times[0], {name: one[0] for name, one in values.items()}))
 
         def along(t: Array, z: Array, now: dict[str, Array]) -> tuple[Array, Array]:

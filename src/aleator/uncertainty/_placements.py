@@ -211,9 +211,7 @@ def realise(model: Pytree, germ: Float[Array, " variables"], decisions: Float[Ar
         return leaf
 
     realised = _with_leaves(model, value)
-    if not (isinstance(realised, AbstractPlanned) and realised.has_plan):
-        return realised
-    return realised.beside(_with_leaves(model, mean))
+    return realised.beside(lambda: _with_leaves(model, mean)) if isinstance(realised, AbstractPlanned) else realised
 
 
 def uncertain_numbers(
