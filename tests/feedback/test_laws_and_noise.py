@@ -188,6 +188,9 @@ WRONG = {
     "the least value before the largest": lambda: al.Feedback(gains=4.0, limits=(1.0, -1.0)),
     "contains white noise itself": lambda: noisy(subject_to=[al.path("u.command").std <= 1.0]),
     "no covariance tells": lambda: noisy(minimize=al.terminal("x").quantile(0.9)),
+    "a part of another signal": lambda: moved(
+        None, inputs={"u": al.processes.total(al.StepFunction([1.0], [0.0, 1.0]), al.processes.WhiteNoise(1.0))}
+    ),
     "no negative number": lambda: al.processes.WhiteNoise(-1.0),
 }
 

@@ -114,6 +114,14 @@ def noisy(system: AbstractSystem, inputs: Mapping[str, Any]) -> tuple[AbstractSy
     Raises `ProblemError` for events that set states anew, which change the covariance too.
     """
     white = {name: one for name, one in inputs.items() if isinstance(one, WhiteNoise)}
+    others = {name: one for name, one in inputs.items() if name not in white}
+    sensors = system.feedback.noise if isinstance(system, ClosedLoop) else {}
+    inside = [one for one in sensors.values() if not isinstance(one, WhiteNoise)]
+    if any(map(_is_white, jax.tree.leaves((others, inside, getattr(system, "own", system)), is_leaf=_is_white))):
+        raise ProblemError(
+            "WhiteNoise: expected it as an input of a problem or as the noise of a sensor, by itself: "
+            "inputs={'w': al.processes.WhiteNoise(...)}; received it as a part of another signal or of a system."
+        )
     if not white and not (isinstance(system, ClosedLoop) and system.white):
         return system, dict(inputs)
     if not (isinstance(system, System) and system.states):
@@ -124,5 +132,8 @@ def noisy(system: AbstractSystem, inputs: Mapping[str, Any]) -> tuple[AbstractSy
             f"WhiteNoise: '{jumps[0]}' of {system.title} sets states anew, and with them their covariance: expected "
             "events without a jump, or noise with germ variables, al.processes.RandomProcess."
         )
-    others = {name: one for name, one in inputs.items() if name not in white}
     return Noisy(own=system, inputs=white, taken=tuple(others)), others
+
+
+def _is_white(node: Any) -> bool:
+    return isinstance(node, WhiteNoise)
