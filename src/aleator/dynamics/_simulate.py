@@ -71,8 +71,10 @@ def _recorded(simulation: Simulation, asked: Asked) -> History:
         if inside.factor > 1:
             finer = simulation.on(grid.finer(inside.factor), simulation.integrator.reference())
             return finer.record(asked).thinned(inside.factor).outputs
-    if is_traced(simulation) or not isinstance(simulation.system, System):
+    if is_traced(simulation):
         return _history(simulation, asked)
+    if not isinstance(simulation.system, System):
+        return _by_program(simulation, asked, grid)
     simulation.refuse_at_start(simulation.system)
     history = _by_program(simulation, asked, grid)
     if simulation.system.solves_start and not all(np.isfinite(np.asarray(rows[0])).all() for rows in history.values()):
@@ -91,7 +93,8 @@ def _by_program(simulation: Simulation, asked: Asked, grid: AbstractGrid) -> His
         history = _HISTORY(numbers_to_arrays(declared), asked)
     except Exception:
         return _history(simulation, asked)
-    _warn_of_jumps(declared)
+    if isinstance(grid, Grid):
+        _warn_of_jumps(declared)
     return history
 
 

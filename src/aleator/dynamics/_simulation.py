@@ -197,7 +197,9 @@ class Simulation(AbstractPlanned):
 
     def refuse_no_start(self, system: System) -> None:
         """Raise `ProblemError` for a start that is not finite, with known numbers."""
-        grid, start = self._checked_grid(system), self.start()
+        # Signals are evaluated only for a start that follows from them.
+        grid = self._checked_grid(system)
+        start = (None, {}) if type(system).starting is System.starting else self.start()
         assert start is not None
         try:
             initial_state(system, *start)
