@@ -10,6 +10,7 @@ import scipy
 
 import aleator as al
 from aleator._core.arrays import jax_array
+from aleator.feedback import AbstractController
 from aleator.feedback._lqr import algebraic_riccati
 from aleator.uncertainty import realise
 
@@ -177,7 +178,15 @@ def noisy(**options: Any) -> al.Problem:
     return moved(al.Feedback(gains=[4.0, 2.0], of=("x", "v"), noise=al.processes.WhiteNoise(1e-3)), **options)
 
 
+class Damping(AbstractController):
+    """A law that measures a speed."""
+
+    def command(self, t, measured, plan):
+        return {"u": plan.states.v - measured.v}
+
+
 WRONG = {
+    r"Damping.command raised AttributeError.*expected one of \('x',\)": lambda: moved(al.Feedback(Damping(), of="x")),
     "destabilise": lambda: moved(al.Feedback(gains=[-4.0, 2.0])),
     "to the planned input": lambda: moved(al.Feedback(gains=[4.0, -2.0])),
     "asks for 'v', which is not measured": lambda: moved(al.Feedback(gains=al.lqr([1.0, 0.0], [0.1]), of="x")),

@@ -7,7 +7,6 @@ from typing import Any, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array
 from typing_extensions import override
 
@@ -51,7 +50,8 @@ class Feedback(Module):
       inputs: one a measured number, a matrix (actuators by measured numbers), or a dict of these by measured state;
       `lqr(Q, R)`, `computed_torque(...)`, or an `AbstractController` of your own. Any of their numbers may be a
       distribution or a `Decision`;
-    - `of`: the states that are measured, by default all; `to`: the inputs that are commanded, by default the only one;
+    - `of`: the states that are measured, by default those of the dict, or all; `to`: the inputs that are commanded, by
+      default the only one;
     - `noise`: that of sensors: a signal for each of `of`, or signals by name, such as `al.processes.WhiteNoise(1e-6)`;
     - `limits`: the least and the largest value of commanded inputs, between which actuators stay.
 
@@ -70,10 +70,11 @@ class Feedback(Module):
         self, gains: Any, of: Any = None, *, to: Any = None, noise: Any = None, limits: tuple[Any, Any] | None = None
     ):
         self.gains = gains if isinstance(gains, AbstractController) else proportional(gains)
-        self.of, self.to = _names("of", of), _names("to", to)
+        self.of = _names("of", tuple(gains) if of is None and isinstance(gains, Mapping) else of)
+        self.to = _names("to", to)
         by_name = noise if isinstance(noise, Mapping) else dict.fromkeys(self.of or (), noise) if noise else {}
         if noise is not None and not by_name:
-            raise refusal("Feedback: noise", "signals by the names of measured states", noise)
+            raise refusal("Feedback: noise", "signals by the names of measured states, or of=(...) and one", noise)
         example = "al.processes.WhiteNoise(1e-6)"
         self.noise = {name: one_of("Feedback: noise", one, AbstractSignal, example) for name, one in by_name.items()}
         if limits is not None and not (isinstance(limits, tuple | list) and len(limits) == 2):
@@ -81,11 +82,6 @@ class Feedback(Module):
         self.limits = tuple(stored_number("Feedback: limits", one) for one in limits or ())
         if self.limits and not any(map(is_leaf, self.limits)) and not self.limits[0] < self.limits[1]:
             raise refusal("Feedback: limits", "the least value before the largest", limits)
-
-    @property
-    def is_decided(self) -> bool:
-        """Whether its gains are chosen."""
-        return any(isinstance(leaf, AbstractDecision) for leaf in jax.tree.leaves(self.gains, is_leaf=is_leaf))
 
 
 def _names(what: str, names: Any) -> tuple[str, ...] | None:
@@ -159,10 +155,6 @@ class ClosedLoop(AbstractExtended):
         return dict(zip(self.states, [one[i] for i in (0, 1) for one in both], strict=True))
 
     @override
-    def initial(self) -> Mapping[str, Any]:
-        return self.starting(np.zeros(()), {})
-
-    @override
     def rates_and_outputs(self, t: Any, z: Any, *args: Any, **inputs: Any) -> tuple[Any, dict[str, Any]]:
         _, planned = self._told_apart(inputs)
         command = self._command(t, z, inputs)
@@ -196,15 +188,12 @@ class ClosedLoop(AbstractExtended):
                     f"Feedback: noise of '{name}': expected one number for each of the state, shape "
                     f"{jnp.shape(getattr(z, name))}; received {jnp.shape(inputs[noise_of(name)])}."
                 )
-        model = self.model
-        plan = Plan(
-            self._planned_states(z),
-            planned,
-            lambda z, inputs: derivative(model, t, z, inputs),
-            self.to,
-            inputs.get(SCHEDULE),
-        )
-        law = self.feedback.gains
+        law, model = self.feedback.gains, self.model
+
+        def rates(z: Any, inputs: dict[str, Array]) -> Any:
+            return derivative(model, t, z, inputs)
+
+        plan = Plan(self._planned_states(z), planned, rates, self.to, inputs.get(SCHEDULE))
         command = called(law, law.command, t, state_type(self.of)(**measured), plan)
         if not (isinstance(command, Mapping) and set(command) == set(self.to)):
             raise refusal(f"{type(law).__name__}.command", f"a dict of the commanded inputs {self.to}", command)
@@ -275,13 +264,14 @@ def closed_loop(system: Any, inputs: Mapping[str, Any], feedback: Any) -> Closed
             f"Feedback: '{jumps[0]}' of {system.title} sets states anew, at another time in each realisation than in "
             "the plan, and in between their difference is no error to correct: expected events without a jump."
         )
+    numbers = jax.tree.leaves(feedback.gains, is_leaf=is_leaf)
     return ClosedLoop(
         own=system,
         feedback=feedback,
         taken=tuple(inputs),
         of=measured,
         to=to or tuple(signals),
-        is_judged=not feedback.is_decided,
+        is_judged=not any(isinstance(one, AbstractDecision) for one in numbers),
     )
 
 

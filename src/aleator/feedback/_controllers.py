@@ -74,8 +74,8 @@ class Proportional(AbstractController):
         planned, named = plan.flat
         errors = {name: jnp.ravel(one) for name, one in plan.errors(measured).items()}
         if isinstance(self.numbers, dict):
-            sizes = {name: len(one) for name, one in errors.items()}
-            blocks = [_block(f"gains['{name}']", self.numbers[name], len(planned), n) for name, n in sizes.items()]
+            errors = {name: errors[name] for name in self.numbers}
+            blocks = [_block(f"gains['{n}']", self.numbers[n], len(planned), len(one)) for n, one in errors.items()]
             matrix = jnp.concatenate(blocks, axis=1)
         else:
             n = sum(map(len, errors.values()))

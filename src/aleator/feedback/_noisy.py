@@ -6,7 +6,6 @@ from typing import Any, ClassVar, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.flatten_util import ravel_pytree
 from jax.interpreters.partial_eval import dce_jaxpr
 from typing_extensions import override
@@ -64,10 +63,6 @@ class Noisy(AbstractExtended):
         start = initial_state(self.own, t, inputs)._asdict()
         n = sum(jnp.size(start[name]) for name in self._moved)
         return {**start, "covariance": jnp.zeros((n, n))}
-
-    @override
-    def initial(self) -> Mapping[str, Any]:
-        return self.starting(np.zeros(()), {})
 
     @override
     def rates_and_outputs(self, t: Any, z: Any, *args: Any, **inputs: Any) -> tuple[Any, dict[str, Any]]:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
 from aleator._core.identity import own_code
-from aleator.dynamics import Grid, System, derivative, initial_state
+from aleator.dynamics import Grid, System, called, derivative, initial_state
 from aleator.dynamics._grid import sampled
 from aleator.dynamics._system import state_type
 from aleator.feedback._controllers import AbstractController, Plan
@@ -39,7 +39,7 @@ def _linear_loop(
 
     def command(z: Array) -> Array:
         measured = state_type(of)(**{name: getattr(named(z), name) for name in of})
-        values = law.command(t, measured, plan)
+        values = called(law, law.command, t, measured, plan)
         return ravel_pytree(tuple(jnp.asarray(values[name], dtype=float) for name in to))[0]
 
     return *linearised(rates, z, u), jnp.zeros((u.size, z.size)) if isinstance(law, LQR) else jax.jacfwd(command)(z)
