@@ -161,7 +161,7 @@ def test_noise_adds_its_variance_to_that_of_the_distributions():
         Pulled(speed=al.Normal(0.0, 0.5)),
         STILL | {"w": al.processes.WhiteNoise(al.Decision(0.3, 0.1, 0.5))},
         minimize=al.terminal("x").std,
-        subject_to=[al.terminal("v").variance <= 9.0],
+        subject_to=[al.terminal("v").variance <= 9.0, al.path("v").std <= 9.0],
     )
     solution = al.solve(problem)
     assert solution.ok
@@ -170,8 +170,10 @@ def test_noise_adds_its_variance_to_that_of_the_distributions():
     pulled = (1 - np.exp(-2) * (np.cos(2 * rate) + np.sin(2 * rate) / rate)) / 4
     variance = lyapunov(4.0, 2.0, 0.1, 0.0, 2.0)[0, 0] + (0.5 * pulled) ** 2
     assert solution.objective == pytest.approx(np.sqrt(variance), rel=1e-6)
-    sampled = al.validate(solution, samples=400).statistics["σ[x(t_f)]"]
-    assert sampled.estimate == pytest.approx(np.sqrt(variance), rel=0.05)
+    evidence = al.validate(solution, samples=400)
+    assert evidence.statistics["σ[x(t_f)]"].estimate == pytest.approx(np.sqrt(variance), rel=0.05)
+    (path,) = (one for one in evidence.compared if "v(t)" in one.text)
+    assert path.value == pytest.approx(np.max(solution.statistics["σ[v(t)]"]), rel=0.05)
 
 
 def noisy(**options: Any) -> al.Problem:
