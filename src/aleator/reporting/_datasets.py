@@ -19,7 +19,6 @@ from aleator.reporting._numbers import (
     units_of_moments,
 )
 from aleator.solution import Solution
-from aleator.statistics import Mean, Std
 from aleator.sweep import Calibration, Front, TradeOff
 from aleator.validation import PERCENTILES, Evidence, Share
 
@@ -159,7 +158,7 @@ def _of_solution(solution: Solution) -> "xarray.Dataset":
         arrays.add(f"mean {text}", axes, moments.mean, f"mean of {text} by the expansion", unit)
         arrays.add(f"std {text}", axes, moments.std, f"standard deviation of {text} by the expansion", unit)
     for statistic in statistics_in(problem.expressions):
-        if not isinstance(statistic.kind, Mean | Std):
+        if not statistic.is_moment:
             text, unit = statistic.text(), unit_of_statistic(statistic, problem)
             values = solution.statistics[text]
             axes = _axes(values, along[statistic.functionals[0].text()])

@@ -22,7 +22,6 @@ from aleator.reporting._numbers import (
     words,
 )
 from aleator.solution import Certificate, ConstraintResult, Solution
-from aleator.statistics import Mean, Std
 from aleator.validation import Checked, Evidence
 
 STATUS_WORDS = {
@@ -264,7 +263,7 @@ def statistics_table(evidence: Mapping[str, Evidence]) -> Table | None:
     rows = []
     for name, one in evidence.items():
         for text, checked in one.statistics.items():
-            if isinstance(checked.statistic.kind, Mean | Std):
+            if checked.statistic.is_moment:
                 continue
             unit = unit_of_statistic(checked.statistic, one.solution.problem)
             rows.append(
