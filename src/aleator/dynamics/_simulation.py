@@ -142,9 +142,7 @@ class Simulation(AbstractPlanned):
                 begun = self._begun(name, one, *next(reversed(records.items())))
             states = asked.states or len(records) + 1 < len(phases)
             records[name] = replace(one, begun=begun).record(asked_within(name, asked)._replace(states=states))
-        if asked.states:
-            return records
-        return {name: one._replace(history=_without(STATES, one.history)) for name, one in records.items()}
+        return records
 
     def _begun(self, name: str, one: "Simulation", before: str, record: Record) -> Float[Array, " states"]:
         """The states, side by side, with which a phase begins, from the record of the one before."""
@@ -304,10 +302,6 @@ class Simulation(AbstractPlanned):
         if self.inputs:
             raise ProblemError(f"{name} is algebraic and takes no inputs; received {sorted(self.inputs)}.")
         return {output: value[None] for output, value in algebraic_outputs(system).items()}
-
-
-def _without(name: str, history: History) -> History:
-    return {other: values for other, values in history.items() if other != name}
 
 
 def simulation_of(
