@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from closed_loops import ClosedTree, SliderCrank
 from double_pendulum import G, simulate
-from zoo import optimum
 
 import aleator as al
+from zoo import optimum
 
 SPIN, SLOPE = 2.0, 0.3
 

@@ -21,6 +21,7 @@ from aleator.design import (
     functionals_of,
     grid_at,
     is_worst_case,
+    path_of,
     responses,
     step_at,
 )
@@ -166,7 +167,8 @@ def _reached(
             beyond = jnp.ravel(jnp.maximum(value - limit.upper, limit.lower - value))
             # The first NaN counts as the largest.
             worst = jnp.argmax(beyond)
-            time = times[worst * len(times) // beyond.size] if limit.is_path and not ends_by_event(problem) else jnp.nan
+            own = times[problem.grid.where(path_of(limit))] if limit.is_path else times
+            time = own[worst * len(own) // beyond.size] if limit.is_path and not ends_by_event(problem) else jnp.nan
             reached.append((beyond[worst], jnp.ravel(value)[worst], time))
         return tuple(jnp.stack(part) for part in zip(*reached, strict=True))  # type: ignore[return-value]
 

@@ -157,7 +157,7 @@ def bands(solution: Solution) -> Iterator[Band]:
     for name, functional in paths.items():
         if own[name].names or functional not in seen:
             moments, limits = solution.moments[functional.text()], own[name]
-            yield from _bands(name, units[name], solution.instants, moments, limits.sigmas, limits.texts)
+            yield from _bands(name, units[name], solution.times_of(functional), moments, limits.sigmas, limits.texts)
 
 
 def _bands(

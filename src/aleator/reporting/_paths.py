@@ -177,7 +177,8 @@ def motion_figure(motions: Motions, *names: str, title: str = "") -> "Figure":
     """Means of inputs, states or outputs of one unit over time, with bands of two standard deviations about them."""
     paths = [components(name, motions.moments[name].mean, motions.moments[name].std) for name in names]
     every, unit = {part: one for each in paths for part, one in each.items()}, motions.units.get(names[0], "")
-    return path_figure(np.asarray(motions.times), every, y=", ".join(names), unit=unit, sigmas=_USUAL, title=title)
+    times = np.asarray(motions.times_of(names[0]))
+    return path_figure(times, every, y=", ".join(names), unit=unit, sigmas=_USUAL, title=title)
 
 
 def histories_figure(
@@ -255,7 +256,9 @@ def trajectory_figure(
 
     - `every`: so many instants are drawn as one, by default so many that at most 350 remain.
     """
-    sampled, instants = [one for one in evidence.trajectories if one.name == name], evidence.solution.instants
+    sampled, solution = [one for one in evidence.trajectories if one.name == name], evidence.solution
+    limits = (one for one in solution.problem.constraints if one.name == name and one.is_path)
+    instants = next((solution.times_of(one) for one in limits), solution.instants)
     step = every or math.ceil(len(instants) / _SHOWN)
     # Both sides of a pair of bounds measure the same quantity.
     values = {one.values.tobytes(): one for one in sampled}.values()

@@ -138,7 +138,7 @@ class SolutionPlots(AbstractPlots[Solution]):
         unit = unit_of_functional(functional, problem)
         limits, moments = limits_of(problem, functional, unit), self._result.moments[functional.text()]
         return path_figure(
-            self._result.instants,
+            self._result.times_of(functional),
             components(f"mean of {name}", moments.mean, moments.std),
             sigmas=limits.sigmas if sigmas is None else positive("plot.band: sigmas", sigmas),
             y=name,
@@ -166,7 +166,7 @@ class SolutionPlots(AbstractPlots[Solution]):
         limits = {} if limited is None or limited.output != name else limits_of(problem, limited, unit).texts
         who = "random systems" if is_random else "systems"
         shown = {"unit": unit, "limits": limits, "title": self._warning(), "who": who}
-        return histories_figure(np.asarray(motions.times), motions.systems[name], y=name, **shown)
+        return histories_figure(np.asarray(motions.times_of(name)), motions.systems[name], y=name, **shown)
 
     def limit(self, name: str | None = None) -> "Figure":
         """What a limit over time is on (such as mean + 2 σ), its bounds, and where it is active; by default the one
