@@ -202,8 +202,22 @@ WRONG = {
     "a part of another signal": lambda: moved(
         None, inputs={"u": al.processes.total(al.StepFunction([1.0], [0.0, 1.0]), al.processes.WhiteNoise(1.0))}
     ),
+    "expected a system with states; received Phases": lambda: al.Problem(
+        al.Phases(only=al.Phase(Mass(), al.Grid(1.0, 10), inputs=STILL)),
+        feedback=al.Feedback(gains=[4.0, 2.0]),
+        minimize=al.terminal("x").mean,
+    ),
+    "a system or phases": lambda: al.Problem(
+        al.Phases(only=al.Phase(Mass(), al.Grid(1.0, 10), inputs=STILL | {"w": al.processes.WhiteNoise(1.0)})),
+        minimize=al.terminal("x").mean,
+    ),
     "no negative number": lambda: al.processes.WhiteNoise(-1.0),
 }
+
+
+def test_a_noisy_problem_can_be_declared_anew():
+    problem = noisy(subject_to=[al.terminal("x").std <= 9.0])
+    assert al.soft(problem, weight=1.0).objective.leaves[-1].text() == "σ[x(t_f)]"
 
 
 @pytest.mark.parametrize("sentence", WRONG)

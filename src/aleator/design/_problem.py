@@ -89,7 +89,7 @@ class Problem(AbstractProblem):
             one_of(f"Problem: decisions['{a_name('Problem: a name in decisions', name)}']", one, kinds)
         if feedback is not None:
             system = closed_loop(system, inputs or {}, feedback)
-        system, inputs = noisy(system, inputs or {})
+        system, inputs = noisy(system, inputs)
         simulation = simulation_of(system, grid, inputs, integrator, dict(decisions))
         # Later changes of NumPy arrays do not affect a problem.
         self.simulation = jax.tree.map(

@@ -103,24 +103,33 @@ class Noisy(AbstractExtended):
         return {name for name, inputs in zip(names, used, strict=True) if any(inputs)}
 
 
-def noisy(system: AbstractSystem | Phases, inputs: Mapping[str, Any]) -> tuple[AbstractSystem | Phases, dict[str, Any]]:
+def noisy(
+    system: AbstractSystem | Phases, inputs: Mapping[str, Any] | None
+) -> tuple[AbstractSystem | Phases, Mapping[str, Any] | None]:
     """A system with the covariance of its states if there is white noise, and its inputs without this.
 
     Raises `ProblemError` for events that set states anew, which change the covariance too.
     """
-    white = {name: one for name, one in inputs.items() if isinstance(one, WhiteNoise)}
-    others = {name: one for name, one in inputs.items() if name not in white}
-    sensors = system.feedback.noise if isinstance(system, ClosedLoop) else {}
-    inside = [one for one in sensors.values() if not isinstance(one, WhiteNoise)]
-    phases = [(one.system, one.inputs) for one in system.phases.values()] if isinstance(system, Phases) else []
-    parts = others, inside, getattr(system, "own", system), phases
-    if any(map(_is_white, jax.tree.leaves(parts, is_leaf=_is_white))):
+    if isinstance(system, Noisy):
+        return system, inputs
+    every = inputs or {}
+    white = {name: one for name, one in every.items() if isinstance(one, WhiteNoise)}
+    others = {name: one for name, one in every.items() if name not in white}
+    elsewhere: list[Any] = [others]
+    if isinstance(system, Phases):
+        elsewhere += [(phase.system, phase.inputs) for phase in system.phases.values()]
+    elif isinstance(system, ClosedLoop):
+        noise = system.feedback.noise.values()
+        elsewhere += [system.own, *(one for one in noise if not _is_white(one))]
+    else:
+        elsewhere += [system]
+    if any(map(_is_white, jax.tree.leaves(elsewhere, is_leaf=_is_white))):
         raise ProblemError(
             "WhiteNoise: expected it as an input of a problem or as the noise of a sensor, by itself: "
-            "inputs={'w': al.processes.WhiteNoise(...)}; received it in another signal, a system or a phase."
+            "inputs={'w': al.processes.WhiteNoise(...)}; received it as a part of another signal, a system or phases."
         )
     if not white and not (isinstance(system, ClosedLoop) and system.white):
-        return system, dict(inputs)
+        return system, inputs
     if not (isinstance(system, System) and system.states):
         raise ProblemError(f"WhiteNoise: expected a system with states; received {type(system).__name__}.")
     jumps = [name for name, event in system.declared_events.items() if event.jump is not None]
