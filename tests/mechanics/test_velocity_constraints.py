@@ -1,5 +1,7 @@
 """Edges and wheels, which bind velocities but no coordinates, against closed forms: forward, inverse and hybrid."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -126,7 +128,7 @@ class Geared(ClosedTree):
 
     velocity_constraint_names = ("gear",)
 
-    def bodies(self):
+    def bodies(self) -> Any:
         wheel = al.Body("wheel", joint=al.joints.Revolute("z"), mass=0.0, inertia=(0.0, 0.0, 0.01))
         return (*super().bodies(), wheel)
 

@@ -153,6 +153,7 @@ def test_what_is_done_is_told_before_anything_is_spent(here: Path):
     code, said = aleator("check", "bar.py")
     assert code == 0, said
     assert "minimise μ[mass]" in said
+    assert "Uniform(mean=1, half_width=0.3) kN " in " ".join(said.split())
     assert re.search(r"collocation points │ \d+", said)
     assert re.search(r"decisions │ 1 ", said)
     assert "agree with differences" in said

@@ -30,6 +30,7 @@ from aleator.dynamics import (
     AbstractIntegrator,
     AbstractSystem,
     Instant,
+    LinkedGrid,
     LinkedSystems,
     Phases,
     Simulation,
@@ -109,7 +110,14 @@ class Problem(AbstractProblem):
         self.simulation = replace(self.simulation, equations=equations)
 
     def on_grid(self, grid: AbstractGrid, integrator: AbstractIntegrator | None = None) -> "Problem":
-        """The same problem on another grid, with another integrator if one is given. It is not checked again."""
+        """The same problem on another grid, with another integrator if one is given. It is not checked again.
+
+        Raises `ProblemError` for one grid of several phases.
+        """
+        if isinstance(self.grid, LinkedGrid) and not isinstance(grid, LinkedGrid):
+            raise ProblemError(
+                "Phases have grids of their own: declare the problem again with others; received one grid."
+            )
         return _with_simulation(self, self.simulation.on(grid, integrator))
 
     def finer(self, factor: int, integrator: AbstractIntegrator) -> "Problem":

@@ -90,7 +90,7 @@ def diagnosis(
     model.refuse_impossible()
     finite = np.isfinite(seen.q).all(axis=1)
     if model.constraints and seen.history is not None and not _begins(model, seen.history):
-        broken = _broken(model, model.stated_twice(jnp.asarray(seen.near)))
+        broken = _broken(model, jax.jit(lambda q: model.stated_twice(q))(seen.near))
         return broken or _missed(model, parts, times, seen, 0) or start_diagnosis(model, seen, stated, speeds)
     largest = np.abs(np.nan_to_num(seen.q)).max(axis=1, initial=0.0)
     moderate = finite & (largest <= _ABSURD * (1 + largest[0]))
@@ -215,22 +215,16 @@ def _missed(model: AbstractMechanical, parts: Partition, times: np.ndarray, seen
     """What a prescribed motion breaks, or asks of torques in vain, at the instant where it ends, by how much."""
     who, prescribed = type(model).__name__, _named([model.coordinates[i] for i in parts.prescribed])
     errors, shortfalls = (
-        np.zeros(len(times)) if amount is None else np.nan_to_num(amount)
+        np.zeros(len(times)) if amount is None else np.nan_to_num(amount, posinf=np.inf)
         for amount in map((seen.history or {}).get, ("motion_error", "torque_shortfall"))
     )
     worst = int(np.argmax(errors))
     if errors[ends] > _SINGULAR * (1 + np.abs(np.nan_to_num(seen.postures.q[-1])).max(initial=0.0)):
-        what, remedy = (
-            (
-                "a rate misses velocity_map(q) times the velocities",
-                "rates that are H(q) v, or all coordinates that share velocities",
-            )
-            if not model.velocity_constraint_names
-            else (
-                f"it misses what {_named(model.velocity_constraint_names)} asks of the velocities",
-                "a motion that obeys it, or fewer coordinates: the others then follow",
-            )
-        )
+        what = "a rate misses velocity_map(q) times the velocities"
+        remedy = "rates that are H(q) v, or all coordinates that share velocities"
+        if model.velocity_constraint_names:
+            what = f"it misses what {_named(model.velocity_constraint_names)} asks of the velocities"
+            remedy = "a motion that obeys it, or fewer coordinates: the others then follow"
         return (
             f"{who}: the motion prescribed for {prescribed} is none that it can make: at t = {times[worst]:.4g} s "
             f"{what} by {errors[worst]:.3g}. Prescribe {remedy}."
@@ -239,7 +233,8 @@ def _missed(model: AbstractMechanical, parts: Partition, times: np.ndarray, seen
         return (
             f"{who}: within torque_bounds(q, v) the torques {_named([model.actuators[i] for i in parts.unknown])} "
             f"cannot make the motion prescribed for {prescribed}: at t = {times[ends]:.4g} s they fall short of the "
-            f"force that it takes by {shortfalls[ends]:.3g}. Widen the bounds, or prescribe another motion."
+            f"force that it takes by {shortfalls[ends]:.3g}. Widen the bounds, of which none may cross, or "
+            "prescribe another motion."
         )
     return ""
 

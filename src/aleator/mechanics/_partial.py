@@ -138,12 +138,11 @@ class Solved(NamedTuple):
     shortfall: Any = None
     valid: Any = None
 
-    def checked(self, **checks: tuple[Any, Any] | None) -> "Solved":
-        """With amounts by name, and the motion only valid where each of them is rounding."""
-        done = {name: one for name, one in checks.items() if one is not None and one[0] is not None}
-        flags = [one for one in (self.valid, *(flag for _, flag in done.values())) if one is not None]
+    def checked(self, error: tuple[Any, Any], shares: Shares) -> "Solved":
+        """The same with a `motion_error` and a `shortfall`, only valid where both are rounding."""
+        flags = [flag for flag in (self.valid, error[1], shares.valid) if flag is not None]
         valid = functools.reduce(jnp.logical_and, flags) if flags else None
-        return self._replace(valid=valid, **{name: amount for name, (amount, _) in done.items()})
+        return self._replace(motion_error=error[0], shortfall=shares.shortfall, valid=valid)
 
 
 def solved(model: AbstractMechanical, parts: Partition, given: Prescribed, q_u: Array, v_u: Array) -> Solved:
@@ -158,21 +157,21 @@ def solved(model: AbstractMechanical, parts: Partition, given: Prescribed, q_u: 
         else:
             found = shared(actuation_map(model, path.q), force, bounds)
         motion = Solved(path.q, path.q_dot, path.v, path.v_dot, found.torque, path.q_ddot)
-        return motion.checked(motion_error=motion_error(model, parts, path.q, path.q_dot, path.v), shortfall=found[1:])
+        return motion.checked(motion_error(model, parts, path.q, path.q_dot, path.v), found)
     q = model.normalised(q_u)
     return Solved(
         q, rates(model, q, v_u), v_u, driven(model, q, v_u, _known_force(model, parts, q, given)), given.known
     )
 
 
-def motion_error(model: AbstractMechanical, parts: Partition, q: Array, rate: Array, v: Array) -> Any:
+def motion_error(model: AbstractMechanical, parts: Partition, q: Array, rate: Array, v: Array) -> tuple[Any, Any]:
     """How far rates of prescribed coordinates are from `H v`, and all velocities from what velocity constraints ask;
-    and whether that is rounding. `None` if they never are.
+    and whether that is rounding. `None` twice if they never are.
 
     `rate` are those of all coordinates, of which the prescribed ones count.
     """
     if not parts.may_miss(model):
-        return None
+        return None, None
     apart, sizes = list[Array](), list[Array]()
     if parts.may_slip(model):
         apart.append(taken(rate - rates(model, q, v), parts.prescribed))
@@ -233,7 +232,7 @@ def _partly_prescribed(
             constraint=constraint_of(model, q),
             constraint_rate=bound.rate(v),
         )
-    return motion.checked(motion_error=motion_error(model, parts, q, rate, v), shortfall=found[1:])
+    return motion.checked(motion_error(model, parts, q, rate, v), found)
 
 
 def columns(M: Float[Array, "m n"], places: tuple[int, ...]) -> Float[Array, "m places"]:

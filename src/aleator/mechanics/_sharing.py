@@ -21,10 +21,10 @@ from aleator.mechanics._mechanical import AbstractMechanical, evaluated
 
 # The most Newton steps, and the parts of each of which the best is taken: where all torques are at bounds, steps are
 # as long as the reciprocal of the damping.
-_STEPS, _PARTS = 50, 0.5 ** np.arange(32)
+_STEPS, _PARTS = 50, 0.5 ** np.arange(40.0)
 
 # What keeps equations regular where too few torques are between their bounds, in the search and in its result.
-_DAMPING, _LEAST_DAMPING = 1e-8, 1e-12
+_DAMPING, _LEAST_DAMPING = 1e-10, 1e-12
 
 # A part of the force that is smaller than this, beside one and the force, is rounding.
 _ROUNDING = 1e-9
@@ -61,15 +61,15 @@ def shared(
         still = jax.lax.stop_gradient(dual)
         start = jnp.zeros(len(E)), jnp.zeros((), int), jnp.asarray(True)
         mu, *_ = jax.lax.while_loop(lambda state: state[2] & (state[1] < _STEPS), still.advanced, start)
-        best, held, is_free = dual.newton(mu, _LEAST_DAMPING)
-        torque, within = jnp.where(is_free, best @ E, held), dual.torque(best)
-    left = jnp.abs(E @ within - force)
+        mu, held, is_free = dual.newton(mu, _LEAST_DAMPING)
+        torque, within = jnp.where(is_free, mu @ E, held), dual.torque(mu)
+    left = jnp.where(jnp.all(bounds[0] <= bounds[1]), jnp.abs(E @ within - force), jnp.inf)
     slack = _ROUNDING * (1 + jnp.abs(E) @ jnp.abs(within) + jnp.abs(force))
     return Shares(torque, left.max(), jnp.all(left <= slack))
 
 
 class _Dual(NamedTuple):
-    """The dual problem: `maximise force · μ - Σ max over τ of (Eᵀ μ) τ - τ²/2`, each `τ` within its bounds.
+    """The dual problem: maximise `force · μ - Σ max((Eᵀ μ) τ - τ²/2)`, the maxima over `τ` within its bounds.
 
     `beside`: what makes `E Eᵀ` regular, and does not act on any force that is made.
     """
@@ -80,7 +80,7 @@ class _Dual(NamedTuple):
     upper: Float[Array, " torques"]
     beside: Float[Array, "m m"]
 
-    def torque(self, mu: Float[Array, "... m"]) -> Float[Array, "... torques"]:
+    def torque(self, mu: Float[Array, " m"]) -> Float[Array, " torques"]:
         return jnp.clip(mu @ self.E, self.lower, self.upper)
 
     def beyond(self, mu: Float[Array, " m"]) -> Float[Array, " torques"]:
@@ -92,27 +92,30 @@ class _Dual(NamedTuple):
         E, is_free = self.E, self.beyond(mu) == 0
         held = jnp.where(is_free, 0.0, self.torque(mu))
         damped = damping * E @ E.T
-        matrix = (E * is_free) @ E.T + damped + self.beside
+        matrix = (E * is_free[None]) @ E.T + damped + self.beside
         return solve_positive(matrix, self.force - E @ held + damped @ mu), held, is_free
 
     def advanced(self, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         """Multipliers after the best part of a step, the number of steps, and whether other torques are held then."""
         mu, steps, _ = state
         whole, *_ = self.newton(mu, _DAMPING)
-        parts = mu + _PARTS[:, None] * (whole - mu)
-        torques = self.torque(parts)
-        levels = parts @ self.force - ((parts @ self.E) * torques - torques**2 / 2).sum(axis=1)
-        return parts[jnp.argmax(levels)], steps + 1, jnp.any(self.beyond(whole) != self.beyond(mu))
+        best = jnp.argmax(jax.vmap(lambda part: self.level(mu + part * (whole - mu)))(_PARTS))
+        return mu + 0.5**best * (whole - mu), steps + 1, jnp.any(self.beyond(whole) != self.beyond(mu))
+
+    def level(self, mu: Float[Array, " m"]) -> Float[Array, ""]:
+        """What is maximised."""
+        torque = self.torque(mu)
+        return mu @ self.force - (mu @ self.E) @ torque + torque @ torque / 2
 
 
 def bounds_of(
     model: AbstractMechanical, q: Array, v: Array, places: Sequence[int] | None = None
 ) -> Float[Array, "2 torques"] | None:
     """The bounds of torques, of all or at some places. Raises `ProblemError` for anything but pairs by name."""
-    if not model.is_bounded or not model.actuators:
-        return None
     who, names = f"{type(model).__name__}.torque_bounds(q, v)", model.actuators
     some = names if places is None else [names[i] for i in places]
+    if not (model.is_bounded and some):
+        return None
     given = evaluated(model, "torque_bounds", q, v)
     if not (
         isinstance(given, Mapping)
