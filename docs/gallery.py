@@ -3,10 +3,9 @@
     python docs/gallery.py            # everything: about half an hour
     python docs/gallery.py clutch     # one picture, and the page
 
-Pictures are those of Matplotlib (`python -m pip install 'aleator[paper]'`); the studies are run as by `--quick`.
+Pictures are written by Plotly (`python -m pip install 'aleator[paper]'`); the studies are run as by `--quick`.
 """
 
-import io
 import os
 import re
 import runpy
@@ -20,11 +19,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 import aleator as al
-from aleator.reporting import Drawing, Linked, paper_figure
+from aleator.reporting import Drawing, Linked
 from aleator.studies import Draft, load
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from plotly.graph_objects import Figure
 
 DOCS = Path(__file__).parent
 FIRST = "landing"
@@ -78,7 +77,7 @@ def first() -> "Figure":
     names: dict[str, Any] = {"__name__": FIRST}
     sys.modules[FIRST] = types.ModuleType(FIRST)
     exec("\n".join(program), names)
-    return al.validate(al.solve(names["problem"])).plot(backend="matplotlib")
+    return al.validate(al.solve(names["problem"])).plot()
 
 
 def study(name: str, heading: str, which: int = 0) -> "Figure":
@@ -87,7 +86,7 @@ def study(name: str, heading: str, which: int = 0) -> "Figure":
     page.fill()
     blocks = [block for section in page.page().sections for block in section.blocks]
     *_, drawing = (block for block in blocks if isinstance(block, Drawing | Linked) and block.heading == heading)
-    return paper_figure(drawing.figures[which])
+    return drawing.figures[which]
 
 
 EVERY: dict[str, dict[str, Entry]] = {
@@ -97,9 +96,7 @@ EVERY: dict[str, dict[str, Entry]] = {
             "A drawer closes against a damper; its load, the push of the hand and the damper itself vary. The widest "
             "tolerance of the damper is found for which the drawer still ends in the right place.",
             "The distance closed of 20 000 drawers, and its limits.",
-            lambda: al.validate(example("sources_of_uncertainty")["solution"], 20_000).plot.density(
-                backend="matplotlib"
-            ),
+            lambda: al.validate(example("sources_of_uncertainty")["solution"], 20_000).plot.density(),
         ),
         "five_sources": Entry(
             "A heated stage with five sources of uncertainty",
@@ -107,42 +104,42 @@ EVERY: dict[str, dict[str, Entry]] = {
             "expansion. The noisiest thermometer that still holds the temperature is chosen with the controller's "
             "gain.",
             "The heater's power: its mean, the band of two standard deviations, and its limits.",
-            lambda: solved("five_sources").band("power", backend="matplotlib"),
+            lambda: solved("five_sources").band("power"),
         ),
         "co_design": Entry(
             "An arm, its counterweight, its motion and a tolerance",
             "A lifting arm is designed together with its fastest motion and the tolerance of its payload. The torque "
             "keeps its limits in the worst case of all payloads.",
             "The torque of the joint for random payloads, between its limits.",
-            lambda: solved("co_design").histories("angle_torque", samples=25, backend="matplotlib"),
+            lambda: solved("co_design").histories("angle_torque", samples=25),
         ),
         "ride_travel_holding": Entry(
             "Ride, travel and holding of a car",
             "What three wishes for a car's suspension cost one another, with a margin of one standard deviation in "
             "each. Every point of the surface is a certified design, counted on fresh cars.",
             "Designs none of which is better than another in all three wishes.",
-            lambda: called("ride_travel_holding")[0].plot(backend="matplotlib"),
+            lambda: called("ride_travel_holding")[0].plot(),
         ),
         "from_sympy": Entry(
             "A crane from SymPy",
             "The equations of motion come from SymPy's `LagrangesMethod`. The trolley moves so that the load hangs "
             "still at the end, whatever the rope's length and the load's mass.",
             "The force of the drive for random ropes and loads, between its limits.",
-            lambda: solved("from_sympy").histories("force", samples=25, backend="matplotlib"),
+            lambda: solved("from_sympy").histories("force", samples=25),
         ),
         "robot_from_file": Entry(
             "A robot from a URDF file",
             "An arm is read from a file as CAD programs write it, with the torque limits in it. Its counterweight "
             "and its fastest motion are decided together, for all payloads.",
             "The shoulder's torque: its mean and the band of all payloads, between its limits.",
-            lambda: solved("robot_from_file").band("shoulder_torque", backend="matplotlib"),
+            lambda: solved("robot_from_file").band("shoulder_torque"),
         ),
         "black_box": Entry(
             "A simulator that is not ours",
             "A pendulum integrated by SciPy is expanded without being traced: samples run in processes and are kept "
             "in a journal. The same points can be answered by anyone, anywhere.",
             "Which uncertain number causes how much of the variance of the period.",
-            lambda: called("black_box").plot.sensitivities("period", backend="matplotlib"),
+            lambda: called("black_box").plot.sensitivities("period"),
         ),
     },
     "Studies": {
@@ -217,13 +214,9 @@ def _source(chapter: str, name: str) -> str:
 
 
 def write_picture(draw: Callable[[], "Figure"], path: Path) -> None:
-    """A picture that is the same whenever it is made: without date and with fixed names inside."""
-    import matplotlib
-
-    with matplotlib.rc_context({"svg.hashsalt": "aleator", "path.simplify": False}):
-        drawn = io.StringIO()
-        draw().savefig(drawn, format="svg", metadata={"Date": None}, facecolor="white")
-    path.write_text(re.sub(r' d="([^"QC]*)"', _short, drawn.getvalue()), encoding="utf-8")
+    """A picture in the size of a paper's column."""
+    text = draw().to_image("svg", width=420, height=324).decode()
+    path.write_text(re.sub(r' d="(M[^"QCHVSThvacsZ]*Z?)"', _short, text), encoding="utf-8")
 
 
 def _short(path: re.Match[str]) -> str:
@@ -232,7 +225,7 @@ def _short(path: re.Match[str]) -> str:
     for part in path[1].split("M")[1:]:
         points = _thinned(np.array(re.findall(r"-?[\d.]+", part), float).reshape(-1, 2)).round(1)
         steps = " ".join(f"{one:.1f}" for one in np.diff(points, axis=0).ravel())
-        parts.append(f"M{points[0, 0]:.1f} {points[0, 1]:.1f}l{steps}{'z' * ('z' in part)}")
+        parts.append(f"M{points[0, 0]:.1f} {points[0, 1]:.1f}l{steps}{'z' * ('Z' in part)}")
     return f' d="{"".join(parts)}"'
 
 

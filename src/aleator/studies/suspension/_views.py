@@ -103,17 +103,12 @@ def built_table(
     built: Mapping[str, al.results.Calibration],
 ) -> Table:
     """The designs to build beside the printed ones from which they are derived."""
-    shown = {f"{name}, {kind}": name for name in built for kind in ("printed", "to build")}
-    solutions = {
-        column: designs[name] if column.endswith("printed") else built[name].solution for column, name in shown.items()
-    }
-    counted = {
-        column: evidence[name] if column.endswith("printed") else built[name].evidence for column, name in shown.items()
-    }
-    margins = [
-        dict.fromkeys(built[name].names, 1.0) if column.endswith("printed") else built[name].margins
-        for column, name in shown.items()
-    ]
+    solutions, counted = dict[str, al.Solution](), dict[str, al.results.Evidence | None]()
+    margins = list[Mapping[str, float]]()
+    for name, one in built.items():
+        solutions |= {f"{name}, printed": designs[name], f"{name}, to build": one.solution}
+        counted |= {f"{name}, printed": evidence[name], f"{name}, to build": one.evidence}
+        margins += [dict.fromkeys(one.names, 1.0), one.margins]
     first = [["Margins", *map(margins_text, margins)]]
     return designs_table("The designs to build and the printed ones", solutions, counted, first)
 
@@ -147,41 +142,21 @@ def published_table(
     shares = {name: narrow[name].violations["travel"] for name in VIOLATIONS}
     initial, apportioned = cost(designs["uOpt"]), designs["aOpt"]
     best = float(np.nanmin(costs.objectives, initial=initial)) if costs.solved.any() else initial
-    starts = {name: apportioned.problem.placements.decisions[name].decision.initial for name in CHANGES}
-    changes = {name: float(apportioned.decisions[name]) - float(start) for name, start in starts.items()}
+    saving = 1 - best / initial
     pairs = [
-        *(
-            (
-                f"Violate travel ±{NARROW:g} m: {name}",
-                VIOLATIONS[name],
-                percent(VIOLATIONS[name]),
-                one.estimate,
-                share_text(one),
-            )
-            for name, one in shares.items()
-        ),
-        ("Cost of the initial spreads", PRINTED_COST, dollars(PRINTED_COST), initial, dollars(initial)),
-        (
-            "Largest saving along figure 7.3",
-            SAVING,
-            f"up to {percent(SAVING)}",
-            1 - best / initial,
-            percent(1 - best / initial),
-        ),
-        *(
-            (
-                f"Table 7.4, wider by: {SPREADS[name]}",
-                printed,
-                text,
-                changes[name],
-                number(changes[name], 4, UNITS[name.split(".")[0]]),
-            )
-            for name, (printed, text) in CHANGES.items()
-        ),
+        (f"Violate travel ±{NARROW:g} m: {name}", printed, one.estimate, percent(printed), share_text(one))
+        for (name, printed), one in zip(VIOLATIONS.items(), shares.values(), strict=True)
     ]
+    pairs.append(("Cost of the initial spreads", PRINTED_COST, initial, dollars(PRINTED_COST), dollars(initial)))
+    pairs.append(("Largest saving along figure 7.3", SAVING, saving, f"up to {percent(SAVING)}", percent(saving)))
+    for name, (printed, text) in CHANGES.items():
+        start = apportioned.problem.placements.decisions[name].decision.initial
+        change = float(apportioned.decisions[name]) - float(start)
+        widened = number(change, 4, UNITS[name.split(".")[0]])
+        pairs.append((f"Table 7.4, wider by: {SPREADS[name]}", printed, change, text, widened))
     rows = [
         [text, printed_text, ours_text, f"×{number(ours / printed, 3)}"]
-        for text, printed, printed_text, ours, ours_text in pairs
+        for text, printed, ours, printed_text, ours_text in pairs
     ]
     for name, printed in HELD.items():
         active = constraints_active(designs[name])
@@ -195,7 +170,7 @@ def published_table(
     same = "the same" if 2 * at_bound > len(found) else "not the same"
     rows.append(["Spring at its lower bound, figure 6.8", "most designs", f"{at_bound} of {len(found)} designs", same])
     order = [name for name, _ in sorted(shares.items(), key=lambda pair: -pair[1].estimate)] == list(VIOLATIONS)
-    alike = sum(0.5 <= ours / printed <= 2 for _, printed, _, ours, _ in pairs)
+    alike = sum(0.5 <= ours / printed <= 2 for _, printed, ours, _, _ in pairs)
     note = (
         "The dissertation's road is not published; this study's road has the same bumps and another noise, so that "
         f"digits cannot agree. The three shares of violating cars stand {'' if order else 'not '}in the printed order. "
