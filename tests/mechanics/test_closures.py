@@ -14,8 +14,8 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import aleator as al
-from aleator.mechanics._constraints import Bound, Saddle
-from aleator.mechanics._mechanical import constraint_of, jacobian_of
+from aleator.mechanics._constraints import Bound, Saddle, jacobian_of
+from aleator.mechanics._mechanical import constraint_of
 from aleator.mechanics._multibody import Multibody
 from aleator.mechanics._partial import Partition, Prescribed, solved
 from compiling import answers, compiled

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from aleator.dynamics import newton
-from aleator.mechanics._instant import later
+from aleator.mechanics._instant import along_time, later
 from aleator.mechanics._matrices import (
     block,
     inverse,
@@ -31,10 +31,9 @@ from aleator.mechanics._matrices import (
 from aleator.mechanics._mechanical import (
     AbstractMechanical,
     constraint_of,
-    holonomic_jacobian,
     rate_map,
-    rate_terms,
     rates,
+    shaped,
 )
 
 # Corrections of the coordinates with one Jacobian: each multiplies what is missing by what was missing at first.
@@ -47,6 +46,58 @@ _CLOSE = 1e-7
 # A complete start may miss the constraints by so much, beside one and its numbers: published digits, and postures of
 # simulators whose constraints yield, which a short lever makes a hundredth (the keyframe of Agility's Cassie).
 _PUBLISHED = 1e-2
+
+
+_AFFINE = (
+    "velocity_constraint(q, v): expected equations that are linear in the velocities, each of at least one of them. "
+    "What binds coordinates alone is written as constraint(q)."
+)
+
+
+def holonomic_jacobian(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "holonomic speeds"]:
+    """`G(q)` of the constraints that bind coordinates. Raises `ProblemError` for another shape."""
+    loops, own = model.closing_jacobian(q), len(model.constraint_names)
+    if not own:
+        return loops
+    return jnp.concatenate([loops, shaped(model, "constraint_jacobian", (q,), (own, len(model.speeds)))])
+
+
+def velocity_constraint_of(model: AbstractMechanical, q: Array, v: Array) -> Float[Array, " own"]:
+    """What is left of velocity constraints, as an array. Raises `ProblemError` for another shape."""
+    return shaped(model, "velocity_constraint", (q, v), (len(model.velocity_constraint_names),))
+
+
+def velocity_terms(model: AbstractMechanical, q: Array) -> tuple[Float[Array, "own speeds"], Float[Array, " own"]]:
+    """`A(q)` and `b(q)` of the velocity constraints `A v + b = 0`."""
+    # The value beside its derivative: traced once.
+    return jax.jacfwd(lambda v: (velocity_constraint_of(model, q, v),) * 2, has_aux=True)(jnp.zeros(len(model.speeds)))
+
+
+def rate_terms(
+    model: AbstractMechanical, q: Array
+) -> tuple[Float[Array, "constraints speeds"], Float[Array, " constraints"] | None]:
+    """`G(q)` and `b(q)` of the rates `G v + b` of all constraints; no `b` where it is known to be zero."""
+    G, b = holonomic_jacobian(model, q), None
+    if model._when is not None and len(G):
+        b = along_time(constraint_of, model, (q,), (jnp.zeros_like(q),))[1]
+    if model.velocity_constraint_names:
+        A, own = velocity_terms(model, q)
+        G, b = jnp.concatenate([G, A]), jnp.concatenate([jnp.zeros(len(G)) if b is None else b, own])
+    return G, b
+
+
+def jacobian_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
+    """`G(q)` of all constraints. Raises `ProblemError` for another shape."""
+    return rate_terms(model, q)[0]
+
+
+def velocity_rule(model: AbstractMechanical, q: Array) -> dict[str, tuple[Array, Array]]:
+    """The rule of velocity constraints, in words, with what they are by two ways: see `stated_twice`."""
+    if not model.velocity_constraint_names:
+        return {}
+    v, (A, b) = jnp.linspace(0.4, 0.7, len(model.speeds)), velocity_terms(model, q)
+    acts = jnp.any(A != 0, axis=1)
+    return {_AFFINE: (jnp.stack([velocity_constraint_of(model, q, v), acts]), jnp.stack([A @ v + b, acts | True]))}
 
 
 class Loose(NamedTuple):

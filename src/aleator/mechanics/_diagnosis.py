@@ -7,14 +7,13 @@ starts that constraints contradict or leave open.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator.mechanics._constraints import Stated, agrees
-from aleator.mechanics._mechanical import AbstractMechanical, constraint_of, rate_terms
+from aleator.mechanics._constraints import Stated, agrees, rate_terms, velocity_rule
+from aleator.mechanics._mechanical import AbstractMechanical, constraint_of
 from aleator.mechanics._partial import Partition
 
 # Masses with reciprocal condition numbers below this: results would have no correct digit left.
@@ -68,11 +67,6 @@ class Examination(NamedTuple):
     path: Any = None
 
 
-def known_arrays(tree: Any) -> Any:
-    """A tree with NumPy's arrays in the place of JAX's."""
-    return jax.tree.map(lambda leaf: np.asarray(leaf) if eqx.is_array(leaf) else leaf, tree)
-
-
 def diagnosis(
     model: AbstractMechanical,
     parts: Partition,
@@ -88,9 +82,10 @@ def diagnosis(
     effect.
     """
     model.refuse_impossible()
-    finite = np.isfinite(seen.q).all(axis=1)
-    if model.constraints and seen.history is not None and not _begins(model, seen.history):
-        broken = _broken(model, jax.jit(lambda q: model.stated_twice(q))(seen.near))
+    finite, history = np.isfinite(seen.q).all(axis=1), seen.history or {}
+    begins = all(np.isfinite(history[name][0]) for name in (*model.coordinates, *model.speeds) if name in history)
+    if model.constraints and not begins:
+        broken = _broken(model, velocity_rule(model, jnp.asarray(seen.near)))
         return broken or _missed(model, parts, times, seen, 0) or start_diagnosis(model, seen, stated, speeds)
     largest = np.abs(np.nan_to_num(seen.q)).max(axis=1, initial=0.0)
     moderate = finite & (largest <= _ABSURD * (1 + largest[0]))
@@ -101,10 +96,6 @@ def diagnosis(
     if first or ends is None:
         return first[0] if first else ""
     return _missed(model, parts, times, seen, ends) or _unobeyed(model, times, seen, ends)
-
-
-def _begins(model: AbstractMechanical, history: Mapping[str, Any]) -> bool:
-    return all(np.isfinite(history[name][0]) for name in (*model.coordinates, *model.speeds) if name in history)
 
 
 def _faults(
@@ -220,11 +211,10 @@ def _missed(model: AbstractMechanical, parts: Partition, times: np.ndarray, seen
     )
     worst = int(np.argmax(errors))
     if errors[ends] > _SINGULAR * (1 + np.abs(np.nan_to_num(seen.postures.q[-1])).max(initial=0.0)):
-        what = "a rate misses velocity_map(q) times the velocities"
-        remedy = "rates that are H(q) v, or all coordinates that share velocities"
+        what, remedy = "a rate misses velocity_map(q) times the velocities", "rates that are H(q) v, or all coordinates"
         if model.velocity_constraint_names:
             what = f"it misses what {_named(model.velocity_constraint_names)} asks of the velocities"
-            remedy = "a motion that obeys it, or fewer coordinates: the others then follow"
+            remedy = "a motion that obeys it, or fewer coordinates"
         return (
             f"{who}: the motion prescribed for {prescribed} is none that it can make: at t = {times[worst]:.4g} s "
             f"{what} by {errors[worst]:.3g}. Prescribe {remedy}."

@@ -11,8 +11,9 @@ from typing_extensions import override
 
 from aleator._core.border import one_of, real_array, refusal
 from aleator._core.errors import ProblemError
+from aleator.mechanics._constraints import jacobian_of
 from aleator.mechanics._formulation import AbstractFormulation, a_model
-from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, jacobian_of
+from aleator.mechanics._mechanical import AbstractMechanical, actuation_map
 
 
 class Actuation(Enum):

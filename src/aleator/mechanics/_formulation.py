@@ -31,11 +31,11 @@ from aleator.mechanics._arguments import (
     signals_for,
     vector,
 )
-from aleator.mechanics._constraints import Stated, consistent_start
-from aleator.mechanics._diagnosis import Examination, Posture, diagnosis, known_arrays
+from aleator.mechanics._constraints import Stated, consistent_start, jacobian_of, velocity_rule
+from aleator.mechanics._diagnosis import Examination, Posture, diagnosis
 from aleator.mechanics._instant import at, course, instants_of, is_timed, linearised
 from aleator.mechanics._matrices import taken
-from aleator.mechanics._mechanical import AbstractMechanical, jacobian_of, mass_of, rate_map
+from aleator.mechanics._mechanical import AbstractMechanical, mass_of, rate_map
 from aleator.mechanics._outputs import outputs_of
 from aleator.mechanics._partial import (
     Partition,
@@ -282,7 +282,7 @@ class AbstractFormulation(System):
             None if model.moves_directly else rate_map(model, q),
             G if G is None or not parts.surplus else G.T,
             effect_of_torques(model, self.parts, q),
-            model.stated_twice(q),
+            model.stated_twice(q) | velocity_rule(model, q),
         )
 
     def path(self, grid: Grid, order: int = 0) -> Array:
@@ -342,6 +342,11 @@ class AbstractFormulation(System):
 def taken_names(names: tuple[str, ...], places: tuple[int, ...]) -> tuple[str, ...]:
     """The names at some places."""
     return tuple(names[i] for i in places)
+
+
+def known_arrays(tree: Any) -> Any:
+    """A tree with NumPy's arrays in the place of JAX's."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf) if eqx.is_array(leaf) else leaf, tree)
 
 
 def a_model(who: str, model: Any) -> AbstractMechanical:

@@ -20,11 +20,6 @@ from aleator.mechanics._instant import along_time, at, course, is_timed
 from aleator.mechanics._matrices import solve_positive
 from aleator.mechanics._spatial import Numbers
 
-_AFFINE = (
-    "velocity_constraint(q, v): expected equations that are linear in the velocities, each of at least one of them. "
-    "What binds coordinates alone is written as constraint(q)."
-)
-
 
 class Motion(NamedTuple):
     """A mechanical system at one instant, from forward, inverse or hybrid dynamics.
@@ -281,13 +276,9 @@ class AbstractMechanical(Module, Printed):
         """Raise `ProblemError` for known numbers that no such system has, such as negative masses."""
 
     def stated_twice(self, q: Float[Numbers, " coordinates"]) -> dict[str, tuple[Array, Array]]:
-        """Rules, in words, each with a quantity by two ways, which differ where the model breaks it."""
-        if not self.velocity_constraint_names:
-            return {}
-        q, v = jnp.asarray(q), jnp.linspace(0.4, 0.7, len(self.speeds))
-        A, b = velocity_terms(self, q)
-        acts = jnp.any(A != 0, axis=1)
-        return {_AFFINE: (jnp.stack([velocity_constraint_of(self, q, v), acts]), jnp.stack([A @ v + b, acts | True]))}
+        """Rules, in words, each with a quantity by two ways that differ where a model breaks it; none by default."""
+        del q
+        return {}
 
     def _named_map(self) -> Float[np.ndarray, "speeds actuators"]:
         """Which torque acts along which velocity, by their names."""
@@ -331,43 +322,6 @@ def constraint_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) ->
     """`g(q)` as an array: of closed loops, then the model's own. Raises `ProblemError` for another shape."""
     loops, own = model.closing(q), len(model.constraint_names)
     return jnp.concatenate([loops, shaped(model, "constraint", (q,), (own,))]) if own else loops
-
-
-def holonomic_jacobian(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "holonomic speeds"]:
-    """`G(q)` of the constraints that bind coordinates. Raises `ProblemError` for another shape."""
-    loops, own = model.closing_jacobian(q), len(model.constraint_names)
-    if not own:
-        return loops
-    return jnp.concatenate([loops, shaped(model, "constraint_jacobian", (q,), (own, len(model.speeds)))])
-
-
-def velocity_constraint_of(model: AbstractMechanical, q: Array, v: Array) -> Float[Array, " own"]:
-    """What is left of velocity constraints, as an array. Raises `ProblemError` for another shape."""
-    return shaped(model, "velocity_constraint", (q, v), (len(model.velocity_constraint_names),))
-
-
-def velocity_terms(model: AbstractMechanical, q: Array) -> tuple[Float[Array, "own speeds"], Float[Array, " own"]]:
-    """`A(q)` and `b(q)` of the velocity constraints `A v + b = 0`."""
-    # The value beside its derivative: traced once.
-    return jax.jacfwd(lambda v: (velocity_constraint_of(model, q, v),) * 2, has_aux=True)(jnp.zeros(len(model.speeds)))
-
-
-def rate_terms(
-    model: AbstractMechanical, q: Array
-) -> tuple[Float[Array, "constraints speeds"], Float[Array, " constraints"] | None]:
-    """`G(q)` and `b(q)` of the rates `G v + b` of all constraints; no `b` where it is known to be zero."""
-    G, b = holonomic_jacobian(model, q), None
-    if model._when is not None and len(G):
-        b = along_time(constraint_of, model, (q,), (jnp.zeros_like(q),))[1]
-    if model.velocity_constraint_names:
-        A, own = velocity_terms(model, q)
-        G, b = jnp.concatenate([G, A]), jnp.concatenate([jnp.zeros(len(G)) if b is None else b, own])
-    return G, b
-
-
-def jacobian_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
-    """`G(q)` of all constraints. Raises `ProblemError` for another shape."""
-    return rate_terms(model, q)[0]
 
 
 def load_on(model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Any:

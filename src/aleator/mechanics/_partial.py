@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from aleator.mechanics._constraints import Bound, Loose, Saddle, put_back
+from aleator.mechanics._constraints import Bound, Loose, Saddle, jacobian_of, put_back, velocity_constraint_of
 from aleator.mechanics._instant import along_time
 from aleator.mechanics._matrices import block, merged, product, solve_any, spread, taken
 from aleator.mechanics._mechanical import (
@@ -19,14 +19,12 @@ from aleator.mechanics._mechanical import (
     bias_of,
     constraint_of,
     driven,
-    jacobian_of,
     load_on,
     mass_of,
     on_manifold,
     rate_map,
     rates,
     required_force,
-    velocity_constraint_of,
 )
 from aleator.mechanics._sharing import Shares, bounds_of, shared
 from aleator.mechanics._spatial import Numbers
