@@ -1,9 +1,9 @@
-"""Why an event that is needed is not found in a realisation."""
+"""Why an event that is needed is not found in a realisation, or a cycle does not close."""
 
 import numpy as np
 
 from aleator._core.compilation import Use, evaluate
-from aleator.dynamics._crossings import AT_START, LOST, MANY, STAYS, TOGETHER, course, needed
+from aleator.dynamics._crossings import AT_START, LOST, MANY, STAYS, TOGETHER, course, needed, watched
 from aleator.dynamics._grid import Grid, Inputs
 from aleator.dynamics._newton import listed, numbers_in
 from aleator.dynamics._record import Asked
@@ -13,7 +13,8 @@ from aleator.dynamics._tableaux import Tableau
 
 def explain_events(tableau: Tableau, system: System, grid: Grid, inputs: Inputs, events: frozenset[str]) -> str:
     """Why an event that is needed is not found in a realisation, with its numbers; empty if all are."""
-    names = needed(system, grid, events)
+    # The guess of a cycle stands on the event.
+    names = watched(system, grid, events) if grid.periodic else needed(system, grid, events)
     if not names:
         return ""
     one = evaluate(lambda: course(tableau, system, grid, inputs, Asked(frozenset()), names), use=Use.ONCE)
@@ -34,6 +35,17 @@ def explain_events(tableau: Tableau, system: System, grid: Grid, inputs: Inputs,
             f"{end:.4g} s."
         )
     return ""
+
+
+def explain_cycle(system: System, grid: Grid) -> str:
+    """That a cycle does not close, with the numbers of the realisation."""
+    numbers = listed(numbers_in(system))
+    event = "" if grid.until is None else f" after '{grid.until}', which it meets by t = {float(grid.t_final):.4g} s"
+    return (
+        f"{system.title}{f' with {numbers}' if numbers else ''} does not close its cycle: from the values of initial(), "
+        f"Newton's method finds no states to which it returns{event}. Return values closer to those of a cycle, on the "
+        "event or just behind it, from initial(), or bound the distributions and decisions that lead where none is."
+    )
 
 
 _FAULTS = {

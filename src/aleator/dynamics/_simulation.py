@@ -13,15 +13,17 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import in_library, jax_array, numbers_to_arrays
 from aleator._core.border import meant, refuse_missing
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, is_leaf, named_leaves, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, explain_failure
 from aleator.dynamics._closing import closed
 from aleator.dynamics._equations import Equations, Start, TracedSystem
 from aleator.dynamics._evaluation import initial_state
+from aleator.dynamics._explained import explain_cycle
 from aleator.dynamics._grid import AbstractGrid, Grid, Inputs, Instant, check_signals, sampled
 from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator, RungeKutta4
-from aleator.dynamics._record import Asked, History, Occurrence, Record, chosen, observed
+from aleator.dynamics._record import ONLY_STATES, STATES, Asked, History, Occurrence, Record, chosen, observed
 from aleator.dynamics._system import AbstractSystem, System, check_variables
 from aleator.trajectories import AbstractSignal, least_steps
 
@@ -163,7 +165,11 @@ class Simulation(Module):
             return explain_failure(system)
         if not (isinstance(system, System) and isinstance(self.grid, Grid) and system.states):
             return ""
-        return self.integrator.explain(system, self.grid, self.signals(system), events)
+        why = self.integrator.explain(system, self.grid, self.signals(system), events)
+        if why or not self.grid.periodic:
+            return why
+        rows = evaluate(lambda: self.record(ONLY_STATES).history[STATES], use=Use.ONCE)
+        return "" if jnp.isfinite(rows).all() else explain_cycle(system, self.grid)
 
     def on(self, grid: AbstractGrid, integrator: AbstractIntegrator | None = None) -> "Simulation":
         """The same simulation on another grid, by another integrator if one is given."""
