@@ -156,7 +156,9 @@ def gait():
     grid = al.Grid(until="strike", at_most=1.5, steps=80, periodic=True)
 
     def one(hip):
-        record = simulation_of(Walker(hip), grid, None, None).record(Asked(frozenset({"stance_rate"}), multipliers=True))
+        record = simulation_of(Walker(hip), grid, None, None).record(
+            Asked(frozenset({"stance_rate"}), multipliers=True)
+        )
         return record.grid.t_final, record.history["stance_rate"][0], record.monodromy
 
     hips = np.linspace(8.5, 11.5, 50)

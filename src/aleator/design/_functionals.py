@@ -135,8 +135,7 @@ class FloquetMultiplier(AbstractFunctional):
     def refuse_on(self, grid: AbstractGrid) -> None:
         if not (isinstance(grid, Grid) and grid.periodic):
             raise ProblemError(
-                "al.floquet_multiplier() is that of a cycle: expected a grid that repeats, "
-                "al.Grid(..., periodic=True)."
+                "al.floquet_multiplier() is that of a cycle: expected a grid that repeats, al.Grid(..., periodic=True)."
             )
 
     @override

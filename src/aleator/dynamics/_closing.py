@@ -174,7 +174,9 @@ class _Cycle(NamedTuple):
             base, step, slopes, length = (
                 jnp.where(is_good, new, old)
                 for new, old in zip(
-                    (state.sought, step, slopes, length), (state.base, state.step, state.slopes, state.length), strict=True
+                    (state.sought, step, slopes, length),
+                    (state.base, state.step, state.slopes, state.length),
+                    strict=True,
                 )
             )
             damping = jnp.where(is_good, jnp.minimum(2 * state.damping, 1.0), state.damping / 4)
@@ -211,8 +213,8 @@ def _stilled(leaf: Any) -> Any:
 def _levels_along(
     system: System, grid: Grid, inputs: Inputs, rows: Float[Array, "instants states"]
 ) -> tuple[Float[Array, " instants"], Float[Array, " instants"], Float[Array, ""]]:
-    """The function of the event that ends a grid at its instants, its rates in a step, and about when the event happens,
-    without derivatives; NaN if it does not.
+    """The function of the event that ends a grid, at its instants; its rates in a step; and about when the event
+    happens, without derivatives, NaN if it does not.
     """
     assert grid.until is not None
     where, direction = list(system.declared_events).index(grid.until), system.declared_events[grid.until].direction
