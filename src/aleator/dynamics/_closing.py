@@ -1,8 +1,8 @@
 """Grids whose end or start is sought in each realisation: an event ends them, or they repeat.
 
 What is sought, the final time and the initial states of a cycle, solves equations at the last instant. It is found
-without derivatives. Passes over the grid then correct it by no more than rounding, and give its derivatives, one order
-each; the last one is the record. All of these are one loop, whose body is compiled once.
+without derivatives. Passes over the grid then correct it, and give its derivatives, one order each; the last one is the
+record. All of these are one loop, whose body is compiled once.
 """
 
 from collections.abc import Callable
@@ -39,7 +39,10 @@ def closed(record: Recorded, system: System, grid: Grid, inputs: Inputs, asked: 
 
     - `record`: that of an integrator; `inputs`: known on the whole grid, the system's own signals among them.
     """
-    closing = (_Cycle if grid.periodic else _Ending)(record, system, grid, inputs)
+    closing = _Ending(record, system, grid, inputs)
+    if grid.periodic:
+        assert isinstance(system, TracedSystem)
+        closing = _Cycle(record, system, grid, inputs)
     start, correct = closing.begun()
 
     def passed(state: tuple[Vector, Any], is_first: Array) -> tuple[tuple[Vector, Any], None]:
@@ -52,10 +55,10 @@ def closed(record: Recorded, system: System, grid: Grid, inputs: Inputs, asked: 
     zero, _ = nothing(start)
     shapes = jax.eval_shape(lambda: closing.over(start, asked._replace(states=True)).taken)
     taken = jax.tree.map(lambda one: zero + one, (start, zero, zeros(shapes)))
-    searches = np.arange(_PASSES + 1 + (not grid.periodic)) < (not grid.periodic)
+    searches = jnp.asarray(np.arange(_PASSES + 1 + (not grid.periodic)) < (not grid.periodic))
     (_, (sought, length, taken)), _ = jax.lax.scan(passed, (zero + start, taken), searches)
     sought, taken = jax.tree.map(lambda one: jnp.where(length <= CLOSE, one, jnp.nan), (sought, taken))
-    if asked.multipliers:
+    if asked.multipliers and isinstance(closing, _Cycle):
         taken = taken._replace(monodromy=closing.monodromy(sought))
     history = {name: values for name, values in taken.history.items() if asked.states or name != STATES}
     return taken._replace(history=history, grid=grid.ending(sought[-1]) if grid.until else grid)
@@ -83,10 +86,11 @@ class _Ending(NamedTuple):
     inputs: Inputs
 
     def begun(self) -> tuple[Float[Array, " 1"], Callable[[Vector], Vector]]:
-        """The latest end, and the correction for what is left: `over` divides by the rate."""
+        """The latest end, and the correction for what is left, which `over` has divided by the rate."""
         return jnp.asarray(self.grid.t_final)[None], lambda left: left
 
     def over(self, sought: Float[Array, " 1"], asked: Asked) -> _Pass:
+        """A pass with this final time."""
         grid = self.grid.ending(sought[0])
         taken = self.record(self.system, grid, self.inputs, asked)
         levels, rates, end = _levels_along(self.system, grid, self.inputs, taken.history[STATES])
@@ -96,8 +100,8 @@ class _Ending(NamedTuple):
 class _Newton(NamedTuple):
     """Where Newton's method is on its way to a cycle.
 
-    - `sought`: the point to try; `base`, `step`: the last good one, and the correction there; `length`: of it, relative;
-      `damping`: the part of it that is tried; `slopes`: the derivatives at the last good point.
+    - `sought`: the point to try; `base`, `step`: the last good one, and the correction there; `length`: of it,
+      relative; `damping`: the part of it that is tried; `slopes`: the derivatives at the last good point.
     """
 
     sought: Vector
@@ -106,7 +110,7 @@ class _Newton(NamedTuple):
     length: Float[Array, ""]
     damping: Float[Array, ""]
     slopes: Float[Array, "n n"]
-    count: Int[Array, ""]
+    tried: Int[Array, ""]
     goes_on: Bool[Array, ""]
 
 
@@ -121,6 +125,7 @@ class _Cycle(NamedTuple):
     inputs: Inputs
 
     def over(self, sought: Vector, asked: Asked) -> _Pass:
+        """A pass from these initial states, to this final time."""
         grid, until, inputs = self.grid, self.grid.until, self.inputs
         states = sought if until is None else sought[:-1]
         grid = grid if until is None else grid.ending(sought[-1])
@@ -169,7 +174,7 @@ class _Cycle(NamedTuple):
             slopes, (left, sizes, end, _) = still.slopes(state.sought)
             step = jnp.linalg.solve(slopes, left)
             length = jnp.max(jnp.abs(step) / jnp.where(sizes > 0, sizes, 1.0))
-            seeks = (state.count == 0) & until
+            seeks = (state.tried == 0) & until
             is_good = seeks | (length <= state.length)
             base, step, slopes, length = (
                 jnp.where(is_good, new, old)
@@ -181,7 +186,7 @@ class _Cycle(NamedTuple):
             )
             damping = jnp.where(is_good, jnp.minimum(2 * state.damping, 1.0), state.damping / 4)
             found = state.sought.at[-1].set(end) if until else state.sought
-            on = seeks | ((length > CLOSE) & (damping >= _LEAST) & (state.count < _MOST))
+            on = seeks | ((length > CLOSE) & (damping >= _LEAST) & (state.tried < _MOST))
             return _Newton(
                 jnp.where(seeks, found, base - damping * step),
                 base,
@@ -189,7 +194,7 @@ class _Cycle(NamedTuple):
                 jnp.where(seeks, jnp.inf, length),
                 jnp.where(seeks, 1.0, damping),
                 slopes,
-                state.count + 1,
+                state.tried + 1,
                 on,
             )
 
