@@ -410,7 +410,7 @@ def evaluate_traced(function: TracedFunction, *arguments: Pytree, use: Use = Use
     """The value of a traced function, whose constants may be other ones than those that it was compiled with."""
     constants, leaves = function.closed.consts, function.leaves(arguments)
     if any(isinstance(one, Tracer) for one in (*constants, *leaves)):
-        results = eval_jaxpr(function.closed.jaxpr, constants, *leaves)
+        results = function.within(constants, *leaves)
     else:
         results = _EVALUATED[use](function, constants, leaves)
     return eqx.combine(jax.tree.unflatten(function.results, results), function.rest)

@@ -121,7 +121,7 @@ def parts_of(
     points, fit = np.asarray(collocation.points), np.asarray(collocation.pseudo_inverse)
     grid, count = problem.grid, len(points)
     tangents = 1 + problem.placements.size
-    whole = not (problem.is_integrated and isinstance(grid, Grid)) or constants.scenarios is not None
+    whole = not problem.is_integrated or constants.scenarios is not None
     if whole or count < 2 * _FEWEST_POINTS or count * grid.steps * tangents < _FEWEST_NUMBERS:
         return [(points, fit)]
     number = min(max(2, count // _POINTS_OF_A_PART), _MOST_PARTS)
