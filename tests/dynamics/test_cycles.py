@@ -198,7 +198,7 @@ def test_what_has_no_meaning_with_cycles_is_refused_where_it_is_declared():
         al.Problem(VanDerPol(mu=al.Decision(1.0)), grid=al.Grid(1.0, 4), minimize=al.floquet_multiplier().mean)
     with pytest.raises(al.ProblemError, match="Grid: periodic: expected True or False"):
         al.Grid(1.0, 4, periodic=1)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(al.ProblemError, match="Phase: .*does not repeat"):
+    with pytest.raises(al.ProblemError, match=r"Phase: .*does not repeat"):
         al.Phase(Forced(), al.Grid(1.0, 4, periodic=True))
     problem = al.Problem(
         Forced(c=al.Decision(0.2, 0.1, 0.3)), grid=al.Grid(1.0, 4, periodic=True), minimize=al.initial("x").mean
