@@ -60,7 +60,10 @@ def test_derivatives_of_a_period_are_those_of_central_differences_to_second_orde
 def test_the_multiplier_of_a_cycle_is_the_exponential_of_its_divergence():
     # Liouville: the multipliers' product is exp(∫ div dt), and that along the cycle, 1, does not count.
     asked = Asked(
-        frozenset(), integrands=(lambda now: now["divergence"],), integrated=frozenset({"divergence"}), multipliers=True
+        frozenset(),
+        integrands=(lambda now: now["divergence"],),
+        integrated=(frozenset({"divergence"}),),
+        multipliers=True,
     )
     grid = al.Grid(until="crest", at_most=10.0, steps=1600, periodic=True)
     record = jax.jit(lambda mu: simulation_of(VanDerPol(mu), grid, None, None).record(asked)._replace(grid=None))(1.0)
