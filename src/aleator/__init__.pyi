@@ -43,6 +43,8 @@ from .design import at as at
 from .design import correlation as correlation
 from .design import covariance as covariance
 from .design import deterministic as deterministic
+from .design import floquet_multiplier as floquet_multiplier
+from .design import initial as initial
 from .design import integral as integral
 from .design import output as output
 from .design import path as path

@@ -271,9 +271,25 @@ def test_what_has_no_simulation_is_nan_and_said_in_a_sentence_with_the_numbers()
 def test_events_that_nothing_can_look_for_are_refused():
     with pytest.raises(al.ProblemError, match=r"no event 'grond'.*Did you mean 'ground'"):
         al.simulate(Shot(), al.Grid(until="grond", at_most=1.0, steps=4))
-    for system, grid in ((Ball(), al.Grid(1.0, 4)), (Shot(), LANDED)):
-        with pytest.raises(al.ProblemError, match=r"Tsit5 does not look for its event.*RungeKutta4"):
-            al.simulate(system, grid, integrator=al.integrators.Tsit5())
+    with pytest.raises(al.ProblemError, match=r"Tsit5 does not look for its event.*RungeKutta4"):
+        al.simulate(Ball(), al.Grid(1.0, 4), integrator=al.integrators.Tsit5())
+
+
+@pytest.mark.parametrize(
+    "integrator", [al.integrators.Tsit5(), al.integrators.Kvaerno5()], ids=lambda one: type(one).__name__
+)
+def test_an_adaptive_integrator_ends_at_an_event_with_the_derivatives_of_the_closed_form(integrator):
+    def simulated(angle):
+        return al.simulate(Shot(20.0, angle), al.Grid(until="ground", at_most=4.0, steps=4), integrator=integrator)
+
+    def ranged(angle):
+        return simulated(angle)["x"][-1]
+
+    assert float(simulated(0.7)["time"][-1]) == pytest.approx(40 * np.sin(0.7) / G, rel=1e-10)
+    assert float(ranged(0.7)) == pytest.approx(400 * np.sin(1.4) / G, rel=1e-10)
+    assert float(jax.jacfwd(ranged)(0.7)) == pytest.approx(800 * np.cos(1.4) / G, rel=1e-8)
+    with pytest.warns(al.SimulationWarning, match=r"angle=0.7.*never meets 'ground'"):
+        al.simulate(Shot(20.0, 0.7), al.Grid(until="ground", at_most=1.0, steps=4), integrator=integrator)
 
 
 def declaring(*event, **fields):

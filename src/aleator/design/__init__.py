@@ -16,6 +16,8 @@ from aleator.design._functionals import Terminal as Terminal
 from aleator.design._functionals import at as at
 from aleator.design._functionals import events_of as events_of
 from aleator.design._functionals import expanded_functionals as expanded_functionals
+from aleator.design._functionals import floquet_multiplier as floquet_multiplier
+from aleator.design._functionals import initial as initial
 from aleator.design._functionals import integral as integral
 from aleator.design._functionals import is_over_time as is_over_time
 from aleator.design._functionals import output as output

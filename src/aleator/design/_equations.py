@@ -207,7 +207,7 @@ class _ShapeScope(AbstractScope):
             )
         first = {name: one[0] for name, one in self._outputs.items()}
         events = {name: Occurrence(jnp.ones(()), first) for name in events_of([functional])}
-        taken = Taken(self._outputs, integrals, events)
+        taken = Taken(self._outputs, integrals, events, jnp.ones((1, 1)))
         who = f"{type(functional).__name__}.evaluate"
         value = traceable(who, called(functional, functional.evaluate, taken, self._grid.of(functional.place)))
         if functional.is_path and value.shape[:1] != (instants := len(self._outputs[functional.output]),):

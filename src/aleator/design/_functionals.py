@@ -11,6 +11,7 @@ from jaxtyping import Array
 from typing_extensions import override
 
 from aleator._core.border import a_name
+from aleator._core.errors import ProblemError
 from aleator.design._expression import Constraint, Expression
 from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, statistics_in
 from aleator.dynamics import AbstractGrid, Grid, phase_of
@@ -94,6 +95,55 @@ class Terminal(AbstractFunctional):
     @override
     def text(self) -> str:
         return f"{self.output}(t_f)"
+
+
+@final
+class Initial(AbstractFunctional):
+    """An output at the first instant."""
+
+    order = INTEGRATED
+
+    @override
+    def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
+        del grid
+        return taken.history[self.output][0]
+
+    @override
+    def text(self) -> str:
+        return f"{self.output}(t_0)"
+
+
+@final
+class FloquetMultiplier(AbstractFunctional):
+    """The largest magnitude of the eigenvalues of a cycle's monodromy matrix."""
+
+    order = INTEGRATED
+
+    @property
+    @override
+    def output(self) -> str:
+        return self.text()
+
+    @override
+    def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
+        del grid
+        return jnp.max(jnp.abs(jnp.linalg.eigvals(taken.monodromy)))
+
+    @override
+    def reach(self, peaks: Mapping[str, Array], grid: AbstractGrid) -> Array:
+        del peaks, grid
+        return jnp.ones(())
+
+    @override
+    def refuse_on(self, grid: AbstractGrid) -> None:
+        if not (isinstance(grid, Grid) and grid.periodic):
+            raise ProblemError(
+                "al.floquet_multiplier() is that of a cycle: expected a grid that repeats, al.Grid(..., periodic=True)."
+            )
+
+    @override
+    def text(self) -> str:
+        return "max|λ|"
 
 
 @final
@@ -191,6 +241,23 @@ def integral(output: str, phase: str | None = None) -> Integral:
 def rms(output: str, phase: str | None = None) -> Rms:
     """The root mean square of an output over the grid, or over a phase, by default the last."""
     return _over(Rms((output,)), phase)
+
+
+def initial(output: str, phase: str | None = None) -> Initial:
+    """An output at the first instant, such as where the cycle of a grid with `periodic=True` begins; or at that of a
+    phase, by default the last.
+    """
+    return _over(Initial((output,)), phase)
+
+
+def floquet_multiplier() -> FloquetMultiplier:
+    """The largest factor by which a small deviation from a cycle grows in one period: it decays if this is below 1.
+
+    The largest magnitude of the eigenvalues of the monodromy matrix, the derivatives of the states after one cycle by
+    those before it. Where an event ends the cycle, the matrix is that from event to event, which does not see a shift
+    in time. Differentiable once, where one eigenvalue (or conjugate pair) is largest.
+    """
+    return FloquetMultiplier(())
 
 
 def terminal(output: str, phase: str | None = None) -> Terminal:

@@ -17,7 +17,7 @@ from aleator._core.equations import Digest
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, Printed
 from aleator.design._expression import Constraint, Expression
-from aleator.design._functionals import AbstractIntegral, At, events_of
+from aleator.design._functionals import AbstractIntegral, At, FloquetMultiplier, events_of
 from aleator.design._scope import AbstractScopeOfInstants, Value
 from aleator.design._statistic import AbstractFunctional, Statistic, Taken, functionals_of, numbers_of
 from aleator.dynamics import (
@@ -208,13 +208,15 @@ def asked_for(functionals: tuple[AbstractFunctional, ...]) -> Asked:
         integrated=tuple(_outputs([one]) for one in integrals),
         events=events_of(functionals),
         at_events=_outputs(one for one in functionals if isinstance(one, At)),
+        multipliers=any(isinstance(one, FloquetMultiplier) for one in functionals),
     )
 
 
 def taken_from(record: Record, functionals: tuple[AbstractFunctional, ...]) -> Taken:
     """The data for functionals in a record of what is `asked_for` them."""
     integrals = (one for one in functionals if isinstance(one, AbstractIntegral))
-    return Taken(record.history, dict(zip(integrals, record.integrals, strict=True)), record.events or {})
+    integrated = dict(zip(integrals, record.integrals, strict=True))
+    return Taken(record.history, integrated, record.events or {}, record.monodromy)
 
 
 def _outputs(functionals: Iterable[AbstractFunctional]) -> frozenset[str]:

@@ -228,13 +228,14 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
 
 
 class Taken(NamedTuple):
-    """The data of one realisation for functionals: its outputs over time, the integrals that they need, and the first
-    occurrence of each event that they name.
+    """The data of one realisation for functionals: its outputs over time, the integrals that they need, the first
+    occurrence of each event that they name, and the monodromy matrix of a cycle.
     """
 
     history: History
     integrals: Mapping[AbstractFunctional, Float[Array, "..."]]
     events: Mapping[str, Occurrence] = MappingProxyType({})
+    monodromy: Any = ()
 
 
 @final

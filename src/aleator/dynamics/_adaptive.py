@@ -24,6 +24,7 @@ from aleator.dynamics._evaluation import (
     initial_state,
     variables_of,
 )
+from aleator.dynamics._explained import explain_end
 from aleator.dynamics._grid import Grid, Inputs, inputs_on
 from aleator.dynamics._integrators import AbstractIntegrator, on_grid
 from aleator.dynamics._record import Asked, Record, zeros
@@ -188,7 +189,7 @@ class AbstractAdaptive(AbstractIntegrator):
             lambda: self._course(system, grid, inputs, Asked(frozenset())), use=Use.ONCE
         )
         if np.all(np.asarray(shares) == 1.0):
-            return super().explain(system, grid, inputs, events)
+            return super().explain(system, grid, inputs, events) or explain_end(system, grid)
         name, now = type(self).__name__, inputs_on(grid, inputs)
         reached, last = float(grid.t_start + np.asarray(shares) @ np.asarray(steps.h)), float(grid.t_final)
         states, named = ravel_pytree(initial_state(system, grid.times[0], now(grid.times[0])))

@@ -1,4 +1,4 @@
-"""Events of a realisation: steps that end where a function crosses zero, and grids that do.
+"""Events of a realisation: steps that end where a function crosses zero.
 
 A step that meets an event is divided: up to the event, the jump, and the rest, which may meet others. Where the event
 is follows first from cubic Hermite interpolation of the function, without derivatives, then from corrections by the
@@ -20,24 +20,21 @@ from aleator._core.equations import as_time
 from aleator.dynamics._evaluation import (
     after_events,
     completed,
-    derivative,
     event_levels,
     initial_state,
     observation,
     variables_of,
 )
-from aleator.dynamics._grid import Grid, Inputs, inputs_on
-from aleator.dynamics._record import STATES, Asked, Occurrence, Record, zeros
+from aleator.dynamics._grid import Grid, Inputs
+from aleator.dynamics._record import Asked, Occurrence, Record, zeros
 from aleator.dynamics._steps import Steps, signals_within, steps_of
 from aleator.dynamics._system import System, state_type
 from aleator.dynamics._tableaux import Tableau, square
 
 # Halvings of a step in which an event is sought, and corrections of its time after that.
 _HALVED, _CORRECTIONS = 20, 4
-# Passes that correct the end of a grid.
-_PASSES = 5
 # A correction that is a smaller part of a step, or of the time, is rounding. Sides of zero look ahead by as much.
-_CLOSE = 1e-9
+CLOSE = 1e-9
 # A jump that leaves a smaller part of the rate of an event leaves it where it is.
 _LEAST = 1e-6
 # The most events in one step.
@@ -145,14 +142,14 @@ def course(
 
         functions = _Functions(rates, levels, after, signals)
         outputs = asked.at_instant(system, step.t, states_of(vector), step.first)
-        zero, none = _nothing(vector)
+        zero, none = nothing(vector)
         begin = _State(vector, zero, zero + 1, none, none, zero, none + _MOST, fault.kind == 0, seen, fault)
         end = jax.lax.while_loop(
             lambda state: state.goes_on, lambda state: _moved(tableau, step, functions, directions, state), begin
         )
         return (end.vector, end.seen, end.fault), outputs
 
-    zero, none = _nothing(vector)
+    zero, none = nothing(vector)
     signals = {name: zero + jnp.full((len(names), *jnp.shape(one)), jnp.nan) for name, one in now.items()}
     seen = Seen(zero + jnp.full(len(names), jnp.nan), zero + jnp.full((len(names), size), jnp.nan), signals)
     fault = Fault(none, none, zero + jnp.nan)
@@ -183,18 +180,18 @@ def _moved(
 
     ends = jnp.stack([begin, target]), jnp.stack([vector, end]), jnp.stack(slopes)
     (level, level_at), (rate, rate_at) = jax.vmap(level_and_rate)(*ends)
-    side, crosses = _crosses(level, rate, level_at, rate_at, directions)
-    parts = jnp.where(crosses, _crossing(side, level, length * rate, level_at, length * rate_at), jnp.inf)
+    side, crosses = crosses_zero(level, rate, level_at, rate_at, directions)
+    parts = jnp.where(crosses, crossing_of(side, level, length * rate, level_at, length * rate_at), jnp.inf)
     is_whole, lands, meets = state.phase == 0, state.phase == _CORRECTIONS + 1, crosses.any()
     event = jnp.where(is_whole, jnp.argmin(parts), state.event)
     correction, place = level_at[event] / rate_at[event], begin + parts[event] * length
     t = step.t + target * step.h
 
     # Before the step: at an event from the start, or still at the last one. After it: not at the event, or at another.
-    stood = _is_near(level, rate) & (directions * rate > 0)
-    stays = (jnp.abs(level) <= _CLOSE * state.speed) & ~(jnp.abs(rate) > _LEAST * state.speed)
-    is_off = ~(jnp.abs(correction) <= _CLOSE) | (target < begin - _CLOSE) | (target > 1 + _CLOSE)
-    heads = _is_near(level_at, rate_at) & ((directions == 0) | (directions * rate_at > 0))
+    stood = is_near(level, rate) & (directions * rate > 0)
+    stays = (jnp.abs(level) <= CLOSE * state.speed) & ~(jnp.abs(rate) > _LEAST * state.speed)
+    is_off = ~(jnp.abs(correction) <= CLOSE) | (target < begin - CLOSE) | (target > 1 + CLOSE)
+    heads = is_near(level_at, rate_at) & ((directions == 0) | (directions * rate_at > 0))
     is_fresh = state.left == _MOST
     kind = jnp.select(
         [
@@ -232,24 +229,24 @@ def _moved(
     )
 
 
-def _crosses(
+def crosses_zero(
     level: Array, rate: Array, level_at: Array, rate_at: Array, directions: Any
 ) -> tuple[Bool[Array, " n"], Bool[Array, " n"]]:
     """On which side of zero levels begin, and whether they end on the other one, in a direction that counts.
 
     - `rate`: in a step. The side is that of a moment later: so a start on the ground is no landing.
     """
-    side, side_at = level + _CLOSE * rate >= 0, level_at + _CLOSE * rate_at >= 0
+    side, side_at = level + CLOSE * rate >= 0, level_at + CLOSE * rate_at >= 0
     counts = (directions == 0) | (directions == jnp.where(side_at, 1, -1))
     return side, (side != side_at) & counts & jnp.isfinite(level_at)
 
 
-def _is_near(level: Array, rate: Array) -> Array:
+def is_near(level: Array, rate: Array) -> Array:
     """Whether levels are zero up to rounding."""
-    return jnp.abs(level) <= _CLOSE * jnp.abs(rate)
+    return jnp.abs(level) <= CLOSE * jnp.abs(rate)
 
 
-def _crossing(side: Array, level: Array, rise: Array, level_at: Array, rise_at: Array) -> Array:
+def crossing_of(side: Array, level: Array, rise: Array, level_at: Array, rise_at: Array) -> Array:
     """Where levels that end on the other `side` of zero in an interval cross it, as a part of it: without derivatives.
 
     By cubic Hermite interpolation, which is as accurate as a step of fourth order. `rise`: the rates by this part.
@@ -284,7 +281,7 @@ def _run(
     return vector + share * (couplings[-1] @ stages), stages[0], stages[-1]
 
 
-def _nothing(vector: Vector) -> tuple[Float[Array, ""], Int[Array, ""]]:
+def nothing(vector: Vector) -> tuple[Float[Array, ""], Int[Array, ""]]:
     """Zeros that follow from a vector: JAX differentiates and vectorises a loop once more for each state that joins."""
     zero = jnp.where(False, vector[0], 0.0)
     return zero, (zero != 0).astype(int)
@@ -302,52 +299,3 @@ def watched(system: System, grid: Grid, events: frozenset[str]) -> tuple[str, ..
 def needed(system: System, grid: Grid, events: frozenset[str]) -> tuple[str, ...]:
     """The same with the event that ends the grid, last."""
     return (*watched(system, grid, events), *([] if grid.until is None else [grid.until]))
-
-
-def ended(
-    record: Callable[[System, Grid, Inputs, Asked], Record], system: System, grid: Grid, inputs: Inputs, asked: Asked
-) -> Record:
-    """The record of a realisation that ends at the event `until`, with its grid; NaN where that does not happen.
-
-    - `record`: that of an integrator; `inputs`: known on the whole grid, the system's own signals among them.
-
-    A first pass on the whole grid tells about when the event happens, without derivatives. Passes over the grid that
-    ends there correct the time, so that the function of the event vanishes at the last instant to rounding; the last
-    one is the record. All are one loop, whose body is compiled once.
-    """
-    assert grid.until is not None
-    where, direction = list(system.declared_events).index(grid.until), system.declared_events[grid.until].direction
-    first, named = ravel_pytree(initial_state(system, grid.t_start, inputs_on(grid, inputs)(grid.t_start)))
-    zero, _ = _nothing(first)
-
-    def recorded(end: Array) -> Record:
-        return record(system, grid.ending(end), inputs, asked._replace(states=True))
-
-    def passed(state: tuple[Array, Any], is_first: Array) -> tuple[tuple[Array, Any], None]:
-        end, _ = state
-        one, taken = grid.ending(end), recorded(end)
-        now = inputs_on(one, inputs)
-
-        def level_and_rate(t: Array, row: Vector) -> tuple[Array, Array]:
-            z, u = named(row), now(t)
-            slopes = jnp.ones(()), derivative(system, t, z, u)
-            return jax.jvp(lambda t, z: event_levels(system, t, z, now(t))[where], (t, z), slopes)
-
-        level, rate = jax.vmap(level_and_rate)(one.times, taken.history[STATES])
-        rate = rate * jnp.asarray(one.step)  # in a step, as elsewhere
-        known = level[:-1], rate[:-1], level[1:], rate[1:]
-        side, crosses = _crosses(*known, direction)
-        stood = _is_near(level[0], rate[0]) & (direction * rate[0] > 0)
-        part = _crossing(side, *known)
-        k = jnp.argmax(crosses)
-        sought = jnp.where(crosses.any() & ~stood, one.times[k] + part[k] * stop_gradient(one.step), jnp.nan)
-        correction = level[-1] / rate[-1] * one.step
-        return (jnp.where(is_first, stop_gradient(sought), end - correction), (end, correction, taken)), None
-
-    nothing = jax.tree.map(lambda one: zero + one, (zero, zero, zeros(jax.eval_shape(recorded, zero))))
-    is_first = np.arange(2 + _PASSES) == 0
-    (_, (t_final, correction, taken)), _ = jax.lax.scan(passed, (zero + grid.t_final, nothing), is_first)
-    is_close = jnp.abs(correction) <= _CLOSE * (t_final - grid.t_start)
-    t_final, taken = jax.tree.map(lambda one: jnp.where(is_close, one, jnp.nan), (t_final, taken))
-    history = {name: values for name, values in taken.history.items() if asked.states or name != STATES}
-    return taken._replace(history=history, grid=grid.ending(t_final))

@@ -1,9 +1,9 @@
-"""Why an event that is needed is not found in a realisation."""
+"""Why an event that is needed is not found in a realisation, or a cycle does not close."""
 
 import numpy as np
 
 from aleator._core.compilation import Use, evaluate
-from aleator.dynamics._crossings import AT_START, LOST, MANY, STAYS, TOGETHER, course, needed
+from aleator.dynamics._crossings import AT_START, LOST, MANY, STAYS, TOGETHER, course, needed, watched
 from aleator.dynamics._grid import Grid, Inputs
 from aleator.dynamics._newton import listed, numbers_in
 from aleator.dynamics._record import Asked
@@ -13,27 +13,49 @@ from aleator.dynamics._tableaux import Tableau
 
 def explain_events(tableau: Tableau, system: System, grid: Grid, inputs: Inputs, events: frozenset[str]) -> str:
     """Why an event that is needed is not found in a realisation, with its numbers; empty if all are."""
-    names = needed(system, grid, events)
+    # The guess of a cycle stands on the event.
+    names = watched(system, grid, events) if grid.periodic else needed(system, grid, events)
     if not names:
         return ""
     one = evaluate(lambda: course(tableau, system, grid, inputs, Asked(frozenset()), names), use=Use.ONCE)
-    numbers = listed(numbers_in(system))
-    who = f"{system.title}{f' with {numbers}' if numbers else ''}"
+    who = _named(system)
     fault, times = one.fault, dict(zip(names, np.asarray(one.seen.t).tolist(), strict=True))
     end = times.get(grid.until or "", float(grid.t_final))
     if int(fault.kind) > 0 and not float(fault.t) > end:
         return f"{who} {_FAULTS[int(fault.kind)].format(name=names[int(fault.event)], t=float(fault.t))}"
     if np.isnan(end):
-        return (
-            f"{who} never meets '{grid.until}', at which its grid ends, from {float(grid.t_start):.4g} to "
-            f"{float(grid.t_final):.4g} s: raise at_most, or bound the distributions and decisions that lead past it."
-        )
+        return explain_end(system, grid)
     if missing := [name for name in names if name in events and not times[name] <= end]:
         return (
             f"{who} never meets '{missing[0]}', which is asked for by al.at, from {float(grid.t_start):.4g} to "
             f"{end:.4g} s."
         )
     return ""
+
+
+def explain_end(system: System, grid: Grid) -> str:
+    """That the event that ends a grid is not met, with the numbers of the realisation; empty if none ends it."""
+    if grid.until is None or grid.periodic:
+        return ""
+    return (
+        f"{_named(system)} never meets '{grid.until}', at which its grid ends, from {float(grid.t_start):.4g} to "
+        f"{float(grid.t_final):.4g} s: raise at_most, or bound the distributions and decisions that lead past it."
+    )
+
+
+def explain_cycle(system: System, grid: Grid) -> str:
+    """That a cycle does not close, with the numbers of the realisation."""
+    event = "" if grid.until is None else f" after '{grid.until}', which it meets by t = {float(grid.t_final):.4g} s"
+    return (
+        f"{_named(system)} does not close its cycle: from the values of initial(), Newton's method finds no states to "
+        f"which it returns{event}. Return values closer to those of a cycle, on the event or just behind it, from "
+        "initial(), or bound the distributions and decisions that lead where none is."
+    )
+
+
+def _named(system: System) -> str:
+    numbers = listed(numbers_in(system))
+    return f"{system.title}{f' with {numbers}' if numbers else ''}"
 
 
 _FAULTS = {

@@ -77,6 +77,9 @@ class Grid(AbstractGrid):
     system, at the latest at `at_most`, s: the instants of a realisation divide its own time into equal steps.
     Trajectories are stretched from `t_start` to `at_most`, and so are the same functions of time in all realisations.
 
+    With `periodic=True` each realisation repeats: its states at the end, after the jump of the event there, are those
+    at the start, which are sought by Newton's method from those of `initial()`.
+
     Raises `ProblemError` for times that are not finite or not in order, and for a final time beside `until`.
     """
 
@@ -85,6 +88,7 @@ class Grid(AbstractGrid):
     t_start: Scalar
     until: str | None = eqx.field(static=True)
     at_most: float | None = eqx.field(static=True)
+    periodic: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -94,7 +98,11 @@ class Grid(AbstractGrid):
         *,
         until: str | None = None,
         at_most: float | None = None,
+        periodic: bool = False,
     ):
+        if not isinstance(periodic, bool):
+            raise refusal("Grid: periodic", "True or False", periodic)
+        self.periodic = periodic
         if until is not None or at_most is not None:
             at_most = t_final = _latest(t_final, until, at_most)
         self.until, self.at_most, self.steps = until, at_most, _steps(steps)

@@ -19,7 +19,7 @@ from aleator._core.compilation import Use, evaluate
 from aleator._core.equations import as_time
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
-from aleator.dynamics._crossings import course, ended, needed, watched
+from aleator.dynamics._crossings import course, watched
 from aleator.dynamics._equations import TracedSystem
 from aleator.dynamics._evaluation import completed, derivative, explain_algebraic, initial_state
 from aleator.dynamics._explained import explain_events
@@ -47,8 +47,10 @@ class AbstractIntegrator(Module):
         """
 
     def check_events(self, system: System, grid: Grid, events: frozenset[str]) -> None:
-        """Raise `ProblemError` if steps have to end at events, those asked for among them, and it looks for none."""
-        if names := needed(system, grid, events):
+        """Raise `ProblemError` if steps have to end at events, those asked for among them, and it looks for none: any
+        integrator reaches the event that ends a grid.
+        """
+        if names := watched(system, grid, events):
             raise ProblemError(
                 f"{system.title}: {type(self).__name__} does not look for its event '{names[0]}', which needs fixed "
                 "steps: use al.integrators.RungeKutta4(), the default."
@@ -81,10 +83,6 @@ class AbstractFixedStep(AbstractIntegrator):
     @override
     def check_events(self, system: System, grid: Grid, events: frozenset[str]) -> None:
         """Its steps end at all events."""
-
-    def ended(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
-        """The record of one realised system that ends at its event `grid.until`; NaN if this does not happen."""
-        return ended(self.record, system, grid, inputs, asked)
 
     @override
     def explain(self, system: System, grid: Grid, inputs: Inputs, events: frozenset[str] = frozenset()) -> str:

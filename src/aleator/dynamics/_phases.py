@@ -44,6 +44,11 @@ class Phase:
     ):
         self.system = one_of("Phase: system", system, System)
         self.grid = one_of("Phase: grid", grid, Grid, "al.Grid(10.0, 40)")
+        if grid.periodic:
+            raise ProblemError(
+                "Phase: a phase begins where the one before it ends, so that it does not repeat: expected a grid "
+                "without periodic=True. Let one system with events repeat instead."
+            )
         if not isinstance(inputs, Mapping | None):
             raise refusal("Phase: inputs", "signals by name, such as {'thrust': ...}", inputs)
         self.inputs, self.subject_to = dict(inputs or {}), subject_to

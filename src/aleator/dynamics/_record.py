@@ -43,7 +43,7 @@ class Asked(NamedTuple):
     - `states`: whether to record the states too, side by side, as `STATES`;
     - `fold`: what is made of the outputs at every instant instead of keeping them, where `Simulation.folds`;
     - `events`: those whose first occurrence is needed, without which nothing is known of a realisation; `at_events`:
-      the outputs at these;
+      the outputs at these; `multipliers`: whether the monodromy matrix of a cycle is;
     - `course`: the states, side by side, from which each of so many equal parts of the time is simulated; None for one
       simulation from the first instant. Integrators are asked for one part at a time.
     """
@@ -57,6 +57,7 @@ class Asked(NamedTuple):
     course: Float[Array, "parts states"] | None = None
     events: frozenset[str] = frozenset()
     at_events: frozenset[str] = frozenset()
+    multipliers: bool = False
 
     @property
     def outputs(self) -> frozenset[str] | None:
@@ -133,7 +134,8 @@ class Record(NamedTuple):
     - `history`: outputs at every instant, shape (instants, ...); `nodes`: outputs at every instant and at the midpoint
       of every step, shape (2 steps + 1, ...);
     - `integrals`: in the order of the integrands; `folded`: what a fold carried to the last instant;
-    - `events`: the first occurrence of each event asked for; `grid`: of the realisation.
+    - `events`: the first occurrence of each event asked for; `grid`: of the realisation; `monodromy`: the derivatives
+      of the states after one cycle by those before it.
     """
 
     history: History
@@ -142,6 +144,7 @@ class Record(NamedTuple):
     folded: Any = ()
     events: dict[str, Occurrence] | None = None
     grid: Any = None
+    monodromy: Any = ()
 
     @property
     def outputs(self) -> History:

@@ -19,8 +19,10 @@ from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractPlanned, is_leaf, named_leaves, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, explain_failure
+from aleator.dynamics._closing import closed
 from aleator.dynamics._equations import Equations, Start, TracedSystem
 from aleator.dynamics._evaluation import initial_state
+from aleator.dynamics._explained import explain_cycle
 from aleator.dynamics._extended import AbstractExtended
 from aleator.dynamics._grid import AbstractGrid, Grid, Inputs, Instant, check_signals, sampled
 from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator, RungeKutta4
@@ -123,14 +125,15 @@ class Simulation(AbstractPlanned):
             return self._in_parts(system, grid, inputs, asked, asked.course)._replace(grid=grid)
         if not system.states:
             return observed(system, grid, inputs, asked)._replace(grid=grid)
-        if grid.until is None:
+        if grid.until is None and not grid.periodic:
             return self.integrator.record(system, grid, inputs, asked)._replace(grid=grid)
-        assert isinstance(self.integrator, AbstractFixedStep)
-        if grid.until not in asked.events:
-            return self.integrator.ended(system, grid, inputs, asked)
+        if grid.periodic and self.equations is None:
+            return self.declared().record(asked)
+        if grid.until is None or grid.until not in asked.events:
+            return closed(self.integrator.record, system, grid, inputs, asked)
         # The event that ends the grid is at its end.
         instants = None if asked.instants is None else asked.instants | asked.at_events
-        record = self.integrator.ended(system, grid, inputs, asked._replace(instants=instants))
+        record = closed(self.integrator.record, system, grid, inputs, asked._replace(instants=instants))
         end = Occurrence(record.grid.t_final, {name: values[-1] for name, values in record.history.items()})
         return record._replace(events={**(record.events or {}), grid.until: end})
 
@@ -192,7 +195,7 @@ class Simulation(AbstractPlanned):
     def folds(self) -> bool:
         """Whether outputs can be folded instant by instant while they are simulated (see `Asked`)."""
         system, grid = self.system, self.grid
-        if not (isinstance(system, System) and system.states and isinstance(grid, Grid) and grid.until is None):
+        if not (isinstance(system, System) and system.states and isinstance(grid, Grid)) or grid.until or grid.periodic:
             return False
         return isinstance(self.integrator, AbstractFixedStep) and self._parts(grid) == 1
 
@@ -233,7 +236,11 @@ class Simulation(AbstractPlanned):
             return explain_failure(system)
         if not (isinstance(system, System) and isinstance(self.grid, Grid) and system.states):
             return ""
-        return self.integrator.explain(system, self.grid, self.signals(system), events)
+        why = self.integrator.explain(system, self.grid, self.signals(system), events)
+        if why or not self.grid.periodic:
+            return why
+        rows = evaluate(lambda: self.record(ONLY_STATES).history[STATES], use=Use.ONCE)
+        return "" if jnp.isfinite(rows).all() else explain_cycle(system, self.grid)
 
     def _explain_phases(self, events: frozenset[str]) -> str:
         """The same of the first phase that has no solution."""

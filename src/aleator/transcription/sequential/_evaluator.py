@@ -17,7 +17,8 @@ from jaxtyping import Array, Bool, Float, Int
 from aleator._core.arrays import jax_array
 from aleator._core.compilation import Compiled, Use
 from aleator._core.parallel import over_devices
-from aleator.design import AbstractFunctional, Expression, Problem, functionals_of, grid_at
+from aleator.design import AbstractFunctional, Expression, Problem, functionals_of, grid_at, needed_events
+from aleator.dynamics import Grid
 from aleator.expansion import Collocation
 from aleator.nlp import Evaluation
 from aleator.statistics import Constants
@@ -240,8 +241,15 @@ def _points_together(
 
 
 def use_of(problem: Problem, *_: Any) -> Use:
-    """The use of programs that simulate a problem: loops over time, or equations of every instant by itself."""
-    return Use.LOOPS if problem.is_integrated else Use.BRIEF
+    """The use of programs that simulate a problem: loops over time, or equations of every instant by itself.
+
+    Where events divide steps, or a grid repeats, a step has many equations of single numbers: full optimisation takes
+    longer than it saves, and for the derivatives of a monodromy matrix it takes minutes.
+    """
+    if not problem.is_integrated:
+        return Use.BRIEF
+    is_sought = bool(needed_events(problem)) or (isinstance(problem.grid, Grid) and problem.grid.periodic)
+    return Use.ONCE if is_sought else Use.LOOPS
 
 
 EVALUATE = Compiled(_evaluate, use=use_of)

@@ -129,6 +129,11 @@ class Simultaneous(AbstractTranscription):
                 f"al.Simultaneous ties states at fixed shares of the time: it has no place for the event '{names[0]}' "
                 f"of {type(problem.system).__name__}. Use al.Sequential(), the default."
             )
+        if isinstance(problem.grid, Grid) and problem.grid.periodic:
+            raise ProblemError(
+                "al.Simultaneous starts from known states, and those of a cycle are sought in each realisation. Use "
+                "al.Sequential(), the default."
+            )
         mesh = self._first_mesh(problem)
         discretisation, traced = discretised(problem), numbers_to_arrays(problem)
         scenarios = first_scenarios(problem, np.asarray(discretisation.collocation.points))

@@ -1,0 +1,244 @@
+"""Grids whose end or start is sought in each realisation: an event ends them, or they repeat.
+
+What is sought, the final time and the initial states of a cycle, solves equations at the last instant. It is found
+without derivatives. Passes over the grid then correct it, and give its derivatives, one order each; the last one is the
+record. All of these are one loop, whose body is compiled once.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float, Int
+
+from aleator.dynamics._crossings import CLOSE, crosses_zero, crossing_of, is_near, nothing
+from aleator.dynamics._equations import TracedSystem
+from aleator.dynamics._evaluation import after_events, derivative, event_levels, initial_state
+from aleator.dynamics._grid import Grid, Inputs, inputs_on
+from aleator.dynamics._record import ONLY_STATES, STATES, Asked, Record, zeros
+from aleator.dynamics._system import System
+
+# Passes that correct what is sought, those before the record.
+_PASSES = 5
+# Steps of Newton's method towards a cycle at most, and the shortest part of one that is tried.
+_MOST, _LEAST = 60, 2.0**-8
+# The shortest period, as a part of the time until the latest end. An event before that is the one at the start.
+_SHORTEST = 0.05
+
+Vector = Float[Array, " n"]
+Recorded = Callable[[System, Grid, Inputs, Asked], Record]
+
+
+def closed(record: Recorded, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
+    """The record of a realisation that ends at the event `until`, or repeats, with its grid; NaN where it does not.
+
+    - `record`: that of an integrator; `inputs`: known on the whole grid, the system's own signals among them.
+    """
+    closing = _Ending(record, system, grid, inputs)
+    if grid.periodic:
+        assert isinstance(system, TracedSystem)
+        closing = _Cycle(record, system, grid, inputs)
+    start, correct = closing.begun()
+
+    def passed(state: tuple[Vector, Any], is_first: Array) -> tuple[tuple[Vector, Any], None]:
+        sought, _ = state
+        left, sizes, end, taken = closing.over(sought, asked._replace(states=True))
+        correction = correct(left)
+        length = stop_gradient(jnp.max(jnp.abs(correction) / jnp.where(sizes > 0, sizes, 1.0)))
+        return (jnp.where(is_first, end, sought - correction), (sought, length, taken)), None
+
+    zero, _ = nothing(start)
+    shapes = jax.eval_shape(lambda: closing.over(start, asked._replace(states=True)).taken)
+    taken = jax.tree.map(lambda one: zero + one, (start, zero, zeros(shapes)))
+    searches = jnp.asarray(np.arange(_PASSES + 1 + (not grid.periodic)) < (not grid.periodic))
+    (_, (sought, length, taken)), _ = jax.lax.scan(passed, (zero + start, taken), searches)
+    sought, taken = jax.tree.map(lambda one: jnp.where(length <= CLOSE, one, jnp.nan), (sought, taken))
+    if asked.multipliers and isinstance(closing, _Cycle):
+        taken = taken._replace(monodromy=closing.monodromy(sought))
+    history = {name: values for name, values in taken.history.items() if asked.states or name != STATES}
+    return taken._replace(history=history, grid=grid.ending(sought[-1]) if grid.until else grid)
+
+
+class _Pass(NamedTuple):
+    """What a pass over a grid says.
+
+    - `left`: of the equations; `sizes`: of what is sought; `end`: about when the event that ends the grid happens,
+      without derivatives, NaN if it does not; `taken`: the record.
+    """
+
+    left: Vector
+    sizes: Vector
+    end: Float[Array, ""]
+    taken: Record
+
+
+class _Ending(NamedTuple):
+    """A grid that ends by an event: the final time is sought, of which the function of the event is zero."""
+
+    record: Recorded
+    system: System
+    grid: Grid
+    inputs: Inputs
+
+    def begun(self) -> tuple[Float[Array, " 1"], Callable[[Vector], Vector]]:
+        """The latest end, and the correction for what is left, which `over` has divided by the rate."""
+        return jnp.asarray(self.grid.t_final)[None], lambda left: left
+
+    def over(self, sought: Float[Array, " 1"], asked: Asked) -> _Pass:
+        """A pass with this final time."""
+        grid = self.grid.ending(sought[0])
+        taken = self.record(self.system, grid, self.inputs, asked)
+        levels, rates, end = _levels_along(self.system, grid, self.inputs, taken.history[STATES])
+        return _Pass((levels[-1:] / rates[-1:]) * grid.step, jnp.asarray(grid.duration)[None], end[None], taken)
+
+
+class _Newton(NamedTuple):
+    """Where Newton's method is on its way to a cycle.
+
+    - `sought`: the point to try; `base`, `step`: the last good one, and the correction there; `length`: of it,
+      relative; `damping`: the part of it that is tried; `slopes`: the derivatives at the last good point.
+    """
+
+    sought: Vector
+    base: Vector
+    step: Vector
+    length: Float[Array, ""]
+    damping: Float[Array, ""]
+    slopes: Float[Array, "n n"]
+    tried: Int[Array, ""]
+    goes_on: Bool[Array, ""]
+
+
+class _Cycle(NamedTuple):
+    """A grid that repeats: the initial states are sought, then the final time if it ends by an event. The states at the
+    end, after the event, are those at the start.
+    """
+
+    record: Recorded
+    system: TracedSystem
+    grid: Grid
+    inputs: Inputs
+
+    def over(self, sought: Vector, asked: Asked) -> _Pass:
+        """A pass from these initial states, to this final time."""
+        grid, until, inputs = self.grid, self.grid.until, self.inputs
+        states = sought if until is None else sought[:-1]
+        grid = grid if until is None else grid.ending(sought[-1])
+        taken = self.record(self.system.beginning(states), grid, inputs, asked)
+        rows = taken.history[STATES]
+        sizes = jnp.max(jnp.abs(rows), axis=0)
+        if until is None:
+            return _Pass(rows[-1] - states, sizes, jnp.asarray(jnp.nan), taken)
+        levels, _, end = _levels_along(self.system, grid, inputs, rows)
+        now, where = inputs_on(grid, inputs), list(self.system.declared_events).index(until)
+        named = ravel_pytree(initial_state(self.system, grid.t_start, now(grid.t_start)))[1]
+        arrived = after_events(self.system, grid.t_final, named(rows[-1]), now(grid.t_final))[where]
+        left = jnp.append(arrived - states, levels[-1])
+        return _Pass(left, jnp.append(sizes, grid.duration), end, taken)
+
+    def slopes(self, sought: Vector) -> tuple[Float[Array, "n n"], _Pass]:
+        """The derivatives of what is left of the equations by what is sought."""
+
+        def left(sought: Vector) -> tuple[Vector, _Pass]:
+            one = self.over(sought, ONLY_STATES)
+            return one.left, one
+
+        return jax.jacfwd(left, has_aux=True)(sought)
+
+    def monodromy(self, sought: Vector) -> Float[Array, "states states"]:
+        """The derivatives of the states after one cycle by those before it."""
+        slopes, _ = self.slopes(sought)
+        if self.grid.until is None:
+            return slopes + jnp.eye(len(slopes))
+        # The time of the event moves with the initial states.
+        own = slopes[:-1, :-1] - jnp.outer(slopes[:-1, -1], slopes[-1, :-1]) / slopes[-1, -1]
+        return own + jnp.eye(len(own))
+
+    def begun(self) -> tuple[Vector, Callable[[Vector], Vector]]:
+        """The cycle that Newton's method finds from the initial states of the system, and the correction for what is
+        left of the equations there, by the same derivatives: all without derivatives of their own.
+
+        NaN where it does not converge. A step that does not shorten the next one is tried in part.
+        """
+        still = _Cycle(self.record, *jax.tree.map(_stilled, (self.system, self.grid, self.inputs)))
+        grid, until = still.grid, still.grid.until is not None
+        first, _ = ravel_pytree(initial_state(still.system, grid.t_start, inputs_on(grid, still.inputs)(grid.t_start)))
+        first = jnp.append(first, grid.t_final) if until else first
+
+        def advance(state: _Newton) -> _Newton:
+            slopes, (left, sizes, end, _) = still.slopes(state.sought)
+            step = jnp.linalg.solve(slopes, left)
+            length = jnp.max(jnp.abs(step) / jnp.where(sizes > 0, sizes, 1.0))
+            seeks = (state.tried == 0) & until
+            is_good = seeks | (length <= state.length)
+            base, step, slopes, length = (
+                jnp.where(is_good, new, old)
+                for new, old in zip(
+                    (state.sought, step, slopes, length),
+                    (state.base, state.step, state.slopes, state.length),
+                    strict=True,
+                )
+            )
+            damping = jnp.where(is_good, jnp.minimum(2 * state.damping, 1.0), state.damping / 4)
+            found = state.sought.at[-1].set(end) if until else state.sought
+            on = seeks | ((length > CLOSE) & (damping >= _LEAST) & (state.tried < _MOST))
+            return _Newton(
+                jnp.where(seeks, found, base - damping * step),
+                base,
+                step,
+                jnp.where(seeks, jnp.inf, length),
+                jnp.where(seeks, 1.0, damping),
+                slopes,
+                state.tried + 1,
+                on,
+            )
+
+        zero, none = nothing(first)
+        unknown = zero + jnp.eye(first.size)
+        start = _Newton(first, first, 0 * first, zero + jnp.inf, zero + 1, unknown, none, none == 0)
+        end = jax.lax.while_loop(lambda state: state.goes_on, advance, start)
+        is_closed = end.length <= CLOSE
+        if until:
+            # No time closes too.
+            is_closed &= end.sought[-1] - grid.t_start > _SHORTEST * grid.duration
+        inverse = jnp.linalg.inv(end.slopes)
+        return jnp.where(is_closed, end.sought, jnp.nan), lambda left: inverse @ left
+
+
+def _stilled(leaf: Any) -> Any:
+    """A number without derivatives."""
+    return stop_gradient(leaf) if eqx.is_array(leaf) else leaf
+
+
+def _levels_along(
+    system: System, grid: Grid, inputs: Inputs, rows: Float[Array, "instants states"]
+) -> tuple[Float[Array, " instants"], Float[Array, " instants"], Float[Array, ""]]:
+    """The function of the event that ends a grid, at its instants; its rates in a step; and about when the event
+    happens, without derivatives, NaN if it does not.
+    """
+    assert grid.until is not None
+    where, direction = list(system.declared_events).index(grid.until), system.declared_events[grid.until].direction
+    now = inputs_on(grid, inputs)
+    named = ravel_pytree(initial_state(system, grid.t_start, now(grid.t_start)))[1]
+
+    def level_and_rate(t: Array, row: Vector) -> tuple[Array, Array]:
+        z, u = named(row), now(t)
+        slopes = jnp.ones(()), derivative(system, t, z, u)
+        return jax.jvp(lambda t, z: event_levels(system, t, z, now(t))[where], (t, z), slopes)
+
+    level, rate = jax.vmap(level_and_rate)(grid.times, rows)
+    rate = rate * jnp.asarray(grid.step)  # in a step, as elsewhere
+    known = stop_gradient((level[:-1], rate[:-1], level[1:], rate[1:]))
+    side, crosses = crosses_zero(*known, direction)
+    stood = is_near(known[0][0], known[1][0]) & (direction * rate[0] > 0)
+    if grid.periodic:
+        # A cycle starts where the one before ended, up to the error of the guess.
+        crosses, stood = crosses & (grid.fractions[1:] > _SHORTEST), False
+    k = jnp.argmax(crosses)
+    end = stop_gradient(grid.times[k] + crossing_of(side, *known)[k] * grid.step)
+    return level, rate, jnp.where(crosses.any() & ~stood, end, jnp.nan)

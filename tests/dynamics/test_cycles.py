@@ -1,0 +1,210 @@
+"""Motions that repeat: limit cycles and gaits against published numbers and SciPy's own events."""
+
+from functools import cache
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy
+
+import aleator as al
+from aleator.dynamics import Asked, simulation_of
+
+# For mu = 1.
+PERIOD = 6.6632868593231301896996820305
+
+
+class VanDerPol(al.System):
+    """A section through its crest, an event without a jump, ends its cycle."""
+
+    states = ("x", "v")
+    mu: al.Number = 1.0
+    guess: al.Number = 2.0
+    events: ClassVar = {"crest": al.Event(lambda self, t, z: z.v, direction=-1)}
+
+    def rhs(self, t, z):
+        return z.v, self.mu * (1 - z.x**2) * z.v - z.x
+
+    def initial(self):
+        return {"x": self.guess}
+
+    def outputs(self, t, z):
+        return {"x": z.x, "v": z.v, "divergence": self.mu * (1 - z.x**2)}
+
+
+CREST = al.Grid(until="crest", at_most=10.0, steps=400, periodic=True)
+
+
+def test_the_period_of_van_der_pol_is_the_published_one_with_the_order_of_the_integrator():
+    errors = []
+    for steps in (200, 400):
+        history = al.simulate(VanDerPol(), al.Grid(until="crest", at_most=10.0, steps=steps, periodic=True))
+        assert abs(float(history["x"][-1] - history["x"][0])) < 1e-13
+        errors.append(abs(float(history["time"][-1]) - PERIOD))
+    assert errors[1] < 1e-7
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.1)
+
+
+def test_derivatives_of_a_period_are_those_of_central_differences_to_second_order():
+    def period(mu):
+        return al.simulate(VanDerPol(mu), CREST, only=["x"])["time"][-1]
+
+    slope = jax.jit(jax.jacfwd(period))
+    beside = (float(slope(1.001)) - float(slope(0.999))) / 2e-3
+    assert float(jax.jit(jax.jacfwd(jax.jacfwd(period)))(1.0)) == pytest.approx(beside, rel=1e-5)
+    assert float(slope(1.0)) == pytest.approx(float(period(1.001) - period(0.999)) / 2e-3, rel=1e-5)
+
+
+def test_the_multiplier_of_a_cycle_is_the_exponential_of_its_divergence():
+    # Liouville: the multipliers' product is exp(∫ div dt), and that along the cycle, 1, does not count.
+    asked = Asked(
+        frozenset(),
+        integrands=(lambda now: now["divergence"],),
+        integrated=(frozenset({"divergence"}),),
+        multipliers=True,
+    )
+    grid = al.Grid(until="crest", at_most=10.0, steps=1600, periodic=True)
+    record = jax.jit(lambda mu: simulation_of(VanDerPol(mu), grid, None, None).record(asked)._replace(grid=None))(1.0)
+    multipliers = sorted(np.abs(np.linalg.eigvals(record.monodromy)))
+    assert multipliers == pytest.approx([0.0, np.exp(float(record.integrals[0]))], rel=1e-7, abs=1e-9)
+
+
+def test_a_cycle_that_does_not_close_is_named_with_its_numbers():
+    with pytest.warns(al.SimulationWarning, match=r"mu=-1.*does not close its cycle.*after 'crest'"):
+        al.simulate(VanDerPol(-1.0, 9.0), CREST)
+
+
+class Forced(al.System):
+    """`x'' + c x' + k x = cos t`, whose period is known."""
+
+    states = ("x", "v")
+    c: al.Number = 0.1
+
+    def rhs(self, t, z):
+        return z.v, jnp.cos(t) - self.c * z.v - 2 * z.x
+
+    def outputs(self, t, z):
+        return {"x": z.x}
+
+
+def test_a_forced_vibration_repeats_with_the_period_of_its_force():
+    # Its complex amplitude is 1 / (k - 1 + i c).
+    found = al.expand(
+        lambda at: al.simulate(Forced(at["c"]), al.Grid(2 * np.pi, 200, periodic=True))["x"][0],
+        {"c": al.Uniform(0.2, half_width=0.1)},
+        al.Expansion(order=5),
+    )
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    values = 1 / (1 + (0.2 + 0.1 * nodes) ** 2)
+    assert float(found.mean) == pytest.approx(weights @ values / 2, rel=1e-7)
+
+
+class Walker(al.System):
+    """The compass gait of Goswami, Thuilot and Espiau (IJRR 17, 1998): angles of both legs from the vertical."""
+
+    states = ("swing", "stance", "swing_rate", "stance_rate")
+    hip: al.Number = 10.0
+    m: al.Number = 5.0
+    slope: al.Number = float(np.radians(3.0))
+    events: ClassVar = {
+        "strike": al.Event(
+            lambda self, t, z: z.swing + z.stance + 2 * self.slope,
+            direction=-1,
+            jump=lambda self, t, z: self.after_strike(*z),
+        )
+    }
+
+    def rhs(self, t, z):
+        return walking(self.hip, self.m, z)
+
+    def after_strike(self, swing, stance, swing_rate, stance_rate):
+        rates = struck(self.hip, self.m, swing - stance, swing_rate, stance_rate)
+        return {"swing": stance, "stance": swing, "swing_rate": rates[0], "stance_rate": rates[1]}
+
+    def initial(self):
+        return {"swing": -0.3234, "stance": 0.2187, "swing_rate": -0.377, "stance_rate": -1.092}
+
+    def outputs(self, t, z):
+        return {"stance_rate": z.stance_rate}
+
+
+def solved(a, b, c, d, p, q):
+    """The solution of `a x + b y = p, c x + d y = q`."""
+    return (d * p - b * q) / (a * d - b * c), (a * q - c * p) / (a * d - b * c)
+
+
+def walking(hip, m, z, a=0.5, b=0.5):
+    swing, stance, swing_rate, stance_rate = z
+    c, s, l = jnp.cos(stance - swing), jnp.sin(stance - swing), a + b  # noqa: E741
+    first = -m * l * b * s * stance_rate**2 - 9.81 * m * b * jnp.sin(swing)
+    second = m * l * b * s * swing_rate**2 + 9.81 * (hip * l + m * (a + l)) * jnp.sin(stance)
+    coupling = -m * l * b * c
+    return swing_rate, stance_rate, *solved(m * b**2, coupling, coupling, (hip + m) * l**2 + m * a**2, first, second)
+
+
+def struck(hip, m, apart, swing_rate, stance_rate, a=0.5, b=0.5):
+    """The rates after the swing leg has struck: angular momenta about it, and about the hip, are kept."""
+    c, l = jnp.cos(apart), a + b  # noqa: E741
+    about_foot = -m * a * b * swing_rate + ((hip * l**2 + 2 * m * a * l) * c - m * a * b) * stance_rate
+    about_hip = -m * a * b * stance_rate
+    one, two = m * b * (b - l * c), m * l * (l - b * c) + m * a**2 + hip * l**2
+    return solved(one, two, m * b**2, -m * b * l * c, about_foot, about_hip)
+
+
+@cache
+def gait():
+    """Periods, initial rates and largest multipliers of walkers with 50 masses of the hip."""
+    grid = al.Grid(until="strike", at_most=1.5, steps=80, periodic=True)
+
+    def one(hip):
+        record = simulation_of(Walker(hip), grid, None, None).record(
+            Asked(frozenset({"stance_rate"}), multipliers=True)
+        )
+        return record.grid.t_final, record.history["stance_rate"][0], record.monodromy
+
+    hips = np.linspace(8.5, 11.5, 50)
+    return hips, *map(np.asarray, jax.jit(jax.vmap(one))(hips))
+
+
+def by_scipy(hip):
+    """The same by SciPy: the period, the first rate of the stance leg, and the derivatives of a step by differences."""
+    slope = np.radians(3.0)
+    rates = jax.jit(lambda z: jnp.stack(walking(hip, 5.0, z)))
+    strike: Any = lambda t, z: z[0] + z[1] + 2 * slope if t > 0.4 else 1.0  # noqa: E731
+    strike.terminal, strike.direction = True, -1
+
+    def step(z):
+        ran = scipy.integrate.solve_ivp(
+            lambda t, z: np.asarray(rates(z)), (0, 2), z, "DOP853", events=strike, rtol=1e-11, atol=1e-12
+        )
+        swing, stance, *before = ran.y[:, -1]
+        return np.array([stance, swing, *struck(hip, 5.0, swing - stance, *before)]), ran.t[-1]
+
+    z = scipy.optimize.fsolve(lambda z: step(z)[0] - z, [-0.3234, 0.2187, -0.377, -1.092], xtol=1e-9)
+    slopes = [(step(z + d)[0] - step(z - d)[0]) / 2e-6 for d in 1e-6 * np.eye(4)]
+    return step(z)[1], z[3], np.abs(np.linalg.eigvals(np.transpose(slopes))).max()
+
+
+def test_a_compass_walker_repeats_its_step_in_each_of_fifty_realisations():
+    hips, periods, rates, monodromies = gait()
+    assert np.interp(10.0, hips, periods) == pytest.approx(0.734, abs=5e-4)
+    for k in (0, 24, 49):
+        right = by_scipy(hips[k])
+        assert (periods[k], rates[k]) == pytest.approx(right[:2], rel=1e-6)
+        assert np.abs(np.linalg.eigvals(monodromies[k])).max() == pytest.approx(right[2], rel=1e-4)
+
+
+def test_what_has_no_meaning_with_cycles_is_refused_where_it_is_declared():
+    with pytest.raises(al.ProblemError, match=r"al.floquet_multiplier\(\) is that of a cycle.*periodic=True"):
+        al.Problem(VanDerPol(mu=al.Decision(1.0)), grid=al.Grid(1.0, 4), minimize=al.floquet_multiplier().mean)
+    with pytest.raises(al.ProblemError, match="Grid: periodic: expected True or False"):
+        al.Grid(1.0, 4, periodic=1)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(al.ProblemError, match=r"Phase: .*does not repeat"):
+        al.Phase(Forced(), al.Grid(1.0, 4, periodic=True))
+    problem = al.Problem(
+        Forced(c=al.Decision(0.2, 0.1, 0.3)), grid=al.Grid(1.0, 4, periodic=True), minimize=al.initial("x").mean
+    )
+    with pytest.raises(al.ProblemError, match=r"those of a cycle are sought.*al.Sequential"):
+        al.solve(problem, transcription=al.Simultaneous())
