@@ -31,7 +31,6 @@ from ._core.errors import SimulationWarning as SimulationWarning
 from ._core.errors import SolveError as SolveError
 from ._core.parallel import threads as threads
 from ._core.programs import compilation_cache as compilation_cache
-from .analysis import MultiElement as MultiElement
 from .analysis import expand as expand
 from .analysis import galerkin as galerkin
 from .analysis import tolerance_analysis as tolerance_analysis
@@ -63,6 +62,7 @@ from .dynamics import System as System
 from .dynamics import simulate as simulate
 from .examining import examine as examine
 from .expansion import Expansion as Expansion
+from .expansion import MultiElement as MultiElement
 from .journalling import journal as journal
 from .journalling import load as load
 from .mechanics import Accelerations as Accelerations

@@ -13,7 +13,7 @@ from aleator.certification._check import Check, certain
 from aleator.design import Problem, expanded_functionals, first_broken, instants_at, statistics_in, unsolved
 from aleator.dynamics import Grid
 from aleator.ensemble import inputs_at
-from aleator.expansion import ILL_CONDITIONED, unseen
+from aleator.expansion import ILL_CONDITIONED, PiecewiseBasis, unseen
 from aleator.nlp import Outcome, Status, missed_slope
 from aleator.solution import (
     MOST_NUMBERS,
@@ -150,6 +150,7 @@ def quality_of(
             if one.tangents is not None
         },
         unseen=unseen(basis, np.asarray(collocation.points)),
+        elements=len(basis.cells) if isinstance(basis, PiecewiseBasis) else 1,
     )
 
 

@@ -32,7 +32,7 @@ from aleator.dynamics import (
     check_variables,
     refuse_unknown_event,
 )
-from aleator.expansion import Expansion
+from aleator.expansion import Expansion, MultiElement
 from aleator.statistics import Sobol, TotalSobol, refuse_correlated
 from aleator.trajectories import piecewise_in
 from aleator.uncertainty import (
@@ -69,7 +69,7 @@ def _check_types(problem: AbstractProblem) -> None:
     expected: tuple[tuple[str, Any, tuple[type, ...]], ...] = (
         ("system", system, (System, AlgebraicSystem)),
         ("grid", problem.grid, (Instant,) if has_no_time else (Grid,)),
-        ("expansion", problem.expansion, (Expansion,)),
+        ("expansion", problem.expansion, (Expansion, MultiElement)),
         ("integrator", problem.integrator, (AbstractIntegrator,)),
     )
     for name, value, kinds in expected:

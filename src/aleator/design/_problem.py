@@ -25,7 +25,7 @@ from aleator.design._scope import Value, ordered
 from aleator.design._statistic import Statistic
 from aleator.design._text import problem_text
 from aleator.dynamics import AbstractGrid, AbstractIntegrator, AbstractSystem, Grid, Simulation, simulation_of
-from aleator.expansion import Expansion
+from aleator.expansion import Expansion, MultiElement
 from aleator.statistics import Mean
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import AbstractDecision, Choice, Decision, Integer, at_means, placements, uncertain_again
@@ -42,7 +42,8 @@ class Problem(AbstractProblem):
     - `system`: the physics, a `System`, which evolves in time, or an `AlgebraicSystem`, without time, grid and inputs;
     - `grid`: the instants; `inputs`: a signal for each input of the system, by name;
     - `minimize`: an expression of statistics; `subject_to`: constraints;
-    - `expansion`: how outputs are expanded; `integrator`: how states are advanced in time;
+    - `expansion`: how outputs are expanded; by `al.MultiElement()` where no single polynomial follows them;
+    - `integrator`: how states are advanced in time;
     - `decisions`: further decisions by name, which no model contains, such as a slack or a level that several limits
       share; `al.value(name)` is one in an expression.
 
@@ -59,7 +60,7 @@ class Problem(AbstractProblem):
         subject_to: Iterable[Constraint | tuple[Constraint, ...]] = (),
         grid: Grid | None = None,
         inputs: Mapping[str, AbstractSignal] | None = None,
-        expansion: Expansion | None = None,
+        expansion: Expansion | MultiElement | None = None,
         integrator: AbstractIntegrator | None = None,
         decisions: Mapping[str, AbstractDecision] | None = None,
     ):

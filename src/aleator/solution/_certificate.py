@@ -58,7 +58,8 @@ class ExpansionQuality(Printed):
     - `tangents`: for each functional, the leave-one-out error of its derivative by each decision that is a parameter of
       a distribution. It bounds the trust in derivatives of its statistics, and in the shadow prices computed from them;
     - `unseen`: the largest corner of the germ space without a collocation point, about which nothing is known; None if
-      nothing is uncertain.
+      nothing is uncertain;
+    - `elements`: into how many the germ space is divided.
     """
 
     order: int
@@ -70,6 +71,7 @@ class ExpansionQuality(Printed):
     tolerance: float = UNRESOLVED
     tangents: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     unseen: Unseen | None = None
+    elements: int = 1
 
     @property
     def worst(self) -> float:
@@ -120,8 +122,9 @@ class ExpansionQuality(Printed):
     def __str__(self) -> str:
         if self.points == 1:
             return "nothing is uncertain"
+        divided = "" if self.elements == 1 else f"{self.elements} elements of "
         return (
-            f"order {self.order}, {self.terms} terms, {self.points} points, condition number "
+            f"{divided}order {self.order}, {self.terms} terms, {self.points} points, condition number "
             f"{self.condition_number:.3g}, worst leave-one-out error {self.worst:.2e}"
         )
 

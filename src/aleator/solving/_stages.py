@@ -57,6 +57,7 @@ from aleator.transcription import (
     AbstractTranscribed,
     AbstractTranscription,
     blind_decisions,
+    divided,
     refuse_blind,
     rows_by_name,
     transcribe,
@@ -149,6 +150,26 @@ class Stages(NamedTuple):
             error = replace(grid_error(transcribed, outcome.point, check, self.accuracy), at_start=misled)
         misled = "" if is_solved else misled
         return solution_of(transcribed, outcome, held.between, error, held.worst_case, misled, check), held
+
+    def answer_in_elements(
+        self,
+        problem: Problem,
+        start: np.ndarray | None,
+        multipliers: np.ndarray | None = None,
+        known: WorstCase | None = None,
+    ) -> tuple[Solution, Held]:
+        """The same, with elements that suffice at the answer: where they do not, they are divided there, and the search
+        goes on. Each division adds elements, whose number the budget of `MultiElement` bounds.
+        """
+        solution, held = self.answer(problem, start, multipliers, known)
+        while solution.status not in (Status.INTERRUPTED, Status.EVALUATION_FAILED):
+            finer = divided(held.transcribed.problem, held.transcribed.discretised, solution.vector)
+            if finer is None:
+                break
+            stages = self._replace(transcription=self.transcription.starting_from(solution))
+            certificate = solution.certificate
+            solution, held = stages.answer(finer, solution.vector, solution.multipliers, certificate.worst_case)
+        return solution, held
 
     def _searched(
         self,
