@@ -15,6 +15,7 @@ from . import reporting as reporting
 from . import results as results
 from . import schemes as schemes
 from . import shapes as shapes
+from . import smooth as smooth
 from . import solvers as solvers
 from ._core.arrays import Number as Number
 from ._core.errors import AleatorError as AleatorError

@@ -99,6 +99,11 @@ class Problem(AbstractProblem):
         """The same problem with so many times as many steps, by another integrator. It is not checked again."""
         return _with_simulation(self, self.simulation.finer(factor, integrator))
 
+    def narrower(self) -> "Problem | None":
+        """The same problem with half the widths of `al.smooth`; None without any. It is not checked again."""
+        simulation = self.simulation.narrower()
+        return None if simulation is None else _with_simulation(self, simulation)
+
     def with_bound(self, name: str, bound: float | tuple[float, float]) -> Self:
         """The same problem with the bound of the constraints called `name` set to `bound`.
 

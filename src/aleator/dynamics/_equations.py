@@ -33,6 +33,7 @@ from aleator.dynamics._evaluation import (
     with_algebraic,
 )
 from aleator.dynamics._event import Event
+from aleator.dynamics._smooth import WIDTHS, Widths
 from aleator.dynamics._system import AbstractSystem, System
 from aleator.trajectories import AbstractSignal
 
@@ -61,7 +62,8 @@ class Equations:
     """The equations of a system: equal if their digests are.
 
     - `finer`: the same with more steps, and another integrator, of what is simulated inside the model; None if nothing
-      is.
+      is;
+    - `narrower`: the same with half the widths of `al.smooth`; None if there are none.
 
     A pickle has the digest alone: where it is read, the equations are traced again and compared when they are needed.
     """
@@ -69,22 +71,27 @@ class Equations:
     digest: Digest
     _functions: Mapping[str, TracedFunction] | None = field(compare=False, repr=False)
     finer: "Equations | None" = field(default=None, compare=False, repr=False)
+    narrower: "Equations | None" = field(default=None, compare=False, repr=False)
 
     @classmethod
     def of(cls, system: AbstractSystem, start: "Start | None") -> "Equations":
         """Those of a realised system, which evolves in time from a start, or has no time."""
-        equations, inside = cls._of(system, start, 1)
-        finer = cls._of(system, start, FINER)[0] if inside.is_met else None
-        return replace(equations, finer=finer)
+        equations, inside, widths = cls._of(system, start)
+        finer = cls._of(system, start, factor=FINER)[0] if inside.is_met else None
+        narrower = cls._of(system, start, width=0.5)[0] if widths.is_met else None
+        return replace(equations, finer=finer, narrower=narrower)
 
     @classmethod
-    def _of(cls, system: AbstractSystem, start: "Start | None", factor: int) -> tuple["Equations", Inside]:
-        inside = Inside(factor)
-        before = INSIDE.set(inside)
+    def _of(
+        cls, system: AbstractSystem, start: "Start | None", *, factor: int = 1, width: float = 1.0
+    ) -> tuple["Equations", Inside, Widths]:
+        inside, widths = Inside(factor), Widths(width)
+        before = INSIDE.set(inside), WIDTHS.set(widths)
         try:
-            return cls._traced(system, start), inside
+            return cls._traced(system, start), inside, widths
         finally:
-            INSIDE.reset(before)
+            INSIDE.reset(before[0])
+            WIDTHS.reset(before[1])
 
     @classmethod
     def _traced(cls, system: AbstractSystem, start: "Start | None") -> "Equations":
@@ -113,7 +120,7 @@ class Equations:
                     f"{system.title}: the code of this process gives other equations than those that the problem was "
                     "declared with in another one. Start workers anew, with the same files; solve stored designs again."
                 )
-            self._functions, self.finer = again._functions, again.finer
+            self._functions, self.finer, self.narrower = again._functions, again.finer, again.narrower
         if isinstance(system, AlgebraicSystem):
             return TracedAlgebraic(system, self)
         assert isinstance(system, System)
@@ -149,7 +156,7 @@ class Equations:
         return name in self._functions
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"_functions": None, "finer": None, "digest": self.digest}
+        return {"_functions": None, "finer": None, "narrower": None, "digest": self.digest}
 
 
 class Start(NamedTuple):

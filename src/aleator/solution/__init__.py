@@ -9,6 +9,7 @@ from aleator.solution._certificate import ExpansionQuality as ExpansionQuality
 from aleator.solution._certificate import Moments as Moments
 from aleator.solution._certificate import Objection as Objection
 from aleator.solution._certificate import SecondOpinion as SecondOpinion
+from aleator.solution._certificate import Smoothing as Smoothing
 from aleator.solution._certificate import Tangent as Tangent
 from aleator.solution._certificate import WorstCase as WorstCase
 from aleator.solution._certificate import WorstRealisation as WorstRealisation

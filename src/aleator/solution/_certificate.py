@@ -278,6 +278,24 @@ class Objection(NamedTuple):
     sentence: str
 
 
+class Smoothing(NamedTuple):
+    """The same design at half the widths of `al.smooth`.
+
+    - `objective`, `narrower`: the objective at the stated widths and at half of them, both on the grid of the check;
+    - `moved`: by how much each limit moves, at most; `broken`: the limits that it breaks by more than a thousandth.
+    """
+
+    objective: float
+    narrower: float
+    moved: Mapping[str, float]
+    broken: tuple[str, ...]
+
+    def __str__(self) -> str:
+        limits = "".join(f", '{name}' moves by {by:.2g}" for name, by in self.moved.items() if by > 0)
+        broken = f"; this breaks {', '.join(map(repr, self.broken))}: state smaller widths" if self.broken else ""
+        return f"at half the widths the objective is {self.narrower:.7g} for {self.objective:.7g}{limits}{broken}"
+
+
 @final
 @dataclass(frozen=True)
 class Certificate(Printed):
@@ -299,7 +317,8 @@ class Certificate(Printed):
       nothing was checked;
     - `correlations`: which correlations of uncertain numbers are not those given, for decisions set their shapes;
     - `departed`: how far a simulation from the first instant departs from the states of an unstable plan, which then
-      were checked step by step, each from the plan's own state; empty if it does not depart by orders of magnitude.
+      were checked step by step, each from the plan's own state; empty if it does not depart by orders of magnitude;
+    - `smoothing`: the same design at half the widths of `al.smooth`; None without any.
     """
 
     violation: float
@@ -316,6 +335,7 @@ class Certificate(Printed):
     reaches: Mapping[str, float] = field(default_factory=dict)
     correlations: str = ""
     departed: str = ""
+    smoothing: Smoothing | None = None
 
     @property
     def objection(self) -> Objection | None:
@@ -367,6 +387,7 @@ class Certificate(Printed):
         rows = [
             ("between", self.between),
             ("grid", self.grid_error),
+            ("smoothing", self.smoothing),
             (
                 "open loop",
                 self.departed

@@ -274,5 +274,7 @@ def _doubts(solution: Solution) -> Iterator[tuple[type[Warning], str]]:
         )
     if error is not None and not error.is_met:
         yield GridWarning, f"{f'on {error.steps} steps' if error.steps else 'in what the model simulates'} {error}"
+    if certificate.smoothing is not None and certificate.smoothing.broken:
+        yield GridWarning, str(certificate.smoothing)
     if between is not None and between.is_costly:
         yield GridWarning, str(between)

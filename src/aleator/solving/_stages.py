@@ -17,6 +17,7 @@ from aleator._core.errors import ProblemError
 from aleator.certification import (
     Check,
     Oracle,
+    at_half_width,
     begin_check,
     broken_at,
     check_factor,
@@ -320,6 +321,7 @@ def with_opinion(solution: Solution, held: Held) -> Solution:
     certificate = replace(
         solution.certificate,
         opinion=None if held.check is None else second_opinion(transcribed, point, held.check),
+        smoothing=None if held.check is None else at_half_width(transcribed, point, held.check),
         # A search has compared values.
         lost="" if solution.effort.searched else lost_derivatives(transcribed, point, solution.multipliers),
         untrusted=untrusted(solution),
