@@ -1,5 +1,7 @@
 """Limits on quantiles, probabilities and means beyond quantiles, against closed forms: the optimum, or not ok."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +12,7 @@ import aleator as al
 from aleator.studies.suspension import RIDE, nominal, road
 
 U = stats.norm.ppf
-# Responses of two normal numbers, with the quantile of each at a level.
+# Responses of two normal numbers, with the quantile of each at a level: which, is data of the model.
 RESPONSES = {
     "exponential": (lambda u, v: jnp.exp(0.3 * u), lambda p: np.exp(0.3 * U(p))),
     "reciprocal": (lambda u, v: 1 / (1 + 0.12 * u), lambda p: 1 / (1 - 0.12 * U(p))),
@@ -27,15 +29,17 @@ class Rod(al.AlgebraicSystem):
     d: al.Number
     u: al.Number
     v: al.Number
-    response: str = "exponential"
+    weights: Any
 
     def outputs(self):
-        return {"y": self.d * RESPONSES[self.response][0](self.u, self.v), "d": self.d}
+        each = zip(self.weights, RESPONSES.values(), strict=True)
+        return {"y": self.d * sum(weight * response(self.u, self.v) for weight, (response, _) in each), "d": self.d}
 
 
 def largest(response, limit, order):
     """The largest size whose response keeps a limit of 10."""
-    rod = Rod(al.Decision(1.0, 0.01, 50.0), al.Normal(0.0, 1.0), al.Normal(0.0, 1.0), response)
+    weights = [float(response == one) for one in RESPONSES]
+    rod = Rod(al.Decision(1.0, 0.01, 50.0), al.Normal(0.0, 1.0), al.Normal(0.0, 1.0), weights)
     problem = al.Problem(
         rod, minimize=-1 * al.output("d").mean, subject_to=[limit], expansion=al.Expansion(order=order)
     )

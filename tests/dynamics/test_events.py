@@ -13,6 +13,7 @@ from jaxtyping import Array
 import aleator as al
 from aleator.dynamics import Asked
 from aleator.uncertainty import realise
+from compiling import compiled
 from zoo import G, Shot
 
 FIXED = [al.integrators.RungeKutta4(), al.integrators.RungeKutta4().reference()]
@@ -90,9 +91,11 @@ def test_derivatives_with_drag_agree_with_central_differences():
         return al.simulate(Shot(20.0, angle, 1.0, 0.02), LANDED)["x"][-1]
 
     slope = jax.jacfwd(ranged)
-    beside, near = 0.7 + 1e-5, 0.7 - 1e-5
-    assert float(slope(0.7)) == pytest.approx(float(ranged(beside) - ranged(near)) / 2e-5, rel=1e-7)
-    assert float(jax.jacfwd(slope)(0.7)) == pytest.approx(float(slope(beside) - slope(near)) / 2e-5, rel=1e-7)
+    angles = 0.7 + 1e-5 * np.array([-1.0, 0.0, 1.0])
+    found = compiled(jax.vmap(lambda at: (ranged(at), slope(at), jax.jacfwd(slope)(at))))(angles)
+    places, slopes, curvatures = np.asarray(found)
+    assert slopes[1] == pytest.approx((places[2] - places[0]) / 2e-5, rel=1e-7)
+    assert curvatures[1] == pytest.approx((slopes[2] - slopes[0]) / 2e-5, rel=1e-7)
 
 
 def test_a_body_lands_on_the_ground_to_rounding_with_the_order_of_the_integrator():
@@ -119,7 +122,7 @@ def test_uncertain_speed_angle_and_height_spread_the_range_as_quadrature_says():
     found = al.expand(lambda at: al.simulate(Shot(**at), LANDED)["x"][-1], numbers, al.Expansion(order=7))
     nodes, weights = np.polynomial.legendre.leggauss(12)
     grids = np.meshgrid(*((low + high) / 2 + (high - low) / 2 * nodes for low, high in ends.values()), indexing="ij")
-    values, weight = np.asarray(landing(*grids)[1]), np.einsum("i,j,k->ijk", *[weights / 2] * 3)
+    values, weight = np.asarray(compiled(landing)(*grids)[1]), np.einsum("i,j,k->ijk", *[weights / 2] * 3)
     mean = np.sum(weight * values)
     assert float(found.mean) == pytest.approx(mean, rel=1e-8)
     assert float(found.std) == pytest.approx(np.sqrt(np.sum(weight * (values - mean) ** 2)), rel=1e-8)
@@ -174,13 +177,13 @@ def test_steps_end_at_the_nodes_of_a_control_whenever_the_grid_ends(degree):
         inputs={"force": control},
         minimize=al.at("there").mean,
     )
-    solution = realise(problem.simulation, jnp.zeros(0), jnp.asarray(levels))
     fine = np.linspace(0.0, 4.0, 400_001)
     force = np.interp(fine, np.arange(5.0), levels) if degree else levels[np.minimum(fine.astype(int), 3)]
     speed = np.concatenate([[0.0], np.cumsum((force[1:] + force[:-1]) / 2 * 1e-5)])
     place = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * 1e-5)])
     right = np.interp(0.5, place[: np.argmax(place > 0.5) + 1], fine[: np.argmax(place > 0.5) + 1])
-    assert float(solution.record(Asked()).grid.t_final) == pytest.approx(right, abs=1e-5)
+    end = compiled(lambda at: realise(problem.simulation, jnp.zeros(0), at).record(Asked()).grid.t_final)
+    assert float(end(levels)) == pytest.approx(right, abs=1e-5)
 
 
 class Rocket(al.System):

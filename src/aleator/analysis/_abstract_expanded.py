@@ -99,6 +99,9 @@ class AbstractExpanded(Module, Drawn, AbstractMeasured[Pytree]):
         collocation, samples = self._known()
         values = []
         for terms, known in zip(outputs, samples, strict=True):
+            if kind.by_numpy and not is_traced(terms):
+                values.append(kind.of(terms, constants))
+                continue
             without = with_points_left_out(kind, collocation, known, terms, constants)
             arguments = kind, constants, terms if without is None else jax_array(without)
             traced = traced_once((type(kind), _statistic_of), _statistic_of, *arguments)

@@ -140,13 +140,16 @@ class InverseDynamics(AbstractFormulation):
 
 def _driving(model: AbstractMechanical, motion: Any) -> tuple[str, ...]:
     """The coordinates that a motion of a constrained model prescribes: as many as may be chosen."""
-    freedoms = len(model.speeds) - len(model.constraints)
-    names = tuple(name for name in model.coordinates if isinstance(motion, Mapping) and name in motion)
-    if not names or len(model.speeds_along(names)) != freedoms:
+    speeds, names = len(model.speeds), model.coordinates
+    least, most = speeds - len(model.constraints), speeds - len(model.holonomic)
+    if isinstance(motion, Mapping):
+        names = tuple(name for name in names if name in motion)
+    if not names or not least <= len(model.speeds_along(names)) <= most:
         raise ProblemError(
-            f"InverseDynamics of {type(model).__name__}: expected trajectories by name for {freedoms} of "
-            f"{list(model.coordinates)}: as many as its {len(model.constraints)} constraints leave free; received "
-            f"{motion!r}. Use al.HybridDynamics to prescribe fewer."
+            f"InverseDynamics of {type(model).__name__}: expected trajectories by name for {least} of "
+            f"{list(model.coordinates)}: as many as its {len(model.constraints)} constraints leave free"
+            + (f", or for up to {most} that obey its velocity constraints" if most > least else "")
+            + f"; received {motion!r}. Use al.HybridDynamics to prescribe fewer."
         )
     return names
 
@@ -202,5 +205,5 @@ class HybridDynamics(AbstractFormulation):
             for names, given in ((model.coordinates, motion), (model.actuators, torque))
         )
         super().__init__(model, motion, torque, start, guess, torque_rates, prescribed=prescribed, known=known)
-        if len(self.parts.unknown) < len(self.parts.driven):
+        if len(self.parts.unknown) < len(self.parts.driven) - self.parts.surplus:
             raise ProblemError(self.unrealisable())

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
+from typing_extensions import TypeIs
 
 from aleator._core.border import one_of, refusal
 from aleator._core.errors import ProblemError
@@ -31,10 +32,15 @@ KINDS = (Solution, Evidence, Front, TradeOff, Calibration)
 """The kinds of results that have labelled arrays."""
 
 
+def is_group(result: Any) -> TypeIs[Mapping[str, Any]]:
+    """Whether it is results by name; a dataset is a mapping of its variables, but one result."""
+    return isinstance(result, Mapping) and not hasattr(result, "data_vars")
+
+
 def leaves(results: Mapping[str, Any], *outer: str) -> Iterator[tuple[tuple[str, ...], Any]]:
     """Each result with the names under which it stands, the outermost first."""
     for name, result in results.items():
-        if isinstance(result, Mapping):
+        if is_group(result):
             yield from leaves(result, *outer, str(name))
         else:
             yield (*outer, str(name)), result
@@ -281,7 +287,7 @@ def tree(results: Mapping[str, Any]) -> "xarray.DataTree":
 
 def savable(what: str, results: Any) -> tuple[dict[str, Any], list[ProblemError]]:
     """The results that can be saved, and a refusal for each of the others, beginning with `what` and its place."""
-    if not isinstance(results, Mapping):
+    if not is_group(results):
         raise refusal(what, "results by name: a mapping", results)
     accepted: dict[str, Any] = {}
     refused: list[ProblemError] = []
@@ -290,7 +296,7 @@ def savable(what: str, results: Any) -> tuple[dict[str, Any], list[ProblemError]
         try:
             if not isinstance(name, str | int | float) or str(name) in ("", ".", ".."):  # those stand for other groups
                 raise refusal(what, "results by name", name)
-            if isinstance(result, Mapping):
+            if is_group(result):
                 accepted[str(name)], inside = savable(place, result)
                 refused += inside
             else:

@@ -11,11 +11,10 @@ from itertools import combinations
 from typing import NamedTuple, final
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from aleator._core.arrays import NUMBER, jax_array, refuse_beyond_memory
+from aleator._core.arrays import NUMBER, in_library, jax_array, refuse_beyond_memory
 from aleator._core.leaves import Module
 from aleator.expansion import Division, PiecewiseBasis, restricted
 
@@ -42,11 +41,13 @@ class PartOfVariance(Module):
         self, coefficients: Float[Array, "terms *shape"], variance: Float[Array, "*shape"]
     ) -> Float[Array, "*shape"]:
         """The part of a variance."""
-        away = self.division.elements(coefficients.at[0].set(0.0))
-        total = jnp.zeros(variance.shape)
-        for chosen, form in self.parts:
+        library, known, parts = in_library(coefficients, self.parts)
+        away = library.concatenate([0 * known[:1], known[1:]])
+        _, away = in_library(self.division.elements(away))
+        total = library.zeros(variance.shape)
+        for chosen, form in parts:
             own = away[:, chosen].reshape(len(form), *away.shape[2:])
-            total = total + jnp.sum(own * jnp.tensordot(form, own, axes=1), axis=0)
+            total = total + library.sum(own * library.tensordot(form, own, axes=1), axis=0)
         return variance - total if self.is_rest else total
 
 

@@ -80,6 +80,7 @@ def load_toml(path: Path, loaded: Callable[[str], Any]) -> Study:
             subtitle=data.subtitle,
             samples=data.samples,
             seed=data.seed,
+            target=data.target,
             sweeps=sweeps,
             solver=solver,
             workers=data.workers,

@@ -63,7 +63,7 @@ class EvidencePlots(AbstractPlots[Evidence]):
         sampled, limits = self._result.functionals[functional.text()], limits_of(problem, functional, unit)
         histories = [one.values for one in self._result.trajectories if one.name in limits.names]
         return path_figure(
-            self._result.solution.instants,
+            self._result.solution.times_of(functional),
             components(f"sampled mean of {name}", sampled.mean, sampled.std)
             | components(f"mean of {name} by the expansion", sampled.expanded_mean, np.zeros_like(sampled.std)),
             sigmas=limits.sigmas if sigmas is None else positive("plot.band: sigmas", sigmas),
