@@ -9,7 +9,6 @@ from aleator.solution._certificate import ExpansionQuality as ExpansionQuality
 from aleator.solution._certificate import Moments as Moments
 from aleator.solution._certificate import Objection as Objection
 from aleator.solution._certificate import SecondOpinion as SecondOpinion
-from aleator.solution._certificate import Smoothing as Smoothing
 from aleator.solution._certificate import Tangent as Tangent
 from aleator.solution._certificate import WorstCase as WorstCase
 from aleator.solution._certificate import WorstRealisation as WorstRealisation
@@ -19,6 +18,7 @@ from aleator.solution._grid import Costates as Costates
 from aleator.solution._grid import Deviation as Deviation
 from aleator.solution._grid import GridError as GridError
 from aleator.solution._grid import MeshError as MeshError
+from aleator.solution._grid import Smoothing as Smoothing
 from aleator.solution._grid import States as States
 from aleator.solution._grid import Switching as Switching
 from aleator.solution._grid import system_text as system_text

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from aleator._core.leaves import Printed
 from aleator.expansion import ILL_CONDITIONED, UNRESOLVED, Unseen
 from aleator.nlp import HELD
-from aleator.solution._grid import GridError, system_text
+from aleator.solution._grid import GridError, Smoothing, system_text
 
 
 @final
@@ -276,24 +276,6 @@ class Objection(NamedTuple):
 
     phrase: str
     sentence: str
-
-
-class Smoothing(NamedTuple):
-    """The same design at half the widths of `al.smooth`.
-
-    - `objective`, `narrower`: the objective at the stated widths and at half of them, both on the grid of the check;
-    - `moved`: by how much each limit moves, at most; `broken`: the limits that it breaks by more than a thousandth.
-    """
-
-    objective: float
-    narrower: float
-    moved: Mapping[str, float]
-    broken: tuple[str, ...]
-
-    def __str__(self) -> str:
-        limits = "".join(f", '{name}' moves by {by:.2g}" for name, by in self.moved.items() if by > 0)
-        broken = f"; this breaks {', '.join(map(repr, self.broken))}: state smaller widths" if self.broken else ""
-        return f"at half the widths the objective is {self.narrower:.7g} for {self.objective:.7g}{limits}{broken}"
 
 
 @final
