@@ -31,6 +31,7 @@ TOPICS = (
     "results",
     "schemes",
     "shapes",
+    "smooth",
     "solvers",
 )
 
@@ -63,7 +64,7 @@ def test_every_class_that_a_result_holds_has_a_public_name():
         told += [one.fget.__annotations__["return"] for one in vars(result).values() if isinstance(one, property)]
         held |= set(re.findall(r"aleator[\w.]*\.(\w+)", " ".join(map(str, told))))
     # What expressions and expansions are made of, which tell it in words.
-    assert held - shown == {"Statistic", "Collocation", "Partition"}
+    assert held - shown == {"Statistic", "Collocation", "PiecewiseBasis"}
 
 
 def test_no_name_is_in_two_topics_or_in_one_and_flat():

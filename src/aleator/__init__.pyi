@@ -15,6 +15,7 @@ from . import reporting as reporting
 from . import results as results
 from . import schemes as schemes
 from . import shapes as shapes
+from . import smooth as smooth
 from . import solvers as solvers
 from ._core.arrays import Number as Number
 from ._core.errors import AleatorError as AleatorError
@@ -31,7 +32,6 @@ from ._core.errors import SimulationWarning as SimulationWarning
 from ._core.errors import SolveError as SolveError
 from ._core.parallel import threads as threads
 from ._core.programs import compilation_cache as compilation_cache
-from .analysis import MultiElement as MultiElement
 from .analysis import expand as expand
 from .analysis import galerkin as galerkin
 from .analysis import tolerance_analysis as tolerance_analysis
@@ -67,6 +67,7 @@ from .dynamics import System as System
 from .dynamics import simulate as simulate
 from .examining import examine as examine
 from .expansion import Expansion as Expansion
+from .expansion import MultiElement as MultiElement
 from .feedback import Feedback as Feedback
 from .feedback import computed_torque as computed_torque
 from .feedback import lqr as lqr

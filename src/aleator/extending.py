@@ -15,6 +15,7 @@ from aleator.cli import run_study as run_study
 from aleator.design import AbstractFunctional as AbstractFunctional
 from aleator.design import AbstractIntegral as AbstractIntegral
 from aleator.design import Taken as Taken
+from aleator.expansion import AbstractBasis as AbstractBasis
 from aleator.expansion import Basis as Basis
 from aleator.feedback import AbstractController as AbstractController
 from aleator.feedback import Plan as Plan

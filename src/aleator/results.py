@@ -23,6 +23,7 @@ from aleator.solution import Moments as Moments
 from aleator.solution import Motions as Motions
 from aleator.solution import Objection as Objection
 from aleator.solution import SecondOpinion as SecondOpinion
+from aleator.solution import Smoothing as Smoothing
 from aleator.solution import States as States
 from aleator.solution import Switching as Switching
 from aleator.solution import Tangent as Tangent

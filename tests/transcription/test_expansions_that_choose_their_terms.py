@@ -10,7 +10,7 @@ from scipy import optimize
 import aleator as al
 from aleator.expansion import Adaptive, HyperbolicCross, Sparse
 from aleator.transcription import transcribe
-from aleator.transcription._expansions import _collocated
+from aleator.transcription._discretised import _collocated
 
 
 class Many(al.AlgebraicSystem):

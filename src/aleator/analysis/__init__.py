@@ -2,7 +2,6 @@
 
 from aleator.analysis._abstract_expanded import AbstractExpanded as AbstractExpanded
 from aleator.analysis._element_expanded import ElementExpanded as ElementExpanded
-from aleator.analysis._elements import MultiElement as MultiElement
 from aleator.analysis._expand import expand as expand
 from aleator.analysis._expanded import Expanded as Expanded
 from aleator.analysis._galerkin import galerkin as galerkin

@@ -4,7 +4,9 @@ The text shows the uncertain inputs, the moments of each output, its main contri
 """
 
 import abc
+import math
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -17,15 +19,30 @@ import scipy
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Pytree
-from aleator._core.errors import ProblemError
-from aleator._core.leaves import Drawn, Module
+from aleator._core.arrays import Pytree, jax_array
+from aleator._core.compilation import Use, evaluate, evaluate_traced, traced_once
+from aleator._core.errors import ExpansionWarning, ProblemError
+from aleator._core.leaves import Drawn, Module, is_traced
+from aleator.analysis._left_out import warn_of_shape, with_points_left_out
 from aleator.ensemble import at_levels, concrete, part, random_levels
-from aleator.expansion import Basis
-from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance
+from aleator.expansion import AbstractBasis, Collocation
+from aleator.statistics import (
+    AbstractMeasured,
+    AbstractStatistic,
+    AbstractTail,
+    Correlation,
+    Covariance,
+    Probability,
+    Std,
+    a_statistic,
+    cdf,
+    lines_through,
+    pdf,
+    refuse_correlated,
+)
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
 
-_PREPARED: "WeakKeyDictionary[Basis, dict[Any, Pytree]]" = WeakKeyDictionary()
+_PREPARED: "WeakKeyDictionary[AbstractBasis, dict[Any, Pytree]]" = WeakKeyDictionary()
 _LOCK = threading.Lock()
 
 # Germ values of unbounded distributions are sought between these probability levels.
@@ -33,11 +50,16 @@ _FURTHEST_LEVELS = (1e-300, 1 - 1e-16)
 
 _CONTRIBUTORS = 4
 _LEAST_SHARE = 0.001
+# The error of an integral that is told: as a part of a probability or of a spread. Probabilities below the second
+# number are those of no tail.
+_INTEGRATED, _NO_TAIL = 0.1, 1e-12
+# Statistics of so few numbers take less time than a program that is any faster.
+_FEW = 16
 # A spread below this part of the mean is rounding.
 _ROUNDING = 1e-14
 
 
-def prepared(preparation: Callable[[Basis], Pytree] | None, basis: Basis) -> Pytree:
+def prepared(preparation: Callable[[AbstractBasis], Pytree] | None, basis: AbstractBasis) -> Pytree:
     """The constants that a statistic needs of a basis: prepared on first use, and kept as long as the basis."""
     if preparation is None:
         return ()
@@ -60,23 +82,50 @@ class AbstractExpanded(Module, Drawn, AbstractMeasured[Pytree]):
 
     distributions: eqx.AbstractVar[dict[str, AbstractDistribution]]
 
+    basis: eqx.AbstractVar[AbstractBasis]
+    coefficients: eqx.AbstractVar[Pytree]
+
     @property
-    @abc.abstractmethod
     def germs(self) -> Mapping[str, AbstractGerm]:
         """The distribution of each germ variable by name, in the order of a germ vector."""
+        return self.basis.germs
 
-    @abc.abstractmethod
     @override
     def statistic(self, kind: AbstractStatistic) -> Pytree:
-        """Any other statistic of each output."""
+        """Any other statistic of each output. Raises `ProblemError` for Sobol indices of correlated inputs."""
+        refuse_correlated(self.distributions, a_statistic(kind))
+        constants = prepared(kind.preparation, self.basis)
+        outputs, structure = jax.tree.flatten(self.coefficients)
+        collocation, samples = self._known()
+        values = []
+        for terms, known in zip(outputs, samples, strict=True):
+            if kind.by_numpy and not is_traced(terms):
+                values.append(kind.of(terms, constants))
+                continue
+            without = with_points_left_out(kind, collocation, known, terms, constants)
+            arguments = kind, constants, terms if without is None else jax_array(without)
+            traced = traced_once((type(kind), _statistic_of), _statistic_of, *arguments)
+            value, error = evaluate_traced(traced, *arguments, use=_use(terms))
+            if error is not None and not is_traced(error):
+                _warn_of_integral(kind, np.asarray(value), np.asarray(error), np.asarray(Std().of(terms, ())))
+            if without is not None:
+                warn_of_shape(kind, np.asarray(value), without[:, 0])
+                value = value[0]
+            values.append(value)
+        return jax.tree.unflatten(structure, values)
+
+    def _known(self) -> tuple[Collocation | None, list[Any]]:
+        """The collocation, and the samples of each output there, where these are known."""
+        return None, [None] * len(jax.tree.leaves(self.coefficients))
 
     @abc.abstractmethod
     def __getitem__(self, name: str) -> "AbstractExpanded":
         """One output by name, if the outputs are a dict."""
 
-    @abc.abstractmethod
     def at_germ(self, points: Float[np.ndarray, "n variables"]) -> Pytree:
         """The expansion at germ points given as plain numbers: shape (n, *shape) for each output."""
+        checked = checked_points(points, self.germs)
+        return jax.tree.map(lambda terms: self.basis.values(checked, terms), self.coefficients)
 
     def sample(self, count: int, seed: int) -> Pytree:
         """The expansion at `count` random germ points: shape (count, *shape) for each output."""
@@ -91,13 +140,17 @@ class AbstractExpanded(Module, Drawn, AbstractMeasured[Pytree]):
         point = germ_of(self.distributions, inputs)
         return jax.tree.map(lambda values: values[0], self.at_germ(np.array([[point[name] for name in self.germs]])))
 
-    @abc.abstractmethod
     def cdf(self, values: Float[Array, " n"]) -> Pytree:
         """The distribution function at each value: shape (n, *shape) for each output."""
+        return self._at_each(cdf, values)
 
-    @abc.abstractmethod
     def pdf(self, values: Float[Array, " n"]) -> Pytree:
         """The probability density at each value, per unit of the output: shape (n, *shape) for each output."""
+        return self._at_each(pdf, values)
+
+    def _at_each(self, function: Callable[..., Array], values: Float[Array, " n"]) -> Pytree:
+        lines, values = prepared(lines_through, self.basis), jax_array(values)
+        return jax.tree.map(lambda terms: evaluate(function, values, terms, lines, use=_use(terms)), self.coefficients)
 
     def covariance(self, first: str, second: str) -> Array:
         """The covariance of two outputs of equal shape, entry by entry."""
@@ -110,6 +163,28 @@ class AbstractExpanded(Module, Drawn, AbstractMeasured[Pytree]):
     @abc.abstractmethod
     def _both(self, first: str, second: str) -> "AbstractExpanded":
         """Two outputs as one, along a new last axis."""
+
+
+def _statistic_of(kind: AbstractStatistic, constants: Pytree, terms: Array) -> tuple[Array, Array | None]:
+    """A statistic, and the error of its integral where it is one of a tail."""
+    return kind.estimated(terms, constants) if isinstance(kind, AbstractTail) else (kind.of(terms, constants), None)
+
+
+def _warn_of_integral(kind: AbstractStatistic, value: np.ndarray, error: np.ndarray, std: np.ndarray) -> None:
+    """Warn (`ExpansionWarning`) of a statistic of a tail whose integral has an error that one would act on."""
+    size = np.maximum(np.minimum(value, 1 - value) if isinstance(kind, Probability) else std, _NO_TAIL)
+    worst = np.unravel_index(int(np.argmax(error / size)), error.shape)
+    if error[worst] > _INTEGRATED * size[worst]:
+        warnings.warn(
+            f"{kind.text('output')} of the expansion is {value[worst]:.3g} ± {error[worst]:.1g} (95 %): few of the "
+            "lines along which it is integrated meet that tail.",
+            ExpansionWarning,
+            stacklevel=4,
+        )
+
+
+def _use(terms: Float[Array, "terms *shape"]) -> Use:
+    return Use.ONCE if math.prod(terms.shape[1:]) <= _FEW else Use.LOOPS
 
 
 def paired(outputs: Pytree, first: str, second: str) -> Array:
@@ -212,7 +287,7 @@ def _where(shape: tuple[int, ...], entry: tuple) -> str:
 
 
 def contributors(
-    distributions: Mapping[str, AbstractDistribution], basis: Basis, terms: Float[np.ndarray, " terms"]
+    distributions: Mapping[str, AbstractDistribution], basis: AbstractBasis, terms: Float[np.ndarray, " terms"]
 ) -> str:
     """The largest shares of the variance by the inputs that they come from, alone or together (Sobol indices).
 

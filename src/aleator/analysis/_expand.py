@@ -15,7 +15,6 @@ from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator.analysis._abstract_expanded import extrapolates
 from aleator.analysis._element_expanded import ElementExpanded
-from aleator.analysis._elements import MultiElement, Partition, Refinement
 from aleator.analysis._expanded import Expanded
 from aleator.analysis._sampling import Sampler
 from aleator.ensemble import Function, concrete
@@ -25,6 +24,8 @@ from aleator.expansion import (
     Collocation,
     Discretisation,
     Expansion,
+    MultiElement,
+    Refinement,
     Sparse,
     at_fewer_points,
     collocate,
@@ -32,6 +33,9 @@ from aleator.expansion import (
     resolved_instants,
 )
 from aleator.uncertainty import AbstractGerm, constant
+
+# Fresh points by which elements of a function are checked that is called, which may take long.
+_CALLED = 128
 
 
 @overload
@@ -102,21 +106,13 @@ def expand(
 
 
 def _in_elements(sampler: Sampler, settings: MultiElement) -> ElementExpanded:
-    refinement = Refinement(sampler, settings)
+    fresh = {} if sampler.is_traced else {"fresh_points": _CALLED}
+    refinement = Refinement(sampler.places.germs, settings, lambda at: sampler.samples(jax_array(at)), **fresh)
     refinement.run()
-    elements, calls, error = refinement.elements, refinement.calls, refinement.error
-    cells, bases = tuple(element.cell for element in elements), tuple(element.basis for element in elements)
-    coefficients = jax.tree.map(_stacked, *(element.coefficients for element in elements))
-    partition = Partition(refinement.germs, cells, bases)
-    if not error <= settings.error:
-        warnings.warn(
-            f"MultiElement: {len(cells)} elements leave an estimated error of {error:.1e} of the standard deviation, "
-            f"where {settings.error:.1e} is asked, after {calls} of {settings.budget} calls. Raise the budget or the "
-            "error.",
-            ExpansionWarning,
-            stacklevel=3,
-        )
-    return ElementExpanded(sampler.distributions, partition, coefficients, tuple(refinement.splits), calls, error)
+    basis, elements = refinement.basis, (element.coefficients for element in refinement.elements)
+    coefficients = jax.tree.map(lambda *terms: basis.division.whole(_stacked(*terms)), *elements)
+    about = tuple(refinement.splits), refinement.calls, refinement.error
+    return ElementExpanded(sampler.distributions, basis, coefficients, *about)
 
 
 def _stacked(*terms: Array) -> Array:

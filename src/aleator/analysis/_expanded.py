@@ -1,7 +1,6 @@
 """`Expanded`: one expansion of a function of uncertain inputs, with its statistics, errors and Shapley effects."""
 
 import math
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from itertools import combinations
@@ -15,46 +14,25 @@ from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree, in_library, jax_array
-from aleator._core.compilation import Use, evaluate, evaluate_traced, traced_once
-from aleator._core.errors import ExpansionWarning, ProblemError
-from aleator._core.leaves import is_traced
+from aleator._core.errors import ProblemError
 from aleator.analysis._abstract_expanded import (
     AbstractExpanded,
     as_lines,
-    checked_points,
     contributors,
     distribution_rows,
     nothing,
     output_rows,
     paired,
-    prepared,
     trust,
 )
-from aleator.analysis._left_out import warn_of_shape, with_points_left_out
 from aleator.ensemble import concrete, part
-from aleator.expansion import ROUNDING, UNRESOLVED, Basis, Collocation, jackknife, leave_one_out, unseen
+from aleator.expansion import ROUNDING, UNRESOLVED, AbstractBasis, Collocation, jackknife, leave_one_out, unseen
 from aleator.statistics import (
-    AbstractStatistic,
-    AbstractTail,
-    Probability,
-    Std,
-    a_statistic,
-    cdf,
-    lines_through,
-    pdf,
-    refuse_correlated,
     varies,
 )
-from aleator.uncertainty import AbstractDistribution, AbstractGerm
-
-# Statistics of so few numbers take less time than a program that is any faster.
-_FEW = 16
+from aleator.uncertainty import AbstractDistribution
 
 _MOST_INPUTS = 12
-
-# The error of an integral that is told: as a part of a probability or of a spread. Probabilities below the second
-# number are those of no tail.
-_INTEGRATED, _NO_TAIL = 0.1, 1e-12
 
 
 @final
@@ -70,7 +48,7 @@ class Expanded(AbstractExpanded):
     """
 
     distributions: dict[str, AbstractDistribution]
-    basis: Basis = eqx.field(static=True)
+    basis: AbstractBasis = eqx.field(static=True)
     coefficients: Pytree
     collocation: Collocation | None
     samples: Pytree | None
@@ -87,39 +65,9 @@ class Expanded(AbstractExpanded):
         return Expanded(self.distributions, self.basis, paired(self.coefficients, first, second), None, None)
 
     @override
-    def statistic(self, kind: AbstractStatistic) -> Pytree:
-        """Raises `ProblemError` for Sobol indices of correlated inputs."""
-        refuse_correlated(self.distributions, a_statistic(kind))
-        constants = prepared(kind.preparation, self.basis)
-
-        outputs, structure = jax.tree.flatten(self.coefficients)
-        samples = [None] * len(outputs) if self.samples is None else jax.tree.leaves(self.samples)
-        values = []
-        for terms, known in zip(outputs, samples, strict=True):
-            if kind.by_numpy and not is_traced(terms):
-                values.append(kind.of(terms, constants))
-                continue
-            without = with_points_left_out(kind, self.collocation, known, terms, constants)
-            arguments = kind, constants, terms if without is None else jax_array(without)
-            traced = traced_once((type(kind), _statistic_of), _statistic_of, *arguments)
-            value, error = evaluate_traced(traced, *arguments, use=_use(terms))
-            if error is not None and not is_traced(error):
-                _warn_of_integral(kind, np.asarray(value), np.asarray(error), np.asarray(Std().of(terms, ())))
-            if without is not None:
-                warn_of_shape(kind, np.asarray(value), without[:, 0])
-                value = value[0]
-            values.append(value)
-        return jax.tree.unflatten(structure, values)
-
-    @override
-    def cdf(self, values: Float[Array, " n"]) -> Pytree:
-        lines = prepared(lines_through, self.basis)
-        return jax.tree.map(lambda terms: _at(cdf, values, terms, lines), self.coefficients)
-
-    @override
-    def pdf(self, values: Float[Array, " n"]) -> Pytree:
-        lines = prepared(lines_through, self.basis)
-        return jax.tree.map(lambda terms: _at(pdf, values, terms, lines), self.coefficients)
+    def _known(self) -> tuple[Collocation | None, list[Any]]:
+        outputs = jax.tree.leaves(self.coefficients)
+        return self.collocation, [None] * len(outputs) if self.samples is None else jax.tree.leaves(self.samples)
 
     def shapley(self, name: str) -> Pytree:
         """The share of the variance that an input contributes, correlated or not, from 0 to 1 (Shapley effect).
@@ -180,16 +128,6 @@ class Expanded(AbstractExpanded):
         highest = _edge(self.basis)
         return jax.tree.map(lambda terms: _share(terms, highest), self.coefficients)
 
-    @property
-    @override
-    def germs(self) -> Mapping[str, AbstractGerm]:
-        return self.basis.germs
-
-    @override
-    def at_germ(self, points: Float[np.ndarray, "n variables"]) -> Pytree:
-        matrix = self.basis.matrix(checked_points(points, self.germs))
-        return jax.tree.map(lambda terms: _product(matrix, terms), self.coefficients)
-
     def __str__(self) -> str:
         checks = self.leave_one_out, self.jackknife, self.error
         remarks = jax.tree.map(self._remark, self.coefficients, *checks)
@@ -222,7 +160,7 @@ class Expanded(AbstractExpanded):
         )
 
 
-def _edge(basis: Basis) -> Bool[np.ndarray, " terms"]:
+def _edge(basis: AbstractBasis) -> Bool[np.ndarray, " terms"]:
     """Which terms are at the edge of the index set; see `highest_degree_share`."""
     known = set(map(tuple, basis.indices.tolist()))
     step = _step(basis)
@@ -234,7 +172,7 @@ def _edge(basis: Basis) -> Bool[np.ndarray, " terms"]:
     return np.array([ends(tuple(term)) for term in basis.indices.tolist()])
 
 
-def _step(basis: Basis) -> int:
+def _step(basis: AbstractBasis) -> int:
     return 2 if basis.order > 2 else 1
 
 
@@ -242,38 +180,6 @@ def _part_of_variance(terms: Float[Array, "terms *shape"], matrix: Float[Array, 
     part = jnp.sum(terms * jnp.tensordot(matrix, terms, axes=1), axis=0)
     total, spreads = jnp.sum(terms[1:] ** 2, axis=0), varies(terms)
     return jnp.where(spreads, part / jnp.where(spreads, total, 1.0), 0.0)
-
-
-def _statistic_of(kind: AbstractStatistic, constants: Pytree, terms: Array) -> tuple[Array, Array | None]:
-    """A statistic, and the error of its integral where it is one of a tail."""
-    return kind.estimated(terms, constants) if isinstance(kind, AbstractTail) else (kind.of(terms, constants), None)
-
-
-def _warn_of_integral(kind: AbstractStatistic, value: np.ndarray, error: np.ndarray, std: np.ndarray) -> None:
-    """Warn (`ExpansionWarning`) of a statistic of a tail whose integral has an error that one would act on."""
-    size = np.maximum(np.minimum(value, 1 - value) if isinstance(kind, Probability) else std, _NO_TAIL)
-    worst = np.unravel_index(int(np.argmax(error / size)), error.shape)
-    if error[worst] > _INTEGRATED * size[worst]:
-        warnings.warn(
-            f"{kind.text('output')} of the expansion is {value[worst]:.3g} ± {error[worst]:.1g} (95 %): few of the "
-            "lines along which it is integrated meet that tail.",
-            ExpansionWarning,
-            stacklevel=4,
-        )
-
-
-def _use(terms: Float[Array, "terms *shape"]) -> Use:
-    return Use.ONCE if math.prod(terms.shape[1:]) <= _FEW else Use.LOOPS
-
-
-def _at(function: Callable[..., Array], values: Any, terms: Float[Array, "terms *shape"], lines: Pytree) -> Array:
-    """The distribution function of an output, or its density, at some values."""
-    return evaluate(function, jax_array(values), terms, lines, use=_use(terms))
-
-
-def _product(matrix: Float[np.ndarray, "n terms"], terms: Float[Array, "terms *shape"]) -> Float[Array, "n *shape"]:
-    library, known = in_library(terms)
-    return jax_array(library.tensordot(matrix, known, axes=1))
 
 
 def _larger(first: Float[Array, "*shape"], second: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
@@ -298,7 +204,7 @@ def _share(terms: Float[Array, "terms *shape"], highest: np.ndarray) -> Float[Ar
 Matrix: TypeAlias = Float[np.ndarray, "terms terms"]
 
 
-def shapley_matrix(distributions: Mapping[str, AbstractDistribution], basis: Basis, name: str) -> Matrix:
+def shapley_matrix(distributions: Mapping[str, AbstractDistribution], basis: AbstractBasis, name: str) -> Matrix:
     """The matrix `W` of an input: its part of the variance is `cᵀ W c` for coefficients `c`.
 
     The share of an input is the explained variance `Var E[y | inputs]` that it adds, averaged over all orders in which
@@ -324,7 +230,9 @@ def shapley_matrix(distributions: Mapping[str, AbstractDistribution], basis: Bas
     return total
 
 
-def _explained(distributions: Mapping[str, AbstractDistribution], basis: Basis) -> Callable[[frozenset[str]], Matrix]:
+def _explained(
+    distributions: Mapping[str, AbstractDistribution], basis: AbstractBasis
+) -> Callable[[frozenset[str]], Matrix]:
     """The matrix of `Var E[y | known]` for any set of known inputs: a product over independent inputs and groups."""
     factors = list(_factors(distributions, basis))
     mean = np.zeros((basis.terms, basis.terms))
@@ -338,7 +246,7 @@ def _explained(distributions: Mapping[str, AbstractDistribution], basis: Basis) 
 
 
 def _factors(
-    distributions: Mapping[str, AbstractDistribution], basis: Basis
+    distributions: Mapping[str, AbstractDistribution], basis: AbstractBasis
 ) -> Iterator[tuple[frozenset[str], Callable[[frozenset[str]], Matrix]]]:
     """For each independent input, and for each correlated group: the inputs, and the matrix of their germ variables."""
     groups: dict[str, dict[str, np.ndarray]] = {}

@@ -8,18 +8,17 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from aleator._core.arrays import Pytree, jax_array, numbers_to_arrays
-from aleator._core.errors import ProblemError
 from aleator.ensemble import (
     BoxEnsemble,
     CalledEnsemble,
     Function,
     TracedEnsemble,
     at_levels,
-    concrete,
     ensemble_for,
     even_levels,
     uncertain_places,
 )
+from aleator.expansion import plain
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
 
 # Fresh points of a traced function: so many, and at least this part of the collocation points; of a called one, which
@@ -102,14 +101,3 @@ class _Once:
             outputs = self._ensemble(np.stack(list(new.values())), before=len(self._known))
             self._known |= {key: jax.tree.map(lambda leaf, i=i: leaf[i], outputs) for i, key in enumerate(new)}
         return jax.tree.map(lambda *values: jax_array(np.stack(values)), *(self._known[key] for key in keys))
-
-
-def plain(outputs: Pytree) -> Pytree:
-    """Outputs as plain numbers, for decisions that depend on them. Raises `ProblemError` while they are compiled."""
-    values = [concrete(leaf) for leaf in jax.tree.leaves(outputs)]
-    if any(value is None for value in values):
-        raise ProblemError(
-            "How a function is expanded by elements or adaptively depends on its values, which are not known inside "
-            "jax.jit: expand outside of it (jax.grad alone is no obstacle), or by a fixed expansion."
-        )
-    return jax.tree.unflatten(jax.tree.structure(outputs), values)

@@ -15,6 +15,7 @@ from aleator.certification._limits import excess_between as excess_between
 from aleator.certification._limits import margins_for as margins_for
 from aleator.certification._limits import tightened as tightened
 from aleator.certification._second_opinion import second_opinion as second_opinion
+from aleator.certification._smoothing import at_half_width as at_half_width
 from aleator.certification._solution import diagnose as diagnose
 from aleator.certification._solution import doubts as doubts
 from aleator.certification._solution import lost_derivatives as lost_derivatives

@@ -12,7 +12,7 @@ from aleator import _core
 from aleator.certification._check import Check, certain
 from aleator.design import Problem, expanded_functionals, first_broken, instants_at, path_of, statistics_in, unsolved
 from aleator.ensemble import inputs_at
-from aleator.expansion import ILL_CONDITIONED, unseen
+from aleator.expansion import ILL_CONDITIONED, PiecewiseBasis, unseen
 from aleator.nlp import Outcome, Status, missed_slope
 from aleator.solution import (
     MOST_NUMBERS,
@@ -149,6 +149,7 @@ def quality_of(
             if one.tangents is not None
         },
         unseen=unseen(basis, np.asarray(collocation.points)),
+        elements=len(basis.cells) if isinstance(basis, PiecewiseBasis) else 1,
     )
 
 

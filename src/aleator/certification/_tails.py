@@ -16,7 +16,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import jax_array
 from aleator._core.compilation import Use, evaluate
-from aleator.certification._check import Check, begin_check
+from aleator.certification._check import ROUNDING, Check, begin_check
 from aleator.certification._fresh import FreshSystems
 from aleator.design import AbstractScopeOfInstants, Expression, Statistic, functionals_of, statistics_in
 from aleator.statistics import (
@@ -132,6 +132,8 @@ def tail_objections(
                 continue
             entry = (int(np.argmin(gaps)),) if one.is_path and gaps is not None else ()
             tail = _tail(transcribed, atom, entry, check)
+            if tail.std <= ROUNDING * abs(tail.mean):
+                continue  # A path may be certain at some instants, as at its start.
 
             def matters(
                 by: float, expression: Expression = expression, atom: Statistic = atom, gaps: Any = gaps

@@ -37,7 +37,7 @@ from aleator.dynamics import (
     refuse_unknown_event,
     within,
 )
-from aleator.expansion import Expansion
+from aleator.expansion import Expansion, MultiElement
 from aleator.statistics import Sobol, TotalSobol, refuse_correlated
 from aleator.trajectories import piecewise_in
 from aleator.uncertainty import (
@@ -74,7 +74,7 @@ def _check_types(problem: AbstractProblem) -> None:
     expected: tuple[tuple[str, Any, tuple[type, ...]], ...] = (
         ("system", system, (System, AlgebraicSystem, LinkedSystems)),
         ("grid", problem.grid, (Instant,) if has_no_time else (Grid, LinkedGrid)),
-        ("expansion", problem.expansion, (Expansion,)),
+        ("expansion", problem.expansion, (Expansion, MultiElement)),
         ("integrator", problem.integrator, (AbstractIntegrator,)),
     )
     for name, value, kinds in expected:

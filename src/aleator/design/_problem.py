@@ -37,7 +37,7 @@ from aleator.dynamics import (
     Simulation,
     simulation_of,
 )
-from aleator.expansion import Expansion
+from aleator.expansion import Expansion, MultiElement
 from aleator.feedback import Feedback, Noisy, closed_loop, noisy
 from aleator.statistics import Mean
 from aleator.trajectories import AbstractSignal
@@ -56,7 +56,8 @@ class Problem(AbstractProblem):
       or `Phases`, which have grids and inputs of their own;
     - `grid`: the instants; `inputs`: a signal for each input of the system, by name;
     - `minimize`: an expression of statistics; `subject_to`: constraints;
-    - `expansion`: how outputs are expanded; `integrator`: how states are advanced in time;
+    - `expansion`: how outputs are expanded; by `al.MultiElement()` where no single polynomial follows them;
+    - `integrator`: how states are advanced in time;
     - `decisions`: further decisions by name, which no model contains, such as a slack or a level that several limits
       share; `al.value(name)` is one in an expression;
     - `feedback`: a controller that makes each realisation follow the plan, that of the means.
@@ -74,7 +75,7 @@ class Problem(AbstractProblem):
         subject_to: Iterable[Constraint | tuple[Constraint, ...]] = (),
         grid: AbstractGrid | None = None,
         inputs: Mapping[str, AbstractSignal] | None = None,
-        expansion: Expansion | None = None,
+        expansion: Expansion | MultiElement | None = None,
         integrator: AbstractIntegrator | None = None,
         decisions: Mapping[str, AbstractDecision] | None = None,
         feedback: Feedback | None = None,
@@ -133,6 +134,11 @@ class Problem(AbstractProblem):
     def finer(self, factor: int, integrator: AbstractIntegrator) -> "Problem":
         """The same problem with so many times as many steps, by another integrator. It is not checked again."""
         return _with_simulation(self, self.simulation.finer(factor, integrator))
+
+    def narrower(self) -> "Problem | None":
+        """The same problem with half the widths of `al.smooth`; None without any. It is not checked again."""
+        simulation = self.simulation.narrower()
+        return None if simulation is None else _with_simulation(self, simulation)
 
     def with_bound(self, name: str, bound: float | tuple[float, float]) -> Self:
         """The same problem with the bound of the constraints called `name` set to `bound`.

@@ -32,7 +32,7 @@ from aleator.dynamics import (
     System,
     needed,
 )
-from aleator.expansion import Expansion
+from aleator.expansion import Expansion, MultiElement
 from aleator.statistics import AbstractStatistic
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import Placements, at_means, named_numbers, placements, realise
@@ -53,7 +53,7 @@ class AbstractProblem(Module, Printed):
     simulation: Simulation
     objective: Expression
     constraints: tuple[Constraint, ...]
-    expansion: Expansion
+    expansion: Expansion | MultiElement
     physics: Digest = eqx.field(static=True)
     code: str = eqx.field(static=True)
 

@@ -35,6 +35,7 @@ from aleator.dynamics._evaluation import (
 from aleator.dynamics._event import Event
 from aleator.dynamics._phases import LinkedSystems, linked_states, named
 from aleator.dynamics._record import zeros
+from aleator.dynamics._smooth import WIDTHS, Widths
 from aleator.dynamics._system import AbstractSystem, System, state_type
 from aleator.trajectories import AbstractSignal
 
@@ -64,6 +65,7 @@ class Equations:
 
     - `finer`: the same with more steps, and another integrator, of what is simulated inside the model; None if nothing
       is;
+    - `narrower`: the same with half the widths of `al.smooth`; None if there are none;
     - `phases`: the equations of each phase, where there are phases; the functions are then those that begin them.
 
     A pickle has the digest alone: where it is read, the equations are traced again and compared when they are needed.
@@ -72,6 +74,7 @@ class Equations:
     digest: Digest
     _functions: Mapping[str, TracedFunction] | None = field(compare=False, repr=False)
     finer: "Equations | None" = field(default=None, compare=False, repr=False)
+    narrower: "Equations | None" = field(default=None, compare=False, repr=False)
     phases: "Mapping[str, Equations]" = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
@@ -80,18 +83,22 @@ class Equations:
 
         - `states`: the shapes of those with which a later phase begins; None where the system tells them.
         """
-        equations, inside = cls._of(system, start, states, 1)
-        finer = cls._of(system, start, states, FINER)[0] if inside.is_met else None
-        return replace(equations, finer=finer)
+        equations, inside, widths = cls._of(system, start, states)
+        finer = cls._of(system, start, states, factor=FINER)[0] if inside.is_met else None
+        narrower = cls._of(system, start, states, width=0.5)[0] if widths.is_met else None
+        return replace(equations, finer=finer, narrower=narrower)
 
     @classmethod
-    def _of(cls, system: AbstractSystem, start: "Start | None", states: Any, factor: int) -> tuple["Equations", Inside]:
-        inside = Inside(factor)
-        before = INSIDE.set(inside)
+    def _of(
+        cls, system: AbstractSystem, start: "Start | None", states: Any, *, factor: int = 1, width: float = 1.0
+    ) -> tuple["Equations", Inside, Widths]:
+        inside, widths = Inside(factor), Widths(width)
+        before = INSIDE.set(inside), WIDTHS.set(widths)
         try:
-            return cls._traced(system, start, states), inside
+            return cls._traced(system, start, states), inside, widths
         finally:
-            INSIDE.reset(before)
+            INSIDE.reset(before[0])
+            WIDTHS.reset(before[1])
 
     @classmethod
     def _traced(cls, system: AbstractSystem, start: "Start | None", states: Any) -> "Equations":
@@ -124,9 +131,12 @@ class Equations:
                 functions[name] = TracedFunction(begun, ended, starts[before].t, z)
                 states = state_type(one.states)(**_shapes(functions[name]))
             phases[name] = cls.of(one, starts[name], states)
-        finer = {name: one.finer or one for name, one in phases.items()}
-        is_met = any(one.finer for one in phases.values())
-        return replace(cls._joint(phases, functions), finer=cls._joint(finer, functions) if is_met else None)
+        others = {
+            kind: {name: getattr(one, kind) for name, one in phases.items() if getattr(one, kind) is not None}
+            for kind in ("finer", "narrower")
+        }
+        joint = {kind: cls._joint({**phases, **some}, functions) for kind, some in others.items() if some}
+        return replace(cls._joint(phases, functions), **joint)
 
     @classmethod
     def _joint(cls, phases: "Mapping[str, Equations]", functions: Mapping[str, TracedFunction]) -> "Equations":
@@ -155,7 +165,8 @@ class Equations:
                 f"{system.title}: the code of this process gives other equations than those that the problem was "
                 "declared with in another one. Start workers anew, with the same files; solve stored designs again."
             )
-        self._functions, self.finer, self.phases = again._functions, again.finer, again.phases
+        self._functions, self.phases = again._functions, again.phases
+        self.finer, self.narrower = again.finer, again.narrower
 
     def output_shapes(self) -> dict[str, tuple[int, ...]]:
         """The shape of each output at one instant, by name; none where the equations have to be traced again."""
@@ -190,7 +201,7 @@ class Equations:
         return name in self._functions
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"_functions": None, "finer": None, "phases": {}, "digest": self.digest}
+        return {"_functions": None, "finer": None, "narrower": None, "phases": {}, "digest": self.digest}
 
 
 def _shapes(function: TracedFunction) -> Any:

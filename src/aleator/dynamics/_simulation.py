@@ -265,6 +265,12 @@ class Simulation(AbstractPlanned):
         inside = equations if equations is None or equations.finer is None else equations.finer
         return replace(self.on(self.grid.finer(factor), integrator), equations=inside)
 
+    def narrower(self) -> "Simulation | None":
+        """The same with half the widths of `al.smooth`; None without any."""
+        equations = self.equations
+        narrower = None if equations is None else equations.narrower
+        return None if narrower is None else replace(self, equations=narrower)
+
     def refuse_at_start(self, system: System) -> None:
         """Raise `ProblemError` for what can be told of the start with known numbers, without tracing any rate.
 

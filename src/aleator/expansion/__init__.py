@@ -1,6 +1,7 @@
 """From samples at germ points to the coefficients of an expansion: index sets, points, fits."""
 
 from aleator.expansion._adaptive import Adaptive as Adaptive
+from aleator.expansion._basis import AbstractBasis as AbstractBasis
 from aleator.expansion._basis import AbstractIndexSet as AbstractIndexSet
 from aleator.expansion._basis import Anisotropic as Anisotropic
 from aleator.expansion._basis import Basis as Basis
@@ -19,6 +20,12 @@ from aleator.expansion._collocation import left_out as left_out
 from aleator.expansion._collocation import mean_squares as mean_squares
 from aleator.expansion._collocation import relative_error as relative_error
 from aleator.expansion._collocation import resolved_instants as resolved_instants
+from aleator.expansion._elements import Cell as Cell
+from aleator.expansion._elements import Division as Division
+from aleator.expansion._elements import InElements as InElements
+from aleator.expansion._elements import PiecewiseBasis as PiecewiseBasis
+from aleator.expansion._elements import in_each as in_each
+from aleator.expansion._elements import restricted as restricted
 from aleator.expansion._expansion import Discretisation as Discretisation
 from aleator.expansion._expansion import Expansion as Expansion
 from aleator.expansion._expansion import Unseen as Unseen
@@ -45,3 +52,7 @@ from aleator.expansion._points import RandomPoints as RandomPoints
 from aleator.expansion._points import SobolPoints as SobolPoints
 from aleator.expansion._quadrature import GaussPoints as GaussPoints
 from aleator.expansion._quadrature import SmolyakPoints as SmolyakPoints
+from aleator.expansion._refinement import MultiElement as MultiElement
+from aleator.expansion._refinement import Refinement as Refinement
+from aleator.expansion._refinement import collocate_elements as collocate_elements
+from aleator.expansion._refinement import plain as plain

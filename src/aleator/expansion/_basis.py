@@ -8,11 +8,11 @@ from typing import final
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 from typing_extensions import override
 
 from aleator._core import border
-from aleator._core.arrays import NUMBER, refuse_beyond_memory
+from aleator._core.arrays import NUMBER, in_library, jax_array, refuse_beyond_memory
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.ensemble import at_levels
@@ -162,13 +162,11 @@ def _refuse_too_many(terms: float, variables: int) -> None:
         )
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Basis:
-    """Products of univariate orthonormal polynomials, equation (16).
+class AbstractBasis(abc.ABC):
+    """Orthonormal functions of the germ, the first of which is the constant.
 
     - `germs`: the distribution of each germ variable, by name;
-    - `indices`: degree of each variable in each term, shape (terms, variables); the first term is the constant.
+    - `indices`: degree of each variable in each term, shape (terms, variables).
     """
 
     germs: Mapping[str, AbstractGerm]
@@ -199,17 +197,19 @@ class Basis:
         """The highest degree of each variable."""
         return tuple(self.indices.max(axis=0).tolist())
 
+    @abc.abstractmethod
     def matrix(self, points: Float[np.ndarray, "n variables"]) -> Float[np.ndarray, "n terms"]:
         """The matrix `A[k, j] = Psi_j(xi_k)` of equation (28) at any number of germ points.
 
         Raises `ProblemError` if it would not fit into memory.
         """
-        self.refuse_beyond_memory(len(points), _MATRICES)
-        terms = np.ones((self.terms, len(points)))
-        for i, (germ, degree) in enumerate(zip(self.germs.values(), self.degrees, strict=True)):
-            in_it = np.flatnonzero(self.indices[:, i])  # of many variables, a small part of the terms
-            terms[in_it] *= germ.polynomials(degree, points[:, i]).T[self.indices[in_it, i]]
-        return np.ascontiguousarray(terms.T)
+
+    def values(
+        self, points: Float[np.ndarray, "n variables"], coefficients: Float[Array, "terms *shape"]
+    ) -> Float[Array, "n *shape"]:
+        """An expansion at germ points."""
+        library, known = in_library(coefficients)
+        return jax_array(library.tensordot(self.matrix(points), known, axes=1))
 
     def refuse_beyond_memory(self, points: int, matrices: int) -> None:
         """Raise `ProblemError` if this number of matrices of points by terms would not fit into memory."""
@@ -219,3 +219,21 @@ class Basis:
     def map_to_germ(self, levels: Float[np.ndarray, "n variables"]) -> Float[np.ndarray, "n variables"]:
         """Points of the unit cube as germ values, by the quantile functions."""
         return at_levels(self.germs.values(), levels)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Basis(AbstractBasis):
+    """Products of univariate orthonormal polynomials, equation (16)."""
+
+    germs: Mapping[str, AbstractGerm]
+    indices: Int[np.ndarray, "terms variables"]
+
+    @override
+    def matrix(self, points: Float[np.ndarray, "n variables"]) -> Float[np.ndarray, "n terms"]:
+        self.refuse_beyond_memory(len(points), _MATRICES)
+        terms = np.ones((self.terms, len(points)))
+        for i, (germ, degree) in enumerate(zip(self.germs.values(), self.degrees, strict=True)):
+            in_it = np.flatnonzero(self.indices[:, i])  # of many variables, a small part of the terms
+            terms[in_it] *= germ.polynomials(degree, points[:, i]).T[self.indices[in_it, i]]
+        return np.ascontiguousarray(terms.T)

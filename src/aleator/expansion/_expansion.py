@@ -12,7 +12,7 @@ from aleator._core import border
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, Printed
 from aleator.expansion._adaptive import Adaptive, grow
-from aleator.expansion._basis import AbstractIndexSet, Basis, TotalDegree
+from aleator.expansion._basis import AbstractBasis, AbstractIndexSet, Basis, TotalDegree
 from aleator.expansion._collocation import UNRESOLVED, Collocation
 from aleator.expansion._fit import AbstractFit, LeastSquares, Respond
 from aleator.expansion._points import (
@@ -115,7 +115,7 @@ def _checked_tolerance(tolerance: float) -> float:
 class Discretisation(NamedTuple):
     """An expansion for a germ: its polynomials, and its points with the map from samples to coefficients."""
 
-    basis: Basis
+    basis: AbstractBasis
     collocation: Collocation
 
     @property
@@ -200,7 +200,7 @@ class Unseen(Printed):
         return self.sentence()
 
 
-def unseen(basis: Basis, points: Float[np.ndarray, "points variables"]) -> Unseen | None:
+def unseen(basis: AbstractBasis, points: Float[np.ndarray, "points variables"]) -> Unseen | None:
     """The most probable corner without a point, with the same level for each variable; None without variables.
 
     Beyond ten variables only some corners are checked.

@@ -13,7 +13,7 @@ from aleator._core.arrays import Pytree, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
 from aleator.ensemble import listed, refuse_nonfinite
-from aleator.expansion._basis import Basis
+from aleator.expansion._basis import AbstractBasis, Basis
 from aleator.expansion._collocation import ROUNDING, Collocation, components
 from aleator.expansion._points import Nodes
 
@@ -59,7 +59,7 @@ class AbstractFit(Module):
         return basis
 
     @abc.abstractmethod
-    def collocation(self, basis: Basis, nodes: Nodes) -> Collocation:
+    def collocation(self, basis: AbstractBasis, nodes: Nodes) -> Collocation:
         """The collocation matrix and the map from samples to coefficients."""
 
 
@@ -72,7 +72,7 @@ class LeastSquares(AbstractFit):
     """
 
     @override
-    def collocation(self, basis: Basis, nodes: Nodes) -> Collocation:
+    def collocation(self, basis: AbstractBasis, nodes: Nodes) -> Collocation:
         """Raises `ProblemError` for fewer points than terms, a singular matrix, or a weight that is not positive."""
         _refuse_too_few(basis, len(nodes.points))
         if not np.all(nodes.weights > 0):
@@ -106,7 +106,7 @@ class Interpolation(AbstractFit):
     points_per_term: ClassVar[int] = 1
 
     @override
-    def collocation(self, basis: Basis, nodes: Nodes) -> Collocation:
+    def collocation(self, basis: AbstractBasis, nodes: Nodes) -> Collocation:
         """Raises `ProblemError` unless there are as many points as terms and the matrix is regular."""
         count, terms = len(nodes.points), basis.terms
         if count != terms:
@@ -127,7 +127,7 @@ class Projection(AbstractFit):
     """
 
     @override
-    def collocation(self, basis: Basis, nodes: Nodes) -> Collocation:
+    def collocation(self, basis: AbstractBasis, nodes: Nodes) -> Collocation:
         """Raises `ProblemError`, naming a suitable rule, if this one does not integrate products of the polynomials."""
         matrix = basis.matrix(nodes.points)
         weighted = matrix * nodes.weights[:, None]
@@ -178,7 +178,7 @@ class Sparse(AbstractFit):
         return Basis(basis.germs, basis.indices[np.sort(sparse_terms(matrix, outputs))])
 
     @override
-    def collocation(self, basis: Basis, nodes: Nodes) -> Collocation:
+    def collocation(self, basis: AbstractBasis, nodes: Nodes) -> Collocation:
         """Least squares on the terms that were kept."""
         return LeastSquares().collocation(basis, nodes)
 
@@ -222,14 +222,19 @@ def sparse_terms(
 
 
 def _collocation(
-    basis: Basis, nodes: Nodes, matrix: np.ndarray, pseudo_inverse: np.ndarray, leverage: np.ndarray, condition: float
+    basis: AbstractBasis,
+    nodes: Nodes,
+    matrix: np.ndarray,
+    pseudo_inverse: np.ndarray,
+    leverage: np.ndarray,
+    condition: float,
 ) -> Collocation:
     checked = np.ones(len(matrix)) if _is_blind(basis, nodes) else leverage
     parts = (nodes.points, nodes.weights, matrix, pseudo_inverse, checked, condition)
     return Collocation(*map(jax_array, parts))
 
 
-def _is_blind(basis: Basis, nodes: Nodes) -> bool:
+def _is_blind(basis: AbstractBasis, nodes: Nodes) -> bool:
     """Whether some variable takes no more values than its polynomials have coefficients, as on a Gauss grid.
 
     Functions of that variable alone are then interpolated, so that no point checks them, whatever the leverage.
@@ -240,7 +245,7 @@ def _is_blind(basis: Basis, nodes: Nodes) -> bool:
     )
 
 
-def _refuse_too_few(basis: Basis, count: int) -> None:
+def _refuse_too_few(basis: AbstractBasis, count: int) -> None:
     terms = basis.terms
     if count < terms:
         raise ProblemError(
@@ -262,7 +267,7 @@ def _checked_condition(triangular: Float[np.ndarray, "terms terms"], count: int)
 
 
 def at_fewer_points(
-    basis: Basis, collocation: Collocation, fit: AbstractFit, kept: Bool[np.ndarray, " points"]
+    basis: AbstractBasis, collocation: Collocation, fit: AbstractFit, kept: Bool[np.ndarray, " points"]
 ) -> Collocation:
     """The collocation at the points that are kept, with their weights relative to one another.
 

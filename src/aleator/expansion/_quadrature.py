@@ -11,7 +11,7 @@ from typing_extensions import override
 from aleator._core import border
 from aleator._core.arrays import NUMBER, refuse_beyond_memory
 from aleator._core.errors import ProblemError
-from aleator.expansion._basis import Basis, TotalDegree
+from aleator.expansion._basis import AbstractBasis, Basis, TotalDegree
 from aleator.expansion._points import AbstractPoints, Nodes, count_given
 from aleator.uncertainty import AbstractGerm
 
@@ -37,7 +37,7 @@ class GaussPoints(AbstractPoints):
     count: int | None = eqx.field(static=True, default=None, converter=count_given)
 
     @override
-    def nodes(self, basis: Basis, usual: int) -> Nodes:
+    def nodes(self, basis: AbstractBasis, usual: int) -> Nodes:
         """Raises `ProblemError` if the grid has more than a million points."""
         del usual
         counts = [self.count or degree + 1 for degree in basis.degrees]

@@ -18,6 +18,7 @@ from aleator.solution._grid import Costates as Costates
 from aleator.solution._grid import Deviation as Deviation
 from aleator.solution._grid import GridError as GridError
 from aleator.solution._grid import MeshError as MeshError
+from aleator.solution._grid import Smoothing as Smoothing
 from aleator.solution._grid import States as States
 from aleator.solution._grid import Switching as Switching
 from aleator.solution._grid import system_text as system_text

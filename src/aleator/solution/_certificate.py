@@ -11,7 +11,7 @@ from jaxtyping import Float
 from aleator._core.leaves import Printed
 from aleator.expansion import ILL_CONDITIONED, UNRESOLVED, Unseen
 from aleator.nlp import HELD
-from aleator.solution._grid import GridError, system_text
+from aleator.solution._grid import GridError, Smoothing, system_text
 
 
 @final
@@ -58,7 +58,8 @@ class ExpansionQuality(Printed):
     - `tangents`: for each functional, the leave-one-out error of its derivative by each decision that is a parameter of
       a distribution. It bounds the trust in derivatives of its statistics, and in the shadow prices computed from them;
     - `unseen`: the largest corner of the germ space without a collocation point, about which nothing is known; None if
-      nothing is uncertain.
+      nothing is uncertain;
+    - `elements`: into how many the germ space is divided.
     """
 
     order: int
@@ -70,6 +71,7 @@ class ExpansionQuality(Printed):
     tolerance: float = UNRESOLVED
     tangents: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     unseen: Unseen | None = None
+    elements: int = 1
 
     @property
     def worst(self) -> float:
@@ -120,8 +122,9 @@ class ExpansionQuality(Printed):
     def __str__(self) -> str:
         if self.points == 1:
             return "nothing is uncertain"
+        divided = "" if self.elements == 1 else f"{self.elements} elements of "
         return (
-            f"order {self.order}, {self.terms} terms, {self.points} points, condition number "
+            f"{divided}order {self.order}, {self.terms} terms, {self.points} points, condition number "
             f"{self.condition_number:.3g}, worst leave-one-out error {self.worst:.2e}"
         )
 
@@ -296,7 +299,8 @@ class Certificate(Printed):
       nothing was checked;
     - `correlations`: which correlations of uncertain numbers are not those given, for decisions set their shapes;
     - `departed`: how far a simulation from the first instant departs from the states of an unstable plan, which then
-      were checked step by step, each from the plan's own state; empty if it does not depart by orders of magnitude.
+      were checked step by step, each from the plan's own state; empty if it does not depart by orders of magnitude;
+    - `smoothing`: the same design at half the widths of `al.smooth`; None without any.
     """
 
     violation: float
@@ -313,6 +317,7 @@ class Certificate(Printed):
     reaches: Mapping[str, float] = field(default_factory=dict)
     correlations: str = ""
     departed: str = ""
+    smoothing: Smoothing | None = None
 
     @property
     def objection(self) -> Objection | None:
@@ -364,6 +369,7 @@ class Certificate(Printed):
         rows = [
             ("between", self.between),
             ("grid", self.grid_error),
+            ("smoothing", self.smoothing),
             (
                 "open loop",
                 self.departed

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
@@ -286,3 +286,21 @@ class Switching(AbstractOverTime):
 
     def __str__(self) -> str:
         return f"switching function of {self.ranges}, at {len(self.times)} points"
+
+
+class Smoothing(NamedTuple):
+    """The same design at half the widths of `al.smooth`.
+
+    - `objective`, `narrower`: the objective at the stated widths and at half of them, both on the grid of the check;
+    - `moved`: by how much each limit moves, at most; `broken`: the limits that it breaks by more than a thousandth.
+    """
+
+    objective: float
+    narrower: float
+    moved: Mapping[str, float]
+    broken: tuple[str, ...]
+
+    def __str__(self) -> str:
+        limits = "".join(f", '{name}' moves by {by:.2g}" for name, by in self.moved.items() if by > 0)
+        broken = f"; this breaks {', '.join(map(repr, self.broken))}: state smaller widths" if self.broken else ""
+        return f"at half the widths the objective is {self.narrower:.7g} for {self.objective:.7g}{limits}{broken}"

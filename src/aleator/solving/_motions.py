@@ -19,7 +19,7 @@ from aleator.ensemble import draw, in_batches, inputs_at, listed, refuse_nonfini
 from aleator.solution import Moments, Motions, Solution
 from aleator.statistics import Mean, Std
 from aleator.trajectories import AbstractSignal, Tabulated, instants
-from aleator.transcription._expansions import discretised
+from aleator.transcription._discretised import discretised
 from aleator.uncertainty import at_means, realise, uncertain_numbers
 
 

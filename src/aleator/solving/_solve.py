@@ -213,11 +213,11 @@ def _solved_at_once(call: Call) -> Solution:
         at_means = None
         if call.deterministic_first and problem.placements.germs:
             stages, first, at_means = _from_means(stages, problem, first)
-        solution, held = stages.answer(problem, first, *known)
+        solution, held = stages.answer_in_elements(problem, first, *known)
         solutions = [solution]
         while call.refine and (plan := refinement(solutions)) is not None:
             stages = stages._replace(transcription=stages.transcription.starting_from(solution))
-            solution, held = stages.answer(plan, solution.vector)
+            solution, held = stages.answer_in_elements(plan, solution.vector)
             solutions.append(solution)
         reason, solution = unconverged(solutions), with_opinion(solution, held)
         times = replace(solution.effort.times, compile_=Compiled.seconds - before)
@@ -274,5 +274,7 @@ def _doubts(solution: Solution) -> Iterator[tuple[type[Warning], str]]:
         )
     if error is not None and not error.is_met:
         yield GridWarning, f"{f'on {error.steps} steps' if error.steps else 'in what the model simulates'} {error}"
+    if certificate.smoothing is not None and certificate.smoothing.broken:
+        yield GridWarning, str(certificate.smoothing)
     if between is not None and between.is_costly:
         yield GridWarning, str(between)

@@ -17,6 +17,7 @@ from aleator._core.errors import ProblemError
 from aleator.certification import (
     Check,
     Oracle,
+    at_half_width,
     begin_check,
     broken_at,
     check_factor,
@@ -57,6 +58,7 @@ from aleator.transcription import (
     AbstractTranscribed,
     AbstractTranscription,
     blind_decisions,
+    divided,
     refuse_blind,
     rows_by_name,
     transcribe,
@@ -149,6 +151,26 @@ class Stages(NamedTuple):
             error = replace(grid_error(transcribed, outcome.point, check, self.accuracy), at_start=misled)
         misled = "" if is_solved else misled
         return solution_of(transcribed, outcome, held.between, error, held.worst_case, misled, check), held
+
+    def answer_in_elements(
+        self,
+        problem: Problem,
+        start: np.ndarray | None,
+        multipliers: np.ndarray | None = None,
+        known: WorstCase | None = None,
+    ) -> tuple[Solution, Held]:
+        """The same, with elements that suffice at the answer: where they do not, they are divided there, and the search
+        goes on. Each division adds elements, whose number the budget of `MultiElement` bounds.
+        """
+        solution, held = self.answer(problem, start, multipliers, known)
+        while solution.status not in (Status.INTERRUPTED, Status.EVALUATION_FAILED):
+            finer = divided(held.transcribed.problem, held.transcribed.discretised, solution.vector)
+            if finer is None:
+                break
+            stages = self._replace(transcription=self.transcription.starting_from(solution))
+            certificate = solution.certificate
+            solution, held = stages.answer(finer, solution.vector, solution.multipliers, certificate.worst_case)
+        return solution, held
 
     def _searched(
         self,
@@ -299,6 +321,7 @@ def with_opinion(solution: Solution, held: Held) -> Solution:
     certificate = replace(
         solution.certificate,
         opinion=None if held.check is None else second_opinion(transcribed, point, held.check),
+        smoothing=None if held.check is None else at_half_width(transcribed, point, held.check),
         # A search has compared values.
         lost="" if solution.effort.searched else lost_derivatives(transcribed, point, solution.multipliers),
         untrusted=untrusted(solution),

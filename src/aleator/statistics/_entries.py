@@ -12,9 +12,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from aleator.statistics._lines import SINGLE, Lines
-from aleator.statistics._output_distribution import Estimate, OutputDistribution, TailByLines, TailByPoints, TailOf
+from aleator.statistics._lines import SINGLE, AnyLines
+from aleator.statistics._output_distribution import Estimate, OutputDistribution, TailByPoints, TailOf
 from aleator.statistics._statistic import Std, in_blocks
+from aleator.statistics._tail_in_elements import lower_tail
 
 # Points are evaluated for so many entries at once.
 _TOGETHER = 64
@@ -41,7 +42,7 @@ def _split(structure: Any, rows: Float[Array, "columns *n"]) -> tuple[Any, Float
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 3))
 def statistics_of_rows(
-    structure: Any, rows: Float[Array, "columns entries"], lines: Lines, paths: int
+    structure: Any, rows: Float[Array, "columns entries"], lines: AnyLines, paths: int
 ) -> Float[Array, " entries"]:
     """The statistic of each entry of some paths of one length, with kinds of one structure."""
     return _evaluated(_of_row, structure, rows, lines, paths)[0]
@@ -49,7 +50,7 @@ def statistics_of_rows(
 
 @statistics_of_rows.defjvp
 def _with_tangents(
-    structure: Any, paths: int, primals: tuple[Array, Lines], tangents: tuple[Array, Any]
+    structure: Any, paths: int, primals: tuple[Array, AnyLines], tangents: tuple[Array, Any]
 ) -> tuple[Array, Array]:
     """The gradient is found once, together with the statistic: a tangent costs one sum."""
     results = _evaluated(jax.value_and_grad(_of_row, argnums=1), structure, *primals, paths)
@@ -67,7 +68,7 @@ def _of_row(structure: Any, row: Float[Array, " columns"], tail_of: TailOf) -> F
 
 
 def _evaluated(
-    function: Callable[..., Any], structure: Any, rows: Array, lines: Lines, paths: int
+    function: Callable[..., Any], structure: Any, rows: Array, lines: AnyLines, paths: int
 ) -> Float[Array, "results entries"]:
     """The results of a function of each row."""
     entries = rows.shape[1] // paths
@@ -91,7 +92,7 @@ def _flat(results: Any) -> Float[Array, " results"]:
 def by_lines(
     function: Callable[[Float[Array, " columns"], TailOf], Any],
     rows: Float[Array, "columns entries"],
-    lines: Lines,
+    lines: AnyLines,
     some: tuple[Float[Array, "results entries"], Int[Array, " entries"], Int[Array, ""]] | None = None,
 ) -> Float[Array, "results entries"]:
     """The results of a function of each row by lines, one after the other.
@@ -100,7 +101,7 @@ def by_lines(
     """
 
     def each(row: Float[Array, " columns"]) -> Float[Array, " results"]:
-        return _flat(function(row, partial(TailByLines.of, lines=lines)))
+        return _flat(function(row, partial(lower_tail, lines=lines)))
 
     count = rows.shape[1]
     if count == 1:

@@ -11,7 +11,7 @@ two wider ones, and one around each of several such minima; the ratio of the den
 """
 
 from dataclasses import replace
-from typing import final
+from typing import TypeAlias, final
 
 import equinox as eqx
 import jax
@@ -23,7 +23,7 @@ from jaxtyping import Array, Float, Int
 from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
-from aleator.expansion import Basis
+from aleator.expansion import AbstractBasis, Division, PiecewiseBasis, in_each
 from aleator.statistics._roots import horner
 from aleator.statistics._statistic import root
 from aleator.uncertainty import AbstractGerm, HermiteGerm, SampleGerm
@@ -122,9 +122,12 @@ class Lines(Module):
         return 2 * END / self.cells
 
     def for_one_of(self, entries: int) -> "Lines":
-        """Lines for one of the entries of a path: if there are many, some replicates, or a coarser grid."""
-        if entries <= SINGLE:
-            return self
+        """Lines for one of the entries of a path: if there are many, fewer."""
+        return self if entries <= SINGLE else self.coarser
+
+    @property
+    def coarser(self) -> "Lines":
+        """Some replicates of the lines, or a coarser grid."""
         if len(self.normals) > _ON_A_GRID:
             return replace(self, normals=self.normals[:, : REPLICATES // _COARSER])
         return replace(self, normals=self.normals[:, :, ::_COARSER], cells=self.cells // _COARSER)
@@ -198,6 +201,26 @@ class Lines(Module):
         return minima[:, jnp.argsort(values)]
 
 
+@final
+class LinesInElements(Module):
+    """Lines through each element of a piecewise basis, in normal variables of its own.
+
+    `lines`: stacked, as coarse as those of paths; `cloud`: of the whole basis.
+    """
+
+    lines: Lines
+    division: Division
+    cloud: Cloud
+
+    def for_one_of(self, entries: int) -> "LinesInElements":
+        """The same for paths."""
+        del entries
+        return self
+
+
+AnyLines: TypeAlias = Lines | LinesInElements
+
+
 def _placed(
     normals: Float[Array, "variables replicates lines_of_one"],
     direction: Float[Array, " variables"],
@@ -238,7 +261,7 @@ def _unit(vectors: Float[Array, "variables n"]) -> Float[Array, "variables n"]:
     return vectors / jnp.where(length > 0, length, 1.0)
 
 
-def refuse_steps(basis: Basis) -> None:
+def refuse_steps(basis: AbstractBasis) -> None:
     """Raise `ProblemError` if a germ variable takes discrete values only, with none in between."""
     steps = [name for name, germ in basis.germs.items() if isinstance(germ, SampleGerm)]
     if steps:
@@ -249,9 +272,16 @@ def refuse_steps(basis: Basis) -> None:
         )
 
 
-def lines_through(basis: Basis) -> Lines:
+def lines_through(basis: AbstractBasis) -> AnyLines:
     """Preparation: lines through the normal variables of a basis, for the distribution of an output."""
     refuse_steps(basis)
+    if isinstance(basis, PiecewiseBasis):
+        division, lines = in_each(lambda piece: _lines(piece).coarser, basis)
+        return LinesInElements(lines, division, _cloud_of(basis, list(range(basis.variables))))
+    return _lines(basis)
+
+
+def _lines(basis: AbstractBasis) -> Lines:
     # A constant output needs a variable too.
     active = [i for i, degree in enumerate(basis.degrees) if degree > 0] or [0][: basis.variables]
     germs: list[AbstractGerm] = [list(basis.germs.values())[i] for i in active] or [HermiteGerm()]
@@ -266,16 +296,23 @@ def lines_through(basis: Basis) -> Lines:
         normals=jax_array(_normals(len(germs))),
         starts=jax_array(starts),
         at_starts=jax_array(_at(basis, active, _SEARCHED * starts)),
-        cloud=Cloud(
-            terms=jax_array(_at(basis, active, _cloud(len(germs)))),
-            width=min(_WIDEST, _WIDTH * _POINTS ** (-0.5 / len(germs))),
-        ),
+        cloud=_cloud_of(basis, active),
         active=tuple(active),
         cells=_CELLS.get(len(germs), _FEWEST_CELLS),
     )
 
 
-def _at(basis: Basis, active: list[int], normal: Float[np.ndarray, "variables n"]) -> Float[np.ndarray, "terms n"]:
+def _cloud_of(basis: AbstractBasis, active: list[int]) -> Cloud:
+    variables = max(len(active), 1)
+    return Cloud(
+        terms=jax_array(_at(basis, active, _cloud(variables))),
+        width=min(_WIDEST, _WIDTH * _POINTS ** (-0.5 / variables)),
+    )
+
+
+def _at(
+    basis: AbstractBasis, active: list[int], normal: Float[np.ndarray, "variables n"]
+) -> Float[np.ndarray, "terms n"]:
     """The terms of a basis at points of the active normal variables, the middle of the others."""
     levels = np.full((normal.shape[1], basis.variables), 0.5)
     levels[:, active] = scipy.special.ndtr(normal).T[:, : len(active)]

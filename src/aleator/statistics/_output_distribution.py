@@ -83,11 +83,15 @@ class AbstractLowerTail(Module):
     def quantile(self, level: Scalar) -> tuple[Float[Array, ""], Cut]:
         """The quantile by the implicit function theorem, and the output there."""
         end = jax.lax.stop_gradient(jax.lax.stop_gradient(self)._searched(jax.lax.stop_gradient(level)))
-        density = end.cut.density
+        density = self.slope(end)
         step = (self.below(end.last, end.cut) - level) / jnp.where(density > 0, density, 1.0)
         return end.last - jnp.where(density > 0, step, 0.0), end.cut
 
-    def _searched(self, level: Scalar) -> "_Search":
+    def slope(self, end: "Search") -> Float[Array, ""]:
+        """The density at a quantile; zero where it is one of many systems at once."""
+        return end.cut.density
+
+    def _searched(self, level: Scalar) -> "Search":
         """Newton's method on the normal scale, on which most distribution functions are nearly straight.
 
         Bisection where a step leaves the bracket or does not halve the error: near an extremum of the output the
@@ -97,11 +101,11 @@ class AbstractLowerTail(Module):
         target, reach = normal_score(level), 1.01 * self.std
         low, high = -reach * jnp.sqrt((1 - level) / level), reach * jnp.sqrt(level / (1 - level))
 
-        def unfinished(state: _Search) -> Bool[Array, ""]:
+        def unfinished(state: Search) -> Bool[Array, ""]:
             is_wide = state.high - state.low > _NARROW * self.std
             return (jnp.abs(state.off) > self.close) & is_wide & (state.steps < _MOST_STEPS)
 
-        def narrow(state: _Search) -> _Search:
+        def narrow(state: Search) -> Search:
             at = state.following
             cut = self.cut(at)
             is_low = cut.below < level
@@ -111,15 +115,15 @@ class AbstractLowerTail(Module):
             newton = at - off * _normal(score) / cut.density
             usable = (newton > low) & (newton < high) & (jnp.abs(off) <= jnp.abs(state.off) / 2)
             following = jnp.where(usable, newton, (low + high) / 2)
-            return _Search(low, high, following, at, off, cut, state.steps + 1)
+            return Search(low, high, following, at, off, cut, state.steps + 1)
 
         start = jnp.clip(self.std * target, low, high)
         nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(self.cut, start))
-        first = _Search(low, high, start, start, jnp.asarray(jnp.inf), nothing, jnp.zeros((), int))
+        first = Search(low, high, start, start, jnp.asarray(jnp.inf), nothing, jnp.zeros((), int))
         return jax.lax.while_loop(unfinished, narrow, first)
 
 
-class _Search(NamedTuple):
+class Search(NamedTuple):
     """The state of the search for a quantile: a bracket, the thresholds to come and last, how far the normal score of
     the last one is off, and the output there.
     """

@@ -11,12 +11,14 @@ from jaxtyping import Float, Int
 
 from aleator._core.arrays import jax_array
 from aleator._core.compilation import Use, evaluate
-from aleator.expansion import Basis
-from aleator.statistics._lines import Lines
+from aleator.expansion import AbstractBasis
+from aleator.statistics._lines import AnyLines, Lines
 
 # Of a proposal for one tail: the share of the given distribution, and the least and the greatest distance of the others
 # from the origin, in standard deviations.
 _PLAIN, _NEAREST, _FURTHEST = 0.25, 0.5, 7.0
+# Centres of a proposal for one tail, and the points among which those of a piecewise expansion are sought.
+_MINIMA, _SOUGHT = 4, 2**13
 
 
 class Proposal(NamedTuple):
@@ -56,22 +58,49 @@ def levels_of(normals: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape
 
 
 def tail_proposal(
-    basis: Basis, lines: Lines, coefficients: Float[np.ndarray, " terms"], chance: float, *, lower: bool
+    basis: AbstractBasis, lines: AnyLines, coefficients: Float[np.ndarray, " terms"], chance: float, *, lower: bool
 ) -> Proposal:
     """The given distribution, and others around the minima (or maxima) of an expansion.
 
-    These are as far away as what has the probability `chance` in one normal variable.
+    These are as far away as what has the probability `chance` in one normal variable; those of a piecewise expansion,
+    whose tails may lie anywhere, are the likeliest of many points there.
     """
     signed = (1.0 if lower else -1.0) * np.where(np.arange(len(coefficients)) > 0, coefficients, 0.0)
-    minima = np.asarray(evaluate(Lines.minima, lines, jax_array(signed), use=Use.BRIEF)).T
-    centres = np.zeros((1 + len(minima), basis.variables))
-    centres[1:, list(lines.active)] = np.clip(-scipy.special.ndtri(chance), _NEAREST, _FURTHEST) * minima
+    distance = np.clip(-scipy.special.ndtri(chance), _NEAREST, _FURTHEST)
+    if isinstance(lines, Lines):
+        minima = np.zeros((_MINIMA, basis.variables))
+        minima[:, list(lines.active)] = np.asarray(evaluate(Lines.minima, lines, jax_array(signed), use=Use.BRIEF)).T
+        minima *= distance
+    else:
+        minima = _likeliest(basis, signed, chance, distance)
+    centres = np.concatenate([np.zeros((1, basis.variables)), minima])
     shares = np.array([_PLAIN, *[(1 - _PLAIN) / len(minima)] * len(minima)])
     return Proposal(tuple((centre, np.eye(basis.variables)) for centre in centres), shares)
 
 
+def _likeliest(
+    basis: AbstractBasis, signed: Float[np.ndarray, " terms"], chance: float, distance: float
+) -> Float[np.ndarray, "minima variables"]:
+    """Points in the lower tail of an expansion, the likeliest first, each away from those before it."""
+    spread = np.sqrt(1 + distance**2)
+    points = spread * np.random.default_rng(4).standard_normal((_SOUGHT, basis.variables))
+    values = np.asarray(basis.values(basis.map_to_germ(levels_of(points)), jax_array(signed)))
+    squares = np.sum(points**2, axis=1)
+    weights = np.exp(-squares * (1 - spread**-2) / 2)
+    order = np.argsort(values)
+    reached = np.cumsum(weights[order]) / np.sum(weights)
+    left = order[: max(int(np.searchsorted(reached, chance)), _MINIMA)]
+    chosen: list[int] = []
+    while len(chosen) < _MINIMA:
+        best = left[np.argmin(squares[left])]
+        chosen.append(int(best))
+        far = left[np.sum((points[left] - points[best]) ** 2, axis=1) > 1.0]
+        left = far if len(far) else left
+    return points[chosen]
+
+
 def points_in_tail(
-    proposal: Proposal, basis: Basis, count: int, seed: int
+    proposal: Proposal, basis: AbstractBasis, count: int, seed: int
 ) -> tuple[Float[np.ndarray, "count variables"], Float[np.ndarray, " count"]]:
     """Random germ points of a proposal, as many of each component as its share, and their weights."""
     chosen = np.searchsorted(np.cumsum(proposal.shares), (np.arange(count) + 0.5) / count)

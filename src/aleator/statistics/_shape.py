@@ -6,7 +6,7 @@ products of these, and few are not zero.
 """
 
 from collections.abc import Callable
-from typing import ClassVar, final
+from typing import ClassVar, TypeAlias, final
 
 import equinox as eqx
 import jax
@@ -19,7 +19,7 @@ from typing_extensions import override
 from aleator._core.arrays import Scalar, in_library, jax_array, quietly
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
-from aleator.expansion import Basis
+from aleator.expansion import AbstractBasis, Division, GaussPoints, PiecewiseBasis
 from aleator.statistics._statistic import AbstractStatistic, Mean, Std, in_blocks, level_given, varies
 from aleator.uncertainty import AbstractGerm
 
@@ -52,12 +52,49 @@ class Square(Module):
         products = self.values * coefficients[self.first] * coefficients[self.second]
         return jax.ops.segment_sum(products, self.target, self.terms, indices_are_sorted=True)
 
+    def moments(self, coefficients: Float[Array, " terms"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """`E[y^3]` and `E[y^4]`: with the expansion of `y^2` sums as in equation (33)."""
+        squared = self.of(coefficients)
+        return squared[: len(coefficients)] @ coefficients, jnp.sum(squared**2)
 
-def square(basis: Basis) -> Square:
-    """Preparation: the square of an expansion in this basis.
 
-    Raises `ProblemError` if it has too many products for memory.
+@final
+class PowersInElements(Module):
+    """The polynomials of each element at Gauss nodes that integrate fourth powers of its expansion exactly.
+
+    - `weights`: of the nodes, adding up to one over all elements.
     """
+
+    division: Division
+    matrices: Float[Array, "elements nodes terms"]
+    weights: Float[Array, "elements nodes"]
+
+    def moments(self, coefficients: Float[Array, " terms"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """`E[y^3]` and `E[y^4]`."""
+        values = jnp.einsum("ent,et->en", self.matrices, self.division.elements(coefficients))
+        return jnp.sum(self.weights * values**3), jnp.sum(self.weights * values**4)
+
+
+Powers: TypeAlias = Square | PowersInElements
+
+
+def powers(basis: AbstractBasis) -> Powers:
+    """Preparation: what third and fourth powers of an expansion in this basis need.
+
+    Raises `ProblemError` if its square has too many products for memory.
+    """
+    if not isinstance(basis, PiecewiseBasis):
+        return square(basis)
+    nodes = [GaussPoints(2 * max(one.degrees) + 1).nodes(one, 0) for one in basis.pieces]
+    pairs = list(zip(basis.pieces, nodes, strict=True))
+    weights = basis.probability[:, None] * np.stack([own.weights for own in nodes])
+    return PowersInElements(
+        basis.division, jax_array(np.stack([one.matrix(own.points) for one, own in pairs])), jax_array(weights)
+    )
+
+
+def square(basis: AbstractBasis) -> Square:
+    """The square of an expansion in this basis. Raises `ProblemError` if it has too many products for memory."""
     first, second = np.triu_indices(basis.terms)
     values = np.where(first == second, 1.0, 2.0)
     # The term of the square that a product belongs to, as far as it is determined by the variables so far.
@@ -122,11 +159,11 @@ class Skewness(AbstractStatistic):
 
     @property
     @override
-    def preparation(self) -> Callable[..., Square]:
-        return square
+    def preparation(self) -> Callable[..., Powers]:
+        return powers
 
     @override
-    def of(self, coefficients: Float[Array, "terms *shape"], constants: Square) -> Float[Array, "*shape"]:
+    def of(self, coefficients: Float[Array, "terms *shape"], constants: Powers) -> Float[Array, "*shape"]:
         return shape_of(coefficients, constants)[0]
 
     @override
@@ -143,11 +180,11 @@ class Kurtosis(AbstractStatistic):
 
     @property
     @override
-    def preparation(self) -> Callable[..., Square]:
-        return square
+    def preparation(self) -> Callable[..., Powers]:
+        return powers
 
     @override
-    def of(self, coefficients: Float[Array, "terms *shape"], constants: Square) -> Float[Array, "*shape"]:
+    def of(self, coefficients: Float[Array, "terms *shape"], constants: Powers) -> Float[Array, "*shape"]:
         return shape_of(coefficients, constants)[1]
 
     @override
@@ -171,11 +208,11 @@ class CornishFisher(AbstractStatistic):
 
     @property
     @override
-    def preparation(self) -> Callable[..., Square]:
-        return square
+    def preparation(self) -> Callable[..., Powers]:
+        return powers
 
     @override
-    def of(self, coefficients: Float[Array, "terms *shape"], constants: Square) -> Float[Array, "*shape"]:
+    def of(self, coefficients: Float[Array, "terms *shape"], constants: Powers) -> Float[Array, "*shape"]:
         skewness, kurtosis = shape_of(coefficients, constants)
         return self.of_moments(Mean().of(coefficients, ()), Std().of(coefficients, ()), skewness, kurtosis)
 
@@ -196,16 +233,15 @@ class CornishFisher(AbstractStatistic):
 
 
 def shape_of(
-    coefficients: Float[Array, "terms *shape"], constants: Square
+    coefficients: Float[Array, "terms *shape"], constants: Powers
 ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
-    """Skewness and kurtosis: with the expansion of `y^2`, `E[y^3]` and `E[y^4]` are sums as in equation (33)."""
+    """Skewness and kurtosis."""
 
     def both(terms: Float[Array, " terms"]) -> Float[Array, "2"]:
         spreads = varies(terms)
         std = Std().of(terms, ())
         standard = jnp.where(spreads, terms.at[0].set(0.0) / jnp.where(spreads, std, 1.0), 0.0)
-        squared = constants.of(standard)
-        return jnp.stack([squared[: len(standard)] @ standard, jnp.sum(squared**2)])
+        return jnp.stack(constants.moments(standard))
 
     moments = in_blocks(jax.vmap(both), coefficients, _TOGETHER)
     return moments[..., 0], moments[..., 1]

@@ -4,7 +4,7 @@ polynomial chaos expansions).
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, NoReturn, final
+from typing import ClassVar, NoReturn, TypeAlias, final
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,7 +15,8 @@ from typing_extensions import override
 from aleator._core.arrays import in_library, jax_array, quietly
 from aleator._core.border import meant
 from aleator._core.errors import ProblemError
-from aleator.expansion import Basis
+from aleator.expansion import AbstractBasis, PiecewiseBasis
+from aleator.statistics._sobol_in_elements import PartOfVariance, part_by_interaction, total_part
 from aleator.statistics._statistic import AbstractStatistic, varies
 from aleator.uncertainty import AbstractDistribution
 
@@ -41,13 +42,11 @@ class Sobol(AbstractStatistic):
 
     @property
     @override
-    def preparation(self) -> Callable[[Basis], Float[Array, " terms"]]:
+    def preparation(self) -> "Callable[[AbstractBasis], Selection]":
         return ExactlyOf(self.variables)
 
     @override
-    def of(
-        self, coefficients: Float[Array, "terms *shape"], constants: Float[Array, " terms"]
-    ) -> Float[Array, "*shape"]:
+    def of(self, coefficients: Float[Array, "terms *shape"], constants: "Selection") -> Float[Array, "*shape"]:
         return share(coefficients, constants)
 
     def of_sample(self, values: Float[Array, "samples *shape"]) -> NoReturn:
@@ -76,13 +75,11 @@ class TotalSobol(AbstractStatistic):
 
     @property
     @override
-    def preparation(self) -> Callable[[Basis], Float[Array, " terms"]]:
+    def preparation(self) -> "Callable[[AbstractBasis], Selection]":
         return With(self.variable)
 
     @override
-    def of(
-        self, coefficients: Float[Array, "terms *shape"], constants: Float[Array, " terms"]
-    ) -> Float[Array, "*shape"]:
+    def of(self, coefficients: Float[Array, "terms *shape"], constants: "Selection") -> Float[Array, "*shape"]:
         return share(coefficients, constants)
 
     def of_sample(self, values: Float[Array, "samples *shape"]) -> NoReturn:
@@ -102,12 +99,15 @@ class ExactlyOf:
 
     variables: tuple[str, ...]
 
-    def __call__(self, basis: Basis) -> Float[Array, " terms"]:
+    def __call__(self, basis: AbstractBasis) -> "Selection":
         """The selection of a basis. Raises `ProblemError` for a name that it does not have."""
         if not basis.variables:
             return jnp.zeros(basis.terms)  # nothing is uncertain
+        places = sorted(place_of(basis, name) for name in self.variables)
+        if isinstance(basis, PiecewiseBasis):
+            return part_by_interaction(basis, places)
         chosen = np.zeros(basis.variables, bool)
-        chosen[[place_of(basis, name) for name in self.variables]] = True
+        chosen[places] = True
         return jax_array(np.all((basis.indices > 0) == chosen, axis=1), float)
 
 
@@ -118,20 +118,33 @@ class With:
 
     variable: str
 
-    def __call__(self, basis: Basis) -> Float[Array, " terms"]:
+    def __call__(self, basis: AbstractBasis) -> "Selection":
         """The selection of a basis. Raises `ProblemError` for a name that it does not have."""
         if not basis.variables:
             return jnp.zeros(basis.terms)
-        return jax_array(basis.indices[:, place_of(basis, self.variable)] > 0, float)
+        place = place_of(basis, self.variable)
+        return (
+            total_part(basis, place)
+            if isinstance(basis, PiecewiseBasis)
+            else jax_array(basis.indices[:, place] > 0, float)
+        )
+
+
+Selection: TypeAlias = Float[Array, " terms"] | PartOfVariance
+"""A part of a variance: that of some terms, which are one, or over elements."""
 
 
 @quietly
-def share(coefficients: Float[Array, "terms *shape"], selected: Float[Array, " terms"]) -> Float[Array, "*shape"]:
+def share(coefficients: Float[Array, "terms *shape"], selected: Selection) -> Float[Array, "*shape"]:
     """The part of the variance in the selected terms; zero, with derivative zero, if there is no variance."""
     library, coefficients, selected, spreads = in_library(coefficients, selected, varies(coefficients))
     squares = coefficients[1:] ** 2
     total = library.sum(squares, axis=0)
-    part = library.tensordot(selected[1:], squares, axes=1) / library.where(spreads, total, 1.0)
+    if isinstance(selected, PartOfVariance):
+        _, part = in_library(selected.of(coefficients, total))
+        part = library.clip(part / library.where(spreads, total, 1.0), 0.0, 1.0)
+    else:
+        part = library.tensordot(selected[1:], squares, axes=1) / library.where(spreads, total, 1.0)
     return jax_array(library.where(spreads, part, 0.0))
 
 
@@ -157,7 +170,7 @@ def refuse_correlated(distributions: Mapping[str, AbstractDistribution], kind: A
             )
 
 
-def place_of(basis: Basis, name: str) -> int:
+def place_of(basis: AbstractBasis, name: str) -> int:
     """The index of the germ variable with this name. Raises `ProblemError`, with a similar name, if there is none."""
     if name in basis.names:
         return basis.names.index(name)

@@ -18,10 +18,10 @@ from aleator._core.arrays import Pytree, Scalar, in_library, jax_array, quietly
 from aleator._core.border import real
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, is_traced
-from aleator.expansion import ROUNDING, Basis
+from aleator.expansion import ROUNDING, AbstractBasis
 from aleator.statistics._units import PURE, product, squared
 
-Preparation: TypeAlias = Callable[[Basis], Pytree]
+Preparation: TypeAlias = Callable[[AbstractBasis], Pytree]
 """A hashable function from a basis to the constant arrays that a statistic needs. Equal preparations are shared."""
 
 
@@ -112,7 +112,7 @@ class Constants(Module):
         return self.values[self.preparations.index(statistic.preparation)]
 
 
-def prepare(statistics: Iterable[AbstractStatistic], basis: Basis) -> Constants:
+def prepare(statistics: Iterable[AbstractStatistic], basis: AbstractBasis) -> Constants:
     """The constants of all statistics; each preparation runs once."""
     needed = (statistic.preparation for statistic in statistics)
     preparations = tuple(dict.fromkeys(preparation for preparation in needed if preparation is not None))

@@ -22,7 +22,7 @@ from aleator._core.arrays import Scalar, in_library, jax_array, quietly
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_traced
 from aleator.statistics._entries import by_lines, estimate_of_row, rows_of, statistics_of_rows
-from aleator.statistics._lines import Lines, lines_through
+from aleator.statistics._lines import AnyLines, lines_through
 from aleator.statistics._output_distribution import Estimate, OutputDistribution, TailOf, normal_score
 from aleator.statistics._statistic import AbstractStatistic, Constants, level_given, number_given
 
@@ -38,15 +38,15 @@ class AbstractTail(AbstractStatistic):
 
     @property
     @override
-    def preparation(self) -> Callable[..., Lines]:
+    def preparation(self) -> Callable[..., AnyLines]:
         return lines_through
 
     @override
-    def of(self, coefficients: Float[Array, "terms *shape"], constants: Lines) -> Float[Array, "*shape"]:
+    def of(self, coefficients: Float[Array, "terms *shape"], constants: AnyLines) -> Float[Array, "*shape"]:
         return tails_together([self], [coefficients], constants)[0]
 
     def estimated(
-        self, coefficients: Float[Array, "terms *shape"], constants: Lines
+        self, coefficients: Float[Array, "terms *shape"], constants: AnyLines
     ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
         """The statistic by lines, and the 95 % half-width of its integral over the expansion."""
         rows, lines = rows_of([self], [coefficients]), constants.for_one_of(coefficients[0].size)
@@ -219,7 +219,7 @@ def _brief(threshold: Scalar | None) -> str:
 
 
 def tails_together(
-    kinds: Sequence[AbstractTail], coefficients: Sequence[Float[Array, "terms *shape"]], constants: Lines
+    kinds: Sequence[AbstractTail], coefficients: Sequence[Float[Array, "terms *shape"]], constants: AnyLines
 ) -> list[Float[Array, "*shape"]]:
     """Tails of one class and structure, of outputs of one shape: one loop for all, which is compiled once."""
     rows = rows_of(kinds, coefficients)
@@ -228,14 +228,14 @@ def tails_together(
 
 
 def cdf(
-    values: Float[Array, " n"], coefficients: Float[Array, "terms *shape"], constants: Lines
+    values: Float[Array, " n"], coefficients: Float[Array, "terms *shape"], constants: AnyLines
 ) -> Float[Array, "n *shape"]:
     """The distribution function at some values, for each entry. Constants: `lines_through`."""
     return _at_each(lambda output, value: output.chance(value, above=False).value, values, coefficients, constants)
 
 
 def pdf(
-    values: Float[Array, " n"], coefficients: Float[Array, "terms *shape"], constants: Lines
+    values: Float[Array, " n"], coefficients: Float[Array, "terms *shape"], constants: AnyLines
 ) -> Float[Array, "n *shape"]:
     """The probability density at some values, per unit of the output, for each entry. Constants: `lines_through`.
 
@@ -245,7 +245,7 @@ def pdf(
 
 
 def _at_each(
-    function: Callable[[OutputDistribution, Array], Array], values: Array, coefficients: Array, lines: Lines
+    function: Callable[[OutputDistribution, Array], Array], values: Array, coefficients: Array, lines: AnyLines
 ) -> Array:
     values = jnp.asarray(values, dtype=float)
     if values.ndim != 1:

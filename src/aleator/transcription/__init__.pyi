@@ -9,7 +9,8 @@ from ._constraints import blind_decisions as blind_decisions
 from ._constraints import bound_size as bound_size
 from ._constraints import refuse_blind as refuse_blind
 from ._constraints import rows_by_name as rows_by_name
-from ._expansions import Discretised as Discretised
+from ._discretised import Discretised as Discretised
+from ._discretised import divided as divided
 from ._expansions import Resolved as Resolved
 from ._expansions import scope_from as scope_from
 from ._expansions import simulated as simulated

@@ -14,11 +14,12 @@ from jaxtyping import Array, Float, Int
 from aleator._core.compilation import Compiled, Use
 from aleator.design import Constraint, Problem, functionals_of, history, path_of, statistics_in
 from aleator.dynamics import Grid
-from aleator.expansion import Basis, Collocation
+from aleator.expansion import AbstractBasis, Collocation
 from aleator.nlp import AbstractSolver, NonlinearProgram, default_solver
 from aleator.solution import Costates, MeshError, Solution, States, Switching
 from aleator.statistics import Constants
-from aleator.transcription._expansions import Discretised, Resolved, resolved
+from aleator.transcription._discretised import Discretised
+from aleator.transcription._expansions import Resolved, resolved
 from aleator.transcription._scenarios import Scenarios
 from aleator.uncertainty import Placements
 
@@ -203,7 +204,7 @@ class AbstractTranscribed(abc.ABC):
         return self.problem.placements
 
     @property
-    def basis(self) -> Basis:
+    def basis(self) -> AbstractBasis:
         """The polynomials of the expansion."""
         return self.discretised.basis
 

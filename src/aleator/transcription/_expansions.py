@@ -1,21 +1,16 @@
-"""The expansions of a problem: basis and collocation points, the statistics that follow from coefficients, and how well
-they are resolved.
-"""
+"""The expansions of a problem: the statistics that follow from their coefficients, and how well they are resolved."""
 
-from collections.abc import Hashable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import jax_array, numbers_to_arrays
-from aleator._core.compilation import Compiled, Use
+from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
 from aleator.design import (
     AbstractFunctional,
@@ -23,128 +18,25 @@ from aleator.design import (
     Expression,
     Problem,
     Statistic,
-    functionals_of,
     grid_at,
     integrated_paths,
     joined,
-    refuse_large_histories,
-    responses,
     sampled,
-    statistics_in,
 )
 from aleator.dynamics import Grid
-from aleator.ensemble import in_batches
 from aleator.expansion import (
-    Adaptive,
-    Basis,
     Collocation,
-    Discretisation,
-    Expansion,
-    Sparse,
-    collocate,
     error_history,
     mean_squares,
     relative_error,
 )
-from aleator.statistics import AbstractStatistic, Constants, Mean, Preparation, Std, together
-from aleator.transcription._scenarios import Scenarios
-from aleator.uncertainty import AbstractGerm, named_numbers
+from aleator.statistics import AbstractStatistic, Constants, Mean, Std, together
+from aleator.uncertainty import named_numbers
 
 # A derivative that varies by less than this part of itself does not vary.
 _INTEGRATED = 1e-6
 # So many outputs have each statistic by themselves.
 _FEW = 4
-# Kept discretisations: enough for the problems of a session; a front or a calibration needs one.
-_KEPT = 16
-
-
-class Discretised(NamedTuple):
-    """The discretisation of a problem's uncertainty.
-
-    - `basis`, `collocation`: see `collocate`; `constants`: of the problem's statistics.
-    """
-
-    basis: Basis
-    collocation: Collocation
-    constants: Constants
-
-    def at_scenarios(self, scenarios: Scenarios | None) -> "Discretised":
-        """The same, with limits on the worst case held at some realisations; itself without any."""
-        if scenarios is None:
-            return self
-        return self._replace(constants=replace(self.constants, scenarios=jax_array(scenarios.points)))
-
-
-def discretised(problem: Problem) -> Discretised:
-    """Basis, collocation and constants for a problem, reused from an earlier one if all that they depend on is equal.
-
-    An expansion that chooses its terms by the model's outputs does so once, at the initial decisions. It does not
-    depend on bounds and margins, and so is the same throughout a front and a calibration.
-
-    Raises `ProblemError` if the collocation, or the histories at its points, would not fit into memory.
-    """
-    germs, expansion = tuple(problem.placements.germs.items()), problem.expansion
-    chooses = isinstance(expansion.index_set, Adaptive) or isinstance(expansion.fit, Sparse)
-    needed = (one.kind.preparation for one in statistics_in(problem.expressions))
-    preparations = tuple(dict.fromkeys(one for one in needed if one is not None))
-    outputs = _Outputs.of(problem) if chooses and germs else None
-    # A user's own preparation may compute something else than in an earlier problem.
-    code = "" if problem.is_declared else problem.physics.text
-    result = _discretised(germs, expansion, preparations, outputs, code)
-    # Outputs of one instant are differentiated at that instant, by the few numbers known there.
-    decided = problem.placements.vector("initial").size if problem.is_integrated else 0
-    refuse_large_histories(
-        problem, len(result.collocation.points), decided, "Take fewer steps, fewer points or a lower order."
-    )
-    return result
-
-
-Germs = tuple[tuple[str, AbstractGerm], ...]
-
-
-@lru_cache(maxsize=_KEPT)
-def _discretised(
-    germs: Germs, expansion: Expansion, preparations: tuple[Preparation, ...], outputs: "_Outputs | None", code: str
-) -> Discretised:
-    del code  # part of the key
-    basis, collocation = _collocated(germs, expansion, outputs)
-    return Discretised(basis, collocation, Constants(preparations, tuple(one(basis) for one in preparations)))
-
-
-@lru_cache(maxsize=_KEPT)
-def _collocated(germs: Germs, expansion: Expansion, outputs: "_Outputs | None") -> Discretisation:
-    return collocate(dict(germs), expansion, outputs)
-
-
-@final
-@dataclass(frozen=True)
-class _Outputs:
-    """A problem's functionals at germ points and the initial decisions. Equal if they give the same numbers."""
-
-    key: Hashable
-    problem: Problem = field(compare=False)
-
-    @classmethod
-    def of(cls, problem: Problem) -> "_Outputs":
-        """Those of a problem, distinguished by its equations, its numbers and its functionals, not by its bounds."""
-        leaves, structure = jax.tree.flatten(numbers_to_arrays(problem.simulation))
-        data = tuple((one.shape, np.asarray(one).tobytes()) if eqx.is_array(one) else one for one in leaves)
-        return cls((problem.physics, functionals_of(problem.expressions), structure, data), problem)
-
-    def __call__(self, points: Float[np.ndarray, "points variables"]) -> dict[str, Float[np.ndarray, "points ..."]]:
-        """The functionals by their texts."""
-        traced, start = numbers_to_arrays(self.problem), jax_array(self.problem.placements.vector("initial"))
-        texts = [one.text() for one in functionals_of(self.problem.expressions)]
-        return dict(zip(texts, in_batches(RESPOND, traced, points, start), strict=True))
-
-
-def _respond(
-    problem: Problem, germ: Float[Array, "points variables"], decisions: Float[Array, " n"]
-) -> tuple[Float[Array, "points ..."], ...]:
-    return responses(problem, functionals_of(problem.expressions), germ, decisions)
-
-
-RESPOND = Compiled(_respond, use=Use.ONCE)
 
 
 @final

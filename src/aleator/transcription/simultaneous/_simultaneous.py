@@ -15,7 +15,7 @@ from aleator.dynamics import MOST_STAGES, AbstractScheme, Grid, HermiteSimpson, 
 from aleator.nlp import AbstractSolver, Ipopt
 from aleator.solution import Solution
 from aleator.transcription._abstract import AbstractTranscription, Meanwhile
-from aleator.transcription._expansions import discretised
+from aleator.transcription._discretised import discretised
 from aleator.transcription._scenarios import first_scenarios
 from aleator.transcription.simultaneous._mesh import Mesh, first_nodes
 from aleator.transcription.simultaneous._pointwise import Pointwise

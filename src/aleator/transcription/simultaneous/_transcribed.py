@@ -29,7 +29,8 @@ from aleator.nlp import HELD
 from aleator.solution import Costates, MeshError, States, Switching
 from aleator.statistics import Constants, Mean, Std, Variance
 from aleator.transcription._abstract import AbstractTranscribed, Meaning, Remembered
-from aleator.transcription._expansions import Discretised, ExpansionScope
+from aleator.transcription._discretised import Discretised
+from aleator.transcription._expansions import ExpansionScope
 from aleator.transcription._scenarios import Scenarios
 from aleator.transcription.simultaneous._assembly import Fixed
 from aleator.transcription.simultaneous._costates import adjoint

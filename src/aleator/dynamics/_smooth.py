@@ -1,0 +1,73 @@
+"""Switching right-hand sides, smoothed over a stated width, which the certificate halves: friction, contact, stops.
+
+All follow from `tanh`, so that a distance of ten widths from the switch leaves an error of 2e-9.
+"""
+
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import Any, final
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from aleator._core.border import positive as positive_number
+from aleator._core.leaves import is_traced
+
+
+@final
+@dataclass
+class Widths:
+    """The widths in a model whose equations are being traced.
+
+    - `factor`: the part of the stated widths that is taken; `is_met`: whether there are any.
+    """
+
+    factor: float
+    is_met: bool = False
+
+
+WIDTHS: ContextVar[Widths | None] = ContextVar("widths", default=None)
+
+
+def _over(width: Any) -> Any:
+    """A width as it is taken now. Raises `ProblemError` unless it is positive."""
+    if not is_traced(width):
+        positive_number("smooth: width", width)
+    widths = WIDTHS.get()
+    if widths is None:
+        return width
+    widths.is_met = True
+    return width if widths.factor == 1 else widths.factor * width
+
+
+def sign(x: Any, *, width: Any) -> Float[Array, "*shape"]:
+    """The sign of a number, between -1 and 1 within some widths of zero.
+
+    Coulomb friction is `-mu * N * sign(v, width=...)`: under a `force`, a body that would stick creeps at about
+    `force / (mu * N)` widths. `width` is in the unit of the number.
+    """
+    return jnp.tanh(x / _over(width))
+
+
+def step(x: Any, *, width: Any) -> Float[Array, "*shape"]:
+    """1 where `x` is positive, else 0."""
+    return (1 + sign(x, width=width)) / 2
+
+
+def positive(x: Any, *, width: Any) -> Float[Array, "*shape"]:
+    """A number where it is positive, else 0; 0.35 widths at zero.
+
+    A contact that only pushes is `stiffness * positive(depth, width=...)`.
+    """
+    half = _over(width) / 2
+    return half * jnp.logaddexp(x / half, 0.0)
+
+
+def saturated(x: Any, lower: Any, upper: Any, *, width: Any) -> Float[Array, "*shape"]:
+    """`x` between two limits, `lower` or `upper` beyond them: an actuator that gives no more."""
+    return lower + positive(x - lower, width=width) - positive(x - upper, width=width)
+
+
+def dead_zone(x: Any, half_gap: Any, *, width: Any) -> Float[Array, "*shape"]:
+    """How far `x` is beyond a gap on either side of zero: the twist that a shaft with backlash passes on."""
+    return positive(x - half_gap, width=width) - positive(-x - half_gap, width=width)

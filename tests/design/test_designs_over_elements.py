@@ -1,0 +1,188 @@
+"""Designs whose outputs are expanded in elements, against closed forms and published numbers."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import optimize, stats
+
+import aleator as al
+
+
+class Turning(al.System):
+    states = ("phase",)
+    rate: al.Number
+    gain: al.Number
+
+    def rhs(self, t, z):
+        return (self.rate,)
+
+    def outputs(self, t, z):
+        return {"x": self.gain * jnp.cos(z.phase)}
+
+
+def test_an_oscillation_is_followed_for_a_hundred_periods():
+    """Phases spread evenly over ten periods at the end."""
+    gain = al.value("gain")
+    problem = al.Problem(
+        Turning(rate=al.Uniform(2 * np.pi, half_width=0.1 * np.pi), gain=al.Decision(0.8, 0.1, 2.0)),
+        grid=al.Grid(100.0, 10),
+        minimize=-al.terminal("x").std,
+        subject_to=[gain <= 1.0],
+        expansion=al.MultiElement(error=1e-3),
+    )
+    solution = al.solve(problem)
+    assert -solution.objective == pytest.approx(np.sqrt(0.5), abs=1e-3)
+    quality = solution.certificate.expansion
+    assert quality.elements > 10
+    assert str(quality).startswith(f"{quality.elements} elements of order 4, {5 * quality.elements} terms")
+
+
+class Fork(al.System):
+    states = ("x",)
+    start: al.Number
+    growth: al.Number
+
+    def initial(self):
+        return {"x": self.start}
+
+    def rhs(self, t, z):
+        return (self.growth * z.x - z.x**3,)
+
+    def outputs(self, t, z):
+        return {"x": z.x}
+
+
+def test_a_bifurcation_has_the_moments_of_its_closed_form():
+    """`x(t)² = x0² E / (1 + A x0²)` with `E = exp(2 t)`, `A = E - 1`, for a start between -0.5 and 1."""
+    end, growth = al.terminal("x"), al.value("growth")
+    problem = al.Problem(
+        Fork(start=al.Uniform.bounds(-0.5, 1.0), growth=al.Decision(0.7, 0.5, 2.0)),
+        grid=al.Grid(6.0, 150),
+        minimize=-growth,
+        subject_to=[growth <= 1.0, end.mean <= 2.0, end.variance <= 2.0],
+        expansion=al.MultiElement(error=1e-3),
+    )
+    solution = al.solve(problem)
+    e, a = np.exp(12.0), np.exp(12.0) - 1
+    first, last = (np.sqrt(e) / a * np.sqrt(1 + a * u**2) for u in (-0.5, 1.0))
+    low, high = (e / a * (u - np.arctan(np.sqrt(a) * u) / np.sqrt(a)) for u in (-0.5, 1.0))
+    mean = (last - first) / 1.5
+    expected = [1.0, mean, (high - low) / 1.5 - mean**2]
+    assert [one.values[0] for one in solution.constraints] == pytest.approx(expected, abs=1e-3)
+
+
+class Modes(al.System):
+    states = ("y1", "y2", "y3")
+    first: al.Number
+    second: al.Number
+
+    def initial(self):
+        return {"y1": self.first, "y2": self.second}
+
+    def rhs(self, t, z):
+        return z.y1 * z.y3, -z.y2 * z.y3, -(z.y1**2) + z.y2**2
+
+    def outputs(self, t, z):
+        return z._asdict()
+
+
+def test_three_modes_of_kraichnan_and_orszag_keep_their_variances():
+    """Wan and Karniadakis (2005); variances at t = 10 as in `tests/cases`."""
+    first = al.value("first")
+    problem = al.Problem(
+        Modes(first=al.Decision(0.95, 0.8, 1.2), second=al.Uniform(0.0, half_width=0.1)),
+        grid=al.Grid(10.0, 200),
+        minimize=-first,
+        subject_to=[first <= 1.0, *(al.terminal(name).variance <= 2.0 for name in Modes.states)],
+        expansion=al.MultiElement(error=1e-3),
+    )
+    solution = al.solve(problem)
+    variances = [one.values[0] for one in solution.constraints[1:]]
+    assert variances == pytest.approx([0.084779, 0.065730, 0.499854], abs=1e-3)
+
+
+class Kinked(al.AlgebraicSystem):
+    first: al.Number
+    second: al.Number
+    away: al.Number
+
+    def outputs(self):
+        return {"larger": jnp.maximum(self.first, self.second) - self.away, "off": jnp.abs(self.first - self.away)}
+
+
+def clark(first, second):
+    """Mean and variance of the larger of two independent normal numbers (Clark, 1961), and its quantiles."""
+    (m1, s1), (m2, s2) = first, second
+    spread = np.hypot(s1, s2)
+    ratio = (m1 - m2) / spread
+    below, above, density = stats.norm.cdf(ratio), stats.norm.cdf(-ratio), stats.norm.pdf(ratio)
+    mean = m1 * below + m2 * above + spread * density
+    square = (m1**2 + s1**2) * below + (m2**2 + s2**2) * above + (m1 + m2) * spread * density
+
+    def quantile(level):
+        return optimize.brentq(lambda x: stats.norm.cdf(x, *first) * stats.norm.cdf(x, *second) - level, -5.0, 5.0)
+
+    return mean, square - mean**2, quantile
+
+
+def test_the_larger_of_two_gaps_has_clarks_moments_and_its_quantile():
+    larger = al.output("larger")
+    problem = al.Problem(
+        Kinked(al.Normal(0.3, 0.1), al.Normal(0.25, 0.15), al.Decision(0.1, -1.0, 1.0)),
+        minimize=larger.mean,
+        subject_to=[larger.quantile(0.95) >= 0.2, larger.std <= 1.0],
+        expansion=al.MultiElement(3, error=1e-2),
+    )
+    solution = al.solve(problem)
+    mean, variance, quantile = clark((0.3, 0.1), (0.25, 0.15))
+    away = float(solution.decisions["away"])
+    assert away == pytest.approx(quantile(0.95) - 0.2, abs=1e-4)
+    assert solution.objective + away == pytest.approx(mean, abs=1e-4)
+    assert solution.constraints[1].values[0] == pytest.approx(np.sqrt(variance), abs=1e-4)
+
+
+def test_elements_are_divided_where_the_kink_is_at_the_answer():
+    """`E|u - a|` for a uniform `u` is `(a² + (1 - a)²) / 2`."""
+    off, away = al.output("off"), al.value("away")
+    problem = al.Problem(
+        Kinked(al.Uniform.bounds(0.0, 1.0), 0.0, al.Decision(0.05, 0.0, 1.0)),
+        minimize=-away,
+        subject_to=[away <= 0.7, off.mean <= 1.0, off.probability(above=0.5) <= 1.0],
+        expansion=al.MultiElement(3, error=1e-3),
+    )
+    solution = al.solve(problem)
+    cells = solution.problem.expansion.cells
+    assert min(one.high[0] - one.low[0] for one in cells if one.low[0] <= 0.7 <= one.high[0]) < 0.05
+    values = [one.values[0] for one in solution.constraints[1:]]
+    assert values == pytest.approx([(0.7**2 + 0.3**2) / 2, 0.2], abs=1e-4)
+
+
+def test_a_quantile_that_many_systems_share_moves_with_them():
+    """Half of all systems rest on the stop at `away`, which their median therefore is."""
+
+    class Stopped(al.AlgebraicSystem):
+        first: al.Number
+        away: al.Number
+
+        def outputs(self):
+            return {"rest": jnp.maximum(self.first, self.away)}
+
+    problem = al.Problem(
+        Stopped(al.Uniform.bounds(0.0, 1.0), al.Decision(0.8, 0.6, 1.0)),
+        minimize=al.output("rest").quantile(0.5),
+        expansion=al.MultiElement(2, error=1e-3),
+    )
+    solution = al.solve(problem)
+    assert (float(solution.decisions["away"]), solution.objective) == pytest.approx((0.6, 0.6), abs=1e-9)
+
+
+def test_a_limit_on_a_path_that_is_certain_at_its_start_is_confirmed():
+    """All systems start at `gain`, where the limit holds them."""
+    problem = al.Problem(
+        Turning(rate=al.Uniform(2 * np.pi, half_width=0.3 * np.pi), gain=al.Decision(0.8, 0.1, 2.0)),
+        grid=al.Grid(0.5, 20),
+        minimize=-al.value("gain"),
+        subject_to=[al.path("x").at_most(1.0, probability=0.9)],
+        expansion=al.Expansion(6),
+    )
+    assert float(al.solve(problem).decisions["gain"]) == pytest.approx(1.0, abs=1e-6)
