@@ -54,10 +54,10 @@ class Sparsity(NamedTuple):
         """The matrix, from the images of `seeds`."""
         return jnp.where(self.known, images[self.groups[self.columns], self.rows], 0.0)
 
-    def diagonal(self, numbers: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n width"]:
+    def diagonal(self, numbers: Float[np.ndarray, " n"]) -> Entries:
         """A diagonal matrix."""
         main = np.arange(len(self.rows))[:, None] if self.band is None else self.band[0]
-        return np.where(np.arange(self.columns.shape[1]) == main, numbers[self.rows], 0.0)
+        return jnp.asarray(np.where(np.arange(self.columns.shape[1]) == main, numbers[self.rows], 0.0))
 
     def solver(self, entries: Entries) -> Callable[[Vector], Vector]:
         """Solves linear equations with a matrix that is factorised once; differentiable to any order."""

@@ -69,7 +69,7 @@ class Family(NamedTuple):
         rows, columns, pattern = self._places(entries)
         groups = column_groups(pattern)
         seeds = jnp.asarray(seeds_of(groups))
-        values, slopes = self.mapped(lambda block, *at: _differentiated(block, *at, seeds))
+        values, slopes = self.mapped(lambda block, shared, own: _differentiated(block, shared, own, seeds))
         return values, slopes[..., rows, groups[columns]]
 
     def curved(
@@ -84,7 +84,7 @@ class Family(NamedTuple):
         rows, columns, pattern = self._places(entries)
         groups = column_groups(pattern | pattern.T)
         seeds = jnp.asarray(seeds_of(groups))
-        bends = self.mapped(lambda block, *at: _curved(block, *at, seeds), weights)
+        bends = self.mapped(lambda block, shared, own, each: _curved(block, shared, own, each, seeds), weights)
         return bends[..., rows, groups[columns]]
 
     def _places(self, entries: Int[np.ndarray, " entries"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
