@@ -3,10 +3,10 @@
     python docs/gallery.py            # everything: about half an hour
     python docs/gallery.py clutch     # one picture, and the page
 
-Pictures are written by Plotly and a Chromium (`python -m pip install 'aleator[paper]'`); the studies are run as by
-`--quick`.
+Pictures are those of Matplotlib (`python -m pip install 'aleator[paper]'`); the studies are run as by `--quick`.
 """
 
+import io
 import os
 import re
 import runpy
@@ -14,19 +14,22 @@ import sys
 import tempfile
 import types
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 import aleator as al
-from aleator.reporting import Drawing
-from aleator.studies import load
+from aleator.reporting import Drawing, Linked, paper_figure
+from aleator.studies import Draft, load
 
 if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
+    from matplotlib.figure import Figure
 
 DOCS = Path(__file__).parent
 FIRST = "landing"
+OFF = 0.2
+"""Points of type that a curve may be off when it is drawn with fewer points."""
 PICTURES, EXAMPLES = DOCS / "pictures", DOCS.parent / "examples"
 
 
@@ -75,19 +78,16 @@ def first() -> "Figure":
     names: dict[str, Any] = {"__name__": FIRST}
     sys.modules[FIRST] = types.ModuleType(FIRST)
     exec("\n".join(program), names)
-    return al.validate(al.solve(names["problem"])).plot()
+    return al.validate(al.solve(names["problem"])).plot(backend="matplotlib")
 
 
-def study(name: str, heading: str, which: int = 0, **more: int) -> "Figure":
-    """A figure of a study's page, under the last such heading, after a quick run or one with more effort."""
-    one: Any = load(name, quick=True)
-    if more:
-        one = type(one)(replace(one.quick, **more))
-    for stage in one.stages:
-        one.run(stage)
-    blocks = [block for section in one.sections() for block in section.blocks]
-    *_, drawing = (block for block in blocks if isinstance(block, Drawing) and block.heading == heading)
-    return drawing.figures[which]
+def study(name: str, heading: str, which: int = 0) -> "Figure":
+    """A figure of a study's page, under the last such heading, after a quick run."""
+    page = Draft(load(name, quick=True))
+    page.fill()
+    blocks = [block for section in page.page().sections for block in section.blocks]
+    *_, drawing = (block for block in blocks if isinstance(block, Drawing | Linked) and block.heading == heading)
+    return paper_figure(drawing.figures[which])
 
 
 EVERY: dict[str, dict[str, Entry]] = {
@@ -97,46 +97,52 @@ EVERY: dict[str, dict[str, Entry]] = {
             "A drawer closes against a damper; its load, the push of the hand and the damper itself vary. The widest "
             "tolerance of the damper is found for which the drawer still ends in the right place.",
             "The distance closed of 20 000 drawers, and its limits.",
-            lambda: al.validate(example("sources_of_uncertainty")["solution"], 20_000).plot.density(),
+            lambda: al.validate(example("sources_of_uncertainty")["solution"], 20_000).plot.density(
+                backend="matplotlib"
+            ),
         ),
         "five_sources": Entry(
             "A heated stage with five sources of uncertainty",
-            "A parameter, a first temperature, and three random processes act in one expansion. Which is the noisiest "
-            "thermometer that still holds the temperature?",
+            "A parameter, a first temperature, and three random processes (sensor, heater and air) act in one "
+            "expansion. The noisiest thermometer that still holds the temperature is chosen with the controller's "
+            "gain.",
             "The heater's power: its mean, the band of two standard deviations, and its limits.",
-            lambda: solved("five_sources").band("power"),
+            lambda: solved("five_sources").band("power", backend="matplotlib"),
         ),
         "co_design": Entry(
             "An arm, its counterweight, its motion and a tolerance",
-            "A lifting arm, its fastest motion and the tolerance of its payload are designed together. The torque "
-            "keeps its limits in the worst case.",
+            "A lifting arm is designed together with its fastest motion and the tolerance of its payload. The torque "
+            "keeps its limits in the worst case of all payloads.",
             "The torque of the joint for random payloads, between its limits.",
-            lambda: solved("co_design").histories("angle_torque", samples=25),
+            lambda: solved("co_design").histories("angle_torque", samples=25, backend="matplotlib"),
         ),
         "ride_travel_holding": Entry(
             "Ride, travel and holding of a car",
-            "What three wishes for a car's suspension cost one another. Every point is a certified design.",
+            "What three wishes for a car's suspension cost one another, with a margin of one standard deviation in "
+            "each. Every point of the surface is a certified design, counted on fresh cars.",
             "Designs none of which is better than another in all three wishes.",
-            lambda: called("ride_travel_holding")[0].plot.curve(),
+            lambda: called("ride_travel_holding")[0].plot(backend="matplotlib"),
         ),
         "from_sympy": Entry(
             "A crane from SymPy",
-            "The equations come from SymPy's `LagrangesMethod`. The load is as still as possible at the end.",
+            "The equations of motion come from SymPy's `LagrangesMethod`. The trolley moves so that the load hangs "
+            "still at the end, whatever the rope's length and the load's mass.",
             "The force of the drive for random ropes and loads, between its limits.",
-            lambda: solved("from_sympy").histories("force", samples=25),
+            lambda: solved("from_sympy").histories("force", samples=25, backend="matplotlib"),
         ),
         "robot_from_file": Entry(
             "A robot from a URDF file",
-            "An arm is read from a file with its torque limits. Its counterweight and fastest motion are decided "
-            "together, for all payloads.",
+            "An arm is read from a file as CAD programs write it, with the torque limits in it. Its counterweight "
+            "and its fastest motion are decided together, for all payloads.",
             "The shoulder's torque: its mean and the band of all payloads, between its limits.",
-            lambda: solved("robot_from_file").band("shoulder_torque"),
+            lambda: solved("robot_from_file").band("shoulder_torque", backend="matplotlib"),
         ),
         "black_box": Entry(
             "A simulator that is not ours",
-            "A pendulum integrated by SciPy: samples run in processes and are kept in a journal.",
+            "A pendulum integrated by SciPy is expanded without being traced: samples run in processes and are kept "
+            "in a journal. The same points can be answered by anyone, anywhere.",
             "Which uncertain number causes how much of the variance of the period.",
-            lambda: called("black_box").plot.sensitivities("period"),
+            lambda: called("black_box").plot.sensitivities("period", backend="matplotlib"),
         ),
     },
     "Studies": {
@@ -145,7 +151,7 @@ EVERY: dict[str, dict[str, Entry]] = {
             "Spring and damper of a quarter car with five uncertain numbers: designed for the mean car, robustly, and "
             "with spreads apportioned at minimum cost. It recomputes chapters 6 and 7 of the dissertation.",
             "The best ride over the travel allowed, for the mean car (dOpt) and for all cars (uOpt).",
-            lambda: study("suspension", "Ride against the travel limit, H = 0.034 m", front_points=10),
+            lambda: study("suspension", "Ride against the travel limit, H = 0.034 m"),
         ),
         "clutch": Entry(
             "Tolerances of a one-way clutch",
@@ -191,13 +197,14 @@ def page() -> str:
     parts = [
         "# Gallery",
         "",
-        "Examples are run by `python examples/NAME.py`, studies by `aleator run NAME`, which writes a report. "
-        "`python docs/gallery.py` makes the pictures and this page.",
+        "Every example and every built-in study, with one of its pictures. Examples are run by `python "
+        "examples/NAME.py`, studies by `aleator run NAME`, which writes a whole report. The pictures and this page are "
+        "made by `python docs/gallery.py`.",
     ]
     for chapter, entries in EVERY.items():
         parts += ["", f"## {chapter}"]
         for name, one in entries.items():
-            parts += ["", f"### {one.heading}", "", f"![](pictures/{name}.svg)", ""]  # the caption describes it
+            parts += ["", f"### {one.heading}", "", f"![{one.shows}](pictures/{name}.svg)", ""]
             parts += [one.told, "", f"*{one.shows}* {_source(chapter, name)}"]
     return "\n".join(parts) + "\n"
 
@@ -210,11 +217,40 @@ def _source(chapter: str, name: str) -> str:
 
 
 def write_picture(draw: Callable[[], "Figure"], path: Path) -> None:
-    """A picture that is the same whenever it is made: Plotly names clips and traces by numbers of chance."""
-    picture = draw().to_image("svg", width=420, height=320).decode()
-    for number in re.findall(r'<defs id="defs-(\w+)"', picture):
-        picture = picture.replace(number, "aleator")
-    path.write_text(re.sub(r" trace\w{6}\b", "", picture), encoding="utf-8")
+    """A picture that is the same whenever it is made: without date and with fixed names inside."""
+    import matplotlib
+
+    with matplotlib.rc_context({"svg.hashsalt": "aleator", "path.simplify": False}):
+        drawn = io.StringIO()
+        draw().savefig(drawn, format="svg", metadata={"Date": None}, facecolor="white")
+    path.write_text(re.sub(r' d="([^"QC]*)"', _short, drawn.getvalue()), encoding="utf-8")
+
+
+def _short(path: re.Match[str]) -> str:
+    """A path of straight lines with as few points as a screen needs, in tenths of a point, from each to the next."""
+    parts = []
+    for part in path[1].split("M")[1:]:
+        points = _thinned(np.array(re.findall(r"-?[\d.]+", part), float).reshape(-1, 2)).round(1)
+        steps = " ".join(f"{one:.1f}" for one in np.diff(points, axis=0).ravel())
+        parts.append(f"M{points[0, 0]:.1f} {points[0, 1]:.1f}l{steps}{'z' * ('z' in part)}")
+    return f' d="{"".join(parts)}"'
+
+
+def _thinned(points: np.ndarray) -> np.ndarray:
+    """The points of a curve without those that are hardly off the lines between others (Douglas and Peucker, 1973)."""
+    kept, spans = {0, len(points) - 1}, [(0, len(points) - 1)]
+    while spans:
+        first, last = spans.pop()
+        between, chord = points[first + 1 : last] - points[first], points[last] - points[first]
+        if not len(between):
+            continue
+        length = float(np.hypot(*chord))
+        off = np.abs(between @ [-chord[1], chord[0]]) / length if length else np.hypot(*between.T)
+        if off.max() > OFF:
+            middle = first + 1 + int(off.argmax())
+            kept.add(middle)
+            spans += [(first, middle), (middle, last)]
+    return points[sorted(kept)]
 
 
 def main(names: Sequence[str]) -> None:

@@ -1,11 +1,14 @@
 """Work of one's own within a journal: done once for the same code and numbers; and lines of JSON after a crash."""
 
+import dataclasses
+import functools
 import itertools
 import signal
 import threading
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -17,7 +20,8 @@ from aleator._core.journalled import NotKeptError, journalled, read_lines
 from aleator.extending import kept
 from aleator.journalling import recalling
 from aleator.journalling._parts import Parts
-from zoo import bar_problem
+from executors import AsProcesses, scattered
+from zoo import bar_problem, gain_problem
 
 STEP = 1.0
 
@@ -162,6 +166,65 @@ def test_designs_found_by_kept_work_are_parts_of_its_result(tmp_path):
     assert [one.what for one in al.load(tmp_path).entries] == ["work the lightest"]
 
 
+# --- What was ended goes on ------------------------------------------------------------------------------------------
+
+MODEL = {"off": al.Uniform(0.0, half_width=1.0), "more": al.Normal(2.0, 0.1)}
+
+
+def called(model):
+    return {"sum": model["off"] + model["more"]}
+
+
+@functools.cache
+def solution() -> al.Solution:
+    return al.solve(gain_problem())
+
+
+def by_executor(**how):
+    with AsProcesses(2) as executor:
+        return al.references.quasi_monte_carlo(scattered, MODEL, 2048, batch=100, executor=executor, **how)
+
+
+ENDED = {
+    "a sample": lambda **how: al.references.monte_carlo(scattered, MODEL, 2048, batch=100, **how).values,
+    "a net by an executor": lambda **how: by_executor(**how).values,
+    "a called function": lambda **how: al.references.monte_carlo(called, MODEL, 256, traced=False, **how).values,
+    "evidence": lambda **how: [
+        (one.mean, one.std, one.std_error)
+        for one in al.validate(solution(), 3000, batch=100, **how).functionals.values()
+    ],
+    "a rare violation": lambda **how: dataclasses.astuple(al.rare_violation(solution(), samples=4000, seed=3, **how)),
+}
+
+
+@pytest.mark.parametrize("work", ENDED.values(), ids=ENDED)
+def test_what_was_ended_goes_on_from_its_parts_with_the_same_digits(work, tmp_path, monkeypatch):
+    def end(task: str, done: int, total: int) -> None:
+        if done >= 0.5 * total:
+            raise KeyboardInterrupt
+
+    def digits(numbers) -> list[bytes]:
+        return [np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(numbers)]
+
+    parts, add = [], journal_hook._Keeping.add
+    monkeypatch.setattr(journal_hook, "_OFTEN", 0.0)
+    monkeypatch.setattr(journal_hook._Keeping, "add", lambda self, result: parts.append(result) or add(self, result))
+    solution()
+    with al.journal(tmp_path / "undisturbed"):
+        undisturbed, whole = digits(work()), len(parts)
+    folder = tmp_path / "ended"
+    with al.journal(folder), pytest.raises(KeyboardInterrupt):
+        work(progress=end)
+    assert list((folder / "finished").glob("*.part"))
+    assert whole < len(parts) < 2 * whole
+    for recalled in (0, 1):
+        with al.journal(folder) as kept_here:
+            assert digits(work()) == undisturbed
+        assert kept_here.recalled == recalled
+        assert len(parts) == 2 * whole
+        assert not list((folder / "finished").glob("*.part"))
+
+
 # --- Parts and lines -------------------------------------------------------------------------------------------------
 
 
@@ -185,11 +248,14 @@ def test_a_run_that_is_ended_twice_goes_on_from_its_parts(tmp_path: Path, monkey
     assert worked == items
 
 
-def test_parts_whose_places_were_exchanged_are_not_taken(tmp_path: Path):
+def test_parts_whose_places_were_exchanged_or_that_were_cut_are_not_taken(tmp_path: Path):
     parts = Parts(tmp_path, "key", pytest.fail)
     parts.keep(0, "first")
     parts.keep(1, "second")
     assert [parts.recall(number) for number in (0, 1)] == ["first", "second"]
+    parts.keep(2, "cut")
+    (tmp_path / "key-2.part").write_bytes((tmp_path / "key-2.part").read_bytes()[:-1])
+    assert parts.recall(2) is None
     (tmp_path / "key-0.part").replace(tmp_path / "key-1.part")
     assert parts.recall(1) is None
 

@@ -59,6 +59,8 @@ from .dynamics import Assembly as Assembly
 from .dynamics import Event as Event
 from .dynamics import Grid as Grid
 from .dynamics import Instant as Instant
+from .dynamics import Phase as Phase
+from .dynamics import Phases as Phases
 from .dynamics import System as System
 from .dynamics import simulate as simulate
 from .examining import examine as examine

@@ -25,7 +25,6 @@ from aleator.nlp import Multipliers as Multipliers
 from aleator.nlp import NonlinearProgram as NonlinearProgram
 from aleator.nlp import ScaledProgram as ScaledProgram
 from aleator.nlp import Sought as Sought
-from aleator.reporting import Card as Card
 from aleator.reporting import Code as Code
 from aleator.reporting import Drawing as Drawing
 from aleator.reporting import Schematic as Schematic

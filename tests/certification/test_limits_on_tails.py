@@ -1,5 +1,7 @@
 """Limits on quantiles, probabilities and means beyond quantiles, against closed forms: the optimum, or not ok."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +12,7 @@ import aleator as al
 from aleator.studies.suspension import RIDE, nominal, road
 
 U = stats.norm.ppf
-# Responses of two normal numbers, with the quantile of each at a level.
+# Responses of two normal numbers, with the quantile of each at a level: which, is data of the model.
 RESPONSES = {
     "exponential": (lambda u, v: jnp.exp(0.3 * u), lambda p: np.exp(0.3 * U(p))),
     "reciprocal": (lambda u, v: 1 / (1 + 0.12 * u), lambda p: 1 / (1 - 0.12 * U(p))),
@@ -27,15 +29,17 @@ class Rod(al.AlgebraicSystem):
     d: al.Number
     u: al.Number
     v: al.Number
-    response: str = "exponential"
+    weights: Any
 
     def outputs(self):
-        return {"y": self.d * RESPONSES[self.response][0](self.u, self.v), "d": self.d}
+        each = zip(self.weights, RESPONSES.values(), strict=True)
+        return {"y": self.d * sum(weight * response(self.u, self.v) for weight, (response, _) in each), "d": self.d}
 
 
 def largest(response, limit, order):
     """The largest size whose response keeps a limit of 10."""
-    rod = Rod(al.Decision(1.0, 0.01, 50.0), al.Normal(0.0, 1.0), al.Normal(0.0, 1.0), response)
+    weights = [float(response == one) for one in RESPONSES]
+    rod = Rod(al.Decision(1.0, 0.01, 50.0), al.Normal(0.0, 1.0), al.Normal(0.0, 1.0), weights)
     problem = al.Problem(
         rod, minimize=-1 * al.output("d").mean, subject_to=[limit], expansion=al.Expansion(order=order)
     )
@@ -68,25 +72,26 @@ def test_an_expansion_that_is_wrong_in_a_tail_is_contradicted_by_systems_there()
     assert float(right.decisions["d"]) == pytest.approx(10 / np.exp(0.3 * U(0.9999)), rel=2e-3)
 
 
+BROKEN_SELDOM = al.output("y").probability(above=10.0) <= 1e-3
+MEAN_BEYOND = al.output("y").conditional_value_at_risk(0.99) <= 10.0
+
+
 @pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")
 @pytest.mark.parametrize(
     ("limit", "order", "exact"),
     [
-        # Below -9 a product has as much as above 9: 1e-5 at the size 9 / 9.4138.
-        (al.output("y").probability(above=10.0) <= 1e-3, 4, 10 / np.exp(0.3 * U(0.999))),
+        (BROKEN_SELDOM, 4, 10 / np.exp(0.3 * U(0.999))),
+        pytest.param(BROKEN_SELDOM, 2, None, marks=pytest.mark.slow),
         pytest.param(
-            al.output("y").conditional_value_at_risk(0.99) <= 10.0,
-            5,
-            10 / (np.exp(0.045) * stats.norm.sf(U(0.99) - 0.3) / 0.01),
-            marks=pytest.mark.slow,
+            MEAN_BEYOND, 5, 10 / (np.exp(0.045) * stats.norm.sf(U(0.99) - 0.3) / 0.01), marks=pytest.mark.slow
         ),
+        pytest.param(MEAN_BEYOND, 2, None, marks=pytest.mark.slow),
     ],
 )
 def test_probabilities_and_means_beyond_quantiles_are_confirmed_too(limit, order, exact):
-    assert not largest("exponential", limit, 2).ok
     solution = largest("exponential", limit, order)
-    assert solution.ok
-    assert float(solution.decisions["d"]) == pytest.approx(exact, rel=1e-2)
+    assert solution.ok == (exact is not None)
+    assert exact is None or float(solution.decisions["d"]) == pytest.approx(exact, rel=1e-2)
 
 
 @pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning", "ignore::aleator.GridWarning")

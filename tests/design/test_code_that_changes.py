@@ -129,12 +129,12 @@ def test_no_method_of_a_model_is_called_once_it_is_declared():
             return {"miss": (z.x - 0.2) ** 2}
 
     inputs = {"push": al.Tabulated([0.0, 1.0], [0.0, 0.0])}
-    one = al.Problem(Watched(), grid=al.Grid(1.0, 10), inputs=inputs, minimize=al.terminal("miss").mean)
+    one = al.Problem(Watched(), grid=al.Grid(1.0, 4), inputs=inputs, minimize=al.terminal("miss").mean)
     assert {*calls} == {"initial", "rhs", "residual", "guess", "outputs"}
     calls.clear()
     solution = al.solve(one)
     al.validate(solution, 20)
-    al.solve(al.deterministic(one))
+    al.deterministic(one)
     al.solve(one, transcription=al.Simultaneous())
     assert not calls
     assert solution.decisions["rate.mean"] == pytest.approx(-np.log(0.2), rel=0.05)

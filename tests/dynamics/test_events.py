@@ -13,6 +13,7 @@ from jaxtyping import Array
 import aleator as al
 from aleator.dynamics import Asked
 from aleator.uncertainty import realise
+from compiling import compiled
 from zoo import G, Shot
 
 FIXED = [al.integrators.RungeKutta4(), al.integrators.RungeKutta4().reference()]
@@ -61,6 +62,14 @@ def test_a_ball_bounces_wherever_in_a_step_and_twice_in_one(integrator):
     assert float(history["h"][-1]) == pytest.approx(float(second_flight(0.7, 1.0, 1.2)), abs=1e-13)
 
 
+def agreeing(simulated, exact, at, order):
+    """Pairs of the values of two functions, and of their derivatives up to an order, by one program."""
+    both = [(simulated, exact)]
+    for _ in range(order):
+        both.append(tuple(map(jax.jacfwd, both[-1])))
+    return jax.tree.map(np.asarray, compiled(lambda at: [(ours(at), right(at)) for ours, right in both])(np.array(at)))
+
+
 def test_derivatives_after_jumps_are_those_of_the_closed_form_to_third_order():
     def simulated(at):
         return al.simulate(Ball(at[0], at[1]), al.Grid(1.2, 12), only=["h"])["h"][-1]
@@ -68,10 +77,8 @@ def test_derivatives_after_jumps_are_those_of_the_closed_form_to_third_order():
     def exact(at):
         return second_flight(at[0], at[1], 1.2)
 
-    ours, right, at = simulated, exact, jnp.array([0.7, 1.0])
-    for _ in range(3):
-        ours, right = jax.jacfwd(ours), jax.jacfwd(right)
-        assert np.asarray(jax.jit(ours)(at)) == pytest.approx(np.asarray(jax.jit(right)(at)), rel=1e-9)
+    for ours, right in agreeing(simulated, exact, [0.7, 1.0], 3):
+        assert ours == pytest.approx(right, rel=1e-9)
 
 
 def test_the_end_of_a_grid_and_its_derivatives_are_those_of_the_closed_form():
@@ -79,10 +86,8 @@ def test_the_end_of_a_grid_and_its_derivatives_are_those_of_the_closed_form():
         history = al.simulate(Shot(at[0], at[1], at[2]), LANDED)
         return jnp.stack([history["time"][-1], history["x"][-1]])
 
-    ours, right, at = simulated, lambda at: landing(at[0], at[1], at[2]), jnp.array([20.0, 0.7, 1.0])
-    for _ in range(3):
-        assert np.asarray(jax.jit(ours)(at)) == pytest.approx(np.asarray(jax.jit(right)(at)), rel=1e-9, abs=1e-10)
-        ours, right = jax.jacfwd(ours), jax.jacfwd(right)
+    for ours, right in agreeing(simulated, lambda at: landing(at[0], at[1], at[2]), [20.0, 0.7, 1.0], 2):
+        assert ours == pytest.approx(right, rel=1e-9, abs=1e-10)
 
 
 def test_derivatives_with_drag_agree_with_central_differences():
@@ -90,9 +95,11 @@ def test_derivatives_with_drag_agree_with_central_differences():
         return al.simulate(Shot(20.0, angle, 1.0, 0.02), LANDED)["x"][-1]
 
     slope = jax.jacfwd(ranged)
-    beside, near = 0.7 + 1e-5, 0.7 - 1e-5
-    assert float(slope(0.7)) == pytest.approx(float(ranged(beside) - ranged(near)) / 2e-5, rel=1e-7)
-    assert float(jax.jacfwd(slope)(0.7)) == pytest.approx(float(slope(beside) - slope(near)) / 2e-5, rel=1e-7)
+    angles = 0.7 + 1e-5 * np.array([-1.0, 0.0, 1.0])
+    found = compiled(jax.vmap(lambda at: (ranged(at), slope(at), jax.jacfwd(slope)(at))))(angles)
+    places, slopes, curvatures = np.asarray(found)
+    assert slopes[1] == pytest.approx((places[2] - places[0]) / 2e-5, rel=1e-7)
+    assert curvatures[1] == pytest.approx((slopes[2] - slopes[0]) / 2e-5, rel=1e-7)
 
 
 def test_a_body_lands_on_the_ground_to_rounding_with_the_order_of_the_integrator():
@@ -119,7 +126,7 @@ def test_uncertain_speed_angle_and_height_spread_the_range_as_quadrature_says():
     found = al.expand(lambda at: al.simulate(Shot(**at), LANDED)["x"][-1], numbers, al.Expansion(order=7))
     nodes, weights = np.polynomial.legendre.leggauss(12)
     grids = np.meshgrid(*((low + high) / 2 + (high - low) / 2 * nodes for low, high in ends.values()), indexing="ij")
-    values, weight = np.asarray(landing(*grids)[1]), np.einsum("i,j,k->ijk", *[weights / 2] * 3)
+    values, weight = np.asarray(compiled(landing)(*grids)[1]), np.einsum("i,j,k->ijk", *[weights / 2] * 3)
     mean = np.sum(weight * values)
     assert float(found.mean) == pytest.approx(mean, rel=1e-8)
     assert float(found.std) == pytest.approx(np.sqrt(np.sum(weight * (values - mean) ** 2)), rel=1e-8)
@@ -174,13 +181,13 @@ def test_steps_end_at_the_nodes_of_a_control_whenever_the_grid_ends(degree):
         inputs={"force": control},
         minimize=al.at("there").mean,
     )
-    solution = realise(problem.simulation, jnp.zeros(0), jnp.asarray(levels))
     fine = np.linspace(0.0, 4.0, 400_001)
     force = np.interp(fine, np.arange(5.0), levels) if degree else levels[np.minimum(fine.astype(int), 3)]
     speed = np.concatenate([[0.0], np.cumsum((force[1:] + force[:-1]) / 2 * 1e-5)])
     place = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * 1e-5)])
     right = np.interp(0.5, place[: np.argmax(place > 0.5) + 1], fine[: np.argmax(place > 0.5) + 1])
-    assert float(solution.record(Asked()).grid.t_final) == pytest.approx(right, abs=1e-5)
+    end = compiled(lambda at: realise(problem.simulation, jnp.zeros(0), at).record(Asked()).grid.t_final)
+    assert float(end(levels)) == pytest.approx(right, abs=1e-5)
 
 
 class Rocket(al.System):

@@ -53,7 +53,8 @@ def test_a_data_sample_of_few_values_has_points_too():
     germs = {"s": SampleGerm(np.linspace(0, 1, 9) ** 2), "n": HermiteGerm()}
     _, collocation = collocate(germs, al.Expansion(3, points=al.points.OptimalPoints()))
     assert float(collocation.condition_number) < 20
-    assert np.all((collocation.points[:, 0] >= 0) & (collocation.points[:, 0] <= 1))
+    values = np.asarray(collocation.points)[:, 0]
+    assert np.all((values >= 0) & (values <= 1))
 
 
 @pytest.mark.parametrize("points", [al.points.ChristoffelPoints(), al.points.OptimalPoints()])

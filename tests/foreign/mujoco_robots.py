@@ -6,7 +6,6 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -44,7 +43,7 @@ def states(robot, count, seed):
     """Random coordinates, whose quaternions have length one, speeds and accelerations."""
     random = np.random.default_rng(seed)
     q, v, v_dot = (random.normal(size=(count, len(names))) for names in (robot.coordinates, robot.speeds, robot.speeds))
-    return np.array([robot.normalised(jnp.asarray(one)) for one in q]), v, v_dot
+    return np.array([robot.normalised(one) for one in q]), v, v_dot
 
 
 def by_aleator(robot, q, v, v_dot):

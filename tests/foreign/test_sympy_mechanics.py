@@ -180,7 +180,7 @@ def test_holonomic_constraints_hold_exactly_and_multipliers_are_those_of_sympy()
     method.form_lagranges_equations()
     model = al.foreign.from_lagrange(method, {M: 2.0, L: 0.5, G: 9.81}, outputs={"tension": -2 * L * method.lam_vec[0]})
     system = al.ForwardDynamics(model, start={"x": 0.3}, guess={"y": -0.4})
-    found = al.simulate(system, al.Grid(1.0, 400))
+    found = {name: np.asarray(one) for name, one in al.simulate(system, al.Grid(1.0, 400)).items()}
     assert np.ptp(found["x"]) > 0.5
     np.testing.assert_allclose(found["x"] ** 2 + found["y"] ** 2, 0.25, rtol=1e-12)
     # It starts at rest, 0.1 m above the lowest place: v² = 2 g (y(0) - y), and m v² / l + m g cos(angle) holds it.

@@ -31,8 +31,9 @@ def test_a_system_of_sympy_moves_as_the_same_one_written_by_hand():
     for name in ("x", "v", "spring"):
         np.testing.assert_allclose(found[name], ours[name], rtol=0, atol=1e-13, err_msg=name)
     push = np.linspace(0.0, 3.0, 51)
-    np.testing.assert_allclose(found["force"], push - 1.5 * ours["v"] - 40 * ours["x"], atol=1e-12)
-    np.testing.assert_allclose(found["force"], 2 * found["acceleration"], rtol=1e-15)
+    x, v, acceleration = map(np.asarray, (ours["x"], ours["v"], found["acceleration"]))
+    np.testing.assert_allclose(found["force"], push - 1.5 * v - 40 * x, atol=1e-12)
+    np.testing.assert_allclose(found["force"], 2 * acceleration, rtol=1e-15)
 
 
 def test_plain_symbols_may_be_states_and_the_time_may_stand_in_rates():

@@ -148,10 +148,15 @@ def test_signals_add_up_and_keep_their_uncertain_numbers():
 
 def test_a_trajectory_inside_a_signal_fills_the_time_grid():
     rising, ends = al.BSpline(np.linspace(0.0, 1.0, 5)), np.array([0.0, 0.5, 1.0])
-    around = realise({"u": process(mean=rising, modes=2)}, jnp.zeros(2), jnp.zeros(0))["u"]
     twice = al.processes.signal(lambda t, p: 2 * p.path(t), path=rising)
-    for signal, exact in ((around, ends), (twice, 2 * ends)):
-        np.testing.assert_allclose(signal.sampled(ends, 0.0, T), exact, atol=1e-14)
+    inputs = {"around": process(mean=rising, modes=2), "twice": twice}
+
+    @compiled
+    def sampled():
+        realised = realise(inputs, jnp.zeros(2), jnp.zeros(0))
+        return [realised[name].sampled(ends, 0.0, T) for name in inputs]
+
+    np.testing.assert_allclose(sampled(), [ends, 2 * ends], atol=1e-14)
 
 
 class Falling(al.processes.AbstractCovariance):

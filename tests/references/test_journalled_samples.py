@@ -1,97 +1,21 @@
-"""Samples in the journal of a run: what was ended goes on from there, with the same digits."""
+"""Samples in the journal of a run: the same work is the same sample. `test_kept_work.py` ends and resumes them."""
 
-from collections.abc import Iterator
-from concurrent.futures import Executor
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aleator as al
-from aleator._core import journalled
-from aleator.ensemble import CalledEnsemble
-from executors import AsProcesses
 
 MODEL = {"off": al.Uniform(0.0, half_width=1.0), "more": al.Normal(2.0, 0.1)}
-
-
-def scattered(model):
-    """A sum, and a row of numbers."""
-    return {"sum": model["off"] + model["more"], "row": jnp.stack([model["off"] ** 2, jnp.sin(model["more"])])}
-
-
-METHODS = [al.references.monte_carlo, al.references.quasi_monte_carlo]
-
-
-@pytest.fixture(autouse=True)
-def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Parts are kept as soon as they are there."""
-    monkeypatch.setattr(journalled, "_OFTEN", 0.0)
-
-
-@pytest.fixture
-def travelling() -> Iterator[Executor]:
-    with AsProcesses(2) as executor:
-        yield executor
 
 
 def bits(sample: al.references.RandomSample) -> list[bytes]:
     return [sample.values[name].tobytes() for name in ("sum", "row")]
 
 
-def ended(done_before: float):
-    """Ctrl-C as soon as this part of the sample is done."""
-
-    def end(task: str, done: int, total: int) -> None:
-        if done >= done_before * total:
-            raise KeyboardInterrupt
-
-    return end
-
-
-@pytest.mark.parametrize(("method", "by"), list(zip(METHODS, ["here", "an executor"], strict=True)))
-def test_a_sample_that_was_ended_goes_on_from_its_parts(
-    method, by: str, travelling: Executor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    executor = travelling if by == "an executor" else None
-    undisturbed = method(scattered, MODEL, 2048, batch=100)
-    with al.journal(tmp_path), pytest.raises(KeyboardInterrupt):
-        method(scattered, MODEL, 2048, batch=100, executor=executor, progress=ended(0.5))
-    assert len(list((tmp_path / "finished").glob("*.part"))) == 11
-    told = []
-    with al.journal(tmp_path) as kept:
-        monkeypatch.setattr("aleator._core.journalled._Keeping.add", lambda self, result: told.append(result))
-        resumed = method(scattered, MODEL, 2048, batch=100, executor=executor)
-        assert kept.recalled == 0
-    assert bits(resumed) == bits(undisturbed)
-    assert len(told) == 21 - 11
-    assert not list((tmp_path / "finished").glob("*.part"))
-    with al.journal(tmp_path) as kept:
-        again = method(scattered, MODEL, 2048, batch=100)
-        assert kept.recalled == 1
-    assert bits(again) == bits(undisturbed)
-    assert str(again) == str(undisturbed)
-    assert bits(al.load(tmp_path)[f"{method.__name__} scattered 1"]) == bits(undisturbed)
-
-
 def called(model):
     return {"sum": model["off"] + model["more"], "row": np.stack([model["off"] ** 2, np.sin(model["more"])])}
-
-
-def test_called_functions_are_kept_from_a_few_calls_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    own = {"samples": 256, "traced": False}
-    undisturbed = al.references.monte_carlo(called, MODEL, **own)
-    calls = []
-    call = CalledEnsemble._call
-    monkeypatch.setattr(CalledEnsemble, "_call", lambda self, point: calls.append(point) or call(self, point))
-    with al.journal(tmp_path), pytest.raises(KeyboardInterrupt):
-        al.references.monte_carlo(called, MODEL, **own, progress=ended(0.7))
-    assert len(calls) == 180
-    with al.journal(tmp_path):
-        resumed = al.references.monte_carlo(called, MODEL, **own)
-    assert len(calls) == 256
-    assert bits(resumed) == bits(undisturbed)
 
 
 FACTOR = 1.0

@@ -102,6 +102,35 @@ def test_a_solution_opens_on_the_limit_that_is_active_and_evidence_on_the_one_th
     assert titles(evidence.plot())[1] == titles(evidence.plot.trajectories())[1] == "held (m)"
 
 
+def test_one_figure_of_a_design_has_inputs_then_limits_active_ones_first_then_decisions():
+    idle, held = al.path("x").mean <= 2.0, al.path("v").at_most(0.7, sigmas=1.0)
+    start = given.move()
+    ends = list(start.constraints[:2])
+    problem = al.Problem(
+        start.system,
+        grid=al.Grid(1.0, 6),
+        inputs=start.inputs,
+        minimize=start.objective,
+        subject_to=[idle.named("idle"), held.named("held"), *ends],
+        expansion=start.expansion,
+    )
+    solution = al.solve(problem)
+    assert "held" in solution.active
+    figure = solution.plot()
+    axes = [getattr(figure.layout, f"yaxis{place}") for place in ("", 2, 3)]
+    assert [one.title.text for one in axes] == ["push", "v", "x"]
+    tops = [one.domain[1] for one in (*axes, figure.layout.yaxis4)]
+    assert tops == sorted(tops, reverse=True)
+    curves = {one.yaxis: one for one in figure.data if one.line.dash}
+    push, speed, place = (curves[name] for name in ("y", "y2", "y3"))
+    np.testing.assert_allclose(numbers(push.y), solution.inputs["push"]["mean"], rtol=1e-5)
+    np.testing.assert_allclose(numbers(speed.y), solution.moments["v(t)"].mean, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(numbers(place.y), solution.moments["x(t)"].mean, rtol=1e-5, atol=1e-6)
+    assert {(one.yref, one.y0) for one in figure.layout.shapes} == {("y2", 0.7), ("y3", 2.0)}
+    (decision,) = {name for one in figure.data if one.yaxis == "y4" for name in one.y}
+    assert decision == "inputs.push"
+
+
 def test_a_limit_on_several_paths_together_is_drawn_itself_with_both_its_sides():
     back, other = al.path("back"), al.path("other")
     sides = [back.mean - other.mean <= 0.2, back.mean - other.mean >= -1.3]

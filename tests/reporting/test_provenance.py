@@ -11,7 +11,8 @@ import xarray
 
 import aleator as al
 from aleator.reporting import design_digest, page_html, provenance, report, save
-from aleator.reporting._page import Page, verdict
+from aleator.reporting._first_screen import proposal
+from aleator.reporting._page import Page
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,7 @@ def test_each_result_has_its_digest_its_seed_and_its_time(section):
 
 
 def test_pages_and_files_carry_versions_digests_and_lines_to_sign(section, tmp_path):
-    shown = page_html(Page("Title", "", verdict({"a": given.solution()}, {}), [section]))
+    shown = page_html(Page("Title", "", proposal({"a": given.solution()}, {}), [section]))
     for said in (f"jax {metadata.version('jax')}", f"casadi {metadata.version('casadi')}", "Signature"):
         assert said in shown
     digest = design_digest(given.solution())

@@ -13,8 +13,8 @@ import report_problems as given
 import aleator as al
 from aleator import ProblemError
 from aleator.reporting import report
+from aleator.reporting._first_screen import proposal
 from aleator.reporting._numbers import number
-from aleator.reporting._page import verdict
 from aleator.reporting._tables import certificate_table, designs_table, evidence_table
 from aleator.validation._comparisons import Disagreement
 from zoo import MASS, STRESS, bar_problem
@@ -136,17 +136,22 @@ def test_where_no_limit_is_counted_the_verdict_says_so_and_why_and_claims_no_sha
     limit = (STRESS.std <= 0.3).named("spread")
     solution = al.solve(al.Problem(bar_problem().system, minimize=MASS.mean, subject_to=[limit]))
     evidence = al.validate(solution, 400)
-    said = verdict({"design": evidence.solution}, {"design": evidence})
+    said = proposal({"design": evidence.solution}, {"design": evidence})
     assert "none was counted" in said.headline
-    assert "of systems break" not in said.headline
-    assert any("σ[stress] ≤ 0.3: a statistic of all systems together" in one for one in said.sentences)
-    assert not any("violate" in card.label for card in said.cards)
+    assert "exceed a limit" not in said.headline
+    rows = dict(said.rows)
+    assert "Limits broken" not in rows
+    # The samples have its statistic.
+    assert rows["Other limits"].startswith("σ[stress] ≤ 0.3: sampled 0.3")
+    assert "σ[stress]" not in rows["Not verified"]
+    alone = proposal({"design": solution}, {"design": replace(evidence, compared=())})
+    assert "σ[stress] ≤ 0.3 (a statistic of all systems together" in dict(alone.rows)["Not verified"]
 
 
 def test_a_solution_that_fresh_simulations_contradict_is_not_to_be_trusted():
     evidence = given.evidence()
     found = replace(evidence, disagreements=(Disagreement("∫effort dt", 1.0, 2.0, 0.1),))
-    said = verdict({"design": evidence.solution}, {"design": found})
+    said = proposal({"design": evidence.solution}, {"design": found})
     assert (said.level, said.word) == ("bad", "Contradicted")
 
 
@@ -164,13 +169,38 @@ def test_the_verdict_is_on_the_proposed_design_and_tells_the_others_for_comparis
     often = given.evidence()
     few = replace(often, samples=1000, broken=dict.fromkeys(often.broken, np.arange(1000) < 1))
     designs = {"nominal": often.solution, "robust": often.solution}
-    said = verdict(designs, {"nominal": often, "robust": few})
-    assert said.word == "Solved and checked"
-    assert "of the systems of robust break a limit. For comparison: " in said.headline
-    assert "of nominal." in said.headline
-    turned = verdict(designs, {"nominal": few, "robust": often})
-    assert turned.word == "Solved, limits often broken"
-    assert "of the systems of robust break a limit: check the margin. For comparison: 0.100" in turned.headline
+    share = 1000 * often.joint.estimate
+    said = proposal(designs, {"nominal": often, "robust": few})
+    assert (said.level, said.word) == ("good", "Build")
+    assert said.headline.startswith(f"Build c.mean {number(often.solution.decisions['c.mean'], 4, 'N s/m')}. ")
+    assert f"1 system in 1000 exceeds a limit (target 50), against {share:.0f} for nominal." in said.headline
+    assert said.headline.endswith("The objective is the same.")
+    turned = proposal(designs, {"nominal": few, "robust": often})
+    assert (turned.level, turned.word) == ("caution", "Do not build yet")
+    assert f"{share:.0f} systems in 1000 exceed a limit (target 50), against 1 for nominal." in turned.headline
+    strict = proposal(designs, {"nominal": often, "robust": few}, target=0.002)
+    assert few.joint.upper > 0.002
+    assert (strict.level, strict.word) == ("caution", "Do not build yet")
+
+
+class Four(al.AlgebraicSystem):
+    """Four numbers and their sum."""
+
+    a: al.Number
+    b: al.Number
+    c: al.Number
+    d: al.Number
+
+    def outputs(self):
+        return {"sum": self.a + self.b + self.c + self.d}
+
+
+def test_a_headline_names_no_more_numbers_than_can_be_read_in_one_breath():
+    problem = al.Problem(Four(*(al.Decision(2.0, 1.0, 3.0) for _ in range(4))), minimize=al.output("sum").mean)
+    four = al.solve(problem)
+    said = proposal({"four": four}, {"four": al.validate(four, 2)})
+    assert said.headline.startswith("Build the design below.")
+    assert dict(said.rows)["Build"] == "a 1.000; b 1.000; c 1.000; d 1.000"
 
 
 def test_numbers_are_written_with_four_significant_digits():

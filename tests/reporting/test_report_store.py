@@ -90,6 +90,14 @@ def test_evidence_and_a_calibration_reopen_with_equal_numbers(tree):
     assert set(data["sigmas"].values) == {trial.sigmas for trial in one.trials}
 
 
+def test_a_dataset_of_a_study_is_saved_whole_with_its_attributes(tmp_path):
+    own = xarray.Dataset({"gap": ("part", [0.1, 0.2])}, attrs={"drawing": "A-17"})
+    save(tmp_path, measured={"gaps": own})
+    saved = reopened(tmp_path)["measured/gaps"].to_dataset()
+    assert saved.attrs["drawing"] == "A-17"
+    np.testing.assert_array_equal(saved["gap"], own["gap"])
+
+
 def test_a_front_reopens_along_its_bound_and_with_why_points_are_missing(tree):
     data, front = tree["fronts/uOpt"].to_dataset(), given.front()
     np.testing.assert_array_equal(data["bound"], [*front.values, -1.0])

@@ -1,8 +1,8 @@
 """Bases and coefficients that the tests of statistics share."""
 
-import jax.numpy as jnp
 import numpy as np
 
+from aleator._core.arrays import jax_array
 from aleator.expansion import Basis, TotalDegree
 
 
@@ -15,7 +15,7 @@ def basis_of(germs, order):
 def coefficients_of_polynomial(basis, function, points=400):
     """Exact for polynomials in the span of the basis: least squares at random points."""
     germ = basis.map_to_germ(np.random.default_rng(0).uniform(0.01, 0.99, (points, basis.variables)))
-    return jnp.asarray(np.linalg.lstsq(basis.matrix(germ), function(*germ.T), rcond=None)[0])
+    return jax_array(np.linalg.lstsq(basis.matrix(germ), function(*germ.T), rcond=None)[0])
 
 
 def random_coefficients(basis, seed=0, shape=(), decay=0.3):
@@ -24,4 +24,4 @@ def random_coefficients(basis, seed=0, shape=(), decay=0.3):
     degrees = basis.indices.sum(axis=1).reshape(-1, *[1] * len(shape))
     coefficients = generator.normal(size=(basis.terms, *shape)) * decay**degrees
     coefficients[1] += 1.0
-    return jnp.asarray(coefficients)
+    return jax_array(coefficients)

@@ -40,7 +40,7 @@ class Two(ext.AbstractStudy):
         page.progress("solving", 0, 1)
         page.keep("design", solved())
         page.add("It has a rate of 1.1 1/s.", ext.Table("Found", ["what"], [["design"]]), printed=True)
-        page.recommend(ext.Verdict("good", "Build", "It decays.", ["Build it."], [ext.Card("Rate", "1.1 1/s")]))
+        page.recommend(ext.Verdict("good", "Build", "It decays.", ["Build it."]))
         page.section("Nothing")
         self.second(page)
 
@@ -88,7 +88,9 @@ def test_a_study_that_came_to_its_end_has_its_sections_its_files_and_the_glossar
     assert page.page().sections[-1].blocks[-1].rows == study.glossary
     assert page.headline() == "Build: It decays."
     study.left_out = "the sweep"
-    assert page.page().verdict.headline == "It decays. This was a quick run, without the sweep."
+    assert page.headline() == "Build: It decays. This was a quick run, without the sweep."
+    assert page.page().verdict.headline == "It decays."
+    assert page.page().verdict.rows[-1] == ("Left out", "This was a quick run, without the sweep.")
     page.save(tmp_path)
     written = page.write(tmp_path)
     assert "It decays." in written.read_text(encoding="utf-8")
@@ -143,7 +145,7 @@ WRONG = {
     "a number among results": (lambda page: page.keep("more", {"other": math.sin}), "'more': 'other'"),
     "what netCDF cannot hold": (
         lambda page: page.keep("other", xarray.Dataset({"x": ("a", [object()])})),
-        "'other': 'x': expected",
+        "'other': expected data that netCDF can hold",
     ),
 }
 

@@ -7,21 +7,11 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.studies._study import Draft
-from aleator.studies.four_bar import DURATION, HEIGHT, LENGTHS, WIDTHS, ZONE, FourBar, _run, driven
-from aleator.studies.four_bar._run import (
-    ALLOCATED,
-    DESIGNS,
-    NOMINAL,
-    PUBLISHED,
-    QUICK,
-    ROBUST,
-    TARGET,
-    count_linkages,
-    crank_angles,
-    posture,
-)
-from aleator.studies.four_bar._study import FourBarStudy, posture_of
+from aleator import extending as ext
+from aleator.studies import load
+from aleator.studies.four_bar import DURATION, HEIGHT, LENGTHS, WIDTHS, ZONE, FourBar, _elimination, driven
+from aleator.studies.four_bar._chapter import ALLOCATED, COUNT_UNITS, DESIGNS, NOMINAL, PUBLISHED, ROBUST, TARGET
+from aleator.studies.four_bar._elimination import count_linkages, crank_angles, posture, posture_of
 from compiling import compiled
 
 G = 9.81
@@ -120,14 +110,14 @@ def test_counts_find_the_published_linkage_within_its_published_error():
 
 
 def test_every_batch_of_linkages_is_drawn_anew(monkeypatch: pytest.MonkeyPatch):
-    drawn, draw = [], _run.drawn_postures
+    drawn, draw = [], _elimination.drawn_postures
 
     def noted(*given, **named):
         drawn.append(draw(*given, **named))
         return drawn[-1]
 
-    monkeypatch.setattr(_run, "AT_ONCE", 4)
-    monkeypatch.setattr(_run, "drawn_postures", noted)
+    monkeypatch.setattr(_elimination, "AT_ONCE", 4)
+    monkeypatch.setattr(_elimination, "drawn_postures", noted)
     count_linkages(LENGTHS, WIDTHS, 10)
     heights = [one.tool[:, 0, 1] for one in drawn]
     assert [len(one) for one in heights] == [4, 4, 2]
@@ -135,52 +125,61 @@ def test_every_batch_of_linkages_is_drawn_anew(monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.fixture(scope="module")
-def study():
-    made = FourBarStudy(QUICK)
-    for stage in made.stages:
-        made.run(stage)
+def page():
+    """The page of a quick run."""
+    made = ext.Draft(load("four-bar", quick=True))
+    made.fill()
     return made
 
 
+@pytest.fixture(scope="module")
+def counts(page):
+    """The numbers stored of each count, and the proportion of linkages that leave the zone."""
+    stored = page.kept["counts"]
+    numbers = {
+        str(name): {key: stored[key].sel(design=name).item() for key in COUNT_UNITS}
+        for name in stored["zone"]["design"].values
+    }
+    outside = {name: al.results.Proportion(one["outside"], one["linkages"]) for name, one in numbers.items()}
+    return {name: one["zone"] for name, one in numbers.items()}, outside
+
+
 @pytest.mark.slow
-def test_the_mean_linkage_is_at_least_as_straight_as_the_published_one(study):
+def test_the_mean_linkage_is_at_least_as_straight_as_the_published_one(page):
     """Its optimum has more freedoms, and its path touches the zone on both sides, as a best approximation does."""
-    zone = float(study.found.designs[NOMINAL].decisions["zone"])
+    decided = page.kept["designs"][NOMINAL].decisions
+    zone = float(decided["zone"])
     assert zone < 0.00096 * 400 / 2
-    lengths = {name: study.found.designs[NOMINAL].decisions[f"{name}.nominal"] for name in LENGTHS}
-    away = posture_of(lengths, crank_angles(2001)).tool[:, 1] - HEIGHT
+    away = posture_of({name: decided[f"{name}.nominal"] for name in LENGTHS}, crank_angles(2001)).tool[:, 1] - HEIGHT
     # The expansion's mean includes a little of the curvature of the spread.
     assert [away.max(), away.min()] == pytest.approx([zone, -zone], rel=0.02)
 
 
 @pytest.mark.slow
-def test_the_designs_hold_on_fresh_linkages_which_elimination_counts_as_well(study):
-    designs, counts, evidence = study.found.designs, study.found.counts, study.found.evidence
+def test_the_designs_hold_on_fresh_linkages_which_elimination_counts_as_well(page, counts):
+    designs, evidence, (zones, outside) = page.kept["designs"], page.kept["evidence"], counts
     for name in DESIGNS:
         assert designs[name].ok, designs[name].why()
         assert evidence[name].agrees
     # The objective itself, sampled by elimination with the same random numbers: mean and spread at each place.
-    assert counts[ROBUST].zone < counts[NOMINAL].zone < counts[PUBLISHED].zone
-    assert counts[ROBUST].outside.estimate <= counts[NOMINAL].outside.estimate < counts[PUBLISHED].outside.estimate
+    assert zones[ROBUST] < zones[NOMINAL] < zones[PUBLISHED]
+    assert outside[ROBUST].estimate <= outside[NOMINAL].estimate < outside[PUBLISHED].estimate
     assert evidence[ROBUST].joint.upper <= TARGET
     assert evidence[NOMINAL].violation("stroke", "transmission").lower > 0.5
     # The cheapest tolerances: at the margin the zone sampled by elimination is that of the program.
-    assert counts[ALLOCATED].outside.upper <= TARGET
-    assert [float(designs[ALLOCATED].decisions["zone"]), counts[ALLOCATED].zone] == pytest.approx([ZONE] * 2, rel=0.01)
-    counted, simulated = counts[ALLOCATED].outside, evidence[ALLOCATED].violations["line"]
-    assert simulated.lower <= counted.upper
-    assert counted.lower <= simulated.upper
+    assert outside[ALLOCATED].upper <= TARGET
+    assert [float(designs[ALLOCATED].decisions["zone"]), zones[ALLOCATED]] == pytest.approx([ZONE] * 2, rel=0.01)
+    simulated = evidence[ALLOCATED].violations["line"]
+    assert simulated.lower <= outside[ALLOCATED].upper
+    assert outside[ALLOCATED].lower <= simulated.upper
     assert designs[ALLOCATED].objective < designs[ROBUST].objective
 
 
 @pytest.mark.slow
-def test_the_page_has_every_section_and_a_verdict(study, tmp_path):
-    assert study.verdict().word in ("Build", "Not confirmed yet")
-    page = Draft(study)
-    page.recommend(study.verdict())
-    page.append(*study.sections())
-    for name, result in study.results().items():
-        page.keep(name, result)
+def test_the_page_has_every_section_and_a_verdict(page, tmp_path):
+    said = page.page().verdict
+    assert said.word in ("Build", "Do not build yet")
+    assert len(said.sentences) == 4
     assert [one.heading for one in page.page().sections][:3] == ["The linkage", "The three designs", "The path"]
     written = [*page.save(tmp_path), page.write(tmp_path)]
     assert {one.name for one in written} == {"results.nc", "designs.json", "report.html"}

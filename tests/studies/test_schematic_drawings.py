@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from aleator.studies.clutch import MEANS
-from aleator.studies.clutch._study import clutch_drawing
-from aleator.studies.four_bar._study import linkage_drawing
+from aleator.studies.clutch._drawing import clutch_drawing
+from aleator.studies.four_bar._drawing import linkage_drawing
 from aleator.studies.suspension import nominal, road
 from aleator.studies.suspension._drawing import car_drawing
 from aleator.studies.swing_up import DoublePendulum

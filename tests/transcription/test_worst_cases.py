@@ -12,6 +12,7 @@ import aleator as al
 from aleator.solving import _stages
 from aleator.transcription import transcribe
 from aleator.transcription.sequential import EVALUATE
+from compiling import compiled
 from zoo import Decay, optimum
 
 Y = al.output("y")
@@ -69,7 +70,7 @@ def test_the_design_is_that_of_the_true_worst_case_wherever_it_lies(name):
     assert solution.decisions["gain"] == pytest.approx(gain, rel=2e-6)
     (worst,) = solution.certificate.worst_case.realisations
     assert worst.value == pytest.approx(1.0, rel=1e-5)
-    assert rule(gain, worst.numbers["a"], worst.numbers["b"]) == pytest.approx(1.0, rel=1e-5)
+    assert compiled(rule)(gain, worst.numbers["a"], worst.numbers["b"]) == pytest.approx(1.0, rel=1e-5)
 
 
 def test_a_system_that_breaks_a_limit_on_the_worst_case_is_an_alarm():

@@ -169,7 +169,8 @@ def test_a_member_may_stand_at_two_places_if_it_is_said_to_be_one():
     with pytest.raises(ProblemError, match="'a' of the correlated group 'a~b' is placed twice, at 'x' and at 'y'"):
         placements({"x": distributions["a"], "y": distributions["a"], "z": distributions["b"]})
     shared = distributions["a"].shared("s")
-    real = realise({"x": shared, "y": shared, "z": distributions["b"]}, jnp.array([0.5, 0.1]), NONE)
+    model = {"x": shared, "y": shared, "z": distributions["b"]}
+    real = compiled(lambda at: realise(model, at, NONE))(np.array([0.5, 0.1]))
     assert float(real["x"]) == float(real["y"]) == pytest.approx(1.1, rel=1e-14)
 
 

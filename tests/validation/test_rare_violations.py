@@ -1,15 +1,13 @@
 """Violations that are too rare to be counted: estimated by weighted samples, against closed forms."""
 
 from math import factorial
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import stats
 
 import aleator as al
-from aleator._core import journalled
-from aleator.validation import WeightedProportion, _rare
+from aleator.validation import WeightedProportion
 from aleator.validation._rare import adapted, weighted
 from zoo import gain_problem
 
@@ -102,27 +100,3 @@ def test_what_cannot_happen_is_counted_instead():
     solution = al.solve(gain_problem(sigmas=2.0))
     share = al.rare_violation(solution, samples=3000)
     assert share == al.results.Proportion(0, 3000)
-
-
-def test_an_estimate_that_was_ended_goes_on_from_its_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    solution = al.solve(gain_problem())
-    undisturbed = al.rare_violation(solution, samples=4000, seed=3)
-    monkeypatch.setattr(journalled, "_OFTEN", 0.0)
-    simulated, drawn = [], _rare.parts
-    monkeypatch.setattr(_rare, "parts", lambda points, batch: simulated.append(points) or drawn(points, batch))
-
-    def end(task: str, done: int, total: int) -> None:
-        if done >= 0.5 * total:
-            raise KeyboardInterrupt
-
-    with al.journal(tmp_path), pytest.raises(KeyboardInterrupt):
-        al.rare_violation(solution, samples=4000, seed=3, progress=end)
-    before = len(simulated)
-    with al.journal(tmp_path):
-        resumed = al.rare_violation(solution, samples=4000, seed=3)
-    assert isinstance(resumed, WeightedProportion)
-    assert resumed == undisturbed
-    # The levels of the search and half of the batches of 250 are there already.
-    assert before > 8
-    assert len(simulated) == before + 8
-    assert not list((tmp_path / "finished").glob("*.part"))

@@ -2,14 +2,12 @@
 
 from collections.abc import Iterator
 from concurrent.futures import Executor
-from pathlib import Path
 
 import numpy as np
 import pytest
 from decaying_problems import decaying_problem, rooted_problem
 
 import aleator as al
-from aleator._core import journalled
 from aleator.ensemble import draw, drawn_from
 from aleator.solution import Solution
 from aleator.uncertainty import HermiteGerm, LegendreGerm
@@ -103,35 +101,3 @@ def test_evidence_by_an_executor_is_that_of_this_process_to_the_last_bit(
     here, there = (al.validate(solution, 1000, batch=100, executor=executor) for executor in (None, travelling))
     assert there.solution is solution
     assert bits(here) == bits(there)
-
-
-def test_evidence_that_was_ended_goes_on_from_its_parts(
-    solution: Solution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    undisturbed = al.validate(solution, SAMPLES, batch=100)
-    monkeypatch.setattr(journalled, "_OFTEN", 0.0)
-
-    def end(task: str, done: int, total: int) -> None:
-        if done >= 0.7 * total:
-            raise RuntimeError("ended")
-
-    with al.journal(tmp_path), pytest.raises(RuntimeError, match="ended"):
-        al.validate(solution, SAMPLES, batch=100, progress=end)
-    parts = sorted((tmp_path / "finished").glob("*.part"))
-    assert len(parts) == 21
-    parts[0].write_bytes(parts[0].read_bytes()[:-1])
-    later = []
-    simulated = _validate.simulated
-
-    def noted(systems, stretches, *how, **named):
-        later.extend(stretches)
-        return simulated(systems, stretches, *how, **named)
-
-    monkeypatch.setattr(_validate, "simulated", noted)
-    with al.journal(tmp_path):
-        resumed = al.validate(solution, SAMPLES, batch=100)
-    assert bits(resumed) == bits(undisturbed)
-    assert len(later) in (9, 30)
-    assert not list((tmp_path / "finished").glob("*.part"))
-    with al.journal(tmp_path):
-        assert bits(al.validate(solution, SAMPLES, batch=100)) == bits(undisturbed)

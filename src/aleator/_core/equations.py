@@ -292,6 +292,11 @@ class TracedFunction:
         """That of the equations without their constants."""
         return digest_of(self.closed, constants=False)
 
+    @cached_property
+    def within(self) -> Callable[..., list[jax.Array]]:
+        """Its equations where JAX transforms them: one program, in the place of one for each operation."""
+        return jax.jit(partial(eval_jaxpr, self.closed.jaxpr))
+
     @property
     def size(self) -> int:
         """The number of its equations, those inside others included."""

@@ -293,6 +293,7 @@ def _written(name: str, lowered: jax.stages.Lowered, executable: jax.stages.Comp
             trial.replace(path)
         finally:
             trial.unlink(missing_ok=True)
+        _forget_oldest(path.parent)
 
 
 def _path(name: str) -> Path | None:
@@ -316,8 +317,6 @@ def _prepare_lapack() -> None:
 def _keep_in(folder: Path | None) -> None:
     global _folder
     _folder = folder
-    if folder is not None:
-        _forget_oldest(folder)
 
 
 def _made(folder: Path) -> Path:
@@ -351,10 +350,11 @@ def _kind() -> str:
     return hashlib.sha256("\n".join(about).encode()).hexdigest()[:_DIGITS]
 
 
+@functools.cache
 def _forget_oldest(folder: Path) -> None:
     """Delete the least recently used programs beyond the limit, also those of other versions and kinds of machines.
 
-    Another process may be doing the same.
+    Once in a process, when it has written its first. Another process may be doing the same.
     """
     found: list[tuple[float, int, Path]] = []
     for path in folder.parent.glob(f"{_KIND_GLOB}/*-cache"):

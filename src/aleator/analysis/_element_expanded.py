@@ -29,6 +29,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import NUMBER, Pytree, Scalar, in_library, jax_array, refuse_beyond_memory
 from aleator._core.compilation import evaluate
+from aleator._core.leaves import is_traced
 from aleator.analysis._abstract_expanded import (
     AbstractExpanded,
     as_lines,
@@ -105,12 +106,13 @@ class ElementExpanded(AbstractExpanded):
     def statistic(self, kind: AbstractStatistic) -> Pytree:
         """Raises `ProblemError` for Sobol indices of correlated inputs."""
         refuse_correlated(self.distributions, kind)
-        values = jax.tree.map(self._rule(kind), self.coefficients)
+        rule = self._rule(kind, differentiated := is_traced((kind, self.coefficients)))
+        values = jax.tree.map(jax.jit(rule) if differentiated else rule, self.coefficients)
         if isinstance(kind, AbstractTail):
             warn_of_few_points(kind, jax.tree.leaves(values))
         return values
 
-    def _rule(self, kind: AbstractStatistic) -> Callable[[Array], Array]:
+    def _rule(self, kind: AbstractStatistic, differentiated: bool) -> Callable[[Array], Array]:
         """The function that computes a statistic from the coefficients in all elements."""
         if isinstance(kind, Mean):
             return self._mean
@@ -130,9 +132,9 @@ class ElementExpanded(AbstractExpanded):
             return lambda coefficients: jnp.max(self._in_each(kind, coefficients), axis=0)
         if isinstance(kind, Infimum):
             return lambda coefficients: jnp.min(self._in_each(kind, coefficients), axis=0)
-        if isinstance(kind, Probability):
+        if isinstance(kind, Probability) and differentiated:
             return lambda coefficients: _probability(kind, self._sample(coefficients))
-        if isinstance(kind, Quantile):
+        if isinstance(kind, Quantile) and differentiated:
             return lambda coefficients: _quantile(kind, self._sample(coefficients))
         return lambda coefficients: kind.of_sample(self._sample(coefficients))
 

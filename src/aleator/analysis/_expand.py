@@ -31,7 +31,7 @@ from aleator.expansion import (
     fresh_error,
     resolved_instants,
 )
-from aleator.uncertainty import AbstractGerm
+from aleator.uncertainty import AbstractGerm, constant
 
 
 @overload
@@ -92,11 +92,13 @@ def expand(
     kept, (_, outputs) = int(np.sum(present[:count])), in_library(outputs)
     samples = jax.tree.map(lambda values: jax_array(values[:kept]), outputs)
     coefficients = jax.tree.map(collocation.coefficients, samples)
+    # Errors are of numbers that are known under `jax.grad` too: NumPy computes them.
+    values, terms, known, at_points = constant((outputs, coefficients, collocation, samples))
     error = partial(fresh_error, basis.matrix(fresh[present[count:]]))
-    errors = jax.tree.map(lambda values, terms: error(values[kept:], terms), outputs, coefficients)
-    expanded = Expanded(sampler.distributions, basis, coefficients, collocation, samples, errors, expansion.tolerance)
-    _warn_of_doubts(expanded, collocation, times)
-    return expanded
+    errors = jax.tree.map(lambda values, terms: error(values[kept:], terms), values, terms)
+    told = partial(Expanded, sampler.distributions, basis, fresh_error=errors, tolerance=expansion.tolerance)
+    _warn_of_doubts(told(terms, known, at_points), known, times)
+    return told(coefficients, collocation, samples)
 
 
 def _in_elements(sampler: Sampler, settings: MultiElement) -> ElementExpanded:

@@ -96,6 +96,9 @@ class Expanded(AbstractExpanded):
         samples = [None] * len(outputs) if self.samples is None else jax.tree.leaves(self.samples)
         values = []
         for terms, known in zip(outputs, samples, strict=True):
+            if kind.by_numpy and not is_traced(terms):
+                values.append(kind.of(terms, constants))
+                continue
             without = with_points_left_out(kind, self.collocation, known, terms, constants)
             arguments = kind, constants, terms if without is None else jax_array(without)
             traced = traced_once((type(kind), _statistic_of), _statistic_of, *arguments)

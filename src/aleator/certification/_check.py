@@ -27,7 +27,7 @@ from aleator.design import (
     grid_at,
     statistics_in,
 )
-from aleator.dynamics import FINER, AbstractIntegrator, Grid, Kvaerno5
+from aleator.dynamics import FINER, AbstractIntegrator, Grid, Kvaerno5, Simulation
 from aleator.expansion import Collocation
 from aleator.statistics import Constants, Mean, Std
 from aleator.trajectories import AbstractTrajectory, BSpline, least_steps, piecewise_in
@@ -119,7 +119,7 @@ def _check(
         name: jnp.tensordot(typical, by_functional[peak][:count], axes=1)
         for name, peak in zip(names, peaks, strict=True)
     }
-    reaches = tuple(jnp.max(one.reach(highest, grid)) for one in functionals)
+    reaches = tuple(jnp.max(one.reach(highest, grid.of(one.place))) for one in functionals)
     fresh = tuple(by_functional[one][count:] for one in functionals)
     return values, tuple(scope.taken), reaches, tuple(coefficients[one] for one in functionals), fresh
 
@@ -213,7 +213,8 @@ def _courses(
     """
     states, (basis, collocation, _) = transcribed.states_at(point), transcribed.discretised
     assert states is not None
-    begins = np.searchsorted(states.fractions, transcribed.limited[transcribed.declared][:-1] - _SAME)
+    assert isinstance(transcribed.problem.grid, Grid)
+    begins = np.searchsorted(states.fractions, transcribed.problem.grid.fractions[:-1] - _SAME)
     every = [one[:, begins].reshape(len(one), len(begins), -1) for one in states.values.values()]
     rows, count = np.concatenate(every, axis=2), len(collocation.points)
     fitted = np.tensordot(np.asarray(collocation.pseudo_inverse), rows[:count], axes=1)
@@ -232,7 +233,7 @@ def prepare_check(factor: int, problem: Problem, discretised: Discretised) -> Ca
 
 def is_checked(problem: Problem) -> bool:
     """Whether a problem simulates something that has a grid, or that is uncertain."""
-    has_parts = isinstance(problem.grid, Grid) or bool(problem.placements.germs) or simulates_inside(problem)
+    has_parts = problem.system.has_time or bool(problem.placements.germs) or simulates_inside(problem)
     return has_parts and bool(functionals_of(problem.expressions))
 
 
@@ -254,16 +255,17 @@ def check_factor(problem: Problem, between: int | None) -> int:
 
     `between`: the least number, see `solve`.
     """
-    grid = problem.grid
     if not functionals_of(problem.expressions):
         return 1
-    if not isinstance(grid, Grid):
+    if not problem.system.has_time:
         return FINER if simulates_inside(problem) else 1
-    parts = pieces(problem)
-    chosen = between if between is not None else _FOLLOWING if parts else _PLAIN
-    least = max(chosen, -(-_FEWEST // grid.steps), -(-_BY_PIECE * parts // grid.steps), 3)
+    phases = problem.simulation.phases.values()
+    chosen = between if between is not None else _FOLLOWING if pieces(problem) else _PLAIN
+    by_piece = max(-(-_BY_PIECE * _pieces(one) // one.grid.steps) for one in phases)
+    least = max(chosen, -(-_FEWEST // problem.grid.steps), by_piece, 3)
     # Steps end at each node of a control.
-    whole = math.lcm(least_steps((problem.system, problem.inputs)), grid.steps) // grid.steps
+    own = (math.lcm(least_steps((one.system, one.inputs)), one.grid.steps) // one.grid.steps for one in phases)
+    whole = math.lcm(*own)
     least = max(3, -(-least // whole))
     prime = next(one for one in range(least, 2 * least) if all(one % k for k in range(2, int(one**0.5) + 1)))
     return whole * prime
@@ -328,7 +330,11 @@ def pieces(problem: Problem) -> int:
 
     What follows trajectories is arbitrary between two instants.
     """
-    parts = problem.system, problem.inputs
+    return max(map(_pieces, problem.simulation.phases.values()))
+
+
+def _pieces(phase: Simulation) -> int:
+    parts = phase.system, phase.inputs
     whole = least_steps(parts) if piecewise_in(parts) else 0
     splines = (one.count - one.degree for one in parts_in(parts, BSpline))
     return max([bool(parts_in(parts, AbstractTrajectory)), whole, *splines])

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.design import Expression, Problem, statistics_in
-from aleator.dynamics import Grid
 from aleator.ensemble import at_levels, random_levels
 from aleator.statistics import CornishFisher, Kurtosis, Skewness
 from aleator.uncertainty import AbstractGerm
@@ -93,6 +92,6 @@ def systems_of(problem: Problem, draw: int) -> FreshSystems:
     germs = problem.placements.germs.values()
     if not germs:
         return FreshSystems(np.zeros((0, 0)), np.zeros(0))
-    is_dense = len(germs) in _EVEN_STEPS and not (isinstance(problem.grid, Grid) or simulates_inside(problem))
+    is_dense = len(germs) in _EVEN_STEPS and not (problem.system.has_time or simulates_inside(problem))
     deepest = DEEPEST_OF_SHAPES if has_shape(problem.expressions) else _DEEPEST
     return fresh_systems(germs, _AT_ONCE if is_dense else _FRESH, draw, deepest)

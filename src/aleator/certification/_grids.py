@@ -19,7 +19,7 @@ from aleator.certification._check import (
 )
 from aleator.certification._limits import OWN_ERROR, limits_at, reach_of
 from aleator.design import Problem, functionals_of, is_over_time
-from aleator.dynamics import Grid
+from aleator.dynamics import Instant
 from aleator.nlp import Status
 from aleator.solution import COSTLY, TOLERATED, Deviation, GridError, Solution
 from aleator.transcription import AbstractTranscribed
@@ -45,7 +45,7 @@ def grid_error(
 ) -> GridError:
     """The error of a problem's own grid at a point, by comparison with a finer one."""
     problem, resolved, meaning = transcribed.problem, transcribed.resolve(point), transcribed.at(point)
-    functionals, times = functionals_of(problem.expressions), meaning.times
+    functionals = functionals_of(problem.expressions)
     reaches = dict(zip(functionals, finer.reaches, strict=True))
     rounding, spreads = rounding_at(transcribed, point, finer.reaches), spread_functionals(problem)
     deviations = {}
@@ -66,7 +66,8 @@ def grid_error(
         # A quantity that has to be zero, and is, has no magnitude of its own.
         alone = value if value > _NEGLIGIBLE_VALUE * reach else reach
         size = max(min(magnitudes, default=alone), max(ROUNDING * reach, rounding[one], _TINY) / accuracy)
-        when = float(times[int(np.argmax(change.reshape(len(times), -1).max(axis=1)))]) if one.is_path else np.nan
+        times = meaning.times[problem.grid.where(one.place)] if one.is_path else np.full(1, np.nan)
+        when = float(times[int(np.argmax(change.reshape(len(times), -1).max(axis=1)))])
         deviations[one.text()] = Deviation(OWN_ERROR * largest, accuracy * size, when, one.order)
     objective, floor = meaning.objective, _NEGLIGIBLE_VALUE * reach_of(problem.objective, reaches)
     away, tolerated = abs(objective - float(finer.values[0])), accuracy * max(abs(objective), floor)
@@ -153,7 +154,7 @@ def refinement(solutions: Sequence[Solution]) -> Problem | None:
     if error is None or (error.is_met and is_enough) or last.status is not Status.SOLVED:
         return None
     grid, begun = problem.grid, solutions[0].problem.grid
-    if not (isinstance(grid, Grid) and isinstance(begun, Grid)):
+    if isinstance(grid, Instant) or isinstance(begun, Instant):
         return None
     # Limits may be exceeded between the instants even if the error of the grid is tolerated.
     if error.next_steps > _FINEST * begun.steps or _does_not_help(solutions):

@@ -15,7 +15,8 @@ from jaxtyping import Float
 
 from aleator._core.arrays import jax_array
 from aleator.certification._check import Check, parts_in, row_sizes
-from aleator.design import Constraint, Expression, Peak, Problem, Statistic, functionals_of, is_over_time
+from aleator.design import Constraint, Expression, Peak, Statistic, functionals_of, is_over_time, path_of
+from aleator.dynamics import Simulation
 from aleator.nlp import NonlinearProgram
 from aleator.solution import Between
 from aleator.statistics import Std, Variance
@@ -103,11 +104,12 @@ class Limit(NamedTuple):
 def limits_at(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check) -> list[Limit]:
     """All limits of a problem at a point, on both grids."""
     meaning, rows = transcribed.at(point), functools.cache(lambda: row_sizes(transcribed, point))
+    grid = transcribed.problem.grid
     reaches = dict(zip(functionals_of(transcribed.problem.expressions), check.reaches, strict=True))
     limits = []
     each = zip(transcribed.problem.constraints, meaning.constraints, check.values[1:], transcribed.rows, strict=True)
     for one, own, fine, place in each:
-        times = meaning.times if one.is_path else np.full(1, np.nan)
+        times = meaning.times[grid.where(path_of(one))] if one.is_path else np.full(1, np.nan)
         size = bound_size(one) or max(reach_of(one.expression, reaches), float(np.max(rows()[place])))
         own = transcribed.at_instants(one, own)
         by_row = own.reshape(len(times), -1), fine.reshape(len(fine) if one.is_path else 1, -1)
@@ -145,19 +147,20 @@ def excess_between(
     """How far a problem's limits over time are exceeded on a finer grid at most, and how far each bound must move
     inwards so that the worst value near each instant meets it, negative where it may move outwards.
     """
-    knots = _knots(transcribed.problem, transcribed.decisions(point))
     between, shifts = Between(check.factor, 0.0, "", 0.0), []
-    places = transcribed.limited * check.factor * transcribed.problem.grid.steps
+    model = realise(
+        at_means(transcribed.problem.simulation), jax_array(np.zeros(0)), jax_array(transcribed.decisions(point))
+    )
     for limit, scale in zip(limits_at(transcribed, point, check), transcribed.scales, strict=True):
-        one, rows, shift = limit.constraint, limit.beyond, None
+        one, rows, shift, path = limit.constraint, limit.beyond, None, path_of(limit.constraint)
         if is_over_time(one):
             # Places in steps of the finer grid, with the excess before and after.
             sides = [
                 (place, float(_excess(one, before[None])[0]), float(_excess(one, after[None])[0]))
-                for place, before, after in (jumps(limit.fine, knots) if one.is_path else [])
+                for place, before, after in (jumps(limit.fine, _knots(model.of(path))) if path else [])
             ]
             if float(one.lower) != float(one.upper):
-                shift = _shifts(rows, places, sides) if one.is_path else rows
+                shift = _shifts(rows, transcribed.limited(path) * (len(rows) - 1), sides) if path else rows
             # NaN counts as the largest excess.
             candidates = [(float(rows.max()), int(np.argmax(rows))), *((max(side[1:]), int(side[0])) for side in sides)]
             largest, place = max((np.inf if np.isnan(most) else most, place) for most, place in candidates)
@@ -172,9 +175,8 @@ def _excess(constraint: Constraint, values: Float[np.ndarray, "rows entries"]) -
     return np.maximum(values - float(constraint.upper), float(constraint.lower) - values).max(axis=1)
 
 
-def _knots(problem: Problem, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " knots"]:
-    """The interior knots of splines and nodes of controls at some decisions, as fractions of a problem's time."""
-    model = realise(at_means(problem.simulation), jax_array(np.zeros(0)), jax_array(decisions))
+def _knots(model: Simulation) -> Float[np.ndarray, " knots"]:
+    """The interior knots of splines and nodes of controls of a realisation, as fractions of its time."""
     parts = model.system, model.inputs
     ends = (one.breaks() for one in (*parts_in(parts, BSpline), *piecewise_in(parts)))
     fractions = np.concatenate([np.zeros(0), *ends])

@@ -10,8 +10,7 @@ from jaxtyping import Float
 
 from aleator import _core
 from aleator.certification._check import Check, certain
-from aleator.design import Problem, expanded_functionals, first_broken, instants_at, statistics_in, unsolved
-from aleator.dynamics import Grid
+from aleator.design import Problem, expanded_functionals, first_broken, instants_at, path_of, statistics_in, unsolved
 from aleator.ensemble import inputs_at
 from aleator.expansion import ILL_CONDITIONED, unseen
 from aleator.nlp import Outcome, Status, missed_slope
@@ -111,7 +110,7 @@ def _constraint_results(transcribed: AbstractTranscribed, outcome: Outcome, mean
     each = transcribed.problem.constraints, transcribed.texts.constraints, transcribed.rows, meaning.constraints
     results = []
     for one, text, rows, own in zip(*each, strict=True):
-        times = transcribed.times_limited(outcome.point) if one.is_path else None
+        times = transcribed.times_limited(outcome.point, path_of(one)) if one.is_path else None
         parts = as_read(one, transcribed.scenarios, own, outcome.multipliers[rows], outcome.active[rows])
         if times is not None:  # rows by instant, if there are several at each
             parts = (part if len(part) == len(times) else part.reshape(len(times), -1) for part in parts)
@@ -126,9 +125,9 @@ def quality_of(
 ) -> ExpansionQuality:
     """The quality of the expansions at a point. Errors of what is constant count as zero."""
     problem, basis, collocation = transcribed.problem, transcribed.basis, transcribed.collocation
-    tolerance, times = problem.expansion.tolerance, transcribed.at(point).times
+    tolerance, times, grid = problem.expansion.tolerance, transcribed.at(point).times, problem.grid
     # Limits on the worst case use the model itself.
-    expanded = {one.text() for one in expanded_functionals(problem.expressions)}
+    expanded = {one.text(): one.place for one in expanded_functionals(problem.expressions)}
     resolved = {text: one for text, one in transcribed.resolve(point).items() if text in expanded}
     constant = [] if check is None else [one.text() for one in certain(transcribed, point, check)]
     varying = {text: one for text, one in resolved.items() if text not in constant}
@@ -139,7 +138,7 @@ def quality_of(
         condition_number=float(collocation.condition_number),
         leave_one_out={text: float(one.leave_one_out) if text in varying else 0.0 for text, one in resolved.items()},
         unresolved_from={
-            text: float(times[int(np.argmax(late))])
+            text: float(times[grid.where(expanded[text])][int(np.argmax(late))])
             for text, one in varying.items()
             if one.history is not None and (late := ~(np.asarray(one.history) <= tolerance)).any()
         },
@@ -255,7 +254,7 @@ def moved_correlations(problem: Problem, decisions: Float[np.ndarray, " n"]) -> 
 def diagnose(transcribed: AbstractTranscribed, decisions: Float[np.ndarray, " n"]) -> str:
     """A message on the first point, output and instant whose value is not finite: the reason, then a few numbers."""
     outputs = {name: np.asarray(values) for name, values in transcribed.outputs(decisions).items()}
-    broken = first_broken(outputs)
+    broken = first_broken(outputs, transcribed.problem.grid)
     numbers, x = dict(zip(transcribed.places.entry_names(), decisions.tolist(), strict=True)), jnp.asarray(decisions)
     if broken is None:
         return (
@@ -277,7 +276,7 @@ def diagnose(transcribed: AbstractTranscribed, decisions: Float[np.ndarray, " n"
     if reason := unsolved(transcribed.problem, germ, x):
         return f"{reason.rstrip('.')}.{who and f' This is {who}.'} {where}"
     what = f"The simulation{who and ' of ' + who} is not finite: output '{name}'"
-    if not isinstance(transcribed.problem.grid, Grid):
+    if not transcribed.problem.system.has_time:
         return f"{what}. Look for a root or logarithm of zero, or a division by zero. {where}"
     return (
         f"{what} from t = {instants_at(transcribed.problem, decisions)[instant]:.4g} s on. Shorten the time step, "

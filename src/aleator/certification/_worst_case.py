@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Bool, Float
 
-from aleator._core.arrays import numbers_to_arrays
+from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.compilation import Compiled
 from aleator.design import (
     Constraint,
@@ -21,6 +21,7 @@ from aleator.design import (
     functionals_of,
     grid_at,
     is_worst_case,
+    path_of,
     responses,
     step_at,
 )
@@ -166,7 +167,8 @@ def _reached(
             beyond = jnp.ravel(jnp.maximum(value - limit.upper, limit.lower - value))
             # The first NaN counts as the largest.
             worst = jnp.argmax(beyond)
-            time = times[worst * len(times) // beyond.size] if limit.is_path and not ends_by_event(problem) else jnp.nan
+            own = times[problem.grid.where(path_of(limit))] if limit.is_path else times
+            time = own[worst * len(own) // beyond.size] if limit.is_path and not ends_by_event(problem) else jnp.nan
             reached.append((beyond[worst], jnp.ravel(value)[worst], time))
         return tuple(jnp.stack(part) for part in zip(*reached, strict=True))  # type: ignore[return-value]
 
@@ -190,7 +192,7 @@ class Oracle:
 
     def __call__(self, germ: Float[np.ndarray, "points variables"], decisions: np.ndarray) -> Reached:
         self.simulated += len(germ)
-        return Reached(*in_batches(REACHED, self._traced, germ, jnp.asarray(decisions)))
+        return Reached(*in_batches(REACHED, self._traced, germ, jax_array(decisions)))
 
     def germ(self, points: Points) -> Float[np.ndarray, "points variables"]:
         """Map points of the unit box into the germ's box."""
@@ -239,7 +241,7 @@ def _candidates(transcribed: AbstractTranscribed, oracle: Oracle, point: np.ndar
         if limit.is_path:
             values = values[:, :: max(1, values.shape[1] // _RANKED_INSTANTS)]
         side = 1.0 if np.isfinite(float(limit.upper)) else -1.0
-        terms = side * np.asarray(transcribed.collocation.coefficients(jnp.asarray(values)))
+        terms = side * np.asarray(transcribed.collocation.coefficients(jax_array(values)))
         largest = np.tensordot(matrix, terms, axes=1).reshape(len(many), -1).max(axis=1)
         ranked.append(np.argsort(-np.nan_to_num(largest, nan=-np.inf))[:_RANKED])
     worst = np.unique(np.concatenate(ranked))

@@ -73,10 +73,10 @@ def _numbers(text: str) -> tuple[float, ...]:
 def list_studies(as_json: bool) -> NoReturn:
     """List the case studies."""
     terminal, table = Terminal("list", as_json), RichTable("study", "about", box=None)
-    for name, entry in STUDIES.items():
-        table.add_row(name, entry.about)
+    for name, about in STUDIES.items():
+        table.add_row(name, about)
     terminal.console.print(table)
-    terminal.note(studies=[{"name": name, "about": entry.about} for name, entry in STUDIES.items()])
+    terminal.note(studies=[{"name": name, "about": about} for name, about in STUDIES.items()])
     terminal.conclude(0)
 
 

@@ -19,8 +19,8 @@ from aleator.reporting import (
     Verdict,
     by_place,
     footer,
+    proposal,
     sections,
-    verdict,
     words,
     write_page,
 )
@@ -96,7 +96,7 @@ def _page_of_designs(folder: Path, run: Recalled, study: AbstractStudy | None, m
     missing += dict.fromkeys(run.missing)
     title = folder.resolve().name
     if designs:
-        names, about = list(designs), verdict(designs, evidence)
+        names, about = list(designs), proposal(designs, evidence)
         title = study.title if study is not None else title
         chapters = sections(designs, evidence, {})
     else:

@@ -89,6 +89,7 @@ from aleator.design._statistic import is_at_points as is_at_points
 from aleator.design._statistic import is_worst_case as is_worst_case
 from aleator.design._statistic import joined as joined
 from aleator.design._statistic import numbers_of as numbers_of
+from aleator.design._statistic import path_of as path_of
 from aleator.design._statistic import statistics_in as statistics_in
 from aleator.design._text import number_unit as number_unit
 from aleator.design._text import output_units as output_units

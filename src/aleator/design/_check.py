@@ -26,11 +26,15 @@ from aleator.dynamics import (
     AlgebraicSystem,
     Grid,
     Instant,
+    LinkedGrid,
+    LinkedSystems,
     Simulation,
     System,
     check_signals,
     check_variables,
+    phase_of,
     refuse_unknown_event,
+    within,
 )
 from aleator.expansion import Expansion
 from aleator.statistics import Sobol, TotalSobol, refuse_correlated
@@ -67,8 +71,8 @@ def _check_types(problem: AbstractProblem) -> None:
     system: Any = problem.system
     has_no_time = isinstance(system, AbstractSystem) and not system.has_time
     expected: tuple[tuple[str, Any, tuple[type, ...]], ...] = (
-        ("system", system, (System, AlgebraicSystem)),
-        ("grid", problem.grid, (Instant,) if has_no_time else (Grid,)),
+        ("system", system, (System, AlgebraicSystem, LinkedSystems)),
+        ("grid", problem.grid, (Instant,) if has_no_time else (Grid, LinkedGrid)),
         ("expansion", problem.expansion, (Expansion,)),
         ("integrator", problem.integrator, (AbstractIntegrator,)),
     )
@@ -84,38 +88,58 @@ def _check_types(problem: AbstractProblem) -> None:
             f"Problem: minimize: expected an expression, such as al.output('y').mean; received {problem.objective}, "
             "which no design changes."
         )
-    if has_no_time:
-        return
     # A system without states evolves only by a motion that is given to it.
-    names = getattr(system, "states", None)
-    assert isinstance(system, System)
-    if names is None or not (names or problem.inputs or system.signals()):
-        raise ProblemError(f'{type(system).__name__} names no states: expected `states = ("x", ...)` in the class.')
+    for one in problem.simulation.phases.values():
+        names = getattr(one.system, "states", None)
+        if isinstance(one.system, System) and (names is None or not (names or one.inputs or one.system.signals())):
+            name = type(one.system).__name__
+            raise ProblemError(f'{name} names no states: expected `states = ("x", ...)` in the class.')
 
 
 def _check_inputs(problem: AbstractProblem) -> None:
-    if not (isinstance(problem.system, System) and isinstance(problem.grid, Grid)):
-        if problem.inputs:
-            name = type(problem.system).__name__
-            raise ProblemError(f"{name} is algebraic and takes no inputs; received {sorted(problem.inputs)}.")
-        return
-    check_variables(problem.system)
-    check_signals(problem.system, problem.grid, problem.inputs)
-    _refuse_jumps_inside(problem.system)
-    _check_events(problem, problem.system, problem.grid)
+    events, phases = events_of(functionals_of(problem.expressions)), list(problem.simulation.phases)
+    for before, dot, _ in (name.partition(".")[2].partition(".") for name in events if phases[0]):
+        if dot:
+            raise ProblemError(unknown("phase", before, phases))
+    for phase, one in problem.simulation.phases.items():
+        if not (isinstance(one.system, System) and isinstance(one.grid, Grid)):
+            if one.inputs:
+                name = type(one.system).__name__
+                raise ProblemError(f"{name} is algebraic and takes no inputs; received {sorted(one.inputs)}.")
+            return
+        check_variables(one.system)
+        check_signals(one.system, one.grid, one.inputs)
+        _refuse_jumps_inside(one.system)
+        _check_events(one.integrator, one.system, one.grid, within(phase, events) if phase else events)
+    _check_paths(problem)
 
 
-def _check_events(problem: AbstractProblem, system: System, grid: Grid) -> None:
-    """Refuse events that a system does not have, or that nothing looks for, and integrals over times that differ."""
-    events = events_of(functionals_of(problem.expressions))
+def _check_events(integrator: AbstractIntegrator, system: System, grid: Grid, events: frozenset[str]) -> None:
+    """Refuse events that a system does not have, or that nothing looks for."""
     for name in (*sorted(events), grid.until):
         refuse_unknown_event(system, name)
-    problem.integrator.check_events(system, grid, events)
+    integrator.check_events(system, grid, events)
+
+
+def _check_paths(problem: AbstractProblem) -> None:
+    """Refuse functionals of several phases, integrals over times that differ, and paths of several phases in one."""
+    phases = isinstance(problem.grid, LinkedGrid)
+    for one in functionals_of(problem.expressions) if phases else ():
+        if len({phase_of(name) for name in (one.place, *one.outputs)}) > 1:
+            raise ProblemError(f"'{one.text()}' is of several phases: expected outputs of one; received {one.outputs}.")
+    for expression in problem.expressions if phases else ():
+        own = sorted({phase_of(one.place) for one in functionals_of((expression,)) if one.is_path})
+        if len(own) > 1:
+            raise ProblemError(
+                f"'{expression}' has paths of several phases, {own}, whose instants differ: write one for each phase."
+            )
     every = (inner for one in problem.expressions for inner in time_integrals(one))
-    if grid.until is not None and (inner := next(every, None)) is not None:
+    until = getattr(problem.grid, "until", None)
+    if (until is not None or phases) and (inner := next(every, None)) is not None:
+        ends = f"each realisation ends at its own '{until}'" if until else "there are several phases"
         raise ProblemError(
-            f"'{inner}' is integrated over time, but each realisation ends at its own '{grid.until}': integrate along "
-            "each realisation, al.integral(output) or al.rms(output), and take statistics of that."
+            f"'{inner}' is integrated over time, but {ends}: integrate along each realisation, al.integral(output) or "
+            "al.rms(output), and take statistics of that."
         )
 
 
@@ -145,7 +169,7 @@ def _check_time(problem: AbstractProblem) -> None:
                 f"al.output is for systems without time, but {name} evolves in time: choose a functional, such as "
                 f"al.terminal('{functional.output}'), al.path('{functional.output}') or al.rms('{functional.output}')."
             )
-        functional.refuse_on(problem.grid)
+        functional.refuse_on(problem.grid.of(functional.place))
 
 
 def _check_worst_cases(problem: AbstractProblem) -> None:
@@ -194,7 +218,7 @@ def _refuse_diagnosed(problem: AbstractProblem) -> None:
     Systems are diagnosed at the means; then with each uncertain number at either end of its distribution and the others
     at their medians; and with each decided number of the system itself (not of a prescribed motion) at either bound.
     """
-    if type(problem.system).diagnose is AbstractSystem.diagnose:
+    if all(type(one.system).diagnose is AbstractSystem.diagnose for one in problem.simulation.phases.values()):
         return
     start = jax_array(problem.placements.vector("initial"))
     _refuse(_at_means(problem, start), "")

@@ -1,5 +1,6 @@
 """`Control`: an input whose values on the mesh are decisions."""
 
+from dataclasses import replace
 from typing import Any, TypeVar, final
 
 import equinox as eqx
@@ -10,7 +11,7 @@ from typing_extensions import override
 
 from aleator._core.border import real_array, shown
 from aleator._core.errors import ProblemError
-from aleator.dynamics import Grid, returned
+from aleator.dynamics import Grid, LinkedSystems, Simulation, returned
 from aleator.trajectories import AbstractTrajectory, Piecewise
 from aleator.uncertainty import Decision
 
@@ -101,13 +102,20 @@ def _decided(initial: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Decis
         raise ProblemError(f"Control: {error}") from None
 
 
-def on_grid(tree: Tree, grid: Any) -> Tree:
-    """A model or a part of it, its controls put on a grid; as it is without one."""
+def with_controls(simulation: Simulation) -> Simulation:
+    """A simulation with its controls put on its grid; where there are phases, on that of the first that has them."""
 
-    def placed(node: Any) -> Any:
-        return node.on(grid) if _is_control(node) else node
+    def placed(tree: Tree, grid: Any) -> Tree:
+        if not isinstance(grid, Grid):
+            return tree
+        return jax.tree.map(lambda node: node.on(grid) if _is_control(node) else node, tree, is_leaf=_is_control)
 
-    return jax.tree.map(placed, tree, is_leaf=_is_control) if isinstance(grid, Grid) else tree
+    system, grid = simulation.system, simulation.grid
+    if not isinstance(system, LinkedSystems):
+        return placed(simulation, grid)
+    systems = {name: placed(one, grid.of(name)) for name, one in system.systems.items()}
+    inputs = {name: placed(one, grid.of(name)) for name, one in simulation.inputs.items()}
+    return replace(simulation, system=replace(system, systems=systems), inputs=inputs)
 
 
 def _is_control(node: Any) -> bool:

@@ -22,7 +22,7 @@ from aleator.design._functionals import AbstractIntegral, events_of
 from aleator.design._response import AbstractProblem
 from aleator.design._scope import AbstractScope
 from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, joined, statistics_in
-from aleator.dynamics import Equations, Grid, Occurrence, called, jump_times, time_switches
+from aleator.dynamics import Equations, Grid, Occurrence, called, jump_times, phase_of, time_switches
 from aleator.statistics import AbstractStatistic
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import at_means, named_numbers, realise, uncertain_again
@@ -47,20 +47,32 @@ def declared(problem: AbstractProblem) -> Declared:
     whole = eqx.tree_at(lambda one: one.simulation, problem, uncertain_again(problem.simulation))
     equations, realisation, switching = _traced(whole)
     refuse_unsteady(type(problem.system).__name__, equations.digest, lambda: _traced(whole)[0].digest)
-    if switching:
-        _refuse_moving_jumps(whole, equations, switching)
-    steps = whole.grid.steps
-    equations.refuse_large_history(type(problem.system).__name__, steps)
-    outputs = {name: np.zeros((steps + 1, *shape)) for name, shape in equations.output_shapes().items()}
+    for phase, names in switching.items():
+        _refuse_moving_jumps(whole, equations, phase, names)
+    grid = whole.grid
+    equations.refuse_large_history(whole.system.title, grid.steps)
+    shapes = equations.output_shapes()
+    outputs = {name: np.zeros((grid.of(name).steps + 1, *shape)) for name, shape in shapes.items()}
     for name in (name for functional in functionals_of(whole.expressions) for name in functional.outputs):
         if name not in outputs:
-            raise ProblemError(unknown(f"output of {type(whole.system).__name__}", name, list(outputs)))
+            raise ProblemError(_unknown_output(whole, name, list(outputs)))
     expressions = digest_of(_check_shapes(whole, outputs))
     parts = {"realisation": realisation, "equations": equations.digest, "expressions": expressions}
     # A user's own statistics and integrators are in no equations.
     kinds = (type(whole.integrator), *(type(one.kind) for one in statistics_in(whole.expressions)))
     own = {one.__qualname__: Digest(code_digest(one), False) for one in kinds if not is_library(one.__module__)}
     return Declared(equations, joint_digest(parts | own), _code_of(whole))
+
+
+def _unknown_output(problem: AbstractProblem, name: str, known: list[str]) -> str:
+    phases, (phase, _, own) = list(problem.simulation.phases), name.partition(".")
+    if phase not in phases:
+        return unknown(f"output of {type(problem.system).__name__}", name, known)
+    before, dot, _ = own.partition(".")
+    if dot:
+        return unknown("phase", before, phases)
+    there = [one.partition(".")[2] for one in known if phase_of(one) == phase]
+    return unknown(f"output of {type(problem.simulation.of(name).system).__name__}", own, there)
 
 
 def refuse_changed_code(problem: AbstractProblem) -> None:
@@ -94,27 +106,30 @@ def _code_of(problem: AbstractProblem) -> str:
     return own_code((inside, simulation.inputs, simulation.integrator, problem.objective, problem.constraints))
 
 
-def _traced(problem: AbstractProblem) -> tuple[Equations, Digest, set[str]]:
-    """The equations of a realised system, the digest of how its numbers and signals follow from the problem's, and the
-    decided numbers with which it compares the time.
+def _traced(problem: AbstractProblem) -> tuple[Equations, Digest, dict[str, set[str]]]:
+    """The equations of a realised system, the digest of how its numbers and signals follow from the problem's, and by
+    phase the decided numbers with which it compares the time.
     """
-    places, equations, switching = problem.placements, list[Equations](), set[str]()
+    places, equations, switching = problem.placements, list[Equations](), dict[str, set[str]]()
     numbers, static = eqx.partition(numbers_to_arrays(problem.simulation), eqx.is_array)
 
     def realised(numbers: Any, germ: jax.Array, decisions: jax.Array) -> Any:
         simulation = realise(eqx.combine(numbers, static), germ, decisions)
         equations.append(simulation.traced_equations())
-        if isinstance(simulation.grid, Grid):
-            switching.update(time_switches(replace(simulation, equations=equations[0]), problem.simulation) - {""})
-        return eqx.filter(numbers_to_arrays((simulation, simulation.start())), eqx.is_array)
+        phases = replace(simulation, equations=equations[0]).phases
+        for phase, one in phases.items():
+            if isinstance(one.grid, Grid) and (names := time_switches(one, problem.simulation.phases[phase]) - {""}):
+                switching[phase] = names
+        starts = [one.start() for one in phases.values()]
+        return eqx.filter(numbers_to_arrays((simulation, *starts)), eqx.is_array)
 
     germ, decisions = (jax.ShapeDtypeStruct((size,), float) for size in (len(places.germ_names), places.size))
     closed = jax.make_jaxpr(realised)(numbers, germ, decisions)
     return equations[0], digest_of(closed), switching
 
 
-def _refuse_moving_jumps(problem: AbstractProblem, equations: Equations, names: set[str]) -> None:
-    """Raise `ProblemError` if the equations jump at times that move with the decided numbers `names`.
+def _refuse_moving_jumps(problem: AbstractProblem, equations: Equations, phase: str, names: set[str]) -> None:
+    """Raise `ProblemError` if the equations of a phase jump at times that move with the decided numbers `names`.
 
     Where the time is compared with them, they may as well go on without a jump, as a ramp does: so jumps are sought at
     the initial decisions and at others.
@@ -124,14 +139,14 @@ def _refuse_moving_jumps(problem: AbstractProblem, equations: Equations, names: 
     step = _BESIDE * np.maximum(np.abs(start), np.where(np.isfinite(upper - lower), upper - lower, 1.0))
     beside = np.clip(np.where(start + step <= upper, start + step, start - step), lower, upper)
     each = (realise(problem.simulation, germ, jax_array(one)) for one in (start, beside))
-    both = [replace(one, equations=equations) for one in each]
+    both = [replace(one, equations=equations).phases[phase] for one in each]
     first, second = (jump_times(one, in_outputs=True) for one in both)
     end = min(float(one.grid.t_final) for one in both)
     moved = [t for t in first if t < end and not np.isclose(second, t, rtol=1e-9, atol=0.0).any()]
     if moved:
         listed = " and ".join(f"'{name}'" for name in sorted(names))
         raise ProblemError(
-            f"{type(problem.system).__name__}: its equations jump at t = {moved[0]:.4g} s, a time that follows from "
+            f"{type(both[0].system).__name__}: its equations jump at t = {moved[0]:.4g} s, a time that follows from "
             f"{listed} by a comparison such as jnp.where(t < self.t_1, a, b). The derivative by that time is lost, and "
             "no solver could choose it. Declare the jump: let the equations take an input and choose by it, "
             "jnp.where(stage > 0.5, a, b), with inputs={'stage': al.StepFunction([t_1], [1.0, 0.0])}. For a number "
@@ -194,7 +209,7 @@ class _ShapeScope(AbstractScope):
         events = {name: Occurrence(jnp.ones(()), first) for name in events_of([functional])}
         taken = Taken(self._outputs, integrals, events)
         who = f"{type(functional).__name__}.evaluate"
-        value = traceable(who, called(functional, functional.evaluate, taken, self._grid))
+        value = traceable(who, called(functional, functional.evaluate, taken, self._grid.of(functional.place)))
         if functional.is_path and value.shape[:1] != (instants := len(self._outputs[functional.output]),):
             raise ProblemError(f"{who}: expected one number per instant, {instants} in all; received {value.shape}.")
         return value

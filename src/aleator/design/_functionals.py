@@ -1,10 +1,11 @@
 """The functionals: integrals of an output, rms, terminal, path and peak; an output without time."""
 
 import abc
-from collections.abc import Iterable, Mapping
-from typing import Any, final
+from collections.abc import Collection, Iterable, Mapping
+from typing import Any, TypeVar, final
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 from typing_extensions import override
@@ -12,8 +13,10 @@ from typing_extensions import override
 from aleator._core.border import a_name
 from aleator.design._expression import Constraint, Expression
 from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, statistics_in
-from aleator.dynamics import AbstractGrid, Grid
+from aleator.dynamics import AbstractGrid, Grid, phase_of
 from aleator.statistics import integrated, product, root, squared
+
+Functional = TypeVar("Functional", bound=AbstractFunctional)
 
 # The order of what the integrator carries, at the instants of its grid.
 INTEGRATED = 4
@@ -105,6 +108,15 @@ class At(AbstractFunctional):
     def output(self) -> str:
         return self.outputs[0] if self.outputs else self.text()
 
+    @property
+    @override
+    def place(self) -> str:
+        return self.event
+
+    @override
+    def in_phase(self, phase: str) -> "At":
+        return super().in_phase(phase)._with(event=f"{phase}.{self.event}")
+
     @override
     def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
         del grid
@@ -171,37 +183,59 @@ class Output(AbstractFunctional):
         return self.output
 
 
-def integral(output: str) -> Integral:
-    """The time integral of an output over the grid: `∫ y dt`."""
-    return Integral((output,))
+def integral(output: str, phase: str | None = None) -> Integral:
+    """The time integral of an output over the grid, or over a phase (see `Phases`), by default the last: `∫ y dt`."""
+    return _over(Integral((output,)), phase)
 
 
-def rms(output: str) -> Rms:
-    """The root mean square of an output over the grid."""
-    return Rms((output,))
+def rms(output: str, phase: str | None = None) -> Rms:
+    """The root mean square of an output over the grid, or over a phase, by default the last."""
+    return _over(Rms((output,)), phase)
 
 
-def terminal(output: str) -> Terminal:
-    """An output at the final time."""
-    return Terminal((output,))
+def terminal(output: str, phase: str | None = None) -> Terminal:
+    """An output at the final time, or at the end of a phase, by default the last."""
+    return _over(Terminal((output,)), phase)
 
 
-def at(event: str, output: str | None = None) -> At:
+def at(event: str, output: str | None = None, phase: str | None = None) -> At:
     """An output at the first event of that name (see `Event`), before its jump; the event's time, s, without an output.
+
+    - `phase`: in which it happens, by default the last; the time is that of the phase.
 
     A realisation that never meets the event has no value: solving, expanding and validating then name its numbers.
     """
-    return At(() if output is None else (output,), a_name("at: event", event))
+    return _over(At(() if output is None else (output,), a_name("at: event", event)), phase)
 
 
-def path(output: str) -> Path:
-    """An output at every instant: bounds on it hold at each."""
-    return Path((output,))
+def path(output: str, phase: str | None = None) -> Path:
+    """An output at every instant, or at those of a phase, by default the last: bounds on it hold at each."""
+    return _over(Path((output,)), phase)
 
 
-def peak(output: str) -> Peak:
-    """The largest magnitude of an output over time."""
-    return Peak((output,))
+def peak(output: str, phase: str | None = None) -> Peak:
+    """The largest magnitude of an output over time, or over a phase, by default the last."""
+    return _over(Peak((output,)), phase)
+
+
+def _over(functional: Functional, phase: str | None) -> Functional:
+    return functional if phase is None else functional.in_phase(a_name(f"'{functional.text()}': phase", phase))
+
+
+def in_phases(expression: Expression, phases: Collection[str], own: str) -> Expression:
+    """An expression whose functionals are those of one phase, where they name no other."""
+
+    def placed(node: Any) -> Any:
+        is_open = isinstance(node, AbstractFunctional) and phase_of(node.place) not in phases
+        return node.in_phase(own) if is_open else node
+
+    return jax.tree.map(placed, expression, is_leaf=lambda node: isinstance(node, AbstractFunctional))
+
+
+def limit_in_phases(limit: Constraint, phases: Collection[str], own: str) -> Constraint:
+    """The same of a constraint, which is named anew unless it has a name of its own."""
+    name = limit.name if limit.has_own_name else None
+    return Constraint(in_phases(limit.expression, phases, own), lower=limit.lower, upper=limit.upper, name=name)
 
 
 def output(name: str) -> Output:

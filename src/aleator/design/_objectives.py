@@ -77,9 +77,11 @@ def beside_integrals(expression: Expression) -> Expression:
     return Expression((1.0,) * len(outside), outside)
 
 
-def final_time() -> Expression:
-    """The final time of the grid, s: `J_D1` (75), where `al.Grid(al.Decision(...), steps)` leaves it free."""
-    return value("t_final")
+def final_time(phase: str | None = None) -> Expression:
+    """The final time of the grid, or of that of a phase, s: `J_D1` (75), where `al.Grid(al.Decision(...), steps)`
+    leaves it free.
+    """
+    return value("t_final" if phase is None else f"{a_name('final_time: phase', phase)}.t_final")
 
 
 def effort(*torques: str, weights: Weights = None) -> Expression:

@@ -16,15 +16,26 @@ from aleator._core.equations import Digest
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_leaf
 from aleator.design._check import check
-from aleator.design._control import on_grid
+from aleator.design._control import with_controls
 from aleator.design._equations import declared
 from aleator.design._expression import Constraint, Expression, as_expression, value
+from aleator.design._functionals import in_phases, limit_in_phases
 from aleator.design._objectives import positive_part, pure, time_integral
 from aleator.design._response import AbstractProblem
 from aleator.design._scope import Value, ordered
 from aleator.design._statistic import Statistic
 from aleator.design._text import problem_text
-from aleator.dynamics import AbstractGrid, AbstractIntegrator, AbstractSystem, Grid, Simulation, simulation_of
+from aleator.dynamics import (
+    AbstractGrid,
+    AbstractIntegrator,
+    AbstractSystem,
+    Instant,
+    LinkedGrid,
+    LinkedSystems,
+    Phases,
+    Simulation,
+    simulation_of,
+)
 from aleator.expansion import Expansion
 from aleator.statistics import Mean
 from aleator.trajectories import AbstractSignal
@@ -40,6 +51,7 @@ class Problem(AbstractProblem):
     uncertain.
 
     - `system`: the physics, a `System`, which evolves in time, or an `AlgebraicSystem`, without time, grid and inputs;
+      or `Phases`, which have grids and inputs of their own;
     - `grid`: the instants; `inputs`: a signal for each input of the system, by name;
     - `minimize`: an expression of statistics; `subject_to`: constraints;
     - `expansion`: how outputs are expanded; `integrator`: how states are advanced in time;
@@ -53,11 +65,11 @@ class Problem(AbstractProblem):
 
     def __init__(
         self,
-        system: AbstractSystem,
+        system: AbstractSystem | Phases,
         *,
         minimize: Expression,
         subject_to: Iterable[Constraint | tuple[Constraint, ...]] = (),
-        grid: Grid | None = None,
+        grid: AbstractGrid | None = None,
         inputs: Mapping[str, AbstractSignal] | None = None,
         expansion: Expansion | None = None,
         integrator: AbstractIntegrator | None = None,
@@ -74,7 +86,7 @@ class Problem(AbstractProblem):
         simulation = simulation_of(system, grid, inputs, integrator, dict(decisions))
         # Later changes of NumPy arrays do not affect a problem.
         self.simulation = jax.tree.map(
-            lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, on_grid(simulation, simulation.grid)
+            lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, with_controls(simulation)
         )
         known = self.placements.decisions
         if taken := [name for name in simulation.numbers if name not in known]:
@@ -82,8 +94,15 @@ class Problem(AbstractProblem):
                 f"Problem: decisions: expected names that no number of the model has; received '{taken[0]}'. Use "
                 "another name."
             )
-        self.objective = as_expression(minimize)
-        self.constraints = _told_apart(tuple(_flatten(subject_to)))
+        self.objective, limits = as_expression(minimize), list(_flatten(subject_to))
+        names = list(simulation.phases)
+        if isinstance(simulation.system, LinkedSystems):
+            self.objective = in_phases(self.objective, names, names[-1])
+            limits = [limit_in_phases(one, names, names[-1]) for one in limits]
+        if isinstance(system, Phases):
+            own = ((name, one) for name, phase in system.phases.items() for one in _flatten(phase.subject_to))
+            limits += [limit_in_phases(one, names, name) for name, one in own]
+        self.constraints = _told_apart(tuple(limits))
         self.expansion = Expansion() if expansion is None else expansion
         self.physics, self.code = Digest("", False), ""
         check(self)
@@ -91,7 +110,14 @@ class Problem(AbstractProblem):
         self.simulation = replace(self.simulation, equations=equations)
 
     def on_grid(self, grid: AbstractGrid, integrator: AbstractIntegrator | None = None) -> "Problem":
-        """The same problem on another grid, with another integrator if one is given. It is not checked again."""
+        """The same problem on another grid, with another integrator if one is given. It is not checked again.
+
+        Raises `ProblemError` for one grid of several phases.
+        """
+        if isinstance(self.grid, LinkedGrid) and not isinstance(grid, LinkedGrid):
+            raise ProblemError(
+                "Phases have grids of their own: declare the problem again with others; received one grid."
+            )
         return _with_simulation(self, self.simulation.on(grid, integrator))
 
     def finer(self, factor: int, integrator: AbstractIntegrator) -> "Problem":
@@ -214,7 +240,7 @@ def declared_anew(
         simulation.system,
         minimize=problem.objective if minimize is None else minimize,
         subject_to=problem.constraints if subject_to is None else subject_to,
-        grid=simulation.grid if isinstance(simulation.grid, Grid) else None,
+        grid=None if isinstance(simulation.grid, Instant) else simulation.grid,
         inputs=simulation.inputs,
         expansion=problem.expansion,
         integrator=simulation.integrator,

@@ -137,7 +137,7 @@ def instants_at(problem: AbstractProblem, decisions: Float[np.ndarray, " n"]) ->
 
 def ends_by_event(problem: AbstractProblem) -> bool:
     """Whether each realisation ends at a time of its own."""
-    return isinstance(problem.grid, Grid) and problem.grid.until is not None
+    return getattr(problem.grid, "until", None) is not None
 
 
 def needed_events(problem: AbstractProblem) -> tuple[str, ...]:
@@ -205,7 +205,7 @@ def asked_for(functionals: tuple[AbstractFunctional, ...]) -> Asked:
     return Asked(
         instants=_outputs(one for one in functionals if not isinstance(one, AbstractIntegral | At)),
         integrands=tuple(one.integrand for one in integrals),
-        integrated=_outputs(integrals),
+        integrated=tuple(_outputs([one]) for one in integrals),
         events=events_of(functionals),
         at_events=_outputs(one for one in functionals if isinstance(one, At)),
     )
@@ -222,21 +222,21 @@ def _outputs(functionals: Iterable[AbstractFunctional]) -> frozenset[str]:
 
 
 class Broken(NamedTuple):
-    """The first non-finite output: its name, and the indices of the realisation and of the instant."""
+    """The first non-finite output: its name, and the indices of the realisation and of the instant among all."""
 
     name: str
     point: int
     instant: int
 
 
-def first_broken(outputs: Mapping[str, Float[np.ndarray, "points instants ..."]]) -> Broken | None:
+def first_broken(outputs: Mapping[str, Float[np.ndarray, "points instants ..."]], grid: AbstractGrid) -> Broken | None:
     """The earliest value of some realisations that is not finite; None if all are."""
     broken = []
     for name, values in outputs.items():
         bad = np.asarray(~np.isfinite(values.reshape(*values.shape[:2], -1)).all(axis=2))
         if bad.any():
             instant = int(np.argmax(bad.any(axis=0)))
-            broken.append(Broken(name, int(np.argmax(bad[:, instant])), instant))
+            broken.append(Broken(name, int(np.argmax(bad[:, instant])), (grid.where(name).start or 0) + instant))
     return min(broken, key=lambda one: one.instant, default=None)
 
 

@@ -2,8 +2,9 @@
 
 import abc
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, Self, final
 
 import equinox as eqx
 import jax
@@ -100,6 +101,21 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
     def output(self) -> str:
         """The output that it is computed from; the first where there are several."""
         return self.outputs[0]
+
+    @property
+    def place(self) -> str:
+        """A name that tells the phase that it is taken over, where there are phases."""
+        return self.output
+
+    def in_phase(self, phase: str) -> Self:
+        """The same over a phase: of the outputs there."""
+        return self._with(outputs=tuple(f"{phase}.{name}" for name in self.outputs))
+
+    def _with(self, **fields: Any) -> Self:
+        one = copy(self)  # a user's class may be made in another way
+        for name, value in fields.items():
+            object.__setattr__(one, name, value)
+        return one
 
     @abc.abstractmethod
     def evaluate(self, taken: "Taken", grid: AbstractGrid) -> Float[Array, "..."]:
@@ -285,6 +301,12 @@ def joined(values: Sequence[Float[Array, "..."]]) -> Float[Array, "..."]:
     return values[0] if len(values) == 1 else jnp.stack(values, axis=-1)
 
 
+def path_of(limit: Constraint | AbstractFunctional) -> str:
+    """The name of the output at whose instants a limit or a functional over time is known."""
+    every = functionals_of((limit.expression,)) if isinstance(limit, Constraint) else (limit,)
+    return next((one.place for one in every if one.is_path), "")
+
+
 def functionals_of(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctional, ...]:
     """All functionals in the expressions, each once, in order of appearance."""
     atoms = (atom for one in expressions for atom in one.leaves if isinstance(atom, AbstractOfFunctionals))
@@ -307,7 +329,7 @@ def numbers_of(
     functionals: Iterable[AbstractFunctional], taken: Taken, grid: AbstractGrid
 ) -> tuple[Float[Array, "..."], ...]:
     """The values of functionals on one realisation, as arrays of real numbers."""
-    return tuple(jnp.asarray(one.evaluate(taken, grid), dtype=float) for one in functionals)
+    return tuple(jnp.asarray(one.evaluate(taken, grid.of(one.place)), dtype=float) for one in functionals)
 
 
 def _multiple(functional: AbstractFunctional, sigmas: Any) -> float:

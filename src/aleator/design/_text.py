@@ -15,7 +15,7 @@ from aleator.design._functionals import SquareIntegral, Work
 from aleator.design._response import AbstractProblem
 from aleator.design._scope import AbstractAtom, Units
 from aleator.design._statistic import Statistic, statistics_in
-from aleator.dynamics import Grid, System
+from aleator.dynamics import Grid, Simulation, System, named
 from aleator.statistics import PURE, Mean, is_same, measure, rate
 from aleator.uncertainty import (
     AbstractDecision,
@@ -47,7 +47,8 @@ def units_of(expression: Expression, problem: AbstractProblem) -> Units:
 def number_unit(name: str, problem: AbstractProblem) -> str:
     """The unit of a number of the model, by the decision's name."""
     units = {field: data.metadata.get("unit", "") for field, data, _ in fields_of(problem.system)}
-    fields = _TIMES | {field: unit for field, unit in units.items() if isinstance(unit, str)}
+    times = named(dict.fromkeys(problem.simulation.phases, _TIMES))
+    fields = times | {field: unit for field, unit in units.items() if isinstance(unit, str)}
     owner, _, parameter = name.rpartition(".")
     return fields.get(name.split("[")[0], "") or (fields.get(owner, "") if parameter in _LIKE_THE_NUMBER else "")
 
@@ -164,11 +165,10 @@ def problem_rows(problem: AbstractProblem, mesh: str = "") -> list[tuple[str, st
     rows += _labelled("subject to", [f"{one.name}: {one}" for one in problem.constraints])
     rows += _labelled("where", list(_distribution_texts(places.distributions)))
     rows += _labelled("correlated", _correlation_texts(places))
-    return [
-        *rows,
-        _physics_row(problem, mesh or type(problem.integrator).__name__),
-        ("expansion", _expansion_text(problem, places.germs)),
-    ]
+    advanced = mesh or type(problem.integrator).__name__
+    phases = [(phase, *_physics_row(one, advanced)) for phase, one in problem.simulation.phases.items()]
+    rows += _labelled(phases[0][1], [f"{phase}: {text}" if phase else text for phase, _, text in phases])
+    return [*rows, ("expansion", _expansion_text(problem, places.germs))]
 
 
 def _labelled(label: str, texts: list[str]) -> list[tuple[str, str]]:
@@ -201,8 +201,9 @@ def _numbered(named: tuple[str, AbstractDistribution]) -> tuple[str, str]:
     return (before if number.isdigit() else name), str(distribution)
 
 
-def _physics_row(problem: AbstractProblem, advanced: str) -> tuple[str, str]:
-    grid, system = problem.grid, problem.system
+def _physics_row(simulation: Simulation, advanced: str) -> tuple[str, str]:
+    """The label and the text of a system and its grid."""
+    grid, system = simulation.grid, simulation.system
     name = type(system).__name__
     if not (isinstance(system, System) and isinstance(grid, Grid)):
         unknowns = getattr(system, "unknowns", ())

@@ -28,6 +28,13 @@ from aleator.dynamics._integrators import RungeKutta4 as RungeKutta4
 from aleator.dynamics._multiple_shooting import MultipleShooting as MultipleShooting
 from aleator.dynamics._multiple_shooting import SegmentRate as SegmentRate
 from aleator.dynamics._newton import newton as newton
+from aleator.dynamics._phases import LinkedGrid as LinkedGrid
+from aleator.dynamics._phases import LinkedSystems as LinkedSystems
+from aleator.dynamics._phases import Phase as Phase
+from aleator.dynamics._phases import Phases as Phases
+from aleator.dynamics._phases import named as named
+from aleator.dynamics._phases import phase_of as phase_of
+from aleator.dynamics._phases import within as within
 from aleator.dynamics._record import ONLY_STATES as ONLY_STATES
 from aleator.dynamics._record import STATES as STATES
 from aleator.dynamics._record import Asked as Asked

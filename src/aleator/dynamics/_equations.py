@@ -33,7 +33,9 @@ from aleator.dynamics._evaluation import (
     with_algebraic,
 )
 from aleator.dynamics._event import Event
-from aleator.dynamics._system import AbstractSystem, System
+from aleator.dynamics._phases import LinkedSystems, linked_states, named
+from aleator.dynamics._record import zeros
+from aleator.dynamics._system import AbstractSystem, System, state_type
 from aleator.trajectories import AbstractSignal
 
 FINER = 3
@@ -61,7 +63,8 @@ class Equations:
     """The equations of a system: equal if their digests are.
 
     - `finer`: the same with more steps, and another integrator, of what is simulated inside the model; None if nothing
-      is.
+      is;
+    - `phases`: the equations of each phase, where there are phases; the functions are then those that begin them.
 
     A pickle has the digest alone: where it is read, the equations are traced again and compared when they are needed.
     """
@@ -69,31 +72,35 @@ class Equations:
     digest: Digest
     _functions: Mapping[str, TracedFunction] | None = field(compare=False, repr=False)
     finer: "Equations | None" = field(default=None, compare=False, repr=False)
+    phases: "Mapping[str, Equations]" = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
-    def of(cls, system: AbstractSystem, start: "Start | None") -> "Equations":
-        """Those of a realised system, which evolves in time from a start, or has no time."""
-        equations, inside = cls._of(system, start, 1)
-        finer = cls._of(system, start, FINER)[0] if inside.is_met else None
+    def of(cls, system: AbstractSystem, start: "Start | None", states: Any = None) -> "Equations":
+        """Those of a realised system, which evolves in time from a start, or has no time.
+
+        - `states`: the shapes of those with which a later phase begins; None where the system tells them.
+        """
+        equations, inside = cls._of(system, start, states, 1)
+        finer = cls._of(system, start, states, FINER)[0] if inside.is_met else None
         return replace(equations, finer=finer)
 
     @classmethod
-    def _of(cls, system: AbstractSystem, start: "Start | None", factor: int) -> tuple["Equations", Inside]:
+    def _of(cls, system: AbstractSystem, start: "Start | None", states: Any, factor: int) -> tuple["Equations", Inside]:
         inside = Inside(factor)
         before = INSIDE.set(inside)
         try:
-            return cls._traced(system, start), inside
+            return cls._traced(system, start, states), inside
         finally:
             INSIDE.reset(before)
 
     @classmethod
-    def _traced(cls, system: AbstractSystem, start: "Start | None") -> "Equations":
+    def _traced(cls, system: AbstractSystem, start: "Start | None", states: Any) -> "Equations":
         if isinstance(system, AlgebraicSystem):
             functions, names = _algebraic(system), [system.unknowns]
         else:
             assert isinstance(system, System)
             assert start is not None
-            functions, names = _dynamical(system, start), [system.states, system.algebraic, tuple(start.inputs)]
+            functions, names = _dynamical(system, start, states), [system.states, system.algebraic, tuple(start.inputs)]
             names += [(name, event.direction) for name, event in system.declared_events.items()]
         # Equations speak of numbers by their order alone.
         parts = {name: digest_of(one.closed) for name, one in functions.items()}
@@ -101,30 +108,63 @@ class Equations:
             joint_digest(parts | {f"of {[*names, functions['instant'].rest.names]}": Digest("", True)}), functions
         )
 
+    @classmethod
+    def linked(cls, system: LinkedSystems, starts: "Mapping[str, Start]") -> "Equations":
+        """Those of realised phases, with the first instant of each."""
+        phases, functions, links = dict[str, Equations](), dict[str, TracedFunction](), dict(system.links)
+        for name, one in system.phases.items():
+            states = None
+            if phases:
+                before, last = next(reversed(phases.items()))
+                ended, z = system.phases[before], zeros(_shapes(last["initial"]))
+
+                def begun(ended: System, t: Any, z: Any, name: str = name, before: str = before) -> dict[str, Array]:
+                    return linked_states(name, system.phases[name], before, links.get(name), ended, t, z)
+
+                functions[name] = TracedFunction(begun, ended, starts[before].t, z)
+                states = state_type(one.states)(**_shapes(functions[name]))
+            phases[name] = cls.of(one, starts[name], states)
+        finer = {name: one.finer or one for name, one in phases.items()}
+        is_met = any(one.finer for one in phases.values())
+        return replace(cls._joint(phases, functions), finer=cls._joint(finer, functions) if is_met else None)
+
+    @classmethod
+    def _joint(cls, phases: "Mapping[str, Equations]", functions: Mapping[str, TracedFunction]) -> "Equations":
+        parts = {name: one.digest for name, one in phases.items()}
+        parts |= {f"to {name}": digest_of(one.closed) for name, one in functions.items()}
+        return cls(joint_digest(parts), functions, phases=phases)
+
     def applied(self, system: AbstractSystem, start: "Callable[[], Start | None]") -> AbstractSystem:
         """A realised system as programs evaluate it: by these equations.
 
         Raises `ProblemError` if they have to be traced again and the code is another one here.
         """
-        if self._functions is None:
-            again = Equations.of(system, start())
-            if again != self:
-                raise ProblemError(
-                    f"{system.title}: the code of this process gives other equations than those that the problem was "
-                    "declared with in another one. Start workers anew, with the same files; solve stored designs again."
-                )
-            self._functions, self.finer = again._functions, again.finer
+        self.complete(system, lambda: Equations.of(system, start()))
         if isinstance(system, AlgebraicSystem):
             return TracedAlgebraic(system, self)
         assert isinstance(system, System)
         return TracedSystem(system, self)
 
+    def complete(self, system: AbstractSystem, trace: "Callable[[], Equations]") -> None:
+        """Trace the equations of a system again where they are not known. Raises `ProblemError` if they are others."""
+        if self._functions is not None:
+            return
+        again = trace()
+        if again != self:
+            raise ProblemError(
+                f"{system.title}: the code of this process gives other equations than those that the problem was "
+                "declared with in another one. Start workers anew, with the same files; solve stored designs again."
+            )
+        self._functions, self.finer, self.phases = again._functions, again.finer, again.phases
+
     def output_shapes(self) -> dict[str, tuple[int, ...]]:
         """The shape of each output at one instant, by name; none where the equations have to be traced again."""
+        if self.phases:
+            return named({name: one.output_shapes() for name, one in self.phases.items()})
         if self._functions is None:
             return {}
         function = self["instant"]
-        outputs = jax.tree.unflatten(function.results, function.closed.out_avals).outputs
+        outputs = _shapes(function).outputs
         return {name: one.shape for name, one in zip(function.rest.names, outputs, strict=True)}
 
     def refuse_large_history(self, who: str, steps: int, only: Collection[str] | None = None) -> None:
@@ -138,7 +178,8 @@ class Equations:
     def may_lose_derivatives(self) -> bool:
         """See `may_lose_derivatives`."""
         functions = self._functions or {}
-        return any(may_lose_derivatives(one.closed.jaxpr) for one in functions.values())
+        own = any(may_lose_derivatives(one.closed.jaxpr) for one in functions.values())
+        return own or any(one.may_lose_derivatives for one in self.phases.values())
 
     def __getitem__(self, name: str) -> TracedFunction:
         assert self._functions is not None
@@ -149,7 +190,12 @@ class Equations:
         return name in self._functions
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"_functions": None, "finer": None, "digest": self.digest}
+        return {"_functions": None, "finer": None, "phases": {}, "digest": self.digest}
+
+
+def _shapes(function: TracedFunction) -> Any:
+    """The shapes of what equations give."""
+    return jax.tree.unflatten(function.results, function.closed.out_avals)
 
 
 class Start(NamedTuple):
@@ -167,10 +213,11 @@ class _Instant(NamedTuple):
     names: tuple[str, ...]
 
 
-def _dynamical(system: System, start: Start) -> dict[str, TracedFunction]:
+def _dynamical(system: System, start: Start, states: Any) -> dict[str, TracedFunction]:
     functions = {
         "signals": TracedFunction(lambda system: dict(system.signals()), system),
-        "initial": TracedFunction(initial_state, system, *start),
+        # The states of a later phase come from the one before: zeros stand in their place.
+        "initial": TracedFunction(initial_state if states is None else lambda *_: zeros(states), system, *start),
     }
     z = functions["initial"](system, *start)
     if system.algebraic:

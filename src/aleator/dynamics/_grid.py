@@ -32,6 +32,15 @@ class AbstractGrid(Module):
     def finer(self, factor: int) -> Self:
         """The same time span with `factor` times as many steps."""
 
+    def divided(self, steps: int) -> Self:
+        """The same time span with `steps` steps."""
+        del steps
+        return self
+
+    def coarser(self, parts: int) -> Self:
+        """The same time span with so many times fewer steps."""
+        return self.divided(self.steps // parts)
+
     @property
     @abc.abstractmethod
     def step(self) -> Scalar:
@@ -41,6 +50,21 @@ class AbstractGrid(Module):
     @abc.abstractmethod
     def times(self) -> Float[Array, " instants"]:
         """All instants, in seconds."""
+
+    def of(self, name: str) -> "AbstractGrid":
+        """The grid of what has a name: that of its phase, where there are phases."""
+        del name
+        return self
+
+    def where(self, name: str) -> slice:
+        """Which of all instants are those of what has a name."""
+        del name
+        return slice(None)
+
+    @property
+    def times_told(self) -> dict[str, Float[Array, " instants"]]:
+        """The instants by name, where nobody could know them else."""
+        return {}
 
 
 @final
@@ -100,8 +124,8 @@ class Grid(AbstractGrid):
     def finer(self, factor: int) -> "Grid":
         return self.divided(factor * self.steps)
 
+    @override
     def divided(self, steps: int) -> "Grid":
-        """The same time span with `steps` steps."""
         grid = copy(self)  # its times may be traced, and were checked
         object.__setattr__(grid, "steps", _steps(steps))
         return grid
@@ -126,6 +150,11 @@ class Grid(AbstractGrid):
     @override
     def times(self) -> Float[Array, " instants"]:
         return instants(self.fractions, self.t_start, self.t_final)
+
+    @property
+    @override
+    def times_told(self) -> dict[str, Float[Array, " instants"]]:
+        return {} if self.until is None else {"time": self.times}
 
     @property
     def duration(self) -> Scalar:

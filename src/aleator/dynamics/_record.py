@@ -39,7 +39,7 @@ class Asked(NamedTuple):
     - `instants`: the outputs to record at every instant, by name; None for all;
     - `nodes`: those of them to record at the midpoints of the steps too, for statistics that are integrated over time;
     - `integrands`: functions integrated over time along the realisation, as accurately as its states; `integrated`: the
-      outputs that they depend on;
+      outputs that each depends on;
     - `states`: whether to record the states too, side by side, as `STATES`;
     - `fold`: what is made of the outputs at every instant instead of keeping them, where `Simulation.folds`;
     - `events`: those whose first occurrence is needed, without which nothing is known of a realisation; `at_events`:
@@ -51,7 +51,7 @@ class Asked(NamedTuple):
     instants: frozenset[str] | None = None
     nodes: frozenset[str] = frozenset()
     integrands: tuple[Integrand, ...] = ()
-    integrated: frozenset[str] = frozenset()
+    integrated: tuple[frozenset[str], ...] = ()
     states: bool = False
     fold: Fold | None = None
     course: Float[Array, "parts states"] | None = None
@@ -63,7 +63,7 @@ class Asked(NamedTuple):
         """All outputs that are needed at any time; None for all."""
         if self.instants is None:
             return None
-        return self.instants | self.nodes | self.integrated | self.at_events
+        return self.instants.union(self.nodes, *self.integrated, self.at_events)
 
     def unfolded(self, outputs: dict[str, Any]) -> Any:
         """What is carried to the first instant, of which the outputs or their shapes are told."""
@@ -97,8 +97,10 @@ class Asked(NamedTuple):
         return slopes, tuple(one(outputs) for one in self.integrands), self._recorded(system, z, outputs)
 
     def _recorded(self, system: System, z: Any, outputs: dict[str, Array]) -> dict[str, Array]:
-        states = jnp.concatenate([jnp.ravel(one) for one in z[: len(system.states)]]) if self.states else None
-        return chosen(system, outputs, self.instants) | ({} if states is None else {STATES: states})
+        recorded = chosen(system, outputs, self.instants)
+        if not (self.states and system.states):
+            return recorded
+        return recorded | {STATES: jnp.concatenate([jnp.ravel(one) for one in z[: len(system.states)]])}
 
     def rates(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> tuple[Array, ...]:
         """The integrands at one time."""
@@ -143,9 +145,8 @@ class Record(NamedTuple):
 
     @property
     def outputs(self) -> History:
-        """The history, with the instants as `"time"` where an event ends the grid: nobody could know them else."""
-        ends = getattr(self.grid, "until", None) is not None
-        return {"time": self.grid.times, **self.history} if ends else self.history
+        """The history, with the instants as `"time"` where an event ends the grid."""
+        return {**self.grid.times_told, **self.history}
 
     def thinned(self, parts: int) -> "Record":
         """The record of a grid with so many times fewer steps."""
@@ -153,7 +154,7 @@ class Record(NamedTuple):
         history = {name: values[every] for name, values in self.history.items()}
         # Between two instants of the finer grid lies one more node, so that nodes are as many apart.
         nodes = {name: values[every] for name, values in self.nodes.items()}
-        return self._replace(history=history, nodes=nodes, grid=self.grid.divided(self.grid.steps // parts))
+        return self._replace(history=history, nodes=nodes, grid=self.grid.coarser(parts))
 
 
 def zeros(shapes: Pytree) -> Pytree:

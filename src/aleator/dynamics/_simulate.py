@@ -14,6 +14,7 @@ from aleator.dynamics._algebraic import AlgebraicSystem
 from aleator.dynamics._equations import INSIDE
 from aleator.dynamics._grid import AbstractGrid, Grid, Inputs
 from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator
+from aleator.dynamics._phases import Phases
 from aleator.dynamics._record import Asked, History
 from aleator.dynamics._simulation import Simulation, simulation_of
 from aleator.dynamics._switches import jump_times, time_switches
@@ -21,7 +22,7 @@ from aleator.dynamics._system import AbstractSystem, System
 
 
 def simulate(
-    system: AbstractSystem,
+    system: AbstractSystem | Phases,
     grid: AbstractGrid | None = None,
     inputs: Inputs | None = None,
     integrator: AbstractIntegrator | None = None,
@@ -32,9 +33,10 @@ def simulate(
 
     Returns a dict of arrays of shape (instants, ...). The default integrator is `RungeKutta4`. An `AlgebraicSystem` has
     one instant and takes no grid, inputs or integrator: `simulate(system)`. A system without states is not integrated
-    either: its outputs follow from its inputs at each instant. Where an event ends the grid, the instants are returned
-    as `"time"`, unless the system has an output of that name. `only` lists the names of the outputs wanted (default:
-    all). Where equations could not be solved, or an adaptive integrator gives up, the outputs are NaN, and a
+    either: its outputs follow from its inputs at each instant. `Phases` have grids and inputs of their own, and the
+    output `m` of the phase `ascent` is returned as `"ascent.m"`. Where an event ends the grid, the instants are
+    returned as `"time"`, unless the system has an output of that name. `only` lists the names of the outputs wanted
+    (default: all). Where equations could not be solved, or an adaptive integrator gives up, the outputs are NaN, and a
     `SimulationWarning` says so; where rates jump at a time that no input declares (`StepFunction`, `Tabulated`), which
     costs fixed steps their order, a `GridWarning`. Equations are traced at each call and compiled once: the same with
     other numbers take milliseconds.
@@ -43,7 +45,7 @@ def simulate(
     the system, if a signal is not known on the whole grid (unless traced), or if `only` names an output that the system
     does not have.
     """
-    one_of("simulate: system", system, (System, AlgebraicSystem))
+    one_of("simulate: system", system, (System, AlgebraicSystem, Phases))
     if isinstance(inputs, AbstractIntegrator):
         raise ProblemError(f"simulate: an integrator is given by name: integrator={shown(inputs)}.")
     if not isinstance(inputs, Mapping | None):
@@ -66,17 +68,20 @@ def _recorded(simulation: Simulation, asked: Asked) -> History:
     model that is checked, on a finer grid.
     """
     grid, inside = simulation.grid, INSIDE.get()
-    if inside is not None and isinstance(grid, Grid):
+    if inside is not None and simulation.system.has_time:
         inside.is_met = True
         if inside.factor > 1:
             finer = simulation.on(grid.finer(inside.factor), simulation.integrator.reference())
             return finer.record(asked).thinned(inside.factor).outputs
-    if is_traced(simulation) or not isinstance(simulation.system, System):
+    first = next(iter(simulation.phases.values()))
+    if is_traced(simulation):
         return _history(simulation, asked)
-    simulation.refuse_at_start(simulation.system)
+    if not isinstance(first.system, System):
+        return _by_program(simulation, asked, grid)
+    first.refuse_at_start(first.system)
     history = _by_program(simulation, asked, grid)
-    if simulation.system.solves_start and not all(np.isfinite(np.asarray(rows[0])).all() for rows in history.values()):
-        simulation.refuse_no_start(simulation.system)
+    if first.system.solves_start and not all(np.isfinite(np.asarray(rows[0])).all() for rows in history.values()):
+        first.refuse_no_start(first.system)
     return history
 
 
@@ -91,7 +96,9 @@ def _by_program(simulation: Simulation, asked: Asked, grid: AbstractGrid) -> His
         history = _HISTORY(numbers_to_arrays(declared), asked)
     except Exception:
         return _history(simulation, asked)
-    _warn_of_jumps(declared)
+    for one in declared.phases.values():
+        if isinstance(one.grid, Grid):
+            _warn_of_jumps(one)
     return history
 
 
@@ -125,11 +132,11 @@ def _warn_of_what_is_not_finite(simulation: Simulation, history: History) -> Non
     first = {name: int(np.argmax(bad)) for name, bad in broken.items() if bad.any()}
     if not first:
         return
-    name = min(first, key=lambda one: first[one])
-    grid = simulation.grid
-    when = f" at t = {float(np.asarray(grid.times)[first[name]]):.4g} s" if isinstance(grid, Grid) else ""
-    when = " at any instant" if isinstance(grid, Grid) and np.all(broken[name]) else when
-    why = simulation.explain() or (simulation.system.diagnose(grid) if isinstance(grid, Grid) else "")
+    grid, has_time = simulation.grid, simulation.system.has_time
+    name = min(first, key=lambda one: (grid.where(one).start or 0) + first[one])
+    when = f" at t = {float(np.asarray(grid.of(name).times)[first[name]]):.4g} s" if has_time else ""
+    when = " at any instant" if has_time and np.all(broken[name]) else when
+    why = simulation.explain() or (simulation.system.diagnose(grid) if has_time else "")
     warnings.warn(
         f"{simulation.system.title}: output '{name}' is not finite{when}. "
         f"{why or 'Check the equations and their numbers there, or take more steps.'}",

@@ -9,10 +9,12 @@ from typing import Any, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import in_library, jax_array, numbers_to_arrays
 from aleator._core.border import meant, refuse_missing
+from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, is_leaf, named_leaves, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, explain_failure
@@ -20,7 +22,8 @@ from aleator.dynamics._equations import Equations, Start, TracedSystem
 from aleator.dynamics._evaluation import initial_state
 from aleator.dynamics._grid import AbstractGrid, Grid, Inputs, Instant, check_signals, sampled
 from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator, RungeKutta4
-from aleator.dynamics._record import Asked, History, Occurrence, Record, chosen, observed
+from aleator.dynamics._phases import LinkedSystems, Phases, asked_within, joined, phase_of, within
+from aleator.dynamics._record import ONLY_STATES, STATES, Asked, History, Occurrence, Record, chosen, observed
 from aleator.dynamics._system import AbstractSystem, System, check_variables
 from aleator.trajectories import AbstractSignal, least_steps
 
@@ -31,7 +34,8 @@ class Simulation(Module):
     """What is simulated: a system with its inputs, a grid, and an integrator.
 
     Any of its numbers may be a distribution or a decision; once realised, it can be recorded. Only here are kinds of
-    systems told apart. `numbers`, by name, are in no system: what is made of its outputs may depend on them.
+    systems told apart. `numbers`, by name, are in no system: what is made of its outputs may depend on them. `begun`:
+    the states, side by side, with which it begins; None for those that its equations tell.
     """
 
     system: AbstractSystem
@@ -40,15 +44,40 @@ class Simulation(Module):
     integrator: AbstractIntegrator
     numbers: dict[str, Any] = eqx.field(default_factory=dict)
     equations: Equations | None = eqx.field(static=True, default=None)
+    begun: Float[Array, " states"] | None = None
 
     @property
     def traced(self) -> AbstractSystem:
         """The realised system as programs evaluate it: by the equations that were declared, if they were."""
-        return self.system if self.equations is None else self.equations.applied(self.system, self.start)
+        if isinstance(self.system, LinkedSystems):
+            if self.equations is not None:
+                self.equations.complete(self.system, replace(self, equations=None).traced_equations)
+            return self.system
+        system = self.system if self.equations is None else self.equations.applied(self.system, self.start)
+        return system if self.begun is None else system.beginning(self.begun)  # type: ignore[attr-defined]
 
     def traced_equations(self) -> Equations:
         """The equations of its realised system, traced now."""
+        if isinstance(self.system, LinkedSystems):
+            starts = {name: start for name, one in self.phases.items() if (start := one.start()) is not None}
+            return Equations.linked(self.system, starts)
         return Equations.of(self.system, self.start())
+
+    @property
+    def phases(self) -> "dict[str, Simulation]":
+        """The simulation of each phase by name, in order; itself, without a name, if there are none."""
+        if not isinstance(self.system, LinkedSystems):
+            return {"": self}
+        return {name: self.of(f"{name}.") for name in self.system.phases}
+
+    def of(self, name: str) -> "Simulation":
+        """The simulation of the phase that a name is in; itself if there are none."""
+        if not isinstance(self.system, LinkedSystems):
+            return self
+        phase, equations = phase_of(name), self.equations
+        inputs = {key: self.inputs[wire] for key, wire in self.system.wires(phase)}
+        own = None if equations is None else equations.phases.get(phase)
+        return Simulation(self.system.phases[phase], inputs, self.grid.of(name), self.integrator, {}, own)
 
     def start(self) -> Start | None:
         """The first instant, and the inputs there; None without time."""
@@ -63,6 +92,10 @@ class Simulation(Module):
         """Simulate with known numbers, recording what is asked for. Raises `ProblemError` if parts do not match."""
         refuse_unrealised(system=self.system, grid=self.grid, inputs=self.inputs)
         system = self.traced
+        if isinstance(system, LinkedSystems):
+            system.refuse_unknown(asked)
+            declared = self.declared() if self.equations is None else self
+            return joined(declared._in_order(asked), asked)
         if isinstance(system, AlgebraicSystem):
             return Record(chosen(system, self._solved(system), asked.instants), {}, (), grid=self.grid)
         assert isinstance(system, System)
@@ -89,6 +122,34 @@ class Simulation(Module):
         record = self.integrator.ended(system, grid, inputs, asked._replace(instants=instants))
         end = Occurrence(record.grid.t_final, {name: values[-1] for name, values in record.history.items()})
         return record._replace(events={**(record.events or {}), grid.until: end})
+
+    def _in_order(self, asked: Asked) -> dict[str, Record]:
+        """The record of each phase, which begins with the states that the one before ends with."""
+        records, begun, phases = dict[str, Record](), None, self.phases
+        for name, one in phases.items():
+            if records:
+                begun = self._begun(name, one, *next(reversed(records.items())))
+            states = asked.states or len(records) + 1 < len(phases)
+            records[name] = replace(one, begun=begun).record(asked_within(name, asked)._replace(states=states))
+        if asked.states:
+            return records
+        return {name: one._replace(history=_without(STATES, one.history)) for name, one in records.items()}
+
+    def _begun(self, name: str, one: "Simulation", before: str, record: Record) -> Float[Array, " states"]:
+        """The states, side by side, with which a phase begins, from the record of the one before."""
+        ended, equations = self.of(f"{before}."), self.equations
+        assert equations is not None
+        last = ended.unravelled(record.history.get(STATES, jnp.zeros((1, 0)))[-1])
+        states = equations[name](ended.system, record.grid.t_final, last)
+        assert isinstance(one.system, System)
+        return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(states[state]) for state in one.system.states)])
+
+    def unravelled(self, states: Float[Array, " states"]) -> Any:
+        """The states as the system names them, from these side by side."""
+        system, start = self.traced, self.start()
+        assert isinstance(system, System)
+        assert start is not None
+        return ravel_pytree(initial_state(system, *start))[1](states)
 
     def signals(self, system: System) -> Inputs:
         """All signals, the system's own ones too: on a grid that ends by an event, the same functions of time in all
@@ -157,16 +218,30 @@ class Simulation(Module):
         - `events`: those without which nothing is known of it.
         """
         system = self.traced
+        if isinstance(system, LinkedSystems):
+            return self._explain_phases(events)
         if isinstance(system, AlgebraicSystem):
             return explain_failure(system)
         if not (isinstance(system, System) and isinstance(self.grid, Grid) and system.states):
             return ""
         return self.integrator.explain(system, self.grid, self.signals(system), events)
 
+    def _explain_phases(self, events: frozenset[str]) -> str:
+        """The same of the first phase that has no solution."""
+        begun, before = None, None
+        for name, one in self.phases.items():
+            if before is not None:
+                begun = self._begun(name, one, *before)
+            one = replace(one, begun=begun)
+            if why := one.explain(within(name, events)):
+                return f"In the phase '{name}', {why}"
+            asked = ONLY_STATES._replace(events=within(name, events))
+            before = name, evaluate(lambda one=one, asked=asked: one.record(asked), use=Use.ONCE)
+        return ""
+
     def on(self, grid: AbstractGrid, integrator: AbstractIntegrator | None = None) -> "Simulation":
         """The same simulation on another grid, by another integrator if one is given."""
-        integrator = integrator or self.integrator
-        return Simulation(self.system, self.inputs, grid, integrator, self.numbers, self.equations)
+        return replace(self, grid=grid, integrator=integrator or self.integrator)
 
     def finer(self, factor: int, integrator: AbstractIntegrator) -> "Simulation":
         """The same on a grid with more steps, by another integrator, as is what is simulated inside the model."""
@@ -186,7 +261,9 @@ class Simulation(Module):
 
     def refuse_no_start(self, system: System) -> None:
         """Raise `ProblemError` for a start that is not finite, with known numbers."""
-        grid, start = self._checked_grid(system), self.start()
+        # Signals are evaluated only for a start that follows from them.
+        grid = self._checked_grid(system)
+        start = (None, {}) if type(system).starting is System.starting else self.start()
         assert start is not None
         try:
             initial_state(system, *start)
@@ -218,14 +295,22 @@ class Simulation(Module):
         return {output: value[None] for output, value in algebraic_outputs(system).items()}
 
 
+def _without(name: str, history: History) -> History:
+    return {other: values for other, values in history.items() if other != name}
+
+
 def simulation_of(
-    system: AbstractSystem,
+    system: AbstractSystem | Phases,
     grid: AbstractGrid | None,
     inputs: Mapping[str, AbstractSignal] | None,
     integrator: AbstractIntegrator | None,
     numbers: Mapping[str, Any] = MappingProxyType({}),
 ) -> Simulation:
     """A simulation from the given parts, with the defaults of its kind: one instant, no inputs, `RungeKutta4`."""
+    if isinstance(system, Phases):
+        if grid is not None or inputs is not None:
+            raise ProblemError("Phases have grids and inputs of their own: expected no others; received some.")
+        system, grid, inputs = system.parts()
     has_time = not isinstance(system, AbstractSystem) or system.has_time
     instants = Instant() if grid is None and not has_time else grid
     integrator = RungeKutta4() if integrator is None else integrator

@@ -5,11 +5,10 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import NamedTuple, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import Pytree
+from aleator._core.arrays import Pytree, jax_array
 from aleator._core.compilation import Compiled
 from aleator._core.errors import AleatorWarning, warn_outside
 from aleator._core.parallel import over_devices, working
@@ -127,12 +126,12 @@ def in_batches(
     """The results of `program(model, points, decisions)` at any number of points, as NumPy arrays; compiled for 64."""
 
     def outputs(part: Part) -> Pytree:
-        values = program(model, jnp.asarray(fill(part.points, _TOGETHER)), decisions)
+        values = program(model, jax_array(fill(part.points, _TOGETHER)), decisions)
         return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(part.points)], values)
 
     if len(points) > _TOGETHER:
         # Traced here, because only the calling thread may run a user's code.
-        program.prepare(model, jnp.asarray(points[:_TOGETHER]), decisions)
+        program.prepare(model, jax_array(points[:_TOGETHER]), decisions)
     return joined(outputs, points, _TOGETHER)
 
 

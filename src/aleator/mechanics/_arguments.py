@@ -114,29 +114,32 @@ def checked_guess(
     """A guess by name, for coordinates; `loose` are the names of coordinates and velocities that are not prescribed.
 
     Raises `ProblemError` for a guess where no constraints need one, for more constraints than velocities are left to
-    them, and for a start that keeps more than can be chosen, but not all.
+    them (what these leave over, a prescribed motion may obey by itself, if it binds velocities alone), and for a start
+    that keeps more than can be chosen, but not all.
     """
-    what, m = f"{kind} of {type(model).__name__}", len(model.constraints)
-    if not m:
-        if guess is not None:
-            raise ProblemError(f"{what}: expected no guess, for it has no constraints; received {guess!r}.")
+    what, every, bound = f"{kind} of {type(model).__name__}", len(model.constraints), len(model.holonomic)
+    if not bound and guess is not None:
+        raise ProblemError(f"{what}: expected no guess, for no constraint binds coordinates; received {guess!r}.")
+    if not every:
         return {}
     twice = [name for name in model.constraints if model.constraints.count(name) > 1]
     if twice:
         raise ProblemError(f"{what}: expected a name of its own for each constraint; received '{twice[0]}' twice.")
-    freedoms, driven = len(loose[1]) - m, len(model.speeds) - len(loose[1])
-    if freedoms < 0:
+    left, driven = len(loose[1]), len(model.speeds) - len(loose[1])
+    if left < (bound if driven else every):
         prescribed = f", of which {driven} are prescribed," if driven else ""
         raise ProblemError(
-            f"{what}: expected at most as many constraints as velocities that can follow them; received {m} "
+            f"{what}: expected at most as many constraints as velocities that can follow them; received {every} "
             f"constraints ({', '.join(model.constraints)}) on {len(model.speeds)} velocities{prescribed} which leave "
-            f"{len(loose[1])}. Leave out constraints that others imply, or prescribe less."
+            f"{left}. Leave out constraints that others imply, or prescribe less."
         )
-    for names, every in zip(([one for one in some if one in start] for some in loose), loose, strict=True):
-        count = len(model.speeds_along(names)) if every is loose[0] else len(names)
-        if count > freedoms and len(names) < len(every):
+    freedoms = left - bound, max(left - every, 0)
+    named = ([name for name in whole if name in start] for whole in loose)
+    for names, whole, most in zip(named, loose, freedoms, strict=True):
+        count = len(model.speeds_along(names)) if whole is loose[0] else len(names)
+        if count > most and len(names) < len(whole):
             raise ProblemError(
-                f"{what}: expected a start of at most {freedoms}, for the rest follows from its {m} constraints, or of "
-                f"all of {list(every)}; received {names}. Put those that are only near in guess."
+                f"{what}: expected a start of at most {most}, for the rest follows from its {every} constraints, or of "
+                f"all of {list(whole)}; received {names}. Put those that are only near in guess."
             )
     return checked_start(model, model.coordinates, guess, f"{kind}, guess")

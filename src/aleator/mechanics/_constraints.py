@@ -1,9 +1,10 @@
-"""Holonomic constraints `g(q, t) = 0` at one instant: their derivatives, and accelerations and multipliers together.
+"""Constraints at one instant: their derivatives, and accelerations and multipliers together.
 
-The index is reduced by two differentiations (dissertation, equation 6). What integration then loses of the constraints
-themselves is put back wherever the equations are evaluated, so that no gain is to be chosen: the motion obeys them at
-all times, whatever carries it forward, and an integrator keeps its order. Where a system begins, coordinates and
-velocities that its constraints allow are found from those given.
+All are linear in the velocities, `G(q, t) v + b(q, t) = 0`: the rates of holonomic ones, `g(q, t) = 0`, and those that
+bind velocities alone. The index is reduced by differentiation (dissertation, equation 6). What integration then loses
+of the constraints themselves is put back wherever the equations are evaluated, so that no gain is to be chosen: the
+motion obeys them at all times, whatever carries it forward, and an integrator keeps its order. Where a system begins,
+coordinates and velocities that its constraints allow are found from those given.
 """
 
 import functools
@@ -12,10 +13,11 @@ from typing import Any, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from aleator.dynamics import newton
-from aleator.mechanics._instant import along_time
+from aleator.mechanics._instant import later
 from aleator.mechanics._matrices import (
     block,
     inverse,
@@ -26,7 +28,14 @@ from aleator.mechanics._matrices import (
     spread,
     taken,
 )
-from aleator.mechanics._mechanical import AbstractMechanical, constraint_of, jacobian_of, rate_map, rates
+from aleator.mechanics._mechanical import (
+    AbstractMechanical,
+    constraint_of,
+    holonomic_jacobian,
+    rate_map,
+    rate_terms,
+    rates,
+)
 
 # Corrections of the coordinates with one Jacobian: each multiplies what is missing by what was missing at first.
 _CORRECTIONS = 3
@@ -49,50 +58,44 @@ class Loose(NamedTuple):
 
 @final
 class Bound:
-    """The constraints of a model at one posture, with their Jacobian `G`, which is traced once for all their rates."""
+    """The constraints of a model at one posture, with the terms of their rates, which are traced once for all uses."""
 
     def __init__(self, model: AbstractMechanical, q: Array):
         self._model, self._q = model, q
-        self._is_timed = model._when is not None and bool(model.constraints)
-        if self._is_timed:
-            self.G = jacobian_of(model, q)
-        elif model.constraints:
-            self.G, self._along = jax.linearize(lambda at: jacobian_of(model, at), q)
+        if model.constraints:
+            terms, self._along = jax.linearize(lambda s, at: rate_terms(later(model, s), at), np.zeros(()), q)
         else:
-            self.G = jnp.zeros((0, len(model.speeds)))
-            self._along = lambda _: self.G
+            terms = jnp.zeros((0, len(model.speeds))), None
+            self._along = lambda *_: terms
+        self.G, self._b = terms
 
     def rate(self, v: Float[Array, " speeds"]) -> Float[Array, " constraints"]:
-        """`ġ = G v + ∂g/∂t`."""
-        return constraint_rate(self._model, self._q, v) if self._is_timed else product(self.G, v)
+        """`G v + b`, of holonomic constraints `ġ`, with `b = ∂g/∂t`."""
+        return _affine((self.G, self._b), v)
 
     def acceleration(self, v: Float[Array, " speeds"]) -> Float[Array, " constraints"]:
-        """`γ` of `G v̇ = γ`: `-(Φ_q q̇)_q q̇ - 2 Φ_qt q̇ - Φ_tt`, equation (6)."""
-        along = rates(self._model, self._q, v)
-        if self._is_timed:
-            return -along_time(lambda now, at: constraint_rate(now, at, v), self._model, (self._q,), (along,))[1]
-        return -product(self._along(along), v)
+        """`γ` of `G v̇ = γ`: `-(Ġ v + ḃ)`, of holonomic constraints that of equation (6)."""
+        return -_affine(self._along(np.ones(()), rates(self._model, self._q, v)), v)
 
 
-def constraint_rate(model: AbstractMechanical, q: Array, v: Array) -> Float[Array, " constraints"]:
-    """`ġ = G v + ∂g/∂t`."""
-    if model._when is not None:
-        return along_time(constraint_of, model, (q,), (rates(model, q, v),))[1]
-    return product(jacobian_of(model, q), v)
+def _affine(terms: tuple[Float[Array, "m n"], Float[Array, " m"] | None], v: Float[Array, " n"]) -> Float[Array, " m"]:
+    linear = product(terms[0], v)
+    return linear if terms[1] is None else linear + terms[1]
 
 
 @final
 class Saddle:
     """`[M Gᵀ; G 0] [x; λ] = [force; γ]`, equation (6), factorised once; not finite where it is singular.
 
-    As many constraints as unknowns determine these whatever `M` is.
+    As many constraints as unknowns, or more that agree, determine these whatever `M` is.
     """
 
     def __init__(self, M: Float[Array, "n n"], G: Float[Array, "m n"]):
         self._M, self._G = M, G
         rows, columns = G.shape
-        if rows == columns > 0:
-            self._free, self._least = jnp.zeros_like, inverse(G)
+        if 0 < rows >= columns:
+            self._free = jnp.zeros_like
+            self._least = inverse(G) if rows == columns else solve_any(G, jnp.eye(rows))
         else:
             self._free = positive_solver(M)
             along = self._free(G.T)
@@ -123,7 +126,7 @@ def put_back(
     """
     q, moving = model.normalised(q), loose.coordinates
     model = model.seen_at(q)
-    G = taken(jacobian_of(model, q).T, loose.speeds).T
+    G = taken(holonomic_jacobian(model, q).T, loose.speeds).T
     H = None if model.moves_directly else block(rate_map(model, q), moving, loose.speeds)
     back = solve_any(G, jnp.eye(len(G)))
 
@@ -185,6 +188,8 @@ def consistent_coordinates(
     Shortest by the coordinates as they are, rad and m alike: at right angles to the constraints at the posture given.
     Differentiable, by the implicit function theorem.
     """
+    if not model.holonomic:
+        return near
     # Rounding of angles and lengths of about 1, for a start may obey the constraints with coordinates of zero.
     sizes = 1 + jnp.abs(near)
     slope = jax.jacfwd(functools.partial(constraint_of, model))(near)
@@ -193,7 +198,7 @@ def consistent_coordinates(
     def posture(lengths: Array) -> Array:
         return model.normalised(near + spread(product(way, lengths), moving, len(near)))
 
-    start = jnp.zeros(len(model.constraints))
+    start = jnp.zeros(len(model.holonomic))
     root = newton(lambda lengths: constraint_of(model, posture(lengths)), start, jnp.abs(slope) @ sizes)
     return posture(jnp.where(root.converged, root.point, jnp.nan))
 

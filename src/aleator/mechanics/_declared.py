@@ -4,6 +4,7 @@ import inspect
 from collections.abc import Mapping
 from difflib import get_close_matches
 from functools import cache
+from itertools import product
 from typing import Any
 
 from aleator._core.errors import ProblemError
@@ -18,6 +19,8 @@ ARGUMENTS: Mapping[str, tuple[str, ...]] = {
     "forces": ("q", "v"),
     "constraint": ("q",),
     "constraint_jacobian": ("q",),
+    "velocity_constraint": ("q", "v"),
+    "torque_bounds": ("q", "v"),
     "load": ("q", "v"),
     "body_loads": ("q", "v"),
     "kinetic_energy": ("q", "v"),
@@ -29,6 +32,9 @@ ARGUMENTS: Mapping[str, tuple[str, ...]] = {
     "closures": (),
 }
 """The methods that a subclass may write, with their arguments. Each may take the time `t`, in s, after these."""
+
+CONSTRAINTS: Mapping[str, str] = {"constraint_names": "constraint", "velocity_constraint_names": "velocity_constraint"}
+"""The names of equations, and the methods that return what is left of these."""
 
 _OPEN = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
@@ -79,12 +85,11 @@ def refuse_lost(kind: Any) -> None:
             raise ProblemError(
                 f"{who}.{name} has no effect: did you mean {close[0]}? Rename it, even if it is your own."
             )
-    declared = kind.constraint_names
-    for base in bases:
-        names = vars(base).get("constraint_names", ())
+    for base, (field, method) in product(bases, CONSTRAINTS.items()):
+        names, declared = vars(base).get(field, ()), getattr(kind, field)
         known = isinstance(names, tuple | list) and isinstance(declared, tuple | list)
         if lost := [name for name in names if name not in declared] if known else []:
             raise ProblemError(
-                f"{who}.constraint_names leaves out {lost} of {base.__name__}. Name them too, and return their "
-                "equations as well: (*super().constraint(q), ...)."
+                f"{who}.{field} leaves out {lost} of {base.__name__}. Name them too, and return their equations as "
+                f"well: (*super().{call_of(method)}, ...)."
             )

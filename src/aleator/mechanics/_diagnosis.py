@@ -4,7 +4,7 @@ Mass matrices, velocity maps, effects of torques and constraints that are singul
 starts that constraints contradict or leave open.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator.mechanics._constraints import Stated, agrees
-from aleator.mechanics._mechanical import AbstractMechanical, constraint_of, jacobian_of
+from aleator.mechanics._mechanical import AbstractMechanical, constraint_of, rate_terms
 from aleator.mechanics._partial import Partition
 
 # Masses with reciprocal condition numbers below this: results would have no correct digit left.
@@ -74,7 +74,13 @@ def known_arrays(tree: Any) -> Any:
 
 
 def diagnosis(
-    model: AbstractMechanical, parts: Partition, stated: Stated, times: np.ndarray, seen: Examination, unrealisable: str
+    model: AbstractMechanical,
+    parts: Partition,
+    stated: Stated,
+    times: np.ndarray,
+    seen: Examination,
+    speeds: Callable[[], Array],
+    unrealisable: str,
 ) -> str:
     """What is wrong at the start, in the first bad posture, or where the motion ends; empty if nothing.
 
@@ -84,14 +90,17 @@ def diagnosis(
     model.refuse_impossible()
     finite = np.isfinite(seen.q).all(axis=1)
     if model.constraints and seen.history is not None and not _begins(model, seen.history):
-        return start_diagnosis(model, seen, stated)
+        broken = _broken(model, jax.jit(lambda q: model.stated_twice(q))(seen.near))
+        return broken or _missed(model, parts, times, seen, 0) or start_diagnosis(model, seen, stated, speeds)
     largest = np.abs(np.nan_to_num(seen.q)).max(axis=1, initial=0.0)
     moderate = finite & (largest <= _ABSURD * (1 + largest[0]))
     good = len(finite) if moderate.all() or not parts.others else max(int(np.argmin(moderate)), 1)
     ends = None if finite.all() else int(np.argmin(finite))
     seen = seen._replace(postures=jax.tree.map(lambda rows: rows[: good + (ends == good)], seen.postures))
     first = [text for _, text in sorted(_faults(model, parts, times, seen, good, unrealisable), key=lambda one: one[0])]
-    return first[0] if first else "" if ends is None else _unobeyed(model, parts, times, seen, ends)
+    if first or ends is None:
+        return first[0] if first else ""
+    return _missed(model, parts, times, seen, ends) or _unobeyed(model, times, seen, ends)
 
 
 def _begins(model: AbstractMechanical, history: Mapping[str, Any]) -> bool:
@@ -110,8 +119,8 @@ def _faults(
     def when(i: int) -> str:
         return "at the start" if i == 0 else f"at t = {times[i]:.4g} s"
 
-    if postures.stated is not None and not _agree(*(one[0] for one in postures.stated)):
-        yield -1, f"{who}.{model._rule}"
+    if broken := _broken(model, {rule: (one[0], two[0]) for rule, (one, two) in postures.stated.items()}):
+        yield -1, broken
     masses = [_mass_fault(model, M) for M in postures.mass[:good]]
     for i, fault in enumerate(masses):
         if fault:
@@ -147,9 +156,13 @@ def _faults(
         )
 
 
-def _agree(first: np.ndarray, second: np.ndarray) -> bool:
-    slack = 1e-9 * np.abs(second).max(initial=0.0)
-    return np.allclose(first, second, rtol=1e-6, atol=slack, equal_nan=True)
+def _broken(model: AbstractMechanical, stated: Mapping[str, tuple[Any, Any]]) -> str:
+    """The first rule of which a model states two things."""
+    for rule, (first, second) in stated.items():
+        slack = 1e-9 * np.abs(second).max(initial=0.0)
+        if not np.allclose(first, second, rtol=1e-6, atol=slack, equal_nan=True):
+            return f"{type(model).__name__}.{rule}"
+    return ""
 
 
 def _mass_fault(model: AbstractMechanical, M: np.ndarray) -> tuple[str, str] | None:
@@ -198,21 +211,39 @@ def _map_faults(
             )
 
 
-def _unobeyed(model: AbstractMechanical, parts: Partition, times: np.ndarray, seen: Examination, ends: int) -> str:
-    """What a motion cannot obey any further, by how much."""
-    who, history = type(model).__name__, seen.history or {}
-    errors = np.nan_to_num(history.get("motion_error", np.zeros(len(times))))
+def _missed(model: AbstractMechanical, parts: Partition, times: np.ndarray, seen: Examination, ends: int) -> str:
+    """What a prescribed motion breaks, or asks of torques in vain, at the instant where it ends, by how much."""
+    who, prescribed = type(model).__name__, _named([model.coordinates[i] for i in parts.prescribed])
+    errors, shortfalls = (
+        np.zeros(len(times)) if amount is None else np.nan_to_num(amount, posinf=np.inf)
+        for amount in map((seen.history or {}).get, ("motion_error", "torque_shortfall"))
+    )
     worst = int(np.argmax(errors))
-    missed = errors[worst]
-    if errors[ends] > _SINGULAR * (1 + np.abs(seen.postures.q[-1]).max(initial=0.0)):
-        names = _named([model.coordinates[i] for i in parts.prescribed])
+    if errors[ends] > _SINGULAR * (1 + np.abs(np.nan_to_num(seen.postures.q[-1])).max(initial=0.0)):
+        what = "a rate misses velocity_map(q) times the velocities"
+        remedy = "rates that are H(q) v, or all coordinates that share velocities"
+        if model.velocity_constraint_names:
+            what = f"it misses what {_named(model.velocity_constraint_names)} asks of the velocities"
+            remedy = "a motion that obeys it, or fewer coordinates: the others then follow"
         return (
-            f"{who}: the motion prescribed for {names} is none that it can make: at t = {times[worst]:.4g} s a rate "
-            f"misses velocity_map(q) times the velocities by {missed:.3g}. Prescribe rates that are H(q) v, or all "
-            "coordinates that share velocities."
+            f"{who}: the motion prescribed for {prescribed} is none that it can make: at t = {times[worst]:.4g} s "
+            f"{what} by {errors[worst]:.3g}. Prescribe {remedy}."
         )
-    if not model.constraints:
+    if shortfalls[ends] > 0:
+        return (
+            f"{who}: within torque_bounds(q, v) the torques {_named([model.actuators[i] for i in parts.unknown])} "
+            f"cannot make the motion prescribed for {prescribed}: at t = {times[ends]:.4g} s they fall short of the "
+            f"force that it takes by {shortfalls[ends]:.3g}. Widen the bounds, of which none may cross, or "
+            "prescribe another motion."
+        )
+    return ""
+
+
+def _unobeyed(model: AbstractMechanical, times: np.ndarray, seen: Examination, ends: int) -> str:
+    """Why constraints cannot be obeyed any further, by how much."""
+    if not model.holonomic:
         return ""
+    who, history = type(model).__name__, seen.history or {}
     before = max(ends - 1, 0)
     return (
         f"The constraints of {who} cannot be obeyed beyond about t = {times[before]:.4g} s "
@@ -224,45 +255,48 @@ def _unobeyed(model: AbstractMechanical, parts: Partition, times: np.ndarray, se
 
 
 Linearised: TypeAlias = Callable[[np.ndarray], tuple[np.ndarray, ...]]
-"""What is left of the constraints at given coordinates, its slope by these, and the Jacobian `G`."""
+"""What is left of holonomic constraints at given coordinates, its slope by these, and `G` and `b` of all rates."""
 
 
-def start_diagnosis(model: AbstractMechanical, seen: Examination, stated: Stated) -> str:
-    """Why the constraints allow no state at the start, or do not determine one."""
+def start_diagnosis(model: AbstractMechanical, seen: Examination, stated: Stated, speeds: Callable[[], Array]) -> str:
+    """Why the constraints allow no state at the start, or do not determine one; `speeds`: there as they are given."""
     what, linearised, near, loose = type(model).__name__, _linearised(model), seen.near, stated.loose
-    if not all(np.isfinite(one).all() for one in linearised(near)):
+    q, left, slope, jacobian, drift = near, *linearised(near)
+    if not all(np.isfinite(one).all() for one in (left, slope, jacobian, drift)):
         return (
             f"{what}: its constraints, or their derivatives, are not finite at {posture_text(model, near)}, "
             f"from where a start is sought. {_ELSEWHERE}"
         )
-    q, left, slope, jacobian = _brought_near(linearised, near, np.array(loose.coordinates))
+    if model.holonomic:
+        q, left, slope, jacobian, drift = _brought_near(linearised, near, np.array(loose.coordinates))
     q = np.asarray(model.normalised(jnp.asarray(q)))
     size = np.abs(slope).max(axis=1, initial=0.0) * (1 + np.abs(q).max(initial=0.0))
     if not (np.abs(left) <= _LEFT * size).all():
         return (
             f"{what}: no start near {posture_text(model, near)} satisfies its constraints: at "
-            f"{posture_text(model, q)} they are left with {_listed(model.constraints, left)}. Check its "
+            f"{posture_text(model, q)} they are left with {_listed(model.holonomic, left)}. Check its "
             f"lengths, or keep less in start=. {_ELSEWHERE}"
         )
     if not agrees(q, near)[list(stated.named.coordinates)].all():
         return (
             f"{what}: the start names all coordinates, {posture_text(model, near)}, and contradicts its constraints, "
-            f"which are left with {_listed(model.constraints, linearised(near)[0])}. {_ELSEWHERE}"
+            f"which are left with {_listed(model.holonomic, linearised(near)[0])}. {_ELSEWHERE}"
         )
     if _rank(jacobian) < len(jacobian):
         return _dependence(model, q, jacobian)
     follows = _rank(slope[:, loose.coordinates]) == len(slope)
-    if follows and _rank(jacobian[:, loose.speeds]) < len(jacobian):
+    missed = _listed(model.constraints, jacobian @ np.asarray(speeds()) + drift)
+    if follows and _rank(jacobian[:, loose.speeds]) < min(len(jacobian), len(loose.speeds)):
         named = [model.speeds[i] for i in stated.named.speeds]
         return (
             f"{what}: at {posture_text(model, q)} its constraints leave some of the rates "
             f"{_named([model.speeds[i] for i in loose.speeds])} open. Name them in start="
-            + (f", in the place of {_named(named)}." if named else ", or prescribe others.")
+            + (f", in the place of {_named(named)}, with which {missed}." if named else ", or prescribe others.")
         )
     if follows and set(stated.named.speeds) & set(loose.speeds):
         return (
-            f"{what}: the start names all velocities, and contradicts its constraints at {posture_text(model, q)}. "
-            "Leave some of them out."
+            f"{what}: the start names all velocities, and contradicts its constraints at {posture_text(model, q)}, "
+            f"which are missed by {missed}. Leave some of them out."
         )
     return (
         f"{what}: at {posture_text(model, q)} its constraints do not determine how "
@@ -325,7 +359,8 @@ def _scaled(matrix: np.ndarray) -> np.ndarray:
     """Each row by its largest entry; columns, metres beside radians, by theirs."""
     for axis in (1, 0):
         size = np.abs(matrix).max(axis=axis, keepdims=True, initial=0.0)
-        matrix = matrix / np.where(size > 1e-12 * size.max(initial=0.0), size, np.where(size > 0, size.max(), 1.0))
+        largest = size.max(initial=0.0)
+        matrix = matrix / np.where(size > 1e-12 * largest, size, np.where(size > 0, largest, 1.0))
     return matrix
 
 
@@ -355,8 +390,9 @@ def _linearised(model: AbstractMechanical) -> Linearised:
         return constraint_of(model, model.normalised(at))
 
     @jax.jit
-    def linearised(q: Array) -> tuple[Array, Array, Array]:
-        return bound(q), jax.jacfwd(bound)(q), jacobian_of(model, model.normalised(q))
+    def linearised(q: Array) -> tuple[Array, ...]:
+        G, b = rate_terms(model, model.normalised(q))
+        return bound(q), jax.jacfwd(bound)(q), G, jnp.zeros(len(G)) if b is None else b
 
     return lambda q: tuple(map(np.asarray, linearised(jnp.asarray(q))))
 
@@ -370,5 +406,5 @@ def _listed(names: tuple[str, ...], values: Any) -> str:
     return ", ".join(f"{name} = {float(value):.4g}" for name, value in zip(names, np.asarray(values), strict=True))
 
 
-def _named(names: list[str]) -> str:
+def _named(names: Sequence[str]) -> str:
     return ", ".join(f"'{name}'" for name in names)

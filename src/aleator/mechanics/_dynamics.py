@@ -63,7 +63,8 @@ class ForwardDynamics(AbstractFormulation):
     - `guess`: for a system with constraints, coordinates near which those not named in `start` are found; names of
       `start` may be among them.
 
-    Constraints are solved together with the accelerations (equation 6), and every output satisfies them. Values named
+    Constraints are solved together with the accelerations (equation 6), and every output satisfies them. Torques are
+    taken as they are given, whatever the model's `torque_bounds`. Values named
     in `start` are kept; the other coordinates are those that satisfy the constraints on the shortest way from `guess`,
     and the other velocities those nearest to rest that do, in each realisation separately. A start may also name all
     coordinates, or all velocities, as published: if these miss the constraints by less than a hundredth, they are
@@ -94,8 +95,8 @@ class ForwardDynamics(AbstractFormulation):
 class InverseDynamics(AbstractFormulation):
     """A mechanical system on a prescribed motion: `τ = B⁻¹ (M v̇ + C v + N - Q)` (table 5.2: known motion).
 
-    - `model`: a fully actuated mechanical system, or an over-actuated one, for which the torques of least norm are
-      found;
+    - `model`: a fully actuated mechanical system, or an over-actuated one, for which the torques of least norm within
+      its `torque_bounds` are found, in each realisation by itself;
     - `motion`: one trajectory of all coordinates, or one for each by name;
     - `torque_rates`: whether the rates of torques are among the outputs;
     - `guess`: for a system with constraints, coordinates near which those that are not prescribed start.
@@ -103,12 +104,15 @@ class InverseDynamics(AbstractFormulation):
     With constraints, as many coordinates are prescribed, by name, as the constraints leave free: a driven crank. The
     others follow in each realisation separately, on the branch that starts near `guess`; torques and multipliers are
     solved together, and there must be as many torques as prescribed velocities. The coordinates that follow are then
-    states: they are integrated to stay on the branch, and projected onto the constraints in every output.
+    states: they are integrated to stay on the branch, and projected onto the constraints in every output. Where
+    constraints bind velocities alone, more coordinates may be prescribed, by a motion that obeys them.
 
     Every realisation follows the same motion, with its own torques. The motion is part of the system: its control
-    points are named `motion.free`. Where coordinates have fewer velocities, `motion_error` is how far the
-    prescribed rates are from `H v`, and other outputs are not a number where it is more than rounding. Raises
-    `ProblemError` for motions of unknown coordinates, and for models with fewer torques than velocities.
+    points are named `motion.free`. Where coordinates have fewer velocities, or velocities are constrained,
+    `motion_error` is how far the prescribed rates are from `H v`, and all from their constraints; `torque_shortfall` is
+    the largest part of the force that torques cannot make within bounds. Other outputs are not a number where one of
+    them is more than rounding. Raises `ProblemError` for motions of unknown coordinates, and for models with fewer
+    torques than velocities.
     """
 
     signal_fields: ClassVar[tuple[str, ...]] = ("motion",)
@@ -140,13 +144,16 @@ class InverseDynamics(AbstractFormulation):
 
 def _driving(model: AbstractMechanical, motion: Any) -> tuple[str, ...]:
     """The coordinates that a motion of a constrained model prescribes: as many as may be chosen."""
-    freedoms = len(model.speeds) - len(model.constraints)
-    names = tuple(name for name in model.coordinates if isinstance(motion, Mapping) and name in motion)
-    if not names or len(model.speeds_along(names)) != freedoms:
+    speeds, names = len(model.speeds), model.coordinates
+    least, most = speeds - len(model.constraints), speeds - len(model.holonomic)
+    if isinstance(motion, Mapping):
+        names = tuple(name for name in names if name in motion)
+    if not names or not least <= len(model.speeds_along(names)) <= most:
         raise ProblemError(
-            f"InverseDynamics of {type(model).__name__}: expected trajectories by name for {freedoms} of "
-            f"{list(model.coordinates)}: as many as its {len(model.constraints)} constraints leave free; received "
-            f"{motion!r}. Use al.HybridDynamics to prescribe fewer."
+            f"InverseDynamics of {type(model).__name__}: expected trajectories by name for {least} of "
+            f"{list(model.coordinates)}: as many as its {len(model.constraints)} constraints leave free"
+            + (f", or for up to {most} that obey its velocity constraints" if most > least else "")
+            + f"; received {motion!r}. Use al.HybridDynamics to prescribe fewer."
         )
     return names
 
@@ -157,7 +164,7 @@ class HybridDynamics(AbstractFormulation):
 
     - `model`: a mechanical system, under-actuated or not;
     - `motion`: trajectories by the names of the prescribed coordinates: as many as there are unknown torques, or fewer
-      (then the torques of least norm are found);
+      (then the torques of least norm within the model's `torque_bounds` are found);
     - `torque`: trajectories or signals of those actuators whose torque is known, by name; the others are found;
     - `start`: initial values of the other coordinates and velocities, by name; those not named are zero (for a
       quaternion `(1, 0, 0, 0)`);
@@ -202,5 +209,5 @@ class HybridDynamics(AbstractFormulation):
             for names, given in ((model.coordinates, motion), (model.actuators, torque))
         )
         super().__init__(model, motion, torque, start, guess, torque_rates, prescribed=prescribed, known=known)
-        if len(self.parts.unknown) < len(self.parts.driven):
+        if len(self.parts.unknown) < len(self.parts.driven) - self.parts.surplus:
             raise ProblemError(self.unrealisable())

@@ -13,6 +13,15 @@ from aleator._core.errors import ProblemError
 from aleator.mechanics._instant import along_time
 from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, bias_of, mass_of, shaped
 
+_QUADRATIC = (
+    "kinetic_energy(q, v): expected a quadratic function of the velocities, whose second derivatives are the mass "
+    "matrix at any velocity. Use al.Accelerations for others."
+)
+_AFFINE = (
+    "accelerations(q, v, torque): expected accelerations affine in the torques, with an effect independent of the "
+    "velocities. Plan the non-affine term itself as the torque."
+)
+
 
 class AbstractNamed(AbstractMechanical):
     """A mechanical system with names declared in its class: `names = ("shoulder", "elbow")`.
@@ -24,12 +33,20 @@ class AbstractNamed(AbstractMechanical):
 
         def constraint(self, q):
             return (self.crank * jnp.sin(q[0]) - self.rod * jnp.sin(q[1]),)
+
+    Velocities that are bound where coordinates are not, as of a wheel that rolls, are declared by
+    `velocity_constraint_names` and `velocity_constraint(q, v)`, linear in the velocities:
+
+        velocity_constraint_names = ("rolling",)
+
+        def velocity_constraint(self, q, v):
+            return (v[0] - self.radius * v[1],)
     """
 
     names: ClassVar[tuple[str, ...]]
     velocity_names: ClassVar[Sequence[str] | None] = None
     actuator_names: ClassVar[Sequence[str] | None] = None
-    _declared: ClassVar[tuple[str, ...]] = ("names", "velocity_names", "actuator_names", "constraint_names")
+    _declared: ClassVar[tuple[str, ...]] = ("names", "velocity_names", "actuator_names", *AbstractMechanical._declared)
 
     def __check_init__(self):
         for field in self._declared:
@@ -96,11 +113,6 @@ class Lagrangian(AbstractNamed):
     masses that change with time conserve momentum, as if added mass had been at rest, and a term `Ṁ v` is included.
     """
 
-    _rule = (
-        "kinetic_energy(q, v): expected a quadratic function of the velocities, whose second derivatives are the mass "
-        "matrix at any velocity. Use al.Accelerations for others."
-    )
-
     @abc.abstractmethod
     def kinetic_energy(self, q: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, ""]:
         """The kinetic energy, J: a quadratic function of `v`."""
@@ -140,9 +152,10 @@ class Lagrangian(AbstractNamed):
         return change - jax.grad(self._kinetic)(q, v) + self._forces(q, v)
 
     @override
-    def stated_twice(self, q: Float[Array, " n"]) -> tuple[Array, Array]:
+    def stated_twice(self, q: Float[Array, " n"]) -> dict[str, tuple[Array, Array]]:
         """The mass matrix in motion and at rest: the kinetic energy is quadratic in the velocities."""
-        return self._inertia(q, jnp.linspace(0.4, 0.7, len(q))), self._inertia(q, jnp.zeros_like(q))
+        both = self._inertia(q, jnp.linspace(0.4, 0.7, len(q))), self._inertia(q, jnp.zeros_like(q))
+        return {_QUADRATIC: both} | super().stated_twice(q)
 
     def _forces(self, q: Array, v: Array) -> Array:
         potential = jax.grad(lambda at: shaped(self, "potential_energy", (at,), ()))(q)
@@ -163,13 +176,8 @@ class Accelerations(AbstractNamed):
     velocities.
     """
 
-    _rule = (
-        "accelerations(q, v, torque): expected accelerations affine in the torques, with an effect independent of the "
-        "velocities. Plan the non-affine term itself as the torque."
-    )
-
     def __check_init__(self):
-        if self.constraint_names:
+        if self.constraints:
             raise ProblemError(
                 f"{type(self).__name__}: constraints act by forces, for which masses must be known: write "
                 "al.Mechanical or al.Lagrangian in the place of al.Accelerations."
@@ -195,10 +203,10 @@ class Accelerations(AbstractNamed):
         return jax.jacfwd(lambda torque: self._rates(q, at_rest, torque))(jnp.zeros(len(self.actuators)))
 
     @override
-    def stated_twice(self, q: Float[Array, " coordinates"]) -> tuple[Array, Array]:
+    def stated_twice(self, q: Float[Array, " coordinates"]) -> dict[str, tuple[Array, Array]]:
         """Accelerations, and what they are if they are affine in the torques."""
         v, torque = jnp.linspace(0.4, 0.7, len(self.speeds)), jnp.linspace(0.6, 1.3, len(self.actuators))
-        return self._rates(q, v, torque), actuation_map(self, q) @ torque - bias_of(self, q, v)
+        return {_AFFINE: (self._rates(q, v, torque), actuation_map(self, q) @ torque - bias_of(self, q, v))}
 
     def _rates(self, q: Array, v: Array, torque: Array) -> Array:
         return shaped(self, "accelerations", (q, v, torque), (len(self.speeds),))

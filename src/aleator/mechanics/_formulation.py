@@ -44,7 +44,6 @@ from aleator.mechanics._partial import (
     columns,
     effect_of_torques,
     follow,
-    motion_error,
     solved,
 )
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
@@ -86,7 +85,7 @@ class AbstractFormulation(System):
             tuple(i for i, name in enumerate(model.coordinates) if name in prescribed),
             model.speeds_along(prescribed) if prescribed else (),
             tuple(i for i, name in enumerate(model.actuators) if name in known),
-            *map(len, (model.coordinates, model.speeds, model.actuators)),
+            *map(len, (model.coordinates, model.speeds, model.actuators, model.constraints)),
         )
         self.motion = motions_for(prescribed, motion, f"{kind}, motion") if prescribed else {}
         self.torque = signals_for(known, torque, f"{kind}, torque") if known or torque else {}
@@ -99,7 +98,7 @@ class AbstractFormulation(System):
         """Coordinates and velocities that are not prescribed; no velocities where constraints determine all of them."""
         if not self.parts.others:
             return ()
-        return ("q",) if 0 < len(self.parts.undriven) == len(self.model.constraints) else ("q", "v")
+        return ("q",) if len(self.parts.undriven) <= self.parts.constraints else ("q", "v")
 
     @property
     def units(self) -> Mapping[str, str]:  # type: ignore[override]
@@ -273,13 +272,15 @@ class AbstractFormulation(System):
 
     def posture(self, model: AbstractMechanical, q: Array) -> Posture:
         """What diagnosis asks of the model at one instant. Traceable."""
-        q = model.normalised(q)
+        q, parts = model.normalised(q), self.parts
         model = model.seen_at(q)
+        # Of full row rank: by columns where more constraints than velocities follow what is prescribed.
+        G = columns(jacobian_of(model, q), parts.undriven) if model.constraints and parts.undriven else None
         return Posture(
             q,
             mass_of(model, q),
             None if model.moves_directly else rate_map(model, q),
-            columns(jacobian_of(model, q), self.parts.undriven) if model.constraints else None,
+            G if G is None or not parts.surplus else G.T,
             effect_of_torques(model, self.parts, q),
             model.stated_twice(q),
         )
@@ -307,7 +308,8 @@ class AbstractFormulation(System):
         return (
             f"{type(self).__name__} of {type(model).__name__}: the unknown torques ({unknown}) cannot realise a "
             f"prescribed motion of {', '.join(taken_names(model.coordinates, parts.prescribed))}: expected at least "
-            f"{len(parts.driven)} that act on it. Prescribe no more velocities than there are unknown torques."
+            f"{len(parts.driven) - parts.surplus} that act on it. Prescribe no more velocities than there are unknown "
+            "torques."
         )
 
     @override
@@ -319,13 +321,22 @@ class AbstractFormulation(System):
             seen = known_arrays(_EXAMINED(*numbers_to_arrays((system, grid)), own_code(system)))
         times = np.asarray(grid.times)
         model = known_arrays(at(system.model, *seen.row))
-        return diagnosis(model, self.parts, self._stated(), times, seen, self.unrealisable())
+
+        def speeds() -> Array:
+            """The velocities at the start as they are given."""
+            curve = (taken(system.path(grid, order)[0], self.parts.prescribed) for order in range(3))
+            position, velocity, acceleration = curve
+            given = Prescribed(position, velocity, acceleration, jnp.zeros(0))
+            return system._near(model.prepared(), given)[1]
+
+        return diagnosis(model, self.parts, self._stated(), times, seen, speeds, self.unrealisable())
 
     @property
     def changes(self) -> bool:
         """Whether what is checked may change along the motion."""
         model = self.model
-        return bool(self.states) or is_timed(model) or not (model.moves_directly and model.acts_directly)
+        simple = model.moves_directly and model.acts_directly and not (model.constraints or model.is_bounded)
+        return bool(self.states) or is_timed(model) or not simple
 
 
 def taken_names(names: tuple[str, ...], places: tuple[int, ...]) -> tuple[str, ...]:
@@ -346,29 +357,28 @@ def _examined(system: AbstractFormulation, grid: Grid, code: str) -> Examination
     if not system.changes:
         _, near, posture = in_library(near, system.posture(model, near))
         return Examination(row, near, None, *jax.tree.map(lambda one: one[None], (near, posture)))
-    path = system.path(grid)
-    history: dict[str, Any] = {}
+    q = path = held = system.path(grid)
+    history = dict[str, Any]()
     if system.states:
         only = [*model.coordinates, *model.speeds]
-        only += ["constraint_drift"] if model.constraints else []
+        only += ["constraint_drift"] if model.holonomic else []
         only += ["motion_error"] if parts.may_miss(model) else []
+        only += ["torque_shortfall"] if model.is_bounded and parts.driven else []
         history = dict(simulate(system, grid, {}, RungeKutta4(), only=only))
         q = jnp.stack([history[name] for name in model.coordinates], axis=1)
-    else:
-        q = path
-        if parts.may_miss(model):
-            curves = (path, system.path(grid, 1), system.path(grid, 2))
+        finite = jnp.isfinite(q)
+        last = jax.lax.cummax(jnp.where(finite.all(axis=1), jnp.arange(len(q)), 0))
+        held = jnp.where(finite, q, q[last])
+    elif parts.may_miss(model) or model.is_bounded:
 
-            def missed(model: AbstractMechanical, *curve: Array) -> Any:
-                none = jnp.zeros(0)
-                motion = follow(model, parts, Prescribed(*curve, none), none, none)  # type: ignore[call-arg]
-                return motion_error(model, parts, motion.q, motion.q_dot, motion.v)
+        def moved(model: AbstractMechanical, position: Array, velocity: Array, acceleration: Array) -> Solved:
+            none = jnp.zeros(0)
+            return solved(model, parts, Prescribed(position, velocity, acceleration, none), none, none)
 
-            history["motion_error"], follows = now.each(missed, *curves)
-            q = jnp.where(follows[:, None], q, jnp.nan)
-    finite = jnp.isfinite(q)
-    last = jax.lax.cummax(jnp.where(finite.all(axis=1), jnp.arange(len(q)), 0))
-    postures = now.each(system.posture, jnp.where(finite, q, q[last]))
+        motion = now.each(moved, *(system.path(grid, order) for order in range(3)))
+        history = {"motion_error": motion.motion_error, "torque_shortfall": motion.shortfall}
+        q = jnp.where(motion.valid[:, None], q, jnp.nan)
+    postures = now.each(system.posture, held)
     return Examination(row, near, history, q, postures, path)
 
 

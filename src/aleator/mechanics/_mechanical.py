@@ -15,10 +15,15 @@ from aleator._core.border import traceable
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module, Printed
 from aleator.dynamics import called
-from aleator.mechanics._declared import call_of, refuse_lost, timed_methods
+from aleator.mechanics._declared import CONSTRAINTS, call_of, refuse_lost, timed_methods
 from aleator.mechanics._instant import along_time, at, course, is_timed
 from aleator.mechanics._matrices import solve_positive
 from aleator.mechanics._spatial import Numbers
+
+_AFFINE = (
+    "velocity_constraint(q, v): expected equations that are linear in the velocities, each of at least one of them. "
+    "What binds coordinates alone is written as constraint(q)."
+)
 
 
 class Motion(NamedTuple):
@@ -57,7 +62,7 @@ class AbstractMechanical(Module, Printed):
       `<speed>_rate`;
     - `<actuator>`, `<actuator>_rate` (`elbow_torque`, `elbow_torque_rate`);
     - of a system with constraints `<constraint>_multiplier`, `<coordinate>_reaction` (their force along each velocity),
-      and `constraint_error`, `constraint_rate_error`: the largest `|g|` and `|ġ|`;
+      and `constraint_error`, `constraint_rate_error`: the largest `|g|`, and the largest `|ġ|` or velocity constraint;
     - and those of its own `outputs(motion)`.
 
     Write it as a subclass of `al.Mechanical` (from its matrices), `al.Lagrangian` (from its energies),
@@ -66,8 +71,8 @@ class AbstractMechanical(Module, Printed):
 
     units: ClassVar[Mapping[str, str]] = {}
     constraint_names: ClassVar[Sequence[str]] = ()
-    _declared: ClassVar[tuple[str, ...]] = ("constraint_names",)
-    _rule: ClassVar[str] = ""
+    velocity_constraint_names: ClassVar[Sequence[str]] = ()
+    _declared: ClassVar[tuple[str, ...]] = tuple(CONSTRAINTS)
     _when: Any = eqx.field(default=None, init=False, repr=False)
 
     def __init_subclass__(cls, **options: Any):
@@ -85,12 +90,14 @@ class AbstractMechanical(Module, Printed):
 
     def __check_init__(self):
         timed_methods(type(self))
-        is_written = type(self).constraint is not AbstractMechanical.constraint
-        if not isinstance(type(self).constraint_names, property) and bool(self.constraint_names) != is_written:
-            raise ProblemError(
-                f"{type(self).__name__}: expected constraint_names and constraint(q) together, one name for each "
-                f"equation; received {'no constraint(q)' if self.constraint_names else 'no constraint_names'}."
-            )
+        for field, method in CONSTRAINTS.items():
+            is_written = getattr(type(self), method) is not getattr(AbstractMechanical, method)
+            if not isinstance(getattr(type(self), field), property) and bool(getattr(self, field)) != is_written:
+                call = call_of(method)
+                raise ProblemError(
+                    f"{type(self).__name__}: expected {field} and {call} together, one name for each equation; "
+                    f"received no {field if is_written else call}."
+                )
 
     def at(self, t: Any) -> Self:
         """The realised model at the time `t`, s: signals are replaced by values. Trajectories last one second."""
@@ -120,6 +127,11 @@ class AbstractMechanical(Module, Printed):
 
     @property
     def constraints(self) -> tuple[str, ...]:
+        """The names of all constraints: of those that bind coordinates, then `velocity_constraint_names`."""
+        return (*self.holonomic, *self.velocity_constraint_names)
+
+    @property
+    def holonomic(self) -> tuple[str, ...]:
         """The names of the equations `g(q, t) = 0` that bind coordinates: of closed loops, then `constraint_names`."""
         return (*self.closing_names, *self.constraint_names)
 
@@ -151,6 +163,30 @@ class AbstractMechanical(Module, Printed):
         """`G(q)`, of `ġ = G v + ∂g/∂t`: by derivatives of `constraint(q)`."""
         slope = jax.jacfwd(lambda at: shaped(self, "constraint", (at,), (len(self.constraint_names),)))(q)
         return slope if self.moves_directly else slope @ rate_map(self, q)
+
+    def velocity_constraint(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Any:
+        """`A(q) v + b(q)`: what is zero in every motion, one number for each of `velocity_constraint_names`.
+
+        For rolling and edges, which bind velocities but no coordinates. The multiplier is the force along what the
+        constraint holds at zero, `Aᵀ λ` on the side of `Gᵀ λ`: see `constraint`.
+        """
+        del q, v
+        return jnp.zeros(0)
+
+    def torque_bounds(
+        self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]
+    ) -> Mapping[str, tuple[Any, Any]]:
+        """The least and the largest torque of some actuators, by name; `None` for an end without a bound.
+
+        They bound the torques that inverse and hybrid dynamics find: `{"flexor": (0.0, None)}` for what only pulls.
+        """
+        del q, v
+        return {}
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether torques may have bounds."""
+        return type(self).torque_bounds is not AbstractMechanical.torque_bounds
 
     @property
     def moves_directly(self) -> bool:
@@ -244,10 +280,14 @@ class AbstractMechanical(Module, Printed):
     def refuse_impossible(self) -> None:
         """Raise `ProblemError` for known numbers that no such system has, such as negative masses."""
 
-    def stated_twice(self, q: Float[Numbers, " coordinates"]) -> tuple[Array, Array] | None:
-        """A quantity by two ways, which differ where the model breaks a rule of its class; none by default."""
-        del q
-        return None
+    def stated_twice(self, q: Float[Numbers, " coordinates"]) -> dict[str, tuple[Array, Array]]:
+        """Rules, in words, each with a quantity by two ways, which differ where the model breaks it."""
+        if not self.velocity_constraint_names:
+            return {}
+        q, v = jnp.asarray(q), jnp.linspace(0.4, 0.7, len(self.speeds))
+        A, b = velocity_terms(self, q)
+        acts = jnp.any(A != 0, axis=1)
+        return {_AFFINE: (jnp.stack([velocity_constraint_of(self, q, v), acts]), jnp.stack([A @ v + b, acts | True]))}
 
     def _named_map(self) -> Float[np.ndarray, "speeds actuators"]:
         """Which torque acts along which velocity, by their names."""
@@ -293,12 +333,41 @@ def constraint_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) ->
     return jnp.concatenate([loops, shaped(model, "constraint", (q,), (own,))]) if own else loops
 
 
-def jacobian_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
-    """`G(q)` as an array. Raises `ProblemError` for another shape."""
+def holonomic_jacobian(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "holonomic speeds"]:
+    """`G(q)` of the constraints that bind coordinates. Raises `ProblemError` for another shape."""
     loops, own = model.closing_jacobian(q), len(model.constraint_names)
     if not own:
         return loops
     return jnp.concatenate([loops, shaped(model, "constraint_jacobian", (q,), (own, len(model.speeds)))])
+
+
+def velocity_constraint_of(model: AbstractMechanical, q: Array, v: Array) -> Float[Array, " own"]:
+    """What is left of velocity constraints, as an array. Raises `ProblemError` for another shape."""
+    return shaped(model, "velocity_constraint", (q, v), (len(model.velocity_constraint_names),))
+
+
+def velocity_terms(model: AbstractMechanical, q: Array) -> tuple[Float[Array, "own speeds"], Float[Array, " own"]]:
+    """`A(q)` and `b(q)` of the velocity constraints `A v + b = 0`."""
+    # The value beside its derivative: traced once.
+    return jax.jacfwd(lambda v: (velocity_constraint_of(model, q, v),) * 2, has_aux=True)(jnp.zeros(len(model.speeds)))
+
+
+def rate_terms(
+    model: AbstractMechanical, q: Array
+) -> tuple[Float[Array, "constraints speeds"], Float[Array, " constraints"] | None]:
+    """`G(q)` and `b(q)` of the rates `G v + b` of all constraints; no `b` where it is known to be zero."""
+    G, b = holonomic_jacobian(model, q), None
+    if model._when is not None and len(G):
+        b = along_time(constraint_of, model, (q,), (jnp.zeros_like(q),))[1]
+    if model.velocity_constraint_names:
+        A, own = velocity_terms(model, q)
+        G, b = jnp.concatenate([G, A]), jnp.concatenate([jnp.zeros(len(G)) if b is None else b, own])
+    return G, b
+
+
+def jacobian_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
+    """`G(q)` of all constraints. Raises `ProblemError` for another shape."""
+    return rate_terms(model, q)[0]
 
 
 def load_on(model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Any:

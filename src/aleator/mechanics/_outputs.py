@@ -13,6 +13,9 @@ from aleator.mechanics._matrices import entries
 from aleator.mechanics._mechanical import AbstractMechanical, Motion, accelerations
 from aleator.mechanics._partial import Solved
 
+# Outputs that are known even where they say that others are not.
+_AMOUNTS = {"constraint_drift": "drift", "motion_error": "motion_error", "torque_shortfall": "shortfall"}
+
 
 def outputs_of(model: AbstractMechanical, t: Any, solved: Solved, torque_rate: Array | None) -> dict[str, Any]:
     """Coordinates, rates, accelerations, torques and their rates by name, and the model's own outputs.
@@ -22,7 +25,7 @@ def outputs_of(model: AbstractMechanical, t: Any, solved: Solved, torque_rate: A
     Raises `ProblemError` where two of them have the same name, or one of the model's own has a name already taken.
     """
     if solved.valid is not None:
-        beside = {"drift": solved.drift, "motion_error": solved.motion_error}
+        beside = {name: getattr(solved, name) for name in _AMOUNTS.values()}
         solved = jax.tree.map(lambda part: jnp.where(solved.valid, part, jnp.nan), solved)._replace(**beside)
     q, q_dot, v, v_dot, torque = solved[:5]
     q_ddot = accelerations(model, q, v, v_dot) if solved.q_ddot is None else solved.q_ddot
@@ -48,10 +51,8 @@ def _standard(
     if torque_rate is not None:
         listed += zip((f"{name}_rate" for name in model.actuators), entries(torque_rate), strict=True)
     if model.constraints:
-        listed += [
-            ("constraint_error", jnp.abs(solved.constraint).max()),
-            ("constraint_rate_error", jnp.abs(solved.constraint_rate).max()),
-        ]
+        missed = {"constraint_error": solved.constraint, "constraint_rate_error": solved.constraint_rate}
+        listed += [(name, jnp.abs(one).max(initial=0.0)) for name, one in missed.items()]
         listed += zip((f"{name}_multiplier" for name in model.constraints), entries(motion.multipliers), strict=True)
         listed += zip(
             (f"{name.removesuffix('_rate')}_reaction" for name in model.speeds), entries(solved.reactions), strict=True
@@ -60,8 +61,8 @@ def _standard(
 
 
 def _missed(solved: Solved) -> list[tuple[str, Any]]:
-    both = (("constraint_drift", solved.drift), ("motion_error", solved.motion_error))
-    return [(name, amount) for name, amount in both if amount is not None]
+    amounts = ((name, getattr(solved, part)) for name, part in _AMOUNTS.items())
+    return [(name, amount) for name, amount in amounts if amount is not None]
 
 
 def _named(model: AbstractMechanical, listed: list[tuple[str, Any]], own: Any) -> dict[str, Any]:

@@ -4,6 +4,7 @@ Equations (70) and (71), and with constraints the saddle-point form of equation 
 dynamics prescribe nothing, inverse dynamics everything: these two take the short cuts of a model, if it has any.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -25,7 +26,9 @@ from aleator.mechanics._mechanical import (
     rate_map,
     rates,
     required_force,
+    velocity_constraint_of,
 )
+from aleator.mechanics._sharing import Shares, bounds_of, shared
 from aleator.mechanics._spatial import Numbers
 
 # Prescribed rates may differ from `H v` by so much, beside the rates, and beside the coordinates each second.
@@ -42,7 +45,9 @@ class Prescribed(NamedTuple):
 
 
 class Partition(NamedTuple):
-    """The places of prescribed coordinates, of the velocities that these drive, and of known torques; of how many."""
+    """The places of prescribed coordinates, of the velocities that these drive, and of known torques; of how many; and
+    how many constraints there are.
+    """
 
     prescribed: tuple[int, ...]
     driven: tuple[int, ...]
@@ -50,6 +55,7 @@ class Partition(NamedTuple):
     coordinates: int
     speeds: int
     actuators: int
+    constraints: int
 
     @property
     def others(self) -> tuple[int, ...]:
@@ -71,8 +77,19 @@ class Partition(NamedTuple):
         """What follows constraints, if there are any."""
         return Loose(self.others, self.undriven)
 
+    @property
+    def surplus(self) -> int:
+        """How many constraints the prescribed motion must obey by itself, for the others follow from the rest."""
+        return max(self.constraints - len(self.undriven), 0)
+
     def may_miss(self, model: AbstractMechanical) -> bool:
-        """Whether a prescribed motion may have rates that are not `H v` of the velocities that it drives."""
+        """Whether rates may miss what they must obey: those prescribed `H v` of the velocities that they drive, all of
+        them velocity constraints.
+        """
+        return bool(model.velocity_constraint_names) or self.may_slip(model)
+
+    def may_slip(self, model: AbstractMechanical) -> bool:
+        """Whether prescribed rates may differ from `H v` of the velocities that they drive."""
         square = len(self.prescribed) == len(self.driven) and not self.undriven
         return bool(self.prescribed) and not (model.moves_directly or square)
 
@@ -100,9 +117,10 @@ class Solved(NamedTuple):
 
     - `q_ddot`: `None` where it follows from `v_dot`;
     - `multipliers`, `reactions`, `constraint`, `constraint_rate`, `drift`: of constraints; `drift` is how far the
-      coordinates had been from them before they were put back; `motion_error`: how far prescribed rates are from `H v`;
-      `None` where there is nothing to check;
-    - `valid`: whether constraints and rates could be obeyed; `None` where they always are.
+      coordinates had been from them before they were put back;
+    - `motion_error`: how far rates are from `H v` and from what velocity constraints ask; `shortfall`: how much of a
+      force the torques cannot make within their bounds; `None` where there is nothing to check;
+    - `valid`: whether all of these could be obeyed; `None` where they always are.
     """
 
     q: Array
@@ -117,7 +135,14 @@ class Solved(NamedTuple):
     constraint_rate: Any = None
     drift: Any = None
     motion_error: Any = None
+    shortfall: Any = None
     valid: Any = None
+
+    def checked(self, error: tuple[Any, Any], shares: Shares) -> "Solved":
+        """The same with a `motion_error` and a `shortfall`, only valid where both are rounding."""
+        flags = [flag for flag in (self.valid, error[1], shares.valid) if flag is not None]
+        valid = functools.reduce(jnp.logical_and, flags) if flags else None
+        return self._replace(motion_error=error[0], shortfall=shares.shortfall, valid=valid)
 
 
 def solved(model: AbstractMechanical, parts: Partition, given: Prescribed, q_u: Array, v_u: Array) -> Solved:
@@ -126,27 +151,36 @@ def solved(model: AbstractMechanical, parts: Partition, given: Prescribed, q_u: 
         return _partly_prescribed(model, parts, given, q_u, v_u)
     if parts.driven:
         path = follow(model, parts, given, q_u, v_u)
-        force = required_force(model, path.q, path.v, path.v_dot)
-        torque = force if model.acts_directly else solve_any(actuation_map(model, path.q), force)
-        motion = Solved(path.q, path.q_dot, path.v, path.v_dot, torque, path.q_ddot)
-        error = motion_error(model, parts, path.q, path.q_dot, path.v)
-        return motion if error is None else motion._replace(motion_error=error[0], valid=error[1])
+        force, bounds = required_force(model, path.q, path.v, path.v_dot), bounds_of(model, path.q, path.v)
+        if model.acts_directly and bounds is None:
+            found = Shares(force)
+        else:
+            found = shared(actuation_map(model, path.q), force, bounds)
+        motion = Solved(path.q, path.q_dot, path.v, path.v_dot, found.torque, path.q_ddot)
+        return motion.checked(motion_error(model, parts, path.q, path.q_dot, path.v), found)
     q = model.normalised(q_u)
     return Solved(
         q, rates(model, q, v_u), v_u, driven(model, q, v_u, _known_force(model, parts, q, given)), given.known
     )
 
 
-def motion_error(model: AbstractMechanical, parts: Partition, q: Array, rate: Array, v: Array) -> Any:
-    """How far rates of prescribed coordinates are from `H v`, and whether that is rounding; `None` if they never are.
+def motion_error(model: AbstractMechanical, parts: Partition, q: Array, rate: Array, v: Array) -> tuple[Any, Any]:
+    """How far rates of prescribed coordinates are from `H v`, and all velocities from what velocity constraints ask;
+    and whether that is rounding. `None` twice if they never are.
 
     `rate` are those of all coordinates, of which the prescribed ones count.
     """
     if not parts.may_miss(model):
-        return None
-    apart = jnp.abs(taken(rate - rates(model, q, v), parts.prescribed)).max()
-    slack = _RATE_ERROR * jnp.abs(taken(rate, parts.prescribed)).max() + _STILL * jnp.abs(q).max()
-    return apart, apart <= slack
+        return None, None
+    apart, sizes = list[Array](), list[Array]()
+    if parts.may_slip(model):
+        apart.append(taken(rate - rates(model, q, v), parts.prescribed))
+        sizes.append(taken(rate, parts.prescribed))
+    if model.velocity_constraint_names:
+        apart.append(velocity_constraint_of(model, q, v))
+        sizes.append(v)
+    amount, size = (jnp.abs(jnp.concatenate(both)).max() for both in (apart, sizes))
+    return amount, amount <= _RATE_ERROR * size + _STILL * jnp.abs(q).max()
 
 
 def _partly_prescribed(
@@ -154,7 +188,7 @@ def _partly_prescribed(
 ) -> Solved:
     a, u, free = parts.driven, parts.undriven, parts.unknown
     drift = valid = None
-    if model.constraints:
+    if model.holonomic:
         integrated = parts.merged(given.position, q_u)
         q, valid, drift = put_back(model, integrated, parts.loose)
         q_u = taken(q, parts.others)
@@ -168,10 +202,14 @@ def _partly_prescribed(
     if model.constraints:
         v = parts.joined(v_a, v_u - saddle.least(bound.rate(v)))
     rest = bias_of(model, q, v) - load_on(model, q, v) - _known_force(model, parts, q, given)
-    force, gamma = -taken(rest, u), bound.acceleration(v)
+    force, gamma, found = -taken(rest, u), bound.acceleration(v), Shares(given.known)
     if not a:
         v_dot, multipliers = saddle.solve(force, gamma)
-        torque = given.known
+    elif parts.surplus:
+        v_dot = parts.joined(v_dot_a, saddle.least(gamma - product(G_a, v_dot_a)))
+        B, needed = columns(actuation_map(model, q), free), product(M, v_dot) + rest
+        found = shared(B, needed, bounds_of(model, q, v, free), bound.G)
+        multipliers = solve_any(bound.G.T, product(B, found.torque) - needed)
     else:
         M_ua, B = block(M, u, a), actuation_map(model, q)
         B_a, B_u = block(B, a, free), block(B, u, free)
@@ -181,10 +219,11 @@ def _partly_prescribed(
         moved, borne = saddle.solve(forces, gammas)
         needed = product(block(M, a, a), v_dot_a) + taken(rest, a)
         needed = needed + product(M_ua.T, moved[:, 0]) + product(G_a.T, borne[:, 0])
-        found = solve_any(B_a - product(M_ua.T, moved[:, 1:]) - product(G_a.T, borne[:, 1:]), needed)
-        v_dot = parts.joined(v_dot_a, moved[:, 0] + product(moved[:, 1:], found))
-        multipliers = borne[:, 0] + product(borne[:, 1:], found)
-        torque = _merged(found, free, given.known, parts.known)
+        effect = B_a - product(M_ua.T, moved[:, 1:]) - product(G_a.T, borne[:, 1:])
+        found = shared(effect, needed, bounds_of(model, q, v, free))
+        v_dot = parts.joined(v_dot_a, moved[:, 0] + product(moved[:, 1:], found.torque))
+        multipliers = borne[:, 0] + product(borne[:, 1:], found.torque)
+    torque = _merged(found.torque, free, given.known, parts.known)
     motion = Solved(q, rates(model, q, v), v, v_dot, torque, drift=drift, valid=valid)
     if model.constraints:
         motion = motion._replace(
@@ -193,10 +232,7 @@ def _partly_prescribed(
             constraint=constraint_of(model, q),
             constraint_rate=bound.rate(v),
         )
-    error = motion_error(model, parts, q, rate, v)
-    if error is not None:
-        motion = motion._replace(motion_error=error[0], valid=error[1] if valid is None else valid & error[1])
-    return motion
+    return motion.checked(motion_error(model, parts, q, rate, v), found)
 
 
 def columns(M: Float[Array, "m n"], places: tuple[int, ...]) -> Float[Array, "m places"]:
@@ -224,9 +260,11 @@ def effect_of_torques(
     if not a or (not u and model.acts_directly):
         return None
     B = actuation_map(model, q)
-    if not u:
+    if not (u or model.constraints):
         return B
     M, G = mass_of(model, q), jacobian_of(model, q)
+    if parts.surplus:
+        return jnp.concatenate([columns(B, free), G.T], axis=1)
     G_a, G_u = (columns(G, some) for some in (a, u))
     moved, borne = Saddle(block(M, u, u), G_u).solve(block(B, u, free), jnp.zeros((len(G), len(free))))
     return block(B, a, free) - product(block(M, a, u), moved) - product(G_a.T, borne)

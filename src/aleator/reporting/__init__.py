@@ -2,7 +2,6 @@
 
 from aleator.reporting._blocks import Band as Band
 from aleator.reporting._blocks import Block as Block
-from aleator.reporting._blocks import Card as Card
 from aleator.reporting._blocks import Choice as Choice
 from aleator.reporting._blocks import Code as Code
 from aleator.reporting._blocks import Drawing as Drawing
@@ -15,6 +14,7 @@ from aleator.reporting._blocks import Verdict as Verdict
 from aleator.reporting._datasets import KINDS as KINDS
 from aleator.reporting._datasets import by_place as by_place
 from aleator.reporting._datasets import dataset as dataset
+from aleator.reporting._datasets import is_group as is_group
 from aleator.reporting._datasets import savable as savable
 from aleator.reporting._datasets import tree as tree
 from aleator.reporting._designs import Axis as Axis
@@ -28,6 +28,8 @@ from aleator.reporting._files import check_writable as check_writable
 from aleator.reporting._files import has_writer as has_writer
 from aleator.reporting._files import only_writer as only_writer
 from aleator.reporting._files import write_whole as write_whole
+from aleator.reporting._first_screen import TARGET as TARGET
+from aleator.reporting._first_screen import proposal as proposal
 from aleator.reporting._first_screen import recommendation as recommendation
 from aleator.reporting._fronts import decision_path_figure as decision_path_figure
 from aleator.reporting._fronts import front_figure as front_figure
@@ -54,7 +56,6 @@ from aleator.reporting._numbers import values_text as values_text
 from aleator.reporting._numbers import words as words
 from aleator.reporting._page import Page as Page
 from aleator.reporting._page import page_html as page_html
-from aleator.reporting._page import verdict as verdict
 from aleator.reporting._page import write_page as write_page
 from aleator.reporting._paths import bands_figure as bands_figure
 from aleator.reporting._paths import histories_figure as histories_figure
@@ -83,6 +84,7 @@ from aleator.reporting._style import DASHES as DASHES
 from aleator.reporting._style import Look as Look
 from aleator.reporting._style import looks as looks
 from aleator.reporting._sweeps import front_blocks as front_blocks
+from aleator.reporting._sweeps import front_table as front_table
 from aleator.reporting._sweeps import linked_front as linked_front
 from aleator.reporting._sweeps import trade_off_blocks as trade_off_blocks
 from aleator.reporting._tables import certificate_table as certificate_table

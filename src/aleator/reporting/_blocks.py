@@ -18,21 +18,8 @@ Level = Literal["good", "caution", "bad"]
 
 @final
 @dataclass(frozen=True)
-class Card:
-    """A key number: its name, its value, and a note on its meaning."""
-
-    label: str
-    value: str
-    note: str = ""
-
-    def __post_init__(self) -> None:
-        _texts(self, "label", "value", "note")
-
-
-@final
-@dataclass(frozen=True)
 class Verdict:
-    """The first screen: a mark and its word, one headline, rows of facts, a few sentences, key numbers.
+    """The first screen: a mark and its word, one headline, rows of facts, a few sentences.
 
     - `rows`: what is said of the proposed design, each with its name.
     """
@@ -41,7 +28,6 @@ class Verdict:
     word: str
     headline: str
     sentences: Sequence[str] = ()
-    cards: Sequence[Card] = ()
     rows: Sequence[tuple[str, str]] = ()
 
     def __post_init__(self) -> None:
@@ -49,7 +35,6 @@ class Verdict:
             raise refusal("Verdict: level", " or ".join(map(repr, get_args(Level))), self.level)
         _texts(self, "word", "headline")
         members("Verdict: sentences", self.sentences, str)
-        members("Verdict: cards", self.cards, Card)
 
 
 @final

@@ -32,8 +32,8 @@ from aleator.validation import Evidence
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-# Instants of a path on a page: more than its figure has pixels for would only make the page larger.
-_INSTANTS = 200
+# Instants of a path on a page: more would only make the page larger.
+_INSTANTS = 120
 # A band is written to this part of the range of its figure, finer than a pixel.
 _FINE = 2000
 
@@ -139,7 +139,7 @@ def _certified(solution: Solution) -> Iterator[tuple[str, str]]:
 
 
 def bands(solution: Solution) -> Iterator[Band]:
-    """What is limited over time, at no more than 200 instants: limits on several paths together, then the other paths
+    """What is limited over time, at no more than 120 instants: limits on several paths together, then the other paths
     in the problem of a design.
     """
     problem, paths = solution.problem, paths_of(solution.problem)
@@ -157,7 +157,7 @@ def bands(solution: Solution) -> Iterator[Band]:
     for name, functional in paths.items():
         if own[name].names or functional not in seen:
             moments, limits = solution.moments[functional.text()], own[name]
-            yield from _bands(name, units[name], solution.instants, moments, limits.sigmas, limits.texts)
+            yield from _bands(name, units[name], solution.times_of(functional), moments, limits.sigmas, limits.texts)
 
 
 def _bands(

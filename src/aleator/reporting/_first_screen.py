@@ -1,12 +1,14 @@
-"""`recommendation`: the first screen of a page, of a proposed design, its evidence and a nominal one."""
+"""The first screen: `recommendation`, of a design, its evidence and a nominal one; `proposal`, of any designs."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from aleator._core.border import meant
 from aleator._core.errors import ProblemError
 from aleator.design import value, value_at
+from aleator.nlp import Status
 from aleator.reporting._blocks import Verdict
 from aleator.reporting._numbers import (
     count,
@@ -23,7 +25,43 @@ from aleator.solution import Solution
 from aleator.uncertainty import fields_of
 from aleator.validation import Evidence, Share
 
+TARGET = 0.05
+"""The largest share of systems that may break a limit, where nobody says another."""
+
 _SPREADS = ("half_width", "tolerance", "std")
+# What can be read in one breath.
+_NAMED = 3
+_UNSOLVED = {Status.INFEASIBLE: "infeasible", Status.INTERRUPTED: "interrupted"}
+
+
+def proposal(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence], target: float = TARGET) -> Verdict:
+    """The first screen of any designs: the last is the one that is proposed, the others stand beside it.
+
+    The price is that beside the last of the others with the same objective, such as the nominal design.
+    """
+    failed = {name: one for name, one in designs.items() if not one.ok}
+    if failed and len(designs) > 1:
+        reasons = [f"{name}: {one.why()}" for name, one in failed.items()] if len(failed) > 1 else []
+        return Verdict("bad", "Not solved", _unsolved(failed, len(designs)), reasons)
+    *others, proposed = designs
+    design = designs[proposed]
+    same = [name for name in others if str(designs[name].problem.objective) == str(design.problem.objective)]
+    return recommendation(
+        design,
+        evidence.get(proposed),
+        labels={name: name for name in design.decisions},
+        nominal=designs[same[-1]] if same else None,
+        compared={f"for {name}": evidence[name] for name in others if name in evidence and evidence[name].violations},
+        target=target,
+        sentences=[f"{name}: {one.alarm()}" for name, one in evidence.items() if not one.agrees and name != proposed],
+    )
+
+
+def _unsolved(failed: Mapping[str, Solution], designs: int) -> str:
+    """How many of several designs are solved, and what the others are."""
+    states = [f"'{name}' is {_UNSOLVED.get(one.status, 'not solved')}" for name, one in failed.items()]
+    why = f": {next(iter(failed.values())).why().rstrip('.')}" if len(failed) == 1 else ""
+    return f"{designs - len(failed)} of {designs} designs are solved; {words(states)}{why}."
 
 
 def recommendation(
@@ -34,9 +72,9 @@ def recommendation(
     nominal: Solution | None = None,
     compared: Mapping[str, Evidence] | None = None,
     confirmation: Share | None = None,
-    target: float = 0.05,
+    target: float = TARGET,
     who: str = "systems",
-    objective: str = "the objective",
+    objective: str = "",
     change: tuple[str, str] = ("higher", "lower"),
     not_verified: Sequence[str] = (),
     sentences: Sequence[str] = (),
@@ -44,8 +82,9 @@ def recommendation(
     """What to build, what it achieves, how often its limits break, what it costs, and what nobody has verified.
 
     - `design`, `evidence`: the proposed one, sampled; `labels`: what its decisions are called, of those to be named;
-    - `nominal`: a design of the same objective, called `objective` in a sentence, in which it is `change[0]` where the
-      number is larger; `compared`: evidence on other designs, by what is said of them (`with the printed margin`);
+    - `nominal`: a design of the same objective, which is called `objective` in a sentence (by default as in the
+      problem), and is `change[0]` where the number is larger; `compared`: evidence on other designs, by what is said of
+      them (`with the printed margin`);
     - `confirmation`: the share that breaks any limit, if it is not that of `evidence`: of a calibration;
     - `target`: the largest share of `who` that may break a limit; `not_verified`: what the study leaves open.
 
@@ -55,33 +94,42 @@ def recommendation(
         if name not in design.decisions:
             known = list(design.decisions)
             raise ProblemError(f"recommendation: there is no decision '{name}'.{meant(name, known)} Expected {known}.")
-    built = [f"{label} {text}" for label, text in _decided(design, labels)]
-    share = confirmation if confirmation is not None or evidence is None or not evidence.violations else evidence.joint
-    open_ = [*_open(design, evidence), *not_verified]
-    rows = [
-        ("Build", "; ".join(f"{label} {text}" for label, text in _toleranced(design, labels))),
-        ("Achieves", f"{objective} {number(design.objective, 4, unit_of_objective(design.problem))}"),
-        ("Limits broken", "; ".join(_broken(evidence, share, target, who))),
-        ("Cost", "" if nominal is None else _price(design, nominal, objective)),
-        ("Not verified", "; ".join(open_)),
-    ]
-    told = {"sentences": sentences, "rows": [(name, text) for name, text in rows if text]}
     if not design.ok:
         return Verdict("bad", "Not solved", f"No design to build: {design.why()}", sentences)
+    share = confirmation if confirmation is not None or evidence is None or not evidence.violations else evidence.joint
+    rows = [
+        ("Build", "; ".join(f"{label} {text}" for label, text in _toleranced(design, labels))),
+        ("Achieves", _achieved(objective or f"{design.problem.objective} =", design)),
+        ("Limits broken", "; ".join(_broken(evidence, share, target, who))),
+        ("Other limits", "; ".join(one.sentence() for one in evidence.compared) if evidence else ""),
+        ("Cost", "" if nominal is None else _price(objective, design, nominal)),
+        ("Not verified", "; ".join([*_open(design, evidence), *not_verified])),
+    ]
+    told: Any = {"sentences": sentences, "rows": [(name, text) for name, text in rows if text]}
     if coarse := unresolved({"design": design}):
         ((text, error),) = coarse.values()
         said = f"Do not build yet: means and spreads of {text} are off by {percent(error)} of the spread."
         return Verdict("bad", "Not resolved", said, **told)
     if evidence is not None and not evidence.agrees:
         return Verdict("bad", "Contradicted", f"Do not build: {evidence.alarm()}", **told)
-    frequency = "" if share is None else _frequency(share, target, who, compared or {})
-    price = "" if nominal is None else f" {_rougher(design, nominal, objective, change)}"
     if evidence is None and share is None:
         said = f"Do not build yet: nobody has counted how often {who} exceed a limit."
-        return Verdict("caution", "Not checked", said, **told)
+        return Verdict("caution", "Solved, not checked", said, **told)
+    frequency = _NOT_COUNTED if share is None else _frequency(share, target, who, compared or {})
+    price = "" if nominal is None else f" {_rougher(design, nominal, objective or 'the objective', change)}"
     if share is not None and share.upper > target:
         return Verdict("caution", "Do not build yet", f"{frequency}{price}", **told)
-    return Verdict("good", "Build", f"Build {', '.join(built)}. {frequency}{price}".strip(), **told)
+    return Verdict("good", "Build", f"Build {_named(design, labels)}. {frequency}{price}", **told)
+
+
+_NOT_COUNTED = "No limit applies to single systems, so none was counted."
+
+
+def _named(design: Solution, labels: Mapping[str, str]) -> str:
+    """The decisions in a sentence, where it can be read in one breath."""
+    if not labels or len(labels) > _NAMED:
+        return "the design below"
+    return ", ".join(f"{label} {text}" for label, text in _decided(design, labels))
 
 
 def _decided(design: Solution, labels: Mapping[str, str]) -> Iterator[tuple[str, str]]:
@@ -112,8 +160,9 @@ def _frequency(share: Share, target: float, who: str, compared: Mapping[str, Evi
     aimed = f"target {given(round(base * target, 6))}"
     others = [f"{_of(base, one.joint.estimate)} {said}" for said, one in compared.items()]
     against = f", against {words(others)}" if others else ""
-    many = f"{_of(base, share.estimate)} {who} in {count(base) if base > 9999 else base}"
-    return f"{many} exceed a limit ({aimed}){against}."
+    many, several = _of(base, share.estimate), count(base) if base > 9999 else base
+    break_it = f"{who.removesuffix('s')} in {several} exceeds" if many == "1" else f"{who} in {several} exceed"
+    return f"{many} {break_it} a limit ({aimed}){against}."
 
 
 def _of(base: int, share: float) -> str:
@@ -132,9 +181,14 @@ def _broken(evidence: Evidence | None, share: Share | None, target: float, who: 
         yield f"any {percent(share.estimate)} [{interval(share)}] {fresh}, target {aimed}"
 
 
-def _price(design: Solution, nominal: Solution, objective: str) -> str:
-    unit = unit_of_objective(design.problem)
-    return f"{objective} {number(design.objective, 4, unit)} instead of {number(nominal.objective, 4, unit)}"
+def _achieved(objective: str, design: Solution) -> str:
+    return f"{objective} {number(design.objective, 4, unit_of_objective(design.problem))}"
+
+
+def _price(objective: str, design: Solution, nominal: Solution) -> str:
+    """Both objectives."""
+    beside = number(nominal.objective, 4, unit_of_objective(nominal.problem))
+    return f"{_achieved(objective, design).lstrip()} instead of {beside}"
 
 
 def _rougher(design: Solution, nominal: Solution, objective: str, change: tuple[str, str]) -> str:
@@ -150,6 +204,7 @@ def _open(design: Solution, evidence: Evidence | None) -> Iterator[str]:
     if evidence is None:
         yield "how often single systems break limits"
     else:
-        yield from (f"{limit} ({why})" for limit, why in evidence.uncounted.items())
+        compared = {one.text for one in evidence.compared}
+        yield from (f"{limit} ({why})" for limit, why in evidence.uncounted.items() if limit not in compared)
     if design.effort.searched is None:
         yield "whether another design, far from this one, is better: it is the best of its neighbourhood"

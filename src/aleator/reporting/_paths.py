@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 # The multiple of the standard deviation in a band, where no limit says another.
 _USUAL = 2.0
 # Systems drawn of many, and instants of theirs.
-_DRAWN, _PIXELS = 60, 700
+_DRAWN, _SHOWN = 60, 350
 
 
 class Limits(NamedTuple):
@@ -173,11 +173,12 @@ def _add_strokes(figure: "Figure", times: np.ndarray, name: str, strokes: Stroke
     draw(figure, short(x), short(y), strokes.colour, mode="lines", **shown)
 
 
-def motion_figure(motions: Motions, name: str, title: str = "") -> "Figure":
-    """The mean of an input, a state or an output over time, with the band of two standard deviations about it."""
-    moments, unit = motions.moments[name], motions.units.get(name, "")
-    paths = components(name, moments.mean, moments.std)
-    return path_figure(np.asarray(motions.times), paths, y=name, unit=unit, sigmas=_USUAL, title=title)
+def motion_figure(motions: Motions, *names: str, title: str = "") -> "Figure":
+    """Means of inputs, states or outputs of one unit over time, with bands of two standard deviations about them."""
+    paths = [components(name, motions.moments[name].mean, motions.moments[name].std) for name in names]
+    every, unit = {part: one for each in paths for part, one in each.items()}, motions.units.get(names[0], "")
+    times = np.asarray(motions.times_of(names[0]))
+    return path_figure(times, every, y=", ".join(names), unit=unit, sigmas=_USUAL, title=title)
 
 
 def histories_figure(
@@ -253,10 +254,12 @@ def trajectory_figure(
 
     The first 60 are drawn; those that violate any bound are highlighted. The title gives the share of all samples.
 
-    - `every`: so many instants are drawn as one, by default so many that a figure has no more than its pixels.
+    - `every`: so many instants are drawn as one, by default so many that at most 350 remain.
     """
-    sampled, instants = [one for one in evidence.trajectories if one.name == name], evidence.solution.instants
-    step = every or math.ceil(len(instants) / _PIXELS)
+    sampled, solution = [one for one in evidence.trajectories if one.name == name], evidence.solution
+    limits = (one for one in solution.problem.constraints if one.name == name and one.is_path)
+    instants = next((solution.times_of(one) for one in limits), solution.instants)
+    step = every or math.ceil(len(instants) / _SHOWN)
     # Both sides of a pair of bounds measure the same quantity.
     values = {one.values.tobytes(): one for one in sampled}.values()
     pairs = [curves(one.values[:_DRAWN, ::step], one.violating[:_DRAWN]) for one in values]

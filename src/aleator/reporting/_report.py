@@ -2,20 +2,20 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import TypeVar, cast
 
 import numpy as np
 
-from aleator._core.border import a_name
+from aleator._core.border import a_name, positive
 from aleator._core.errors import ProblemError
 from aleator.reporting._blocks import Block, Code, Drawing, Section, Text
 from aleator.reporting._choices import evidence_on
 from aleator.reporting._designs import mesh_drawing, search_drawings
 from aleator.reporting._files import as_path, check_writable
+from aleator.reporting._first_screen import TARGET, proposal
 from aleator.reporting._numbers import unit_of_limit, units_of_moments, words
-from aleator.reporting._page import Page, verdict, write_page
-from aleator.reporting._paths import motion_figure, trajectory_figure
+from aleator.reporting._page import Page, write_page
+from aleator.reporting._paths import trajectory_figure
 from aleator.reporting._samples import percentile_figure
 from aleator.reporting._store import provenance
 from aleator.reporting._sweeps import disagreements, front_blocks, trade_off_blocks
@@ -55,14 +55,17 @@ def report(
     along: EvidenceOfAll | Mapping[str, EvidenceOfAll] | None = None,
     path: str | Path,
     title: str = "Design under uncertainty",
+    target: float = TARGET,
 ) -> Path:
     """Write the results of any problem as one HTML page that works offline, and return its path.
 
     Give one solution with its evidence and front, or several of each by name, with evidence and fronts under the names
-    of their designs. Sections without results are omitted; a design that was not solved is reported as such, first.
+    of their designs: the last design is the one that is proposed, on the first screen. Sections without results are
+    omitted; a design that was not solved is reported as such, first.
 
     - `fronts`: of `al.pareto` or `al.trade_off`; a reader who chooses a point sees the design there; `along`: evidence
-      on these designs, of `al.validate_all`.
+      on these designs, of `al.validate_all`;
+    - `target`: the largest share of systems that may break a limit of the proposed design.
 
     Raises `ProblemError` if there is no solution, for evidence on a design that is not shown, and if the file cannot be
     written.
@@ -80,7 +83,18 @@ def report(
         _check_along(one, shown)
     checked = [each for one in sampled_along.values() for each in one.evidence if each is not None]
     check_writable(as_path(path).parent)
-    return write_page(_page(designs, sampled, swept, checked, a_name("report: title", title)), path)
+    page = Page(
+        title=a_name("report: title", title),
+        subtitle=f"{words([str(name) for name in designs])}: result and evidence",
+        verdict=proposal(designs, sampled, positive("report: target", target, below=1.0)),
+        sections=[
+            *sections(designs, sampled, swept, checked),
+            provenance({"designs": designs, "evidence": sampled, "fronts": swept}),
+            Section("How to read this", [Text(HOW_TO_READ)]),
+        ],
+        footer=footer(),
+    )
+    return write_page(page, path)
 
 
 def _named(
@@ -125,8 +139,7 @@ def _check_along(along: EvidenceOfAll, shown: Sequence[Solution]) -> None:
 def sections(
     designs: Mapping[str, Solution],
     evidence: Mapping[str, Evidence],
-    fronts: Mapping[str, Front],
-    trade_offs: Mapping[str, TradeOff] = MappingProxyType({}),
+    fronts: Mapping[str, Front | TradeOff],
     along: Sequence[Evidence] = (),
 ) -> list[Section]:
     """The chapters on any designs: designs side by side, fronts, evidence, trust and mathematics.
@@ -139,9 +152,9 @@ def sections(
     meshes = [mesh_drawing(one.meshes, name) for name, one in designs.items() if any(mesh.worst for mesh in one.meshes)]
     paths, counted = evidence_sections(evidence)
     every = [
-        Section("Designs", [*failed, designs_table(designs, evidence), *_input_drawings(designs)]),
+        Section("Designs", [*failed, *_motions(designs), designs_table(designs, evidence)]),
         paths,
-        trade_offs_section(designs, {**fronts, **trade_offs}, [*along, *evidence.values()]),
+        trade_offs_section(designs, fronts, [*along, *evidence.values()]),
         counted,
         Section("Certificate", [certificate_table(designs), *meshes, *search_drawings(designs)]),
         Section("The problem as mathematics", [Code(name, one.problem_text, True) for name, one in designs.items()]),
@@ -149,13 +162,15 @@ def sections(
     return [one for one in every if one.blocks]
 
 
-def _input_drawings(designs: Mapping[str, Solution]) -> Iterator[Drawing]:
-    """The inputs that designs decide, over time."""
+def _motions(designs: Mapping[str, Solution]) -> Iterator[Drawing]:
+    """The designs that decide inputs over time, in one figure each."""
     for name, one in designs.items():
         if placements(one.problem.inputs).decisions:
-            motions = one.inputs
-            caption = "The mean, with two standard deviations to each side where an input is uncertain."
-            yield Drawing([motion_figure(motions, each) for each in motions], f"Inputs of {name}", caption)
+            caption = (
+                "The inputs, then what is limited over time, then the decisions between their bounds. Bands: two "
+                "standard deviations to each side, or as many as the limit has."
+            )
+            yield Drawing([one.plot()], f"Inputs of {name}, limits and decisions", caption)
 
 
 def evidence_sections(evidence: Mapping[str, Evidence]) -> tuple[Section, Section]:
@@ -173,29 +188,6 @@ def trade_offs_section(
     # The page opens where its design is.
     shown = next((one for one in reversed(list(designs.values())) if one.ok), None)
     return Section("Trade-offs", [*optima, *front_blocks(swept, known, shown), *trade_off_blocks(traded, known, shown)])
-
-
-def _page(
-    designs: dict[str, Solution],
-    evidence: dict[str, Evidence],
-    fronts: dict[str, Front | TradeOff],
-    along: Sequence[Evidence],
-    title: str,
-) -> Page:
-    swept = {name: one for name, one in fronts.items() if isinstance(one, Front)}
-    traded = {name: one for name, one in fronts.items() if isinstance(one, TradeOff)}
-    chapters = sections(designs, evidence, swept, traded, along)
-    return Page(
-        title=title,
-        subtitle=f"{words([str(name) for name in designs])}: result and evidence",
-        verdict=verdict(designs, evidence),
-        sections=[
-            *chapters,
-            provenance({"designs": designs, "evidence": evidence, "fronts": fronts}),
-            Section("How to read this", [Text(HOW_TO_READ)]),
-        ],
-        footer=footer(),
-    )
 
 
 def footer() -> str:

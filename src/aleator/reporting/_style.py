@@ -1,9 +1,10 @@
 """The style of all figures: colours that colour-blind readers can distinguish, one colour and marker per design."""
 
 import html
+import itertools
 import re
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
 
@@ -106,6 +107,43 @@ def legend_at(is_below: bool) -> dict[str, Any]:
     """The place of a legend: above the plot, or below it, where its rows do not reach into a title."""
     below, above = {"y": 0, "yref": "container", "yanchor": "bottom"}, {"y": 1.02, "yref": "paper", "yanchor": "bottom"}
     return below if is_below else above
+
+
+def stacked(figures: "Sequence[Figure]") -> "Figure":
+    """Figures below one another as one, each with its axes and its legend, under the title of the first.
+
+    Those with the same label along the horizontal axis are zoomed together.
+    """
+    first, *others = figures
+    if not others:
+        return first
+    margins = [one.layout.margin for one in figures]
+    heights = [one.layout.height - margin.t - margin.b for one, margin in zip(figures, margins, strict=True)]
+    gaps = [above.b + below.t for above, below in itertools.pairwise(margins)]
+    inner = sum(heights) + sum(gaps)
+    along = first.layout.xaxis.title.text
+    whole = blank("", "", title=first.layout.title.text or "", height=inner + margins[0].t + margins[-1].b)
+    tops = inner - np.cumsum([0, *np.add(heights[:-1], gaps)])
+    for i, (figure, top, height) in enumerate(zip(figures, tops, heights, strict=True)):
+        x, y, legend = (f"{kind}{i + 1 if i else ''}" for kind in ("x", "y", "legend"))
+        layout, low, high = figure.layout.to_plotly_json(), (top - height) / inner, top / inner
+        traces: Any = figure.data
+        alike = i and layout["xaxis"]["title"]["text"] == along
+        whole.layout[x.replace("x", "xaxis")] = layout["xaxis"] | {"anchor": y} | ({"matches": "x"} if alike else {})
+        whole.layout[y.replace("y", "yaxis")] = layout["yaxis"] | {"anchor": x, "domain": [low, high]}
+        whole.layout[legend] = layout["legend"] | {"y": high + 0.01, "yref": "paper", "yanchor": "bottom"}
+        axes = {"xaxis": x, "yaxis": y, "legend": legend}
+        whole.add_traces([one.to_plotly_json() | axes for one in traces])
+        for kind in ("shapes", "annotations"):
+            moved = [_moved(one, x, y) for one in layout.get(kind, ())]
+            whole.layout[kind] = (*whole.layout[kind], *moved)
+    return whole
+
+
+def _moved(drawn: dict[str, Any], x: str, y: str) -> dict[str, Any]:
+    """A line or a text of a figure, by the axes of another."""
+    xref, yref = (re.sub(f"^{axis}", to, drawn.get(f"{axis}ref", axis)) for axis, to in (("x", x), ("y", y)))
+    return drawn | {"xref": xref, "yref": yref}
 
 
 def _in_lines(text: str) -> str:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,8 +18,6 @@ from aleator.validation import Evidence
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
-
-_CHOOSE = "Choose a design, by a click on its point or in the table, to see it beside the figures."
 
 
 def front_blocks(
@@ -63,7 +61,7 @@ def linked_front(
     ]
     choices = [choice(name, one, evidence_on(one, known)) for name, one in zip(names, points, strict=True)]
     doubts = [f"{name}: {one}." for name, front in fronts.items() for one in front.doubts()]
-    caption = " ".join(filter(None, [caption, *doubts, _CHOOSE]))
+    caption = " ".join(filter(None, [caption, *doubts]))
     return Linked(figures, heading, front_table(fronts, known), choices, _nearest(points, recommended), caption, number)
 
 
@@ -78,7 +76,7 @@ def _prefixed(fronts: Mapping[str, Front]) -> list[tuple[str, Front]]:
 
 
 def front_table(fronts: Mapping[str, Front], evidence: Sequence[Evidence] = ()) -> Table:
-    """A row for each point of some fronts along one bound: its optimum and decisions; the status without a design."""
+    """A row for each point of some fronts along one bound: its optimum and decisions; why there is no design."""
     first = next(iter(fronts.values()))
     decided = _numbers_in(first.points[0].problem)
     rows, counted = [], []
@@ -95,7 +93,7 @@ def front_table(fronts: Mapping[str, Front], evidence: Sequence[Evidence] = ()) 
 
 def _nearest(designs: Sequence[Solution | Refused], recommended: Solution | None) -> int:
     """The place of the design that is nearest to the recommended one, among those with its decisions, and before others
-    those with its objective; of the first design where there is none.
+    those with its objective and its uncertain numbers; of the first design where there is none.
     """
     solved = {i: one for i, one in enumerate(designs) if isinstance(one, Solution) and one.ok}
     if recommended is not None:
@@ -105,9 +103,13 @@ def _nearest(designs: Sequence[Solution | Refused], recommended: Solution | None
             vectors = np.array([one.vector for one in alike.values()])
             scale = np.ptp(vectors, axis=0)
             far = np.max(np.abs(vectors - recommended.vector) / np.where(scale > 0, scale, 1.0), axis=1)
-            other = [str(one.problem.objective) != str(recommended.problem.objective) for one in alike.values()]
+            other = [_kind(one.problem) != _kind(recommended.problem) for one in alike.values()]
             return min(zip(other, far.tolist(), alike, strict=True))[-1]
     return next(iter(solved), 0)
+
+
+def _kind(problem: Problem) -> tuple[Any, ...]:
+    return str(problem.objective), problem.placements.germ_names
 
 
 def disagreements(designs: Mapping[str, Solution], fronts: Mapping[str, Front]) -> list[str]:
@@ -130,8 +132,10 @@ def disagreements(designs: Mapping[str, Solution], fronts: Mapping[str, Front]) 
 
 
 def _optimum(front: Front, point: Solution | Refused) -> list[str]:
-    """Objective, shadow price and what is active; the status where there is no design."""
-    if isinstance(point, Refused) or not point.ok:
+    """Objective, shadow price and what is active; the status or the reason where there is no design."""
+    if isinstance(point, Refused):
+        return [f"no design: {point.reason}", "–", "–"]
+    if not point.ok:
         return [STATUS_WORDS[point.status], "–", "–"]
     return [objective_text(point), number(point.multiplier(front.bound), 4), words(list(point.active), "nothing")]
 
@@ -153,7 +157,7 @@ def trade_off_blocks(
 ) -> list[Linked]:
     """For each trade-off: a figure for each pair of wishes, and the designs."""
     known, blocks = list(evidence), []
-    caption = f"Each point is a certified design: none other is better in all wishes. {_CHOOSE}"
+    caption = "Each point is a certified design: none other is better in all wishes."
     for name, front in fronts.items():
         if not front.solutions:
             continue

@@ -240,7 +240,7 @@ def evidence_table(evidence: Mapping[str, Evidence]) -> Table:
             p5, p50, p95 = (sampled.percentiles[i] for i in (1, 3, 5))
             rows.append(
                 [
-                    f"{name}, {text}" + (f" ({units[text]})" if units.get(text) else ""),
+                    (f"{name}, {text}" if name else text) + (f" ({units[text]})" if units.get(text) else ""),
                     f"{number(float(sampled.mean), 5)} ± {number(float(sampled.standard_error), 2)}",
                     number(float(sampled.expanded_mean), 5),
                     number(float(sampled.std), 4),

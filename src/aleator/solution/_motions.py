@@ -1,6 +1,6 @@
 """`Motions`: quantities over time of some realisations of a design, with their means and spreads, by name."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
@@ -26,7 +26,8 @@ class Motions(Mapping[str, "xarray.Dataset"]):
     - `kind`: `inputs`, `states` or `outputs`; `times`: the instants, s, None without time;
     - `systems`: by name, shape (systems, instants, ...); `moments`: mean and standard deviation of each, without the
       axis of systems;
-    - `numbers`: the uncertain numbers of each system, by name; `units`: by name, as far as known.
+    - `numbers`: the uncertain numbers of each system, by name; `units`: by name, as far as known;
+    - `where`: which of the times are those of a name, in whose phase alone it is known; all by default.
     """
 
     def __init__(
@@ -37,9 +38,17 @@ class Motions(Mapping[str, "xarray.Dataset"]):
         moments: Mapping[str, Moments],
         numbers: Mapping[str, Float[np.ndarray | Array, " systems"]],
         units: Mapping[str, str],
+        where: Callable[[str], slice] | None = None,
     ):
         self.kind, self.times, self.systems = kind, times, systems
-        self.moments, self.numbers, self.units = moments, numbers, units
+        self.moments, self.numbers, self.units, self._where = moments, numbers, units, where
+
+    def times_of(self, name: str) -> Float[np.ndarray, " instants"] | None:
+        """The instants at which something is known, s; None without time."""
+        return None if self.times is None else self.times[self._of(name)]
+
+    def _of(self, name: str) -> slice:
+        return slice(None) if self._where is None else self._where(name)
 
     @override
     def __getitem__(self, name: str) -> "xarray.Dataset":
@@ -48,7 +57,8 @@ class Motions(Mapping[str, "xarray.Dataset"]):
         if name not in self.systems:
             raise refusal(self.kind, f"one of {list(self.systems)}", name)
         values, moments, unit = self.systems[name], self.moments[name], {"units": self.units.get(name, "")}
-        time = {} if self.times is None else {"time": ("time", self.times, {"units": "s"})}
+        times = self.times_of(name)
+        time = {} if times is None else {"time": ("time", times, {"units": "s"})}
         along = (*time, *(f"component {i}" for i in range(values.ndim - 1 - len(time))))
         return xarray.Dataset(
             {
@@ -85,7 +95,10 @@ class Motions(Mapping[str, "xarray.Dataset"]):
         for name, moments in self.moments.items():
             unit = f" ({self.units[name]})" if self.units.get(name) else ""
             for kind, values in (("mean", moments.mean), ("std", moments.std)):
-                table = np.reshape(values, (rows, -1))
+                where = self._of(name)
+                own = np.reshape(values, (len(range(rows)[where]), -1))
+                table = np.full((rows, own.shape[1]), np.nan)
+                table[where] = own
                 for i in range(table.shape[1]):
                     place = f"[{i}]" if table.shape[1] > 1 else ""
                     columns[f"{name}{place} {kind}{unit}"] = table[:, i]

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.leaves import Drawn, Printed
-from aleator.design import Problem, instants_at, problem_text
+from aleator.design import AbstractFunctional, Constraint, Problem, instants_at, path_of, problem_text
 from aleator.nlp import HELD, Searched, Status
 from aleator.solution._branching import Branching
 from aleator.solution._certificate import Certificate, Moments, Objection, lines
@@ -232,6 +232,10 @@ class Solution(Drawn):
     def instants(self) -> Float[np.ndarray, " instants"]:
         """The instants of the grid, s; those at the means, where an event ends each realisation at its own time."""
         return instants_at(self.problem, self.vector)
+
+    def times_of(self, path: Constraint | AbstractFunctional) -> Float[np.ndarray, " instants"]:
+        """The instants of a path, or of a limit on one, s: those of its phase, where there are phases."""
+        return self.instants[self.problem.grid.where(path_of(path))]
 
     @property
     def inputs(self) -> Motions:

@@ -7,14 +7,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import NUMBER, jax_array, numbers_to_arrays, refuse_beyond_memory
 from aleator._core.border import one_of, refusal, whole
 from aleator._core.compilation import Compiled, Use
 from aleator.design import Problem, output_units, uncertain
-from aleator.dynamics import STATES, Asked, Grid, System, initial_state, observation
+from aleator.dynamics import STATES, Asked, Grid, System, named, observation
 from aleator.dynamics._grid import sampled
 from aleator.ensemble import draw, in_batches, inputs_at, listed, refuse_nonfinite
 from aleator.solution import Moments, Motions, Solution
@@ -38,17 +37,18 @@ def _simulated(problem: Problem, germ: Float[Array, "systems variables"], decisi
 
     def one(point: Float[Array, " variables"]) -> Histories:
         simulation = realise(problem.simulation, point, decisions)
-        system, grid = simulation.traced, simulation.grid
         numbers = uncertain_numbers(problem.placements, point, decisions)
-        if not (isinstance(system, System) and isinstance(grid, Grid)):
+        if not problem.system.has_time:
             return Histories({}, {}, {name: value[0] for name, value in simulation.history().items()}, numbers)
-        record = simulation.record(Asked(states=bool(system.states)))
-        history, signals = record.outputs, simulation.signals(system)
-        inputs = sampled({name: signals[name] for name in simulation.inputs}, record.grid, grid.fractions)
-        states = {}
-        if system.states:
-            template, unravel = ravel_pytree(initial_state(system, *simulation.start()))
-            states = jax.vmap(unravel)(history.pop(STATES)[:, : len(template)])._asdict()
+        record = simulation.record(Asked(states=problem.is_integrated))
+        history, inputs, states = record.outputs, {}, {}
+        for phase, part in simulation.phases.items():
+            system, grid = part.traced, record.grid.of(f"{phase}.")
+            assert isinstance(system, System)
+            signals = part.signals(system)
+            inputs |= named({phase: sampled({name: signals[name] for name in part.inputs}, grid, grid.fractions)})
+            rows = history.pop(next(iter(named({phase: {STATES: None}}))), None)
+            states |= named({phase: jax.vmap(part.unravelled)(rows)._asdict()}) if system.states else {}
         return Histories(inputs, states, history, numbers)
 
     return jax.vmap(one)(germ)
@@ -67,8 +67,7 @@ def _on_mesh(
         point, rows = system_at
         simulation = realise(problem.simulation, point, decisions)
         system, grid = simulation.traced, simulation.grid
-        unravel = ravel_pytree(initial_state(system, *simulation.start()))[1]
-        states = jax.vmap(unravel)(rows)
+        states = jax.vmap(simulation.unravelled)(rows)
         inputs = {**system.signals(), **simulation.inputs}
         values = sampled(inputs, grid, fractions)
         outputs = jax.vmap(lambda *at: observation(system, *at))(
@@ -137,12 +136,15 @@ def signal_of(solution: Solution, name: str) -> AbstractSignal:
     problem = solution.problem
     if name in problem.inputs:
         certain = realise(at_means(problem.simulation), jnp.zeros(0), jax_array(solution.vector))
-        return certain.inputs[name].over(certain.grid.t_start, certain.grid.t_final)
+        grid = certain.grid.of(name)
+        return certain.inputs[name].over(grid.t_start, grid.t_final)
     outputs = solution.outputs
     if name not in outputs or outputs.times is None:
         over_time = [] if outputs.times is None else list(outputs)
         raise refusal("solution.signal: name", f"one of the inputs and outputs {[*problem.inputs, *over_time]}", name)
-    return Tabulated(outputs.times, outputs.moments[name].mean)
+    times = np.asarray(outputs.times_of(name))
+    begun = 0.0 if isinstance(problem.grid, Grid) else times[0] - problem.grid.of(name).t_start
+    return Tabulated(times - begun, outputs.moments[name].mean)
 
 
 def _instants(solution: Solution) -> Float[np.ndarray, " instants"] | None:
@@ -171,8 +173,9 @@ def _motions(
     moments: Callable[[np.ndarray], Moments],
 ) -> Motions:
     # What is traced comes back in alphabetical order.
-    declared = {"inputs": problem.inputs, "states": getattr(problem.system, "states", ())}
+    inputs = named({phase: part.inputs for phase, part in problem.simulation.phases.items()})
+    declared = {"inputs": inputs, "states": getattr(problem.system, "states", ())}
     traced = getattr(histories, kind)
     systems = {name: traced[name] for name in declared.get(kind, traced)}
     each = {name: moments(values) for name, values in systems.items()}
-    return Motions(kind, times, systems, each, histories.numbers, output_units(problem))
+    return Motions(kind, times, systems, each, histories.numbers, output_units(problem), problem.grid.where)

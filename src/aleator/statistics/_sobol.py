@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import jax_array
+from aleator._core.arrays import in_library, jax_array, quietly
 from aleator._core.border import meant
 from aleator._core.errors import ProblemError
 from aleator.expansion import Basis
@@ -31,6 +31,7 @@ class Sobol(AbstractStatistic):
     variables: tuple[str, ...] = eqx.field(static=True)
 
     dimensionless: ClassVar[bool] = True
+    by_numpy: ClassVar[bool] = True
 
     def __init__(self, variables: str | tuple[str, ...]):
         names = (variables,) if isinstance(variables, str) else tuple(variables)
@@ -66,6 +67,7 @@ class TotalSobol(AbstractStatistic):
     variable: str = eqx.field(static=True)
 
     dimensionless: ClassVar[bool] = True
+    by_numpy: ClassVar[bool] = True
 
     def __init__(self, variable: str):
         if not isinstance(variable, str):
@@ -123,12 +125,14 @@ class With:
         return jax_array(basis.indices[:, place_of(basis, self.variable)] > 0, float)
 
 
+@quietly
 def share(coefficients: Float[Array, "terms *shape"], selected: Float[Array, " terms"]) -> Float[Array, "*shape"]:
     """The part of the variance in the selected terms; zero, with derivative zero, if there is no variance."""
+    library, coefficients, selected, spreads = in_library(coefficients, selected, varies(coefficients))
     squares = coefficients[1:] ** 2
-    total = jnp.sum(squares, axis=0)
-    spreads = varies(coefficients)
-    return jnp.where(spreads, jnp.tensordot(selected[1:], squares, axes=1) / jnp.where(spreads, total, 1.0), 0.0)
+    total = library.sum(squares, axis=0)
+    part = library.tensordot(selected[1:], squares, axes=1) / library.where(spreads, total, 1.0)
+    return jax_array(library.where(spreads, part, 0.0))
 
 
 def refuse_correlated(distributions: Mapping[str, AbstractDistribution], kind: AbstractStatistic) -> None:

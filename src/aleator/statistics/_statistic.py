@@ -38,6 +38,8 @@ class AbstractStatistic(Module):
     speaks_of_one_system: ClassVar[bool] = False
     """Whether a bound on it also applies to a single system, whose value then takes its place: true for a mean or a
     quantile, false for a spread, which is zero for a single system."""
+    by_numpy: ClassVar[bool] = False
+    """Whether `of` computes by NumPy what is known, so that nothing is compiled for it."""
 
     @property
     def preparation(self) -> Preparation | None:
@@ -123,6 +125,7 @@ class Mean(AbstractStatistic):
 
     symbol: ClassVar[str] = "μ"
     speaks_of_one_system: ClassVar[bool] = True
+    by_numpy: ClassVar[bool] = True
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
@@ -142,6 +145,7 @@ class Variance(AbstractStatistic):
     """The variance, equation (33): the sum of squares from the second coefficient on."""
 
     symbol: ClassVar[str] = "Var"
+    by_numpy: ClassVar[bool] = True
 
     @override
     @quietly
@@ -170,6 +174,7 @@ class Std(AbstractStatistic):
     """
 
     symbol: ClassVar[str] = "σ"
+    by_numpy: ClassVar[bool] = True
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
@@ -212,17 +217,20 @@ class Covariance(AbstractStatistic):
     """
 
     symbol: ClassVar[str] = "Cov"
+    by_numpy: ClassVar[bool] = True
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape 2"], constants: Pytree) -> Float[Array, "*shape"]:
         del constants
+        library, coefficients = in_library(coefficients)
         first, second = _both(coefficients[1:])
-        return jnp.sum(first * second, axis=0)
+        return jax_array(library.sum(first * second, axis=0))
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape 2"]) -> Float[Array, "*shape"]:
-        first, second = _both(values - jnp.mean(values, axis=0)[None])
-        return jnp.sum(first * second, axis=0) / (len(values) - 1)
+        library, values = in_library(values)
+        first, second = _both(values - library.mean(values, axis=0)[None])
+        return jax_array(library.sum(first * second, axis=0) / (len(values) - 1))
 
     @override
     def unit(self, *of: str) -> str:
@@ -264,6 +272,7 @@ class Correlation(AbstractStatistic):
     """
 
     symbol: ClassVar[str] = "Corr"
+    by_numpy: ClassVar[bool] = True
     dimensionless: ClassVar[bool] = True
 
     @override
@@ -273,15 +282,20 @@ class Correlation(AbstractStatistic):
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape 2"]) -> Float[Array, "*shape"]:
-        return _cosine(values - jnp.mean(values, axis=0)[None])
+        library, values = in_library(values)
+        return _cosine(values - library.mean(values, axis=0)[None])
 
 
+@quietly
 def _cosine(vectors: Float[Array, "n *shape 2"]) -> Float[Array, "*shape"]:
+    library, vectors = in_library(vectors)
     first, second = _both(vectors)
     # One root each, because the product of both squares overflows earlier.
-    size = root(jnp.sum(first**2, axis=0)) * root(jnp.sum(second**2, axis=0))
+    _, *sizes = in_library(*(root(library.sum(one**2, axis=0)) for one in (first, second)))
+    size = sizes[0] * sizes[1]
     constant = size == 0
-    return jnp.where(constant, 0.0, jnp.sum(first * second, axis=0) / jnp.where(constant, 1.0, size))
+    share = library.sum(first * second, axis=0) / library.where(constant, 1.0, size)
+    return jax_array(library.where(constant, 0.0, share))
 
 
 def _both(stacked: Float[Array, "n *shape outputs"]) -> tuple[Float[Array, "n *shape"], Float[Array, "n *shape"]]:

@@ -1,10 +1,8 @@
-"""The case studies. Each is a package that reads like its chapter, with running and presentation in separate modules.
+"""The case studies. Each is a package that reads like its chapter.
 
     __init__    the physics and the problems
     _chapter    the study from top to bottom: it solves, samples and sweeps, and appends what it finds to the page
     _drawing    a scheme of the system
-
-Clutch and four-bar are staged still (`_staged.py`): `_run` computes, `_facts` tabulates, `_study` joins both.
 
 The command line finds them by name. What runs, saves and shows them is listed in `__init__.pyi` and loaded at its first
 use: whoever wants the physics alone does not wait for it.

@@ -2,7 +2,6 @@
 
 from ._check import Check as Check
 from ._listed import STUDIES as STUDIES
-from ._listed import Entry as Entry
 from ._listed import load as load
 from ._listed import load_file as load_file
 from ._listed import load_module as load_module

@@ -8,7 +8,7 @@ import traceback
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 from aleator._core.border import meant
 from aleator._core.errors import AleatorError, ProblemError
@@ -104,38 +104,14 @@ def _line(error: BaseException, path: Path) -> int:
 _MODULE = re.compile(r"\w+(\.\w+)+(:\w+)?|\w+:\w+")
 
 
-class Entry(NamedTuple):
-    """A study as listed: what it is about, and its class as `module:name`, imported only when it is run."""
-
-    about: str
-    place: str
-
-
+# What each is about.
 STUDIES = {
-    "suspension": Entry(
-        "Quarter car: deterministic, robust and apportioned suspension (sections 6.4 and 7.4)",
-        "aleator.studies.suspension._chapter",
-    ),
-    "clutch": Entry(
-        "One-way clutch: tolerance analysis by every method, and the cheapest tolerances (section 7.2)",
-        "aleator.studies.clutch._study:ClutchStudy",
-    ),
-    "pick-and-place-effort": Entry(
-        "Two-link arm with an uncertain payload: least effort, least spread at the end (section 5.5.1)",
-        "aleator.studies.pick_and_place_effort._chapter",
-    ),
-    "pick-and-place-time": Entry(
-        "Two-link arm with an uncertain payload: least time, and the margin that it takes (section 5.5.2)",
-        "aleator.studies.pick_and_place_time._chapter",
-    ),
-    "swing-up": Entry(
-        "Double pendulum of uncertain mass, driven at one joint: swing-up of least energy (section 5.5.3)",
-        "aleator.studies.swing_up._chapter",
-    ),
-    "four-bar": Entry(
-        "Straight-line linkage, a closed loop driven by its crank: robust lengths, and the cheapest tolerances",
-        "aleator.studies.four_bar._study:FourBarStudy",
-    ),
+    "suspension": "Quarter car: deterministic, robust and apportioned suspension (sections 6.4 and 7.4)",
+    "clutch": "One-way clutch: tolerance analysis by every method, and the cheapest tolerances (section 7.2)",
+    "pick-and-place-effort": "Two-link arm, uncertain payload: least effort, least spread at the end (section 5.5.1)",
+    "pick-and-place-time": "Two-link arm, uncertain payload: least time, and the margin that it takes (section 5.5.2)",
+    "swing-up": "Double pendulum of uncertain mass, driven at one joint: swing-up of least energy (section 5.5.3)",
+    "four-bar": "Straight-line linkage, a closed loop driven by its crank: robust lengths, and the cheapest tolerances",
 }
 
 
@@ -156,12 +132,7 @@ def load(name: str, *, quick: bool = False) -> AbstractStudy:
             f"There is no study '{name}'; expected one of {sorted(STUDIES)} (see `aleator list`), or a file of "
             f"your own, such as {own}.py (`aleator new {own}.py` begins one)."
         )
-    place, _, kind = STUDIES[name].place.partition(":")
-    module = import_module(place)
-    if not kind:
-        return CaseStudy(module, quick=quick)
-    study: Any = getattr(module, kind)
-    return study(study.quick if quick else study.full)
+    return CaseStudy(import_module(f"aleator.studies.{name.replace('-', '_')}._chapter"), quick=quick)
 
 
 def _quick(study: AbstractStudy, name: str) -> AbstractStudy:

@@ -1,22 +1,24 @@
 """`Study`: a study of one's own, declared by its problems alone."""
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from typing import Any, final
 
 from typing_extensions import override
 
-from aleator._core.border import a_name, one_of, refusal, whole
+from aleator._core.border import a_name, one_of, positive, refusal, whole
 from aleator._core.errors import ProblemError
 from aleator.design import Expression, Problem
 from aleator.nlp import AbstractSolver
 from aleator.reporting import (
+    TARGET,
     certificate_table,
     designs_table,
     evidence_sections,
     evidence_table,
+    proposal,
     sections,
     trade_offs_section,
-    verdict,
     violations_table,
 )
 from aleator.solution import Solution, in_brief
@@ -45,7 +47,8 @@ class Study(AbstractStudy):
     A file with this as `study`, or with problems alone, is run by `aleator run FILE.py`.
 
     - `designs`: a problem, or several by name: each is solved, and validated on `samples` fresh systems drawn with
-      `seed`; the last is the one that is proposed, on which the verdict is, and the others stand beside it;
+      `seed`; the last is the one that is proposed, and the others stand beside it;
+    - `target`: the largest share of systems that may break a limit of the proposed design;
     - `sweeps`: values of bounds by the names of constraints, along which the last design is solved again
       (`al.pareto`); `wishes`: what is traded off in the last design (`al.trade_off`), at `points` places; each solved
       point is validated on as many systems as a design;
@@ -65,6 +68,7 @@ class Study(AbstractStudy):
         subtitle: str = "",
         samples: int = 20_000,
         seed: int = 0,
+        target: float = TARGET,
         sweeps: Mapping[str, Sequence[float]] | None = None,
         wishes: Mapping[str, Expression] | None = None,
         points: int = 12,
@@ -77,6 +81,7 @@ class Study(AbstractStudy):
         self.title = one_of("Study: title", title, str)
         self.subtitle = one_of("Study: subtitle", subtitle, str)
         self._samples, self._seed = whole("Study: samples", samples, least=2), whole("Study: seed", seed, least=0)
+        self._target = positive("Study: target", target, below=1.0)
         if not isinstance(sweeps, Mapping | None):
             raise refusal("Study: sweeps", "values by the names of constraints", sweeps)
         swept = (sweeps or {}).items()
@@ -86,18 +91,22 @@ class Study(AbstractStudy):
         self._solver = None if solver is None else one_of("Study: solver", solver, AbstractSolver, "al.solvers.Ipopt()")
         self._transcription = one_of("Study: transcription", transcription, AbstractTranscription, "al.Sequential()")
         self._workers = None if workers is None else whole("Study: workers", workers)
-        self._is_quick = quick
+        self._is_quick = False
         for name, values in self._sweeps.items():
             check_sweepable("Study: sweeps", self._last, name, values)
+        if quick:
+            self._shrink()
 
     def quickened(self) -> "Study":
         """The same study, small enough for a first look."""
-        return self._with(
-            samples=max(self._samples // _QUICK_SAMPLES, 2),
-            sweeps={name: one[::_QUICK_POINTS].tolist() for name, one in self._sweeps.items()},
-            points=max(self._points // _QUICK_POINTS, max(2, len(self._wishes))),
-            quick=True,
-        )
+        quick = copy(self)
+        quick._shrink()
+        return quick
+
+    def _shrink(self) -> None:
+        self._is_quick, self._samples = True, max(self._samples // _QUICK_SAMPLES, 2)
+        self._sweeps = {name: one[::_QUICK_POINTS] for name, one in self._sweeps.items()}
+        self._points = max(self._points // _QUICK_POINTS, max(2, len(self._wishes)))
 
     @property
     @override
@@ -111,24 +120,9 @@ class Study(AbstractStudy):
                 f"--workers {count}: the study '{self.title}' has nothing to share among processes: expected "
                 "`sweeps` or `wishes`. A single solve takes all cores of the machine by itself."
             )
-        return self._with(workers=count)
-
-    def _with(self, **changed: Any) -> "Study":
-        """The same study with other settings."""
-        settings: dict[str, Any] = {
-            "title": self.title,
-            "subtitle": self.subtitle,
-            "samples": self._samples,
-            "seed": self._seed,
-            "sweeps": {name: one.tolist() for name, one in self._sweeps.items()},
-            "wishes": self._wishes or None,
-            "points": self._points,
-            "solver": self._solver,
-            "transcription": self._transcription,
-            "workers": self._workers,
-            "quick": self._is_quick,
-        }
-        return Study(self.problems, **{**settings, **changed})
+        shared = copy(self)
+        shared._workers = whole("Study: workers", count)
+        return shared
 
     @property
     @override
@@ -178,7 +172,7 @@ class Study(AbstractStudy):
             if design.ok:
                 evidence[name] = validate(design, self._samples, seed=self._seed, progress=page.progress)
                 page.keep("evidence", {name: evidence[name]})
-        page.recommend(verdict(designs, evidence))
+        page.recommend(proposal(designs, evidence, self._target))
         page.append(*evidence_sections(evidence))
         if evidence:
             page.add(violations_table(evidence), printed=True)

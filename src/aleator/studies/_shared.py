@@ -1,71 +1,20 @@
-"""What pages of several studies share: missing recommendations, violation rates, a design found in a second way.
+"""What several studies share: the search for a margin, numbers stored, a design in a second way.
 
 The second way is direct collocation, which shares neither discretisation nor solver with shooting.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 import aleator as al
-from aleator._core.border import Progress
-from aleator.reporting import (
-    Card,
-    Drawing,
-    Section,
-    Table,
-    Verdict,
-    calibration_figure,
-    given,
-    mesh_drawing,
-    number,
-    percent,
-    share_text,
-    unresolved,
-    words,
-)
+from aleator.reporting import Drawing, Table, calibration_figure, given, number, percent
 
-SECOND_WAY = "second way"
-"""The name of its stage."""
+if TYPE_CHECKING:
+    import xarray
 
-_HEADING, _DIGITS = "A second way", 8
-
-
-def no_recommendation(
-    designs: Mapping[str, al.Solution],
-    evidence: Mapping[str, al.results.Evidence],
-    awaited: Sequence[str],
-    sentences: Sequence[str],
-    cards: Sequence[Card],
-    also: Mapping[str, al.Solution] | None = None,
-) -> Verdict | None:
-    """The verdict where something is missing, not solved or not resolved; None where all designs can be judged.
-
-    - `awaited`: the designs that need evidence; `also`: further solutions whose expansions must be resolved.
-    """
-    if failed := [name for name, one in designs.items() if not one.ok]:
-        why = [f"{name}: {designs[name].why()}" for name in failed]
-        headline = f"{words(failed)} could not be solved: no recommendation."
-        return Verdict("bad", "Not solved", headline, [*why, *sentences], cards)
-    if not set(awaited) <= set(evidence):
-        headline = "The study was stopped before its evidence: no recommendation yet."
-        return Verdict("caution", "Incomplete", headline, sentences, cards)
-    if coarse := unresolved({**designs, **(also or {})}):
-        headline = f"The expansion of {words(list(coarse))} is too coarse to trust."
-        return Verdict("bad", "Not resolved", headline, sentences, cards)
-    return None
-
-
-def violation_rows(evidence: Sequence[al.results.Evidence | None], broken: str) -> Iterator[list[str]]:
-    """Rows of a table with designs as columns: how often fresh systems break each limit, and any limit.
-
-    `broken` begins each row: `Cars beyond`, `Systems that break`.
-    """
-    found = [one for one in evidence if one is not None]
-    for limit in dict.fromkeys(limit for one in found for limit in one.violations):
-        yield [f"{broken} {limit}", *(share_text(one.violations.get(limit)) if one else "–" for one in evidence)]
-    if found:
-        yield [f"{broken} any limit", *(share_text(one.joint) if one else "–" for one in evidence)]
+_DIGITS = 8
 
 
 def signed(change: float) -> str:
@@ -84,21 +33,13 @@ def margin_drawing(found: al.results.Calibration, heading: str, who: str, margin
     return Drawing([calibration_figure(found, who=who)], heading, caption)
 
 
-def found_both_ways(name: str, problem: al.Problem, progress: Progress) -> al.results.CrossChecked:
-    """A design by shooting and by direct collocation."""
-    return al.cross_check(problem, progress=lambda task, *done: progress(f"{name}, {task}", *done))
+def stored(name: str, rows: Mapping[str, Sequence[float]], units: Mapping[str, str]) -> "xarray.Dataset":
+    """Rows of numbers, whose labels are the coordinate `name`, as columns with units."""
+    import xarray
 
-
-def collocated(name: str, found: al.results.CrossChecked | None) -> dict[str, al.Solution]:
-    """What the study keeps of it: the design by direct collocation, once it is found."""
-    return {} if found is None else {name: found.second}
-
-
-def second_way(name: str, found: al.results.CrossChecked | None) -> Section:
-    """The chapter that compares both, without blocks before they are found."""
-    if found is None:
-        return Section(_HEADING, [])
-    return Section(_HEADING, [comparison_table(name, found), mesh_drawing(found.second.meshes, name)])
+    columns = zip(units.items(), zip(*rows.values(), strict=True), strict=True)
+    variables = {column: (name, list(values), {"units": unit}) for (column, unit), values in columns}
+    return xarray.Dataset(variables, coords={name: list(rows)})
 
 
 def comparison_table(name: str, found: al.results.CrossChecked) -> Table:

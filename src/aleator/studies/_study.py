@@ -23,13 +23,14 @@ from aleator.reporting import (
     Verdict,
     by_place,
     footer,
+    is_group,
     provenance,
     savable,
     save_study,
     write_page,
 )
 
-_TERMS = ("Term", "Meaning")
+_TERMS, _LEFT_OUT = ("Term", "Meaning"), "Left out"
 
 
 class AbstractStudy(abc.ABC):
@@ -230,9 +231,11 @@ class Draft:
         return write_page(self.page(), folder / PAGE)
 
     def headline(self) -> str:
-        """The first screen in a sentence."""
+        """The first screen in a sentence, with what is left out."""
         verdict = self._verdict()
-        return f"{verdict.word}: {verdict.headline}"
+        return " ".join(
+            [f"{verdict.word}: {verdict.headline}", *(text for name, text in verdict.rows if name == _LEFT_OUT)]
+        )
 
     def page(self) -> Page:
         """The page so far: the recommendation, how the run ended, the sections, and how to read them."""
@@ -274,7 +277,7 @@ class Draft:
             return Verdict("caution", word, f"Nothing to build yet. {why}")
         if not (skipped := self._study.left_out):
             return verdict
-        return replace(verdict, headline=f"{verdict.headline} This was a quick run, without {skipped}.")
+        return replace(verdict, rows=[*verdict.rows, (_LEFT_OUT, f"This was a quick run, without {skipped}.")])
 
 
 def _joined(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, Any]:
@@ -282,7 +285,7 @@ def _joined(earlier: Mapping[str, Any], later: Mapping[str, Any]) -> dict[str, A
     joined = dict(earlier)
     for name, one in later.items():
         before = joined.get(name)
-        joined[name] = _joined(before, one) if isinstance(before, Mapping) and isinstance(one, Mapping) else one
+        joined[name] = _joined(before, one) if is_group(before) and is_group(one) else one
     return joined
 
 

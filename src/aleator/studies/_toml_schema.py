@@ -4,6 +4,8 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 
+from aleator.reporting import TARGET
+
 # Texts and truth values are no numbers.
 Real: TypeAlias = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Truth: TypeAlias = Annotated[bool, Field(strict=True)]
@@ -98,6 +100,9 @@ class StudyFile(_Table):
     subtitle: str = ""
     samples: Annotated[Whole, Field(ge=2, le=10_000_000_000)] = 20_000
     seed: Annotated[Whole, Field(ge=0)] = 0
+    target: Annotated[Real, Field(gt=0, lt=1, description="The largest share of systems that may break a limit.")] = (
+        TARGET
+    )
     workers: Annotated[Whole, Field(ge=1, le=10_000)] | None = None
     deterministic: Annotated[Truth, Field(description="Solve the problem at the means too, for comparison.")] = False
     model: Annotated[

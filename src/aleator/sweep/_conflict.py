@@ -13,7 +13,7 @@ from aleator._core.border import Progress, one_of, silent
 from aleator._core.errors import SimulationError
 from aleator._core.leaves import Printed
 from aleator.certification import diagnose
-from aleator.design import Problem, is_at_points, is_worst_case
+from aleator.design import Problem, is_at_points, is_worst_case, path_of
 from aleator.ensemble import inputs_at
 from aleator.nlp import HELD, AbstractSolver, Excess, Ipopt, least_excess, variable_range
 from aleator.solution import system_text
@@ -164,7 +164,7 @@ def _limit(
     for i in pushing:
         constraint = transcribed.problem.constraints[i]
         if constraint.is_path:
-            instants = transcribed.times_limited(together.point)
+            instants = transcribed.times_limited(together.point, path_of(constraint))
             times.update(instants[in_the_way[i].reshape(len(instants), -1).any(axis=1)].tolist())
         if scenarios is not None and (is_worst_case(constraint) or is_at_points(constraint)):
             slots = in_the_way[i].reshape(-1, len(scenarios.used)).any(axis=0)

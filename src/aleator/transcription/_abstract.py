@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from aleator._core.compilation import Compiled, Use
-from aleator.design import Constraint, Problem, functionals_of, history, statistics_in
+from aleator.design import Constraint, Problem, functionals_of, history, path_of, statistics_in
 from aleator.dynamics import Grid
 from aleator.expansion import Basis, Collocation
 from aleator.nlp import AbstractSolver, NonlinearProgram, default_solver
@@ -127,26 +127,29 @@ class AbstractTranscribed(abc.ABC):
     def at_scenarios(self, scenarios: Scenarios) -> Self:
         """The same problem with its limits on the worst case imposed at other scenarios."""
 
-    @property
-    def limited(self) -> Float[np.ndarray, " limited"]:
-        """Where limits over time are imposed, as fractions of the duration: at the instants of the grid, and on a mesh
-        at its nodes between these.
+    def limited(self, path: str) -> Float[np.ndarray, " limited"]:
+        """Where limits over time on an output are imposed, as fractions of the duration, or of that of its phase: at
+        the instants of the grid, and on a mesh at its nodes between these.
         """
-        return self.problem.grid.fractions if isinstance(self.problem.grid, Grid) else np.zeros(1)
+        grid = self.problem.grid.of(path)
+        return grid.fractions if isinstance(grid, Grid) else np.zeros(1)
 
-    @property
-    def declared(self) -> Int[np.ndarray, " instants"]:
+    def declared(self, path: str) -> Int[np.ndarray, " instants"]:
         """Which of the places in `limited` are the instants of the grid."""
-        grid = self.problem.grid
-        return np.searchsorted(self.limited, grid.fractions - _SAME) if isinstance(grid, Grid) else np.zeros(1, int)
+        grid = self.problem.grid.of(path)
+        return (
+            np.searchsorted(self.limited(path), grid.fractions - _SAME) if isinstance(grid, Grid) else np.zeros(1, int)
+        )
 
     def at_instants(self, limit: Constraint, rows: Float[np.ndarray, " rows"]) -> Float[np.ndarray, " some"]:
         """The rows of a limit without those between the instants of the grid."""
-        return rows.reshape(len(self.limited), -1)[self.declared].ravel() if limit.is_path else rows
+        path = path_of(limit)
+        return rows.reshape(len(self.limited(path)), -1)[self.declared(path)].ravel() if path else rows
 
-    def times_limited(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " limited"]:
+    def times_limited(self, point: Float[np.ndarray, " variables"], path: str) -> Float[np.ndarray, " limited"]:
         """The places in `limited` as times, s."""
-        return np.interp(self.limited, self.limited[self.declared], self.at(point).times)
+        limited, times = self.limited(path), self.at(point).times[self.problem.grid.where(path)]
+        return np.interp(limited, limited[self.declared(path)], times)
 
     @property
     def fineness(self) -> int:

@@ -20,6 +20,7 @@ from aleator.design import (
     Statistic,
     is_at_points,
     is_worst_case,
+    path_of,
 )
 from aleator.nlp import HELD, UNBOUNDED, Evaluation, Matrix, Outcome, variable_range
 from aleator.statistics import Mean, Std, Variance
@@ -308,7 +309,8 @@ def refuse_unsatisfiable(
     for i, row in suspects:
         if all(other[i][row] == values[i][row] for other in others):
             one, value = problem.constraints[i], float(values[i][row])
-            when = f" at t = {times[row * len(times) // len(values[i])]:.4g} s" if one.is_path else ""
+            own = times[problem.grid.where(path_of(one))] if one.is_path else times
+            when = f" at t = {own[row * len(own) // len(values[i])]:.4g} s" if one.is_path else ""
             raise ProblemError(
                 f"Constraint '{one.name}' ({one}) is {value:.6g}{when} whatever the decisions are, so that no design "
                 "can meet it. Move what is fixed there (a start inside an obstacle, an end beyond a limit), or change "

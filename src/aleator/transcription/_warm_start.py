@@ -117,7 +117,7 @@ def _realised(problem: Problem, vector: Array, paths: list[str]) -> tuple[list[A
     """The trajectories in some places at the means, and the duration that they fill, s."""
     model = realise(at_means(problem.simulation), jnp.zeros(0), vector)
     curves = _curves(model)
-    return [curves[path] for path in paths], model.grid.t_final - model.grid.t_start
+    return [curves[path] for path in paths], model.grid.duration
 
 
 def _nodes(breaks: Float[np.ndarray, " ends"]) -> tuple[Float[np.ndarray, " nodes"], Float[np.ndarray, " nodes"]]:

@@ -20,6 +20,7 @@ from aleator.uncertainty._decision import ends as ends
 from aleator.uncertainty._distribution import AbstractDistribution as AbstractDistribution
 from aleator.uncertainty._distribution import Canonical as Canonical
 from aleator.uncertainty._distribution import Form as Form
+from aleator.uncertainty._distribution import constant as constant
 from aleator.uncertainty._families import Beta as Beta
 from aleator.uncertainty._families import Gamma as Gamma
 from aleator.uncertainty._families import Normal as Normal

@@ -153,20 +153,21 @@ def _truncated_quantile(below: Array, above: Array, low: Array, high: Array) -> 
     return jnp.where(from_high, -1, 1) * special.ndtri(tail)
 
 
-def _truncated_moments(low: Scalar, high: Scalar) -> tuple[Array, Array]:
+def _truncated_moments(low: Scalar, high: Scalar) -> tuple[Scalar, Scalar]:
     """Mean and standard deviation of the truncated standard normal distribution.
 
     Computed by Gauss quadrature, whose error is below rounding here: the closed form loses all digits in a tail or in a
     narrow interval.
     """
-    first = jnp.maximum(low, -jnp.sqrt(jnp.maximum(-high, 0) ** 2 + _REACH))
-    last = jnp.minimum(high, jnp.sqrt(jnp.maximum(low, 0) ** 2 + _REACH))
+    xp, low, high = in_library(low, high)
+    first = xp.maximum(low, -xp.sqrt(xp.maximum(-high, 0) ** 2 + _REACH))
+    last = xp.minimum(high, xp.sqrt(xp.maximum(low, 0) ** 2 + _REACH))
     z = (first + last) / 2 + (last - first) / 2 * _NODES
-    peak = jnp.clip(0.0, low, high)
-    weights = jnp.exp(-(z - peak) * (z + peak) / 2) * _WEIGHTS
-    weights = weights / jnp.sum(weights)
-    mean = jnp.sum(weights * z)
-    return mean, jnp.sqrt(jnp.sum(weights * (z - mean) ** 2))
+    peak = xp.clip(0.0, low, high)
+    weights = xp.exp(-(z - peak) * (z + peak) / 2) * _WEIGHTS
+    weights = weights / xp.sum(weights)
+    mean = xp.sum(weights * z)
+    return mean, xp.sqrt(xp.sum(weights * (z - mean) ** 2))
 
 
 def _truncated_normal(location: Scalar, scale: Scalar, lower: Scalar, upper: Scalar) -> Canonical:

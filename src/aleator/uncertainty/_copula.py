@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy
 from jaxtyping import Float
@@ -166,7 +165,7 @@ def _standard_values(distribution: AbstractDistribution) -> Float[np.ndarray, " 
     """The distribution's standardised values (zero mean, unit standard deviation) at `_NORMALS`."""
     shape = distribution.concrete_shape()
     with jax.ensure_compile_time_eval():
-        values = np.asarray(jax.vmap(lambda normal: distribution.from_normal(normal, shape))(jnp.asarray(_NORMALS)))
+        values = np.asarray(jax.jit(jax.vmap(lambda normal: distribution.from_normal(normal, shape)))(_NORMALS))
     values = values - _PROBABILITIES @ values
     return values / np.sqrt(_PROBABILITIES @ values**2)
 

@@ -204,10 +204,22 @@ def _simulate(
 
 
 def _moments(value: Array, is_wanted: Bool[Array, ""], count: Int[Array, ""]) -> list[Array]:
-    """Over the wanted systems of a batch, the mean and the sums of the powers 2 to 4 of deviations from it."""
-    mean = jax.lax.psum(jnp.where(is_wanted, value, 0.0), _SYSTEMS) / count
-    away = jnp.where(is_wanted, value - mean, 0.0)
-    return [mean, *(jax.lax.psum(away**power, _SYSTEMS) for power in (2, 3, 4))]
+    """Over the wanted systems of a batch, the mean and the sums of the powers 2 to 4 of deviations from it.
+
+    Deviations are those from the first system, from which those from the mean follow: one pass, and products
+    with a vector of ones, because XLA adds up numbers one by one.
+    """
+    every, wanted = (jax.lax.all_gather(one, _SYSTEMS) for one in (value, is_wanted))
+    away = jnp.where(wanted.reshape(-1, *[1] * value.ndim), every - every[:1], 0.0)
+    square, ones = away**2, jnp.ones(len(every))
+    first, second, third, fourth = (ones @ powers for powers in (away, square, away * square, square**2))
+    d = first / count
+    return [
+        every[0] + d,
+        second - count * d**2,
+        third - 3 * d * second + 2 * count * d**3,
+        fourth - 4 * d * third + 6 * d**2 * second - 3 * count * d**4,
+    ]
 
 
 SIMULATE = Compiled(_simulate)

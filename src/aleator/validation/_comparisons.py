@@ -175,7 +175,7 @@ def compared(solution: Solution, problem: Problem, known: Mapping[str, Estimated
             text=str(limit),
             value=float(value[i]),
             standard_error=float(error[i]),
-            time=_instant(solution.instants if limit.is_path else None, i, value.size),
+            time=_instant(solution.times_of(limit) if limit.is_path else None, i, value.size),
             bound=upper if value[i] - upper >= lower - value[i] else lower,
             beyond=float(beyond[i]),
             tolerance=HELD * solved.scale,

@@ -147,7 +147,7 @@ def _not_finite(
     numbers = listed(inputs_at(problem.placements, point, decisions))
     outputs = {name: np.asarray(values)[None] for name, values in history(problem, point, decisions).items()}
     what = ""
-    if (broken := first_broken(outputs)) is not None:
+    if (broken := first_broken(outputs, problem.grid)) is not None:
         instant = instants_at(problem, np.asarray(decisions))[broken.instant]
         what = f": output '{broken.name}'" + (f" from t = {instant:.4g} s on" if problem.system.has_time else "")
     else:

@@ -95,10 +95,12 @@ def evidence_of(solution: Solution, systems: Systems, whole: Batch, seed: int, s
 
 def _from_finer(evidence: Evidence) -> Iterator[Disagreement]:
     """Where the one system on a finer grid contradicts the design's own grid."""
-    instants = evidence.solution.instants
+    solution = evidence.solution
+    paths = {one.text(): one for one in functionals_of(solution.problem.expressions) if one.is_path}
     for text, one in evidence.functionals.items():
+        times = solution.times_of(paths[text]) if text in paths else None
         floor = _ALONE * max(float(np.max(np.abs(one.expanded_mean))), HELD)
-        numbers, times = (one.expanded_mean, one.mean, one.standard_error), instants if np.ndim(one.mean) else None
+        numbers = one.expanded_mean, one.mean, one.standard_error
         if found := worst_disagreement(text, *numbers, samples=1, freedom=1, floor=floor, times=times):
             yield replace(found, source="the design's own grid")
 
@@ -151,9 +153,9 @@ def _moments(evidence: Evidence) -> Iterator[Disagreement]:
     """Means and standard deviations; functionals with only a worst case do not use the expansion."""
     solution, certificate = evidence.solution, evidence.solution.certificate
     deviations = {} if certificate.grid_error is None else certificate.grid_error.functionals
-    for text in (one.text() for one in expanded_functionals(solution.problem.expressions)):
+    for functional in expanded_functionals(solution.problem.expressions):
+        text, is_path = functional.text(), functional.is_path
         one = evidence.functionals[text]
-        is_path = np.ndim(one.mean) > 0
         ignored = (
             ROUNDING * float(np.max(np.abs(one.mean))),
             # Some are mere rounding, such as of a rate that is zero at the end of every motion.
@@ -171,7 +173,7 @@ def _moments(evidence: Evidence) -> Iterator[Disagreement]:
                 samples=evidence.samples,
                 freedom=evidence.samples - 1,
                 floor=float(np.nanmax(ignored)),
-                times=solution.instants if is_path else None,
+                times=solution.times_of(functional) if is_path else None,
             )
             if found is not None:
                 yield found

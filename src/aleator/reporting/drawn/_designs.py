@@ -1,6 +1,6 @@
 """Figures and facts of solutions: paths, histories of simulated systems, decisions, states, costates, switching."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -32,11 +32,12 @@ from aleator.reporting._paths import (
     path_figure,
     paths_of,
 )
-from aleator.reporting._style import ALARM, LIMIT, MUTED, SIZE, Look, blank, draw, label, looks, plain
+from aleator.reporting._style import ALARM, LIMIT, MUTED, SIZE, Look, blank, draw, label, looks, plain, stacked
 from aleator.reporting._tables import decision_text, limit_rows, objective_text, status_words
 from aleator.reporting.drawn._facts import AbstractPlots, Facts, chosen, facts_of, plots_of, unknown
 from aleator.solution import Costates, MeshError, Solution, States, Switching
 from aleator.solving import simulate_systems
+from aleator.uncertainty import AbstractDecision, placements
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -105,6 +106,8 @@ _NO_PATH = (
     "plot.histories simulates any output."
 )
 _NO_OUTPUT = "expected a system with outputs; received one without."
+# The limits over time that one figure has room for.
+_LIMITS = 6
 _SIMULATED = "expected a solution by al.Simultaneous(); received one whose states were simulated: see plot.histories."
 
 
@@ -113,12 +116,14 @@ class SolutionPlots(AbstractPlots[Solution]):
     """Figures of a solution."""
 
     def __call__(self) -> "Figure":
-        """The limit over time that is active, by the band of its path where it is on one alone; without such a limit,
-        the band of the first path; without a path, where the decisions lie.
+        """The design in one figure: the inputs that it decides over time, what is limited over time with its limits,
+        active ones first, and where the decisions lie between their bounds.
+
+        At most six limits over time are drawn; without any, the first path in the problem.
         """
-        if self._active() and self._held_path() is None:
-            return self.limit()
-        return self.band() if paths_of(self._result.problem) else self.decisions()
+        limited = self._limited() or ([self.band()] if paths_of(self._result.problem) else [])
+        parts = [*self._inputs(), *limited]
+        return stacked([*parts, self.decisions()] if self._between_bounds() or not parts else parts)
 
     def band(self, output: str | None = None, *, sigmas: float | None = None) -> "Figure":
         """The mean of a path over time with the band of `sigmas` standard deviations about it, and its limits.
@@ -133,7 +138,7 @@ class SolutionPlots(AbstractPlots[Solution]):
         unit = unit_of_functional(functional, problem)
         limits, moments = limits_of(problem, functional, unit), self._result.moments[functional.text()]
         return path_figure(
-            self._result.instants,
+            self._result.times_of(functional),
             components(f"mean of {name}", moments.mean, moments.std),
             sigmas=limits.sigmas if sigmas is None else positive("plot.band: sigmas", sigmas),
             y=name,
@@ -161,7 +166,7 @@ class SolutionPlots(AbstractPlots[Solution]):
         limits = {} if limited is None or limited.output != name else limits_of(problem, limited, unit).texts
         who = "random systems" if is_random else "systems"
         shown = {"unit": unit, "limits": limits, "title": self._warning(), "who": who}
-        return histories_figure(np.asarray(motions.times), motions.systems[name], y=name, **shown)
+        return histories_figure(np.asarray(motions.times_of(name)), motions.systems[name], y=name, **shown)
 
     def limit(self, name: str | None = None) -> "Figure":
         """What a limit over time is on (such as mean + 2 σ), its bounds, and where it is active; by default the one
@@ -193,13 +198,10 @@ class SolutionPlots(AbstractPlots[Solution]):
 
         An array of decisions has one marker for each entry. Decisions without two finite bounds have no such place.
         """
-        solution = self._result
-        places = {name: one.decision for name, one in solution.problem.placements.decisions.items()}
-        shown = {name: one for name, one in places.items() if np.all(np.isfinite(np.subtract(one.upper, one.lower)))}
+        solution, shown = self._result, self._between_bounds()
         if not shown:
-            raise ProblemError(
-                f"plot.decisions: expected a decision with two finite bounds; received {list(places)} without them."
-            )
+            known = list(solution.problem.placements.decisions)
+            raise ProblemError(f"plot.decisions: expected a decision with two finite bounds; received {known} without.")
         figure = blank(label("Way from the lower to the upper bound", "%"), "", height=130 + 44 * len(shown))
         look = looks(["design"])["design"]
         for row, (name, one) in enumerate(shown.items()):
@@ -226,7 +228,7 @@ class SolutionPlots(AbstractPlots[Solution]):
         """An input over time, with the band of two standard deviations about its mean; by default the first."""
         inputs = dict.fromkeys(self._result.problem.inputs, "")
         name, _ = chosen("plot.input", name, inputs, "expected a problem with inputs; received one without.")
-        return motion_figure(self._result.inputs, name, self._warning())
+        return motion_figure(self._result.inputs, name, title=self._warning())
 
     def state(self, name: str | None = None) -> "Figure":
         """A state over time, of all realisations of a simultaneous program."""
@@ -256,6 +258,33 @@ class SolutionPlots(AbstractPlots[Solution]):
     def _active(self) -> list[str]:
         """The limits over time that are active."""
         return [one.name for one in self._result.constraints if one.times is not None and np.any(one.active)]
+
+    def _inputs(self) -> "Iterator[Figure]":
+        """The inputs that are decided, those of one unit and phase together."""
+        names = [name for name, one in self._result.problem.inputs.items() if placements(one).decisions]
+        if names:
+            motions = self._result.inputs
+            alike = dict[Any, list[str]]()
+            for name in names:
+                unit, times = motions.units.get(name) or name, np.asarray(motions.times_of(name))
+                alike.setdefault((unit, times.tobytes()), []).append(name)
+            for each in alike.values():
+                yield motion_figure(motions, *each, title=self._warning())
+
+    def _limited(self) -> "list[Figure]":
+        """The limits over time, each by its path where it is on one alone; active ones first."""
+        problem, active = self._result.problem, set(self._active())
+        alone = {path: limits_of(problem, one, "").names for path, one in paths_of(problem).items()}
+        over_time = dict.fromkeys(one.name for one in self._result.constraints if one.times is not None)
+        every = [(self.band, path, bool(names & active)) for path, names in alone.items() if names]
+        every += [(self.limit, name, name in active) for name in over_time if name not in set().union(*alone.values())]
+        return [figure(name) for figure, name, _ in sorted(every, key=lambda one: not one[2])[:_LIMITS]]
+
+    def _between_bounds(self) -> dict[str, AbstractDecision]:
+        """The decisions that have two finite bounds."""
+        every = self._result.problem.placements.decisions.items()
+        places = {name: one.decision for name, one in every}
+        return {name: one for name, one in places.items() if np.all(np.isfinite(np.subtract(one.upper, one.lower)))}
 
     def _held_path(self) -> str | None:
         """A path on which alone there is an active limit; None without one."""

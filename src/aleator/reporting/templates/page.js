@@ -7,7 +7,16 @@ function dataFor(element) {
   return JSON.parse(document.querySelector(`script[data-for="${element.id}"]`).textContent);
 }
 
+/** Plotly is read when the first figure is drawn: before, a page can be read and scrolled. */
+function library() {
+  if (window.Plotly) return;
+  const script = document.createElement("script");
+  script.text = document.querySelector("[data-library]").textContent;
+  document.head.append(script);
+}
+
 function draw(plot) {
+  library();
   const { data, layout, frames } = dataFor(plot);
   // Dragging stays with the page on touch screens: there it scrolls.
   layout.dragmode = matchMedia("(pointer: coarse)").matches ? false : "zoom";

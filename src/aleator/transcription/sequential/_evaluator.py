@@ -18,7 +18,6 @@ from aleator._core.arrays import jax_array
 from aleator._core.compilation import Compiled, Use
 from aleator._core.parallel import over_devices
 from aleator.design import AbstractFunctional, Expression, Problem, functionals_of, grid_at
-from aleator.dynamics import Grid
 from aleator.expansion import Collocation
 from aleator.nlp import Evaluation
 from aleator.statistics import Constants
@@ -121,7 +120,7 @@ def parts_of(
     points, fit = np.asarray(collocation.points), np.asarray(collocation.pseudo_inverse)
     grid, count = problem.grid, len(points)
     tangents = 1 + problem.placements.size
-    whole = not (problem.is_integrated and isinstance(grid, Grid)) or constants.scenarios is not None
+    whole = not problem.is_integrated or constants.scenarios is not None
     if whole or count < 2 * _FEWEST_POINTS or count * grid.steps * tangents < _FEWEST_NUMBERS:
         return [(points, fit)]
     number = min(max(2, count // _POINTS_OF_A_PART), _MOST_PARTS)

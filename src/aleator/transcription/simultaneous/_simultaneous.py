@@ -11,7 +11,7 @@ from aleator._core.arrays import numbers_to_arrays
 from aleator._core.border import one_of, positive, refusal, whole
 from aleator._core.errors import ProblemError
 from aleator.design import Problem, needed_events
-from aleator.dynamics import MOST_STAGES, AbstractScheme, Grid, HermiteSimpson
+from aleator.dynamics import MOST_STAGES, AbstractScheme, Grid, HermiteSimpson, LinkedGrid
 from aleator.nlp import AbstractSolver, Ipopt
 from aleator.solution import Solution
 from aleator.transcription._abstract import AbstractTranscription, Meanwhile
@@ -110,6 +110,11 @@ class Simultaneous(AbstractTranscription):
         return len(problem.system.states) * points * len(discretised(problem).collocation.points)
 
     def _first_mesh(self, problem: Problem) -> Mesh:
+        if isinstance(problem.grid, LinkedGrid):
+            raise ProblemError(
+                f"al.Simultaneous ties states on the mesh of one phase; received {problem.system.title}. Use "
+                "al.Sequential(), the default."
+            )
         if not isinstance(problem.grid, Grid):
             raise ProblemError(
                 f"al.Simultaneous ties states over time: expected a system that moves in time; received "

@@ -169,14 +169,14 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
             times=self._instants(point, grid.fractions),
         )
 
-    @property
     @override
-    def limited(self) -> Float[np.ndarray, " limited"]:
+    def limited(self, path: str) -> Float[np.ndarray, " limited"]:
+        del path
         return self.layout.plan.recorded(self.layout.pointwise.grid)
 
     def _at_instants(self, samples: dict[AbstractFunctional, Any]) -> dict[AbstractFunctional, Any]:
         """Functionals on every realisation, paths at the instants of the grid alone."""
-        return {one: values[:, self.declared] if one.is_path else values for one, values in samples.items()}
+        return {one: values[:, self.declared(one.place)] if one.is_path else values for one, values in samples.items()}
 
     @staticmethod
     def _apart(samples: np.ndarray, numbers: np.ndarray, sizes: np.ndarray) -> np.ndarray:

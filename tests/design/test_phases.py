@@ -1,0 +1,319 @@
+"""Motions in phases, against SciPy, against one phase, and against a published value."""
+
+from functools import cache
+from typing import ClassVar
+
+import numpy as np
+import pytest
+import scipy
+
+import aleator as al
+from aleator.reporting import dataset
+from zoo import G
+
+
+class Rocket(al.System):
+    """A rocket that burns its fuel at a constant flow, with drag; its stage has a dry mass."""
+
+    states = ("h", "v", "m")
+    thrust: al.Number
+    flow: al.Number = 0.0
+    dry: al.Number = 0.0
+    drag: al.Number = 0.01
+    events: ClassVar = {
+        "burnout": al.Event(lambda self, t, z: z.m - self.dry, direction=-1),
+        "top": al.Event(lambda self, t, z: z.v, direction=-1),
+        "rest": al.Event(lambda self, t, z: z.v, direction=1),
+    }
+
+    def initial(self):
+        return {"m": 20.0}
+
+    def rhs(self, t, z):
+        return z.v, (self.thrust - self.drag * z.v * abs(z.v)) / z.m - G, -self.flow
+
+    def outputs(self, t, z):
+        return {"h": z.h, "v": z.v, "m": z.m}
+
+
+# The mass of the first stage's hull, which is dropped when its fuel is burnt.
+HULL, BURNT = 3.0, 10.0
+
+
+def dropped(self, t, z):
+    return {"m": z.m - HULL}
+
+
+def staging(burn=2.0, steps=40, **options):
+    """The height at the end of the second stage's burn, whose duration is decided."""
+    flight = al.Phases(
+        first=al.Phase(
+            Rocket(al.Uniform(500.0, half_width=50.0), 2.0, BURNT), al.Grid(until="burnout", at_most=20.0, steps=steps)
+        ),
+        second=al.Phase(Rocket(200.0, 0.5, 1.0), al.Grid(al.Decision(burn, 1.0, 6.0), steps)),
+        link={"second": dropped},
+    )
+    return al.Problem(flight, expansion=al.Expansion(order=4), **options)
+
+
+def flown(thrust, burn):
+    """The states at the end of both stages, by SciPy."""
+
+    def rates(t, z, thrust, flow):
+        return [z[1], (thrust - 0.01 * z[1] * abs(z[1])) / z[2] - G, -flow]
+
+    exact = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-12}
+    first = scipy.integrate.solve_ivp(rates, (0, 5.0), [0.0, 0.0, 20.0], args=(thrust, 2.0), **exact).y[:, -1]
+    begun = [first[0], first[1], first[2] - HULL]
+    return first, scipy.integrate.solve_ivp(rates, (0, burn), begun, args=(200.0, 0.5), **exact).y[:, -1]
+
+
+@cache
+def staged():
+    burn, speed = al.objectives.final_time("second"), al.terminal("v")
+    return al.solve(
+        staging(
+            minimize=burn,
+            subject_to=[
+                al.terminal("h").at_least(700.0, sigmas=1),
+                al.at("burnout", phase="first").mean <= 10.0,
+                al.path("v", phase="first").mean <= 200.0,
+                speed.mean <= 300.0,
+                al.integral("v", phase="first").mean <= 1e3,
+            ],
+        )
+    )
+
+
+def test_two_stages_end_where_scipy_ends_them_one_after_the_other():
+    found = staged()
+    assert found.ok, found
+    burn, height = found.decisions["second.t_final"], found.outputs["second.h"]["systems"]
+    for thrust, own, speed in zip(
+        found.outputs["second.h"]["first.thrust"].values,
+        height.values[:, -1],
+        found.outputs["first.v"]["systems"].values[:, -1],
+        strict=True,
+    ):
+        first, second = flown(thrust, burn)
+        assert (own, speed) == pytest.approx((second[0], first[1]), rel=1e-8)
+
+
+def test_the_burn_is_the_least_that_reaches_the_height_with_a_margin():
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+
+    def margin(burn):
+        heights = np.array([flown(500.0 + 50.0 * node, burn)[1][0] for node in nodes])
+        mean = weights @ heights / 2
+        return mean - np.sqrt(weights @ (heights - mean) ** 2 / 2) - 700.0
+
+    found = staged()
+    assert found.decisions["second.t_final"] == pytest.approx(scipy.optimize.brentq(margin, 1.0, 6.0), rel=1e-6)
+    # The way of the first stage is the integral of its speed over its own time, which ends when its fuel is burnt.
+    heights = np.array([flown(500.0 + 50.0 * node, 1.0)[0][0] for node in nodes])
+    assert found.statistics["μ[∫first.v dt]"] == pytest.approx(weights @ heights / 2, rel=1e-8)
+    assert found.statistics["μ[t_first.burnout]"] == pytest.approx(5.0, rel=1e-9)
+
+
+def test_instants_of_phases_stand_one_after_the_other():
+    found = staged()
+    burn = found.decisions["second.t_final"]
+    assert found.instants[[0, 40, 41, 81]] == pytest.approx([0.0, 5.0, 5.0, 5.0 + burn], rel=1e-8)
+    assert found.outputs["second.m"]["time"].values[[0, -1]] == pytest.approx([5.0, 5.0 + burn], rel=1e-8)
+    assert found.states["second.m"]["mean"].values[0] == pytest.approx(BURNT - HULL, rel=1e-8)
+    (limit,) = (one for one in found.constraints if one.name == "first.v(t)")
+    assert np.asarray(limit.times)[[0, -1]] == pytest.approx([0.0, 5.0], rel=1e-8)
+    assert list(found.outputs["first.time"]["mean"].values[[0, -1]]) == pytest.approx([0.0, 5.0], rel=1e-8)
+    assert dataset(found)["mean first.v(t)"]["time of first"].values[-1] == pytest.approx(5.0, rel=1e-8)
+
+
+def test_fresh_systems_agree_and_figures_show_each_phase():
+    found = staged()
+    evidence = al.validate(found, samples=200, seed=1)
+    assert evidence.agrees, evidence
+    end = found.instants[-1]
+    figures = found.plot.band("first.v"), evidence.plot.band("first.v"), found.plot.histories("second.m")
+    for figure, span in zip(figures, [(0.0, 5.0), (0.0, 5.0), (5.0, end)], strict=True):
+        shown = np.concatenate([np.asarray(one.x, float) for one in figure.data if one.x[0] is not None])
+        assert (np.nanmin(shown), np.nanmax(shown)) == pytest.approx(span, rel=1e-6)
+
+
+class Lander(al.System):
+    """A fall that is braked until it rests; the engine burns a little at first, then not, then fully."""
+
+    states = ("h", "v", "m")
+    thrust: al.Number
+    throttle: al.Number = 1.0
+    events: ClassVar = {"rest": al.Event(lambda self, t, z: z.v, direction=1)}
+
+    def initial(self):
+        return {"h": 1000.0, "v": -20.0, "m": 10.0}
+
+    def burn(self, z, throttle):
+        force = self.thrust * throttle
+        return z.v, force / z.m - 1.6, -force / 2000.0
+
+    def rhs(self, t, z):
+        return self.burn(z, self.throttle)
+
+    def outputs(self, t, z):
+        return {"h": z.h, "m": z.m}
+
+
+class Switched(Lander):
+    """The same in one phase, whose throttle switches at decided times."""
+
+    def rhs(self, t, z, throttle):  # pyright: ignore[reportIncompatibleMethodOverride]
+        return self.burn(z, throttle)
+
+
+def test_a_coast_between_two_burns_is_the_same_design_in_three_phases_and_in_one():
+    thrust, coast = al.Normal(60.0, 0.5).shared("thrust"), al.Decision(8.0, 1.0, 20.0)
+    limits = {"minimize": -al.terminal("m").mean, "subject_to": [al.terminal("h").at_least(10.0, sigmas=3)]}
+    phases = al.Phases(
+        turn=al.Phase(Lander(thrust, 0.1), al.Grid(1.0, 5)),
+        coast=al.Phase(Lander(thrust, 0.0), al.Grid(coast, 20)),
+        brake=al.Phase(Lander(thrust), al.Grid(until="rest", at_most=30.0, steps=40)),
+    )
+    three = al.solve(al.Problem(phases, **limits))
+    throttle = al.StepFunction([1.0, al.Decision(9.0, 2.0, 21.0)], [0.1, 0.0, 1.0])
+    grid = al.Grid(until="rest", at_most=60.0, steps=100)
+    one = al.solve(al.Problem(Switched(thrust), grid=grid, inputs={"throttle": throttle}, **limits))
+    assert three.ok, three
+    assert one.ok, one
+    assert three.objective == pytest.approx(one.objective, rel=1e-8)
+    (duration,), (switch,) = three.decisions.values(), one.decisions.values()
+    assert 1.0 + duration == pytest.approx(switch, rel=1e-6)
+    assert three.multiplier("brake.h") == pytest.approx(one.multiplier("h"), rel=1e-6)
+
+
+def delayed(part):
+    """The unit of time number `part` of `x'(t) = x(t - 1) u(t - 2)`, beside all before it, which begin anew.
+
+    `x1` … are what `x` is in the units of time so far; `u1` … the inputs there, zero before.
+    """
+
+    class Delayed(al.System):
+        states = tuple(f"x{i}" for i in range(1, part + 1))
+
+        def initial(self):
+            return {"x1": 1.0}
+
+        def rhs(self, t, z, **u):
+            return tuple(z[i - 2] * u[f"u{i - 2}"] if i > 2 else 0.0 * z[0] for i in range(1, part + 1))
+
+        def outputs(self, t, z, **u):
+            x, now = z[-1], u[f"u{part}"]
+            return {"cost": x**2 + now**2, "sum": x + now}
+
+        further_inputs: ClassVar = tuple(f"u{i}" for i in range(1, part + 1))
+
+    return Delayed()
+
+
+def test_a_chain_of_delays_costs_what_betts_publishes():
+    inputs = {f"u{i}": al.Control(0.0, degree=1) for i in range(1, 7)}
+    parts = {
+        f"part{i}": al.Phase(
+            delayed(i),
+            al.Grid(1.0, 20),
+            {name: inputs[name] for name in list(inputs)[:i]},
+            subject_to=[al.path("sum").mean >= 0.3],
+        )
+        for i in range(1, 7)
+    }
+
+    def shift(self, t, z):
+        return {"x1": 1.0} | {f"x{i + 2}": value for i, value in enumerate(z)}
+
+    phases = al.Phases(**parts, link=dict.fromkeys(list(parts)[1:], shift))
+    first, *others = (al.integral("cost", phase=name).mean for name in parts)
+    found = al.solve(al.Problem(phases, minimize=sum(others, start=first)))
+    assert found.ok, found
+    # Betts (2010), 10.50, as straight lines between 20 instants of each unit of time allow.
+    assert found.objective == pytest.approx(3.10812211, rel=1e-3)
+
+
+def test_one_phase_is_what_it_was():
+    rocket, grid, limit = Rocket(al.Decision(300.0, 250.0, 400.0), 1.0), al.Grid(2.0, 8), al.terminal("h").mean <= 40.0
+    alone = al.solve(al.Problem(rocket, grid=grid, minimize=-al.terminal("v").mean, subject_to=[limit]))
+    phases = al.Phases(only=al.Phase(rocket, grid, subject_to=[limit]))
+    phased = al.solve(al.Problem(phases, minimize=-al.terminal("v").mean))
+    assert phased.objective == alone.objective
+    assert phased.decisions["only.thrust"] == alone.decisions["thrust"]
+    assert np.array_equal(phased.outputs["only.h"]["mean"], alone.outputs["h"]["mean"])
+
+
+def test_a_simulation_returns_the_outputs_of_each_phase():
+    first = al.Phase(Rocket(500.0, 2.0, BURNT), al.Grid(until="burnout", at_most=20.0, steps=40))
+    phases = al.Phases(first=first, second=al.Phase(Rocket(200.0, 0.5), al.Grid(2.0, 40)), link={"second": dropped})
+    found = al.simulate(phases)
+    ends = flown(500.0, 2.0)
+    for name, right in zip(("first", "second"), ends, strict=True):
+        assert [found[f"{name}.{one}"][-1] for one in "hvm"] == pytest.approx(right, rel=1e-7)
+    with pytest.raises(al.ProblemError, match=r"names of their phases, such as 'first.h'; received \['h'\]"):
+        al.simulate(phases, only=["h"])
+
+
+def test_a_system_in_two_phases_has_the_same_numbers_in_both():
+    rocket = Rocket(al.Uniform(500.0, half_width=50.0), 2.0)
+    phases = al.Phases(a=al.Phase(rocket, al.Grid(1.0, 4)), b=al.Phase(rocket, al.Grid(al.Decision(1.0, 0.5, 2.0), 4)))
+    problem = al.Problem(phases, minimize=al.terminal("h").mean)
+    assert list(problem.placements.germ_names) == ["a.thrust"]
+    assert "b: Rocket(h, v, m), 4 steps to t_final, RungeKutta4" in str(problem)
+
+
+def test_a_phase_that_never_ends_is_named_with_the_states_that_it_begins_with():
+    phases = al.Phases(
+        first=al.Phase(Rocket(al.Decision(500.0, 400.0, 600.0), 2.0), al.Grid(1.0, 4)),
+        second=al.Phase(Rocket(0.0), al.Grid(until="top", at_most=1.0, steps=4)),
+    )
+    with pytest.raises(al.SimulationError, match=r"In the phase 'second', Rocket .*never meets 'top'"):
+        al.solve(al.Problem(phases, minimize=al.terminal("h").mean))
+
+
+def test_phases_that_do_not_fit_together_are_refused_where_they_are_declared():
+    class Capsule(Rocket):
+        states = ("h", "v", "chute")
+        events: ClassVar = {}
+
+        def rhs(self, t, z):
+            return z.v, -G, 0.0
+
+        def outputs(self, t, z):
+            return {"h": z.h}
+
+    first, last = (al.Phase(one, al.Grid(1.0, 2)) for one in (Rocket(300.0), Capsule(al.Decision(1.0, 0.5, 2.0))))
+
+    def problem(minimize=None, link=None, **options):
+        links = {"descent": lambda self, t, z: {"chute": 0.0}} | (link or {})
+        phases = al.Phases(ascent=first, descent=last, link=links)
+        return al.Problem(phases, minimize=al.terminal("h").mean if minimize is None else minimize, **options)
+
+    height = al.path("h")
+    for words, make in {
+        r"'descent' has the state 'chute', which 'ascent' does not have, and no link gives it: write link=": lambda: (
+            al.Problem(al.Phases(ascent=first, descent=last), minimize=al.terminal("h").mean)
+        ),
+        r"some of the states \('h', 'v', 'chute'\) of Capsule": lambda: problem(
+            link={"descent": lambda self, t, z: {"parachute": 0.0}}
+        ),
+        r"There is no phase 'ascend'; expected one of \['ascent', 'descent'\]. Did you mean 'ascent'": lambda: problem(
+            al.terminal("h", phase="ascend").mean
+        ),
+        r"There is no phase 'ascend'; expected one of \['ascent', ": lambda: problem(al.at("top", phase="ascend").mean),
+        r"There is no output of Capsule 'm'; expected one of \['h'\]": lambda: problem(al.terminal("m").mean),
+        "paths of several phases": lambda: problem(subject_to=[height.mean - al.path("h", phase="ascent").mean <= 1.0]),
+        "there are several phases": lambda: problem(al.time_integral(height.std)),
+        r"name of a phase that begins after another, one of \['descent'\]; received 'ascent'": lambda: problem(
+            link={"ascent": lambda self, t, z: {}}
+        ),
+        "grids and inputs of their own": lambda: problem(grid=al.Grid(1.0, 2)),
+        "declare the problem again": lambda: problem().on_grid(al.Grid(1.0, 2)),
+        "Phases: ascent": lambda: al.Phases(ascent=Rocket(300.0)),  # pyright: ignore[reportArgumentType]
+        "Phase: grid": lambda: al.Phase(Rocket(300.0), 3.0),  # pyright: ignore[reportArgumentType]
+    }.items():
+        with pytest.raises(al.ProblemError, match=words):
+            make()
+    with pytest.raises(al.ProblemError, match=r"one phase; received Phases\(ascent, descent\). Use al.Sequential"):
+        al.solve(problem(), transcription=al.Simultaneous())

@@ -1,0 +1,225 @@
+"""Edges and wheels, which bind velocities but no coordinates, against closed forms: forward, inverse and hybrid."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from closed_loops import ClosedTree, SliderCrank
+from double_pendulum import G, simulate
+
+import aleator as al
+from zoo import optimum
+
+SPIN, SLOPE = 2.0, 0.3
+
+
+class Edge(al.Lagrangian):
+    """A knife edge on an incline: a body that does not move across its heading."""
+
+    names = ("x", "y", "heading")
+    velocity_constraint_names = ("edge",)
+    slope: al.Number = SLOPE
+
+    def kinetic_energy(self, q, v):
+        return 0.5 * (v[0] ** 2 + v[1] ** 2 + 0.1 * v[2] ** 2)
+
+    def potential_energy(self, q):
+        return -G * jnp.sin(self.slope) * q[0]
+
+    def velocity_constraint(self, q, v):
+        return (v[0] * jnp.sin(q[2]) - v[1] * jnp.cos(q[2]),)
+
+
+TURNING = al.PowerSeries(start=(0.0, SPIN), end=(2.0 * SPIN, SPIN))
+STATES = {
+    "forward": al.ForwardDynamics(Edge(), start={"heading_rate": SPIN}),
+    "hybrid": al.HybridDynamics(Edge(), motion={"heading": TURNING}, torque={"x_torque": 0.0, "y_torque": 0.0}),
+}
+
+
+@pytest.mark.parametrize("kind", STATES)
+def test_a_knife_edge_slides_down_and_up_the_incline_again(kind):
+    found = simulate(STATES[kind], al.Grid(2.0, 400))
+    turned, pull = SPIN * np.linspace(0.0, 2.0, 401), G * np.sin(SLOPE)
+    np.testing.assert_allclose(found["x"], pull / (2 * SPIN**2) * np.sin(turned) ** 2, rtol=0, atol=1e-9)
+    along = pull / (2 * SPIN**2) * (turned - np.sin(2 * turned) / 2)
+    np.testing.assert_allclose(found["y"], along, rtol=0, atol=1e-9)
+    # The force across the edge, from the acceleration along x.
+    np.testing.assert_allclose(found["edge_multiplier"], 2 * pull * np.sin(turned), rtol=0, atol=1e-8)
+    assert found["constraint_rate_error"].max() < 1e-14
+
+
+MASS, INERTIA, ABOUT, RADIUS = 2.0, 0.3, 0.2, 0.4
+
+
+class Disk(al.Mechanical):
+    """An upright disk that rolls on a plane and may be steered."""
+
+    names = ("x", "y", "heading", "turn")
+    actuator_names = ("heading_torque", "turn_torque")
+    velocity_constraint_names = ("rolling", "sliding")
+
+    def mass_matrix(self, q):
+        return jnp.diag(jnp.array([MASS, MASS, ABOUT, INERTIA]))
+
+    def velocity_constraint(self, q, v):
+        c, s = jnp.cos(q[2]), jnp.sin(q[2])
+        return c * v[0] + s * v[1] - RADIUS * v[3], c * v[1] - s * v[0]
+
+
+def test_a_disk_rolls_in_a_circle():
+    rate, spin = 1.5, 4.0
+    start = {"heading_rate": rate, "turn_rate": spin}
+    found = simulate(al.ForwardDynamics(Disk(), start=start), al.Grid(2.0, 200))
+    times, speed = np.linspace(0.0, 2.0, 201), RADIUS * spin
+    np.testing.assert_allclose(found["x"], speed / rate * np.sin(rate * times), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(found["y"], speed / rate * (1 - np.cos(rate * times)), rtol=0, atol=1e-8)
+    # What holds it in the circle acts to the left, as the multiplier of what is zero to the left acts to the right.
+    np.testing.assert_allclose(found["sliding_multiplier"], -MASS * speed * rate, rtol=1e-9)
+    np.testing.assert_allclose(found["rolling_multiplier"], 0.0, rtol=0, atol=1e-9)
+
+
+ROLLED, REST = al.PowerSeries(start=(0.0, 0.0), end=(1.0, 0.0)), al.PowerSeries(start=(0.0, 0.0), end=(0.0, 0.0))
+STRAIGHT = {
+    "x": al.PowerSeries(start=(0.0, 0.0), end=(RADIUS, 0.0)),
+    "y": REST,
+    "heading": REST,
+    "turn": ROLLED,
+}
+
+
+@pytest.mark.parametrize("names", [("heading", "turn"), ("x", "y", "heading"), ("x", "y", "heading", "turn")])
+def test_prescribed_coordinates_may_be_all_those_that_obey_the_constraints(names):
+    system = al.InverseDynamics(Disk(), motion={name: STRAIGHT[name] for name in names})
+    found = simulate(system, al.Grid(1.0, 8))
+    angular = 6.0 - 12.0 * np.linspace(0.0, 1.0, 9)
+    np.testing.assert_allclose(found["turn_torque"], (INERTIA + MASS * RADIUS**2) * angular, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found["rolling_multiplier"], -MASS * RADIUS * angular, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found["heading_torque"], 0.0, rtol=0, atol=1e-9)
+    rate = -12.0 * (INERTIA + MASS * RADIUS**2)
+    np.testing.assert_allclose(found["turn_torque_rate"], rate, rtol=1e-8)
+    assert system.diagnose(al.Grid(1.0, 8)) == ""
+
+
+class Belt(al.Mechanical):
+    """A disk on a belt that gains speed."""
+
+    names = ("x", "turn")
+    velocity_constraint_names = ("grip",)
+    gain: al.Number = 0.7
+
+    def mass_matrix(self, q):
+        return jnp.diag(jnp.array([MASS, INERTIA]))
+
+    def velocity_constraint(self, q, v, t):
+        return (v[0] - RADIUS * v[1] - self.gain * t,)
+
+
+def test_a_belt_that_gains_speed_takes_a_disk_along():
+    found = simulate(al.ForwardDynamics(Belt()), al.Grid(2.0, 20))
+    force = 0.7 / (1 / MASS + RADIUS**2 / INERTIA)
+    np.testing.assert_allclose(found["grip_multiplier"], -force, rtol=1e-12)
+    np.testing.assert_allclose(found["x"], force / MASS * np.linspace(0.0, 2.0, 21) ** 2 / 2, rtol=1e-12)
+
+
+class Geared(ClosedTree):
+    """A closed loop with a wheel whose speed is twice that of the crank."""
+
+    velocity_constraint_names = ("gear",)
+
+    def bodies(self) -> Any:
+        wheel = al.Body("wheel", joint=al.joints.Revolute("z"), mass=0.0, inertia=(0.0, 0.0, 0.01))
+        return (*super().bodies(), wheel)
+
+    def velocity_constraint(self, q, v):
+        return (v[3] - 2.0 * v[0],)
+
+
+@pytest.mark.slow
+def test_velocity_constraints_are_added_to_closed_loops():
+    assert Geared().constraints == ("pin_x", "pin_y", "gear")
+    start, grid = {"crank": 0.7, "crank_rate": 3.0}, al.Grid(0.3, 60)
+    geared = simulate(al.ForwardDynamics(Geared(), start=start, guess={"slider": 0.4}), grid)
+    # The wheel counts four times on the crank.
+    heavy = SliderCrank(crank_inertia=0.01 + 4 * 0.01)
+    alone = simulate(al.ForwardDynamics(heavy, start=start, guess={"slider": 0.4}), grid)
+    np.testing.assert_allclose(geared["crank"], alone["crank"], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(geared["wheel"], 2 * (geared["crank"] - 0.7), rtol=0, atol=1e-8)
+    # A torque on the crank drives both: the rate of the wheel follows.
+    turn = {"crank": al.PowerSeries(start=(0.7, 3.0), end=(2.0, 3.0))}
+    driven = simulate(al.InverseDynamics(Geared(), motion=turn, guess={"slider": 0.4}), grid)
+    alone = simulate(al.InverseDynamics(heavy, motion=turn, guess={"slider": 0.4}), grid)
+    np.testing.assert_allclose(driven["crank_torque"], alone["crank_torque"], rtol=0, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_both_transcriptions_find_the_spin_that_takes_an_edge_down_by_an_uncertain_slope():
+    """`x = g sin(slope) sin²(ωt)/(2 ω²)`, of which the mean at the end is to be 1.2 m."""
+    spins = []
+    for transcription in (al.Sequential(), al.Simultaneous()):
+        system = al.ForwardDynamics(
+            Edge(slope=al.Uniform(SLOPE, half_width=0.05)), start={"heading_rate": al.Decision(1.2, 0.5, 1.5)}
+        )
+        problem = al.Problem(
+            system,
+            grid=al.Grid(1.0, 20),
+            minimize=(al.terminal("x").mean - 1.2) ** 2,
+            expansion=al.Expansion(order=2),
+        )
+        spins.append(next(iter(optimum(problem, transcription=transcription).decisions.values())))
+    pull = G * np.sin(SLOPE) * np.sin(0.05) / 0.05
+    np.testing.assert_allclose(pull * np.sin(spins) ** 2 / (2 * np.square(spins)), 1.2, rtol=1e-4)
+
+
+def with_equation(equation):
+    return type("Odd", (Edge,), {"velocity_constraint": lambda self, q, v: (equation(q, v),)})()
+
+
+def forward(model, **start):
+    return al.ForwardDynamics(model, start=start)
+
+
+LINEAR = ["Odd.velocity_constraint(q, v): expected equations that are linear in the velocities", "constraint(q)"]
+GRID = al.Grid(1.0, 4)
+REFUSED = {
+    "no velocity": (lambda: forward(with_equation(lambda q, v: q[0] - 1.0), heading_rate=1.0), LINEAR),
+    "a square": (lambda: forward(with_equation(lambda q, v: v[0] ** 2 - v[1]), heading_rate=1.0), LINEAR),
+    "a product, prescribed": (
+        lambda: al.InverseDynamics(with_equation(lambda q, v: v[0] * v[1]), motion=dict.fromkeys(Edge.names, REST)),
+        LINEAR,
+    ),
+    "all velocities that slip": (
+        lambda: forward(Edge(), x_rate=1.0, y_rate=0.5, heading_rate=0.0),
+        ["names all velocities, and contradicts its constraints", "missed by edge = -0.5"],
+    ),
+    "one velocity that slips": (
+        lambda: forward(Edge(), y_rate=0.5, heading_rate=0.0),
+        ["in the place of 'y_rate', 'heading_rate', with which edge = -0.5"],
+    ),
+    "a motion that slips": (
+        lambda: al.InverseDynamics(Edge(), motion={"x": REST, "y": ROLLED, "heading": REST}),
+        ["prescribed for 'x', 'y', 'heading'", "at t = 0.5 s it misses what 'edge' asks of the velocities by 1.5"],
+    ),
+    "a guess": (
+        lambda: al.ForwardDynamics(Edge(), guess={"x": 1.0}),
+        ["expected no guess, for no constraint binds coordinates"],
+    ),
+    "no names": (
+        lambda: type("Odd", (Belt,), {"velocity_constraint_names": ()})(),
+        ["leaves out ['grip'] of Belt"],
+    ),
+    "too few coordinates": (
+        lambda: al.InverseDynamics(Edge(), motion={"x": REST}),
+        ["for 2 of ['x', 'y', 'heading']", "or for up to 3 that obey its velocity constraints"],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_is_refused_in_words(case):
+    make, parts = REFUSED[case]
+    with pytest.raises(al.ProblemError) as caught:
+        al.Problem(make(), grid=GRID, minimize=al.terminal("x").mean)
+    for part in parts:
+        assert part in str(caught.value)
