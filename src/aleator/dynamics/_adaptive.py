@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 from jax.lax import stop_gradient
-from jax.scipy.linalg import lu_factor, lu_solve
 from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
 from aleator._core import border
 from aleator._core.compilation import Use, evaluate
+from aleator._core.dependence import dependence
 from aleator._core.equations import as_time
 from aleator.dynamics._evaluation import (
     algebraic_residuals,
@@ -28,6 +28,7 @@ from aleator.dynamics._explained import explain_end
 from aleator.dynamics._grid import Grid, Inputs, inputs_on
 from aleator.dynamics._integrators import AbstractIntegrator, on_grid
 from aleator.dynamics._record import Asked, Record, zeros
+from aleator.dynamics._sparse import Sparsity
 from aleator.dynamics._steps import Steps, signals_within, steps_of
 from aleator.dynamics._system import System, state_type
 from aleator.dynamics._tableaux import RODAS_5P, TSITOURAS_5, Tableau, square
@@ -65,6 +66,24 @@ class _State(NamedTuple):
     vector: Vector
     h: Float[Array, ""]
     left: Int[Array, ""]
+
+
+class _Sizes(NamedTuple):
+    """How many of the numbers of a vector are states, algebraic variables and integrals, in this order."""
+
+    states: int
+    algebraic: int
+    integrals: int
+
+    @property
+    def unknowns(self) -> int:
+        """Those that rates depend on."""
+        return self.states + self.algebraic
+
+    @property
+    def has_rate(self) -> Float[np.ndarray, " n"]:
+        """1 for those with a rate, 0 for algebraic variables."""
+        return np.repeat([1.0, 0.0, 1.0], self)
 
 
 class _Course(NamedTuple):
@@ -126,9 +145,8 @@ class AbstractAdaptive(AbstractIntegrator):
         guess = guessed_algebraic(system, t, start, now) if carries_algebraic else ()
         integrands = jax.eval_shape(lambda: asked.rates(system, t, start, now))
         vector, named = ravel_pytree(((*start, *guess), zeros(integrands)))
-        has_rate = np.ones(vector.size)
         states, algebraic = (sum(map(jnp.size, part)) for part in (start, guess))
-        has_rate[states : states + algebraic] = 0.0
+        sizes = _Sizes(states, algebraic, vector.size - states - algebraic)
 
         def advance(state: _State, step: Steps) -> tuple[_State, tuple[Any, ...]]:
             signals = signals_within(grid, inputs, step)
@@ -147,7 +165,7 @@ class AbstractAdaptive(AbstractIntegrator):
                 z = completed(system, step.t, z, step.first, state_type(system.algebraic)(*numbers[count:]))
             outputs = asked.at_instant(system, step.t, z, step.first)
             begin = state._replace(share=jnp.zeros(()), vector=ravel_pytree(((*z,), integrals))[0])
-            end = self._within(rates, begin, step, has_rate)
+            end = self._within(rates, begin, step, sizes)
             return end, (outputs, end.share)
 
         # The first step is the grid's, if its error is small.
@@ -155,7 +173,7 @@ class AbstractAdaptive(AbstractIntegrator):
         end, (history, shares) = jax.lax.scan(advance, begin, steps)
         return _Course(Record(history, {}, named(end.vector)[1]), steps, shares, end, places)
 
-    def _within(self, rates: Rates, begin: _State, step: Steps, has_rate: np.ndarray) -> _State:
+    def _within(self, rates: Rates, begin: _State, step: Steps, sizes: _Sizes) -> _State:
         """The integration of one step of the grid, as far as it goes."""
         length = stop_gradient(step.h)
         shortest = _SHORTEST * stop_gradient(jnp.maximum(jnp.abs(step.t), jnp.abs(step.t + step.h)))
@@ -167,7 +185,7 @@ class AbstractAdaptive(AbstractIntegrator):
             rest = 1 - state.share
             parts = jnp.maximum(jnp.ceil(rest * length / state.h), 1.0)
             share = rest / parts
-            vector, difference = _step(self.tableau, rates, state.share, share, state.vector, step.h, has_rate)
+            vector, difference = _step(self.tableau, rates, state.share, share, state.vector, step.h, sizes)
             size = jnp.maximum(jnp.abs(state.vector), jnp.abs(vector))
             error = stop_gradient(jnp.max(jnp.abs(difference) / (self.atol + self.rtol * size)))
             change = _MARGIN * error ** (-1 / self.tableau.order)
@@ -226,15 +244,17 @@ class AbstractAdaptive(AbstractIntegrator):
 
 
 def _step(
-    tableau: Tableau, rates: Rates, begin: Any, share: Any, vector: Vector, length: Any, has_rate: np.ndarray
+    tableau: Tableau, rates: Rates, begin: Any, share: Any, vector: Vector, length: Any, sizes: _Sizes
 ) -> tuple[Vector, Vector]:
     """The end of one step and its estimated error; NaN where a stage has no number.
 
-    - `rates`: of the vector at a share of a step of the grid, of some length; zero at a solution where `has_rate` is 0;
+    - `rates`: of the vector at a share of a step of the grid, of some length; zero at a solution where numbers have
+      none;
     - `begin`, `share`: where the step begins, and how long it is, as shares of the grid's step.
     """
     couplings, nodes = jnp.asarray(square(tableau.couplings)), jnp.asarray(tableau.nodes)
     # Equations without rates are not multiplied by the length of the step, so that they hold over no time too.
+    has_rate = sizes.has_rate
     multiples = share * length * has_rate + (1.0 - has_rate)
     rows: tuple[Array, ...] = (jnp.arange(nodes.size, dtype=np.int32), nodes, couplings)
 
@@ -244,14 +264,12 @@ def _step(
 
     increment = plain
     if tableau.is_implicit:
-        at = jnp.concatenate([jnp.asarray(begin + _LATER)[None], vector])
-        slope, jacobian = jnp.split(multiples[:, None] * jax.jacfwd(lambda at: rates(at[0], at[1:]))(at), [1], axis=1)
-        solved = _solver(jnp.asarray(np.diag(has_rate)) - tableau.diagonal * jacobian)
+        slope, solved = _linearised(tableau.diagonal, rates, begin + _LATER, vector, multiples, sizes)
         rows = (*rows, jnp.asarray(square(tableau.implicit_couplings)), jnp.asarray(tableau.slopes))
 
         def increment(row: tuple[Array, ...], stages: Array) -> Vector:
             coupling, multiple = row[3:]
-            added = has_rate * (coupling @ stages) + multiple * share * slope[:, 0]
+            added = has_rate * (coupling @ stages) + multiple * share * slope
             return solved(tableau.diagonal * (plain(row, stages) + added))
 
     def stage(stages: Array, row: tuple[Array, ...]) -> tuple[Array, None]:
@@ -261,12 +279,35 @@ def _step(
     return vector + jnp.asarray(tableau.weights) @ stages, jnp.asarray(tableau.errors) @ stages
 
 
-def _solver(matrix: Float[Array, "n n"]) -> Callable[[Vector], Vector]:
-    """Solves linear equations with a matrix that is factorised once; differentiable to any order."""
-    factors = lu_factor(stop_gradient(matrix))
-    return lambda right: jax.lax.custom_linear_solve(
-        lambda unknowns: matrix @ unknowns, right, lambda _, right: lu_solve(factors, right)
-    )
+def _linearised(
+    diagonal: float, rates: Rates, begin: Any, vector: Vector, multiples: Vector, sizes: _Sizes
+) -> tuple[Vector, Callable[[Vector], Vector]]:
+    """The change of the rates with time, and what solves the linear equations of a stage.
+
+    Integrals follow from the unknowns: one derivative along these takes the place of their rows of the matrix, which
+    may be full.
+    """
+    count = sizes.unknowns
+
+    def of_unknowns(share: Array, unknowns: Vector) -> Vector:
+        return rates(share, jnp.concatenate([unknowns, vector[count:]]))
+
+    pattern = dependence(lambda *at: of_unknowns(*at)[:count], [begin], [vector[:count]]).first
+    sparsity = Sparsity.of(pattern)
+    _, along = jax.linearize(of_unknowns, begin, vector[:count])
+    slope = multiples * along(jnp.ones(()), jnp.zeros(count))
+    images = jax.vmap(lambda seed: (multiples * along(jnp.zeros(()), seed))[:count])(jnp.asarray(sparsity.seeds))
+    matrix = sparsity.diagonal(sizes.has_rate[:count]) - diagonal * sparsity.entries(images)
+    solve = sparsity.solver(matrix)
+
+    def solved(right: Vector) -> Vector:
+        unknowns = solve(right[:count])
+        if not sizes.integrals:
+            return unknowns
+        added = diagonal * multiples * along(jnp.zeros(()), unknowns)
+        return jnp.concatenate([unknowns, (right + added)[count:]])
+
+    return slope, solved
 
 
 @final

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from aleator.transcription.simultaneous._blocks import dependence
+from aleator._core.dependence import dependence
 from compiling import compiled
 
 MATRIX = np.arange(1.0, 10.0).reshape(3, 3)
