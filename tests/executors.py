@@ -68,3 +68,13 @@ def dies(number: int) -> int:
     """Never ends well."""
     os.kill(os.getpid(), signal.SIGKILL)
     return number
+
+
+def pressed(stage: str, after: int) -> Callable[[str, int, int], None]:
+    """A callback that presses Ctrl-C in a stage."""
+
+    def stop(task: str, done: int, total: int) -> None:
+        if task == stage and done >= after:
+            signal.raise_signal(signal.SIGINT)
+
+    return stop

@@ -479,26 +479,6 @@ def refuses(call: Callable[[], Any], *words: str) -> None:
 # --- Files -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("content", "word"),
-    [
-        (None, "table.csv"),
-        (b"t,h\xf6he\n0,1\n1,2\n", "UTF-8"),
-        (bytes(range(256)), "table.csv"),
-        (b"t,x,x\n0,1,2\n1,2,3\n", "x"),
-        (b"", "table.csv"),
-        (b"t,x\n", "table.csv"),
-        (b"t,x\n0,fast\n1,slow\n", "fast"),
-        (b"t,x\n0,1\n1\n", "table.csv"),
-    ],
-)
-def test_a_file_that_is_no_table_of_a_signal_is_refused_by_name(content, word, tmp_path):
-    path = tmp_path / "table.csv"
-    if content is not None:
-        path.write_bytes(content)
-    refuses(lambda: al.Tabulated.from_csv(path, "t", "x"), word)
-
-
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes of POSIX")
 def test_what_need_not_end_is_read_nowhere(tmp_path, monkeypatch):
     pipe = tmp_path / "journal.jsonl"

@@ -65,6 +65,9 @@ from .dynamics import System as System
 from .dynamics import simulate as simulate
 from .examining import examine as examine
 from .expansion import Expansion as Expansion
+from .feedback import Feedback as Feedback
+from .feedback import computed_torque as computed_torque
+from .feedback import lqr as lqr
 from .journalling import journal as journal
 from .journalling import load as load
 from .mechanics import Accelerations as Accelerations

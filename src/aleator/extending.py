@@ -1,4 +1,4 @@
-"""Base classes for your own distributions, statistics, functionals, solvers, transcriptions and studies.
+"""Base classes for your own distributions, statistics, functionals, controllers, solvers, transcriptions and studies.
 
 See `docs/extending.md`.
 
@@ -16,6 +16,8 @@ from aleator.design import AbstractFunctional as AbstractFunctional
 from aleator.design import AbstractIntegral as AbstractIntegral
 from aleator.design import Taken as Taken
 from aleator.expansion import Basis as Basis
+from aleator.feedback import AbstractController as AbstractController
+from aleator.feedback import Plan as Plan
 from aleator.journalling import kept as kept
 from aleator.nlp import AbstractLocalSolver as AbstractLocalSolver
 from aleator.nlp import AbstractSearch as AbstractSearch

@@ -72,25 +72,26 @@ def test_an_expansion_that_is_wrong_in_a_tail_is_contradicted_by_systems_there()
     assert float(right.decisions["d"]) == pytest.approx(10 / np.exp(0.3 * U(0.9999)), rel=2e-3)
 
 
+BROKEN_SELDOM = al.output("y").probability(above=10.0) <= 1e-3
+MEAN_BEYOND = al.output("y").conditional_value_at_risk(0.99) <= 10.0
+
+
 @pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")
 @pytest.mark.parametrize(
     ("limit", "order", "exact"),
     [
-        # Below -9 a product has as much as above 9: 1e-5 at the size 9 / 9.4138.
-        (al.output("y").probability(above=10.0) <= 1e-3, 4, 10 / np.exp(0.3 * U(0.999))),
+        (BROKEN_SELDOM, 4, 10 / np.exp(0.3 * U(0.999))),
+        pytest.param(BROKEN_SELDOM, 2, None, marks=pytest.mark.slow),
         pytest.param(
-            al.output("y").conditional_value_at_risk(0.99) <= 10.0,
-            5,
-            10 / (np.exp(0.045) * stats.norm.sf(U(0.99) - 0.3) / 0.01),
-            marks=pytest.mark.slow,
+            MEAN_BEYOND, 5, 10 / (np.exp(0.045) * stats.norm.sf(U(0.99) - 0.3) / 0.01), marks=pytest.mark.slow
         ),
+        pytest.param(MEAN_BEYOND, 2, None, marks=pytest.mark.slow),
     ],
 )
 def test_probabilities_and_means_beyond_quantiles_are_confirmed_too(limit, order, exact):
-    assert not largest("exponential", limit, 2).ok
     solution = largest("exponential", limit, order)
-    assert solution.ok
-    assert float(solution.decisions["d"]) == pytest.approx(exact, rel=1e-2)
+    assert solution.ok == (exact is not None)
+    assert exact is None or float(solution.decisions["d"]) == pytest.approx(exact, rel=1e-2)
 
 
 @pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning", "ignore::aleator.GridWarning")

@@ -8,6 +8,7 @@ import pytest
 import scipy
 
 import aleator as al
+from aleator.reporting import dataset
 from zoo import G
 
 
@@ -121,8 +122,9 @@ def test_instants_of_phases_stand_one_after_the_other():
     assert found.outputs["second.m"]["time"].values[[0, -1]] == pytest.approx([5.0, 5.0 + burn], rel=1e-8)
     assert found.states["second.m"]["mean"].values[0] == pytest.approx(BURNT - HULL, rel=1e-8)
     (limit,) = (one for one in found.constraints if one.name == "first.v(t)")
-    assert limit.times[[0, -1]] == pytest.approx([0.0, 5.0], rel=1e-8)
+    assert np.asarray(limit.times)[[0, -1]] == pytest.approx([0.0, 5.0], rel=1e-8)
     assert list(found.outputs["first.time"]["mean"].values[[0, -1]]) == pytest.approx([0.0, 5.0], rel=1e-8)
+    assert dataset(found)["mean first.v(t)"]["time of first"].values[-1] == pytest.approx(5.0, rel=1e-8)
 
 
 def test_fresh_systems_agree_and_figures_show_each_phase():
@@ -161,7 +163,7 @@ class Lander(al.System):
 class Switched(Lander):
     """The same in one phase, whose throttle switches at decided times."""
 
-    def rhs(self, t, z, throttle):
+    def rhs(self, t, z, throttle):  # pyright: ignore[reportIncompatibleMethodOverride]
         return self.burn(z, throttle)
 
 
@@ -255,8 +257,8 @@ def test_a_simulation_returns_the_outputs_of_each_phase():
 
 def test_a_system_in_two_phases_has_the_same_numbers_in_both():
     rocket = Rocket(al.Uniform(500.0, half_width=50.0), 2.0)
-    phases = {"a": al.Phase(rocket, al.Grid(1.0, 4)), "b": al.Phase(rocket, al.Grid(al.Decision(1.0, 0.5, 2.0), 4))}
-    problem = al.Problem(al.Phases(**phases), minimize=al.terminal("h").mean)
+    phases = al.Phases(a=al.Phase(rocket, al.Grid(1.0, 4)), b=al.Phase(rocket, al.Grid(al.Decision(1.0, 0.5, 2.0), 4)))
+    problem = al.Problem(phases, minimize=al.terminal("h").mean)
     assert list(problem.placements.germ_names) == ["a.thrust"]
     assert "b: Rocket(h, v, m), 4 steps to t_final, RungeKutta4" in str(problem)
 
@@ -307,6 +309,7 @@ def test_phases_that_do_not_fit_together_are_refused_where_they_are_declared():
             link={"ascent": lambda self, t, z: {}}
         ),
         "grids and inputs of their own": lambda: problem(grid=al.Grid(1.0, 2)),
+        "declare the problem again": lambda: problem().on_grid(al.Grid(1.0, 2)),
         "Phases: ascent": lambda: al.Phases(ascent=Rocket(300.0)),  # pyright: ignore[reportArgumentType]
         "Phase: grid": lambda: al.Phase(Rocket(300.0), 3.0),  # pyright: ignore[reportArgumentType]
     }.items():

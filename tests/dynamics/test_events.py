@@ -62,6 +62,14 @@ def test_a_ball_bounces_wherever_in_a_step_and_twice_in_one(integrator):
     assert float(history["h"][-1]) == pytest.approx(float(second_flight(0.7, 1.0, 1.2)), abs=1e-13)
 
 
+def agreeing(simulated, exact, at, order):
+    """Pairs of the values of two functions, and of their derivatives up to an order, by one program."""
+    both = [(simulated, exact)]
+    for _ in range(order):
+        both.append(tuple(map(jax.jacfwd, both[-1])))
+    return jax.tree.map(np.asarray, compiled(lambda at: [(ours(at), right(at)) for ours, right in both])(np.array(at)))
+
+
 def test_derivatives_after_jumps_are_those_of_the_closed_form_to_third_order():
     def simulated(at):
         return al.simulate(Ball(at[0], at[1]), al.Grid(1.2, 12), only=["h"])["h"][-1]
@@ -69,10 +77,8 @@ def test_derivatives_after_jumps_are_those_of_the_closed_form_to_third_order():
     def exact(at):
         return second_flight(at[0], at[1], 1.2)
 
-    ours, right, at = simulated, exact, jnp.array([0.7, 1.0])
-    for _ in range(3):
-        ours, right = jax.jacfwd(ours), jax.jacfwd(right)
-        assert np.asarray(jax.jit(ours)(at)) == pytest.approx(np.asarray(jax.jit(right)(at)), rel=1e-9)
+    for ours, right in agreeing(simulated, exact, [0.7, 1.0], 3):
+        assert ours == pytest.approx(right, rel=1e-9)
 
 
 def test_the_end_of_a_grid_and_its_derivatives_are_those_of_the_closed_form():
@@ -80,10 +86,8 @@ def test_the_end_of_a_grid_and_its_derivatives_are_those_of_the_closed_form():
         history = al.simulate(Shot(at[0], at[1], at[2]), LANDED)
         return jnp.stack([history["time"][-1], history["x"][-1]])
 
-    ours, right, at = simulated, lambda at: landing(at[0], at[1], at[2]), jnp.array([20.0, 0.7, 1.0])
-    for _ in range(3):
-        assert np.asarray(jax.jit(ours)(at)) == pytest.approx(np.asarray(jax.jit(right)(at)), rel=1e-9, abs=1e-10)
-        ours, right = jax.jacfwd(ours), jax.jacfwd(right)
+    for ours, right in agreeing(simulated, lambda at: landing(at[0], at[1], at[2]), [20.0, 0.7, 1.0], 2):
+        assert ours == pytest.approx(right, rel=1e-9, abs=1e-10)
 
 
 def test_derivatives_with_drag_agree_with_central_differences():

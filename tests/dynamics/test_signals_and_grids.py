@@ -43,11 +43,24 @@ def test_a_table_is_read_from_named_columns_of_a_file_with_comments(table):
         ("t,z\n0,1\n1,high\n", r"road\.csv: row 2.*'high'"),
         ("t;z\n0;1\n1;2\n", r"road\.csv: expected commas between columns.*received semicolons"),
         ("t\tz\n0\t1\n1\t2\n", "received tabs"),
+        ("t,z\n0,1\n1,\n", r"road\.csv.*received nan at t = 1 s"),
+        ("t,z,z\n0,1,2\n1,2,3\n", r"road\.csv: expected one column 'z'"),
+        ("t,z\n", r"road\.csv"),
+        ("t,z\n0,1\n1\n", r"road\.csv"),
+        ("", r"road\.csv"),
     ],
 )
 def test_a_file_that_is_no_table_is_refused_by_name(table, text, message):
     with pytest.raises(al.ProblemError, match=message):
         al.Tabulated.from_csv(table(text), time="t", value="z")
+
+
+def test_a_file_that_is_not_there_or_no_text_is_refused_by_name(tmp_path):
+    with pytest.raises(al.ProblemError, match=r"road\.csv"):
+        al.Tabulated.from_csv(tmp_path / "road.csv", time="t", value="z")
+    (tmp_path / "road.csv").write_bytes(b"t,z\n0,1\n1,\xb0\n")
+    with pytest.raises(al.ProblemError, match=r"road\.csv: expected text in UTF-8; received the byte 0xb0"):
+        al.Tabulated.from_csv(tmp_path / "road.csv", time="t", value="z")
 
 
 @pytest.mark.parametrize(

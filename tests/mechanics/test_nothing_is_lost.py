@@ -1,6 +1,4 @@
-"""Constraints of all sources add up; misnamed parts of a class and impossible motions are refused; starts are kept."""
-
-from typing import Any
+"""Couplings of a robot are kept; misnamed parts of a class and impossible motions are refused; starts are kept."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,31 +10,6 @@ from scipy.integrate import solve_ivp
 import aleator as al
 
 GRID = al.Grid(0.3, 60)
-
-
-class Geared(ClosedTree):
-    """With a wheel that turns twice as fast as the crank."""
-
-    constraint_names = ("gear",)
-
-    def bodies(self) -> Any:
-        wheel = al.Body("wheel", joint=al.joints.Revolute("z"), mass=0.0, inertia=(0.0, 0.0, 0.01))
-        return (*super().bodies(), wheel)
-
-    def constraint(self, q):
-        return (q[3] - 2.0 * q[0],)
-
-
-def test_constraints_of_one_s_own_are_added_to_those_of_closures():
-    assert Geared().constraints == ("pin_x", "pin_y", "gear")
-    start = {"crank": 0.7, "crank_rate": 3.0}
-    geared = simulate(al.ForwardDynamics(Geared(), start=start, guess={"slider": 0.4, "wheel": 1.4}), GRID)
-    np.testing.assert_allclose(geared["wheel"], 2 * geared["crank"], rtol=0, atol=1e-12)
-    assert geared["constraint_error"].max() < 1e-12
-    # The wheel counts four times on the crank.
-    heavy = SliderCrank(crank_inertia=0.01 + 4 * 0.01)
-    alone = simulate(al.ForwardDynamics(heavy, start=start, guess={"slider": 0.4}), GRID)
-    np.testing.assert_allclose(geared["crank"], alone["crank"], rtol=0, atol=1e-8)
 
 
 COUPLED = """<mujoco><worldbody>

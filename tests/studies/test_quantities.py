@@ -95,6 +95,10 @@ ZONES = {
     "20 mm +/- 0.1 mm": (19.9, 20.1),
     "20 \N{MINUS SIGN}0.1/+0.1 mm": (19.9, 20.1),
     "2 ±0.01 cm": (19.9, 20.1),
+    "20mm ± 0.1mm": (19.9, 20.1),
+    # atopile/atopile#436 read an upper limit twice; a unit at the end is that of both numbers.
+    "50 +/- 10mm": (40.0, 60.0),
+    "50 +- 10 um": (0.04, 0.06),
 }
 
 

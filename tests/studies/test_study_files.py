@@ -142,6 +142,10 @@ def test_an_importable_module_is_a_study_of_which_a_quick_run_takes_fewer_sample
     assert study.samples == 500 // 20
     assert study.solves == 1 + 1 + 2
     assert "all samples" in study.left_out
+    declared = al.Study(study.problems, samples=500, sweeps={"stress": [0.5, 0.8]}, quick=True)
+    assert (declared.samples, declared.solves) == (500 // 20, 1 + 1)
+    assert declared.with_workers(3).workers == 3
+    assert declared.workers is None
 
 
 def test_what_is_done_is_told_before_anything_is_spent(here: Path):
@@ -149,6 +153,7 @@ def test_what_is_done_is_told_before_anything_is_spent(here: Path):
     code, said = aleator("check", "bar.py")
     assert code == 0, said
     assert "minimise μ[mass]" in said
+    assert "Uniform(mean=1, half_width=0.3) kN " in " ".join(said.split())
     assert re.search(r"collocation points │ \d+", said)
     assert re.search(r"decisions │ 1 ", said)
     assert "agree with differences" in said

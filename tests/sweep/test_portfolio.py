@@ -1,6 +1,5 @@
 """A portfolio finds the best of many optima, and says how sure one may be of it."""
 
-import signal
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -8,6 +7,7 @@ import numpy as np
 import pytest
 
 import aleator as al
+from executors import pressed
 
 
 class Swell(al.AlgebraicSystem):
@@ -75,16 +75,6 @@ def test_a_problem_without_a_design_gives_the_least_violated_one():
     found = al.portfolio(problem(subject_to=[impossible]), 3, search=replace(SEARCH, evaluations=100))
     assert found.optima == ()
     assert found.best.status is al.Status.INFEASIBLE
-
-
-def pressed(stage, after):
-    """A callback that presses Ctrl-C in a stage."""
-
-    def stop(task, done, total):
-        if task == stage and done >= after:
-            signal.raise_signal(signal.SIGINT)
-
-    return stop
 
 
 @pytest.mark.usefixtures("python_interrupts")

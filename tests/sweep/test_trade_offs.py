@@ -1,7 +1,5 @@
 """Fronts of several wishes against their closed forms, and against linear programs."""
 
-import signal
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,6 +9,7 @@ from scipy.optimize import linprog
 import aleator as al
 from aleator.extending import save
 from aleator.sweep._trade_off import efficient, hypervolume
+from executors import pressed
 from zoo import cases
 
 HERE, THERE, ELSEWHERE = (1.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 1.0)
@@ -233,16 +232,6 @@ def test_no_point_is_weakly_efficient(seed):
         found = al.trade_off(problem, {"x": x, "y": y}, 5, method=method)
         assert len(found.values) >= 1
         assert max(improvable(slopes, bounds, point) for point in found.values) < 1e-4
-
-
-def pressed(stage, after):
-    """A callback that presses Ctrl-C in a stage."""
-
-    def stop(task, done, total):
-        if task == stage and done >= after:
-            signal.raise_signal(signal.SIGINT)
-
-    return stop
 
 
 @pytest.mark.usefixtures("python_interrupts")

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from aleator._core.errors import ProblemError
 from aleator.uncertainty import Decision, HermiteGerm, Toleranced, named_numbers, placements, realise, toleranced
 from compiling import compiled
 
@@ -58,6 +59,8 @@ def test_a_drawings_text_is_read_in_its_usual_forms(text, parameters):
     distribution = toleranced(text, cp=1.33)
     assert distribution.parameters == pytest.approx(parameters | {"cp": 1.33}, rel=1e-15)
     assert toleranced(text).parameters["cp"] == 1.0
+    with pytest.raises(ProblemError, match="without a unit"):
+        toleranced(f"{text} V")
 
 
 def test_a_decided_tolerance_is_a_number_of_the_model_and_sets_the_spread():

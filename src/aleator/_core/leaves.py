@@ -106,6 +106,21 @@ class AbstractLeaf(Module):
         """The largest value of any entry, as `lowest`."""
 
 
+class AbstractPlanned(Module):
+    """A model whose realisations may know what it is at the means of its distributions, as a controller does."""
+
+    @abc.abstractmethod
+    def beside(self, means: Callable[[], Any]) -> Any:
+        """Itself, realised, and what it knows.
+
+        `means`: gives the means of its distributions, in a tree like its own with None in all other places.
+        """
+
+
+class Known(Module):
+    """What a realised model knows of another one: no numbers of its own."""
+
+
 def is_leaf(node: Any) -> bool:
     """Whether `node` is a distribution or a decision, which realisation replaces by a number."""
     return isinstance(node, AbstractLeaf)

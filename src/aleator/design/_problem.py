@@ -20,6 +20,7 @@ from aleator.design._control import with_controls
 from aleator.design._equations import declared
 from aleator.design._expression import Constraint, Expression, as_expression, value
 from aleator.design._functionals import in_phases, limit_in_phases
+from aleator.design._noise import refuse_infinite, with_noise
 from aleator.design._objectives import positive_part, pure, time_integral
 from aleator.design._response import AbstractProblem
 from aleator.design._scope import Value, ordered
@@ -30,12 +31,14 @@ from aleator.dynamics import (
     AbstractIntegrator,
     AbstractSystem,
     Instant,
+    LinkedGrid,
     LinkedSystems,
     Phases,
     Simulation,
     simulation_of,
 )
 from aleator.expansion import Expansion
+from aleator.feedback import Feedback, Noisy, closed_loop, noisy
 from aleator.statistics import Mean
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import AbstractDecision, Choice, Decision, Integer, at_means, placements, uncertain_again
@@ -55,7 +58,8 @@ class Problem(AbstractProblem):
     - `minimize`: an expression of statistics; `subject_to`: constraints;
     - `expansion`: how outputs are expanded; `integrator`: how states are advanced in time;
     - `decisions`: further decisions by name, which no model contains, such as a slack or a level that several limits
-      share; `al.value(name)` is one in an expression.
+      share; `al.value(name)` is one in an expression;
+    - `feedback`: a controller that makes each realisation follow the plan, that of the means.
 
     Its equations are traced here, and here alone: to change the code of a model, declare again. `print(problem)` shows
     it as mathematics. Raises `ProblemError`, before anything is compiled, for any inconsistency: a missing input or
@@ -73,6 +77,7 @@ class Problem(AbstractProblem):
         expansion: Expansion | None = None,
         integrator: AbstractIntegrator | None = None,
         decisions: Mapping[str, AbstractDecision] | None = None,
+        feedback: Feedback | None = None,
     ):
         if inputs is not None and not isinstance(inputs, Mapping):
             raise ProblemError(f"inputs: expected signals by name, such as {{'road': ...}}; received {type(inputs)}.")
@@ -82,6 +87,9 @@ class Problem(AbstractProblem):
         for name, one in decisions.items():
             kinds = Decision, Integer, Choice
             one_of(f"Problem: decisions['{a_name('Problem: a name in decisions', name)}']", one, kinds)
+        if feedback is not None:
+            system = closed_loop(system, inputs or {}, feedback)
+        system, inputs = noisy(system, inputs or {})
         simulation = simulation_of(system, grid, inputs, integrator, dict(decisions))
         # Later changes of NumPy arrays do not affect a problem.
         self.simulation = jax.tree.map(
@@ -102,14 +110,24 @@ class Problem(AbstractProblem):
             own = ((name, one) for name, phase in system.phases.items() for one in _flatten(phase.subject_to))
             limits += [limit_in_phases(one, names, name) for name, one in own]
         self.constraints = _told_apart(tuple(limits))
+        if isinstance(system, Noisy):
+            self.objective, self.constraints = with_noise((self.objective, self.constraints))
         self.expansion = Expansion() if expansion is None else expansion
         self.physics, self.code = Digest("", False), ""
         check(self)
+        refuse_infinite(self)
         equations, self.physics, self.code = declared(self)
         self.simulation = replace(self.simulation, equations=equations)
 
     def on_grid(self, grid: AbstractGrid, integrator: AbstractIntegrator | None = None) -> "Problem":
-        """The same problem on another grid, with another integrator if one is given. It is not checked again."""
+        """The same problem on another grid, with another integrator if one is given. It is not checked again.
+
+        Raises `ProblemError` for one grid of several phases.
+        """
+        if isinstance(self.grid, LinkedGrid) and not isinstance(grid, LinkedGrid):
+            raise ProblemError(
+                "Phases have grids of their own: declare the problem again with others; received one grid."
+            )
         return _with_simulation(self, self.simulation.on(grid, integrator))
 
     def finer(self, factor: int, integrator: AbstractIntegrator) -> "Problem":

@@ -17,7 +17,7 @@ from aleator._core.errors import ProblemError
 from aleator.design._expression import Constraint, Expression, Range
 from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Units, a_number, ordered
 from aleator.dynamics import AbstractGrid, History, Occurrence
-from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance, Std, a_statistic
+from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance, Mean, Std, a_statistic
 
 
 class AbstractOfFunctionals(AbstractAtom):
@@ -260,6 +260,11 @@ class Statistic(AbstractOfFunctionals):
     @override
     def is_spread(self) -> bool:
         return isinstance(self.kind, Std)
+
+    @property
+    def is_moment(self) -> bool:
+        """Whether it is one of the moments that are told of every functional."""
+        return isinstance(self.kind, Mean | Std) and len(self.functionals) == 1
 
 
 def an_output(name: Any) -> str:

@@ -15,7 +15,7 @@ from aleator.design._functionals import SquareIntegral, Work
 from aleator.design._response import AbstractProblem
 from aleator.design._scope import AbstractAtom, Units
 from aleator.design._statistic import Statistic, statistics_in
-from aleator.dynamics import Grid, Simulation, System
+from aleator.dynamics import Grid, Simulation, System, named
 from aleator.statistics import PURE, Mean, is_same, measure, rate
 from aleator.uncertainty import (
     AbstractDecision,
@@ -47,7 +47,8 @@ def units_of(expression: Expression, problem: AbstractProblem) -> Units:
 def number_unit(name: str, problem: AbstractProblem) -> str:
     """The unit of a number of the model, by the decision's name."""
     units = {field: data.metadata.get("unit", "") for field, data, _ in fields_of(problem.system)}
-    fields = _TIMES | {field: unit for field, unit in units.items() if isinstance(unit, str)}
+    times = named(dict.fromkeys(problem.simulation.phases, _TIMES))
+    fields = times | {field: unit for field, unit in units.items() if isinstance(unit, str)}
     owner, _, parameter = name.rpartition(".")
     return fields.get(name.split("[")[0], "") or (fields.get(owner, "") if parameter in _LIKE_THE_NUMBER else "")
 

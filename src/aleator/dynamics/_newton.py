@@ -11,7 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.arrays import Pytree, is_number, numbers_to_arrays
-from aleator._core.leaves import named_leaves
+from aleator._core.leaves import Known, named_leaves
 
 Vector: TypeAlias = Float[Array, " n"]
 Matrix: TypeAlias = Float[Array, "n n"]
@@ -307,7 +307,12 @@ def failure_text(root: Root, named: Named, guess: Any) -> str:
 
 def numbers_in(system: eqx.Module) -> dict[str, Any]:
     """The numbers in the fields of a realised system, by name."""
-    return {name: leaf for name, leaf in named_leaves(system) if is_number(leaf) or isinstance(leaf, int)}
+    own = jax.tree.map(lambda one: None if _is_known(one) else one, system, is_leaf=_is_known)
+    return {name: leaf for name, leaf in named_leaves(own) if is_number(leaf) or isinstance(leaf, int)}
+
+
+def _is_known(node: Any) -> bool:
+    return isinstance(node, Known)
 
 
 def listed(numbers: Mapping[str, Any]) -> str:

@@ -19,7 +19,7 @@ from aleator._core.border import meant, one_of, refusal, traceable
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
 from aleator.dynamics._grid import AbstractGrid, Grid, Inputs
-from aleator.dynamics._record import Asked, Integrand, Occurrence, Record
+from aleator.dynamics._record import STATES, Asked, Integrand, Occurrence, Record
 from aleator.dynamics._system import AbstractSystem, System, returned
 
 Link = Callable[..., Any]
@@ -297,8 +297,10 @@ def joined(records: Mapping[str, Record], asked: Asked) -> Record:
         phase: {name: Occurrence(one.t, named({phase: one.outputs})) for name, one in (record.events or {}).items()}
         for phase, record in records.items()
     }
+    aside = set() if asked.states else {f"{phase}.{STATES}" for phase in records}
+    history = named({phase: record.history for phase, record in records.items()})
     return Record(
-        history=named({phase: record.history for phase, record in records.items()}),
+        history={name: values for name, values in history.items() if name not in aside},
         nodes=named({phase: record.nodes for phase, record in records.items()}),
         integrals=tuple(integrals[i] for i in range(len(integrals))),
         events=named(events),

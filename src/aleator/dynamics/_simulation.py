@@ -1,7 +1,7 @@
 """`Simulation`: a system with everything needed to simulate it."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, final
@@ -11,15 +11,17 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.arrays import in_library, jax_array, numbers_to_arrays
 from aleator._core.border import meant, refuse_missing
 from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import Module, is_leaf, named_leaves, transparent
+from aleator._core.leaves import AbstractPlanned, is_leaf, named_leaves, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, explain_failure
 from aleator.dynamics._equations import Equations, Start, TracedSystem
 from aleator.dynamics._evaluation import initial_state
+from aleator.dynamics._extended import AbstractExtended
 from aleator.dynamics._grid import AbstractGrid, Grid, Inputs, Instant, check_signals, sampled
 from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator, RungeKutta4
 from aleator.dynamics._phases import LinkedSystems, Phases, asked_within, joined, phase_of, within
@@ -30,7 +32,7 @@ from aleator.trajectories import AbstractSignal, least_steps
 
 @final
 @transparent("system", "grid", "numbers")
-class Simulation(Module):
+class Simulation(AbstractPlanned):
     """What is simulated: a system with its inputs, a grid, and an integrator.
 
     Any of its numbers may be a distribution or a decision; once realised, it can be recorded. Only here are kinds of
@@ -45,6 +47,15 @@ class Simulation(Module):
     numbers: dict[str, Any] = eqx.field(default_factory=dict)
     equations: Equations | None = eqx.field(static=True, default=None)
     begun: Float[Array, " states"] | None = None
+
+    @override
+    def beside(self, means: Callable[[], Any]) -> "Simulation":
+        if not isinstance(self.system, AbstractExtended):
+            return self
+        known = means()
+        uncertain = tuple(name for name, signal in known.inputs.items() if jax.tree.leaves(signal))
+        system = self.system.with_plan(known.system, eqx.combine(known.inputs, self.inputs), uncertain)
+        return replace(self, system=system)
 
     @property
     def traced(self) -> AbstractSystem:
@@ -131,9 +142,7 @@ class Simulation(Module):
                 begun = self._begun(name, one, *next(reversed(records.items())))
             states = asked.states or len(records) + 1 < len(phases)
             records[name] = replace(one, begun=begun).record(asked_within(name, asked)._replace(states=states))
-        if asked.states:
-            return records
-        return {name: one._replace(history=_without(STATES, one.history)) for name, one in records.items()}
+        return records
 
     def _begun(self, name: str, one: "Simulation", before: str, record: Record) -> Float[Array, " states"]:
         """The states, side by side, with which a phase begins, from the record of the one before."""
@@ -293,10 +302,6 @@ class Simulation(Module):
         if self.inputs:
             raise ProblemError(f"{name} is algebraic and takes no inputs; received {sorted(self.inputs)}.")
         return {output: value[None] for output, value in algebraic_outputs(system).items()}
-
-
-def _without(name: str, history: History) -> History:
-    return {other: values for other, values in history.items() if other != name}
 
 
 def simulation_of(

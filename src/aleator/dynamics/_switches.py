@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
+from jax.tree_util import tree_leaves_with_path
 from jaxtyping import Array, Bool, Float
 
 from aleator._core.arrays import numbers_to_arrays
@@ -41,20 +42,19 @@ def time_switches(simulation: Simulation, uncertain: Simulation | None = None) -
     """
     equations, system = simulation.equations, simulation.system
     assert equations is not None
-    named = [(name, leaf if _is_decided(leaf) else None) for name, leaf in named_leaves(uncertain or simulation)]
-    numbers = jax.tree.leaves(numbers_to_arrays(simulation))
-    marks = [
-        frozenset([name] if leaf is not None else [])
-        for (name, leaf), number in zip(named, numbers, strict=True)
-        if eqx.is_array(number)
-    ]
+    declared, none = simulation if uncertain is None else uncertain, frozenset[str]()
+    places = tree_leaves_with_path(declared, is_leaf=is_leaf)
+    named = zip(places, named_leaves(declared), strict=True)
+    decided = {place: frozenset([name]) for (place, leaf), (name, _) in named if _is_decided(leaf)}
+    numbers = tree_leaves_with_path(numbers_to_arrays(simulation))
+    marks = [decided.get(place, none) for place, number in numbers if eqx.is_array(number)]
     of_system = len(jax.tree.leaves(eqx.filter(numbers_to_arrays(system), eqx.is_array)))
     found = set[Marks]()
     for name in ("instant", "residual"):
         if name in equations:
             jaxpr = equations[name].closed.jaxpr
             given = [*marks[:of_system], frozenset([TIME])]
-            found |= switches(jaxpr, [*given, *[frozenset()] * (len(jaxpr.invars) - len(given))])
+            found |= switches(jaxpr, [*given, *[none] * (len(jaxpr.invars) - len(given))])
     arrays, static = eqx.partition(numbers_to_arrays(simulation), eqx.is_array)
 
     def told(arrays: Any, t: Array) -> list[Array]:

@@ -84,6 +84,7 @@ from aleator.reporting._style import DASHES as DASHES
 from aleator.reporting._style import Look as Look
 from aleator.reporting._style import looks as looks
 from aleator.reporting._sweeps import front_blocks as front_blocks
+from aleator.reporting._sweeps import front_table as front_table
 from aleator.reporting._sweeps import linked_front as linked_front
 from aleator.reporting._sweeps import trade_off_blocks as trade_off_blocks
 from aleator.reporting._tables import certificate_table as certificate_table

@@ -8,7 +8,8 @@ from typing_extensions import TypeIs
 
 from aleator._core.border import one_of, refusal
 from aleator._core.errors import ProblemError
-from aleator.design import statistics_in
+from aleator.design import Problem, functionals_of, path_of, statistics_in
+from aleator.dynamics import LinkedGrid, phase_of
 from aleator.reporting._numbers import (
     unit_of_decision,
     unit_of_expression,
@@ -18,7 +19,6 @@ from aleator.reporting._numbers import (
     units_of_moments,
 )
 from aleator.solution import Solution
-from aleator.statistics import Mean, Std
 from aleator.sweep import Calibration, Front, TradeOff
 from aleator.validation import PERCENTILES, Evidence, Share
 
@@ -77,14 +77,18 @@ class _Arrays:
         self.add("violation_lower", axis, [one.lower for one in shares], f"lower end of its {level} interval")
         self.add("violation_upper", axis, [one.upper for one in shares], f"upper end of its {level} interval")
 
-    def dataset(self, attributes: Mapping[str, Any], instants: Any = None, **coordinates: Any) -> "xarray.Dataset":
-        """The dataset of the arrays, some of which may be coordinates; `instants` belong to an axis `time`."""
+    def dataset(
+        self, attributes: Mapping[str, Any], solution: Solution | None = None, **coordinates: Any
+    ) -> "xarray.Dataset":
+        """The dataset of the arrays, some of which may be coordinates; `solution`: whose instants times are."""
         import xarray
 
         coordinates |= {name: self._arrays.pop(name) for name in coordinates if name in self._arrays}
         data = xarray.Dataset(self._arrays, coords=coordinates, attrs=attributes)
-        if "time" in data.dims:
-            data = data.assign_coords(time=("time", instants, {"long_name": "time", "units": "s"}))
+        known = {} if solution is None else {_time(phase): phase for phase in solution.problem.simulation.phases}
+        for time in (one for one in known if one in data.dims):
+            instants = solution.instants[solution.problem.grid.where(f"{known[time]}.")]  # type: ignore[union-attr]
+            data = data.assign_coords({time: (time, instants, {"long_name": time, "units": "s"})})
         return data
 
 
@@ -97,11 +101,27 @@ def _entries(name: str, value: Any) -> tuple[str, ...]:
     return tuple(f"{_key(name)} axis {i}" for i in range(np.ndim(value)))
 
 
-def _axes(values: Any, is_path: bool) -> tuple[str, ...]:
-    """`time` first for a path; further axes are named after their length, so that equal ones are shared."""
+def _time(phase: str) -> str:
+    """The axis of the instants of a phase, or of a motion without phases."""
+    return f"time of {phase}" if phase else "time"
+
+
+def _along(problem: Problem, one: Any) -> str:
+    """The axis of the instants of a path, or of a limit on one; empty for what is none."""
+    path = path_of(one)
+    return path and _time(phase_of(path) if isinstance(problem.grid, LinkedGrid) else "")
+
+
+def _along_each(problem: Problem) -> dict[str, str]:
+    """The same for each functional of a problem, by its text."""
+    return {one.text(): _along(problem, one) for one in functionals_of(problem.expressions)}
+
+
+def _axes(values: Any, time: str) -> tuple[str, ...]:
+    """The axis of time first for a path; further axes are named after their length, so that equal ones are shared."""
     shape = np.shape(values)
-    rest = tuple(f"component of {size}, {i}" for i, size in enumerate(shape[1:] if is_path else shape))
-    return ("time", *rest) if is_path else rest
+    rest = tuple(f"component of {size}, {i}" for i, size in enumerate(shape[1:] if time else shape))
+    return (time, *rest) if time else rest
 
 
 def _side_by_side(each: Sequence[Any]) -> np.ndarray:
@@ -125,23 +145,23 @@ def _of_solution(solution: Solution) -> "xarray.Dataset":
         arrays.add(f"multiplier {name}", axes, multiplier, f"multiplier of the bounds of {name}")
     for i, (limit, declared) in enumerate(zip(solution.constraints, problem.constraints, strict=True)):
         unit, label = unit_of_expression(declared.expression, problem), f"constraint {i} {limit.name}"
-        axes = _axes(limit.values, limit.times is not None)
+        axes = _axes(limit.values, _along(problem, declared))
         if limit.times is not None and len(limit.times) > len(solution.instants):  # Limits on a mesh have more instants
             axes = ("point of limits", *axes[1:])
             arrays.add("times of limits", axes[0], limit.times, "instants of limits over time", "s")
         arrays.add(label, axes, limit.values, limit.text, unit, lower=f"{limit.lower:g}", upper=f"{limit.upper:g}")
         arrays.add(f"{label} multiplier", axes, limit.multipliers, "minus the objective per bound")
         arrays.add(f"{label} active", axes, np.asarray(limit.active, dtype=np.int8), "1 where active")
-    units = units_of_moments(problem)
+    units, along = units_of_moments(problem), _along_each(problem)
     for text, moments in solution.moments.items():
-        axes, unit = _axes(moments.mean, np.ndim(moments.mean) > 0), units.get(text, "")
+        axes, unit = _axes(moments.mean, along[text]), units.get(text, "")
         arrays.add(f"mean {text}", axes, moments.mean, f"mean of {text} by the expansion", unit)
         arrays.add(f"std {text}", axes, moments.std, f"standard deviation of {text} by the expansion", unit)
     for statistic in statistics_in(problem.expressions):
-        if not isinstance(statistic.kind, Mean | Std):
+        if not statistic.is_moment:
             text, unit = statistic.text(), unit_of_statistic(statistic, problem)
             values = solution.statistics[text]
-            axes = _axes(values, statistic.is_path)
+            axes = _axes(values, along[statistic.functionals[0].text()])
             arrays.add(f"statistic {text}", axes, values, f"{text} by the expansion", unit)
     for i, mesh in enumerate(solution.meshes, 1):
         arrays.add(f"mesh {i}", f"node of mesh {i}", mesh.nodes, f"nodes of mesh {i}, {mesh.scheme}", "s")
@@ -160,7 +180,7 @@ def _of_solution(solution: Solution) -> "xarray.Dataset":
         "complementarity": solution.certificate.complementarity,
         "problem": solution.problem_text,
     }
-    return arrays.dataset(attributes, solution.instants)
+    return arrays.dataset(attributes, solution)
 
 
 def _add_histories(arrays: _Arrays, solution: Solution) -> None:
@@ -183,9 +203,10 @@ def _of_evidence(evidence: Evidence) -> "xarray.Dataset":
     """Violations with their intervals, sampled statistics, percentiles and the kept trajectories."""
     problem, arrays = evidence.solution.problem, _Arrays()
     units, shares = units_of_moments(problem), {**evidence.violations, "any": evidence.joint}
+    along = _along_each(problem)
     arrays.add_shares("limit", list(shares.values()))
     for text, sampled in evidence.functionals.items():
-        axes, unit = _axes(sampled.mean, sampled.percentiles is None), units.get(text, "")
+        axes, unit = _axes(sampled.mean, along[text]), units.get(text, "")
         parts = {"sampled mean": sampled.mean, "sampled std": sampled.std, "standard error": sampled.standard_error}
         for part, values in parts.items():
             arrays.add(f"{part} {text}", axes, values, f"{part} of {text}", unit)
@@ -195,9 +216,10 @@ def _of_evidence(evidence: Evidence) -> "xarray.Dataset":
         unit = unit_of_statistic(sampled.statistic, problem)
         arrays.add(f"sampled {text}", (), sampled.estimate, f"{text} of the samples", unit)
         arrays.add(f"standard error {text}", (), sampled.standard_error, f"standard error of {text}", unit)
+    limits = {one.name: _along(problem, one) for one in problem.constraints if one.is_path}
     for i, kept in enumerate(evidence.trajectories):
         axes, unit, label = (
-            ("system", *_axes(kept.values[0], True)),
+            ("system", *_axes(kept.values[0], limits[kept.name])),
             unit_of_limit(kept.name, problem),
             f"trajectory {i}",
         )
@@ -208,7 +230,7 @@ def _of_evidence(evidence: Evidence) -> "xarray.Dataset":
     attributes = {"samples": evidence.samples, "seed": evidence.seed, "seconds": evidence.seconds}
     if evidence.instants is not None:
         attributes["instants"] = evidence.instants
-    return arrays.dataset(attributes, evidence.solution.instants, limit=list(shares), percent=list(PERCENTILES))
+    return arrays.dataset(attributes, evidence.solution, limit=list(shares), percent=list(PERCENTILES))
 
 
 def _of_front(front: Front) -> "xarray.Dataset":

@@ -91,26 +91,24 @@ def front_figure(
     y: str,
     x_unit: str = "",
     y_unit: str = "",
-    measure: Measure | None = None,
     limits: Mapping[str, float] = MappingProxyType({}),
     infeasible: Mapping[str, Front] = MappingProxyType({}),
     title: str = "",
 ) -> "Figure":
-    """The optimum (or another `measure` of each design) against the bound, one line for each front.
+    """The optimum against the bound, one line for each front.
 
     A marker is filled where the swept bound is active and open where it is not. Points without a
     solution are crosses on the axis; their hover text says what cannot be met. `limits` are drawn as lines;
     `infeasible` shades the bounds at which another design does not exist.
     """
     figure = blank(label(x, x_unit), label(y, y_unit), title=title)
-    shown = measure or (lambda solution: solution.objective)
-    low, high = _range(fronts, shown, list(limits.values()))
+    low, high = _range(fronts, list(limits.values()))
     step, rows = 0.07 * (high - low), 1
     for row, (name, (front, places)) in enumerate(in_order(fronts).items(), start=1):
         look = looks(fronts)[name]
         legend_entry(figure, name, look)
         texts = {"text": [_hover(front, i) for i in range(len(front.points))], "showlegend": False}
-        _add_points(figure, name, front, look, shown, y_unit, "%{text}", places, **texts)
+        _add_points(figure, name, front, look, _objective, y_unit, "%{text}", places, **texts)
         if not front.solved.all():
             rows = row + 1
             _add_infeasible(figure, name, front, look, low - step * row, x_unit, places)
@@ -139,8 +137,12 @@ def _price_of(front: Front, scale: float) -> Measure:
     return lambda solution: scale * solution.multiplier(front.bound)
 
 
-def _range(fronts: Mapping[str, Front], measure: Measure, extra: list[float]) -> tuple[float, float]:
-    values = [measure(one) for front in fronts.values() for one in front.optima if one] + extra
+def _objective(solution: Solution) -> float:
+    return solution.objective
+
+
+def _range(fronts: Mapping[str, Front], extra: list[float]) -> tuple[float, float]:
+    values = [one.objective for front in fronts.values() for one in front.optima if one] + extra
     low, high = (min(values), max(values)) if values else (0.0, 1.0)
     if high - low > _FLAT * max(abs(low), abs(high)):
         return low, high

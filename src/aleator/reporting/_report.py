@@ -2,14 +2,13 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import TypeVar, cast
 
 import numpy as np
 
 from aleator._core.border import a_name, positive
 from aleator._core.errors import ProblemError
-from aleator.reporting._blocks import Block, Code, Drawing, Section, Text, Verdict
+from aleator.reporting._blocks import Block, Code, Drawing, Section, Text
 from aleator.reporting._choices import evidence_on
 from aleator.reporting._designs import mesh_drawing, search_drawings
 from aleator.reporting._files import as_path, check_writable
@@ -84,8 +83,18 @@ def report(
         _check_along(one, shown)
     checked = [each for one in sampled_along.values() for each in one.evidence if each is not None]
     check_writable(as_path(path).parent)
-    first_screen = proposal(designs, sampled, positive("report: target", target, below=1.0))
-    return write_page(_page(designs, sampled, swept, checked, a_name("report: title", title), first_screen), path)
+    page = Page(
+        title=a_name("report: title", title),
+        subtitle=f"{words([str(name) for name in designs])}: result and evidence",
+        verdict=proposal(designs, sampled, positive("report: target", target, below=1.0)),
+        sections=[
+            *sections(designs, sampled, swept, checked),
+            provenance({"designs": designs, "evidence": sampled, "fronts": swept}),
+            Section("How to read this", [Text(HOW_TO_READ)]),
+        ],
+        footer=footer(),
+    )
+    return write_page(page, path)
 
 
 def _named(
@@ -130,8 +139,7 @@ def _check_along(along: EvidenceOfAll, shown: Sequence[Solution]) -> None:
 def sections(
     designs: Mapping[str, Solution],
     evidence: Mapping[str, Evidence],
-    fronts: Mapping[str, Front],
-    trade_offs: Mapping[str, TradeOff] = MappingProxyType({}),
+    fronts: Mapping[str, Front | TradeOff],
     along: Sequence[Evidence] = (),
 ) -> list[Section]:
     """The chapters on any designs: designs side by side, fronts, evidence, trust and mathematics.
@@ -146,7 +154,7 @@ def sections(
     every = [
         Section("Designs", [*failed, *_motions(designs), designs_table(designs, evidence)]),
         paths,
-        trade_offs_section(designs, {**fronts, **trade_offs}, [*along, *evidence.values()]),
+        trade_offs_section(designs, fronts, [*along, *evidence.values()]),
         counted,
         Section("Certificate", [certificate_table(designs), *meshes, *search_drawings(designs)]),
         Section("The problem as mathematics", [Code(name, one.problem_text, True) for name, one in designs.items()]),
@@ -180,30 +188,6 @@ def trade_offs_section(
     # The page opens where its design is.
     shown = next((one for one in reversed(list(designs.values())) if one.ok), None)
     return Section("Trade-offs", [*optima, *front_blocks(swept, known, shown), *trade_off_blocks(traded, known, shown)])
-
-
-def _page(
-    designs: dict[str, Solution],
-    evidence: dict[str, Evidence],
-    fronts: dict[str, Front | TradeOff],
-    along: Sequence[Evidence],
-    title: str,
-    first_screen: Verdict,
-) -> Page:
-    swept = {name: one for name, one in fronts.items() if isinstance(one, Front)}
-    traded = {name: one for name, one in fronts.items() if isinstance(one, TradeOff)}
-    chapters = sections(designs, evidence, swept, traded, along)
-    return Page(
-        title=title,
-        subtitle=f"{words([str(name) for name in designs])}: result and evidence",
-        verdict=first_screen,
-        sections=[
-            *chapters,
-            provenance({"designs": designs, "evidence": evidence, "fronts": fronts}),
-            Section("How to read this", [Text(HOW_TO_READ)]),
-        ],
-        footer=footer(),
-    )
 
 
 def footer() -> str:

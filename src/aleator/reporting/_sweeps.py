@@ -76,7 +76,7 @@ def _prefixed(fronts: Mapping[str, Front]) -> list[tuple[str, Front]]:
 
 
 def front_table(fronts: Mapping[str, Front], evidence: Sequence[Evidence] = ()) -> Table:
-    """A row for each point of some fronts along one bound: its optimum and decisions; the status without a design."""
+    """A row for each point of some fronts along one bound: its optimum and decisions; why there is no design."""
     first = next(iter(fronts.values()))
     decided = _numbers_in(first.points[0].problem)
     rows, counted = [], []
@@ -132,8 +132,10 @@ def disagreements(designs: Mapping[str, Solution], fronts: Mapping[str, Front]) 
 
 
 def _optimum(front: Front, point: Solution | Refused) -> list[str]:
-    """Objective, shadow price and what is active; the status where there is no design."""
-    if isinstance(point, Refused) or not point.ok:
+    """Objective, shadow price and what is active; the status or the reason where there is no design."""
+    if isinstance(point, Refused):
+        return [f"no design: {point.reason}", "–", "–"]
+    if not point.ok:
         return [STATUS_WORDS[point.status], "–", "–"]
     return [objective_text(point), number(point.multiplier(front.bound), 4), words(list(point.active), "nothing")]
 

@@ -22,7 +22,6 @@ from aleator.reporting._numbers import (
     words,
 )
 from aleator.solution import Certificate, ConstraintResult, Solution
-from aleator.statistics import Mean, Std
 from aleator.validation import Checked, Evidence
 
 STATUS_WORDS = {
@@ -240,7 +239,7 @@ def evidence_table(evidence: Mapping[str, Evidence]) -> Table:
             p5, p50, p95 = (sampled.percentiles[i] for i in (1, 3, 5))
             rows.append(
                 [
-                    f"{name}, {text}" + (f" ({units[text]})" if units.get(text) else ""),
+                    (f"{name}, {text}" if name else text) + (f" ({units[text]})" if units.get(text) else ""),
                     f"{number(float(sampled.mean), 5)} ± {number(float(sampled.standard_error), 2)}",
                     number(float(sampled.expanded_mean), 5),
                     number(float(sampled.std), 4),
@@ -264,7 +263,7 @@ def statistics_table(evidence: Mapping[str, Evidence]) -> Table | None:
     rows = []
     for name, one in evidence.items():
         for text, checked in one.statistics.items():
-            if isinstance(checked.statistic.kind, Mean | Std):
+            if checked.statistic.is_moment:
                 continue
             unit = unit_of_statistic(checked.statistic, one.solution.problem)
             rows.append(

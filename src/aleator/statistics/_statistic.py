@@ -142,9 +142,14 @@ class Mean(AbstractStatistic):
 
 @final
 class Variance(AbstractStatistic):
-    """The variance, equation (33): the sum of squares from the second coefficient on."""
+    """The variance, equation (33): the sum of squares from the second coefficient on.
+
+    - `noisy`: whether white noise moves the output in each system: its variance there is stacked beside the output
+      along a last axis, and the mean of this is added (the law of total variance).
+    """
 
     symbol: ClassVar[str] = "Var"
+    noisy: bool = eqx.field(static=True, default=False)
     by_numpy: ClassVar[bool] = True
 
     @override
@@ -152,13 +157,21 @@ class Variance(AbstractStatistic):
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
         del constants
         library, coefficients = in_library(coefficients)
+        if self.noisy:
+            return coefficients[0, ..., 1] + Variance().of(coefficients[..., 0], ())
         return jax_array(library.sum(coefficients[1:] ** 2, axis=0))
 
     @override
     @quietly
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
         library, values = in_library(values)
+        if self.noisy:
+            return Mean().of_sample(values[..., 1]) + Variance().of_sample(values[..., 0])
         return jax_array(library.var(values, axis=0, ddof=1))
+
+    @override
+    def text(self, inside: str) -> str:
+        return super().text(inside.partition(", ")[0] if self.noisy else inside)
 
     @override
     def unit(self, *of: str) -> str:
@@ -170,21 +183,27 @@ class Std(AbstractStatistic):
     """The standard deviation, equation (33).
 
     Where the variance is zero but for rounding, as for a certain initial condition, so is the derivative: the root has
-    no finite one there, and zero is the subgradient of smallest norm.
+    no finite one there, and zero is the subgradient of smallest norm. `noisy`: see `Variance`.
     """
 
     symbol: ClassVar[str] = "σ"
+    noisy: bool = eqx.field(static=True, default=False)
     by_numpy: ClassVar[bool] = True
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
         library, coefficients = in_library(coefficients)
-        mean = coefficients[0] if library is np else jax.lax.stop_gradient(coefficients[0])
-        return root(Variance().of(coefficients, constants), ROUNDING * abs(mean))
+        mean = coefficients[0, ..., 0] if self.noisy else coefficients[0]
+        mean = mean if library is np else jax.lax.stop_gradient(mean)
+        return root(Variance(self.noisy).of(coefficients, constants), ROUNDING * abs(mean))
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        return root(Variance().of_sample(values))
+        return root(Variance(self.noisy).of_sample(values))
+
+    @override
+    def text(self, inside: str) -> str:
+        return super().text(inside.partition(", ")[0] if self.noisy else inside)
 
 
 @quietly

@@ -1,6 +1,7 @@
 """`Study`: a study of one's own, declared by its problems alone."""
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from typing import Any, final
 
 from typing_extensions import override
@@ -90,18 +91,22 @@ class Study(AbstractStudy):
         self._solver = None if solver is None else one_of("Study: solver", solver, AbstractSolver, "al.solvers.Ipopt()")
         self._transcription = one_of("Study: transcription", transcription, AbstractTranscription, "al.Sequential()")
         self._workers = None if workers is None else whole("Study: workers", workers)
-        self._is_quick = quick
+        self._is_quick = False
         for name, values in self._sweeps.items():
             check_sweepable("Study: sweeps", self._last, name, values)
+        if quick:
+            self._shrink()
 
     def quickened(self) -> "Study":
         """The same study, small enough for a first look."""
-        return self._with(
-            samples=max(self._samples // _QUICK_SAMPLES, 2),
-            sweeps={name: one[::_QUICK_POINTS].tolist() for name, one in self._sweeps.items()},
-            points=max(self._points // _QUICK_POINTS, max(2, len(self._wishes))),
-            quick=True,
-        )
+        quick = copy(self)
+        quick._shrink()
+        return quick
+
+    def _shrink(self) -> None:
+        self._is_quick, self._samples = True, max(self._samples // _QUICK_SAMPLES, 2)
+        self._sweeps = {name: one[::_QUICK_POINTS] for name, one in self._sweeps.items()}
+        self._points = max(self._points // _QUICK_POINTS, max(2, len(self._wishes)))
 
     @property
     @override
@@ -115,25 +120,9 @@ class Study(AbstractStudy):
                 f"--workers {count}: the study '{self.title}' has nothing to share among processes: expected "
                 "`sweeps` or `wishes`. A single solve takes all cores of the machine by itself."
             )
-        return self._with(workers=count)
-
-    def _with(self, **changed: Any) -> "Study":
-        """The same study with other settings."""
-        settings: dict[str, Any] = {
-            "title": self.title,
-            "subtitle": self.subtitle,
-            "samples": self._samples,
-            "seed": self._seed,
-            "target": self._target,
-            "sweeps": {name: one.tolist() for name, one in self._sweeps.items()},
-            "wishes": self._wishes or None,
-            "points": self._points,
-            "solver": self._solver,
-            "transcription": self._transcription,
-            "workers": self._workers,
-            "quick": self._is_quick,
-        }
-        return Study(self.problems, **{**settings, **changed})
+        shared = copy(self)
+        shared._workers = whole("Study: workers", count)
+        return shared
 
     @property
     @override

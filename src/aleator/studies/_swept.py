@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
@@ -11,10 +12,10 @@ from typing_extensions import override
 from aleator._core.border import Progress, meant, one_of, real_array, refusal, whole
 from aleator._core.errors import ProblemError
 from aleator.design import Problem
-from aleator.reporting import Section, Table, Verdict, count, number, sections, words
-from aleator.solution import Solution, in_brief
+from aleator.reporting import Section, Verdict, count, front_table, number, sections, words
+from aleator.solution import Solution
 from aleator.studies._study import AbstractStudy, Draft
-from aleator.sweep import Front, Refused, pareto, point_name, workers
+from aleator.sweep import Front, pareto, point_name, workers
 
 
 @contextmanager
@@ -96,7 +97,7 @@ class SweptStudy(AbstractStudy):
         if front.points and not solved:
             page.unsolved.append(_nothing_solved(front))
         page.append(Section("Points", []))
-        page.add(front_table(front, f"{self._name} over {self._bound}"), printed=True)
+        page.add(replace(front_table({"": front}), caption=f"{self._name} over {self._bound}"), printed=True)
         if front.interrupted:
             page.add(f"{len(front.values)} of {len(self._values)} points are available.")
         ends = {name: solved[name] for name in list(solved)[:: max(len(solved) - 1, 1)]}
@@ -170,17 +171,3 @@ def _range_of(front: Front) -> str:
 
 def _place(front: Front, i: int) -> str:
     return point_name(front.bound, front.values[i])
-
-
-def front_table(front: Front, caption: str) -> Table:
-    """The points of a front: bound, objective, shadow price, what is active; or why there is no design."""
-    rows = [_row(front, i) for i in range(len(front.points))]
-    return Table(caption, [front.bound, "Result", "Shadow price", "Active"], rows)
-
-
-def _row(front: Front, i: int) -> list[str]:
-    one, value = front.points[i], f"{front.values[i]:.6g}"
-    if isinstance(one, Refused):
-        return [value, f"no design: {one.reason}", "–", "–"]
-    price = number(one.multiplier(front.bound), 4) if one.ok else "–"
-    return [value, in_brief(one), price, words(one.active, "nothing") if one.ok else "–"]

@@ -252,7 +252,7 @@ def _on_grid(problem: Problem, t_final: Any, steps: int | None) -> Problem:
     """The problem on another grid."""
     grid = problem.grid
     if not isinstance(grid, Grid):
-        raise ProblemError("the model has no time, and so no grid.")
+        raise ProblemError("expected a model with one grid; received one without time, or in phases.")
     changed = Grid(grid.t_final if t_final is None else plain(t_final, "s"), grid.steps if steps is None else steps)
     return declared_anew(problem, replace(problem.simulation, grid=changed))
 

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import Pytree, in_library, is_number, jax_array
 from aleator._core.border import refusal, refuse_missing
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import AbstractLeaf, is_leaf, is_traced, named_leaves
+from aleator._core.leaves import AbstractLeaf, AbstractPlanned, is_leaf, is_traced, named_leaves
 from aleator.uncertainty._copula import pearson
 from aleator.uncertainty._decision import AbstractDecision, start_given
 from aleator.uncertainty._distribution import AbstractDistribution
@@ -200,14 +200,18 @@ def realise(model: Pytree, germ: Float[Array, " variables"], decisions: Float[Ar
     places = placements(model)
     uncertain = uncertain_numbers(places, germ, decisions)
 
+    def mean(name: str, leaf: Any) -> Any:
+        return _decided(leaf, name, places, decisions).mean() if isinstance(leaf, AbstractDistribution) else None
+
     def value(name: str, leaf: Any) -> Any:
         if isinstance(leaf, AbstractDecision):
             return _chosen(places, decisions, name)
         if isinstance(leaf, AbstractDistribution):
-            return uncertain[name] if leaf.is_uncertain else _decided(leaf, name, places, decisions).mean()
+            return uncertain[name] if leaf.is_uncertain else mean(name, leaf)
         return leaf
 
-    return _with_leaves(model, value)
+    realised = _with_leaves(model, value)
+    return realised.beside(lambda: _with_leaves(model, mean)) if isinstance(realised, AbstractPlanned) else realised
 
 
 def uncertain_numbers(

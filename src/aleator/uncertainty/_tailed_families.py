@@ -10,7 +10,7 @@ from jax.scipy import special
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Scalar
+from aleator._core.arrays import Scalar, in_library
 from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
 from aleator.uncertainty._families import bisect
 from aleator.uncertainty._measure import AbstractDensityGerm
@@ -117,8 +117,9 @@ class Exponential(AbstractDistribution):
 
 
 def _lognormal_from_moments(mean: Scalar, std: Scalar, lower: Scalar) -> Canonical:
-    variance = jnp.log1p((std / (mean - lower)) ** 2)
-    return Canonical(lower, (mean - lower) * jnp.exp(-variance / 2), (jnp.sqrt(variance),))
+    xp, mean, std, lower = in_library(mean, std, lower)
+    variance = xp.log1p((std / (mean - lower)) ** 2)
+    return Canonical(lower, (mean - lower) * xp.exp(-variance / 2), (xp.sqrt(variance),))
 
 
 @final
@@ -180,13 +181,13 @@ class LogNormal(AbstractDistribution):
 
     @override
     def mean(self) -> Scalar:
-        lower, median, (log_std,) = self.canonical()
-        return lower + median * jnp.exp(log_std**2 / 2)
+        xp, (lower, median, (log_std,)) = in_library(self.canonical())
+        return lower + median * xp.exp(log_std**2 / 2)
 
     @override
     def std(self) -> Scalar:
-        _, median, (log_std,) = self.canonical()
-        return median * jnp.exp(log_std**2 / 2) * jnp.sqrt(jnp.expm1(log_std**2))
+        xp, (_, median, (log_std,)) = in_library(self.canonical())
+        return median * xp.exp(log_std**2 / 2) * xp.sqrt(xp.expm1(log_std**2))
 
     @override
     def support(self) -> tuple[Scalar, Scalar]:

@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float
 from aleator._core.leaves import Drawn, Printed
 from aleator.design import Statistic, uncertain
 from aleator.solution import Solution, ends
-from aleator.statistics import Mean, Std
 from aleator.validation._comparisons import Compared, Disagreement, with_error
 from aleator.validation._limits import check_counted, reason_uncounted
 from aleator.validation._shares import Proportion
@@ -181,5 +180,5 @@ class Evidence(Drawn):
         rows += [f"  compared: {one}" for one in self.compared]
         rows += [f"  not counted: {text} ({why})" for text, why in self.uncounted.items()]
         rows += [f"  {one}" for one in self.functionals.values() if np.ndim(one.mean) == 0]
-        rows += [f"  {one}" for one in self.statistics.values() if not isinstance(one.statistic.kind, Mean | Std)]
+        rows += [f"  {one}" for one in self.statistics.values() if not one.statistic.is_moment]
         return "\n".join(rows)

@@ -138,11 +138,13 @@ def _estimates(problem: Problem, evidence: Evidence) -> dict[str, Estimated]:
         for text, one in evidence.statistics.items()
     }
     for atom in statistics_in(problem.expressions):
-        one = evidence.functionals[atom.functionals[0].text()]
+        one, *noise = (evidence.functionals[functional.text()] for functional in atom.functionals)
+        # A second functional of these is what noise adds to the variance.
+        variance = np.asarray(one.std**2 + sum(part.mean for part in noise))
         of_path: dict[type, Estimated] = {
             Mean: Estimated(one.mean, one.standard_error),
-            Std: Estimated(one.std, one.std_error),
-            Variance: Estimated(np.asarray(one.std**2), np.asarray(2 * one.std * one.std_error)),
+            Std: Estimated(np.sqrt(variance), one.std_error),
+            Variance: Estimated(variance, np.asarray(2 * one.std * one.std_error)),
         }
         if atom.is_path and type(atom.kind) in of_path:
             known[atom.text()] = of_path[type(atom.kind)]

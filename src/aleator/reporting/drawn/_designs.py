@@ -260,14 +260,16 @@ class SolutionPlots(AbstractPlots[Solution]):
         return [one.name for one in self._result.constraints if one.times is not None and np.any(one.active)]
 
     def _inputs(self) -> "Iterator[Figure]":
-        """The inputs that are decided, those of one unit together."""
+        """The inputs that are decided, those of one unit and phase together."""
         names = [name for name, one in self._result.problem.inputs.items() if placements(one).decisions]
         if names:
             motions = self._result.inputs
-            units = {name: motions.units.get(name) or name for name in names}
-            for unit in dict.fromkeys(units.values()):
-                alike = [name for name in names if units[name] == unit]
-                yield motion_figure(motions, *alike, title=self._warning())
+            alike = dict[Any, list[str]]()
+            for name in names:
+                unit, times = motions.units.get(name) or name, np.asarray(motions.times_of(name))
+                alike.setdefault((unit, times.tobytes()), []).append(name)
+            for each in alike.values():
+                yield motion_figure(motions, *each, title=self._warning())
 
     def _limited(self) -> "list[Figure]":
         """The limits over time, each by its path where it is on one alone; active ones first."""

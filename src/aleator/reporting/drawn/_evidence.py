@@ -14,6 +14,7 @@ from aleator.reporting._numbers import count, number, share_text, unit_of_functi
 from aleator.reporting._paths import cloud, components, limits_of, path_figure, paths_of, trajectory_figure
 from aleator.reporting._samples import percentile_figure, shares_figure
 from aleator.reporting._style import plain
+from aleator.reporting._tables import evidence_table, violations_table
 from aleator.reporting.drawn._facts import AbstractPlots, Facts, chosen, facts_of, plots_of
 from aleator.sweep import EvidenceOfAll
 from aleator.validation import Evidence, Sampled
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 _BINS = 200
 _NO_LIMIT = "expected a limit that single systems can break; received evidence that counts none."
 _NO_NUMBER = "expected a functional that is one number of each system, such as al.rms('x'); received none."
-_COUNTED = "Systems that break limits, with 95 % intervals"
 
 
 @plots_of.register(Evidence)
@@ -166,22 +166,7 @@ def _steps(values: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
 
 @facts_of.register(Evidence)
 def _(evidence: Evidence) -> Facts:
-    shares = [[f"violates {name}", share_text(one)] for name, one in evidence.violations.items()]
-    shares += [["violates any limit", share_text(evidence.joint)]] if len(shares) > 1 else []
-    units = units_of_moments(evidence.solution.problem)
-    rows = [
-        [
-            text,
-            f"{number(float(one.mean), 5)} ± {number(float(one.standard_error), 2, units.get(text, ''))}",
-            number(float(one.expanded_mean), 5),
-            number(float(one.std), 4),
-            number(float(one.expanded_std), 4),
-        ]
-        for text, one in evidence.functionals.items()
-        if np.ndim(one.mean) == 0
-    ]
-    header = ["", "mean, sampled", "by the expansion", "σ, sampled", "by the expansion"]
-    tables = [Table(_COUNTED, ["", ""], shares), Table("Sampled and expanded", header, rows)]
+    tables = [violations_table({"": evidence}), evidence_table({"": evidence})]
     heading = f"Evidence: {count(evidence.samples)} fresh systems" if evidence.alone is None else "Evidence: one system"
     return Facts(heading, "" if evidence.agrees else evidence.alarm(), [one for one in tables if one.rows])
 
@@ -195,4 +180,4 @@ def _(evidence: EvidenceOfAll) -> Facts:
     ]
     heading = f"Evidence on {len(evidence.designs)} designs{', interrupted' * evidence.interrupted}"
     sentence = "" if evidence.agrees else "Samples contradict some of the designs, or these could not be simulated."
-    return Facts(heading, sentence, [Table(_COUNTED, ["design", *names], rows)])
+    return Facts(heading, sentence, [Table("Systems that break limits, with 95 % intervals", ["design", *names], rows)])

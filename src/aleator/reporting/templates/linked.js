@@ -13,6 +13,8 @@ function link(figure) {
   function show(place) {
     const choice = choices[place];
     buttons[place].checked = true;
+    const box = figure.querySelector(".chooser .table-box");
+    box.scrollTop = buttons[place].closest("tr").offsetTop - box.clientHeight / 2;
     name.querySelector("strong").textContent = choice.name;
     figure.querySelector(".facts").replaceChildren(...choice.facts.flatMap(factsOf));
     bands.forEach((plot, i) => showBand(plot, stages[i], choice.bands[paths[i]]));

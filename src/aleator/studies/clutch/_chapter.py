@@ -374,6 +374,14 @@ def recommended(
     sentences: list[str],
 ) -> Verdict:
     """The cheapest tolerances; what is tightened and what widened, and the choice where the worst case counts."""
+    given_cost, chosen, safe = cost(TOLERANCES), tolerances[CHEAPEST], cost(tolerances[SAFE])
+    if broken(chosen):
+        change = f"{percent(abs(1 - safe / given_cost))} {'less' if safe < given_cost else 'more'} than the given ones"
+        sentences = [
+            f"If even the worst case must stay within {given(LIMITS[0])}° to {given(LIMITS[1])}°, build the worst-case "
+            f"tolerances, for {change}.",
+            *sentences,
+        ]
     verdict = recommendation(
         design,
         evidence,
@@ -382,13 +390,10 @@ def recommended(
         objective=f"cost {COST}, in 1/mm:",
         sentences=sentences,
     )
-    given_cost, chosen, safe = cost(TOLERANCES), tolerances[CHEAPEST], cost(tolerances[SAFE])
+    if verdict.level != "good":
+        return verdict
     wider = [NAMES[part] for part in chosen if chosen[part] > TOLERANCES[part]]
     tighter = [NAMES[part] for part in chosen if chosen[part] < TOLERANCES[part]]
-    said = f" Tighten the {words(tighter)}, widen the {words(wider)}: as few rejects as before for "
-    said += f"{percent(1 - cost(chosen) / given_cost)} less."
-    if broken(chosen):
-        said += f" If even the worst case must stay within {given(LIMITS[0])}° to {given(LIMITS[1])}°, build the "
-        said += f"worst-case tolerances, for {percent(abs(1 - safe / given_cost))} "
-        said += f"{'less' if safe < given_cost else 'more'} than the given ones."
-    return replace(verdict, headline=verdict.headline + said) if verdict.level == "good" else verdict
+    saved = percent(1 - cost(chosen) / given_cost)
+    said = f"Tighten the {words(tighter)}, widen the {words(wider)}: as few rejects as before for {saved} less."
+    return replace(verdict, headline=said)

@@ -10,7 +10,6 @@ from aleator.reporting import (
     Code,
     Drawing,
     Schematic,
-    calibration_figure,
     certificate_table,
     count,
     evidence_table,
@@ -21,7 +20,7 @@ from aleator.reporting import (
     signal_figure,
     trajectory_figure,
 )
-from aleator.studies._shared import comparison_table
+from aleator.studies._shared import comparison_table, margin_drawing
 from aleator.studies._study import Draft
 from aleator.studies.suspension import (
     GRID,
@@ -152,7 +151,7 @@ def chapter(page: Draft, quick: bool) -> None:
             page.keep("margins", {name: built[name]})
         page.recommend(recommended(built["uOpt"].solution, built["uOpt"].evidence, designs, evidence, built))
         page.add(built_table(designs, evidence, built), printed=True)
-        page.add(*(_margin(one, f"The margin to build {name} with") for name, one in built.items()))
+        page.add(*(_margin(f"The margin to build {name} with", one) for name, one in built.items()))
 
     chosen = designs | {name: one.solution for name, one in built.items()}
 
@@ -170,7 +169,7 @@ def chapter(page: Draft, quick: bool) -> None:
     if not quick:
         exact = al.calibrate(robust_problem(NARROW, HOLDING), "travel", TARGET, samples=20_000, progress=page.progress)
         page.keep("calibration", exact)
-        page.add(_margin(exact, "The margin that meets the target for violations"))
+        page.add(_margin("The margin that meets the target for violations", exact))
 
     page.section("Trade-offs of ride")
     shown = list(evidence.values()), chosen["uOpt"]
@@ -335,10 +334,5 @@ def _cheaper(designs: Mapping[str, al.Solution], built: Mapping[str, al.results.
         )
 
 
-def _margin(found: al.results.Calibration, heading: str) -> Drawing:
-    caption = (
-        f"Each trial is a full design, counted on the same random cars, until at most {given(100 * found.target)} % of "
-        f"them break a limit. The chosen margin, {margins_text(found.margins)}, is {found.sentence('cars')}. Bars: 95 %"
-        " intervals; on fresh cars at the confidence stated."
-    )
-    return Drawing([calibration_figure(found, who="cars")], heading, caption)
+def _margin(heading: str, found: al.results.Calibration) -> Drawing:
+    return margin_drawing(found, heading, "cars", margins_text(found.margins))

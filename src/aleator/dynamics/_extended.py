@@ -1,0 +1,114 @@
+"""`AbstractExtended`: a system with further states beside its own, such as those of a plan that it follows."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from typing_extensions import override
+
+from aleator._core.leaves import transparent
+from aleator.dynamics._evaluation import after_events, event_levels
+from aleator.dynamics._event import Event
+from aleator.dynamics._system import System, state_type
+from aleator.trajectories import AbstractSignal
+
+
+@transparent("own")
+class AbstractExtended(System):
+    """A system whose first states are those of its `own` system, whose numbers keep their names.
+
+    `taken`: the inputs that it is given, by name. Algebraic variables of its own system are solved for inside.
+    """
+
+    own: eqx.AbstractVar[System]
+    taken: eqx.AbstractVar[tuple[str, ...]]
+    further: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def states(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Those of its own system, then the further ones."""
+        return (*self.own.states, *self.further)
+
+    @property
+    def further_inputs(self) -> tuple[str, ...]:  # type: ignore[override]
+        """The inputs that it is given."""
+        return self.taken
+
+    @property
+    def units(self) -> Mapping[str, str]:  # type: ignore[override]
+        """The units of its own system."""
+        return self.own.units
+
+    @property
+    def rates_of(self) -> Mapping[str, str]:  # type: ignore[override]
+        """The rates of its own system."""
+        return self.own.rates_of
+
+    @property
+    @override
+    def title(self) -> str:
+        return self.own.title
+
+    @property
+    @override
+    def formulated(self) -> Any:
+        return self.own.formulated
+
+    @property
+    @override
+    def declared_events(self) -> Mapping[str, Event]:
+        return self.own.declared_events
+
+    @property
+    @override
+    def solves_start(self) -> bool:
+        return self.own.solves_start
+
+    def with_plan(
+        self, means: Any, inputs: Mapping[str, AbstractSignal], uncertain: tuple[str, ...]
+    ) -> "AbstractExtended":
+        """Itself, knowing the means of its distributions, in a tree like its own, and the inputs at these.
+
+        `uncertain`: the inputs that differ from the realisation's.
+        """
+        if not isinstance(self.own, AbstractExtended):
+            return self
+        return replace(self, own=self.own.with_plan(means.own, inputs, uncertain))
+
+    def own_states(self, z: Any) -> Any:
+        """The states of its own system, as this one names them."""
+        return state_type(self.own.states)(*z[: len(self.own.states)])
+
+    def seen_by_own(self, t: Any, z: Any, inputs: dict[str, Array]) -> dict[str, Array]:
+        """The inputs of its own system: by default those that are given."""
+        del t, z
+        return inputs
+
+    @override
+    def signals(self) -> Mapping[str, AbstractSignal]:
+        return self.own.signals()
+
+    @override
+    def rhs(self, t: Any, z: Any, **inputs: Any) -> Any:
+        return self.rates_and_outputs(t, z, **inputs)[0]
+
+    @override
+    def outputs(self, t: Any, z: Any, **inputs: Any) -> dict[str, Any]:
+        return self.rates_and_outputs(t, z, **inputs)[1]
+
+    @override
+    def event_levels(self, t: Any, z: Any, *args: Any, **inputs: Any) -> Float[Array, " events"]:
+        return event_levels(self.own, t, self.own_states(z), self.seen_by_own(t, z, inputs))
+
+    @override
+    def after_events(self, t: Any, z: Any, *args: Any, **inputs: Any) -> Float[Array, "events states"]:
+        after = after_events(self.own, t, self.own_states(z), self.seen_by_own(t, z, inputs))
+        further = jnp.concatenate([jnp.zeros(0), *map(jnp.ravel, z[len(self.own.states) :])])
+        return jnp.concatenate([after, jnp.broadcast_to(further, (len(after), further.size))], axis=1)
+
+    @override
+    def diagnose(self, grid: Any) -> str:
+        return self.own.diagnose(grid)

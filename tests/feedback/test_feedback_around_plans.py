@@ -1,0 +1,143 @@
+"""Feedback around a decided plan, against SciPy and closed forms."""
+
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy
+
+import aleator as al
+from aleator._core.arrays import jax_array
+from aleator.feedback import AbstractController
+from aleator.uncertainty import realise
+
+STEPS = 20
+GAINS = al.Decision([10.0, 5.0], 0.0, 200.0)
+
+
+class Cart(al.System):
+    """A cart with quadratic drag and an uncertain mass."""
+
+    states = ("x", "v")
+    m: al.Number
+
+    def rhs(self, t, z, u):
+        return z.v, (u - z.v * jnp.abs(z.v) / 2) / self.m
+
+    def outputs(self, t, z, u):
+        return {"x": z.x, "v": z.v, "effort": u**2}
+
+
+REST = [al.terminal("x").mean.equals(1.0), al.terminal("v").mean.equals(0.0)]
+EXACT = al.terminal("x").std <= 0.005
+
+
+def cart(feedback: Any, *limits: Any) -> al.Problem:
+    """From rest to rest over 1 m in 1 s, with least effort."""
+    return al.Problem(
+        Cart(m=al.Uniform(1.0, half_width=0.2)),
+        grid=al.Grid(1.0, STEPS),
+        inputs={"u": al.Control(lambda s: 6 - 12 * s, -50, 50, degree=1)},
+        feedback=feedback,
+        minimize=al.integral("effort").mean,
+        subject_to=[*REST, *limits],
+        expansion=al.Expansion(order=5),
+    )
+
+
+@cache
+def steered():
+    return al.solve(cart(al.Feedback(gains=GAINS, of=("x", "v")), EXACT))
+
+
+def by_numpy(u, gains, fine=10):
+    """The means of `x`, `v` and of the effort, and the spread of `x`, at the end: Runge's method at Gauss's points."""
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    m, (k, d) = 1 + 0.2 * nodes[:, None], gains
+
+    def rates(t, y):
+        planned = np.interp(t, np.linspace(0, 1, STEPS + 1), u)
+        command = planned + k * (y[:, 2:3] - y[:, :1]) + d * (y[:, 3:4] - y[:, 1:2])
+        v, v_plan = y[:, 1:2], y[:, 3:4]
+        after = (command - v * abs(v) / 2) / m, planned - v_plan * abs(v_plan) / 2
+        return np.hstack([v, after[0], v_plan, after[1], command**2])
+
+    y, h = np.zeros((len(nodes), 5)), 1 / (STEPS * fine)
+    for i in range(STEPS * fine):
+        a = rates(i * h, y)
+        b = rates((i + 0.5) * h, y + h / 2 * a)
+        c = rates((i + 0.5) * h, y + h / 2 * b)
+        y = y + h / 6 * (a + 2 * b + 2 * c + rates((i + 1) * h, y + h * c))
+    mean = weights @ y / 2
+    return mean[0], mean[1], mean[4], np.sqrt(weights @ (y[:, 0] - mean[0]) ** 2 / 2)
+
+
+def test_a_cart_without_feedback_spreads_as_by_numpy():
+    open_loop = al.solve(cart(None, al.terminal("x").std <= 1.0))
+    spread = float(open_loop.statistics["σ[x(t_f)]"])
+    assert spread == pytest.approx(0.0657, abs=5e-5)
+    assert spread == pytest.approx(by_numpy(open_loop.decisions["inputs.u"], (0.0, 0.0))[3], rel=3e-5)
+
+
+def test_decided_gains_hold_the_spread_of_a_cart_as_by_numpy():
+    decided = steered().decisions
+    x, v, effort, spread = by_numpy(decided["inputs.u"], decided["feedback.gains"])
+    assert (x, v, spread) == pytest.approx((1.0, 0.0, 0.005), abs=5e-6)
+    assert steered().objective == pytest.approx(effort, rel=1e-6)
+
+
+def test_no_other_plan_and_gains_take_less_effort_by_scipy():
+    decided = steered().decisions
+    best = np.concatenate([decided["inputs.u"], decided["feedback.gains"]])
+
+    def ends(variables):
+        return np.array(by_numpy(variables[:-2], variables[-2:], fine=2))
+
+    beside = [{"type": "eq", "fun": lambda z: ends(z)[:2] - [1.0, 0.0]}]
+    beside += [{"type": "ineq", "fun": lambda z: 200 * (0.005 - ends(z)[3])}]
+    start = best + 0.03 * np.cos(np.arange(best.size))
+    peer = scipy.optimize.minimize(
+        lambda z: ends(z)[2], start, method="SLSQP", constraints=beside, bounds=[(-50, 50)] * 21 + [(0, 200)] * 2
+    )
+    assert peer.success
+    assert steered().objective == pytest.approx(peer.fun, rel=1e-5)
+
+
+def test_the_answer_is_certified_and_its_motions_have_the_plan():
+    assert steered().ok
+    states, outputs = steered().states, steered().outputs
+    assert set(states) == {"x", "v", "x_plan", "v_plan"}
+    assert {"u.command", "u.applied", "x.error", "v.error"} <= set(outputs)
+
+
+def test_limits_are_those_of_actuators_and_a_law_of_ones_own_is_a_law():
+    class Own(AbstractController):
+        k: al.Number
+
+        def command(self, t, measured, plan):
+            return {"u": plan.inputs["u"] + self.k * (plan.states.x - measured.x)}
+
+    class Jerky(Cart):
+        def initial(self):
+            return {"x": self.m - 1.0}
+
+    def commanded(gains):
+        problem = al.Problem(
+            Jerky(m=al.Uniform(1.0, half_width=0.2)),
+            grid=al.Grid(1.0, STEPS),
+            inputs={"u": al.BSpline(al.Decision(np.zeros(4), -1, 1))},
+            feedback=al.Feedback(gains=gains, of="x", limits=(-1.0, 1.0)),
+            minimize=al.terminal("x").mean,
+        )
+        start = jax_array(problem.placements.vector("initial"))
+        every = jax.vmap(lambda germ: realise(problem.simulation, germ, start).history())
+        return jax.jit(every)(jnp.array([[-0.9], [0.6]]))
+
+    own, numbers = commanded(Own(k=50.0)), commanded([50.0])
+    command, applied = (np.asarray(own[f"u.{name}"]) for name in ("command", "applied"))
+    assert abs(command).max() > 2.0
+    np.testing.assert_allclose(applied, np.clip(command, -1.0, 1.0), atol=1e-12)
+    np.testing.assert_allclose(numbers["u.command"], command, atol=1e-10)
