@@ -215,7 +215,7 @@ def asked_for(functionals: tuple[AbstractFunctional, ...]) -> Asked:
 def taken_from(record: Record, functionals: tuple[AbstractFunctional, ...]) -> Taken:
     """The data for functionals in a record of what is `asked_for` them."""
     integrals = (one for one in functionals if isinstance(one, AbstractIntegral))
-    integrated = dict(zip(integrals, record.integrals, strict=True))
+    integrated: dict[AbstractFunctional, Any] = dict(zip(integrals, record.integrals, strict=True))
     return Taken(record.history, integrated, record.events or {}, record.monodromy)
 
 

@@ -85,7 +85,7 @@ def diagnosis(
     finite, history = np.isfinite(seen.q).all(axis=1), seen.history or {}
     begins = all(np.isfinite(history[name][0]) for name in (*model.coordinates, *model.speeds) if name in history)
     if model.constraints and not begins:
-        broken = _broken(model, velocity_rule(model, jnp.asarray(seen.near)))
+        broken = _broken(model, jax.jit(lambda q: velocity_rule(model, q))(seen.near))
         return broken or _missed(model, parts, times, seen, 0) or start_diagnosis(model, seen, stated, speeds)
     largest = np.abs(np.nan_to_num(seen.q)).max(axis=1, initial=0.0)
     moderate = finite & (largest <= _ABSURD * (1 + largest[0]))
