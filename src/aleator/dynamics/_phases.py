@@ -51,7 +51,9 @@ class Phase:
             )
         if not isinstance(inputs, Mapping | None):
             raise refusal("Phase: inputs", "signals by name, such as {'thrust': ...}", inputs)
-        self.inputs, self.subject_to = dict(inputs or {}), subject_to
+        if not isinstance(subject_to, Iterable) or isinstance(subject_to, str):
+            raise refusal("Phase: subject_to", "constraints, such as [al.path('h').mean <= 1.0]", subject_to)
+        self.inputs, self.subject_to = dict(inputs or {}), tuple(subject_to)
 
 
 @final
@@ -76,12 +78,12 @@ class Phases:
     """
 
     def __init__(self, *, link: Mapping[str, Link] | None = None, **phases: Phase):
+        if not isinstance(link, Mapping | None):
+            raise refusal("Phases: link", "functions by the phase that begins, such as {'coast': ...}", link)
         if not phases:
             raise ProblemError("Phases: expected phases by name, such as ascent=al.Phase(system, grid); received none.")
         for name, phase in phases.items():
             one_of(f"Phases: {name}", phase, Phase, "al.Phase(system, grid)")
-        if not isinstance(link, Mapping | None):
-            raise refusal("Phases: link", "functions by the phase that begins, such as {'coast': ...}", link)
         later = list(phases)[1:]
         for name, function in (link or {}).items():
             if name not in later:

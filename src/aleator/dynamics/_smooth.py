@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator._core.border import positive as positive_number
+from aleator._core.border import traceable
 from aleator._core.leaves import is_traced
 
 
@@ -46,7 +47,7 @@ def sign(x: Any, *, width: Any) -> Float[Array, "*shape"]:
     Coulomb friction is `-mu * N * sign(v, width=...)`: under a `force`, a body that would stick creeps at about
     `force / (mu * N)` widths. `width` is in the unit of the number.
     """
-    return jnp.tanh(x / _over(width))
+    return jnp.tanh(traceable("smooth: x", x) / _over(width))
 
 
 def step(x: Any, *, width: Any) -> Float[Array, "*shape"]:
@@ -60,14 +61,18 @@ def positive(x: Any, *, width: Any) -> Float[Array, "*shape"]:
     A contact that only pushes is `stiffness * positive(depth, width=...)`.
     """
     half = _over(width) / 2
-    return half * jnp.logaddexp(x / half, 0.0)
+    return half * jnp.logaddexp(traceable("smooth: x", x) / half, 0.0)
 
 
 def saturated(x: Any, lower: Any, upper: Any, *, width: Any) -> Float[Array, "*shape"]:
     """`x` between two limits, `lower` or `upper` beyond them: an actuator that gives no more."""
+    x, lower, upper = (
+        traceable(f"smooth: {name}", one) for name, one in (("x", x), ("lower", lower), ("upper", upper))
+    )
     return lower + positive(x - lower, width=width) - positive(x - upper, width=width)
 
 
 def dead_zone(x: Any, half_gap: Any, *, width: Any) -> Float[Array, "*shape"]:
     """How far `x` is beyond a gap on either side of zero: the twist that a shaft with backlash passes on."""
+    x, half_gap = traceable("smooth: x", x), traceable("smooth: half_gap", half_gap)
     return positive(x - half_gap, width=width) - positive(-x - half_gap, width=width)

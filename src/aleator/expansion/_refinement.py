@@ -61,7 +61,7 @@ class MultiElement(Module):
         self.order = border.whole("MultiElement: order", order)
         self.error = border.positive("MultiElement: error", error, below=1.0)
         self.budget = border.whole("MultiElement: budget, the number of calls,", budget)
-        self.cells = () if cells is None else tuple(cells)
+        self.cells = () if cells is None else tuple(border.members("MultiElement: cells", cells, Cell))
 
     @property
     def tolerance(self) -> float:

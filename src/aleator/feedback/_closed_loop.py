@@ -1,6 +1,6 @@
 """`Feedback`, and the closed loop that it makes of a system: a realisation, and beside it the plan that it follows."""
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, final
 
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 from typing_extensions import override
 
-from aleator._core.border import a_name, meant, one_of, refusal
+from aleator._core.border import meant, members, one_of, refusal
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Known, Module, is_leaf, stored_number
 from aleator.dynamics import (
@@ -67,7 +67,13 @@ class Feedback(Module):
     to: tuple[str, ...] | None = eqx.field(static=True)
 
     def __init__(
-        self, gains: Any, of: Any = None, *, to: Any = None, noise: Any = None, limits: tuple[Any, Any] | None = None
+        self,
+        gains: Any,
+        of: str | Sequence[str] | None = None,
+        *,
+        to: str | Sequence[str] | None = None,
+        noise: Any = None,
+        limits: tuple[Any, Any] | None = None,
     ):
         self.gains = gains if isinstance(gains, AbstractController) else proportional(gains)
         self.of = _names("of", tuple(gains) if of is None and isinstance(gains, Mapping) else of)
@@ -86,7 +92,7 @@ class Feedback(Module):
 
 def _names(what: str, names: Any) -> tuple[str, ...] | None:
     names = (names,) if isinstance(names, str) else names
-    return None if names is None else tuple(a_name(f"Feedback: a name in {what}", one) for one in names)
+    return None if names is None else tuple(members(f"Feedback: {what}", names, str))
 
 
 class Means(Known):
