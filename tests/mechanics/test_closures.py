@@ -76,7 +76,7 @@ def test_accelerations_and_multipliers_solve_the_saddle_point_system_of_mujoco_s
     def moving(q, v, torque):
         bound = Bound(model, q)
         v = v - Saddle(model.mass_matrix(q), bound.G).least(bound.rate(v))
-        every = Partition((), (), tuple(range(mj.nv)), mj.nq, mj.nv, mj.nv)
+        every = Partition((), (), tuple(range(mj.nv)), mj.nq, mj.nv, mj.nv, 0)
         return solved(model, every, Prescribed(*[jnp.zeros(0)] * 3, torque), q, v)
 
     torque = random.normal(size=mj.nv)

@@ -216,9 +216,9 @@ def _moments(value: Array, is_wanted: Bool[Array, ""], count: Int[Array, ""]) ->
     d = first / count
     return [
         every[0] + d,
-        second - count * d**2,
+        jnp.maximum(second - count * d**2, 0.0),  # where nothing varies, rounding may leave less
         third - 3 * d * second + 2 * count * d**3,
-        fourth - 4 * d * third + 6 * d**2 * second - 3 * count * d**4,
+        jnp.maximum(fourth - 4 * d * third + 6 * d**2 * second - 3 * count * d**4, 0.0),
     ]
 
 

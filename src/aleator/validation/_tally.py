@@ -138,9 +138,10 @@ def _estimates(problem: Problem, evidence: Evidence) -> dict[str, Estimated]:
         for text, one in evidence.statistics.items()
     }
     for atom in statistics_in(problem.expressions):
-        one, *noise = (evidence.functionals[functional.text()] for functional in atom.functionals)
-        # A second functional of these is what noise adds to the variance.
-        variance = np.asarray(one.std**2 + sum(part.mean for part in noise))
+        one, *others = (evidence.functionals[functional.text()] for functional in atom.functionals)
+        # The second functional of a noisy statistic is what noise adds to the variance.
+        noise = [part.mean for part in others] if getattr(atom.kind, "noisy", False) else []
+        variance = np.asarray(one.std**2 + sum(noise))
         of_path: dict[type, Estimated] = {
             Mean: Estimated(one.mean, one.standard_error),
             Std: Estimated(np.sqrt(variance), one.std_error),
