@@ -51,7 +51,6 @@ from aleator.design._problem import declared_anew as declared_anew
 from aleator.design._problem import deterministic as deterministic
 from aleator.design._problem import frozen as frozen
 from aleator.design._problem import has_random_signals as has_random_signals
-from aleator.design._problem import soft as soft
 from aleator.design._problem import uncertain as uncertain
 from aleator.design._residuals import SquaredResiduals as SquaredResiduals
 from aleator.design._residuals import residuals as residuals
@@ -78,6 +77,7 @@ from aleator.design._scope import AbstractScope as AbstractScope
 from aleator.design._scope import AbstractScopeOfInstants as AbstractScopeOfInstants
 from aleator.design._scope import Units as Units
 from aleator.design._scope import Value as Value
+from aleator.design._soft import soft as soft
 from aleator.design._statistic import AbstractFunctional as AbstractFunctional
 from aleator.design._statistic import Extreme as Extreme
 from aleator.design._statistic import Statistic as Statistic
