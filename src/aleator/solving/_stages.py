@@ -126,15 +126,15 @@ class Stages(NamedTuple):
         # Search.
         first = transcribed.program.start if point is None else point
         begun = magnitudes_at(transcribed, first)
-        outcome = self._searched(transcribed, point, multipliers) if outcome is None else outcome
+        outcome = searched = self._searched(transcribed, point, multipliers) if outcome is None else outcome
         if multipliers is None and outcome.status is not Status.INTERRUPTED:
             outcome = _looked_around(transcribed, self.solver.local, outcome, first)
         outcome = self._with_limits_met(transcribed, outcome)
-        # What another start has solved is an answer of the mesh that the first one left.
-        is_rough = self.transcription.refines and oracle is None and outcome.status is Status.SOLVED
-        if is_rough and transcribed.refined(outcome.point) is not None:
-            transcribed, point, outcome = self._on_fine_mesh(transcribed, outcome.point)
-            problem, first = transcribed.problem, outcome.point if point is None else point
+        # The mesh is fine enough for what was searched, not for an answer elsewhere.
+        is_elsewhere = outcome.status is Status.SOLVED and outcome.point is not searched.point
+        if self.transcription.refines and oracle is None and is_elsewhere:
+            transcribed, _, outcome = self._on_fine_mesh(transcribed, outcome.point)
+            problem, first = transcribed.problem, outcome.point
             begun = magnitudes_at(transcribed, first)
         # Hold limits between the instants, and in the worst case.
         held = self._held_between(Held(transcribed, outcome), factor)
