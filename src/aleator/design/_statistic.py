@@ -309,7 +309,7 @@ def joined(values: Sequence[Float[Array, "..."]]) -> Float[Array, "..."]:
 
 def path_of(limit: Constraint | AbstractFunctional) -> str:
     """The name of the output at whose instants a limit or a functional over time is known."""
-    if isinstance(limit, Constraint) and not limit.is_path:
+    if not limit.is_path:
         return ""
     every = functionals_of((limit.expression,)) if isinstance(limit, Constraint) else (limit,)
     return next((one.place for one in every if one.is_path), "")
