@@ -31,7 +31,8 @@ from aleator.validation._limits import is_counted
 _AN_ORDER_BELOW = 0.1
 # Where nothing is uncertain, the one system is simulated on so many times as many steps.
 _ALONE = 10
-# How many systems are simulated at a time on the grid for limits over time, so that it needs no more memory.
+# How many systems are simulated at a time on the grid for limits over time where histories are stored, so that it needs
+# no more memory.
 _FEW = 50
 
 
@@ -89,10 +90,11 @@ class Systems:
             alone = as_expression(0.0), tuple(limits[i] for i in self.over_time)
             problem = eqx.tree_at(lambda one: (one.objective, one.constraints), self.problem, alone)
             self._finer = _on_finer(problem, self.counted)
+        self._folds_finer = self._finer is not None and folds(self._finer)
 
     def prepare(self, batch: int, *, is_folded: bool = False) -> None:
         """Start compiling for batches of `batch` systems. The user's code is traced here, by one thread alone."""
-        finer = self._finer, min(_FEW, batch), 1, False
+        finer = self._finer, self._at_once(batch), 1, self._folds_finer
         for problem, size, *how in ((self.sampled, batch, self.factor, is_folded), finer):
             if problem is not None:
                 germ = jax_array(np.zeros((size, len(self.germs))))
@@ -111,11 +113,16 @@ class Systems:
         found = self._simulated(self.sampled, germ, batch, keep, self.factor, is_folded)
         excess = found.excess - self._tolerances
         if self._finer is not None:
-            few = min(_FEW, batch)
-            some = (self._simulated(self._finer, part.points, few) for part in parts(germ, few))
+            few = self._at_once(batch)
+            how = few, 0, 1, self._folds_finer
+            some = (self._simulated(self._finer, part.points, *how) for part in parts(germ, few))
             beyond = np.concatenate([one.excess for one in some], axis=1)
             excess[self.over_time] = beyond - self._tolerances[self.over_time]
         return found._replace(excess=excess)
+
+    def _at_once(self, batch: int) -> int:
+        """How many systems of a batch are simulated together on the finer grid."""
+        return batch if self._folds_finer else min(_FEW, batch)
 
     def _simulated(
         self,
