@@ -29,7 +29,7 @@ from aleator.ensemble import in_batches, inputs_at
 from aleator.nlp import HELD, Outcome
 from aleator.solution import WorstCase, WorstRealisation
 from aleator.transcription import AbstractTranscribed, Scenarios, germ_box
-from aleator.uncertainty import named_numbers
+from aleator.uncertainty import corners_of, named_numbers
 
 Points: TypeAlias = Float[np.ndarray, "points variables"]
 """Points of the box, scaled to between 0 and 1 in each variable."""
@@ -227,10 +227,7 @@ def _candidates(transcribed: AbstractTranscribed, oracle: Oracle, point: np.ndar
     variables, generator = present.shape[1], np.random.default_rng(seed)
     middle = np.full((1, variables), 0.5)
     ends = middle + np.kron(np.eye(variables), [[-0.5], [0.5]])
-    if 2**variables <= _MOST_CORNERS:
-        corners = np.indices((2,) * variables).reshape(variables, -1).T.astype(float)
-    else:
-        corners = generator.integers(0, 2, (_MOST_CORNERS, variables)).astype(float)
+    corners = corners_of(variables, _MOST_CORNERS, generator)
     inside = scipy.stats.qmc.Sobol(variables, rng=generator).random(16 * _SPREAD)
     many = np.concatenate([inside, np.round(inside), np.round(generator.random(inside.shape))])
     matrix, ranked = transcribed.basis.matrix(oracle.germ(many)), []
@@ -262,12 +259,20 @@ def broken_at(
     sizes = np.array([outcome.sizes[rows].max() for one, rows in pairs if is_worst_case(one)])
     # Present scenarios may exceed a limit between instants too: margins have to enforce it there.
     allowed = np.maximum(beyond[: len(transcribed.scenarios.held)].max(axis=0), 0.0) + HELD / 2 * sizes
-    new = [
+    worst = np.stack([some[0] for some, _ in searched])
+    return oracle.germ(np.unique(np.concatenate(worth_imposing(searched, allowed)), axis=0)), oracle.germ(worst)
+
+
+def worth_imposing(
+    searched: list[tuple[Points, Float[np.ndarray, " points"]]], allowed: Float[np.ndarray, " limits"]
+) -> list[Points]:
+    """The few points of a search at which each limit is exceeded by more than what is allowed, and not by far less than
+    at the worst.
+    """
+    return [
         some[(excess > allowance) & (excess >= _WORTH * excess[0])][:_NEW]
         for (some, excess), allowance in zip(searched, allowed, strict=True)
     ]
-    worst = np.stack([some[0] for some, _ in searched])
-    return oracle.germ(np.unique(np.concatenate(new), axis=0)), oracle.germ(worst)
 
 
 def worst_case_of(
