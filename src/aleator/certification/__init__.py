@@ -28,7 +28,6 @@ from aleator.certification._worst_case import Oracle as Oracle
 from aleator.certification._worst_case import broken_at as broken_at
 from aleator.certification._worst_case import idle_scenarios as idle_scenarios
 from aleator.certification._worst_case import scenarios_at_start as scenarios_at_start
-from aleator.certification._worst_case import search as search
 from aleator.certification._worst_case import worst_case_limits as worst_case_limits
 from aleator.certification._worst_case import worst_case_of as worst_case_of
 from aleator.certification._worst_case import worth_imposing as worth_imposing

@@ -184,8 +184,8 @@ def _check_worst_cases(problem: AbstractProblem) -> None:
     intervals = list(intervals_of(problem.placements))
     if intervals and (limits := [one.name for one in problem.constraints if is_worst_case(one)]):
         raise ProblemError(
-            f"worst_case of '{limits[0]}': beside '{intervals[0]}', an al.Interval, limits hold for statistics. A worst case "
-            f"needs no probability: declare '{intervals[0]}' as an al.Uniform, whose ends alone count there."
+            f"worst_case of '{limits[0]}': beside '{intervals[0]}', an al.Interval, limits hold for statistics. A "
+            f"worst case needs no probability: declare '{intervals[0]}' as an al.Uniform, whose ends alone count there."
         )
     misplaced = [*problem.objective.leaves, *(part for atom in composite for part in atom.parts)]
     for atom in misplaced:
@@ -201,7 +201,8 @@ def _check_worst_cases(problem: AbstractProblem) -> None:
 def _check_values(problem: AbstractProblem) -> None:
     """Refuse tables that do not go together, and numbers in expressions that the model does not have."""
     if tables_of(problem.placements):
-        refuse_intervals("Problem with al.Integer or al.Choice", problem.placements, "Solve for each whole number or row.")
+        remedy = "Solve for each whole number or row, declared as a number."
+        refuse_intervals("Problem with al.Integer or al.Choice", problem.placements, remedy)
     numbers = named_numbers(problem.simulation, jax_array(problem.placements.vector("initial")))
     for expression in problem.expressions:
         for atom in expression.leaves:

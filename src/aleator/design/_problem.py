@@ -40,7 +40,16 @@ from aleator.expansion import Expansion, MultiElement
 from aleator.feedback import Feedback, Noisy, closed_loop, noisy
 from aleator.statistics import Mean
 from aleator.trajectories import AbstractSignal
-from aleator.uncertainty import AbstractDecision, Choice, Decision, Integer, at_means, placements, uncertain_again
+from aleator.uncertainty import (
+    AbstractDecision,
+    Choice,
+    Decision,
+    Integer,
+    at_means,
+    placements,
+    refuse_intervals,
+    uncertain_again,
+)
 
 
 @final
@@ -85,6 +94,8 @@ class Problem(AbstractProblem):
             kinds = Decision, Integer, Choice
             one_of(f"Problem: decisions['{a_name('Problem: a name in decisions', name)}']", one, kinds)
         if feedback is not None:
+            remedy = "A plan for each value would know it: declare it as a distribution."
+            refuse_intervals("Problem: feedback", placements((system, inputs)), remedy)
             system = closed_loop(system, inputs or {}, feedback)
         system, inputs = noisy(system, inputs)
         simulation = simulation_of(system, grid, inputs, integrator, dict(decisions))

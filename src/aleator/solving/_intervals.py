@@ -9,13 +9,12 @@ exceeds nowhere, a further decision.
 
 import functools
 import itertools
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import numpy as np
-import scipy
 from jaxtyping import Bool, Float, Int
 
 from aleator._core.errors import ProblemError
@@ -31,22 +30,24 @@ from aleator.certification import (
     margins_for,
     pieces,
     prepare_check,
-    search,
     solution_of,
     tightened,
     worth_imposing,
 )
-from aleator.design import Problem, declared_anew, is_over_time, value
+from aleator.design import Problem, declared_anew, value
+from aleator.ensemble import corners_of, search, spread_over
 from aleator.nlp import HELD, AbstractSearch, Evaluation, NonlinearProgram, Outcome, Status
-from aleator.solution import Between, ConstraintResult, Solution, WorstCase, WorstRealisation
+from aleator.solution import Between, Solution, WorstCase, WorstRealisation
 from aleator.solving._stages import Held, Stages, looked_around, with_opinion
 from aleator.transcription import AbstractTranscribed, Remembered, Sequential, transcribe
-from aleator.uncertainty import Decision, at_values, corners_of, intervals_of, with_decisions
+from aleator.uncertainty import Decision, at_values, intervals_of, with_decisions
 
 LEVEL = "objective.worst"
 
-# The most rounds, and the most corners and points inside that are tried in each.
-_MOST_ROUNDS, _MOST_CORNERS, _MOST_INSIDE = 20, 128, 128
+# The most rounds, and the most corners that are tried at the start.
+_MOST_ROUNDS, _MOST_CORNERS = 20, 128
+# Values closer than this part of the box are the same.
+_SAME = 1e-3
 # Corners, and random points inside, at which a design is told besides its scenarios.
 _TOLD_CORNERS, _TOLD_INSIDE = 16, 2
 
@@ -156,13 +157,9 @@ class Game:
         return np.stack([excess[:, rows].max(axis=1) for rows in self.transcribed.rows], axis=1)
 
     def tried(self, scenarios: Sequence[Scenario], seed: int) -> Float[np.ndarray, "points intervals"]:
-        """Points of the unit box: the scenarios, all corners, the middle, the middles of the faces, some inside."""
-        variables, generator = len(self.low), np.random.default_rng(seed)
-        inside = scipy.stats.qmc.Sobol(variables, rng=generator).random(min(2 ** (4 + variables), _MOST_INSIDE))
-        faces = 0.5 + np.kron(np.eye(variables), [[-0.5], [0.5]])
+        """Points of the unit box at which a search begins, the scenarios first."""
         held = [(one.numbers - self.low) / (self.high - self.low) for one in scenarios]
-        middle, corners = np.full((1, variables), 0.5), corners_of(variables, _MOST_CORNERS, generator)
-        return np.concatenate([*(one[None] for one in held), corners, middle, faces, inside])
+        return np.concatenate([np.stack(held), spread_over(len(self.low), seed)])
 
     def first(self, point: Float[np.ndarray, " n"]) -> list[Scenario]:
         """Scenarios to begin with: for each limit the corner at which it is worst."""
@@ -193,7 +190,12 @@ class Game:
         allowed = np.maximum(held, 0.0) + HELD / 2 * sizes
         new = worth_imposing(search(excess_at, tried, beyond, seed), allowed)
         limits = np.arange(len(new))
-        return [Scenario(self.numbers(one), limits == i) for i, some in enumerate(new) for one in some], count
+        return [
+            Scenario(self.numbers(one), limits == i)
+            for i, some in enumerate(new)
+            for k, one in enumerate(some)
+            if all(np.max(np.abs(one - other)) > _SAME for other in some[:k])
+        ], count
 
     def within(self, scenarios: Sequence[Scenario], outcome: Outcome) -> Iterator[Outcome]:
         """The outcome in each scenario alone, with its share of the multipliers; of none, where it was added later."""
@@ -371,10 +373,9 @@ def _solution(
         for one, own in zip(others, game.within(others, outcome), strict=True)
     ]
     results, realisations = [], []
-    for limits, own in zip(
-        zip(*(one.constraints for one in each), strict=True), np.stack([one.imposed for one in scenarios]).T, strict=False
-    ):
-        imposed = [*itertools.compress(zip(limits, scenarios, strict=True), own)]
+    for i in range(len(game.problem.constraints)):
+        parts = zip(each, scenarios, strict=True)
+        imposed = [(one.constraints[i], scenario) for one, scenario in parts if scenario.imposed[i]]
         worst, scenario = max(imposed, key=lambda pair: float(pair[0].excess.max()))
         multipliers = sum((one.multipliers for one, _ in imposed), start=np.zeros_like(worst.multipliers))
         active = np.any([one.active for one, _ in imposed], axis=0)

@@ -228,9 +228,7 @@ def _solved_at_once(call: Call) -> Solution:
     return solution
 
 
-def _answer(
-    stages: Stages, problem: Problem, first: np.ndarray | None, *known: Any
-) -> tuple[Solution, Held | None]:
+def _answer(stages: Stages, problem: Problem, first: np.ndarray | None, *known: Any) -> tuple[Solution, Held | None]:
     """The solution of a problem on its grid, and what has yet to be asked for an opinion of fresh systems."""
     if intervals_of(problem.placements):
         return robust(stages, problem, first), None

@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from typing import Any, final
 
 import equinox as eqx
-import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree, Scalar
@@ -13,7 +12,8 @@ from aleator._core.border import a_name, real
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf
 from aleator.uncertainty._decision import AbstractDecision, Decision
-from aleator.uncertainty._placements import Placements, with_decisions
+from aleator.uncertainty._families import Uniform
+from aleator.uncertainty._placements import Placements, placements, realise, with_decisions
 
 
 @final
@@ -58,9 +58,17 @@ class Interval(AbstractDecision):
         """A copy whose placements are all one number, together with any others shared under this name."""
         return Interval(self.lower, self.upper, shared_name=a_name("shared", name))
 
+    @property
+    @override
+    def is_designed(self) -> bool:
+        return False
+
     @override
     def domain(self) -> str:
         return f"[{self.lower:g}, {self.upper:g}]"
+
+    def __str__(self) -> str:
+        return f"Interval({self.lower:g}, {self.upper:g})"
 
     def at(self, value: Scalar) -> Decision:
         """A decision that has this value alone, in its place."""
@@ -69,7 +77,7 @@ class Interval(AbstractDecision):
 
 def intervals_of(places: Placements) -> dict[str, int]:
     """The intervals of a model, by name, with their places in the decision vector."""
-    return {name: one.where.start for name, one in places.decisions.items() if isinstance(one.decision, Interval)}
+    return {name: one.where.start for name, one in places.decisions.items() if name not in places.designed}
 
 
 def at_values(model: Pytree, values: Mapping[str, Any] | None = None) -> Pytree:
@@ -85,11 +93,26 @@ def at_values(model: Pytree, values: Mapping[str, Any] | None = None) -> Pytree:
     return with_decisions(model, free)
 
 
-def corners_of(variables: int, most: int, generator: np.random.Generator) -> Float[np.ndarray, "corners variables"]:
-    """All corners of the unit box, or as many random ones if there are more than `most`."""
-    if 2**variables <= most:
-        return np.indices((2,) * variables).reshape(variables, -1).T.astype(float)
-    return generator.integers(0, 2, (most, variables)).astype(float)
+def with_germs(places: Placements) -> Placements:
+    """The placements with a germ variable of each interval too, from -1 to 1, after those of the distributions.
+
+    It stands for no probability: polynomials of it tell how statistics depend on the interval (see `realised_over`).
+    """
+    ends = {name: places.decisions[name].decision for name in intervals_of(places)}
+    uniform = {name: Uniform(lower=one.lower, upper=one.upper) for name, one in ends.items()}
+    return Placements(places.distributions | uniform, places.decisions)
+
+
+def realised_over(model: Pytree, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> Pytree:
+    """`realise` at a germ point of `with_germs`, whose last numbers say where in its range each interval is."""
+    places = placements(model)
+    if not (intervals := intervals_of(places)):
+        return realise(model, germ, decisions)
+    count = len(places.germ_names)
+    for i, (name, where) in enumerate(intervals.items(), count):
+        one = places.decisions[name].decision
+        decisions = decisions.at[where].set((one.lower + one.upper) / 2 + germ[i] * (one.upper - one.lower) / 2)
+    return realise(model, germ[:count], decisions)
 
 
 def refuse_intervals(who: str, places: Placements, instead: str = "Take each end in its place.") -> None:
