@@ -13,6 +13,7 @@ from aleator._core.arrays import Pytree, in_library, jax_array
 from aleator._core.border import real_array, refuse_not_finite
 from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ExpansionWarning, ProblemError
+from aleator._core.leaves import is_traced
 from aleator.analysis._abstract_expanded import extrapolates
 from aleator.analysis._element_expanded import ElementExpanded
 from aleator.analysis._expanded import Expanded
@@ -42,7 +43,7 @@ _CALLED = 128
 @overload
 def expand(
     function: Function, model: Pytree, expansion: Expansion | None = None, *, times: Any = None, traced: bool = True
-) -> Expanded | OverIntervals: ...
+) -> Expanded: ...
 
 
 @overload
@@ -116,8 +117,8 @@ def expand(
 def _warn_of_intervals(over: OverIntervals) -> None:
     """Warn of outputs that are resolved beside what intervals change, but not beside what is random."""
     pairs = zip(*map(jax.tree.leaves, (over.joint.error, over.error)), strict=True)
-    known = [(concrete(whole), concrete(random)) for whole, random in pairs]
-    missed = [float(random) for whole, random in known if whole is not None and whole <= over.joint.tolerance]
+    known = [(float(whole), float(random)) for whole, random in pairs if not is_traced((whole, random))]
+    missed = [random for whole, random in known if whole <= over.joint.tolerance]
     worst = max(missed, default=0.0)
     if worst > over.joint.tolerance:
         warnings.warn(

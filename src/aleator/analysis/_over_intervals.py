@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, final
 import equinox as eqx
 import jax
 import numpy as np
+import scipy
 from jaxtyping import Array, Float
 from typing_extensions import override
 
@@ -18,8 +19,8 @@ from aleator._core.errors import ProblemError
 from aleator._core.leaves import Drawn, Module, is_traced
 from aleator.analysis._abstract_expanded import as_lines, distribution_rows
 from aleator.analysis._expanded import Expanded
-from aleator.ensemble import Points, search, spread_over
-from aleator.expansion import Basis, sorted_terms
+from aleator.ensemble import Points, spread_over
+from aleator.expansion import AbstractBasis, Basis, sorted_terms
 from aleator.statistics import AbstractMeasured, AbstractStatistic
 from aleator.uncertainty import AbstractDecision, AbstractDistribution, Interval, constant
 
@@ -64,8 +65,8 @@ class OverIntervals(Module, Drawn, AbstractMeasured[Pytree]):
 
     joint: Expanded
     distributions: dict[str, AbstractDistribution]
-    intervals: dict[str, AbstractDecision]
-    basis: Basis = eqx.field(static=True)
+    intervals: dict[str, Interval]
+    basis: AbstractBasis = eqx.field(static=True)
 
     def __getitem__(self, name: str) -> "OverIntervals":
         return OverIntervals(self.joint[name], self.distributions, self.intervals, self.basis)
@@ -123,9 +124,9 @@ class OverIntervals(Module, Drawn, AbstractMeasured[Pytree]):
     def bounds(self, function: Callable[[Expanded], Pytree]) -> Pytree:
         """The bounds of a function of the expansion at values of the intervals, such as `lambda one: one.mean**2`.
 
-        Extremes are sought from corners of the box and points inside, and from the best of these on by a search without
-        derivatives, which is no proof. Of arrays of many numbers the best points are taken, of one interval some
-        hundred. Raises `ProblemError` where a statistic has no value, and inside a JAX transformation.
+        Extremes are sought from corners of the box and points inside, and from the best of these on by a quasi-Newton
+        search, which is no proof. Of arrays of many numbers the best points are taken, of one interval some hundred.
+        Raises `ProblemError` where a statistic has no value, and inside a JAX transformation.
         """
         if is_traced(self.joint.coefficients):
             raise ProblemError(
@@ -148,11 +149,18 @@ class OverIntervals(Module, Drawn, AbstractMeasured[Pytree]):
         if not (finite := np.isfinite(seen).all(axis=1)).all():
             where = ", ".join(f"{name} = {x:.6g}" for name, x in self._values(tried[~finite][0]).items())
             raise ProblemError(f"bounds: the statistic is not finite where {where}: narrow the interval.")
-        if ends[-1] <= _CONTINUED:
-            found = [np.append(most[0], at[0]) for at, most in search(both, tried, seen, 0)]
-        else:
-            found = [np.append(seen[k, i], tried[k]) for i, k in enumerate(np.argmax(seen, axis=0))]
-        lower, upper = np.split(np.stack(found), 2)
+        best = np.column_stack([seen.max(axis=0), tried[np.argmax(seen, axis=0)]])
+        for i, range_ in enumerate(np.ptp(seen, axis=0)):
+            if ends[-1] <= _CONTINUED and range_ > 0:
+                further = scipy.optimize.minimize(
+                    lambda point, i=i, range_=range_: -both(np.clip(point, 0.0, 1.0)[None])[0, i] / range_,
+                    best[i, 1:],
+                    method="L-BFGS-B",
+                    bounds=[(0.0, 1.0)] * len(self.intervals),
+                )
+                reached = np.append(-further.fun * range_, further.x)
+                best[i] = reached if reached[0] > best[i, 0] else best[i]
+        lower, upper = np.split(best, 2)
 
         def told(one: Any, end: int) -> Bounds:
             some, shape = slice(end - np.size(one), end), np.shape(one)
@@ -197,7 +205,7 @@ class OverIntervals(Module, Drawn, AbstractMeasured[Pytree]):
 
 
 def over_intervals(
-    joint: Expanded, distributions: dict[str, AbstractDistribution], intervals: dict[str, AbstractDecision]
+    joint: Expanded, distributions: dict[str, AbstractDistribution], intervals: dict[str, Interval]
 ) -> OverIntervals:
     """An expansion whose last germ variables are those of intervals."""
     own = len(joint.basis.germs) - len(intervals)

@@ -11,6 +11,7 @@ from aleator.certification._grids import magnitudes_at as magnitudes_at
 from aleator.certification._grids import misled_at as misled_at
 from aleator.certification._grids import refinement as refinement
 from aleator.certification._grids import unconverged as unconverged
+from aleator.certification._limits import OWN_ERROR as OWN_ERROR
 from aleator.certification._limits import Margins as Margins
 from aleator.certification._limits import excess_between as excess_between
 from aleator.certification._limits import margins_for as margins_for

@@ -171,8 +171,9 @@ def broken_at(
 
 
 def worth_imposing(
-    searched: list[tuple[Points, Float[np.ndarray, " points"]]], allowed: Float[np.ndarray, " limits"]
-) -> list[Points]:
+    searched: list[tuple[Float[np.ndarray, "_ variables"], Float[np.ndarray, " _"]]],
+    allowed: Float[np.ndarray, " limits"],
+) -> list[Float[np.ndarray, "_ variables"]]:
     """The few points of a search at which each limit is exceeded by more than what is allowed, and not by far less than
     at the worst.
     """

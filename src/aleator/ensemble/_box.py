@@ -37,7 +37,7 @@ def spread_over(variables: int, seed: int) -> Points:
 
 def search(
     excess_at: Callable[[Points], np.ndarray], tried: Points, beyond: Float[np.ndarray, "points limits"], seed: int
-) -> list[tuple[Points, Float[np.ndarray, " points"]]]:
+) -> list[tuple[Float[np.ndarray, "_ variables"], Float[np.ndarray, " _"]]]:
     """Search from the worst of the points tried to a local worst point near each: for every limit, the worst first, and
     their excess over it.
 

@@ -291,8 +291,7 @@ class Stages(NamedTuple):
             elif best[2].holds:
                 break  # Tighter bounds may make the plan bulge more between them.
         answer, check, between = best
-        loosest, tightest = outcome.evaluation.objective, answer.evaluation.objective
-        cost = (tightest - loosest) / max(abs(loosest), abs(tightest)) if tightest > loosest else 0.0
+        cost = cost_of_margins(outcome.evaluation.objective, answer.evaluation.objective)
         is_strict = self.between is not None or len(rounds) > 1 or pieces(transcribed.problem) > 0
         answer = answer.with_effort_of(*(one for one in rounds if one is not answer))
         return held._replace(outcome=answer, between=replace(between, is_strict=is_strict, cost=cost), check=check)
@@ -335,6 +334,11 @@ def with_opinion(solution: Solution, held: Held) -> Solution:
         correlations=moved_correlations(solution.problem, solution.vector),
     )
     return replace(solution, certificate=certificate)
+
+
+def cost_of_margins(loosest: float, tightest: float) -> float:
+    """How much worse an objective is by bounds that were tightened, relative to the larger one."""
+    return (tightest - loosest) / max(abs(loosest), abs(tightest)) if tightest > loosest else 0.0
 
 
 def looked_around(

@@ -24,6 +24,7 @@ from aleator.uncertainty import (
     Normal,
     correlated,
     named_numbers,
+    refuse_intervals,
     with_decisions,
 )
 
@@ -131,6 +132,7 @@ def posterior(solution: Solution, *, known_std: bool = False) -> Posterior:
     """
     problem = one_of("posterior: solution", solution, Solution).problem
     one_of("posterior: known_std", known_std, bool)
+    refuse_intervals("posterior", problem.placements)
     names = problem.placements.entry_names()
     _refuse_other_problems(solution, known_std)
     residuals, jacobian = map(np.asarray, _FITTED(numbers_to_arrays(problem), jax_array(solution.vector)))
