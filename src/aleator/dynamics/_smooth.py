@@ -50,6 +50,17 @@ def sign(x: Any, *, width: Any) -> Float[Array, "*shape"]:
     return jnp.tanh(traceable("smooth: x", x) / _over(width))
 
 
+def sign_residual(s: Any, x: Any, *, width: Any) -> Float[Array, "*shape"]:
+    """What is zero where `s = sign(x, width=...)`: the `residual` of an algebraic variable, for small widths.
+
+    It is the complementarity of friction and velocity, relaxed by the width (Chen and Mangasarian, 1996, A class of
+    smoothing functions for nonlinear and mixed complementarity problems). Its derivatives stay as large as one and `x`
+    for any width, so that `al.Simultaneous()`, where `s` is a variable too, follows widths down to nearly zero.
+    """
+    s, x = traceable("smooth: s", s), traceable("smooth: x", x)
+    return jnp.hypot(x, _over(width)) * (s - sign(x, width=width))
+
+
 def step(x: Any, *, width: Any) -> Float[Array, "*shape"]:
     """1 where `x` is positive, else 0."""
     return (1 + sign(x, width=width)) / 2
