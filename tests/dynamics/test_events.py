@@ -303,7 +303,7 @@ def test_an_event_is_checked_where_it_is_declared():
     grid = al.Grid(1.0, 4)
     with pytest.raises(al.ProblemError, match=r"events\['floor'\]: expected one real number"):
         al.simulate(declaring(lambda self, t, z: jnp.stack([z.y, z.v]), jump=lambda self, t, z: {}), grid)
-    with pytest.raises(al.ProblemError, match="crosses zero, such as z.y; received bool"):
+    with pytest.raises(al.ProblemError, match=r"crosses zero, such as z.y; received bool"):
         al.simulate(declaring(lambda self, t, z: z.y <= 0, jump=lambda self, t, z: {}), grid)
     with pytest.raises(al.ProblemError, match=r"events\['floor'\].jump: expected new values by the names"):
         al.simulate(declaring(lambda self, t, z: z.y, jump=lambda self, t, z: {"w": 1.0}), grid)
