@@ -6,12 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, final
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from aleator.certification import worth_imposing
-from aleator.design import Problem
+from aleator.design import Problem, with_simulation
 from aleator.ensemble import corners_of, search, spread_over
 from aleator.nlp import HELD, Evaluation, NonlinearProgram, Outcome
 from aleator.solution import Solution
@@ -219,8 +218,3 @@ class Game:
         known = {one.numbers.tobytes() for one in scenarios}
         none = np.zeros(len(self.transcribed.rows), dtype=bool)
         return [Scenario(one, none) for one in points if one.tobytes() not in known]
-
-
-def with_simulation(problem: Problem, simulation: Any) -> Problem:
-    """The problem with another simulation of the same equations."""
-    return eqx.tree_at(lambda one: one.simulation, problem, simulation)

@@ -10,7 +10,6 @@ exceeds nowhere, a further decision.
 import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -18,7 +17,6 @@ from jaxtyping import Float
 from aleator._core.errors import ProblemError
 from aleator.certification import (
     OWN_ERROR,
-    Check,
     Margins,
     begin_check,
     check_factor,
@@ -32,11 +30,11 @@ from aleator.certification import (
     solution_of,
     tightened,
 )
-from aleator.design import Peak, Problem, declared_anew, functionals_of, value
+from aleator.design import Peak, Problem, declared_anew, functionals_of, value, with_simulation
 from aleator.ensemble import corners_of
 from aleator.nlp import HELD, AbstractSearch, Outcome, Status
-from aleator.solution import Between, Solution, WorstCase, WorstRealisation
-from aleator.solving._game import LEVEL, MOST_CORNERS, Game, Scenario, with_simulation
+from aleator.solution import Solution, WorstCase, WorstRealisation
+from aleator.solving._game import LEVEL, MOST_CORNERS, Game, Scenario
 from aleator.solving._stages import Held, Stages, cost_of_margins, looked_around, with_opinion
 from aleator.transcription import Sequential, transcribe
 from aleator.uncertainty import Decision, at_values, intervals_of, with_decisions
@@ -45,22 +43,13 @@ from aleator.uncertainty import Decision, at_values, intervals_of, with_decision
 _MOST_ROUNDS = 20
 
 
-class Checked(NamedTuple):
-    """An answer in one scenario, checked: see `Held`; `shifts`: what its limits between the instants require."""
-
-    outcome: Outcome
-    check: Check | None = None
-    between: Between | None = None
-    shifts: Margins = ()
-
-
 def robust(stages: Stages, problem: Problem, start: Float[np.ndarray, " n"] | None) -> Solution:
     """The solution of a problem with intervals, see `Stages.answer`: the best design for their worst values."""
     game, point = _begun(stages, problem, start)
     transcribed, scenarios = game.transcribed, game.first(point)
     outcome, margins, searched, rounds, new = None, None, 0, 0, []
     loosest = np.inf
-    answer: tuple[Outcome, list[Scenario], list[Checked]] | None = None
+    answer: tuple[Outcome, list[Scenario], list[Held]] | None = None
     while rounds < _MOST_ROUNDS:
         rounds += 1
         single = transcribed.program if margins is None else tightened(transcribed, margins)
@@ -80,14 +69,14 @@ def robust(stages: Stages, problem: Problem, start: Float[np.ndarray, " n"] | No
             continue
         loosest = outcome.evaluation.objective if answer is None else loosest
         cost = cost_of_margins(loosest, outcome.evaluation.objective)
-        checks = list(_checked(stages, game, outcome, scenarios, cost, is_tightened=margins is not None))
-        answer, shifts = (outcome, scenarios, checks), _shifts(checks)
-        if shifts is None:
+        held, shifts = zip(*_checked(stages, game, outcome, scenarios, cost, margins), strict=True)
+        answer = outcome, scenarios, list(held)
+        if not HELD < max(0.0 if one.between is None else one.between.worst for one in held) < np.inf:
             break
-        margins = margins_for(margins, shifts, relax=rounds <= _MOST_ROUNDS // 2)
+        margins = margins_for(margins, _largest(shifts), relax=rounds <= _MOST_ROUNDS // 2)
     assert outcome is not None
     if answer is None:  # unsolved, or not to be solved in so many rounds
-        answer = outcome, scenarios, [Checked(one) for one in game.within(scenarios, outcome)]
+        answer = outcome, scenarios, [Held(transcribed, one) for one in game.within(scenarios, outcome)]
     is_found = outcome.status is not Status.SOLVED or not new
     worst_case = WorstCase((), np.zeros((0, 0)), rounds, searched, is_found, "values of the intervals")
     return _solution(stages, game, *answer, worst_case)
@@ -131,30 +120,31 @@ def _begun(
 
 
 def _checked(
-    stages: Stages, game: Game, outcome: Outcome, scenarios: Sequence[Scenario], cost: float, *, is_tightened: bool
-) -> Iterator[Checked]:
-    """The answer in each scenario; `cost`: that of bounds that are tightened for it."""
+    stages: Stages,
+    game: Game,
+    outcome: Outcome,
+    scenarios: Sequence[Scenario],
+    cost: float,
+    margins: Margins | None,
+) -> Iterator[tuple[Held, Margins]]:
+    """The answer in each scenario, and what limits between the instants require; `cost`: that of present margins."""
     transcribed, factor = game.transcribed, check_factor(game.problem, stages.between)
-    each = list(game.within(scenarios, outcome))
+    each = [Held(transcribed, one) for one in game.within(scenarios, outcome)]
     if not is_checked(game.problem):
-        yield from map(Checked, each)
+        yield from ((one, ()) for one in each)
         return
-    for one, wait in [(one, begin_check(transcribed, one.point, factor)) for one in each]:
-        check = wait()
-        if factor == 1 or not stages.judges_between(game.problem):
-            yield Checked(one, check)
-            continue
-        between, shifts = excess_between(transcribed, one.point, check)
-        is_strict = stages.between is not None or is_tightened or pieces(game.problem) > 0
-        yield Checked(one, check, replace(between, is_strict=is_strict, cost=cost), shifts)
+    for one, wait in [(one, begin_check(transcribed, one.outcome.point, factor)) for one in each]:
+        check, between, shifts = wait(), None, ()
+        if factor > 1 and stages.judges_between(game.problem):
+            between, shifts = excess_between(transcribed, one.outcome.point, check)
+            is_strict = stages.between is not None or margins is not None or pieces(game.problem) > 0
+            between = replace(between, is_strict=is_strict, cost=cost)
+        yield one._replace(check=check, between=between), shifts
 
 
-def _shifts(checks: Sequence[Checked]) -> Margins | None:
-    """By how much bounds are to move so that limits hold between the instants too; None where they do."""
-    if not HELD < max(0.0 if one.between is None else one.between.worst for one in checks) < np.inf:
-        return None
-    limits = zip(*(one.shifts for one in checks), strict=True)
-    return tuple(None if some[0] is None else functools.reduce(np.maximum, some) for some in limits)
+def _largest(shifts: Sequence[Margins]) -> Margins:
+    """By how much bounds are to move for all scenarios."""
+    return tuple(None if some[0] is None else functools.reduce(np.maximum, some) for some in zip(*shifts, strict=True))
 
 
 def _solution(
@@ -162,7 +152,7 @@ def _solution(
     game: Game,
     outcome: Outcome,
     scenarios: Sequence[Scenario],
-    checks: Sequence[Checked],
+    answers: Sequence[Held],
     worst_case: WorstCase,
 ) -> Solution:
     """The solution for all scenarios: of each limit, and of the objective, that of the worst; an objection of any."""
@@ -170,8 +160,9 @@ def _solution(
     if outcome.failed_at is not None:
         failed = [game.at(outcome.failed_at, one.numbers) for one in scenarios]
         broken = next((one for one in failed if not transcribed.program.evaluate(one).is_finite), failed[0])
-        checks = [one._replace(outcome=replace(one.outcome, message=diagnose(transcribed, broken))) for one in checks]
-    for one, (numbers, _) in zip(checks, scenarios, strict=True):
+        said = diagnose(transcribed, broken)
+        answers = [one._replace(outcome=replace(one.outcome, message=said)) for one in answers]
+    for one, (numbers, _) in zip(answers, scenarios, strict=True):
         point, check = one.outcome.point, one.check
         error = None
         if check is not None and check.factor > 1:
@@ -180,8 +171,7 @@ def _solution(
             away = float(np.max(np.abs(check.values[-1] - transcribed.at(point).constraints[-1])))
             error = replace(error, objective=replace(error.objective, error=OWN_ERROR * away))
         solution = solution_of(transcribed, one.outcome, one.between, error, None, "", check)
-        solution = with_opinion(solution, Held(transcribed, one.outcome, one.between, check))
-        each.append(game.told(solution, numbers))
+        each.append(game.told(with_opinion(solution, one), numbers))
     highest = max(each, key=lambda one: one.objective)
     main = next((one for one in each if one.objection), highest)
     others = game.others(scenarios) if outcome.status is Status.SOLVED else []
