@@ -16,7 +16,7 @@ from typing_extensions import override
 from aleator._core.arrays import Pytree, in_library, jax_array
 from aleator._core.border import real, refusal
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import Drawn, Module, is_traced
+from aleator._core.leaves import Module, Printed, is_traced
 from aleator.analysis._abstract_expanded import as_lines, distribution_rows
 from aleator.analysis._expanded import Expanded
 from aleator.ensemble import Points, spread_over
@@ -50,7 +50,7 @@ class Bounds(NamedTuple):
 
 
 @final
-class OverIntervals(Module, Drawn, AbstractMeasured[Pytree]):
+class OverIntervals(Module, Printed, AbstractMeasured[Pytree]):
     """Outputs as polynomials of the uncertain inputs and of intervals, to which no probability belongs.
 
     Every statistic is a function of the intervals; its least and largest value are `Bounds`, in the structure of the
@@ -165,8 +165,8 @@ class OverIntervals(Module, Drawn, AbstractMeasured[Pytree]):
         def told(one: Any, end: int) -> Bounds:
             some, shape = slice(end - np.size(one), end), np.shape(one)
             places = (self._values(side[some, 1:].T) for side in (lower, upper))
-            at = [{name: x.reshape(shape) for name, x in one.items()} for one in places]
-            return Bounds(-lower[some, 0].reshape(shape), upper[some, 0].reshape(shape), *at)
+            at = [{name: x.reshape(shape)[()] for name, x in one.items()} for one in places]
+            return Bounds(-lower[some, 0].reshape(shape)[()], upper[some, 0].reshape(shape)[()], *at)
 
         return jax.tree.unflatten(structure, [told(one, end) for one, end in zip(first, ends, strict=True)])
 
@@ -190,6 +190,9 @@ class OverIntervals(Module, Drawn, AbstractMeasured[Pytree]):
             return jax_array(error * library.sqrt(ratio))
 
         return jax.tree.map(relative, self.joint.error, self.joint.coefficients)
+
+    def __repr__(self) -> str:
+        return f"<OverIntervals: expansion over {', '.join(self.intervals)}>"
 
     def __str__(self) -> str:
         order, terms, variables = self.joint.basis.order, self.joint.basis.terms, self.joint.basis.variables

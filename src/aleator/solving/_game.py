@@ -166,7 +166,7 @@ class Game:
             own = np.zeros(len(single.constraint_lower))
             own[self.rows(scenario)] = outcome.sizes[first:last]
             sizes = np.maximum(sizes, [own[rows].max(initial=0.0) for rows in self.transcribed.rows])
-        allowed = np.maximum(held, 0.0) + HELD / 2 * sizes
+        allowed = np.fmax(held, 0.0) + HELD / 2 * sizes  # NaN is worse than anything
         new = worth_imposing(search(excess_at, tried, beyond, seed), allowed)
         limits = np.arange(len(new))
         return [
