@@ -275,6 +275,15 @@ def product(one):
             lambda: al.Problem(Part(al.Integer(5, 0, 9), 0.1, al.Interval(0.0, 1.0), np.ones(6)), minimize=STRENGTH),
             "al.Integer or al.Choice: 'a' is an al.Interval",
         ),
+        (
+            lambda: al.Problem(
+                Oscillator(al.Interval(6.0, 12.0), 1.0, al.Normal(0.0, 0.1)),
+                grid=al.Grid(1.0, 10),
+                minimize=al.terminal("x").std,
+                feedback=al.Feedback(gains=[1.0, 1.0], of=("x", "v")),
+            ),
+            "feedback: 'stiffness' is an al.Interval",
+        ),
         (lambda: al.conflict(weakest()), "Limits are held for all of its values by al.solve"),
         (lambda: al.solve(weakest(), al.solvers.NelderMead()), "a solver by derivatives"),
         (lambda: al.solve(weakest(), transcription=al.Simultaneous()), r"expected transcription=al\.Sequential"),

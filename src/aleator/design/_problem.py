@@ -95,7 +95,8 @@ class Problem(AbstractProblem):
             one_of(f"Problem: decisions['{a_name('Problem: a name in decisions', name)}']", one, kinds)
         if feedback is not None:
             remedy = "A plan for each value would know it: declare it as a distribution."
-            refuse_intervals("Problem: feedback", placements((system, inputs)), remedy)
+            for part in (system, inputs):
+                refuse_intervals("Problem: feedback", placements(part), remedy)
             system = closed_loop(system, inputs or {}, feedback)
         system, inputs = noisy(system, inputs)
         simulation = simulation_of(system, grid, inputs, integrator, dict(decisions))
