@@ -47,6 +47,17 @@ def test_elements_are_split_across_the_variable_that_needs_it():
     assert float(pieces.variance) == pytest.approx(kink[1] - kink[0] ** 2 + 0.02, abs=1e-5)
 
 
+def test_systems_at_a_stop_are_neither_beyond_it_nor_short_of_it():
+    # An element across the stop is a parabola.
+    stopped = al.expand(lambda m: jnp.maximum(m["w"], 0.7), {"w": al.Normal(1.0, 1.0)}, al.MultiElement(order=2))
+    assert float(stopped.probability(above=0.7)) == pytest.approx(stats.norm.sf(-0.3), abs=5e-3)
+    assert float(stopped.probability(below=0.7)) == pytest.approx(0.0, abs=5e-3)
+    assert float(stopped.cdf([0.7])[0]) == pytest.approx(stats.norm.cdf(-0.3), abs=5e-3)
+    constant = al.expand(lambda m: 0 * m["w"] + 2.0, {"w": al.Normal(1.0, 1.0)})
+    assert float(constant.probability(above=2.0)) == 0.0
+    assert float(constant.probability(above=1.9)) == 1.0
+
+
 def test_a_jump_across_two_variables_ends_at_the_budget_and_says_so():
     """A quarter disc: the error of a jump along a curve falls slowly, so the budget ends it, and that is said."""
     model = {"a": al.Uniform.bounds(0.0, 1.0), "b": al.Uniform.bounds(0.0, 1.0)}

@@ -1,5 +1,6 @@
 """Tolerance analysis: how the tolerances of parts add up in an assembly, and how many assemblies are rejects."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import product
@@ -151,8 +152,8 @@ class ToleranceAnalysis(Drawn):
     - `lower`, `upper`: its limits;
     - `rejects_low`, `rejects_high`: assemblies beyond them in parts per million, by the distribution of the expansion,
       corrected by assemblies that are drawn in either tail; `rejects_error`: the 95 % half-width of both together;
-    - `worst_case`: the range of the output over all dimensions within their zones: the enclosure by the expansion,
-      widened to the values at the corners of the zones;
+    - `worst_case`: the range of the output over all dimensions within their zones: that of the expansion over these,
+      as far as this follows the output, widened to the assembly's own values at the corners;
     - `rss`: half-width by root sum square; `linear_std`: standard deviation by direct linearisation;
     - `contributions`: by dimension.
     """
@@ -182,15 +183,19 @@ class ToleranceAnalysis(Drawn):
     @property
     def cp(self) -> float:
         """Process capability: the width of the limits over six standard deviations. Infinite with one limit only."""
-        return (self.upper - self.lower) / (6 * self.std)
+        return _capability(self.upper - self.lower, 6 * self.std)
 
     @property
     def cpk(self) -> float:
         """Capability of the nearer limit: its distance from the mean over three standard deviations."""
-        return min(self.upper - self.mean, self.mean - self.lower) / (3 * self.std)
+        return _capability(min(self.upper - self.mean, self.mean - self.lower), 3 * self.std)
 
     def __str__(self) -> str:
         return _text(self)
+
+
+def _capability(distance: float, spread: float) -> float:
+    return distance / spread if spread > 0 else math.copysign(math.inf, distance)
 
 
 def tolerance_analysis(
@@ -292,7 +297,7 @@ def _failure_at_means(system: AlgebraicSystem) -> str:
 
 
 def _worst_case(function: Callable[[Any], Any], model: Pytree, expansion: Expansion | None) -> tuple[float, float]:
-    """The range over the zones: enclosed by the expansion, and widened to the assembly's own values at the corners.
+    """The range over the zones: that of the expansion, widened to the assembly's own values at the corners.
 
     Most outputs have their extremes at corners, where an expansion is least accurate.
     """
@@ -333,7 +338,8 @@ def _in_tail(expanded: Expanded, sampler: Sampler, event: Probability, chance: f
     proposal = tail_proposal(basis, prepared(lines_through, basis), coefficients, at, lower=is_lower)
     points, weights = points_in_tail(proposal, basis, _IN_TAIL, 0)
     values = np.asarray(sampler.samples(jax_array(points)))
-    seen, predicted = (np.asarray(event.holds(one), float) for one in (values, basis.matrix(points) @ coefficients))
+    both = values, basis.matrix(points) @ coefficients
+    seen, predicted = (np.asarray(event.holds(one, is_rounded=True), float) for one in both)
     missed = weights * (seen - predicted)
     return max(chance + float(missed.mean()), 0.0), float(2 * missed.std() / np.sqrt(len(missed)))
 

@@ -101,7 +101,9 @@ class _Fresh:
             safe = np.where(std > 0, std, 1.0)[..., None]
             return base + self.off[Mean] + (base - self.mean[..., None]) / safe * self.off[Std], std
         if isinstance(kind, Probability):
-            seen, predicted = (np.asarray(kind.holds(part), float) for part in (self.values, self.predicted))
+            seen, predicted = (
+                np.asarray(kind.holds(part, is_rounded=True), float) for part in (self.values, self.predicted)
+            )
             spread = np.sqrt(np.clip(expanded * (1 - expanded), 0.0, None))
             return base + means(self.weights, seen - predicted), spread
         if isinstance(kind, OF_THE_SHAPE):

@@ -83,7 +83,8 @@ class _Tail(NamedTuple):
         """The contribution of each system to the error of the statistic: their weighted mean is the error."""
         kind = self.kind
         if isinstance(kind, Probability):
-            return np.asarray(kind.holds(values), float) - np.asarray(kind.holds(predicted), float)
+            inside = (np.asarray(kind.holds(one, is_rounded=True), float) for one in (values, predicted))
+            return next(inside) - next(inside)
         if isinstance(kind, ConditionalValueAtRisk):
             level, sign = float(kind.level), -1.0 if kind.lower else 1.0
             order = np.argsort(predicted)

@@ -26,6 +26,9 @@ from aleator.statistics._statistic import root
 # Of a search for a quantile: most steps, and the width of a bracket at which it ends.
 _MOST_STEPS, _NARROW = 100, 1e-13
 
+EQUAL = 1e-14
+"""Values of an output that differ by this part of its root mean square are equal."""
+
 _NODES, _WEIGHTS = (np.asarray(each) / 2 for each in np.polynomial.legendre.leggauss(3))
 _NODES = _NODES + 0.5
 
@@ -336,9 +339,13 @@ class OutputDistribution(NamedTuple):
         sign = jnp.where(is_lower, 1.0, -1.0)
         return sign, self.tail_of(sign * self.coefficients.at[0].set(0.0))
 
-    def chance(self, value: Scalar, *, above: bool) -> Estimate:
-        """The probability of more than a value, or of less, without loss of digits where it is small."""
-        off = jnp.asarray(value) - self.coefficients[0]
+    def chance(self, value: Scalar, *, above: bool, or_equal: bool = False) -> Estimate:
+        """The probability of more than a value, or of less, without loss of digits where it is small.
+
+        What equals the value but for rounding, as systems at a stop do, counts only with `or_equal`.
+        """
+        rounding = jax.lax.stop_gradient(EQUAL * root(jnp.sum(self.coefficients**2)))
+        off = jnp.asarray(value) - self.coefficients[0] + (rounding if above != or_equal else -rounding)
         is_lower = off < 0
         sign, tail = self._side(is_lower)
         at = jax.lax.stop_gradient(tail.cut(sign * off))

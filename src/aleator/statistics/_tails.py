@@ -23,7 +23,7 @@ from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_traced
 from aleator.statistics._entries import by_lines, estimate_of_row, rows_of, statistics_of_rows
 from aleator.statistics._lines import AnyLines, lines_through
-from aleator.statistics._output_distribution import Estimate, OutputDistribution, TailOf, normal_score
+from aleator.statistics._output_distribution import EQUAL, Estimate, OutputDistribution, TailOf, normal_score
 from aleator.statistics._statistic import AbstractStatistic, Constants, level_given, number_given
 
 # A spread that is no more than this part of a distance counts as none.
@@ -171,7 +171,8 @@ class Probability(AbstractTail):
     def of_distribution(self, distribution: OutputDistribution) -> Estimate:
         if self.above is None or self.below is None:
             return distribution.chance(self._thresholds[0], above=self.below is None)
-        low, high = distribution.chance(self.above, above=False), distribution.chance(self.below, above=True)
+        low = distribution.chance(self.above, above=False, or_equal=True)
+        high = distribution.chance(self.below, above=True, or_equal=True)
         return Estimate(1 - low.value - high.value, low.error + high.error)
 
     @property
@@ -190,13 +191,14 @@ class Probability(AbstractTail):
         return min(value, 1 - value), (self.below is not None) == (value < 0.5)
 
     @quietly
-    def holds(self, values: Float[Array | np.ndarray, "*shape"]) -> Bool[Array, "*shape"]:
-        """Which of some values are in the event."""
+    def holds(self, values: Float[Array | np.ndarray, "*shape"], *, is_rounded: bool = False) -> Bool[Array, "*shape"]:
+        """Which of some values are in the event; with `is_rounded`, none that differ from a threshold by rounding."""
         library, values, above, below = in_library(values, self.above, self.below)
         inside = library.ones(values.shape, bool)
+        rounding = EQUAL * library.sqrt(library.mean(values**2)) if is_rounded else 0.0
         if above is not None:
-            inside = inside & (values > above)
-        return inside if below is None else inside & (values < below)
+            inside = inside & (values > above + rounding)
+        return inside if below is None else inside & (values < below - rounding)
 
     @override
     @quietly
@@ -231,7 +233,9 @@ def cdf(
     values: Float[Array, " n"], coefficients: Float[Array, "terms *shape"], constants: AnyLines
 ) -> Float[Array, "n *shape"]:
     """The distribution function at some values, for each entry. Constants: `lines_through`."""
-    return _at_each(lambda output, value: output.chance(value, above=False).value, values, coefficients, constants)
+    return _at_each(
+        lambda output, value: output.chance(value, above=False, or_equal=True).value, values, coefficients, constants
+    )
 
 
 def pdf(
