@@ -60,8 +60,8 @@ _SIMULATED = Compiled(_simulated, use=Use.ONCE)
 class _Phase(NamedTuple):
     """The states of systems at the points of the mesh of a phase, and how long it lasts where an event ends it."""
 
-    states: Float[Array, "systems points states"]
-    duration: Float[Array, "systems durations"]
+    states: Float[Array | np.ndarray, "systems points states"]
+    duration: Float[Array | np.ndarray, "systems durations"]
 
 
 def _on_mesh(

@@ -14,6 +14,9 @@ from aleator.design import Problem
 from aleator.transcription.simultaneous._pointwise import Pointwise
 from aleator.transcription.simultaneous._signals import in_chunks
 
+# A level that is a smaller part of the largest is zero.
+_ROUNDING = 1e-9
+
 Source = tuple[Problem, str]
 """A problem with its numbers as arrays, and the name of a phase."""
 
@@ -68,7 +71,11 @@ def evaluated_at(
 def first_crossing(
     levels: Float[np.ndarray, " places"], fractions: Float[np.ndarray, " places"], direction: int
 ) -> float | None:
-    """Where levels first cross zero, in a direction that counts, by straight lines; None if they do not."""
+    """Where levels first cross zero, in a direction that counts, by straight lines; None if they do not.
+
+    A start at zero, up to rounding, is no crossing.
+    """
+    levels = np.where(np.abs(levels) <= _ROUNDING * np.abs(levels).max(), 0.0, levels)
     rises, falls = ((side * levels[:-1] < 0) & (side * levels[1:] >= 0) for side in (1, -1))
     crosses = {1: rises, -1: falls, 0: rises | falls}[direction]
     if not crosses.any():

@@ -51,15 +51,15 @@ class Course(NamedTuple):
 
 def _simulated(
     problem: Problem, points: Float[Array, "realisations germs"], decisions: Float[Array, " n"]
-) -> list[tuple[Array, Array]]:
+) -> list[tuple[Array, list[Array]]]:
     """The states of each phase at the instants of its grid, and how long it lasts where an event ends it."""
 
-    def one(germ: Array) -> list[tuple[Array, Array]]:
+    def one(germ: Array) -> list[tuple[Array, list[Array]]]:
         record, phases = realise(problem.simulation, germ, decisions).record(ONLY_STATES), []
         for phase in problem.simulation.phases:
             (key,), grid = named({phase: {STATES: None}}), record.grid.of(f"{phase}.")
-            duration = jnp.zeros(0) if grid.until is None else jnp.asarray(grid.duration)[None]
-            phases.append((record.history[key] if key in record.history else jnp.zeros((grid.steps + 1, 0)), duration))
+            states = record.history[key] if key in record.history else jnp.zeros((grid.steps + 1, 0))
+            phases.append((states, [] if grid.until is None else [jnp.asarray(grid.duration)]))
         return phases
 
     return jax.vmap(one)(points)
@@ -135,7 +135,10 @@ def _simulated_courses(
     if not problem.is_integrated:
         return [Course(np.zeros((len(points), len(some), 0)), np.zeros((len(points), 0))) for some in fractions]
     finer = numbers_to_arrays(problem.on_grid(problem.grid.finer(_FINER)))
-    simulated = [tuple(map(np.array, one)) for one in SIMULATED(finer, points, decisions)]
+    simulated = [
+        (np.array(states), np.array(durations).reshape(len(durations), len(points)).T)
+        for states, durations in SIMULATED(finer, points, decisions)
+    ]
     if not all(map(_is_reasonable, (states for states, _ in simulated))):
         rest = [states[:, 0] for states, _ in simulated]
         if not all(np.isfinite(one).all() for one in rest):
