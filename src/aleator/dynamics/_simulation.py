@@ -156,7 +156,7 @@ class Simulation(AbstractPlanned):
         assert isinstance(one.system, System)
         return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(states[state]) for state in one.system.states)])
 
-    def resting(self) -> list[Float[Array, " states"]]:
+    def resting(self) -> list[Float[Array, " _"]]:
         """The states, side by side, with which each phase begins if those before it end as they began."""
         assert self.traced is not None  # the equations of all phases are known
         begun, before = list[Float[Array, " states"]](), ""

@@ -67,7 +67,7 @@ class _Phase(NamedTuple):
 def _on_mesh(
     problem: Problem,
     systems: tuple[Array, list[_Phase]],
-    along: tuple[Float[Array, " n"], list[Float[Array, " points"]]],
+    along: tuple[Float[Array, " n"], list[Float[Array, " _"]]],
 ) -> Histories:
     """The same at the points of a mesh, from the states there: nothing is simulated."""
     decisions, fractions = along

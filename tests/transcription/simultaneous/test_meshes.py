@@ -8,8 +8,8 @@ from collocated_problems import Swing, VanDerPol
 import aleator as al
 from aleator.trajectories import piecewise_in
 from aleator.transcription import transcribe
-from aleator.transcription.simultaneous._signals import TOLD
 from aleator.transcription.simultaneous._refinement import Drift, Goal, refinement
+from aleator.transcription.simultaneous._signals import TOLD
 from aleator.transcription.simultaneous._tiles import CURVE, EVALUATE
 from zoo import optimum
 

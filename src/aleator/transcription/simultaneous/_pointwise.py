@@ -286,9 +286,10 @@ class Pointwise:
         - `places`: one or more, shape (places, 2); `own`: the signals at each of them, then the rest at the first.
         """
         signals, rest = jnp.split(own, [len(places) * self.signals.size])
+        duration, rest = ([rest[:1]], rest[1:]) if self.is_open else ([], rest)
 
         def at(place: Array, signal: Array, rest: Array) -> Array:
-            return self.rates(germ, place, shared, jnp.concatenate([signal, rest]))
+            return self.rates(germ, place, shared, jnp.concatenate([signal, *duration, rest]))
 
         return rate(at, places, signals.reshape(len(places), self.signals.size), rest)
 

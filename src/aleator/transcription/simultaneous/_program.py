@@ -162,7 +162,7 @@ class Assembled:
     jacobian: Jacobian
     curvature: Curvature
     objective: tuple[int, slice, np.ndarray]
-    rates: tuple[Int[np.ndarray, "realisations asked rates"], ...]
+    rates: tuple[Int[np.ndarray, "realisations _ _"], ...]
 
     @classmethod
     def of(

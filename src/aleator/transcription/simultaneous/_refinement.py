@@ -195,7 +195,7 @@ class Goal(NamedTuple):
 
 def refinement(
     goal: Goal, scheme: AbstractScheme, drifts: Sequence[Drift]
-) -> tuple[AbstractScheme, list[Int[np.ndarray, " intervals"]]]:
+) -> tuple[AbstractScheme, list[Int[np.ndarray, " _"]]]:
     """The scheme of the meshes after those that have another, and in how many parts each interval of each phase is to
     be divided.
     """

@@ -67,7 +67,7 @@ def _simulated(
 
 def _resting(
     problem: Problem, points: Float[Array, "realisations germs"], decisions: Float[Array, " n"]
-) -> list[Float[Array, "realisations states"]]:
+) -> list[Float[Array, "realisations _"]]:
     """The states with which each phase begins if those before it rest."""
     return jax.vmap(lambda germ: realise(problem.simulation, germ, decisions).resting())(points)
 
@@ -105,7 +105,7 @@ class Start:
     def courses(
         self,
         problem: Problem,
-        fractions: Sequence[Float[np.ndarray, " places"]],
+        fractions: Sequence[Float[np.ndarray, " _"]],
         points: Float[np.ndarray, "realisations germs"],
         decisions: Float[np.ndarray, " n"],
     ) -> list[Course]:
@@ -125,7 +125,7 @@ class Start:
 
 def _simulated_courses(
     problem: Problem,
-    fractions: Sequence[Float[np.ndarray, " places"]],
+    fractions: Sequence[Float[np.ndarray, " _"]],
     points: Float[np.ndarray, "realisations germs"],
     decisions: Float[np.ndarray, " n"],
 ) -> list[Course]:
@@ -229,7 +229,7 @@ def levels_at(
 def _courses_of(
     solution: Solution,
     problem: Problem,
-    fractions: Sequence[Float[np.ndarray, " places"]],
+    fractions: Sequence[Float[np.ndarray, " _"]],
     points: Float[np.ndarray, "realisations germs"],
 ) -> list[Course]:
     """The states of a solution over the fraction of its duration: each realisation's from the nearest one there, or

@@ -293,15 +293,15 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         shapes = state_shapes(self.problem, phase.name)
         return named({phase.name: dict(zip(shapes, apart(rows, list(shapes.values())), strict=True))})
 
-    def _places(self, fractions: Sequence[Float[np.ndarray, " places"]]) -> dict[str, slice]:
+    def _places(self, fractions: Sequence[Float[np.ndarray, " _"]]) -> dict[str, slice]:
         """Where those of each phase are if all stand one after the other; empty if there are no phases."""
         ends = np.cumsum([0, *map(len, fractions)]).tolist()
         each = zip(self.layout.phases, ends, ends[1:], strict=False)
         return {phase.name: slice(first, last) for phase, first, last in each if phase.name}
 
     def _times(
-        self, point: Float[np.ndarray, " variables"], fractions: Sequence[Float[np.ndarray, " places"]]
-    ) -> Float[np.ndarray, " places"]:
+        self, point: Float[np.ndarray, " variables"], fractions: Sequence[Float[np.ndarray, " _"]]
+    ) -> Float[np.ndarray, " times"]:
         """Fractions of the durations of all phases, one after the other, as times, s: means of the realisations."""
         begin, every = float(self.layout.phases[0].pointwise.grid.t_start), []
         for phase, own, some in zip(self.layout.phases, self.layout.view(point).phases, fractions, strict=True):
@@ -360,7 +360,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         return MeshError(self._times(point, nodes), meshes[0].scheme, every, self.recipe.goal.error, numbers)
 
 
-def _fractions(layout: Layout) -> list[Float[np.ndarray, " points"]]:
+def _fractions(layout: Layout) -> list[Float[np.ndarray, " _"]]:
     """The mesh points of all phases, as fractions of their durations."""
     return [one.fractions for one in layout.plan.meshes]
 
