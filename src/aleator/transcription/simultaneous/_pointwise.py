@@ -36,6 +36,7 @@ from aleator.design import (
     numbers_of,
 )
 from aleator.dynamics import (
+    AbstractGrid,
     AbstractMeanRate,
     Asked,
     Grid,
@@ -124,6 +125,13 @@ def functionals_in(phase: str, problem: Problem) -> tuple[AbstractFunctional, ..
     return tuple(one for one in every if not phase or phase_of(one.place) == phase)
 
 
+def grid_in(phase: str, grid: AbstractGrid) -> Grid:
+    """The grid of a phase; the only one of a problem without phases."""
+    own = grid.of(f"{phase}.")
+    assert isinstance(own, Grid)
+    return own
+
+
 def flat(tree: Any) -> Float[Array, " numbers"]:
     """All numbers of a tree side by side."""
     leaves = [jnp.ravel(one) for one in jax.tree.leaves(tree)]
@@ -164,9 +172,7 @@ class Pointwise:
     def of(cls, problem: Problem, phase: str = "") -> "Pointwise":
         """Those of a phase."""
         functionals = functionals_in(phase, problem)
-        grid = problem.grid.of(f"{phase}.")
-        assert isinstance(grid, Grid)
-        is_inside = grid.until is not None or has_random_signals(problem)
+        is_inside = grid_in(phase, problem.grid).until is not None or has_random_signals(problem)
         fixed, direct = (problem, np.arange(problem.placements.size)) if is_inside else frozen(problem)
         whole = [one for one in functionals if not isinstance(one, AbstractIntegral | Terminal | At)]
         at_end = [one for one in functionals if isinstance(one, Terminal | At)]
@@ -190,7 +196,7 @@ class Pointwise:
 
         def realised(decisions: Array) -> Array:
             simulation, system = self._known_parts(decisions)
-            own, grid = system.signals(), self._grid_of(simulation)
+            own, grid = system.signals(), grid_in(self.phase, simulation.grid)
             every = {**own, **simulation.inputs}
             shapes = {} if self.has_signals_inside else dict(known_at(every, grid, np.zeros(1)).inputs)
             answers.append(Signals(shapes, bool(own), has_jumps(every)))
@@ -202,7 +208,7 @@ class Pointwise:
     @property
     def grid(self) -> Grid:
         """The grid as it is declared."""
-        return self._grid_of(self.problem)
+        return grid_in(self.phase, self.problem.grid)
 
     @property
     def is_open(self) -> bool:
@@ -219,7 +225,7 @@ class Pointwise:
             return jnp.zeros((len(places), 0))
         simulation, system = self._known_parts(decisions)
         every = {**system.signals(), **simulation.inputs}
-        return known_at(every, self._grid_of(simulation), self._told_at(places)).rows[:, 1:]
+        return known_at(every, grid_in(self.phase, simulation.grid), self._told_at(places)).rows[:, 1:]
 
     def _told_at(self, places: Any) -> Any:
         """Places as fractions of the duration; where signals jump, a little off on the side that is theirs."""
@@ -233,9 +239,7 @@ class Pointwise:
         """From the first instant to the last, s; nothing where each realisation has its own."""
         if self.is_open:
             return jnp.zeros(0)
-        grid = grid_at(self.problem, decisions).of(f"{self.phase}.")
-        assert isinstance(grid, Grid)
-        return jnp.asarray(grid.duration, dtype=float)
+        return jnp.asarray(grid_in(self.phase, grid_at(self.problem, decisions)).duration, dtype=float)
 
     def initial(self, germ: Array, place: Array, shared: Array, signals: Array) -> Float[Array, " states"]:
         """The initial states of one realisation, side by side, at the first mesh point: see `rates`."""
@@ -352,15 +356,8 @@ class Pointwise:
 
     @property
     def _integrated(self) -> Asked:
-        def integrand(one: AbstractIntegral) -> Callable[[Any], Array]:
-            return lambda now: one.integrand(named({self.phase: now}))
-
-        return Asked(frozenset(), integrands=tuple(map(integrand, self.integrals)))
-
-    def _grid_of(self, whole: Problem | Simulation) -> Grid:
-        grid = whole.grid.of(f"{self.phase}.")
-        assert isinstance(grid, Grid)
-        return grid
+        each = (lambda now, one=one: one.integrand(named({self.phase: now})) for one in self.integrals)
+        return Asked(frozenset(), integrands=tuple(each))
 
     def _own_duration(self, shared: Array, own: Array) -> Float[Array, ""]:
         """That of a realisation: see `rates`."""

@@ -14,7 +14,7 @@ from aleator._core.border import refusal
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import AleatorError, ProblemError, SimulationError
 from aleator.design import Problem, deterministic, grid_at, unsolved
-from aleator.dynamics import ONLY_STATES, STATES, Grid, LinkedGrid, System, initial_state, named
+from aleator.dynamics import ONLY_STATES, STATES, System, initial_state, named
 from aleator.solution import Solution
 from aleator.transcription._warm_start import started_from
 from aleator.transcription.simultaneous._evaluations import ALGEBRAIC, LEVELS, evaluated_at, first_crossing
@@ -29,6 +29,7 @@ from aleator.transcription.simultaneous._guesses import (
     over_time,
 )
 from aleator.transcription.simultaneous._layout import Layout
+from aleator.transcription.simultaneous._pointwise import grid_in
 from aleator.transcription.simultaneous._program import Assembled
 from aleator.uncertainty import realise
 
@@ -84,7 +85,7 @@ class Start:
       for a simulation.
     """
 
-    guess: "OverTime | Mapping[str, OverTime] | Solution | None"
+    guess: "OverTime | tuple[tuple[str, OverTime], ...] | Solution | None"
 
     @classmethod
     def of(cls, guess: Guess | None) -> "Start":
@@ -93,7 +94,7 @@ class Start:
             return cls(guess)
         each = guess.values() if isinstance(guess, Mapping) and guess else [None]
         if isinstance(guess, Mapping) and all(callable(one) or isinstance(one, Mapping) for one in each):
-            return cls({name: over_time(one) for name, one in guess.items()})
+            return cls(tuple((name, over_time(one)) for name, one in guess.items()))
         return cls(over_time(guess))
 
     def decisions(self, problem: Problem) -> Float[np.ndarray, " n"]:
@@ -114,7 +115,7 @@ class Start:
             return _simulated_courses(problem, fractions, points, decisions)
         if isinstance(self.guess, Solution):
             return _courses_of(self.guess, problem, fractions, points)
-        by_phase = self.guess if isinstance(self.guess, Mapping) else {"": self.guess}
+        by_phase = dict(self.guess) if isinstance(self.guess, tuple) else {"": self.guess}
         if by_phase.keys() != (phases := problem.simulation.phases).keys():
             expected = f"one for each of the phases {list(phases)}, by name" if "" not in phases else "one of no phase"
             received = "one of no phase" if "" in by_phase else f"those of {list(by_phase)}"
@@ -144,7 +145,7 @@ def _simulated_courses(
         if not all(np.isfinite(one).all() for one in rest):
             rest = [np.asarray(one) for one in RESTING(finer, points, decisions)]
         for i, (phase, (states, duration)) in enumerate(zip(problem.simulation.phases, simulated, strict=True)):
-            latest = problem.grid.of(f"{phase}.").duration if duration.size else 0.0  # type: ignore[attr-defined]
+            latest = grid_in(phase, problem.grid).duration if duration.size else 0.0
             simulated[i] = np.repeat(rest[i][:, None], states.shape[1], axis=1), np.full_like(duration, latest)
     return [
         Course(_on_places(np.linspace(0.0, 1.0, states.shape[1]), states, some), duration)
@@ -174,8 +175,7 @@ def _guessed(
     decisions: Float[np.ndarray, " n"],
 ) -> Course:
     """The states of a phase by a function of time; a realisation ends where these meet the event."""
-    grid, shapes = grid_at(problem, jax_array(decisions)).of(f"{phase}."), state_shapes(problem, phase)
-    assert isinstance(grid, Grid)
+    grid, shapes = grid_in(phase, grid_at(problem, jax_array(decisions))), state_shapes(problem, phase)
     duration, every = float(grid.duration), len(points)
 
     def states_at(times: Float[np.ndarray, " times"]) -> Float[np.ndarray, "times states"]:
@@ -207,10 +207,9 @@ def _guessed(
 
 def direction_of(problem: Problem, phase: str) -> int:
     """The direction of the event that ends a phase: see `Event`."""
-    one = problem.simulation.of(f"{phase}.")
-    assert isinstance(one.system, System)
-    assert isinstance(one.grid, Grid)
-    return one.system.declared_events[one.grid.until or ""].direction
+    system = problem.simulation.of(f"{phase}.").system
+    assert isinstance(system, System)
+    return system.declared_events[grid_in(phase, problem.grid).until or ""].direction
 
 
 def levels_at(
@@ -240,7 +239,7 @@ def _courses_of(
         named({phase: state_shapes(one, phase) for phase in one.simulation.phases}) if one.system.has_time else {}
         for one in (problem, old)
     )
-    if received != shapes or isinstance(old.grid, LinkedGrid) != isinstance(problem.grid, LinkedGrid):
+    if received != shapes:
         raise ProblemError(
             f"{WHO}: expected a solution of a system with the states {listed(shapes)}; received one with "
             f"{listed(received)}."
