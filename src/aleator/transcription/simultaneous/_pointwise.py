@@ -1,5 +1,4 @@
-"""What the equations of a problem, or of one of its phases, say at one mesh point of one realisation: rates,
-integrands, outputs, and their shapes.
+"""What the equations of a phase say at one mesh point of one realisation: rates, integrands, outputs, their shapes.
 
 Time runs by the fraction of the grid's duration: multiplied by the duration, rates and integrands are those by the
 fraction, so that a free final time stands in them and the scheme stays linear. Where an event ends the grid, each
