@@ -161,7 +161,7 @@ class GridError(Printed):
 class MeshError(Drawn):
     """The error of one mesh, interval by interval; the meshes of phases stand one after the other.
 
-    - `nodes`: the ends of the intervals, s, shape (intervals + 1,), at the means where each realisation has its own;
+    - `nodes`: the ends of the intervals, s, shape (intervals + 1,), their means where each realisation has its own;
       `scheme`: what holds states to their equations;
     - `drifts`: how far the states of each realisation drift from their equations within each interval, relative to the
       largest magnitude of each state: of the state that drifts most, shape (realisations, intervals). Realisations are
@@ -236,7 +236,7 @@ class AbstractOverTime(Drawn):
 class States(AbstractOverTime):
     """The states of some realisations over time.
 
-    - `times`: the points of the mesh, s, shape (points,), at the means where each realisation has its own;
+    - `times`: the points of the mesh, s, shape (points,), their means where each realisation has its own;
     - `germs`: the germ points of the realisations, shape (realisations, variables);
     - `values`: by the name of the state, shape (realisations, points, ...);
     - `phases`: which of the times are those of each phase, if there are phases;

@@ -66,6 +66,8 @@ from aleator.transcription.simultaneous._starts import (
 _FINER = 2
 # So many meshes at most, and variables of the last: where something jumps inside, no mesh would ever be fine enough.
 _MOST_MESHES, _MOST_VARIABLES = 8, 1_000_000
+# A realisation that lasts for a smaller part of the latest time has not left its start.
+_SHORTEST = 1e-6
 
 
 def _taken(problem: Problem, constants: Constants, coefficients: list[jax.Array]) -> tuple[jax.Array, ...]:
@@ -225,14 +227,16 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
             levels = levels_at((self.traced, phase.name), self.points, values.decisions, fractions, course)
             for germ, (lasts,), one in zip(self.points, own.duration, levels, strict=True):
                 before = first_crossing(one[:-1], fractions[:-1], direction)
-                if before is None and direction * one[-2] <= 0:
+                lasts_at_all = lasts > _SHORTEST * float(grid.duration)
+                if before is None and direction * one[-2] <= 0 and lasts_at_all:
                     continue
                 numbers = listed(inputs_at(self.places, germ, jax_array(values.decisions)))
                 first, last = (float(grid.t_start) + share * lasts for share in (before or 0.0, 1.0))
-                happens = "not there, where it is crossed the other way" if before is None else f"at t = {first:.4g} s"
+                said = "is crossed the other way there" if lasts_at_all else "is where it starts"
+                said = said if before is None else f"first happens at t = {first:.4g} s"
                 return (
                     f"the realisation{' with ' if numbers else ''}{numbers} ends at t = {last:.4g} s, and "
-                    f"'{grid.until}' first happens {happens}: start nearer to it, al.Simultaneous(guess=...), or "
+                    f"'{grid.until}' {said}: start nearer to its first crossing, al.Simultaneous(guess=...), or "
                     "simulate, al.Sequential()"
                 )
         return ""
