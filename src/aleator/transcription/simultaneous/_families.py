@@ -104,31 +104,31 @@ def families(
 
     - `points`: the germ points of the realisations.
     """
-    each = [_Places(phase, variables, own, points) for phase, own in zip(layout.phases, variables.phases, strict=True)]
+    each = [_Phase(phase, variables, own, points) for phase, own in zip(layout.phases, variables.phases, strict=True)]
     return Families(
-        tuple(_phase(layout, one, each[i - 1] if i else None) for i, one in enumerate(each)),
+        tuple(_families_of(layout, one, each[i - 1] if i else None) for i, one in enumerate(each)),
         tuple(_limits(layout, problem, constants, variables)),
         tuple(_integrand(layout, problem, constants, one, variables) for one in integrals_over_time(problem)),
     )
 
 
-class _Places(NamedTuple):
+class _Phase(NamedTuple):
     """A phase with its variables, and the decisions: what its blocks are given."""
 
     layout: PhaseLayout
     whole: Variables
-    own: PhaseVariables
+    variables: PhaseVariables
     points: Float[np.ndarray, "realisations germs"]
 
     @property
     def shared(self) -> np.ndarray:
         """The duration, unless each realisation has its own."""
-        return self.own.duration[0, : int(not self.layout.pointwise.is_open)]
+        return self.variables.duration[0, : int(not self.layout.pointwise.is_open)]
 
     @property
     def durations(self) -> np.ndarray:
         """The duration of each realisation, shape (realisations, 1), if it has its own; else (realisations, 0)."""
-        own = self.own.duration[:, : int(self.layout.pointwise.is_open)]
+        own = self.variables.duration[:, : int(self.layout.pointwise.is_open)]
         return np.broadcast_to(own, (len(self.points), own.shape[1]))
 
     @property
@@ -139,53 +139,53 @@ class _Places(NamedTuple):
     def at(self, which: np.ndarray, sides: np.ndarray) -> np.ndarray:
         """Signals, duration, states and algebraic variables at some mesh points of every realisation."""
         first = sides if sides.ndim == 1 else sides[:, 0]
-        parts = [self.begun(sides), self.own.states[:, which], self.own.algebraic[:, first]]
+        parts = [self.begun(sides), self.variables.states[:, which], self.variables.algebraic[:, first]]
         return np.concatenate(parts, axis=2)
 
     def begun(self, sides: np.ndarray) -> np.ndarray:
         """Signals and duration."""
-        signals, shape = self.own.signals[sides].reshape(len(sides), -1), (len(self.points), len(sides))
+        signals, shape = self.variables.signals[sides].reshape(len(sides), -1), (len(self.points), len(sides))
         each = signals, self.durations[:, None]
         return np.concatenate([np.broadcast_to(one, (*shape, one.shape[-1])) for one in each], axis=2)
 
     def end(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """What blocks at the last mesh point of every realisation are given, without algebraic variables."""
         mesh = self.layout.mesh
-        own = np.concatenate([self.begun(np.array([len(mesh.sides) - 1])), self.own.states[:, -1:]], axis=2)
+        own = np.concatenate([self.begun(np.array([len(mesh.sides) - 1])), self.variables.states[:, -1:]], axis=2)
         return self.model, own, self.points, mesh.places[-1:]
 
 
-def _phase(layout: Layout, here: _Places, before: _Places | None) -> PhaseFamilies:
+def _families_of(layout: Layout, own: _Phase, before: _Phase | None) -> PhaseFamilies:
     """The families of a phase, with what the phase before it gives its blocks."""
-    phase, _, variables, points = here
+    phase, _, variables, points = own
     pointwise, mesh, grid, recorded = phase.pointwise, phase.mesh, phase.pointwise.grid, phase.recorded
     instants, sides = mesh.instants(recorded), mesh.instant_sides(recorded)
     declared = np.searchsorted(instants, mesh.instants(grid.fractions))
     nodes, node_sides = mesh.instants(grid.node_fractions), mesh.instant_sides(grid.node_fractions)
-    places, every, model, at = mesh.places, np.arange(len(mesh.sides)), here.model, here.at
-    decisions = here.whole.decisions
+    places, every, model, at = mesh.places, np.arange(len(mesh.sides)), own.model, own.at
+    decisions = own.whole.decisions
     none = decisions[None, None, :0]
     integrals = variables.integrals.shape[2]
     histories = variables.paths[:, declared].reshape(len(variables.paths), -1)
     needs_histories = any(not isinstance(one, AbstractIntegral | At) for one in pointwise.composed)
-    composing = [here.durations, variables.integrals[:, -1]]
+    composing = [own.durations, variables.integrals[:, -1]]
     composing = np.concatenate([*composing, histories if needs_histories else histories[:, :0]], axis=1)
 
     def observed(names: tuple[str, ...], which: np.ndarray, sides: np.ndarray) -> Family:
         return Family(partial(pointwise.outputs, names), model, at(which, sides), points, places[sides])
 
-    def known(outer: Any, inner: Any, shared: Array, own: Array) -> Array:
-        del outer, inner, own
+    def known(outer: Any, inner: Any, shared: Array, rest: Array) -> Array:
+        del outer, inner, rest
         return known_numbers(pointwise, mesh.places, shared if shared.size else jnp.zeros(layout.sizes.decisions))
 
-    def composed(outer: Any, inner: Any, shared: Array, own: Array) -> Array:
+    def composed(outer: Any, inner: Any, shared: Array, rest: Array) -> Array:
         del outer, inner
-        duration, own = (own[0], own[1:]) if pointwise.is_open else (shared[0], own)
-        return pointwise.composites(phase.shapes, duration, own[:integrals], own[integrals:])
+        duration, rest = (rest[0], rest[1:]) if pointwise.is_open else (shared[0], rest)
+        return pointwise.composites(phase.shapes, duration, rest[:integrals], rest[integrals:])
 
-    initial = Family(pointwise.initial, model, here.begun(every[:1]), points, places[:1])
+    initial = Family(pointwise.initial, model, own.begun(every[:1]), points, places[:1])
     if grid.periodic:
-        initial = Family(pointwise.again, *here.end())
+        initial = Family(pointwise.again, *own.end())
     elif before is not None:
         initial = Family(partial(before.layout.pointwise.onward, phase.name), *before.end())
     residuals = pointwise.residuals if phase.shapes.algebraic else _nothing
@@ -202,9 +202,9 @@ def _phase(layout: Layout, here: _Places, before: _Places | None) -> PhaseFamili
         Family(residuals, model, at(mesh.sides, every), points, places),
         observed(pointwise.paths, instants, sides),
         observed(pointwise.ends, instants[-1:], sides[-1:]),
-        Family(composed, here.shared, composing[:, None]),
+        Family(composed, own.shared, composing[:, None]),
         observed(pointwise.nodes, nodes, node_sides),
-        Family(pointwise.level if pointwise.is_open else _nothing, *here.end()),
+        Family(pointwise.level if pointwise.is_open else _nothing, *own.end()),
     )
 
 
