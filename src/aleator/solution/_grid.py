@@ -22,6 +22,11 @@ def system_text(numbers: Mapping[str, float], most: int = MOST_NUMBERS) -> str:
     return ", ".join(shown[:most]) + (f" and {left} more" if left > 0 else "")
 
 
+def lines(rows: list[tuple[str, str]]) -> str:
+    """Labels and texts as text, one pair a line."""
+    return "\n".join(f"{label:<12} {text}" for label, text in rows)
+
+
 # Limits on the factor of steps from one grid to the next, since the error of a very coarse grid predicts no number of
 # steps; and the safety factor on the number that the order of convergence predicts.
 _LEAST, _MOST, _AHEAD = 2, 8, 1.2
