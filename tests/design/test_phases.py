@@ -9,6 +9,7 @@ import scipy
 
 import aleator as al
 from aleator.reporting import dataset
+from aleator.transcription import transcribe
 from zoo import G
 
 
@@ -167,7 +168,7 @@ class Switched(Lander):
         return self.burn(z, throttle)
 
 
-def test_a_coast_between_two_burns_is_the_same_design_in_three_phases_and_in_one():
+def test_a_coast_between_two_burns_is_the_same_design_in_three_phases_by_both_transcriptions_and_in_one():
     thrust, coast = al.Normal(60.0, 0.5).shared("thrust"), al.Decision(8.0, 1.0, 20.0)
     limits = {"minimize": -al.terminal("m").mean, "subject_to": [al.terminal("h").at_least(10.0, sigmas=3)]}
     phases = al.Phases(
@@ -175,7 +176,9 @@ def test_a_coast_between_two_burns_is_the_same_design_in_three_phases_and_in_one
         coast=al.Phase(Lander(thrust, 0.0), al.Grid(coast, 20)),
         brake=al.Phase(Lander(thrust), al.Grid(until="rest", at_most=30.0, steps=40)),
     )
-    three = al.solve(al.Problem(phases, **limits))
+    both = al.cross_check(al.Problem(phases, **limits), tolerance=1e-6)
+    assert both.agree, both
+    three, collocated = both.first, both.second
     throttle = al.StepFunction([1.0, al.Decision(9.0, 2.0, 21.0)], [0.1, 0.0, 1.0])
     grid = al.Grid(until="rest", at_most=60.0, steps=100)
     one = al.solve(al.Problem(Switched(thrust), grid=grid, inputs={"throttle": throttle}, **limits))
@@ -185,6 +188,37 @@ def test_a_coast_between_two_burns_is_the_same_design_in_three_phases_and_in_one
     (duration,), (switch,) = three.decisions.values(), one.decisions.values()
     assert 1.0 + duration == pytest.approx(switch, rel=1e-6)
     assert three.multiplier("brake.h") == pytest.approx(one.multiplier("h"), rel=1e-6)
+    # Where a phase goes on with all states at a time that is no state's, costates do so too.
+    for state in "hvm":
+        ends, begins = collocated.costates[f"turn.{state}"][:, -1], collocated.costates[f"coast.{state}"][:, 0]
+        assert ends == pytest.approx(begins, rel=1e-6, abs=1e-9)
+
+
+def test_meshes_of_phases_are_refined_until_a_collocated_burn_is_the_simulated_one():
+    burn, limit = al.objectives.final_time("second"), al.terminal("h").at_least(700.0, sigmas=1)
+    way = al.Simultaneous(al.schemes.Radau(2), error=1e-6, most_stages=6)
+    found = al.solve(staging(steps=4, minimize=burn, subject_to=[limit]), transcription=way)
+    assert found.ok, found
+    assert found.objective == pytest.approx(staged().objective, rel=1e-7)
+    assert found.mesh.is_met
+    assert len(found.meshes) > 1
+    assert found.mesh_states.durations["first"] == pytest.approx(5.0, rel=1e-9)
+    assert found.outputs["second.h"]["time"].values[[0, -1]] == pytest.approx([5.0, 5.0 + found.objective], rel=1e-8)
+    assert found.states["first.m"]["mean"].values[-1] == pytest.approx(BURNT, rel=1e-9)
+    assert dataset(found)["times of states of second"].values[0] == pytest.approx(5.0, rel=1e-9)
+
+
+def test_a_start_is_guessed_phase_by_phase_and_ends_where_the_guess_meets_the_event():
+    problem = staging(steps=4, minimize=al.terminal("h").mean)
+    first, second = (lambda t: {"h": t, "v": 1.0, "m": 20.0 - 4.0 * t}), {"time": [0, 9], "h": [1, 2], "v": [0, 0]}
+    second["m"] = [7.0, 7.0]
+    begun = transcribe(problem, al.Simultaneous(guess={"first": first, "second": second}))
+    states = begun.states_at(begun.program.start)
+    assert states.durations["first"] == pytest.approx(2.5)
+    assert states["first.m"][:, -1] == pytest.approx(BURNT)
+    assert states["second.h"][0, -1] == pytest.approx(1.0 + 2.0 / 9.0)
+    with pytest.raises(al.ProblemError, match=r"each of the phases \['first', 'second'\], by name; received one of no"):
+        transcribe(problem, al.Simultaneous(guess=first))
 
 
 def delayed(part):
@@ -315,5 +349,3 @@ def test_phases_that_do_not_fit_together_are_refused_where_they_are_declared():
     }.items():
         with pytest.raises(al.ProblemError, match=words):
             make()
-    with pytest.raises(al.ProblemError, match=r"one phase; received Phases\(ascent, descent\). Use al.Sequential"):
-        al.solve(problem(), transcription=al.Simultaneous())

@@ -196,6 +196,20 @@ def test_a_compass_walker_repeats_its_step_in_each_of_fifty_realisations():
         assert np.abs(np.linalg.eigvals(monodromies[k])).max() == pytest.approx(right[2], rel=1e-4)
 
 
+def test_a_collocated_cycle_has_the_published_period_and_one_of_a_force_the_exact_amplitude():
+    grid = al.Grid(until="crest", at_most=10.0, steps=40, periodic=True)
+    longest = {"minimize": al.value("mu"), "subject_to": [al.at("crest").mean >= PERIOD]}
+    way = al.Simultaneous(al.schemes.Radau(4))
+    found = al.solve(al.Problem(VanDerPol(al.Decision(1.2, 0.5, 2.0)), grid=grid, **longest), transcription=way)
+    assert found.ok, found
+    assert found.decisions["mu"] == pytest.approx(1.0, abs=1e-6)
+    grid = al.Grid(2 * np.pi, 20, periodic=True)
+    limits = {"minimize": al.value("c"), "subject_to": [al.initial("x").mean <= 0.9]}
+    found = al.solve(al.Problem(Forced(al.Decision(0.1, 0.05, 0.9)), grid=grid, **limits), transcription=way)
+    # The real part of its complex amplitude is 1 / (1 + c²).
+    assert found.decisions["c"] == pytest.approx(1 / 3, rel=1e-7)
+
+
 def test_what_has_no_meaning_with_cycles_is_refused_where_it_is_declared():
     with pytest.raises(al.ProblemError, match=r"al.floquet_multiplier\(\) is that of a cycle.*periodic=True"):
         al.Problem(VanDerPol(mu=al.Decision(1.0)), grid=al.Grid(1.0, 4), minimize=al.floquet_multiplier().mean)
@@ -203,8 +217,6 @@ def test_what_has_no_meaning_with_cycles_is_refused_where_it_is_declared():
         al.Grid(1.0, 4, periodic=1)  # pyright: ignore[reportArgumentType]
     with pytest.raises(al.ProblemError, match=r"Phase: .*does not repeat"):
         al.Phase(Forced(), al.Grid(1.0, 4, periodic=True))
-    problem = al.Problem(
-        Forced(c=al.Decision(0.2, 0.1, 0.3)), grid=al.Grid(1.0, 4, periodic=True), minimize=al.initial("x").mean
-    )
-    with pytest.raises(al.ProblemError, match=r"those of a cycle are sought.*al.Sequential"):
+    problem = al.Problem(VanDerPol(mu=al.Decision(1.0)), grid=CREST, minimize=al.floquet_multiplier().mean)
+    with pytest.raises(al.ProblemError, match=r"that of a simulation around the cycle: use al.Sequential"):
         al.solve(problem, transcription=al.Simultaneous())

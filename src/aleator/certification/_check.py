@@ -211,7 +211,9 @@ def checks_at(
                 return check
             if not check.is_finite:
                 check = begun(systems, Kvaerno5())()
-            if not (departed := _departed(transcribed, point, check)):
+            # The parts of a time that is sought, or of several phases, cannot be simulated each by itself.
+            has_parts = isinstance(problem.grid, Grid) and problem.grid.until is None
+            if not has_parts or not (departed := _departed(transcribed, point, check)):
                 return check
             again = begun(systems, reference, departed)()
             return again if again.is_finite else begun(systems, Kvaerno5(), departed)()
@@ -247,9 +249,8 @@ def _courses(
     states, (basis, collocation, _) = transcribed.states_at(point), transcribed.discretised
     assert states is not None
     assert isinstance(transcribed.problem.grid, Grid)
-    begins = np.searchsorted(states.fractions, transcribed.problem.grid.fractions[:-1] - _SAME)
-    every = [one[:, begins].reshape(len(one), len(begins), -1) for one in states.values.values()]
-    rows, count = np.concatenate(every, axis=2), len(collocation.points)
+    begins = np.searchsorted(states.fractions(), transcribed.problem.grid.fractions[:-1] - _SAME)
+    rows, count = states.rows()[:, begins], len(collocation.points)
     fitted = np.tensordot(np.asarray(collocation.pseudo_inverse), rows[:count], axes=1)
     predicted = np.tensordot(np.asarray(basis.matrix(systems.points)), fitted, axes=1)
     return np.concatenate([rows[:count], predicted, rows[count:]])

@@ -57,10 +57,11 @@ def solution_of(
     meaning, resolved = transcribed.at(outcome.point), transcribed.resolve(outcome.point)
     names, decided = places.entry_names(), transcribed.decided
     entries = dict(zip(decided.tolist(), names, strict=True))
-    costates, switching = None, None
+    costates, switching, crossed = None, None, ""
     # Multipliers of a search that was not finished say nothing of what a push would change.
     if outcome.status in (Status.SOLVED, Status.INTERRUPTED):
         costates, switching = transcribed.costates_at(outcome.point, outcome.multipliers)
+        crossed = transcribed.crossed_at(outcome.point)
     return Solution(
         problem=problem,
         status=outcome.status,
@@ -84,6 +85,7 @@ def solution_of(
             grid_error=error,
             worst_case=worst_case,
             misled=misled,
+            crossed=crossed,
             departed="" if check is None else check.departed,
             reaches={} if check is None else dict(zip(transcribed.texts.functionals, check.reaches, strict=True)),
         ),

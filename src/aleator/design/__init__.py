@@ -9,6 +9,8 @@ from aleator.design._expression import Expression as Expression
 from aleator.design._expression import as_expression as as_expression
 from aleator.design._expression import value as value
 from aleator.design._functionals import AbstractIntegral as AbstractIntegral
+from aleator.design._functionals import At as At
+from aleator.design._functionals import FloquetMultiplier as FloquetMultiplier
 from aleator.design._functionals import Path as Path
 from aleator.design._functionals import Peak as Peak
 from aleator.design._functionals import Rms as Rms

@@ -302,9 +302,16 @@ def frozen(problem: Problem) -> tuple[Problem, Int[np.ndarray, " direct"]]:
             lambda leaf: jax_array(leaf.initial) if isinstance(leaf, AbstractDecision) else leaf, tree, is_leaf=is_leaf
         )
 
+    def without(system: Any) -> Any:
+        for name in system.signal_fields:
+            system = eqx.tree_at(lambda tree, name=name: getattr(tree, name), system, still(getattr(system, name)))
+        return system
+
     whole, system = problem.simulation, problem.system
-    for name in system.signal_fields:  # type: ignore[union-attr]
-        system = eqx.tree_at(lambda tree, name=name: getattr(tree, name), system, still(getattr(system, name)))
+    if isinstance(system, LinkedSystems):
+        system = replace(system, systems={name: without(one) for name, one in system.systems.items()})
+    else:
+        system = without(system)
     fixed = with_simulation(problem, replace(whole, system=system, inputs=still(whole.inputs), grid=still(whole.grid)))
     places = problem.placements.decisions
     where = [np.arange(places[name].where.start, places[name].where.stop) for name in fixed.placements.decisions]

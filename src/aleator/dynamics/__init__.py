@@ -7,14 +7,17 @@ from aleator.dynamics._algebraic import explain_failure as explain_failure
 from aleator.dynamics._algebraic import solve_algebraic as solve_algebraic
 from aleator.dynamics._assembly import Assembly as Assembly
 from aleator.dynamics._crossings import needed as needed
+from aleator.dynamics._crossings import watched as watched
 from aleator.dynamics._equations import FINER as FINER
 from aleator.dynamics._equations import Equations as Equations
 from aleator.dynamics._equations import Start as Start
 from aleator.dynamics._equations import TracedSystem as TracedSystem
+from aleator.dynamics._evaluation import after_events as after_events
 from aleator.dynamics._evaluation import algebraic_residuals as algebraic_residuals
 from aleator.dynamics._evaluation import completed as completed
 from aleator.dynamics._evaluation import derivative as derivative
 from aleator.dynamics._evaluation import derivative_and_observation as derivative_and_observation
+from aleator.dynamics._evaluation import event_levels as event_levels
 from aleator.dynamics._evaluation import guessed_algebraic as guessed_algebraic
 from aleator.dynamics._evaluation import initial_state as initial_state
 from aleator.dynamics._evaluation import observation as observation

@@ -156,6 +156,22 @@ class Simulation(AbstractPlanned):
         assert isinstance(one.system, System)
         return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(states[state]) for state in one.system.states)])
 
+    def resting(self) -> list[Float[Array, " _"]]:
+        """The states, side by side, with which each phase begins if those before it end as they began."""
+        assert self.traced is not None  # the equations of all phases are known
+        begun, before = list[Float[Array, " states"]](), ""
+        for name, one in self.phases.items():
+            system, start = one.traced, one.start()
+            assert isinstance(system, System)
+            assert start is not None
+            if begun:
+                rests = Record({STATES: begun[-1][None]}, {}, (), grid=self.of(f"{before}.").grid)
+                begun.append(self._begun(name, one, before, rests))
+            else:
+                begun.append(ravel_pytree(initial_state(system, *start))[0])
+            before = name
+        return begun
+
     def unravelled(self, states: Float[Array, " states"]) -> Any:
         """The states as the system names them, from these side by side."""
         system, start = self.traced, self.start()

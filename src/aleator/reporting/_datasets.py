@@ -189,9 +189,11 @@ def _add_histories(arrays: _Arrays, solution: Solution) -> None:
     for kind, histories in kinds.items():
         if histories is None or not histories.values:
             continue
-        along = (f"point of {kind}s",) if histories is solution.switching else ("realisation", f"point of {kind}s")
-        arrays.add(f"times of {kind}s", along[-1], histories.times, f"instants of {kind}s", "s")
         for name, values in histories.values.items():
+            of = f" of {phase_of(name)}" if histories.phases else ""
+            along = (f"point of {kind}s{of}",)
+            arrays.add(f"times of {kind}s{of}", along[-1], histories.times_of(name), f"instants of {kind}s{of}", "s")
+            along = along if histories is solution.switching else ("realisation", *along)
             axes = (*along, *(f"component of {size}, {i}" for i, size in enumerate(values.shape[len(along) :])))
             arrays.add(f"{kind} {name}", axes, values, f"{kind} of {name}")
     if solution.mesh_states is not None:

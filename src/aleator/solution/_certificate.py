@@ -11,7 +11,7 @@ from jaxtyping import Float
 from aleator._core.leaves import Printed
 from aleator.expansion import ILL_CONDITIONED, UNRESOLVED, Unseen
 from aleator.nlp import HELD
-from aleator.solution._grid import GridError, Smoothing, system_text
+from aleator.solution._grid import GridError, Smoothing, lines, system_text
 
 
 @final
@@ -303,7 +303,8 @@ class Certificate(Printed):
     - `correlations`: which correlations of uncertain numbers are not those given, for decisions set their shapes;
     - `departed`: how far a simulation from the first instant departs from the states of an unstable plan, which then
       were checked step by step, each from the plan's own state; empty if it does not depart by orders of magnitude;
-    - `smoothing`: the same design at half the widths of `al.smooth`; None without any.
+    - `smoothing`: the same design at half the widths of `al.smooth`; None without any;
+    - `crossed`: a sentence on a realisation of a simultaneous program that does not end at the first event; else empty.
     """
 
     violation: float
@@ -321,6 +322,7 @@ class Certificate(Printed):
     correlations: str = ""
     departed: str = ""
     smoothing: Smoothing | None = None
+    crossed: str = ""
 
     @property
     def objection(self) -> Objection | None:
@@ -329,6 +331,8 @@ class Certificate(Printed):
 
     def _objections(self) -> Iterator[tuple[str, str]]:
         between, error, opinion, worst_case = self.between, self.grid_error, self.opinion, self.worst_case
+        if self.crossed:
+            yield "a realisation does not end at the first event", f"solved, but {self.crossed}"
         if between is not None and not between.holds:
             remedy = "or between=1 to check the instants alone"
             yield "limits break between the instants", f"solved at the instants of the grid, but {between}, {remedy}"
@@ -391,8 +395,3 @@ class Certificate(Printed):
 
     def __str__(self) -> str:
         return lines(self.rows())
-
-
-def lines(rows: list[tuple[str, str]]) -> str:
-    """Labels and texts as text, one pair a line."""
-    return "\n".join(f"{label:<12} {text}" for label, text in rows)

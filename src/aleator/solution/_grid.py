@@ -1,7 +1,7 @@
 """An answer over time: the error of its grid, its mesh with errors, its states and costates."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, final
 
 import numpy as np
@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from aleator._core.border import refusal
 from aleator._core.leaves import Drawn, Printed
-from aleator.dynamics import AbstractScheme
+from aleator.dynamics import AbstractScheme, phase_of
 
 MOST_NUMBERS = 5
 """Messages list at most this many numbers."""
@@ -20,6 +20,11 @@ def system_text(numbers: Mapping[str, float], most: int = MOST_NUMBERS) -> str:
     shown = [f"{name} = {number:.6g}" for name, number in numbers.items()]
     left = len(shown) - most
     return ", ".join(shown[:most]) + (f" and {left} more" if left > 0 else "")
+
+
+def lines(rows: list[tuple[str, str]]) -> str:
+    """Labels and texts as text, one pair a line."""
+    return "\n".join(f"{label:<12} {text}" for label, text in rows)
 
 
 # Limits on the factor of steps from one grid to the next, since the error of a very coarse grid predicts no number of
@@ -159,9 +164,10 @@ class GridError(Printed):
 @final
 @dataclass(frozen=True)
 class MeshError(Drawn):
-    """The error of one mesh, interval by interval.
+    """The error of one mesh, interval by interval; the meshes of phases stand one after the other.
 
-    - `nodes`: the ends of the intervals, s, shape (intervals + 1,); `scheme`: what holds states to their equations;
+    - `nodes`: the ends of the intervals, s, shape (intervals + 1,), their means where each realisation has its own;
+      `scheme`: what holds states to their equations;
     - `drifts`: how far the states of each realisation drift from their equations within each interval, relative to the
       largest magnitude of each state: of the state that drifts most, shape (realisations, intervals). Realisations are
       those of `solution.mesh_states`;
@@ -207,7 +213,17 @@ class MeshError(Drawn):
 class AbstractOverTime(Drawn):
     """Arrays over time, by name."""
 
+    times: np.ndarray
     values: Mapping[str, np.ndarray]
+    phases: Mapping[str, slice]
+
+    def where(self, name: str) -> slice:
+        """Which of the times are those of an array: those of its phase, where there are phases."""
+        return self.phases.get(phase_of(name), slice(None))
+
+    def times_of(self, name: str) -> np.ndarray:
+        """The times of an array, s."""
+        return self.times[self.where(name)]
 
     def __getitem__(self, name: str) -> np.ndarray:
         if name not in self.values:
@@ -225,19 +241,29 @@ class AbstractOverTime(Drawn):
 class States(AbstractOverTime):
     """The states of some realisations over time.
 
-    - `times`: the points of the mesh, s, shape (points,);
+    - `times`: the points of the mesh, s, shape (points,), their means where each realisation has its own;
     - `germs`: the germ points of the realisations, shape (realisations, variables);
-    - `values`: by the name of the state, shape (realisations, points, ...).
+    - `values`: by the name of the state, shape (realisations, points, ...);
+    - `phases`: which of the times are those of each phase, if there are phases;
+    - `durations`: how long each realisation of a phase lasts, s, where an event ends it, shape (realisations, 1).
     """
 
     times: Float[np.ndarray, " points"]
     germs: Float[np.ndarray, "realisations variables"]
     values: Mapping[str, Float[np.ndarray, "realisations points ..."]]
+    phases: Mapping[str, slice] = field(default_factory=dict)
+    durations: Mapping[str, Float[np.ndarray, "realisations 1"]] = field(default_factory=dict)
 
-    @property
-    def fractions(self) -> Float[np.ndarray, " points"]:
-        """The points of the mesh as fractions of the duration."""
-        return (self.times - self.times[0]) / (self.times[-1] - self.times[0])
+    def fractions(self, phase: str = "") -> Float[np.ndarray, " points"]:
+        """The points of the mesh of a phase as fractions of its duration."""
+        times = self.times_of(phase)
+        return (times - times[0]) / (times[-1] - times[0])
+
+    def rows(self, phase: str = "") -> Float[np.ndarray, "realisations points states"]:
+        """All states of a phase side by side."""
+        own = [one for name, one in self.values.items() if not phase or phase_of(name) == phase]
+        shape = len(self.germs), len(self.times_of(phase))
+        return np.concatenate([np.zeros((*shape, 0)), *(one.reshape(*shape, -1) for one in own)], axis=2)
 
     def __str__(self) -> str:
         count, span = len(self.germs), f"from t = {self.times[0]:.4g} to {self.times[-1]:.4g} s"
@@ -254,12 +280,14 @@ class Costates(AbstractOverTime):
 
     - `times`: the nodes of the mesh, s, shape (nodes,);
     - `germs`: the germ points of the realisations, shape (realisations, variables);
-    - `values`: by the name of the state, shape (realisations, nodes, ...).
+    - `values`: by the name of the state, shape (realisations, nodes, ...);
+    - `phases`: which of the times are those of each phase, if there are phases.
     """
 
     times: Float[np.ndarray, " nodes"]
     germs: Float[np.ndarray, "realisations variables"]
     values: Mapping[str, Float[np.ndarray, "realisations nodes ..."]]
+    phases: Mapping[str, slice] = field(default_factory=dict)
 
     def __str__(self) -> str:
         return f"costates of {self.ranges}, {len(self.germs)} realisations at {len(self.times)} nodes"
@@ -273,16 +301,18 @@ class Switching(AbstractOverTime):
     negative, one at its upper bound; a control that is between its bounds makes it zero.
 
     The Hamiltonian holds the costates times the rates, and the integrands in the objective and in limits, summed over
-    realisations. Limits on outputs at instants are not in it, and it is empty where inputs are uncertain or a statistic
-    is integrated over time.
+    realisations. Limits on outputs at instants are not in it, and it is empty where inputs are uncertain, realisations
+    end by an event or a statistic is integrated over time.
 
     - `times`: where the scheme asks for rates, s, shape (points,); where inputs jump, nodes may be there twice, as seen
       from before and from after;
-    - `values`: by the name of the input, shape (points, ...).
+    - `values`: by the name of the input, shape (points, ...);
+    - `phases`: which of the times are those of each phase, if there are phases.
     """
 
     times: Float[np.ndarray, " points"]
     values: Mapping[str, Float[np.ndarray, "points ..."]]
+    phases: Mapping[str, slice] = field(default_factory=dict)
 
     def __str__(self) -> str:
         return f"switching function of {self.ranges}, at {len(self.times)} points"

@@ -12,8 +12,8 @@ from aleator._core.leaves import Drawn, Printed
 from aleator.design import AbstractFunctional, Constraint, Problem, instants_at, path_of, problem_text
 from aleator.nlp import HELD, Searched, Status
 from aleator.solution._branching import Branching
-from aleator.solution._certificate import Certificate, Moments, Objection, lines
-from aleator.solution._grid import Costates, MeshError, States, Switching, system_text
+from aleator.solution._certificate import Certificate, Moments, Objection
+from aleator.solution._grid import Costates, MeshError, States, Switching, lines, system_text
 from aleator.solution._motions import Motions
 from aleator.trajectories import AbstractSignal
 

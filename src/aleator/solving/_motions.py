@@ -57,24 +57,41 @@ def _simulated(problem: Problem, germ: Float[Array, "systems variables"], decisi
 _SIMULATED = Compiled(_simulated, use=Use.ONCE)
 
 
+class _Phase(NamedTuple):
+    """The states of systems at the points of the mesh of a phase, and how long it lasts where an event ends it."""
+
+    states: Float[Array | np.ndarray, "systems points states"]
+    duration: Float[Array | np.ndarray, "systems durations"]
+
+
 def _on_mesh(
-    problem: Problem, systems: tuple[Array, Array], along: tuple[Float[Array, " n"], Float[Array, " points"]]
+    problem: Problem,
+    systems: tuple[Array, list[_Phase]],
+    along: tuple[Float[Array, " n"], list[Float[Array, " _"]]],
 ) -> Histories:
     """The same at the points of a mesh, from the states there: nothing is simulated."""
     decisions, fractions = along
 
-    def one(system_at: tuple[Array, Array]) -> Histories:
-        point, rows = system_at
-        simulation = realise(problem.simulation, point, decisions)
-        system, grid = simulation.traced, simulation.grid
-        states = jax.vmap(simulation.unravelled)(rows)
-        inputs = {**system.signals(), **simulation.inputs}
-        values = sampled(inputs, grid, fractions)
-        outputs = jax.vmap(lambda *at: observation(system, *at))(
-            instants(fractions, grid.t_start, grid.t_final), states, values
-        )
-        values = {name: values[name] for name in simulation.inputs}
-        return Histories(values, states._asdict(), outputs, uncertain_numbers(problem.placements, point, decisions))
+    def one(system_at: tuple[Array, list[_Phase]]) -> Histories:
+        point, phases = system_at
+        whole, inputs, states, outputs = realise(problem.simulation, point, decisions), {}, {}, {}
+        assert whole.traced is not None  # the equations of all phases are known
+        for (phase, simulation), at, known in zip(whole.phases.items(), fractions, phases, strict=True):
+            system, grid = simulation.traced, simulation.grid
+            assert isinstance(system, System)
+            assert isinstance(grid, Grid)
+            signals, grid = (
+                simulation.signals(system),
+                grid.ending(grid.t_start + known.duration[0]) if grid.until else grid,
+            )
+            values = sampled(signals, grid, at)
+            named_states = jax.vmap(simulation.unravelled)(known.states)
+            times = instants(at, grid.t_start, grid.t_final)
+            seen = jax.vmap(lambda *here, system=system: observation(system, *here))(times, named_states, values)
+            inputs |= named({phase: {name: values[name] for name in simulation.inputs}})
+            states |= named({phase: named_states._asdict()})
+            outputs |= named({phase: ({"time": times} if grid.until else {}) | seen})
+        return Histories(inputs, states, outputs, uncertain_numbers(problem.placements, point, decisions))
 
     return jax.vmap(one)(systems)
 
@@ -91,18 +108,21 @@ def motions(solution: Solution, kind: str) -> Motions:
     collocation = discretised(problem).collocation
     points = np.asarray(collocation.points)
     if known is None:
-        histories, times = _histories(f"solution.{kind}", problem, points, solution.vector), _instants(solution)
+        histories = _histories(f"solution.{kind}", problem, points, solution.vector)
+        times, where = _instants(solution), problem.grid.where
     else:
-        states = [values[: len(points)].reshape(len(points), len(known.times), -1) for values in known.values.values()]
-        systems = jax_array(points), jax_array(np.concatenate(states, axis=2))
-        along = jax_array(solution.vector), jax_array(known.fractions)
-        histories, times = jax.tree.map(np.asarray, _ON_MESH(numbers_to_arrays(problem), systems, along)), known.times
+        phases, count, none = problem.simulation.phases, len(points), np.zeros((len(points), 0))
+        each = [_Phase(known.rows(one)[:count], known.durations.get(one, none)[:count]) for one in phases]
+        along = jax_array(solution.vector), [jax_array(known.fractions(one)) for one in phases]
+        systems = jax.tree.map(jax_array, (points, each))
+        histories = jax.tree.map(np.asarray, _ON_MESH(numbers_to_arrays(problem), systems, along))
+        times, where = known.times, known.where
 
     def moments(values: Float[np.ndarray, "systems ..."]) -> Moments:
         coefficients = collocation.coefficients(jax_array(values))
         return Moments(*(np.asarray(statistic.of(coefficients, ())) for statistic in (Mean(), Std())))
 
-    return _motions(problem, histories, kind, times, moments)
+    return _motions(problem, histories, kind, times, moments, where)
 
 
 def simulate_systems(solution: Solution, samples: int = 100, *, seed: int = 0) -> Motions:
@@ -128,7 +148,7 @@ def simulate_systems(solution: Solution, samples: int = 100, *, seed: int = 0) -
     def moments(values: Float[np.ndarray, "systems ..."]) -> Moments:
         return Moments(values.mean(axis=0), values.std(axis=0, ddof=int(len(values) > 1)))
 
-    return _motions(problem, histories, "outputs", _instants(solution), moments)
+    return _motions(problem, histories, "outputs", _instants(solution), moments, problem.grid.where)
 
 
 def signal_of(solution: Solution, name: str) -> AbstractSignal:
@@ -171,6 +191,7 @@ def _motions(
     kind: str,
     times: Float[np.ndarray, " instants"] | None,
     moments: Callable[[np.ndarray], Moments],
+    where: Callable[[str], slice],
 ) -> Motions:
     # What is traced comes back in alphabetical order.
     inputs = named({phase: part.inputs for phase, part in problem.simulation.phases.items()})
@@ -178,4 +199,4 @@ def _motions(
     traced = getattr(histories, kind)
     systems = {name: traced[name] for name in declared.get(kind, traced)}
     each = {name: moments(values) for name, values in systems.items()}
-    return Motions(kind, times, systems, each, histories.numbers, output_units(problem), problem.grid.where)
+    return Motions(kind, times, systems, each, histories.numbers, output_units(problem), where)

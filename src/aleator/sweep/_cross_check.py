@@ -10,6 +10,7 @@ from aleator._core.border import Progress, one_of, positive, refusal, silent, wh
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Drawn
 from aleator.design import Estimated, Problem, estimated, statistics_in
+from aleator.dynamics import Grid
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.sweep._runner import SOLVE, running
@@ -152,20 +153,20 @@ def _decisions(problem: Problem, one: Solution, other: Solution) -> dict[str, fl
 
 def _statistics(one: Solution, other: Solution) -> dict[str, float]:
     """By text; those of paths at the instants that both grids have."""
-    _, *places = np.intersect1d(_fractions(one), _fractions(other), return_indices=True)
-    paths = {statistic.text() for statistic in statistics_in(one.problem.expressions) if statistic.is_path}
-    mine, theirs = (
-        {text: value[at] if text in paths else value for text, value in solution.statistics.items()}
-        for solution, at in zip((one, other), places, strict=True)
-    )
+    mine, theirs = dict(one.statistics), dict(other.statistics)
+    for statistic in (each for each in statistics_in(one.problem.expressions) if each.is_path):
+        text, path = statistic.text(), statistic.functionals[0].place
+        _, *at = np.intersect1d(_fractions(one, path), _fractions(other, path), return_indices=True)
+        mine[text], theirs[text] = (values[text][some] for values, some in zip((mine, theirs), at, strict=True))
     least = _SMALL * max((float(np.max(np.abs(value))) for value in mine.values()), default=0.0)
     return {text: _difference(value, theirs[text], least) for text, value in mine.items()}
 
 
-def _fractions(solution: Solution) -> np.ndarray:
-    """The instants of its grid as parts of the time between the first and the last, to nine digits."""
-    instants = np.atleast_1d(solution.instants) if solution.problem.system.has_time else np.zeros(1)
-    return np.round((instants - instants[0]) / (np.ptp(instants) or 1.0), 9)
+def _fractions(solution: Solution, path: str) -> np.ndarray:
+    """The instants of the grid of a path as parts of its duration, to nine digits."""
+    grid = solution.problem.grid.of(path)
+    assert isinstance(grid, Grid)
+    return np.round(grid.fractions, 9)
 
 
 def _multipliers(one: Solution, other: Solution, size: float) -> dict[str, float]:

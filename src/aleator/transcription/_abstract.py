@@ -176,6 +176,11 @@ class AbstractTranscribed(abc.ABC):
         del point, multipliers
         return None, None
 
+    def crossed_at(self, point: Float[np.ndarray, " variables"]) -> str:
+        """A sentence on a realisation that does not end where the event of its grid first happens; empty if all do."""
+        del point
+        return ""
+
     def refined(self, point: Float[np.ndarray, " variables"]) -> tuple[Self, Float[np.ndarray, " variables"]] | None:
         """The problem on a finer mesh, and the point there that a point of this program stands for.
 

@@ -8,8 +8,8 @@ from collocated_problems import Swing, VanDerPol
 import aleator as al
 from aleator.trajectories import piecewise_in
 from aleator.transcription import transcribe
-from aleator.transcription.simultaneous._layout import TOLD
 from aleator.transcription.simultaneous._refinement import Drift, Goal, refinement
+from aleator.transcription.simultaneous._signals import TOLD
 from aleator.transcription.simultaneous._tiles import CURVE, EVALUATE
 from zoo import optimum
 
@@ -20,7 +20,7 @@ RADAU, ASKED = tuple(al.schemes.Radau(stages) for stages in range(3, 11)), 1e-6
 
 def refined(errors, ratios, schemes=RADAU, scheme=RADAU[0]):
     drift = Drift(np.array(errors)[None, :, None], np.array(ratios)[None, :, None])
-    scheme, parts = refinement(Goal(ASKED, schemes), scheme, drift)
+    scheme, (parts,) = refinement(Goal(ASKED, schemes), scheme, [drift])
     return scheme.stages, parts.tolist()
 
 

@@ -74,7 +74,7 @@ def test_no_entry_of_the_hessian_couples_two_realisations():
     transcribed = transcribe(everything(), al.Simultaneous())
     owner = np.full(transcribed.program.start.size, -1)
     numbers = transcribed.layout.numbers
-    for part in (numbers.states, numbers.paths, numbers.integrals):
+    for part in (numbers.phases[0].states, numbers.phases[0].paths, numbers.phases[0].integrals):
         for i, some in enumerate(part):
             owner[some] = i
     entries = transcribed.program.hessian.sparsity.tocoo()

@@ -59,19 +59,19 @@ _NO_STATE = "expected states that are variables of the program; received a syste
 
 def _state_figure(states: States, name: str | None, units: Mapping[str, str] = MappingProxyType({})) -> "Figure":
     name, values = chosen("plot.state", name, states.values, _NO_STATE)
-    return histories_figure(states.times, values, y=name, unit=units.get(name, ""), who="realisations")
+    return histories_figure(states.times_of(name), values, y=name, unit=units.get(name, ""), who="realisations")
 
 
 def _costate_figure(costates: Costates, name: str | None) -> "Figure":
     name, values = chosen("plot.costate", name, costates.values, _NO_STATE)
-    return histories_figure(costates.times, values, y=f"Costate of {name}", who="realisations")
+    return histories_figure(costates.times_of(name), values, y=f"Costate of {name}", who="realisations")
 
 
 def _switching_figure(switching: Switching, name: str | None) -> "Figure":
     name, values = chosen("plot.input", name, switching.values, "expected inputs that are certain; received none.")
     limits = {0.0: "an input inside its bounds makes it zero"}
     y, who = f"Switching function of {name}", "switching functions"
-    return histories_figure(switching.times, np.asarray(values)[None], y=y, who=who, limits=limits)
+    return histories_figure(switching.times_of(name), np.asarray(values)[None], y=y, who=who, limits=limits)
 
 
 @plots_of.register(States)

@@ -16,9 +16,8 @@ from jaxtyping import Float, Int
 
 from aleator.nlp import SparseMatrix, with_entries
 from aleator.transcription.simultaneous._blocks import Family
+from aleator.transcription.simultaneous._families import objective_of
 from aleator.transcription.simultaneous._layout import Layout
-from aleator.transcription.simultaneous._pointwise import Pointwise
-from aleator.uncertainty import placements
 
 
 @final
@@ -154,20 +153,6 @@ def _pattern(keys: Int[np.ndarray, " entries"], shape: tuple[int, int]) -> Spars
     return pattern
 
 
-class Fixed(NamedTuple):
-    """What is the same at all decisions, and so no variables of the program: the signals, the duration."""
-
-    signals: bool
-    duration: bool
-
-    @classmethod
-    def of(cls, pointwise: Pointwise) -> "Fixed":
-        """That of a problem. Conditions on derivatives of signals depend on the duration."""
-        problem = pointwise.problem
-        decided = pointwise.signals.are_own or bool(placements((problem.inputs, problem.grid)).decisions)
-        return cls(not decided, not placements(problem.grid).decisions)
-
-
 class Ties(NamedTuple):
     """Equalities that together determine as many variables from all others: their rows and variables, shape (ties,).
 
@@ -199,18 +184,19 @@ def rows_of(
     blocks: list[Int[np.ndarray, "..."]],
     fit: Float[np.ndarray, "terms points"],
     slopes: SparseMatrix,
-    fixed: Fixed,
 ) -> Rows:
     """The rows of a program.
 
     - `blocks`: the number of each row of each family's blocks, in the order of `Families.every`;
     - `fit`: see `Collocation.pseudo_inverse`;
-    - `slopes`: how the decisions act on signals and duration beside their blocks.
+    - `slopes`: how the decisions act on signals and durations beside their blocks.
     """
-    known, initial, rates, equations, paths, ends, composed, nodes, _, *others = blocks
-    constraints = len(layout.pointwise.problem.constraints)
+    phases, constraints = len(layout.phases), len(layout.problem.constraints)
+    objective = objective_of(phases)
+    kinds = [blocks[first : first + phases] for first in range(0, objective, phases)]
+    others = blocks[objective + 1 :]
     limits, integrands = others[:constraints], others[constraints:]
-    variables, mesh = layout.numbers, layout.plan.mesh
+    variables = layout.numbers
     linear, combined, stands_for, own = [], [], [], []
     count = 0
 
@@ -232,33 +218,40 @@ def rows_of(
         combined.append((rows, np.reshape(to, np.shape(these)), -1.0))
         stands_for.append(np.ravel(these))
 
-    decided = np.append(np.full(variables.signals.size, not fixed.signals), not fixed.duration)
+    decided = ~np.isin(layout.known, layout.fixed)
     acting, first = slopes[decided].tocoo(), count
-    tied(np.append(variables.signals.ravel(), variables.duration)[decided], known.ravel()[decided])
+    known, *of_phases = kinds
+    tied(layout.known[decided], np.concatenate([one.ravel() for one in known])[decided])
     linear.append((first + acting.row, variables.decisions[acting.col], -acting.data))
-    tied(variables.states[:, 0], initial[:, 0])
-    states = variables.states.shape[2]
-    lengths, scheme = mesh.lengths, mesh.scheme
-    ends_of = variables.states[:, mesh.points]
-    rows = take(ends_of[:, :, 1:].shape)
-    linear += [(rows, ends_of[:, :, 1:], 1.0), (rows, ends_of[:, :, :1], -1.0)]
-    stands_for.append(ends_of[:, :, 1:].ravel())
-    stages = rates[:, mesh.stages]
-    for i in range(stages.shape[2]):
-        shares = lengths[:, None] * scheme.weights[:, i]
-        combined.append((rows, stages[:, :, i : i + 1, :states], -shares[None, :, :, None]))
-    rows = take(variables.algebraic.shape)
-    combined.append((rows, equations, 1.0))
-    stands_for.append(variables.algebraic.ravel())
-    rows = take(variables.integrals.shape)
-    linear += [(rows, variables.integrals, 1.0), (rows[:, 1:], variables.integrals[:, :-1], -1.0)]
-    shares = lengths[:, None] * scheme.weights[-1]
-    combined.append((rows[:, :, None], stages[..., states:], -shares[None, :, :, None]))
-    stands_for.append(variables.integrals.ravel())
-    tied(variables.paths, paths)
-    tied(variables.ends, ends)
-    tied(variables.composed, composed)
-    tied(variables.nodes, nodes)
+    for phase, part, families in zip(layout.phases, variables.phases, zip(*of_phases, strict=True), strict=True):
+        initial, rates, equations, paths, ends, composed, nodes, levels = families
+        mesh, states = phase.mesh, part.states.shape[2]
+        tied(part.states[:, 0], initial[:, 0])
+        lengths, scheme = mesh.lengths, mesh.scheme
+        ends_of = part.states[:, mesh.points]
+        rows = take(ends_of[:, :, 1:].shape)
+        linear += [(rows, ends_of[:, :, 1:], 1.0), (rows, ends_of[:, :, :1], -1.0)]
+        stands_for.append(ends_of[:, :, 1:].ravel())
+        stages = rates[:, mesh.stages]
+        for i in range(stages.shape[2]):
+            shares = lengths[:, None] * scheme.weights[:, i]
+            combined.append((rows, stages[:, :, i : i + 1, :states], -shares[None, :, :, None]))
+        rows = take(part.algebraic.shape)
+        combined.append((rows, equations, 1.0))
+        stands_for.append(part.algebraic.ravel())
+        # A realisation that ends by an event lasts until its function is zero.
+        rows = take(levels.shape)
+        combined.append((rows, levels, 1.0))
+        stands_for.append(part.duration.ravel()[: levels.size])
+        rows = take(part.integrals.shape)
+        linear += [(rows, part.integrals, 1.0), (rows[:, 1:], part.integrals[:, :-1], -1.0)]
+        shares = lengths[:, None] * scheme.weights[-1]
+        combined.append((rows[:, :, None], stages[..., states:], -shares[None, :, :, None]))
+        stands_for.append(part.integrals.ravel())
+        tied(part.paths, paths)
+        tied(part.ends, ends)
+        tied(part.composed, composed)
+        tied(part.nodes, nodes)
     samples, between = layout.samples(variables), layout.integrated(variables)
     expanded = [(samples[one], terms) for one, terms in layout.coefficients(variables).items()]
     expanded += [(between[one], terms) for one, terms in layout.between(variables).items()]
@@ -272,7 +265,7 @@ def rows_of(
     rows = take(variables.totals.shape)
     linear.append((rows, variables.totals, 1.0))
     for row, integrand in zip(rows, integrands, strict=True):
-        combined.append((row, integrand.ravel(), -layout.pointwise.grid.fraction_weights))
+        combined.append((row, integrand.ravel(), -layout.phases[0].pointwise.grid.fraction_weights))
     stands_for.append(variables.totals)
     first = own[-1].stop if own else 0
     ties = Ties(np.arange(first, count), np.concatenate(stands_for).astype(int))

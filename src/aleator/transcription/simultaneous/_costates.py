@@ -18,7 +18,8 @@ from aleator.transcription.simultaneous._program import Assembled
 
 
 class Adjoint(NamedTuple):
-    """Costates at the nodes, and the derivatives of the Hamiltonian by the signals wherever these are told and weighed.
+    """Costates of a phase at the nodes, and the derivatives of the Hamiltonian by the signals wherever these are told
+    and weighed.
 
     - `states`: shape (realisations, nodes, states); `signals`: shape (weighed, signals).
     """
@@ -32,14 +33,15 @@ def adjoint(
     assembled: Assembled,
     point: Float[np.ndarray, " variables"],
     multipliers: Float[np.ndarray, " rows"],
+    phase: int,
 ) -> Adjoint:
-    """Those at a point of a program with multipliers of its rows."""
-    mesh, numbers, ties = layout.plan.mesh, layout.numbers, assembled.rows.ties
-    duration = float(point[numbers.duration[0]])
+    """Those of a phase, by its number, at a point of a program with multipliers of its rows."""
+    mesh, shapes = layout.phases[phase].mesh, layout.phases[phase].shapes
+    numbers, ties = layout.numbers.phases[phase], assembled.rows.ties
     of_variable = np.zeros(layout.count)
     of_variable[ties.variables] = multipliers[ties.rows]
     defects, integrals = of_variable[numbers.states], of_variable[numbers.integrals]
-    slopes, shapes, sides = assembled.rate_slopes(point, mesh.asked_sides), layout.shapes, mesh.asked_sides
+    slopes, sides = assembled.rate_slopes(point, phase, mesh.asked_sides), mesh.asked_sides
     first = slopes.shape[-1] - shapes.states
     by_states = slopes[..., first:]
     by_signals = slopes[..., first - sides.shape[1] * shapes.signals : first]
@@ -58,4 +60,6 @@ def adjoint(
     by_side = np.zeros((len(mesh.places), shapes.signals))
     each = np.einsum("rkjm,rkjmts->kjts", weights, by_signals[:, mesh.stages])
     np.add.at(by_side, sides[mesh.stages], each)
+    # Where each realisation has a duration of its own there are no signals.
+    duration = float(point[numbers.duration[0, 0]])
     return Adjoint(states, by_side[mesh.weighed] / (duration * mesh.weights[mesh.weighed, None]))

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from aleator.design import (
     AbstractFunctional,
     AbstractIntegral,
+    At,
     Expression,
     Problem,
     Value,
@@ -23,24 +24,32 @@ from aleator.dynamics import AbstractMeanRate
 from aleator.statistics import Constants
 from aleator.transcription._expansions import ExpansionScope
 from aleator.transcription.simultaneous._blocks import Block, Family
-from aleator.transcription.simultaneous._layout import Layout, Plan, Variables, integrals_over_time, known_numbers
+from aleator.transcription.simultaneous._layout import (
+    Layout,
+    PhaseLayout,
+    PhaseVariables,
+    Plan,
+    Variables,
+    integrals_over_time,
+)
 from aleator.transcription.simultaneous._pointwise import Pointwise, apart
+from aleator.transcription.simultaneous._signals import known_numbers
 from aleator.uncertainty import named_numbers
 
 
-class Families(NamedTuple):
-    """All families of a program.
+class PhaseFamilies(NamedTuple):
+    """The families of one phase.
 
-    - `known`: the signals at all mesh points, then the duration: one block; without decisions if these are affine,
-      for matrices then hold how they act;
-    - `initial`: the initial states of each realisation, at the first mesh point;
+    - `known`: the signals at all mesh points, then the duration unless each realisation has its own: one block; without
+      decisions if these are affine, for matrices then hold how they act;
+    - `initial`: the states of each realisation at the first mesh point: initial ones, those that follow from the end of
+      the phase before, or those with which a cycle repeats;
     - `rates`: the blocks of the scheme, mean rates of states, then of integrands; `equations`: those of the algebraic
       variables, wherever signals are told;
     - `paths`, `ends`: outputs wherever paths are recorded, and at the last instant; `composed`: functionals of
       histories and integrals;
-    - `nodes`: outputs at the nodes of integrals over time;
-    - `expressions`: the objective, then the constraints; `integrands`: of integrals of statistics, by the fraction of
-      the duration.
+    - `nodes`: outputs at the nodes of integrals over time; `levels`: the function of the event that ends each
+      realisation, at the last instant.
     """
 
     known: Family
@@ -51,18 +60,37 @@ class Families(NamedTuple):
     ends: Family
     composed: Family
     nodes: Family
+    levels: Family
+
+
+class Families(NamedTuple):
+    """All families of a program.
+
+    - `phases`: those of each phase; `expressions`: the objective, then the constraints; `integrands`: of integrals of
+      statistics, by the fraction of the duration.
+    """
+
+    phases: tuple[PhaseFamilies, ...]
     expressions: tuple[Family, ...]
     integrands: tuple[Family, ...]
 
     @property
     def every(self) -> tuple[Family, ...]:
-        """All of them in order."""
-        return (*self[:-2], *self.expressions, *self.integrands)
+        """All of them in order: of each kind those of all phases, then the others."""
+        return (*(one for kind in zip(*self.phases, strict=True) for one in kind), *self.expressions, *self.integrands)
 
 
-KNOWN, RATES, EQUATIONS, OBJECTIVE = (
-    Families._fields.index(name) for name in ("known", "rates", "equations", "expressions")
-)
+KNOWN, RATES, EQUATIONS = (PhaseFamilies._fields.index(name) for name in ("known", "rates", "equations"))
+
+
+def number_of(kind: int, phase: int, phases: int) -> int:
+    """The number of one phase's family of a kind among all families."""
+    return kind * phases + phase
+
+
+def objective_of(phases: int) -> int:
+    """The number of the objective's family."""
+    return len(PhaseFamilies._fields) * phases
 
 
 def families(
@@ -76,44 +104,94 @@ def families(
 
     - `points`: the germ points of the realisations.
     """
-    pointwise, mesh, grid = layout.pointwise, layout.plan.mesh, layout.pointwise.grid
-    recorded = layout.plan.recorded(grid)
+    each = [_Phase(phase, variables, own, points) for phase, own in zip(layout.phases, variables.phases, strict=True)]
+    return Families(
+        tuple(_families_of(layout, one, each[i - 1] if i else None) for i, one in enumerate(each)),
+        tuple(_limits(layout, problem, constants, variables)),
+        tuple(_integrand(layout, problem, constants, one, variables) for one in integrals_over_time(problem)),
+    )
+
+
+class _Phase(NamedTuple):
+    """A phase with its variables, and the decisions: what its blocks are given."""
+
+    layout: PhaseLayout
+    whole: Variables
+    variables: PhaseVariables
+    points: Float[np.ndarray, "realisations germs"]
+
+    @property
+    def shared(self) -> np.ndarray:
+        """The duration, unless each realisation has its own."""
+        return self.variables.duration[0, : int(not self.layout.pointwise.is_open)]
+
+    @property
+    def durations(self) -> np.ndarray:
+        """The duration of each realisation, shape (realisations, 1), if it has its own; else (realisations, 0)."""
+        own = self.variables.duration[:, : int(self.layout.pointwise.is_open)]
+        return np.broadcast_to(own, (len(self.points), own.shape[1]))
+
+    @property
+    def model(self) -> np.ndarray:
+        """What all blocks share: the decisions of the model itself, and the duration."""
+        return np.concatenate([self.whole.decisions[self.layout.pointwise.direct], self.shared])
+
+    def at(self, which: np.ndarray, sides: np.ndarray) -> np.ndarray:
+        """Signals, duration, states and algebraic variables at some mesh points of every realisation."""
+        first = sides if sides.ndim == 1 else sides[:, 0]
+        parts = [self.begun(sides), self.variables.states[:, which], self.variables.algebraic[:, first]]
+        return np.concatenate(parts, axis=2)
+
+    def begun(self, sides: np.ndarray) -> np.ndarray:
+        """Signals and duration."""
+        signals, shape = self.variables.signals[sides].reshape(len(sides), -1), (len(self.points), len(sides))
+        each = signals, self.durations[:, None]
+        return np.concatenate([np.broadcast_to(one, (*shape, one.shape[-1])) for one in each], axis=2)
+
+    def end(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """What blocks at the last mesh point of every realisation are given, without algebraic variables."""
+        mesh = self.layout.mesh
+        own = np.concatenate([self.begun(np.array([len(mesh.sides) - 1])), self.variables.states[:, -1:]], axis=2)
+        return self.model, own, self.points, mesh.places[-1:]
+
+
+def _families_of(layout: Layout, own: _Phase, before: _Phase | None) -> PhaseFamilies:
+    """The families of a phase, with what the phase before it gives its blocks."""
+    phase, _, variables, points = own
+    pointwise, mesh, grid, recorded = phase.pointwise, phase.mesh, phase.pointwise.grid, phase.recorded
     instants, sides = mesh.instants(recorded), mesh.instant_sides(recorded)
     declared = np.searchsorted(instants, mesh.instants(grid.fractions))
     nodes, node_sides = mesh.instants(grid.node_fractions), mesh.instant_sides(grid.node_fractions)
-    places, every = mesh.places, np.arange(len(mesh.sides))
-    model = np.concatenate([variables.decisions[pointwise.direct], variables.duration])
-    none = variables.decisions[None, None, :0]
+    places, every, model, at = mesh.places, np.arange(len(mesh.sides)), own.model, own.at
+    decisions = own.whole.decisions
+    none = decisions[None, None, :0]
     integrals = variables.integrals.shape[2]
     histories = variables.paths[:, declared].reshape(len(variables.paths), -1)
-    summed = variables.integrals[:, -1]
-    needs_histories = any(not isinstance(one, AbstractIntegral) for one in pointwise.composed)
-    composing = np.concatenate([summed, histories if needs_histories else histories[:, :0]], axis=1)
-
-    def at(which: np.ndarray, sides: np.ndarray) -> np.ndarray:
-        """Signals, states and algebraic variables at some mesh points of every realisation."""
-        first = sides if sides.ndim == 1 else sides[:, 0]
-        return np.concatenate([signals_at(sides), variables.states[:, which], variables.algebraic[:, first]], axis=2)
-
-    def signals_at(sides: np.ndarray) -> np.ndarray:
-        signals = variables.signals[sides].reshape(len(sides), -1)
-        return np.broadcast_to(signals, (len(points), *signals.shape))
+    needs_histories = any(not isinstance(one, AbstractIntegral | At) for one in pointwise.composed)
+    composing = [own.durations, variables.integrals[:, -1]]
+    composing = np.concatenate([*composing, histories if needs_histories else histories[:, :0]], axis=1)
 
     def observed(names: tuple[str, ...], which: np.ndarray, sides: np.ndarray) -> Family:
         return Family(partial(pointwise.outputs, names), model, at(which, sides), points, places[sides])
 
-    def known(outer: Any, inner: Any, shared: Array, own: Array) -> Array:
-        del outer, inner, own
+    def known(outer: Any, inner: Any, shared: Array, rest: Array) -> Array:
+        del outer, inner, rest
         return known_numbers(pointwise, mesh.places, shared if shared.size else jnp.zeros(layout.sizes.decisions))
 
-    def composed(outer: Any, inner: Any, shared: Array, own: Array) -> Array:
+    def composed(outer: Any, inner: Any, shared: Array, rest: Array) -> Array:
         del outer, inner
-        return pointwise.composites(layout.shapes, shared[0], own[:integrals], own[integrals:])
+        duration, rest = (rest[0], rest[1:]) if pointwise.is_open else (shared[0], rest)
+        return pointwise.composites(phase.shapes, duration, rest[:integrals], rest[integrals:])
 
-    residuals = pointwise.residuals if layout.shapes.algebraic else _nothing
-    return Families(
-        Family(known, variables.decisions[: 0 if layout.plan.is_affine else None], none),
-        Family(pointwise.initial, model, signals_at(every[:1]), points, places[:1]),
+    initial = Family(pointwise.initial, model, own.begun(every[:1]), points, places[:1])
+    if grid.periodic:
+        initial = Family(pointwise.again, *own.end())
+    elif before is not None:
+        initial = Family(partial(before.layout.pointwise.onward, phase.name), *before.end())
+    residuals = pointwise.residuals if phase.shapes.algebraic else _nothing
+    return PhaseFamilies(
+        Family(known, decisions[: 0 if layout.plan.is_affine else None], none),
+        initial,
         Family(
             partial(pointwise.mean_rates, mesh.scheme.rate),
             model,
@@ -124,10 +202,9 @@ def families(
         Family(residuals, model, at(mesh.sides, every), points, places),
         observed(pointwise.paths, instants, sides),
         observed(pointwise.ends, instants[-1:], sides[-1:]),
-        Family(composed, variables.duration, composing[:, None]),
+        Family(composed, own.shared, composing[:, None]),
         observed(pointwise.nodes, nodes, node_sides),
-        tuple(_limits(layout, problem, constants, variables)),
-        tuple(_integrand(layout, problem, constants, one, variables) for one in integrals_over_time(problem)),
+        Family(pointwise.level if pointwise.is_open else _nothing, *own.end()),
     )
 
 
@@ -136,8 +213,9 @@ def functions(problem: Problem, constants: Constants | None, plan: Plan | Abstra
     mesh.
     """
     if isinstance(plan, AbstractMeanRate):
-        pointwise = Pointwise.of(problem)
-        return {RATES: partial(pointwise.mean_rates, plan), EQUATIONS: pointwise.residuals}
+        every = Pointwise.each(problem)
+        blocks = [{RATES: partial(one.mean_rates, plan), EQUATIONS: one.residuals} for one in every]
+        return {number_of(kind, i, len(every)): block for i, own in enumerate(blocks) for kind, block in own.items()}
     assert constants is not None
     layout = Layout.of(problem, plan)
     nowhere = np.zeros((plan.realisations, len(problem.placements.germ_names)))
@@ -176,7 +254,7 @@ def _integrand(
     block = family.function
     return family._replace(
         function=lambda outer, inner, s, o: s[0] * block(outer, inner, s[1:], o),
-        shared=np.concatenate([variables.duration, family.shared]),
+        shared=np.concatenate([variables.phases[0].duration.ravel(), family.shared]),
     )
 
 

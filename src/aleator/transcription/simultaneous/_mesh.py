@@ -1,5 +1,6 @@
-"""`Mesh`: intervals of the duration, and a scheme's points in them; controls, whose nodes are among its own."""
+"""`Mesh`: intervals of a duration, and a scheme's points in them; controls, whose nodes are among its own."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any, final
 
@@ -10,7 +11,7 @@ from jaxtyping import Float, Int, Num
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_leaf
 from aleator.design import Problem, declared_anew, integrated_paths
-from aleator.dynamics import AbstractScheme, Grid
+from aleator.dynamics import AbstractScheme, Grid, Simulation
 from aleator.trajectories import Piecewise, jumping_in, piecewise_in
 from aleator.uncertainty import Decision
 
@@ -129,16 +130,23 @@ class Mesh:
         return np.arange(every.size) if self.has_jumps else np.unique(every, return_index=True)[1]
 
 
-def first_nodes(problem: Problem) -> tuple[float, ...]:
-    """The nodes of a problem's first mesh, as fractions of the duration: the instants of its grid, the middles between
-    them where statistics are integrated over time, all nodes of its controls, and the jumps of its signals.
+def first_nodes(problem: Problem, phase: Simulation) -> tuple[float, ...]:
+    """The nodes of the first mesh of one of a problem's phases, as fractions of the duration: the instants of its grid,
+    the middles between them where statistics are integrated over time, all nodes of its controls, and the jumps of its
+    signals.
 
-    Raises `ProblemError` for jumps that are not at a fixed fraction of the duration.
+    Raises `ProblemError` for jumps and nodes that are not at a fixed fraction of the duration.
     """
-    assert isinstance(problem.grid, Grid)
-    grid, is_integrated = problem.grid, bool(integrated_paths(problem.expressions))
+    grid, is_integrated = phase.grid, bool(integrated_paths(problem.expressions))
+    assert isinstance(grid, Grid)
     nodes = np.array(grid.node_fractions if is_integrated else grid.fractions)
-    jumping = jumping_in(problem.simulation)
+    jumping, controls = jumping_in(phase), piecewise_in(phase)
+    if grid.until is not None and (jumping or controls):
+        raise ProblemError(
+            f"Simultaneous: {phase.system.title} follows a signal with jumps or nodes at fixed times, while each "
+            f"realisation ends at its own '{grid.until}': intervals of a mesh are shares of that. Give an al.BSpline, "
+            "or use al.Sequential(), whose steps follow them."
+        )
     moving = [one.times for one in jumping], grid.t_final
     if jumping and any(map(is_leaf, jax.tree.leaves(moving, is_leaf=is_leaf))):
         raise ProblemError(
@@ -146,7 +154,7 @@ def first_nodes(problem: Problem) -> tuple[float, ...]:
             "intervals of a mesh end at jumps, and so these have to stay. Use al.Sequential(), whose steps follow them."
         )
     jumps = [(np.asarray(one.jumps) - grid.t_start) / grid.duration for one in jumping]
-    for added in (*(np.array(one.nodes) for one in piecewise_in(problem.simulation)), *jumps):
+    for added in (*(np.array(one.nodes) for one in controls), *jumps):
         added = added[(added > 0) & (added < 1)]
         away = np.abs(added[:, None] - nodes).min(axis=1)
         nodes = np.sort(np.append(nodes, added[away > _SAME]))
@@ -160,16 +168,33 @@ def whole_parts(problem: Problem, parts: Int[np.ndarray, " intervals"]) -> Int[n
     return 2 ** np.ceil(np.log2(parts)).astype(int) if piecewise_in(problem.simulation) else parts
 
 
+def joined(problem: Problem, meshes: Iterable[Mesh]) -> tuple[Mesh, ...]:
+    """Meshes of all phases, those that share a control with the same nodes."""
+    joint = dict(zip(problem.simulation.phases, meshes, strict=True))
+    controls = {name: {id(one) for one in piecewise_in(phase)} for name, phase in problem.simulation.phases.items()}
+    for _ in joint:  # along a chain of phases that share one with the next
+        for name in joint:
+            nodes = np.sort(
+                [node for other in joint if controls[name] & controls[other] for node in joint[other].nodes]
+            )
+            if nodes.size:
+                apart = nodes[np.diff(nodes, prepend=-1.0) > _SAME]
+                joint[name] = replace(joint[name], nodes=tuple(apart.tolist()))
+    return tuple(joint.values())
+
+
 def followed(
-    problem: Problem, decisions: Float[np.ndarray, " n"], nodes: tuple[float, ...]
+    problem: Problem, decisions: Float[np.ndarray, " n"], meshes: tuple[Mesh, ...]
 ) -> tuple[Problem, Float[np.ndarray, " finer"]]:
-    """The problem with its controls on the nodes of a finer mesh, and its decisions there, interpolated."""
+    """The problem with its controls on the nodes of finer meshes, and its decisions there, interpolated."""
     old = piecewise_in(problem.simulation)
     if not old:
         return problem, decisions
+    phases = zip(problem.simulation.phases.values(), meshes, strict=True)
+    nodes_of = {id(one): mesh.nodes for phase, mesh in phases for one in piecewise_in(phase)}
 
     def finer(node: Any) -> Any:
-        return _on(node, nodes) if isinstance(node, Piecewise) else node
+        return _on(node, nodes_of[id(node)]) if isinstance(node, Piecewise) else node
 
     simulation = jax.tree.map(finer, problem.simulation, is_leaf=lambda node: isinstance(node, Piecewise))
     finer_problem = declared_anew(problem, simulation)
@@ -177,7 +202,7 @@ def followed(
     places, vector = problem.placements.decisions, finer_problem.placements.vector("initial")
     for name, place in finer_problem.placements.decisions.items():
         values, curve = decisions[places[name].where], curves.get(id(place.decision))
-        vector[place.where] = values if curve is None else _interpolated(curve, values, nodes)
+        vector[place.where] = values if curve is None else _interpolated(curve, values, nodes_of[id(curve)])
     return finer_problem, vector
 
 

@@ -20,10 +20,11 @@ from aleator.statistics import Constants
 from aleator.transcription._abstract import Remembered
 from aleator.transcription._constraints import Sizing, decision_scales, least_objective, row_bounds, spread
 from aleator.transcription._scenarios import Scenarios
-from aleator.transcription.simultaneous._assembly import Curvature, Fixed, Jacobian, Pattern, Rows, Ties, rows_of
+from aleator.transcription.simultaneous._assembly import Curvature, Jacobian, Pattern, Rows, Ties, rows_of
 from aleator.transcription.simultaneous._blocks import Family
-from aleator.transcription.simultaneous._families import EQUATIONS, KNOWN, OBJECTIVE, RATES, families
-from aleator.transcription.simultaneous._layout import Layout, affine_signals
+from aleator.transcription.simultaneous._families import EQUATIONS, KNOWN, RATES, families, number_of, objective_of
+from aleator.transcription.simultaneous._layout import Layout
+from aleator.transcription.simultaneous._signals import affine_signals
 from aleator.transcription.simultaneous._tiles import Call, begin, calls_of, results, tile_size, tiles_of
 
 # A magnitude below this is rounding.
@@ -47,17 +48,26 @@ def _calls(
     """The calls that evaluate all families: those that grow with the mesh are in tiles, and what is compiled of them
     serves every mesh; but signals, which differ at each of their points.
     """
-    nodes, scheme = tuple(layout.pointwise.grid.fractions.tolist()), layout.plan.scheme
-    first = replace(layout.plan, mesh=replace(layout.plan.mesh, nodes=nodes, scheme=scheme))
-    recorded, begun = (len(one.recorded(layout.pointwise.grid)) for one in (layout.plan, first))
-    sizes = [(len(one.own), begun if one.own.shape[1] == recorded else one.own.shape[1]) for one in every]
-    sizes[RATES] = tile_size(sizes[RATES][0], len(first.mesh.asked))
-    sizes[EQUATIONS] = tile_size(sizes[EQUATIONS][0], len(first.mesh.sides))
+    scheme, count, begun = layout.plan.scheme, len(layout.phases), dict[int, int]()
+    meshes = [
+        replace(one.mesh, nodes=(*one.pointwise.grid.fractions.tolist(),), scheme=scheme) for one in layout.phases
+    ]
+    first = replace(layout.plan, meshes=tuple(meshes))
+    for mesh, one in zip(meshes, layout.phases, strict=True):
+        begun[len(one.recorded)] = len(mesh.fractions if first.is_everywhere else one.recorded)
+    sizes = [(len(one.own), begun.get(one.own.shape[1], one.own.shape[1])) for one in every]
+    growing = {kind: [number_of(kind, i, count) for i in range(count)] for kind in (KNOWN, *_MOVING)}
+    for i, mesh in enumerate(meshes):
+        for kind, blocks in ((RATES, mesh.asked), (EQUATIONS, mesh.sides)):
+            sizes[growing[kind][i]] = tile_size(sizes[growing[kind][i]][0], len(blocks))
     tiles = [tiles_of(i, one, patterns[i], sizes[i]) for i, one in enumerate(every)]
     rows = [one.rows.size for one in patterns]
-    moving = [calls_of(equations, None, scheme.rate, [(one,) for one in tiles[i]]) for i in _MOVING if rows[i]]
-    known = [] if layout.plan.is_affine else calls_of(traced, constants, layout.plan, [tuple(tiles[KNOWN])])
-    rest = [some for i, some in enumerate(tiles) if i not in (KNOWN, *_MOVING) and rows[i]]
+    some_moving = [i for kind in _MOVING for i in growing[kind] if rows[i]]
+    moving = [calls_of(equations, None, scheme.rate, [(one,) for one in tiles[i]]) for i in some_moving]
+    signals = [] if layout.plan.is_affine else [i for i in growing[KNOWN] if rows[i]]
+    known = [one for i in signals for one in calls_of(traced, constants, layout.plan, [tuple(tiles[i])])]
+    apart = {i for some in growing.values() for i in some}
+    rest = [some for i, some in enumerate(tiles) if i not in apart and rows[i]]
     # Few of them grow with the mesh, where paths are recorded: with more tiles of these the others are repeated.
     count = max(map(len, rest))
     together = [tuple(some[min(k, len(some) - 1)] for some in rest) for k in range(count)]
@@ -97,12 +107,17 @@ class Blocks:
             tile.write(bend, bends[tile.form.family])
         return entries
 
-    def rates(self, family: Family, variables: Float[np.ndarray, " n"]) -> Float[np.ndarray, "outer inner rates"]:
-        """The rates of other blocks, whose family holds the numbers of their variables, by the same compiled code."""
-        shape = *family.own.shape[:2], self.patterns[RATES].rows.shape[2]
-        pattern = replace(self.patterns[RATES], columns=family.own, rows=np.arange(math.prod(shape)).reshape(shape))
-        own, rates = [one for one in self.calls if one.tiles[0].form.family == RATES], np.zeros(shape)
-        tiles = tiles_of(RATES, family, pattern, own[0].tiles[0].form.rows[:2]) if own else []
+    def rates(
+        self, number: int, family: Family, variables: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "outer inner rates"]:
+        """The rates of other blocks, whose family holds the numbers of their variables, by the same compiled code.
+
+        - `number`: of the family of the rates of the same phase.
+        """
+        shape = *family.own.shape[:2], self.patterns[number].rows.shape[2]
+        pattern = replace(self.patterns[number], columns=family.own, rows=np.arange(math.prod(shape)).reshape(shape))
+        own, rates = [one for one in self.calls if one.tiles[0].form.family == number], np.zeros(shape)
+        tiles = tiles_of(number, family, pattern, own[0].tiles[0].form.rows[:2]) if own else []
         for tile, (value, _) in results([Call((one,), own[0].evaluate, own[0].curve) for one in tiles], variables):
             tile.write(value, rates)
         return rates
@@ -135,9 +150,9 @@ class Assembled:
     """Evaluates a program: its blocks by compiled functions, its matrices by assembly.
 
     - `blocks`: gives the rows of all blocks, and the entries of their Jacobians;
-    - `slopes`: how the decisions act on signals and duration, where that is constant, shape (known, decisions);
+    - `slopes`: how the decisions act on signals and durations, where that is constant, shape (known, decisions);
     - `objective`: its row and its entries among those of all blocks, and the variables of these; `rates`: the rows of
-      the rates at the points where the scheme asks for them.
+      the rates of each phase at the points where the scheme asks for them.
     """
 
     rows: Rows
@@ -147,7 +162,7 @@ class Assembled:
     jacobian: Jacobian
     curvature: Curvature
     objective: tuple[int, slice, np.ndarray]
-    rates: Int[np.ndarray, "realisations asked rates"]
+    rates: tuple[Int[np.ndarray, "realisations _ _"], ...]
 
     @classmethod
     def of(
@@ -158,7 +173,6 @@ class Assembled:
         constants: Constants,
         points: Float[np.ndarray, "realisations germs"],
         fit: Float[np.ndarray, "terms points"],
-        fixed: Fixed,
     ) -> "Assembled":
         """That of a problem.
 
@@ -170,10 +184,12 @@ class Assembled:
             patterns.append(Pattern.of(one, first))
             first += patterns[-1].rows.size
         constant, slopes = affine_signals(traced, layout)
-        rows = rows_of(layout, [one.rows for one in patterns], fit, slopes, fixed)
+        rows = rows_of(layout, [one.rows for one in patterns], fit, slopes)
         evaluated = Blocks(_calls(traced, equations, constants, layout, every, patterns), patterns, constant)
         evaluated.begin(np.zeros(layout.count), first)
-        objective = patterns[OBJECTIVE]
+        count = len(layout.phases)
+        number = objective_of(count)
+        objective = patterns[number]
         return cls(
             rows,
             slopes,
@@ -181,23 +197,24 @@ class Assembled:
             Remembered(evaluated),
             Jacobian.of(rows.linear, rows.combined, patterns),
             Curvature.of(patterns, layout.count),
-            (int(objective.rows.item()), _entries_of(patterns, OBJECTIVE), objective.entries[1]),
-            patterns[RATES].rows,
+            (int(objective.rows.item()), _entries_of(patterns, number), objective.entries[1]),
+            tuple(patterns[number_of(RATES, i, count)].rows for i in range(count)),
         )
 
     def known(self, variables: Float[np.ndarray, " n"]) -> Float[np.ndarray, " known"]:
-        """The signals at all mesh points, then the duration, as they follow from the decisions."""
+        """What is `Layout.known`, as it follows from the decisions."""
         count, decisions = self.slopes.shape
         return self.blocks(variables)[0][:count] + self.slopes @ variables[:decisions]
 
     def rate_slopes(
-        self, variables: Float[np.ndarray, " n"], sides: Int[np.ndarray, "asked seen"]
+        self, variables: Float[np.ndarray, " n"], phase: int, sides: Int[np.ndarray, "asked seen"]
     ) -> Float[np.ndarray, "realisations asked rates columns"]:
-        """The derivatives of the rates by what each block of them depends on: the signals and the states come last.
+        """The derivatives of the rates of a phase by what each block of them depends on: the states come last.
 
         Algebraic variables are eliminated by the derivatives of their equations at the `sides` where rates are asked.
         """
-        slopes, equations = self._slopes(variables, RATES), self._slopes(variables, EQUATIONS)
+        numbers = (number_of(kind, phase, len(self.rates)) for kind in (RATES, EQUATIONS))
+        slopes, equations = (self._slopes(variables, number) for number in numbers)
         count = equations.shape[2]
         if not count:
             return slopes
@@ -254,14 +271,15 @@ def scales(
     scale[numbers.decisions] = decisions
     signals, *later = layout.stages
     scale = _reached(layout, ties, slopes, scale, signals)
-    intervals = _PUSHED * len(layout.plan.mesh.lengths)
-    for _ in range(_CHAIN):
-        still = numbers.states[scale[numbers.states] <= _NOTHING]
-        if not still.size:
-            break
+    for phase, own in zip(layout.phases, numbers.phases, strict=True):
+        intervals = _PUSHED * len(phase.mesh.lengths)
+        for _ in range(_CHAIN):
+            still = own.states[scale[own.states] <= _NOTHING]
+            if not still.size:
+                break
+            scale = _reached(layout, ties, intervals * slopes, scale, still)
+        still = own.integrals[scale[own.integrals] <= _NOTHING]
         scale = _reached(layout, ties, intervals * slopes, scale, still)
-    still = numbers.integrals[scale[numbers.integrals] <= _NOTHING]
-    scale = _reached(layout, ties, intervals * slopes, scale, still)
     for some in later:
         scale = _reached(layout, ties, slopes, scale, some)
     return np.where(scale > _NOTHING, scale, 1.0)
@@ -271,14 +289,17 @@ def _tie_sizes(
     layout: Layout, ties: Ties, evaluation: Evaluation, scale: Float[np.ndarray, " variables"]
 ) -> Float[np.ndarray, " ties"]:
     """A typical magnitude of each tie: that of the variable that stands in it; of an equation of algebraic variables,
-    which has a unit of its own, what it would change by if all of these changed by theirs.
+    or of an event, which has a unit of its own, what it would change by if all of these, or the states, changed by
+    theirs.
     """
-    sizes, algebraic = scale[ties.variables], layout.numbers.algebraic.ravel()
-    equations = np.isin(ties.variables, algebraic)
-    moving = np.zeros_like(scale)
-    moving[algebraic] = scale[algebraic]
-    change = abs(evaluation.jacobian[ties.rows[equations]]) @ moving
-    sizes[equations] = np.where(np.isfinite(change) & (change > 0), change, 1.0)
+    sizes = scale[ties.variables]
+    for phase, own in zip(layout.phases, layout.numbers.phases, strict=True):
+        ended = own.duration[:, : int(phase.pointwise.is_open)]
+        for solved, moved in ((own.algebraic, own.algebraic), (ended, own.states)):
+            equations, moving = np.isin(ties.variables, solved), np.zeros_like(scale)
+            moving[moved] = scale[moved]
+            change = abs(evaluation.jacobian[ties.rows[equations]]) @ moving
+            sizes[equations] = np.where(np.isfinite(change) & (change > 0), change, 1.0)
     return sizes
 
 
@@ -302,8 +323,8 @@ def _by_kind(layout: Layout, sizes: Float[np.ndarray, " variables"]) -> Float[np
         return np.broadcast_to(finite.max(axis=over, initial=0.0), part.shape)
 
     result, values = np.zeros(layout.count), layout.view(sizes)
-    each = jax.tree.map(lambda one: largest(one, 1), values._replace(coefficients=()))
-    each = each._replace(coefficients=tuple(largest(one, 0) for one in values.coefficients))
+    each = jax.tree.map(lambda one: largest(one, 1), values._replace(coefficients=[]))
+    each = each._replace(coefficients=[largest(one, 0) for one in values.coefficients])
     for where, scale in zip(jax.tree.leaves(layout.numbers), jax.tree.leaves(each), strict=True):
         result[where] = scale
     return result
@@ -314,7 +335,6 @@ def program_of(
     scenarios: Scenarios | None,
     layout: Layout,
     assembled: Assembled,
-    fixed: Fixed,
     start: Float[np.ndarray, " variables"],
 ) -> tuple[NonlinearProgram, tuple[float, ...]]:
     """The program, and the sizes of each of the problem's constraints at its start."""
@@ -334,9 +354,10 @@ def program_of(
     scale, sizes, every = judged(start, evaluation)
     lowest, highest = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
     lowest[numbers.decisions], highest[numbers.decisions] = map(problem.placements.vector, ("lower", "upper"))
-    for is_fixed, some in zip(fixed, (numbers.signals, numbers.duration), strict=True):
-        if is_fixed:  # The same at all decisions.
-            lowest[some] = highest[some] = start[some]
+    lowest[layout.fixed] = highest[layout.fixed] = start[layout.fixed]
+    for phase, own in zip(layout.phases, numbers.phases, strict=True):
+        if phase.pointwise.is_open:
+            lowest[own.duration], highest[own.duration] = 0.0, float(phase.pointwise.grid.duration)
     own_lower, own_upper = row_bounds(problem.constraints, rows.own, scenarios)
     tied = np.zeros(len(rows.ties.variables))
     program = NonlinearProgram(

@@ -11,7 +11,7 @@ fewer points.
   intervals help (Patterson, Hager and Rao, Optimal Control Applications and Methods 36 (2015) 398).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -21,10 +21,12 @@ from numpy.polynomial import legendre
 from aleator.design import Problem
 from aleator.dynamics import AbstractCollocation, AbstractScheme, MultipleShooting
 from aleator.transcription.simultaneous._blocks import Family
-from aleator.transcription.simultaneous._layout import Layout, Variables, signals_at
+from aleator.transcription.simultaneous._evaluations import ALGEBRAIC, evaluated_at
+from aleator.transcription.simultaneous._families import RATES, number_of
+from aleator.transcription.simultaneous._layout import Layout
 from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._program import Assembled
-from aleator.transcription.simultaneous._starts import algebraic_at
+from aleator.transcription.simultaneous._signals import signals_at
 
 # Between two meshes an interval is divided into at most so many parts; each is to be this much better than asked.
 _MOST_PARTS, _AHEAD = 8, 2.0
@@ -42,20 +44,30 @@ def state_rates(
     layout: Layout,
     assembled: Assembled,
     points: Float[np.ndarray, "realisations germs"],
-    values: Variables,
+    variables: Float[np.ndarray, " n"],
+    which: int,
     places: Float[np.ndarray, "blocks told 2"],
     states: Float[np.ndarray, "realisations blocks states"],
 ) -> Float[np.ndarray, "realisations blocks states"]:
-    """The mean rates of states by the fraction of the duration; algebraic variables are solved for."""
-    signals = signals_at(traced, places.reshape(-1, 2), values.decisions).reshape(len(places), -1)
-    shared = np.append(values.decisions[layout.pointwise.direct], values.duration)
-    parts = [np.broadcast_to(signals, (len(points), *signals.shape)), states]
-    if layout.shapes.algebraic:
-        parts.append(algebraic_at(traced, points, places[:, 0], values, signals, states))
+    """The mean rates of the states of a phase, by its number and by the fraction of its duration; algebraic variables
+    are solved for.
+    """
+    phase, values = layout.phases[which], layout.view(variables)
+    pointwise, duration, shape = phase.pointwise, values.phases[which].duration, (len(points), len(places))
+    signals = signals_at(traced, phase.name, places.reshape(-1, 2), values.decisions).reshape(len(places), -1)
+    model = values.decisions[pointwise.direct]
+    shared = model if pointwise.is_open else np.append(model, duration)
+    parts = [np.broadcast_to(signals, (len(points), *signals.shape))]
+    parts += [np.broadcast_to(duration[:, None], (*shape, 1))] if pointwise.is_open else []
+    parts.append(states)
+    if phase.shapes.algebraic:
+        at = model, duration, signals, states
+        parts.append(evaluated_at(ALGEBRAIC, (traced, phase.name), points, places[:, 0], *at))
     own = np.concatenate(parts, axis=2)
     numbers = shared.size + np.arange(own.size).reshape(own.shape)
-    family = Family(layout.pointwise.rates, np.arange(shared.size), numbers, points, places)
-    return assembled.evaluated.rates(family, np.append(shared, own))[:, :, : states.shape[2]]
+    family = Family(pointwise.rates, np.arange(shared.size), numbers, points, places)
+    number = number_of(RATES, which, len(layout.phases))
+    return assembled.evaluated.rates(number, family, np.append(shared, own))[:, :, : states.shape[2]]
 
 
 class Drift(NamedTuple):
@@ -68,37 +80,41 @@ class Drift(NamedTuple):
     errors: Float[np.ndarray, "realisations intervals states"]
     ratios: Float[np.ndarray, "realisations intervals states"]
 
+    @property
+    def worst(self) -> Float[np.ndarray, "realisations intervals"]:
+        """The error of the state that drifts most."""
+        return self.errors.max(axis=2, initial=0.0)
+
     def with_more(self, stages: int) -> Float[np.ndarray, " intervals"]:
         """The largest error of each interval to be expected of a scheme with so many stages more."""
         return np.max(self.errors * self.ratios**stages, axis=(0, 2), initial=0.0)
 
 
 def drift_of(
-    layout: Layout,
+    mesh: Mesh,
     rates_at: Rates,
     rates: Float[np.ndarray, "realisations asked rates"],
-    variables: Float[np.ndarray, " n"],
-    scales: Float[np.ndarray, " n"],
+    values: Float[np.ndarray, "realisations points states"],
+    sizes: Float[np.ndarray, "realisations points states"],
 ) -> Drift:
-    """The drift of all states, with how fast it would fall with the number of stages.
+    """The drift of all states of a phase, with how fast it would fall with the number of stages.
 
-    - `rates_at`: see `Rates`; `rates`: of the states at the points where the scheme asks for them.
+    - `rates_at`: see `Rates`; `rates`: of the states at the points where the scheme asks for them;
+    - `values`: the states; `sizes`: how large they are.
     """
-    mesh, values = layout.plan.mesh, layout.view(variables)
     assert isinstance(mesh.scheme, AbstractCollocation)
-    count = values.states.shape[2]
+    count = values.shape[2]
     nodes, weights = legendre.leggauss(len(mesh.scheme.nodes) + 2)
     inner, weights = (1 + nodes) / 2, weights / 2
     fractions = (np.array(mesh.nodes)[:-1, None] + mesh.lengths[:, None] * inner).ravel()
-    states = states_on(mesh, fractions, values.states, rates)
+    states = states_on(mesh, fractions, values, rates)
     places = np.stack([fractions, np.zeros_like(fractions)], axis=1)[:, None]
     true_rates = rates_at(places, states)
     stage_rates = rates[:, mesh.stages, :count]
     polynomial = np.einsum("qi,pkis->pkqs", mesh.scheme.interpolated(inner), stage_rates)
     missed = np.abs(polynomial - true_rates.reshape(polynomial.shape))
     average = np.einsum("q,pkqs->pks", weights, missed)
-    size = layout.view(scales).states[:, :1]
-    return Drift(mesh.lengths[:, None] * average / size, _ratios(mesh.scheme, stage_rates, average))
+    return Drift(mesh.lengths[:, None] * average / sizes[:, :1], _ratios(mesh.scheme, stage_rates, average))
 
 
 def _ratios(
@@ -135,16 +151,15 @@ def states_on(
 
 
 def segment_states(
-    layout: Layout,
+    mesh: Mesh,
     rates_at: Rates,
-    variables: Float[np.ndarray, " n"],
+    values: Float[np.ndarray, "realisations points states"],
     fractions: Float[np.ndarray, " places"],
     side: Literal["left", "right"] = "right",
 ) -> Float[np.ndarray, "realisations places states"]:
     """The states at some fractions of the duration, each from the last node up to there, or before there (`left`)."""
-    mesh = layout.plan.mesh
     before = np.clip(np.searchsorted(mesh.nodes, fractions, side) - 1, 0, len(mesh.lengths) - 1)
-    begun, states = np.array(mesh.nodes)[before], layout.view(variables).states[:, before]
+    begun, states = np.array(mesh.nodes)[before], values[:, before]
     middles = (begun + fractions) / 2
     for first, last in ((begun, middles), (middles, fractions)):
         places = np.stack(np.broadcast_arrays(np.linspace(first, last, len(mesh.scheme.told), axis=1), 0.0), axis=2)
@@ -155,16 +170,15 @@ def segment_states(
 
 
 def segment_drift(
-    layout: Layout,
+    mesh: Mesh,
     rates_at: Rates,
-    variables: Float[np.ndarray, " n"],
-    scales: Float[np.ndarray, " n"],
+    values: Float[np.ndarray, "realisations points states"],
+    sizes: Float[np.ndarray, "realisations points states"],
 ) -> Drift:
     """The error of each segment, relative to the magnitudes of the states. Its order cannot be raised."""
-    mesh, values = layout.plan.mesh, layout.view(variables)
     assert isinstance(mesh.scheme, MultipleShooting)
-    finer = segment_states(layout, rates_at, variables, np.array(mesh.nodes[1:]), "left")
-    errors = np.abs(values.states[:, 1:] - finer) / (1 - 0.5**mesh.scheme.order) / layout.view(scales).states[:, :1]
+    finer = segment_states(mesh, rates_at, values, np.array(mesh.nodes[1:]), "left")
+    errors = np.abs(values[:, 1:] - finer) / (1 - 0.5**mesh.scheme.order) / sizes[:, :1]
     return Drift(errors, np.ones_like(errors))
 
 
@@ -180,17 +194,20 @@ class Goal(NamedTuple):
 
 
 def refinement(
-    goal: Goal, scheme: AbstractScheme, drift: Drift
-) -> tuple[AbstractScheme, Int[np.ndarray, " intervals"]]:
-    """The scheme of the mesh after one that has another, and in how many parts each interval is to be divided."""
+    goal: Goal, scheme: AbstractScheme, drifts: Sequence[Drift]
+) -> tuple[AbstractScheme, list[Int[np.ndarray, " _"]]]:
+    """The scheme of the meshes after those that have another, and in how many parts each interval of each phase is to
+    be divided.
+    """
+    ends = np.cumsum([one.errors.shape[1] for one in drifts])[:-1]
     choices = []
     for one in goal.schemes[goal.schemes.index(scheme) :]:
         more = len(one.points) - len(scheme.points)
-        expected = drift.with_more(more) * (_AHEAD if more else 1.0)
+        expected = np.concatenate([one.with_more(more) for one in drifts]) * (_AHEAD if more else 1.0)
         needed = parts_of(expected, goal.error, one.estimated_order)
         choices.append((needed.sum() * (len(one.points) - 1), one, needed))
     _, best, parts = min(choices, key=lambda choice: choice[0])
-    return best, np.minimum(parts, _MOST_PARTS)
+    return best, np.split(np.minimum(parts, _MOST_PARTS), ends)
 
 
 def parts_of(errors: Float[np.ndarray, " intervals"], tolerance: float, order: int) -> Int[np.ndarray, " intervals"]:

@@ -10,17 +10,18 @@ from typing_extensions import override
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.border import one_of, positive, refusal, whole
 from aleator._core.errors import ProblemError
-from aleator.design import Problem, needed_events
-from aleator.dynamics import MOST_STAGES, AbstractScheme, Grid, HermiteSimpson, LinkedGrid
+from aleator.design import FloquetMultiplier, Problem, events_of, functionals_of
+from aleator.dynamics import MOST_STAGES, AbstractScheme, Grid, HermiteSimpson, System, watched, within
 from aleator.nlp import AbstractSolver, Ipopt
 from aleator.solution import Solution
 from aleator.transcription._abstract import AbstractTranscription, Meanwhile
 from aleator.transcription._discretised import discretised
 from aleator.transcription._scenarios import first_scenarios
-from aleator.transcription.simultaneous._mesh import Mesh, first_nodes
+from aleator.transcription.simultaneous._guesses import Guess
+from aleator.transcription.simultaneous._mesh import Mesh, first_nodes, joined
 from aleator.transcription.simultaneous._pointwise import Pointwise
 from aleator.transcription.simultaneous._refinement import Goal
-from aleator.transcription.simultaneous._starts import Guess, Start
+from aleator.transcription.simultaneous._starts import Start
 from aleator.transcription.simultaneous._transcribed import Recipe, SimultaneouslyTranscribed
 
 # The least error of a mesh that may be asked for.
@@ -47,13 +48,17 @@ class Simultaneous(AbstractTranscription):
     - `guess`: the states to start from, where a simulation at the initial decisions is useless: a function of time, in
       s, that returns the states by name or in the system's order, the same for all realisations; a table of them, with
       the instants as "time" (a dict, an `xarray.Dataset` or a NumPy array with named fields), with straight lines
-      between; or a solution on any grid, by any transcription, of this problem or one with the same states: each
-      realisation then starts from the nearest one there (from the mean, where other numbers are uncertain), and from
-      the decisions that the solution has. By default states start as simulated, and at rest where that fails.
+      between; one of these for each phase, by name; or a solution on any grid, by any transcription, of this problem or
+      one with the same states: each realisation then starts from the nearest one there (from the mean, where other
+      numbers are uncertain), and from the decisions that the solution has. By default states start as simulated, and at
+      rest where that fails.
 
     A guess is only a start: certificates speak of the model, whatever it was.
 
-    Raises `ProblemError` for an algebraic system.
+    Where an event ends the grid, the final time of each realisation is a variable, at which the function of the event
+    is zero. Each phase has a mesh of its own.
+
+    Raises `ProblemError` for an algebraic system, and for events that do not end a grid.
     """
 
     scheme: AbstractScheme = field(default_factory=HermiteSimpson)
@@ -106,42 +111,50 @@ class Simultaneous(AbstractTranscription):
 
         Raises `ProblemError` for an algebraic system.
         """
-        points = self._first_mesh(problem).fractions.size
-        return len(problem.system.states) * points * len(discretised(problem).collocation.points)
+        meshes, phases = self._first_meshes(problem), problem.simulation.phases.values()
+        points = sum(len(one.system.states) * mesh.fractions.size for one, mesh in zip(phases, meshes, strict=True))  # type: ignore[attr-defined]
+        return points * len(discretised(problem).collocation.points)
 
-    def _first_mesh(self, problem: Problem) -> Mesh:
-        if isinstance(problem.grid, LinkedGrid):
-            raise ProblemError(
-                f"al.Simultaneous ties states on the mesh of one phase; received {problem.system.title}. Use "
-                "al.Sequential(), the default."
-            )
-        if not isinstance(problem.grid, Grid):
+    def _first_meshes(self, problem: Problem) -> tuple[Mesh, ...]:
+        if not problem.system.has_time:
             raise ProblemError(
                 f"al.Simultaneous ties states over time: expected a system that moves in time; received "
                 f"{type(problem.system).__name__}, which is algebraic. Use al.Sequential()."
             )
-        return Mesh(first_nodes(problem), self.scheme, Pointwise.of(problem).signals.have_jumps)
+        phases = zip(problem.simulation.phases.values(), Pointwise.each(problem), strict=True)
+        meshes = [Mesh(first_nodes(problem, one), self.scheme, own.signals.have_jumps) for one, own in phases]
+        return joined(problem, meshes)
 
     @override
     def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SimultaneouslyTranscribed:
-        if names := needed_events(problem):
+        functionals = functionals_of(problem.expressions)
+        if names := _inside(problem):
             raise ProblemError(
                 f"al.Simultaneous ties states at fixed shares of the time: it has no place for the event '{names[0]}' "
-                f"of {type(problem.system).__name__}. Use al.Sequential(), the default."
-            )
-        if isinstance(problem.grid, Grid) and problem.grid.periodic:
-            raise ProblemError(
-                "al.Simultaneous starts from known states, and those of a cycle are sought in each realisation. Use "
+                "inside a grid. End a phase there, al.Grid(until=...) in al.Phases with the jump as a link, or use "
                 "al.Sequential(), the default."
             )
-        mesh = self._first_mesh(problem)
+        if any(isinstance(one, FloquetMultiplier) for one in functionals):
+            raise ProblemError(
+                "al.floquet_multiplier() is that of a simulation around the cycle: use al.Sequential(), the default."
+            )
+        meshes = self._first_meshes(problem)
         discretisation, traced = discretised(problem), numbers_to_arrays(problem)
         scenarios = first_scenarios(problem, np.asarray(discretisation.collocation.points))
         discretisation = discretisation.at_scenarios(scenarios)
         meanwhile(problem, discretisation)
         raised = () if self.most_stages is None else self.scheme.raised(self.most_stages)
         goal = Goal(np.inf if self.error is None else float(self.error), (self.scheme, *raised))
-        return Recipe(problem, traced, traced, discretisation, scenarios, goal, self._start).on(mesh)
+        return Recipe(problem, traced, traced, discretisation, scenarios, goal, self._start).on(meshes)
+
+
+def _inside(problem: Problem) -> list[str]:
+    """The events that are looked for inside the grids of a problem."""
+    events, names = events_of(functionals_of(problem.expressions)), list[str]()
+    for phase, one in problem.simulation.phases.items():
+        if isinstance(one.system, System) and isinstance(one.grid, Grid):
+            names += watched(one.system, one.grid, within(phase, events) if phase else events)
+    return names
 
 
 def _check_stages(scheme: AbstractScheme, error: float | None, most: int) -> None:

@@ -1,9 +1,12 @@
 """A problem as a simultaneous program: the states of every realisation are variables, tied by a scheme.
 
+Each phase has a mesh, and the states with which it begins are tied to those with which the phase before it ends.
+
 Nothing is simulated while it is solved (dissertation, section 3.3; SimNLP, equations 95 and 123): so systems that are
 unstable, stiff or held within bounds can be designed that cannot be simulated at every decision on the way.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple, final
@@ -23,8 +26,8 @@ from aleator.design import (
     integrated_paths,
     statistics_in,
 )
-from aleator.dynamics import AbstractCollocation, Grid
-from aleator.ensemble import inputs_at
+from aleator.dynamics import AbstractCollocation, named
+from aleator.ensemble import inputs_at, listed
 from aleator.nlp import HELD
 from aleator.solution import Costates, MeshError, States, Switching
 from aleator.statistics import Constants, Mean, Std, Variance
@@ -32,10 +35,10 @@ from aleator.transcription._abstract import AbstractTranscribed, Meaning, Rememb
 from aleator.transcription._discretised import Discretised
 from aleator.transcription._expansions import ExpansionScope
 from aleator.transcription._scenarios import Scenarios
-from aleator.transcription.simultaneous._assembly import Fixed
 from aleator.transcription.simultaneous._costates import adjoint
-from aleator.transcription.simultaneous._layout import Layout, Plan, are_affine
-from aleator.transcription.simultaneous._mesh import Mesh, followed, whole_parts
+from aleator.transcription.simultaneous._evaluations import first_crossing
+from aleator.transcription.simultaneous._layout import Layout, PhaseLayout, Plan
+from aleator.transcription.simultaneous._mesh import Mesh, followed, joined, whole_parts
 from aleator.transcription.simultaneous._pointwise import Pointwise, apart
 from aleator.transcription.simultaneous._program import Assembled, program_of, scales
 from aleator.transcription.simultaneous._refinement import (
@@ -49,12 +52,22 @@ from aleator.transcription.simultaneous._refinement import (
     state_rates,
     states_on,
 )
-from aleator.transcription.simultaneous._starts import Start, started, state_shapes
+from aleator.transcription.simultaneous._signals import are_affine
+from aleator.transcription.simultaneous._starts import (
+    Course,
+    Start,
+    direction_of,
+    levels_at,
+    started,
+    state_shapes,
+)
 
 # Steps of a simulation for each step in an interval of a mesh, if it has no more points inside.
 _FINER = 2
 # So many meshes at most, and variables of the last: where something jumps inside, no mesh would ever be fine enough.
 _MOST_MESHES, _MOST_VARIABLES = 8, 1_000_000
+# A realisation that lasts for a smaller part of the latest time has not left its start.
+_SHORTEST = 1e-6
 
 
 def _taken(problem: Problem, constants: Constants, coefficients: list[jax.Array]) -> tuple[jax.Array, ...]:
@@ -84,23 +97,24 @@ class Recipe(NamedTuple):
     goal: Goal
     begins: Start
 
-    def on(self, mesh: Mesh, start: tuple[np.ndarray, np.ndarray] | None = None) -> "SimultaneouslyTranscribed":
-        """The program on a mesh, starting at some decisions and states, or where all programs of the problem do."""
+    def on(
+        self, meshes: tuple[Mesh, ...], start: tuple[np.ndarray, Sequence[Course]] | None = None
+    ) -> "SimultaneouslyTranscribed":
+        """The program on meshes, starting at some decisions and states, or where all programs of the problem do."""
         problem, scenarios = self.problem, self.scenarios
         _, collocation, constants = self.discretised
         points, fit = np.asarray(collocation.points), np.asarray(collocation.pseudo_inverse)
         every = points if scenarios is None else np.concatenate([points, scenarios.points])
-        pointwise = Pointwise.of(problem)
         is_everywhere = np.isfinite(self.goal.error) and any(one.is_path for one in problem.constraints)
         counts = len(points), len(every) - len(points), len(fit)
-        plan = Plan(mesh, self.goal.schemes[0], *counts, is_everywhere, are_affine(pointwise, mesh))
-        layout, fixed = Layout.of(problem, plan), Fixed.of(pointwise)
-        assembled = Assembled.of(layout, self.traced, self.equations, constants, every, fit, fixed)
+        is_affine = all(map(are_affine, Pointwise.each(problem), meshes))
+        layout = Layout.of(problem, Plan(meshes, self.goal.schemes[0], *counts, is_everywhere, is_affine))
+        assembled = Assembled.of(layout, self.traced, self.equations, constants, every, fit)
         if start is None:
             decisions = self.begins.decisions(problem)
-            start = decisions, self.begins.states(problem, mesh.fractions, every, decisions)
+            start = decisions, self.begins.courses(problem, _fractions(layout), every, decisions)
         first = started(self.traced, layout, assembled, every, *start)
-        program, sizes = program_of(problem, scenarios, layout, assembled, fixed, first)
+        program, sizes = program_of(problem, scenarios, layout, assembled, first)
         return SimultaneouslyTranscribed(
             problem,
             self.traced,
@@ -135,8 +149,8 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
 
     @override
     def point(self, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " variables"]:
-        states = self.recipe.begins.states(self.problem, self.layout.plan.mesh.fractions, self.points, decisions)
-        return started(self.traced, self.layout, self.assembled, self.points, decisions, states)
+        courses = self.recipe.begins.courses(self.problem, _fractions(self.layout), self.points, decisions)
+        return started(self.traced, self.layout, self.assembled, self.points, decisions, courses)
 
     @override
     def at(self, point: Float[np.ndarray, " variables"]) -> Meaning:
@@ -158,8 +172,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         # NumPy computes moments, so that only other statistics take a program.
         known = all(isinstance(one.kind, Mean | Variance | Std) for one in statistics_in(expressions))
         taken = (_taken if known else TAKEN)(self.traced, self.constants, fitted)
-        functionals, grid = functionals_of(expressions), self.problem.grid
-        assert isinstance(grid, Grid)
+        functionals = functionals_of(expressions)
         return Meaning(
             decisions=variables.decisions.copy(),
             objective=evaluation.objective,
@@ -167,13 +180,12 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
             samples=tuple(samples[one][:count] for one in functionals),
             tangents=(None,) * len(functionals),
             statistics=tuple(np.asarray(one) for one in taken),
-            times=self._instants(point, grid.fractions),
+            times=self._times(point, [one.pointwise.grid.fractions for one in self.layout.phases]),
         )
 
     @override
     def limited(self, path: str) -> Float[np.ndarray, " limited"]:
-        del path
-        return self.layout.plan.recorded(self.layout.pointwise.grid)
+        return self.layout.phase(path).recorded
 
     def _at_instants(self, samples: dict[AbstractFunctional, Any]) -> dict[AbstractFunctional, Any]:
         """Functionals on every realisation, paths at the instants of the grid alone."""
@@ -190,105 +202,176 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     def at_scenarios(self, scenarios: Scenarios) -> "SimultaneouslyTranscribed":
         discretised = self.discretised.at_scenarios(scenarios)
         recipe = self.recipe._replace(discretised=discretised, scenarios=scenarios)
-        return replace(recipe.on(self.layout.plan.mesh), meshes=self.meshes)
+        return replace(recipe.on(self.layout.plan.meshes), meshes=self.meshes)
 
     @property
     @override
     def fineness(self) -> int:
-        mesh, grid = self.layout.plan.mesh, self.problem.grid
-        steps = max(_FINER * mesh.scheme.rate.steps, len(mesh.scheme.points) - 2)
-        return steps * round(1 / (mesh.lengths.min() * grid.steps))
+        phases = self.layout.phases
+        scheme = phases[0].mesh.scheme
+        steps = max(_FINER * scheme.rate.steps, len(scheme.points) - 2)
+        return steps * max(round(1 / (one.mesh.lengths.min() * one.pointwise.grid.steps)) for one in phases)
 
     @override
     def meshes_at(self, point: Float[np.ndarray, " variables"]) -> tuple[MeshError, ...]:
-        return *self.meshes, self._reported(self._drift(point), point)
+        return *self.meshes, self._reported(self._drifts(point), point)
+
+    @override
+    def crossed_at(self, point: Float[np.ndarray, " variables"]) -> str:
+        values = self.layout.view(point)
+        for phase, own in zip(self.layout.phases, values.phases, strict=True):
+            if not phase.pointwise.is_open:
+                continue
+            fractions, grid = phase.mesh.fractions, phase.pointwise.grid
+            course, direction = Course(own.states, own.duration), direction_of(self.problem, phase.name)
+            levels = levels_at((self.traced, phase.name), self.points, values.decisions, fractions, course)
+            for germ, (lasts,), one in zip(self.points, own.duration, levels, strict=True):
+                before = first_crossing(one[:-1], fractions[:-1], direction)
+                lasts_at_all = lasts > _SHORTEST * float(grid.duration)
+                if before is None and direction * one[-2] <= 0 and lasts_at_all:
+                    continue
+                numbers = listed(inputs_at(self.places, germ, jax_array(values.decisions)))
+                first, last = (float(grid.t_start) + share * lasts for share in (before or 0.0, 1.0))
+                said = "is crossed the other way there" if lasts_at_all else "is where it starts"
+                said = said if before is None else f"first happens at t = {first:.4g} s"
+                return (
+                    f"the realisation{' with ' if numbers else ''}{numbers} ends at t = {last:.4g} s, and "
+                    f"'{grid.until}' {said}: start nearer to its first crossing, al.Simultaneous(guess=...), or "
+                    "simulate, al.Sequential()"
+                )
+        return ""
 
     @override
     def refined(
         self, point: Float[np.ndarray, " variables"]
     ) -> "tuple[SimultaneouslyTranscribed, Float[np.ndarray, ' variables']] | None":
-        drift, mesh = self._drift(point), self.layout.plan.mesh
-        error = self._reported(drift, point)
+        drifts, meshes = self._drifts(point), self.layout.plan.meshes
+        error = self._reported(drifts, point)
         if error.is_met or len(self.meshes) + 1 == _MOST_MESHES:
             return None
-        scheme, parts = refinement(self.recipe.goal, mesh.scheme, drift)
-        finer = mesh.refined(scheme, whole_parts(self.problem, parts))
-        if self.layout.count * len(finer.fractions) > _MOST_VARIABLES * len(mesh.fractions):
+        scheme, parts = refinement(self.recipe.goal, meshes[0].scheme, drifts)
+        each = zip(meshes, parts, strict=True)
+        finer = joined(self.problem, [one.refined(scheme, whole_parts(self.problem, some)) for one, some in each])
+        points, before = (sum(len(one.fractions) for one in some) for some in (finer, meshes))
+        if self.layout.count * points > _MOST_VARIABLES * before:
             return None
         values = self.layout.view(point)
-        states = self._states_on(point, finer.fractions)
-        problem, decisions = followed(self.problem, values.decisions, finer.nodes)
+        courses = [self._course_on(point, i, one.fractions) for i, one in enumerate(finer)]
+        problem, decisions = followed(self.problem, values.decisions, finer)
         traced = numbers_to_arrays(problem)
-        equations = self.recipe.equations if _has_same_equations(problem, self.layout.pointwise) else traced
+        equations = self.recipe.equations if _has_same_equations(problem, self.layout.phases) else traced
         recipe = self.recipe._replace(problem=problem, traced=traced, equations=equations)
-        transcribed = recipe.on(finer, (decisions, states))
+        transcribed = recipe.on(finer, (decisions, courses))
         return replace(transcribed, meshes=(*self.meshes, error)), transcribed.program.start
 
     @override
     def states_at(self, point: Float[np.ndarray, " variables"]) -> States:
-        shapes = state_shapes(self.problem)
-        parts = apart(self.layout.view(point).states, list(shapes.values()))
-        times = self._instants(point, self.layout.plan.mesh.fractions)
-        return States(times, self.points, dict(zip(shapes, parts, strict=True)))
+        values, durations = dict[str, np.ndarray](), dict[str, np.ndarray]()
+        for phase, own in zip(self.layout.phases, self.layout.view(point).phases, strict=True):
+            values |= self._by_state(phase, own.states)
+            durations |= {phase.name: own.duration.copy()} if phase.pointwise.is_open else {}
+        fractions = _fractions(self.layout)
+        return States(self._times(point, fractions), self.points, values, self._places(fractions), durations)
 
     @override
     def costates_at(
         self, point: Float[np.ndarray, " variables"], multipliers: Float[np.ndarray, " rows"]
     ) -> tuple[Costates, Switching] | tuple[None, None]:
-        duals, mesh = adjoint(self.layout, self.assembled, point, multipliers), self.layout.plan.mesh
-        states, signals = state_shapes(self.problem), self.layout.pointwise.signals.shapes
-        nodes, weighed = (self._instants(point, at) for at in (np.array(mesh.nodes), mesh.places[mesh.weighed, 0]))
-        by_state = dict(zip(states, apart(duals.states, list(states.values())), strict=True))
-        # What an integral over time of a statistic adds stands in no rate.
-        is_whole = not integrated_paths(self.problem.expressions)
-        by_signal = dict(zip(signals, apart(duals.signals, list(signals.values())), strict=True)) if is_whole else {}
-        return Costates(nodes, self.points, by_state), Switching(weighed, by_signal)
+        by_state, by_signal = dict[str, np.ndarray](), dict[str, np.ndarray]()
+        for i, phase in enumerate(self.layout.phases):
+            duals, signals = adjoint(self.layout, self.assembled, point, multipliers, i), phase.pointwise.signals.shapes
+            by_state |= self._by_state(phase, duals.states)
+            # What an integral over time of a statistic adds stands in no rate.
+            if not integrated_paths(self.problem.expressions):
+                each = zip(signals, apart(duals.signals, list(signals.values())), strict=True)
+                by_signal |= named({phase.name: dict(each)})
+        meshes = self.layout.plan.meshes
+        nodes, weighed = [np.array(one.nodes) for one in meshes], [one.places[one.weighed, 0] for one in meshes]
+        return (
+            Costates(self._times(point, nodes), self.points, by_state, self._places(nodes)),
+            Switching(self._times(point, weighed), by_signal, self._places(weighed)),
+        )
 
-    def _instants(
-        self, point: Float[np.ndarray, " variables"], fractions: Float[np.ndarray, " n"]
-    ) -> Float[np.ndarray, " n"]:
-        """Fractions of the duration as times, s."""
-        return float(self.layout.pointwise.grid.t_start) + fractions * float(self.layout.view(point).duration[0])
+    def _by_state(self, phase: PhaseLayout, rows: Float[np.ndarray, "realisations places states"]) -> dict[str, Any]:
+        """States side by side, or what there is one of for each, by the names of the states."""
+        shapes = state_shapes(self.problem, phase.name)
+        return named({phase.name: dict(zip(shapes, apart(rows, list(shapes.values())), strict=True))})
 
-    def _rates(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, "realisations asked rates"]:
-        return self.assembled.blocks(point)[0][self.assembled.rates]
+    def _places(self, fractions: Sequence[Float[np.ndarray, " _"]]) -> dict[str, slice]:
+        """Where those of each phase are if all stand one after the other; empty if there are no phases."""
+        ends = np.cumsum([0, *map(len, fractions)]).tolist()
+        each = zip(self.layout.phases, ends, ends[1:], strict=False)
+        return {phase.name: slice(first, last) for phase, first, last in each if phase.name}
 
-    def _rates_at(self, point: Float[np.ndarray, " variables"]) -> Rates:
-        return partial(state_rates, self.traced, self.layout, self.assembled, self.points, self.layout.view(point))
+    def _times(
+        self, point: Float[np.ndarray, " variables"], fractions: Sequence[Float[np.ndarray, " _"]]
+    ) -> Float[np.ndarray, " times"]:
+        """Fractions of the durations of all phases, one after the other, as times, s: means of the realisations."""
+        begin, every = float(self.layout.phases[0].pointwise.grid.t_start), []
+        for phase, own, some in zip(self.layout.phases, self.layout.view(point).phases, fractions, strict=True):
+            duration = own.duration[0, 0]
+            if phase.pointwise.is_open:
+                coefficients = self.collocation.coefficients(jax_array(own.duration[: len(self.collocation.points), 0]))
+                duration = Mean().of(coefficients, ())
+            every.append(begin + some * float(duration))
+            begin += float(duration)
+        return np.concatenate(every)
+
+    def _rates(
+        self, point: Float[np.ndarray, " variables"], phase: int
+    ) -> Float[np.ndarray, "realisations asked rates"]:
+        return self.assembled.blocks(point)[0][self.assembled.rates[phase]]
+
+    def _rates_at(self, point: Float[np.ndarray, " variables"], phase: int) -> Rates:
+        return partial(state_rates, self.traced, self.layout, self.assembled, self.points, point, phase)
 
     def _sizes(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " variables"]:
         """How large each kind of variable is at a point."""
         typical = self.program.variable_scale[self.decided]
         return scales(self.layout, self.assembled.rows.ties, point, self.assembled(point), typical)
 
-    def _states_on(
-        self, point: Float[np.ndarray, " variables"], fractions: Float[np.ndarray, " n"]
-    ) -> Float[np.ndarray, "realisations n states"]:
-        """The states at some fractions of the duration."""
-        layout = self.layout
-        if isinstance(layout.plan.mesh.scheme, AbstractCollocation):
-            return states_on(layout.plan.mesh, fractions, layout.view(point).states, self._rates(point))
-        return segment_states(layout, self._rates_at(point), point, fractions)
+    def _course_on(self, point: Float[np.ndarray, " variables"], phase: int, at: Float[np.ndarray, " n"]) -> Course:
+        """The states of a phase at some fractions of its duration."""
+        mesh, own = self.layout.phases[phase].mesh, self.layout.view(point).phases[phase]
+        if isinstance(mesh.scheme, AbstractCollocation):
+            states = states_on(mesh, at, own.states, self._rates(point, phase))
+        else:
+            states = segment_states(mesh, self._rates_at(point, phase), own.states, at)
+        return Course(states, own.duration)
 
     @cached_property
-    def _drift(self) -> Remembered[Drift]:
+    def _drifts(self) -> Remembered[list[Drift]]:
         # Whether the last mesh is fine enough is asked before it is told.
-        return Remembered(self._drift_at)
+        return Remembered(self._drifts_at)
 
-    def _drift_at(self, point: Float[np.ndarray, " variables"]) -> Drift:
-        layout, sizes = self.layout, self._sizes(point)
-        if isinstance(layout.plan.mesh.scheme, AbstractCollocation):
-            return drift_of(layout, self._rates_at(point), self._rates(point), point, sizes)
-        return segment_drift(layout, self._rates_at(point), point, sizes)
+    def _drifts_at(self, point: Float[np.ndarray, " variables"]) -> list[Drift]:
+        """The drift of each phase."""
+        drifts, values, sizes = [], self.layout.view(point).phases, self.layout.view(self._sizes(point)).phases
+        for i, (phase, own, size) in enumerate(zip(self.layout.phases, values, sizes, strict=True)):
+            known = phase.mesh, self._rates_at(point, i)
+            if isinstance(phase.mesh.scheme, AbstractCollocation):
+                drifts.append(drift_of(*known, self._rates(point, i), own.states, size.states))
+            else:
+                drifts.append(segment_drift(*known, own.states, size.states))
+        return drifts
 
-    def _reported(self, drift: Drift, point: Float[np.ndarray, " variables"]) -> MeshError:
-        drifts, mesh, goal = drift.errors.max(axis=2, initial=0.0), self.layout.plan.mesh, self.recipe.goal.error
-        worst, _ = np.unravel_index(np.argmax(drifts), drifts.shape)
+    def _reported(self, drifts: Sequence[Drift], point: Float[np.ndarray, " variables"]) -> MeshError:
+        every, meshes = np.concatenate([one.worst for one in drifts], axis=1), self.layout.plan.meshes
+        worst, _ = np.unravel_index(np.argmax(every), every.shape)
         numbers = inputs_at(self.places, self.points[worst], jax_array(self.decisions(point)))
-        return MeshError(self._instants(point, np.array(mesh.nodes)), mesh.scheme, drifts, goal, numbers)
+        # One phase ends where the next one begins.
+        nodes = [np.array(one.nodes[-len(one.lengths) - (i == 0) :]) for i, one in enumerate(meshes)]
+        return MeshError(self._times(point, nodes), meshes[0].scheme, every, self.recipe.goal.error, numbers)
 
 
-def _has_same_equations(problem: Problem, before: Pointwise) -> bool:
+def _fractions(layout: Layout) -> list[Float[np.ndarray, " _"]]:
+    """The mesh points of all phases, as fractions of their durations."""
+    return [one.fractions for one in layout.plan.meshes]
+
+
+def _has_same_equations(problem: Problem, before: Sequence[PhaseLayout]) -> bool:
     """Whether a problem with other controls has the rates and outputs of the one before, of signals as told."""
-    pointwise = Pointwise.of(problem)
-    return not pointwise.is_random and pointwise.direct.size == before.direct.size
+    return all(
+        (one.is_open or not one.has_signals_inside) and one.direct.size == phase.pointwise.direct.size
+        for one, phase in zip(Pointwise.each(problem), before, strict=True)
+    )

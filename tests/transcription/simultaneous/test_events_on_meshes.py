@@ -1,0 +1,107 @@
+"""Collocated motions that end by an event in each realisation, against closed forms."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aleator as al
+from aleator.transcription.simultaneous._mesh import Mesh, joined
+from zoo import G
+
+
+class Shot(al.System):
+    """What is thrown, in the wind."""
+
+    states = ("x", "y", "vx", "vy")
+    speed: al.Number
+    angle: al.Number
+    events: ClassVar = {
+        "ground": al.Event(lambda self, t, z: z.y, direction=-1),
+        "top": al.Event(lambda self, t, z: z.vy, direction=-1),
+    }
+
+    def initial(self):
+        return {"vx": self.speed * jnp.cos(self.angle), "vy": self.speed * jnp.sin(self.angle)}
+
+    def rhs(self, t, z, wind):
+        return z.vx, z.vy, wind, -G
+
+    def outputs(self, t, z, wind):
+        return {"x": z.x, "y": z.y, "wind": wind}
+
+
+LANDING = al.Grid(until="ground", at_most=6.0, steps=8)
+CALM = al.BSpline(np.zeros(4), degree=3)
+
+
+def thrown(wind=CALM, angle=0.6, **options):
+    shot = Shot(al.Uniform(20.0, half_width=2.0), al.Decision(angle, 0.2, 1.2))
+    return al.Problem(shot, inputs={"wind": wind}, **({"grid": LANDING, "minimize": -al.terminal("x").mean} | options))
+
+
+def test_the_range_has_the_mean_and_the_spread_of_its_closed_form():
+    times, ranges = al.at("ground"), al.at("ground", "x")
+    limits = [times.mean <= 10.0, times.std <= 10.0, ranges.std <= 100.0, al.integral("y").mean <= 100.0]
+    both = al.cross_check(thrown(subject_to=limits), tolerance=1e-6)
+    assert both.agree, both
+    found = both.second
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    speeds, weights = 20.0 + 2.0 * nodes, weights / 2
+    lasts = 2 * speeds * np.sin(np.pi / 4) / G
+    assert found.decisions["angle"] == pytest.approx(np.pi / 4, abs=1e-7)
+    for kind, values in {"x(t_ground)": speeds**2 / G, "t_ground": lasts}.items():
+        spread = np.sqrt(weights @ (values - weights @ values) ** 2)
+        assert found.statistics[f"σ[{kind}]"] == pytest.approx(spread, rel=1e-8)
+    assert found.statistics["μ[x(t_f)]"] == pytest.approx(weights @ speeds**2 / G, rel=1e-8)
+    # The area under a parabola is two thirds of what is around it.
+    area = weights @ (lasts * (speeds * np.sin(np.pi / 4)) ** 2 / (3 * G))
+    assert found.statistics["μ[∫y dt]"] == pytest.approx(area, rel=1e-8)
+    own = found.mesh_states.durations[""][:, 0]
+    assert found.outputs["time"]["systems"].values[:, -1] == pytest.approx(own, rel=1e-12)
+    assert found.instants[-1] == pytest.approx(weights @ lasts, rel=1e-8)
+
+
+def test_a_realisation_that_ends_at_a_later_event_is_named():
+    class Swing(al.System):
+        states = ("age", "x")
+        rate: al.Number
+        events: ClassVar = {"down": al.Event(lambda self, t, z: z.x, direction=-1)}
+
+        def initial(self):
+            return {"x": 1.0}
+
+        def rhs(self, t, z):
+            return 1.0, -self.rate * jnp.sin(self.rate * z.age)
+
+        def outputs(self, t, z):
+            return {"age": z.age}
+
+    grid = al.Grid(until="down", at_most=12.0, steps=40)
+    problem = al.Problem(Swing(al.Decision(1.0, 0.9, 1.1)), grid=grid, minimize=al.terminal("age").mean)
+    found = al.solve(problem, transcription=al.Simultaneous())
+    assert found.objective == pytest.approx(np.pi / 2 / 1.1, rel=1e-6)
+    late = al.Simultaneous(guess=lambda t: {"age": t, "x": 0.5 if t < 7.85 else -0.5})
+    with pytest.raises(al.SolveError, match=r"ends at t = 7.14 s, and 'down' first happens at t = 1.428 s: start"):
+        al.solve(problem, transcription=late)
+
+
+def test_what_has_no_place_on_a_mesh_is_refused():
+    for words, problem in {
+        r"no place for the event 'top' inside a grid. End a phase there": thrown(subject_to=[al.at("top").mean <= 3.0]),
+        r"while each realisation ends at its own 'ground'.* Give an al.BSpline": thrown(al.Control(0.0)),
+    }.items():
+        with pytest.raises(al.ProblemError, match=words):
+            al.solve(problem, transcription=al.Simultaneous())
+
+
+def test_phases_that_share_a_control_have_the_same_nodes():
+    shot, wind = Shot(20.0, al.Decision(0.6, 0.2, 1.2)), al.Control(0.0, degree=1)
+    grids = {"rise": al.Grid(1.0, 2), "fall": al.Grid(1.0, 3), "rest": al.Grid(1.0, 4)}
+    phases = {name: al.Phase(shot, grid, {"wind": wind if name != "rest" else CALM}) for name, grid in grids.items()}
+    problem = al.Problem(al.Phases(**phases), minimize=al.terminal("x").mean)
+    meshes = joined(problem, [Mesh(tuple(one.fractions.tolist()), al.schemes.Radau(2)) for one in grids.values()])
+    first, second, third = (one.nodes for one in meshes)
+    assert first == second == pytest.approx([0.0, 1 / 3, 0.5, 2 / 3, 1.0])
+    assert len(third) == 5
