@@ -158,8 +158,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         # NumPy computes moments, so that only other statistics take a program.
         known = all(isinstance(one.kind, Mean | Variance | Std) for one in statistics_in(expressions))
         taken = (_taken if known else TAKEN)(self.traced, self.constants, fitted)
-        functionals, grid = functionals_of(expressions), self.problem.grid
-        assert isinstance(grid, Grid)
+        functionals = functionals_of(expressions)
         return Meaning(
             decisions=variables.decisions.copy(),
             objective=evaluation.objective,
@@ -167,8 +166,12 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
             samples=tuple(samples[one][:count] for one in functionals),
             tangents=(None,) * len(functionals),
             statistics=tuple(np.asarray(one) for one in taken),
-            times=self._instants(point, grid.fractions),
         )
+
+    @override
+    def times(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " instants"]:
+        assert isinstance(self.problem.grid, Grid)
+        return self._instants(point, self.problem.grid.fractions)
 
     @override
     def limited(self, path: str) -> Float[np.ndarray, " limited"]:
