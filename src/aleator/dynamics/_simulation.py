@@ -129,11 +129,13 @@ class Simulation(AbstractPlanned):
             return self.integrator.record(system, grid, inputs, asked)._replace(grid=grid)
         if grid.periodic and self.equations is None:
             return self.declared().record(asked)
-        if grid.until is None or grid.until not in asked.events:
+        if grid.periodic:
             return closed(self.integrator.record, system, grid, inputs, asked)
+        if grid.until not in asked.events:
+            return self.integrator.ending(system, grid, inputs, asked)
         # The event that ends the grid is at its end.
         instants = None if asked.instants is None else asked.instants | asked.at_events
-        record = closed(self.integrator.record, system, grid, inputs, asked._replace(instants=instants))
+        record = self.integrator.ending(system, grid, inputs, asked._replace(instants=instants))
         end = Occurrence(record.grid.t_final, {name: values[-1] for name, values in record.history.items()})
         return record._replace(events={**(record.events or {}), grid.until: end})
 
