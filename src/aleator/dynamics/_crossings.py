@@ -44,7 +44,7 @@ _LEAST = 1e-6
 # The most events in one step.
 _MOST = 12
 # What may go wrong.
-LOST, MANY, AT_START, TOGETHER, STAYS = range(1, 6)
+LOST, MANY, TOGETHER, STAYS, AT_START = range(1, 6)
 # The phase of a step of the grid that is finished; less the number of what went wrong.
 _FINISHED = -1
 
@@ -80,14 +80,14 @@ class Course(NamedTuple):
 class _Looked(NamedTuple):
     """The events that a step of the grid looks for.
 
-    - `directions`: of each; `begins`: whether the step is the first; `noted`: which of them are, by place; `ends`: the one at which all ends, if any;
+    - `directions`: of each; `ends`: the one at which all ends, if any; `at`: where the step begins, as a fraction of
+      the duration;
     - `ignored`: those that do not count in this step; `forced`: those at which it has to end.
     """
 
-    directions: Int[Array, " events"]
-    begins: Bool[Array, ""] | None
-    noted: Int[np.ndarray, " noted"]
+    directions: Int[np.ndarray, " events"]
     ends: Bool[np.ndarray, " events"]
+    at: Float[Array, ""]
     ignored: Bool[Array, " events"] | None = None
     forced: Bool[Array, " events"] | None = None
 
@@ -144,17 +144,14 @@ def course(
     vector, named = ravel_pytree(((*start,), zeros(jax.eval_shape(lambda: asked.rates(system, t, start, now)))))
     size = sum(map(jnp.size, start))
     every = list(system.declared_events)
-    which = np.array([every.index(name) for name in names])
-    wanted = [name for name in names if name in asked.events or name == grid.until]
-    looked = _Looked(
-        directions=jnp.asarray([system.declared_events[name].direction for name in names]),
-        begins=None,
-        noted=np.array([names.index(name) for name in wanted], dtype=int),
-        ends=np.array([name == grid.until for name in names]),
-    )
+    directions = np.array([system.declared_events[name].direction for name in names])
+    ends = np.array([name == grid.until for name in names])
 
     def states_of(vector: Vector) -> Any:
         return state_type(system.states)(*named(vector)[0])
+
+    def looked_for(rows: Array) -> Array:
+        return rows if names == tuple(every) else rows[np.array([every.index(name) for name in names])]
 
     def advance(carried: tuple[Vector, Seen], step: Steps) -> tuple[Any, tuple[dict[str, Array], Fault]]:
         vector, seen = carried
@@ -167,135 +164,135 @@ def course(
             return step.h * ravel_pytree(asked.slopes(system, t, z, u))[0]
 
         def levels(share: Any, vector: Vector) -> Float[Array, " events"]:
-            return event_levels(system, step.t + share * step.h, states_of(vector), signals(share))[which]
+            return looked_for(event_levels(system, step.t + share * step.h, states_of(vector), signals(share)))
 
         def after(share: Any, vector: Vector) -> Float[Array, "events n"]:
-            states = after_events(system, step.t + share * step.h, states_of(vector), signals(share))[which]
+            states = looked_for(after_events(system, step.t + share * step.h, states_of(vector), signals(share)))
+            if size == vector.size:
+                return states
             return jnp.concatenate([states, jnp.broadcast_to(vector[size:], (len(names), vector.size - size))], axis=1)
 
         def noted(share: Any, vector: Vector) -> Seen:
             return Seen(step.t + share * step.h, (vector[:size], signals(share)) if asked.at_events else ())
 
         outputs = asked.at_instant(system, step.t, states_of(vector), step.first)
-        zero, none = nothing(vector)
-        own, phase = looked._replace(begins=step.begin == 0), none
+        looked, phase = _Looked(directions, ends, step.begin), none
         if is_final is not None:
             is_last = (step.begin < 1) & (step.begin + step.length >= 1)
-            own = own._replace(ignored=looked.ends & is_final, forced=looked.ends & (is_final & is_last))
-            is_over = ~is_final & ~jnp.isnan(seen.t[wanted.index(grid.until or "")])
-            phase = jnp.where(is_over, _FINISHED, none)
-        begin = _State(
-            vector, zero, zero + 1, zero, zero + 1, phase, looked.ends & (none != 0), zero, none + _MOST, seen
-        )
+            looked = looked._replace(ignored=ends & is_final, forced=ends & (is_final & is_last))
+            phase = _where(~is_final & ~jnp.isnan(seen.t[ends.argmax()]), _FINISHED, none)
+        begin = _State(vector, zero, zero + 1, zero, zero + 1, phase, ends & (none > 0), zero, none + _MOST, seen)
         end = loop_while_any(
             lambda state: state.phase >= 0,
-            lambda state: _moved(tableau, _Functions(rates, levels, after, noted), own, state),
+            lambda state: _moved(tableau, _Functions(rates, levels, after, noted), looked, state),
             begin,
         )
         fault = Fault(_FINISHED - end.phase, jnp.argmax(end.event), step.t + end.begin * step.h)
         return (end.vector, end.seen), (outputs, fault)
 
-    zero, _ = nothing(vector)
-    shapes = jax.eval_shape(lambda: (vector[:size], now) if asked.at_events else ())
-    place = jax.tree.map(lambda one: zero + jnp.full((len(wanted), *one.shape), jnp.nan), shapes)
-    begin = vector, Seen(zero + jnp.full(len(wanted), jnp.nan), place)
+    zero, none = nothing(vector)
+    places_seen = jax.eval_shape(lambda: (vector[:size], now) if asked.at_events else ())
+    place = jax.tree.map(lambda one: zero + np.full((len(names), *one.shape), np.nan), places_seen)
+    begin = vector, Seen(zero + np.full(len(names), np.nan), place)
     (end, seen), (history, fault) = jax.lax.scan(advance, begin, steps)
 
     def outputs(t: Array, states: Vector, now: dict[str, Array]) -> dict[str, Array]:
         return observation(system, t, variables_of(system, named(jnp.concatenate([states, end[size:]]))[0]), now)
 
     values = jax.vmap(outputs)(seen.t, *seen.place) if asked.at_events else {}
-    times = {name: seen.t[i] for i, name in enumerate(wanted)}
+    times = {name: seen.t[i] for i, name in enumerate(names) if name in asked.events or name == grid.until}
     events = {
-        name: Occurrence(t, {output: one[wanted.index(name)] for output, one in values.items()})
+        name: Occurrence(t, {one: rows[names.index(name)] for one, rows in values.items()})
         for name, t in times.items()
         if name != grid.until
     }
-    is_known = ~jnp.isnan(seen.t).any()
-    record = Record(history, {}, named(end)[1], events=events)
-    record = jax.tree.map(lambda one: jnp.where(is_known, one, jnp.nan), record)
-    return Course(record._replace(grid=grid.ending(times.get(grid.until, grid.t_final))), places, times, fault)
+    record, t_final = Record(history, {}, named(end)[1], events=events), times.get(grid.until or "", grid.t_final)
+    if times:
+        is_known = ~jnp.isnan(jnp.stack([*times.values()])).any()
+        record = jax.tree.map(lambda one: _where(is_known, one, jnp.nan), record)
+    return Course(record._replace(grid=grid.ending(t_final)), places, times, fault)
 
 
 def _moved(tableau: Tableau, functions: _Functions, looked: _Looked, state: _State) -> _State:
     """One step of the method further: to the end of the step of the grid, or to where an event should be."""
-    vector, begin, target, directions = state.vector, state.begin, state.target, looked.directions
-    end, *slopes = _run(tableau, functions.rates, begin, target - begin, vector)
-
-    def level_and_rate(share: Array, vector: Vector, slope: Vector) -> tuple[Array, Array]:
-        return jax.jvp(functions.levels, (share, vector), (jnp.ones(()), slope))
-
-    ends = jnp.stack([begin, target]), jnp.stack([vector, end]), jnp.stack(slopes)
-    (level, level_at), (rate, rate_at) = jax.vmap(level_and_rate)(*ends)
+    begin, target, directions = state.begin, state.target, looked.directions
+    end, (level, rate), (level_at, rate_at) = _run(tableau, functions, begin, target - begin, state.vector)
     corrections = level_at / rate_at
+    is_whole, lands = state.phase == 0, state.phase == _SEARCHED + _CORRECTIONS
+    seeks = (state.phase >= 0) & (state.phase <= _SEARCHED)
 
     # The first event, and where it should be.
-    known = stop_gradient((level, rate, level_at, rate_at, corrections, target))
-    crosses, corrected = crosses_zero(*known[:4], directions)[1], known[5] - known[4]
-    if looked.ignored is not None:
+    levels, rates, corrected, reached = stop_gradient((level_at, rate_at, target - corrections, target))
+    crosses = crosses_zero(level, rate, levels, rates, directions)
+    if looked.forced is not None:
         crosses = crosses & ~looked.ignored | looked.forced
     meets = crosses.any()
-    low, high = jnp.where(meets, state.low, known[5]), jnp.where(meets, known[5], state.high)
+    low, high = _where(meets, state.low, reached), _where(meets, reached, state.high)
     middle, fits = (low + high) / 2, (corrected > low) & (corrected < high)
     if looked.forced is not None:
         fits = fits | looked.forced
-    places = jnp.where(crosses, jnp.where(fits, corrected, middle), jnp.inf)
-    seeks = (state.phase >= 0) & (state.phase <= _SEARCHED)
-    event = jnp.where(meets & seeks, jnp.arange(directions.size) == jnp.argmin(places), state.event)
-    correction = jnp.where(event, corrections, 0.0).sum()
+    place = jnp.argmin(_where(crosses, _where(fits, corrected, middle), jnp.inf))
+    event = _where(meets & seeks, np.arange(directions.size) == place, state.event)
+    correction = _where(event, corrections, 0.0).sum()
     is_close = jnp.abs(correction) <= CLOSE
-    onward = jnp.where(is_close | (fits & event).any(), target - correction, middle)
+    onward = _where(is_close | (fits & event).any(), target - correction, middle)
 
-    is_whole, lands = state.phase == 0, state.phase == _SEARCHED + _CORRECTIONS
     # Before the step: at an event from the start, or still at the last one. After it: not at the event, or at another.
     stood = is_near(level, rate) & (directions * rate > 0)
     stays = (jnp.abs(level) <= CLOSE * state.speed) & ~(jnp.abs(rate) > _LEAST * state.speed)
-    heads = is_near(level_at, rate_at) & ((directions == 0) | (directions * rate_at > 0))
-    kind = jnp.select(
-        [
-            is_whole & (looked.begins & (begin == 0)) & stood.any(),
-            is_whole & (begin < 1) & (state.speed > 0) & (stays & state.event).any(),
-            is_whole & meets & (state.left == 0),
-            (state.phase >= _SEARCHED) & ~is_close,
-            lands & (heads & ~event).any(),
-        ],
-        [AT_START, STAYS, MANY, LOST, TOGETHER],
-        0,
-    )
-    which = jnp.where(kind == AT_START, stood, jnp.where(kind == STAYS, state.event, event))
-    stops = lands & (event & looked.ends).any()
+    heads = is_near(levels, rates) & ((directions == 0) | (directions * rates > 0))
+    faults = {
+        TOGETHER: lands & (heads & ~event).any(),
+        LOST: (state.phase >= _SEARCHED) & ~is_close,
+        MANY: is_whole & meets & (state.left == 0),
+        STAYS: is_whole & (begin < 1) & (state.speed > 0) & (stays & state.event).any(),
+        AT_START: is_whole & (looked.at + begin == 0) & stood.any(),
+    }
+    fault = jnp.zeros_like(state.phase)
+    for number, is_so in faults.items():
+        fault = _where(is_so, number, fault)
+    is_wrong, stops = fault > 0, lands & (event & looked.ends).any()
     arrives = (is_whole & ~meets) | stops
-    after = jnp.where(event[:, None], functions.after(target, end), 0.0).sum(axis=0)
-    vector = jnp.where(arrives, end, jnp.where(lands, after, vector))
-
-    new, now = lands & event[looked.noted] & jnp.isnan(state.seen.t), functions.noted(target, end)
-    seen = jax.tree.map(lambda old, one: jnp.where(new.reshape(-1, *[1] * (old.ndim - 1)), one, old), state.seen, now)
-    phase = jnp.where(lands, 0, jnp.where(is_close & seeks, _SEARCHED, state.phase) + 1)
-    phase = jnp.where(arrives | (kind > 0), _FINISHED - kind, phase)
+    phase = _where(lands, 0, _where(is_close & seeks, _SEARCHED, state.phase) + 1)
+    after = _where(jnp.broadcast_to(event[:, None], (event.size, end.size)), functions.after(target, end), 0.0)
     return _State(
-        vector=jnp.where(kind > 0, jnp.nan, vector),
-        begin=jnp.where(lands, target, begin),
-        target=jnp.where(lands, 1.0, onward),
-        low=jnp.where(lands, known[5], low),
-        high=jnp.where(lands, 1.0, high),
-        phase=jnp.where(state.phase < 0, state.phase, phase),
-        event=which,
-        speed=jnp.where(lands, jnp.abs(jnp.where(event, rate_at, 0.0).sum()), state.speed),
+        vector=_where(is_wrong, jnp.nan, _where(arrives, end, _where(lands, after.sum(axis=0), state.vector))),
+        begin=_where(lands, target, begin),
+        target=_where(lands, 1.0, onward),
+        low=_where(lands, reached, low),
+        high=_where(lands, 1.0, high),
+        phase=_where(state.phase < 0, state.phase, _where(arrives | is_wrong, _FINISHED - fault, phase)),
+        event=_where(fault >= STAYS, _where(fault == STAYS, state.event, stood), event),
+        speed=_where(lands, jnp.abs(_where(event, rates, 0.0).sum()), state.speed),
         left=state.left - lands,
-        seen=seen,
+        seen=_noted(state.seen, lands & event & jnp.isnan(state.seen.t), functions.noted(target, end)),
     )
 
 
-def crosses_zero(
-    level: Array, rate: Array, level_at: Array, rate_at: Array, directions: Any
-) -> tuple[Bool[Array, " n"], Bool[Array, " n"]]:
-    """On which side of zero levels begin, and whether they end on the other one, in a direction that counts.
+def _noted(seen: Seen, is_new: Bool[Array, " events"], now: Seen) -> Seen:
+    """The first of each event, with those of now that are."""
+
+    def joined(old: Array, one: Array) -> Array:
+        return _where(jax.lax.broadcast_in_dim(is_new, old.shape, (0,)), jnp.broadcast_to(one, old.shape), old)
+
+    return jax.tree.map(joined, seen, now)
+
+
+def _where(is_first: Array, first: Any, second: Any) -> Array:
+    """`jnp.where` for values of one shape and numbers: by fewer equations, of which a step has many."""
+    shape, dtype = jnp.broadcast_shapes(jnp.shape(first), jnp.shape(second)), jnp.result_type(first, second)
+    sides = (jnp.broadcast_to(jnp.asarray(one, dtype), shape) for one in (first, second))
+    return jax.lax.select(is_first, *sides)
+
+
+def crosses_zero(level: Array, rate: Array, level_at: Array, rate_at: Array, directions: Any) -> Bool[Array, " n"]:
+    """Whether levels end on the other side of zero, in a direction that counts.
 
     - `rate`: in a step. The side is that of a moment later: so a start on the ground is no landing.
     """
-    side, side_at = level + CLOSE * rate >= 0, level_at + CLOSE * rate_at >= 0
-    counts = (directions == 0) | (directions == jnp.where(side_at, 1, -1))
-    return side, (side != side_at) & counts & jnp.isfinite(level_at)
+    is_above, ends_above = level + CLOSE * rate >= 0, level_at + CLOSE * rate_at >= 0
+    counts = ends_above & np.asarray(directions >= 0) | is_above & np.asarray(directions <= 0)
+    return (is_above != ends_above) & counts & jnp.isfinite(level_at)
 
 
 def is_near(level: Array, rate: Array) -> Array:
@@ -303,8 +300,8 @@ def is_near(level: Array, rate: Array) -> Array:
     return jnp.abs(level) <= CLOSE * jnp.abs(rate)
 
 
-def crossing_of(side: Array, level: Array, rise: Array, level_at: Array, rise_at: Array) -> Array:
-    """Where levels that end on the other `side` of zero in an interval cross it, as a part of it: without derivatives.
+def crossing_of(level: Array, rise: Array, level_at: Array, rise_at: Array) -> Array:
+    """Where levels that end on the other side of zero in an interval cross it, as a part of it: without derivatives.
 
     By cubic Hermite interpolation, which is as accurate as a step of fourth order. `rise`: the rates by this part.
     """
@@ -315,27 +312,33 @@ def crossing_of(side: Array, level: Array, rise: Array, level_at: Array, rise_at
         c = (low + high) / 2
         d = 1 - c
         middle = d * d * ((1 + 2 * c) * level + c * rise) + c * c * ((1 + 2 * d) * level_at - d * rise_at)
-        is_before = (middle >= 0) != side
-        return jnp.where(is_before, low, c), jnp.where(is_before, c, high)
+        is_before = (middle >= 0) == (level + CLOSE * rise >= 0)
+        return jnp.where(is_before, c, low), jnp.where(is_before, high, c)
 
     return jax.lax.fori_loop(0, _HALVED, halved, (jnp.zeros_like(level), jnp.ones_like(level)))[1]
 
 
 def _run(
-    tableau: Tableau, rates: Callable[[Any, Vector], Vector], begin: Any, share: Any, vector: Vector
-) -> tuple[Vector, Vector, Vector]:
-    """The end of one step of the method, and the rates at its beginning and end."""
+    tableau: Tableau, functions: _Functions, begin: Any, share: Any, vector: Vector
+) -> tuple[Vector, tuple[Array, Array], tuple[Array, Array]]:
+    """The end of one step of the method, and the functions of the events with their rates at its beginning and end."""
     # The last stage is at the end, so that rates are compiled once.
     couplings = jnp.asarray(square((*tableau.couplings, tableau.weights)))
-    rows = jnp.arange(len(couplings)), jnp.asarray([*tableau.nodes, 1.0]), couplings
+    rows = jnp.asarray([*tableau.nodes, 1.0]), couplings, jnp.eye(len(couplings))
 
     def stage(stages: Array, row: tuple[Array, Array, Array]) -> tuple[Array, None]:
-        index, node, coupling = row
-        slope = rates(begin + node * share, vector + share * (coupling @ stages))
-        return jax.lax.dynamic_update_index_in_dim(stages, slope, index, 0), None
+        node, coupling, unit = row
+        slope = functions.rates(begin + node * share, vector + share * (coupling @ stages))
+        return stages + jnp.outer(unit, slope), None
+
+    def level_and_rate(at: Array, vector: Vector, slope: Vector) -> tuple[Array, Array]:
+        return jax.jvp(functions.levels, (at, vector), (jnp.ones(()), slope))
 
     stages, _ = jax.lax.scan(stage, jnp.zeros((len(couplings), vector.size)), rows)
-    return vector + share * (couplings[-1] @ stages), stages[0], stages[-1]
+    end = vector + share * (couplings[-1] @ stages)
+    both = jnp.stack([begin, begin + share]), jnp.stack([vector, end]), stages[:: len(stages) - 1]
+    (level, level_at), (rate, rate_at) = jax.vmap(level_and_rate)(*both)
+    return end, stop_gradient((level, rate)), (level_at, rate_at)
 
 
 def nothing(vector: Vector) -> tuple[Float[Array, ""], Int[Array, ""]]:

@@ -32,8 +32,8 @@ from aleator.dynamics._tableaux import DORMAND_PRINCE_5, RUNGE_KUTTA_4, Tableau,
 
 # Systems of more equations take longer to compile for each stage than a loop over the stages takes to run.
 _LARGE = 500
-# Whether each pass over a grid that ends at an event ends there by its last step: the first one seeks the event in all
-# steps of the longest grid, the second one tells its time as exactly as the last one, whose steps are of the same length.
+# Whether each pass over a grid that ends at an event ends by its last step: the first one seeks it in all steps of
+# the longest grid; the second one tells its time as accurately as the last one, whose steps are as long.
 _PASSES = (False, True, True)
 
 
@@ -122,7 +122,8 @@ class AbstractFixedStep(AbstractIntegrator):
             return record.grid.t_final, record._replace(grid=None)
 
         t_final, records = jax.lax.scan(passed, jnp.asarray(grid.t_final), jnp.asarray(_PASSES))
-        return jax.tree.map(lambda one: one[-1], records)._replace(grid=grid.ending(t_final))
+        last = jax.tree.map(lambda one: one[len(_PASSES) - 1], records)
+        return last._replace(grid=grid.ending(t_final))
 
     def _taken(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> tuple[Record, Any]:
         """The record of all steps, divided by jumps, and where the instants are among their beginnings."""
