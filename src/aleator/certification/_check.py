@@ -23,6 +23,7 @@ from aleator.design import (
     Peak,
     Problem,
     Statistic,
+    divides_steps,
     functionals_of,
     grid_at,
     statistics_in,
@@ -128,6 +129,8 @@ def _use(
     problem: Problem, collocation: Collocation, constants: Constants, systems: Float[Array, "fresh variables"], *_: Any
 ) -> Use:
     del constants
+    if divides_steps(problem):
+        return Use.ONCE
     steps = problem.grid.steps * (len(collocation.points) + len(systems))
     return Use.BRIEF if steps <= _BRIEF else Use.ROWS
 

@@ -181,7 +181,7 @@ def course(
             is_last = (step.begin < 1) & (step.begin + step.length >= 1)
             looked = looked._replace(ignored=ends & is_final, forced=ends & (is_final & is_last))
             phase = _where(~is_final & ~jnp.isnan(seen.t[ends.argmax()]), _FINISHED, none)
-        begin = _State(vector, zero, zero + 1, zero, zero + 1, phase, ends & (none > 0), zero, none + _MOST, seen)
+        begin = _State(vector, zero, zero + 1, zero, zero + 1, phase, ends & (zero > 0), zero, none + _MOST, seen)
         end = loop_while_any(
             lambda state: state.phase >= 0,
             lambda state: _moved(tableau, _Functions(rates, levels, after, noted), looked, state),
