@@ -22,7 +22,7 @@ import sys
 import threading
 import warnings
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
@@ -75,7 +75,8 @@ class Program:
         """Trace it unless this has been done: `build` returns the function that compiles it."""
         with self._lock:
             if self._compile is None and self._executable is None:
-                self._compile = build()
+                with _uncollected():
+                    self._compile = build()
 
     def __call__(self) -> Executable:
         """The executable of a traced program, compiled now if it has not been."""
@@ -90,6 +91,18 @@ class Program:
                 self._executable = self._compile()
                 self._compile = None  # with what it holds
             return self._executable
+
+
+@contextlib.contextmanager
+def _uncollected() -> Iterator[None]:
+    """Without the collector of cycles, which looks through all equations again and again: they are all needed."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 @final

@@ -88,8 +88,8 @@ class _Looked(NamedTuple):
     directions: Int[np.ndarray, " events"]
     ends: Bool[np.ndarray, " events"]
     at: Float[Array, ""]
-    ignored: Bool[Array, " events"] | None = None
-    forced: Bool[Array, " events"] | None = None
+    ignored: Bool[Any, " events"]
+    forced: Bool[Any, " events"]
 
 
 class _Functions(NamedTuple):
@@ -108,8 +108,9 @@ class _State(NamedTuple):
 
     - `vector`: all that is integrated, at the share `begin` of the step; `target`: the share to integrate to;
     - `low`, `high`: the shares between which the first event is;
-    - `phase`: 0 on the way to the end of the step, then the number of the step of the search for `event`;
-    - `speed`: the magnitude of the rate of the last event in this step; `left`: how many more there may be;
+    - `phase`: 0 on the way to the end of the step, then the number of the step of the search for `event`, negative
+      where it is finished;
+    - `speed`: the magnitude of the rate of the last event in this step; `left`: how many more there may be.
     """
 
     vector: Vector
@@ -176,12 +177,13 @@ def course(
             return Seen(step.t + share * step.h, (vector[:size], signals(share)) if asked.at_events else ())
 
         outputs = asked.at_instant(system, step.t, states_of(vector), step.first)
-        looked, phase = _Looked(directions, ends, step.begin), none
+        ignored, forced, phase = np.zeros_like(ends), np.zeros_like(ends), none
         if is_final is not None:
             is_last = (step.begin < 1) & (step.begin + step.length >= 1)
-            looked = looked._replace(ignored=ends & is_final, forced=ends & (is_final & is_last))
+            ignored, forced = is_final & ends, (is_final & is_last) & ends
             phase = _where(~is_final & ~jnp.isnan(seen.t[ends.argmax()]), _FINISHED, none)
-        begin = _State(vector, zero, zero + 1, zero, zero + 1, phase, ends & (zero > 0), zero, none + _MOST, seen)
+        looked = _Looked(directions, ends, step.begin, ignored, forced)
+        begin = _State(vector, zero, zero + 1, zero, zero + 1, phase, (zero > 0) & ends, zero, none + _MOST, seen)
         end = loop_while_any(
             lambda state: state.phase >= 0,
             lambda state: _moved(tableau, _Functions(rates, levels, after, noted), looked, state),
@@ -223,14 +225,10 @@ def _moved(tableau: Tableau, functions: _Functions, looked: _Looked, state: _Sta
 
     # The first event, and where it should be.
     levels, rates, corrected, reached = stop_gradient((level_at, rate_at, target - corrections, target))
-    crosses = crosses_zero(level, rate, levels, rates, directions)
-    if looked.forced is not None:
-        crosses = crosses & ~looked.ignored | looked.forced
+    crosses = crosses_zero(level, rate, levels, rates, directions) & ~looked.ignored | looked.forced
     meets = crosses.any()
     low, high = _where(meets, state.low, reached), _where(meets, reached, state.high)
-    middle, fits = (low + high) / 2, (corrected > low) & (corrected < high)
-    if looked.forced is not None:
-        fits = fits | looked.forced
+    middle, fits = (low + high) / 2, (corrected > low) & (corrected < high) | looked.forced
     place = jnp.argmin(_where(crosses, _where(fits, corrected, middle), jnp.inf))
     event = _where(meets & seeks, np.arange(directions.size) == place, state.event)
     correction = _where(event, corrections, 0.0).sum()
