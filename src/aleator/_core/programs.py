@@ -22,7 +22,7 @@ import sys
 import threading
 import warnings
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
@@ -34,6 +34,7 @@ import platformdirs
 from jax.experimental import serialize_executable
 
 from aleator._core.border import refusal
+from aleator._core.collecting import uncollected
 from aleator._core.errors import ProblemError
 from aleator._core.parallel import undisturbed
 
@@ -75,7 +76,7 @@ class Program:
         """Trace it unless this has been done: `build` returns the function that compiles it."""
         with self._lock:
             if self._compile is None and self._executable is None:
-                with _uncollected():
+                with uncollected():
                     self._compile = build()
 
     def __call__(self) -> Executable:
@@ -91,18 +92,6 @@ class Program:
                 self._executable = self._compile()
                 self._compile = None  # with what it holds
             return self._executable
-
-
-@contextlib.contextmanager
-def _uncollected() -> Iterator[None]:
-    """Without the collector of cycles, which looks through all equations again and again: they are all needed."""
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            gc.enable()
 
 
 @final
