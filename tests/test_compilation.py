@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from aleator._core.compilation import Compiled, Use
+from aleator._core.loops import loop_while_any
 from aleator._core.programs import Programs
 
 
@@ -106,3 +107,23 @@ def test_a_loop_that_ends_by_a_condition_is_compiled_with_some_optimisation():
     assert Use.BRIEF.of(jax.make_jaxpr(jax.jit(_until))(x)) is Use.ONCE
     assert Use.BRIEF.of(jax.make_jaxpr(lambda x: jax.lax.fori_loop(0, 9, lambda _, y: y / 2, x))(x)) is Use.BRIEF
     np.testing.assert_allclose(Compiled(_until, use=Use.BRIEF)(x), 0.5)
+
+
+def _halved(x, times):
+    """`x / 2**times`, in a loop that leaves what is finished as it is."""
+
+    def advance(state):
+        x, left = state
+        return jnp.where(left > 0, x / 2, x), jnp.maximum(left - 1, 0)
+
+    return loop_while_any(lambda state: state[1] > 0, advance, (x, times))[0]
+
+
+def test_a_loop_that_many_take_together_lasts_until_all_have_finished():
+    x, times = np.array([3.0, 5.0, 7.0, 9.0]), np.array([3, 0, 1, 7])
+    both = jax.vmap(lambda x, times: jax.jvp(lambda x: _halved(x, times), (x,), (1.0,)))
+    values, slopes = Compiled(both, use=Use.BRIEF)(x, times)
+    assert (values == x / 2.0**times).all()
+    assert (slopes == 1 / 2.0**times).all()
+    # Whether it goes on is known from the step before, so that no two answers can differ.
+    assert Use.BRIEF.of(jax.make_jaxpr(both)(x, times)) is Use.BRIEF

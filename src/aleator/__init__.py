@@ -17,6 +17,7 @@ _started = _now()
 
 # Configures JAX, before a script makes its first array.
 from aleator import _core  # noqa: E402
+from aleator._core.collecting import uncollected as _uncollected  # noqa: E402
 
 _load, _, _names = _lazy.attach_stub(__name__, __file__)
 
@@ -31,7 +32,8 @@ def __getattr__(name: str) -> _Any:
         raise AttributeError(message, name=name, obj=_sys.modules[__name__])  # With these, Python suggests names.
     started = _now()
     try:
-        return _load(name)
+        with _uncollected():
+            return _load(name)
     finally:
         _core.import_seconds += _now() - started
 

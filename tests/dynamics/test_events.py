@@ -120,6 +120,21 @@ def test_a_body_lands_on_the_ground_to_rounding_with_the_order_of_the_integrator
     assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx([4.0, 4.0], abs=0.1)
 
 
+def test_what_is_told_at_an_instant_of_an_own_time_happened_then_however_late_the_grid_may_end():
+    def rates(t, z):
+        drag = 0.02 * np.hypot(z[2], z[3])
+        return [z[2], z[3], -drag * z[2], -G - drag * z[3]]
+
+    start = [0.0, 1.0, 20 * np.cos(0.7), 20 * np.sin(0.7)]
+    right = scipy.integrate.solve_ivp(rates, (0, 3), start, "DOP853", rtol=1e-12, atol=1e-13, dense_output=True).sol
+    errors = []
+    for steps in (40, 80):
+        history = al.simulate(Shot(20.0, 0.7, 1.0, 0.02), al.Grid(until="ground", at_most=30.0, steps=steps))
+        errors.append(np.max(np.abs(np.asarray(history["x"]) - right(np.asarray(history["time"]))[0])))
+    assert errors[0] < 1e-6
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.3)
+
+
 def test_uncertain_speed_angle_and_height_spread_the_range_as_quadrature_says():
     ends = {"speed": (19.0, 21.0), "angle": (0.65, 0.75), "height": (0.5, 1.5)}
     numbers = {name: al.Uniform((low + high) / 2, half_width=(high - low) / 2) for name, (low, high) in ends.items()}

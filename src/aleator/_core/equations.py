@@ -137,8 +137,11 @@ def _every(jaxpr: Any) -> Iterator[Any]:
 
 
 def ends_by_condition(jaxpr: Any) -> bool:
-    """Whether there is a loop whose number of steps follows from what it computes."""
-    return any(one.primitive.name == "while" for one in _every(jaxpr))
+    """Whether there is a loop that computes whether it goes on, where it is asked: of one that knows from the step
+    before, as `loop_while_any` does, the answer is the same wherever it is needed.
+    """
+    loops = (one.params["cond_jaxpr"].jaxpr for one in _every(jaxpr) if one.primitive.name == "while")
+    return any(one.primitive.name != "reduce_or" for loop in loops for one in loop.eqns)
 
 
 def must_run_alone(jaxpr: Any) -> bool:

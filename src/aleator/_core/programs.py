@@ -34,6 +34,7 @@ import platformdirs
 from jax.experimental import serialize_executable
 
 from aleator._core.border import refusal
+from aleator._core.collecting import uncollected
 from aleator._core.errors import ProblemError
 from aleator._core.parallel import undisturbed
 
@@ -75,7 +76,8 @@ class Program:
         """Trace it unless this has been done: `build` returns the function that compiles it."""
         with self._lock:
             if self._compile is None and self._executable is None:
-                self._compile = build()
+                with uncollected():
+                    self._compile = build()
 
     def __call__(self) -> Executable:
         """The executable of a traced program, compiled now if it has not been."""

@@ -26,6 +26,7 @@ from aleator.design import (
     Peak,
     Problem,
     Statistic,
+    divides_steps,
     functionals_of,
     grid_at,
     statistics_in,
@@ -145,6 +146,8 @@ def _check(
 
 
 def _use(problem: Problem, collocation: Collocation, *others: Any) -> Use:
+    if divides_steps(problem):
+        return Use.ONCE
     systems, _ = others[-1]
     steps = problem.grid.steps * (len(collocation.points) + len(systems))
     return Use.BRIEF if steps <= _BRIEF else Use.ROWS

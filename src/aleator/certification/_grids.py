@@ -66,7 +66,7 @@ def grid_error(
         # A quantity that has to be zero, and is, has no magnitude of its own.
         alone = value if value > _NEGLIGIBLE_VALUE * reach else reach
         size = max(min(magnitudes, default=alone), max(ROUNDING * reach, rounding[one], _TINY) / accuracy)
-        times = meaning.times[problem.grid.where(one.place)] if one.is_path else np.full(1, np.nan)
+        times = transcribed.times(point)[problem.grid.where(one.place)] if one.is_path else np.full(1, np.nan)
         when = float(times[int(np.argmax(change.reshape(len(times), -1).max(axis=1)))])
         deviations[one.text()] = Deviation(OWN_ERROR * largest, accuracy * size, when, one.order)
     objective, floor = meaning.objective, _NEGLIGIBLE_VALUE * reach_of(problem.objective, reaches)

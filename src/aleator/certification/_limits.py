@@ -109,7 +109,7 @@ def limits_at(transcribed: AbstractTranscribed, point: Float[np.ndarray, " varia
     limits = []
     each = zip(transcribed.problem.constraints, meaning.constraints, check.values[1:], transcribed.rows, strict=True)
     for one, own, fine, place in each:
-        times = meaning.times[grid.where(path_of(one))] if one.is_path else np.full(1, np.nan)
+        times = transcribed.times(point)[grid.where(path_of(one))] if one.is_path else np.full(1, np.nan)
         size = bound_size(one) or max(reach_of(one.expression, reaches), float(np.max(rows()[place])))
         own = transcribed.at_instants(one, own)
         by_row = own.reshape(len(times), -1), fine.reshape(len(fine) if one.is_path else 1, -1)

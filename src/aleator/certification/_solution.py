@@ -127,7 +127,7 @@ def quality_of(
 ) -> ExpansionQuality:
     """The quality of the expansions at a point. Errors of what is constant count as zero."""
     problem, basis, collocation = transcribed.problem, transcribed.basis, transcribed.collocation
-    tolerance, times, grid = problem.expansion.tolerance, transcribed.at(point).times, problem.grid
+    tolerance, grid = problem.expansion.tolerance, problem.grid
     # Limits on the worst case use the model itself.
     expanded = {one.text(): one.place for one in expanded_functionals(problem.expressions)}
     resolved = {text: one for text, one in transcribed.resolve(point).items() if text in expanded}
@@ -140,7 +140,7 @@ def quality_of(
         condition_number=float(collocation.condition_number),
         leave_one_out={text: float(one.leave_one_out) if text in varying else 0.0 for text, one in resolved.items()},
         unresolved_from={
-            text: float(times[grid.where(expanded[text])][int(np.argmax(late))])
+            text: float(transcribed.times(point)[grid.where(expanded[text])][int(np.argmax(late))])
             for text, one in varying.items()
             if one.history is not None and (late := ~(np.asarray(one.history) <= tolerance)).any()
         },

@@ -8,6 +8,7 @@ simulated and that of what the expansion predicts of the same systems corrects t
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -101,10 +102,14 @@ class KnownStatistics(AbstractScopeOfInstants):
     """A scope of statistics that are known, with a last axis of what they may be."""
 
     def __init__(self, transcribed: AbstractTranscribed, point: np.ndarray, known: Mapping[str, np.ndarray]):
-        meaning = transcribed.at(point)
-        self._known, self._decisions = known, meaning.decisions
+        self._known, self._decisions = known, transcribed.at(point).decisions
         self._simulation = transcribed.problem.simulation
-        self.step = float(meaning.times[1] - meaning.times[0]) if len(meaning.times) > 1 else 1.0
+        self._times = lambda: transcribed.times(point)
+
+    @cached_property
+    def step(self) -> float:  # type: ignore[override]
+        times = self._times()
+        return float(times[1] - times[0]) if len(times) > 1 else 1.0
 
     @override
     def statistic(self, functionals: tuple, kind: AbstractStatistic) -> Array:

@@ -61,6 +61,7 @@ from aleator.design._response import Estimated as Estimated
 from aleator.design._response import OneSystem as OneSystem
 from aleator.design._response import Sampled as Sampled
 from aleator.design._response import asked_for as asked_for
+from aleator.design._response import divides_steps as divides_steps
 from aleator.design._response import ends_by_event as ends_by_event
 from aleator.design._response import estimated as estimated
 from aleator.design._response import first_broken as first_broken

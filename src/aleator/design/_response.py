@@ -148,6 +148,11 @@ def needed_events(problem: AbstractProblem) -> tuple[str, ...]:
     return needed(system, grid, events_of(functionals_of(problem.expressions)))
 
 
+def divides_steps(problem: AbstractProblem) -> bool:
+    """Whether steps are divided at events, or cycles sought: a step then has many equations of single numbers."""
+    return bool(needed_events(problem)) or getattr(problem.grid, "periodic", False)
+
+
 def step_at(problem: AbstractProblem, decisions: Float[Array, " n"]) -> Array:
     """The time between two instants, s; 1 where there is no time."""
     return jnp.asarray(grid_at(problem, decisions).step)

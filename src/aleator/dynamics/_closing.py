@@ -234,11 +234,11 @@ def _levels_along(
     level, rate = jax.vmap(level_and_rate)(grid.times, rows)
     rate = rate * jnp.asarray(grid.step)  # in a step, as elsewhere
     known = stop_gradient((level[:-1], rate[:-1], level[1:], rate[1:]))
-    side, crosses = crosses_zero(*known, direction)
+    crosses = crosses_zero(*known, direction)
     stood = is_near(known[0][0], known[1][0]) & (direction * rate[0] > 0)
     if grid.periodic:
         # A cycle starts where the one before ended, up to the error of the guess.
         crosses, stood = crosses & (grid.fractions[1:] > _SHORTEST), False
     k = jnp.argmax(crosses)
-    end = stop_gradient(grid.times[k] + crossing_of(side, *known)[k] * grid.step)
+    end = stop_gradient(grid.times[k] + crossing_of(*known)[k] * grid.step)
     return level, rate, jnp.where(crosses.any() & ~stood, end, jnp.nan)

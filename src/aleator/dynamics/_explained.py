@@ -1,5 +1,6 @@
 """Why an event that is needed is not found in a realisation, or a cycle does not close."""
 
+import jax.numpy as jnp
 import numpy as np
 
 from aleator._core.compilation import Use, evaluate
@@ -17,12 +18,14 @@ def explain_events(tableau: Tableau, system: System, grid: Grid, inputs: Inputs,
     names = watched(system, grid, events) if grid.periodic else needed(system, grid, events)
     if not names:
         return ""
-    one = evaluate(lambda: course(tableau, system, grid, inputs, Asked(frozenset()), names), use=Use.ONCE)
+    asked, is_final = Asked(frozenset(), events=events), jnp.asarray(False) if grid.until in names else None
+    one = evaluate(lambda: course(tableau, system, grid, inputs, asked, names, is_final), use=Use.ONCE)
     who = _named(system)
-    fault, times = one.fault, dict(zip(names, np.asarray(one.seen.t).tolist(), strict=True))
+    times = {name: float(t) for name, t in one.seen.items()}
     end = times.get(grid.until or "", float(grid.t_final))
-    if int(fault.kind) > 0 and not float(fault.t) > end:
-        return f"{who} {_FAULTS[int(fault.kind)].format(name=names[int(fault.event)], t=float(fault.t))}"
+    kind, event, t = (np.asarray(part)[int(np.argmax(np.asarray(one.fault.kind) > 0))] for part in one.fault)
+    if kind > 0 and not t > end:
+        return f"{who} {_FAULTS[int(kind)].format(name=names[int(event)], t=float(t))}"
     if np.isnan(end):
         return explain_end(system, grid)
     if missing := [name for name in names if name in events and not times[name] <= end]:

@@ -19,7 +19,8 @@ from aleator._core.compilation import Use, evaluate
 from aleator._core.equations import as_time
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import Module
-from aleator.dynamics._crossings import course, watched
+from aleator.dynamics._closing import closed
+from aleator.dynamics._crossings import course, needed, watched
 from aleator.dynamics._equations import TracedSystem
 from aleator.dynamics._evaluation import completed, derivative, explain_algebraic, initial_state
 from aleator.dynamics._explained import explain_events
@@ -31,6 +32,9 @@ from aleator.dynamics._tableaux import DORMAND_PRINCE_5, RUNGE_KUTTA_4, Tableau,
 
 # Systems of more equations take longer to compile for each stage than a loop over the stages takes to run.
 _LARGE = 500
+# Whether each pass over a grid that ends at an event ends by its last step: the first one seeks it in all steps of
+# the longest grid; the second one tells its time as accurately as the last one, whose steps are as long.
+_PASSES = (False, True, True)
 
 
 class AbstractIntegrator(Module):
@@ -55,6 +59,10 @@ class AbstractIntegrator(Module):
                 f"{system.title}: {type(self).__name__} does not look for its event '{names[0]}', which needs fixed "
                 "steps: use al.integrators.RungeKutta4(), the default."
             )
+
+    def ending(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
+        """The record of a grid that ends at an event in each realisation, with its grid."""
+        return closed(self.record, system, grid, inputs, asked)
 
     def explain(self, system: System, grid: Grid, inputs: Inputs, events: frozenset[str] = frozenset()) -> str:
         """Why it fails on one realised system, with the remedy; empty if it does not fail, or cannot tell.
@@ -99,6 +107,23 @@ class AbstractFixedStep(AbstractIntegrator):
             return self._taken(system, grid, inputs, asked)[0]
         # A step that a jump divides has its middle anywhere.
         return on_grid(grid, asked, lambda grid, asked: self._taken(system, grid, inputs, asked))
+
+    @override
+    def ending(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
+        names = needed(system, grid, asked.events)
+
+        def passed(t_final: Array, is_final: Array) -> tuple[Array, Record]:
+            """The record up to about this time, and the time of the event, which is sought along the way at first."""
+            record = on_grid(
+                grid.ending(t_final),
+                asked,
+                lambda grid, asked: course(self.tableau, system, grid, inputs, asked, names, is_final)[:2],
+            )
+            return record.grid.t_final, record._replace(grid=None)
+
+        t_final, records = jax.lax.scan(passed, jnp.asarray(grid.t_final), jnp.asarray(_PASSES))
+        last = jax.tree.map(lambda one: one[len(_PASSES) - 1], records)
+        return last._replace(grid=grid.ending(t_final))
 
     def _taken(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> tuple[Record, Any]:
         """The record of all steps, divided by jumps, and where the instants are among their beginnings."""
@@ -162,7 +187,7 @@ def on_grid(grid: Grid, asked: Asked, along: Callable[[Grid, Asked], tuple[Recor
     if asked.fold is None:
         return record._replace(history=history, nodes={name: nodes[name] for name in asked.nodes})
     folded, history = jax.lax.scan(asked.folded, asked.unfolded({n: v[0] for n, v in history.items()}), history)
-    return Record(history, {}, record.integrals, folded and folded[1])
+    return record._replace(history=history, nodes={}, folded=folded and folded[1])
 
 
 def _stages_in_loop(

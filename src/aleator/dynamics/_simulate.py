@@ -106,7 +106,14 @@ def _history(simulation: Simulation, asked: Asked) -> History:
     return simulation.record(asked).outputs
 
 
-_HISTORY = Compiled(_history, use=Use.BRIEF)
+def _use(simulation: Simulation, asked: Asked) -> Use:
+    """Steps that events divide are worth some optimisation."""
+    del asked
+    systems = (one.system for one in simulation.phases.values())
+    return Use.ONCE if any(isinstance(one, System) and one.declared_events for one in systems) else Use.BRIEF
+
+
+_HISTORY = Compiled(_history, use=_use)
 
 
 def _warn_of_jumps(simulation: Simulation) -> None:

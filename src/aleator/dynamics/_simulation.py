@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any, final
 
@@ -129,11 +130,12 @@ class Simulation(AbstractPlanned):
             return self.integrator.record(system, grid, inputs, asked)._replace(grid=grid)
         if grid.periodic and self.equations is None:
             return self.declared().record(asked)
-        if grid.until is None or grid.until not in asked.events:
-            return closed(self.integrator.record, system, grid, inputs, asked)
+        ending = partial(closed, self.integrator.record) if grid.periodic else self.integrator.ending
+        if grid.until not in asked.events:
+            return ending(system, grid, inputs, asked)
         # The event that ends the grid is at its end.
         instants = None if asked.instants is None else asked.instants | asked.at_events
-        record = closed(self.integrator.record, system, grid, inputs, asked._replace(instants=instants))
+        record = ending(system, grid, inputs, asked._replace(instants=instants))
         end = Occurrence(record.grid.t_final, {name: values[-1] for name, values in record.history.items()})
         return record._replace(events={**(record.events or {}), grid.until: end})
 

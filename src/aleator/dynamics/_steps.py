@@ -95,6 +95,8 @@ def _divided(grid: Grid, inputs: Inputs, inner: Sequence[float]) -> tuple[Steps,
 
 def signals_within(grid: Grid, inputs: Inputs, step: Steps) -> Callable[[Any], dict[str, Array]]:
     """All signals at a share of one step, on its side of every jump."""
+    if not inputs:
+        return lambda _: {}
     held = on_pieces(inputs, step.pieces) if step.pieces else inputs
 
     def at(share: Any) -> dict[str, Array]:

@@ -69,8 +69,7 @@ class Meaning(NamedTuple):
     - `samples`: each functional at the collocation points, in the order of `functionals_of`;
     - `tangents`: the derivatives of the samples (of a path at a few instants, see `seen`) by the decisions that are
       parameters of distributions; None if they are not computed;
-    - `statistics`: all statistics in the expressions, in the order of `statistics_in`;
-    - `times`: the instants of the grid, s. Limits over time may have further rows, see `limited`.
+    - `statistics`: all statistics in the expressions, in the order of `statistics_in`.
     """
 
     decisions: Float[np.ndarray, " n"]
@@ -79,7 +78,6 @@ class Meaning(NamedTuple):
     samples: tuple[Float[np.ndarray, "points ..."], ...]
     tangents: tuple[Float[np.ndarray, "points ... parameters"] | None, ...]
     statistics: tuple[Float[np.ndarray, "..."], ...]
-    times: Float[np.ndarray, " instants"]
 
 
 def _outputs_at_points(
@@ -125,6 +123,10 @@ class AbstractTranscribed(abc.ABC):
         """The meaning of a point. The latest points are remembered."""
 
     @abc.abstractmethod
+    def times(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " instants"]:
+        """The instants of the grid at a point, s: those at the means, where each realisation has its own."""
+
+    @abc.abstractmethod
     def at_scenarios(self, scenarios: Scenarios) -> Self:
         """The same problem with its limits on the worst case imposed at other scenarios."""
 
@@ -149,7 +151,7 @@ class AbstractTranscribed(abc.ABC):
 
     def times_limited(self, point: Float[np.ndarray, " variables"], path: str) -> Float[np.ndarray, " limited"]:
         """The places in `limited` as times, s."""
-        limited, times = self.limited(path), self.at(point).times[self.problem.grid.where(path)]
+        limited, times = self.limited(path), self.times(point)[self.problem.grid.where(path)]
         return np.interp(limited, limited[self.declared(path)], times)
 
     @property

@@ -17,8 +17,15 @@ from jaxtyping import Array, Bool, Float, Int
 from aleator._core.arrays import jax_array
 from aleator._core.compilation import Compiled, Use
 from aleator._core.parallel import over_devices
-from aleator.design import AbstractFunctional, Expression, Problem, functionals_of, grid_at, needed_events
-from aleator.dynamics import Grid
+from aleator.design import (
+    AbstractFunctional,
+    Expression,
+    Problem,
+    divides_steps,
+    ends_by_event,
+    functionals_of,
+    grid_at,
+)
 from aleator.expansion import Collocation
 from aleator.nlp import Evaluation
 from aleator.statistics import Constants
@@ -29,6 +36,8 @@ from aleator.transcription.sequential._instantaneous import instantaneous, insta
 
 # Fewest points per part that are worth the overhead of a time step, and fewest numbers worth that of threads.
 _FEWEST_POINTS, _FEWEST_NUMBERS = 16, 200_000
+# Numbers of simulations up to events that take longer to compile well than to run a few dozen times.
+_FEW_NUMBERS = 20_000
 # Two parts, unless there are points enough for more.
 _POINTS_OF_A_PART, _MOST_PARTS = 128, 8
 
@@ -240,16 +249,19 @@ def _points_together(
     return every, jnp.concatenate(parts.derivatives), sizes, statistics, grid_at(problem, decisions).times
 
 
-def use_of(problem: Problem, *_: Any) -> Use:
+def use_of(problem: Problem, collocation: Collocation, *_: Any) -> Use:
     """The use of programs that simulate a problem: loops over time, or equations of every instant by itself.
 
     Where events divide steps, or a grid repeats, a step has many equations of single numbers: full optimisation takes
-    longer than it saves, and for the derivatives of a monodromy matrix it takes minutes.
+    longer than it saves, and for the derivatives of a monodromy matrix it takes minutes. A few short simulations up to
+    an event are over before any optimisation is.
     """
     if not problem.is_integrated:
         return Use.BRIEF
-    is_sought = bool(needed_events(problem)) or (isinstance(problem.grid, Grid) and problem.grid.periodic)
-    return Use.ONCE if is_sought else Use.LOOPS
+    if not divides_steps(problem):
+        return Use.LOOPS
+    numbers = problem.grid.steps * len(collocation.points) * (1 + problem.placements.size)
+    return Use.BRIEF if ends_by_event(problem) and numbers < _FEW_NUMBERS else Use.ONCE
 
 
 EVALUATE = Compiled(_evaluate, use=use_of)

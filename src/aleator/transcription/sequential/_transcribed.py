@@ -129,8 +129,12 @@ class SequentiallyTranscribed(AbstractTranscribed):
             samples=blocks.samples,
             tangents=blocks.tangents,
             statistics=blocks.statistics,
-            times=instants_at(self.problem, point) if ends_by_event(self.problem) else blocks.times,
         )
+
+    @override
+    def times(self, point: Float[np.ndarray, " n"]) -> Float[np.ndarray, " instants"]:
+        # Of events, a program of its own tells them, which most answers do not need.
+        return instants_at(self.problem, point) if ends_by_event(self.problem) else self.evaluator(point).times
 
     @override
     def at_scenarios(self, scenarios: Scenarios) -> "SequentiallyTranscribed":

@@ -180,8 +180,11 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
             samples=tuple(samples[one][:count] for one in functionals),
             tangents=(None,) * len(functionals),
             statistics=tuple(np.asarray(one) for one in taken),
-            times=self._times(point, [one.pointwise.grid.fractions for one in self.layout.phases]),
         )
+
+    @override
+    def times(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " instants"]:
+        return self._times(point, [one.pointwise.grid.fractions for one in self.layout.phases])
 
     @override
     def limited(self, path: str) -> Float[np.ndarray, " limited"]:
