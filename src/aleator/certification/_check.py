@@ -27,7 +27,7 @@ from aleator.design import (
     grid_at,
     statistics_in,
 )
-from aleator.dynamics import FINER, AbstractIntegrator, Grid, Kvaerno5, Simulation
+from aleator.dynamics import FINER, AbstractIntegrator, Grid, Rodas5P, Simulation
 from aleator.expansion import Collocation
 from aleator.statistics import Constants, Mean, Std
 from aleator.trajectories import AbstractTrajectory, BSpline, least_steps, piecewise_in
@@ -179,11 +179,11 @@ def begin_check(
         if transcribed.fineness == 1 or not problem.is_integrated:
             return check
         if not check.is_finite:
-            check = begun(Kvaerno5())()
+            check = begun(Rodas5P())()
         if not (departed := _departed(transcribed, point, check)):
             return check
         again = begun(reference, departed)()
-        return again if again.is_finite else begun(Kvaerno5(), departed)()
+        return again if again.is_finite else begun(Rodas5P(), departed)()
 
     return checked
 

@@ -1,6 +1,6 @@
 """Dynamical and algebraic systems and their simulation. Knows no randomness."""
 
-from aleator.dynamics._adaptive import Kvaerno5 as Kvaerno5
+from aleator.dynamics._adaptive import Rodas5P as Rodas5P
 from aleator.dynamics._adaptive import Tsit5 as Tsit5
 from aleator.dynamics._algebraic import AlgebraicSystem as AlgebraicSystem
 from aleator.dynamics._algebraic import explain_failure as explain_failure

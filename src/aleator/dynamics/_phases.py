@@ -173,10 +173,6 @@ class LinkedSystems(AbstractSystem):
         return {f"{name}.{key}": f"{name}.{one}" for name, key, one in every}
 
     @override
-    def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
-        raise NotImplementedError("Outputs are those of one phase.")
-
-    @override
     def diagnose(self, grid: Any) -> str:
         each = (system.diagnose(grid.grids[name]) for name, system in self.phases.items())
         return next(filter(None, each), "")

@@ -53,10 +53,6 @@ class AbstractSystem(Module, Printed):
     def is_integrated(self) -> bool:
         """Whether it has states, which are integrated over time."""
 
-    @abc.abstractmethod
-    def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
-        """Quantities of interest by name: accelerations, distances, forces."""
-
     def diagnose(self, grid: Any) -> str:
         """What is wrong with the realised system on a grid, in a sentence with its remedy; empty if nothing.
 
@@ -79,7 +75,7 @@ class System(AbstractSystem):
     are written as `residual(self, t, z, road)`: as many numbers, all of them zero. The state then has them too,
     `z.pressure`, in `rhs`, `outputs` and `residual`. Their values near a solution come from
     `algebraic_guess(self, t, z, road)`, whose `z` has the states alone; zero by default. Of several solutions Newton's
-    method finds the one it reaches from this guess, so let the guess depend on what tells them apart; `Kvaerno5` takes
+    method finds the one it reaches from this guess, so let the guess depend on what tells them apart; `Rodas5P` takes
     the guess at the start alone, and then follows the solution from step to step. The equations must determine the
     algebraic variables at a fixed state (index 1).
 
@@ -106,7 +102,6 @@ class System(AbstractSystem):
         """`rhs(self, t, z, ...)`: the time derivatives of the states, as a sequence in the order of `states`."""
 
     @abc.abstractmethod
-    @override
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
         """`outputs(self, t, z, ...)`: quantities of interest by name, such as accelerations, distances and forces."""
 
