@@ -11,10 +11,12 @@ from aleator.dynamics._equations import FINER as FINER
 from aleator.dynamics._equations import Equations as Equations
 from aleator.dynamics._equations import Start as Start
 from aleator.dynamics._equations import TracedSystem as TracedSystem
+from aleator.dynamics._evaluation import after_events as after_events
 from aleator.dynamics._evaluation import algebraic_residuals as algebraic_residuals
 from aleator.dynamics._evaluation import completed as completed
 from aleator.dynamics._evaluation import derivative as derivative
 from aleator.dynamics._evaluation import derivative_and_observation as derivative_and_observation
+from aleator.dynamics._evaluation import event_levels as event_levels
 from aleator.dynamics._evaluation import guessed_algebraic as guessed_algebraic
 from aleator.dynamics._evaluation import initial_state as initial_state
 from aleator.dynamics._evaluation import observation as observation
@@ -32,12 +34,15 @@ from aleator.dynamics._integrators import RungeKutta4 as RungeKutta4
 from aleator.dynamics._multiple_shooting import MultipleShooting as MultipleShooting
 from aleator.dynamics._multiple_shooting import SegmentRate as SegmentRate
 from aleator.dynamics._newton import newton as newton
+from aleator.dynamics._phases import AbstractSurroundings as AbstractSurroundings
 from aleator.dynamics._phases import LinkedGrid as LinkedGrid
 from aleator.dynamics._phases import LinkedSystems as LinkedSystems
 from aleator.dynamics._phases import Phase as Phase
 from aleator.dynamics._phases import Phases as Phases
+from aleator.dynamics._phases import Wires as Wires
 from aleator.dynamics._phases import named as named
 from aleator.dynamics._phases import phase_of as phase_of
+from aleator.dynamics._phases import placed as placed
 from aleator.dynamics._phases import within as within
 from aleator.dynamics._record import ONLY_STATES as ONLY_STATES
 from aleator.dynamics._record import STATES as STATES
@@ -63,6 +68,7 @@ from aleator.dynamics._simulation import simulation_of as simulation_of
 from aleator.dynamics._switches import jump_times as jump_times
 from aleator.dynamics._switches import time_switches as time_switches
 from aleator.dynamics._system import AbstractSystem as AbstractSystem
+from aleator.dynamics._system import End as End
 from aleator.dynamics._system import System as System
 from aleator.dynamics._system import called as called
 from aleator.dynamics._system import check_inputs as check_inputs

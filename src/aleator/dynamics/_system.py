@@ -44,6 +44,11 @@ class AbstractSystem(Module, Printed):
         return self
 
     @property
+    def plain(self) -> Any:
+        """The system without what was put around it: itself."""
+        return self
+
+    @property
     def title(self) -> str:
         """The name of its class, for messages."""
         return type(self).__name__
@@ -178,14 +183,47 @@ class System(AbstractSystem):
             raise refusal(f"{type(self).__name__}.initial", "a method that returns values by state", self.initial)
         return self.initial()
 
+    def plain_states(self, z: Any) -> Any:
+        """Those of its plain system, which come first."""
+        return state_type(self.plain.states)(*z[: len(self.plain.states)])
+
+    def continuing(self, link: Callable[..., dict[str, Any]], ended: Any, end: "End") -> dict[str, Any]:
+        """The states with which it begins as a phase after another one, by name.
+
+        - `link(system, t, z)`: that of the plain systems; `ended`: the system of the phase before; `end`: its end.
+        """
+        return link(ended, end.t, ended.plain_states(end.z))
+
     def signals(self) -> Mapping[str, AbstractSignal]:
         """Inputs that are part of the system itself, by name, such as a prescribed motion or torques."""
         return {}
+
+    def signals_from(
+        self, signals: Mapping[str, AbstractSignal], begun: Float[Array, " states"]
+    ) -> Mapping[str, AbstractSignal]:
+        """Its signals where it begins with other states, side by side, than those of its equations."""
+        del begun
+        return signals
 
     def focused(self, only: Collection[str]) -> "System":
         """The same system where only the outputs `only` are needed, so that it may skip the work for others."""
         del only
         return self
+
+
+class End(NamedTuple):
+    """How a phase ends in a realisation.
+
+    - `system`: its equations; `t`, `z`: the time and the states; `inputs`: those at a time, by name; `until`: the event
+      that ends it; `plan`: the end of the plan, which has its own time, if an event ends it.
+    """
+
+    system: System
+    t: Any
+    z: Any
+    inputs: Callable[[Any], dict[str, Any]]
+    until: str | None = None
+    plan: "End | None" = None
 
 
 def state_type(names: tuple[str, ...]) -> Any:
