@@ -7,7 +7,6 @@ from typing import Any, ClassVar, NamedTuple, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.flatten_util import ravel_pytree
 from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float
@@ -103,13 +102,14 @@ class Noisy(AbstractExtended):
         (rates, outputs), (slopes, changes) = jax.vmap(along, out_axes=(None, 0))(jnp.eye(numbers.size))
         n, P = len(z.covariance), z.covariance
         slopes = jnp.concatenate([getattr(slopes, name).reshape(numbers.size, -1) for name in moved], axis=1)
-        W = jnp.concatenate([np.zeros(0), *(one.covariance for _, one in sorted(self._noise.items()))])
-        A, effect = slopes[:n].T, slopes[n:]
+        noise = [one.covariance for _, one in sorted(self._noise.items())]
+        W = jnp.concatenate(noise) if noise else jnp.zeros(0)
+        drift, effect = slopes[:n].T @ P + P @ slopes[:n], slopes[n:]
         variances = {
             f"{name}{VARIANCE}": jnp.einsum("i...,ij,j...->...", change[:n], P, change[:n])
             for name, change in changes.items()
         }
-        return [*rates, A @ P + P @ A.T + effect.T @ (W[:, None] * effect)], outputs | variances
+        return [*rates, drift + effect.T @ (W[:, None] * effect)], outputs | variances
 
     @override
     def after_events(self, t: Any, z: Any, *args: Any, **inputs: Any) -> Float[Array, "events states"]:
