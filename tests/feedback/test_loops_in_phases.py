@@ -175,6 +175,9 @@ def test_what_has_no_plan_is_refused():
     phases = al.Phases(only=al.Phase(cart, al.Grid(1.0, 10), push(0.1), feedback=loop))
     with pytest.raises(al.ProblemError, match=r"simulate: phases with feedback.*al.Problem"):
         al.simulate(phases)
+    grid = al.Grid(until="gate", at_most=1.0, steps=10, periodic=True)
+    with pytest.raises(al.ProblemError, match=r"a plan that repeats has .* a period of its own"):
+        al.Problem(cart, grid=grid, inputs=push(0.1), feedback=loop, minimize=al.terminal("v").mean)
     with pytest.raises(al.ProblemError, match="Give each phase its own"):
         al.Problem(phases, feedback=loop, minimize=al.terminal("v").mean)
 

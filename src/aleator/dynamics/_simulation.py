@@ -57,8 +57,8 @@ class Simulation(AbstractPlanned):
             return self
         known = means()
         uncertain = tuple(name for name, signal in known.inputs.items() if jax.tree.leaves(signal))
-        with_plan, own = system.with_plan, getattr(known.system, "plain", known.system)  # type: ignore[union-attr]
-        return replace(self, system=with_plan(own, eqx.combine(known.inputs, self.inputs), uncertain))
+        inputs = eqx.combine(known.inputs, self.inputs)
+        return replace(self, system=system.with_plan(known.system.plain, inputs, uncertain))  # type: ignore[union-attr]
 
     @property
     def traced(self) -> AbstractSystem:
@@ -177,7 +177,7 @@ class Simulation(AbstractPlanned):
         system, grid = self.traced, record.grid
         assert isinstance(system, System)
         last = self.unravelled(record.history.get(STATES, jnp.zeros((1, 0)))[-1])
-        return End(system, grid.t_final, last, lambda t: inputs_on(grid, self.signals(system))(t), grid.until)
+        return End(system, grid.t_final, last, lambda t: inputs_on(grid, self.signals(system))(t))
 
     @property
     def plan(self) -> "Simulation | None":

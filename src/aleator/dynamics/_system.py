@@ -219,15 +219,14 @@ class System(AbstractSystem):
 class End(NamedTuple):
     """How a phase ends in a realisation.
 
-    - `system`: its equations; `t`, `z`: the time and the states; `inputs`: those at a time, by name; `until`: the event
-      that ends it; `plan`: the end of the plan, which has its own time, if an event ends it.
+    - `system`: its equations; `t`, `z`: the time and the states; `inputs`: those at a time, by name; `plan`: the end of
+      the plan, which has its own time, if an event ends it.
     """
 
     system: System
     t: Any
     z: Any
     inputs: Callable[[Any], dict[str, Any]]
-    until: str | None = None
     plan: "End | None" = None
 
 

@@ -327,12 +327,12 @@ def closed_loop(system: Any, inputs: Mapping[str, Any], feedback: Any, grid: Any
             f"{signals}."
         )
     _refuse_unknown("to names inputs that it commands", to or (), signals)
-    if isinstance(feedback.gains, LQR) and getattr(grid, "periodic", False):
+    last = getattr(grid, "until", None)
+    if getattr(grid, "periodic", False) and (last is not None or isinstance(feedback.gains, LQR)):
         raise ProblemError(
-            "al.lqr: its gains follow from a plan with known initial states: expected a grid that does not repeat, or "
-            "gains as numbers, al.Feedback(gains=[...])."
+            "Feedback: a plan that repeats has no initial states for al.lqr, and a period of its own if an event ends "
+            "it: expected gains as numbers, and a known period, al.Grid(2.0, 40, periodic=True)."
         )
-    last = None if not isinstance(grid, Grid) or grid.periodic else grid.until
     jumps = [name for name, event in system.declared_events.items() if event.jump is not None and name != last]
     if jumps:
         raise ProblemError(

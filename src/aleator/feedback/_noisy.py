@@ -114,11 +114,7 @@ class Noisy(AbstractExtended):
     @override
     def after_events(self, t: Any, z: Any, *args: Any, **inputs: Any) -> Float[Array, "events states"]:
         own, fixed = self.own_states(z), self.seen_by_own(t, z, inputs)
-        place, named = ravel_pytree(own)
-        n = len(z.covariance)
-
-        def at(x: Array) -> Any:
-            return named(place.at[:n].set(x))
+        x, at, named = _deviating(own, n := len(z.covariance))
 
         def rates(z: Any) -> Array:
             return ravel_pytree(derivative(self.own, t, z, fixed))[0][:n]
@@ -128,8 +124,8 @@ class Noisy(AbstractExtended):
             after, P = after_events(self.own, t, own, fixed)[i], z.covariance
             if event.jump is not None or name == self.until:
                 level = lambda t, x, i=i: event_levels(self.own, t, at(x), fixed)[i]  # noqa: E731
-                crossing = _crossing(level, slopes, t, place[:n])
-                S = crossing.carried(lambda t, x, i=i: after_events(self.own, t, at(x), fixed)[i][:n], t, place[:n])
+                crossing = _crossing(level, slopes, t, x)
+                S = crossing.carried(lambda t, x, i=i: after_events(self.own, t, at(x), fixed)[i][:n], t, x)
                 if name != self.until:  # where the next grid begins with the event, the time of this is that of all
                     S -= jnp.outer(rates(named(after)), crossing.later)
                 P = S @ P @ S.T
@@ -139,7 +135,7 @@ class Noisy(AbstractExtended):
     @override
     def continuing(self, link: Callable[..., dict[str, Any]], ended: "Noisy", end: End) -> dict[str, Any]:
         """Its states when a phase begins: noise acts by the states that the phase before ends with, and by when."""
-        x, at, crossing = ended._deviating(end)
+        x, at, crossing = ended._ended(end)
 
         def begun(t: Any, x: Array) -> Array:
             states = link(ended.plain, t, ended.plain_states(at(x)))
@@ -154,7 +150,7 @@ class Noisy(AbstractExtended):
         names = [name for name in record.history if name.endswith(VARIANCE)]
         if self.until is None or not names:
             return record
-        x, at, crossing = self._deviating(end)
+        x, at, crossing = self._ended(end)
         system = end.system.focused([name.removesuffix(VARIANCE) for name in names])
 
         def outputs(t: Any, x: Array) -> dict[str, Array]:
@@ -167,15 +163,9 @@ class Noisy(AbstractExtended):
         history = {name: rows.at[-1].set(last[name]) for name, rows in record.history.items() if name in last}
         return record._replace(history=record.history | history)
 
-    def _deviating(self, end: End) -> "tuple[Array, Callable[[Array], Any], _Crossing]":
+    def _ended(self, end: End) -> "tuple[Array, Callable[[Array], Any], _Crossing]":
         """The states that noise moves, all states by these, and the crossing of the event at the end of a grid."""
-        place, named = ravel_pytree(end.z)
-        n = len(end.z.covariance)
-
-        def at(x: Array) -> Any:
-            return named(place.at[:n].set(x))
-
-        x = place[:n]
+        x, at, _ = _deviating(end.z, n := len(end.z.covariance))
         if self.until is None:
             return x, at, _Crossing(jnp.zeros(n), jnp.eye(n))
         where = list(self.declared_events).index(self.until)
@@ -198,6 +188,12 @@ class Noisy(AbstractExtended):
         names = sorted(shapes)
         used = (dce_jaxpr(closed.jaxpr, [one == name for one in names])[1] for name in names)
         return {name for name, inputs in zip(names, used, strict=True) if any(inputs)}
+
+
+def _deviating(z: Any, n: int) -> tuple[Array, Callable[[Array], Any], Callable[[Array], Any]]:
+    """The first numbers of states, these by such numbers, and by all of them."""
+    every, named = ravel_pytree(z)
+    return every[:n], lambda x: named(every.at[:n].set(x)), named
 
 
 class _Crossing(NamedTuple):
