@@ -32,7 +32,7 @@ from aleator.feedback._controllers import AbstractController, Plan, proportional
 from aleator.feedback._lqr import LQR
 from aleator.feedback._stability import unstable
 from aleator.trajectories import AbstractSignal, WhiteNoise, as_array
-from aleator.uncertainty import AbstractDecision
+from aleator.uncertainty import AbstractDecision, placements, refuse_intervals
 
 # Signals of the closed loop: of the plan where it differs from the realisation, of sensors, of gains. Inputs have no
 # spaces in their names.
@@ -306,6 +306,9 @@ def closed_loop(system: Any, inputs: Mapping[str, Any], feedback: Any, grid: Any
     if not (isinstance(system, System) and system.states):
         remedy = " Give each phase its own: al.Phase(..., feedback=...)." if isinstance(system, Phases) else ""
         raise ProblemError(f"Feedback: expected a system with states; received {type(system).__name__}.{remedy}")
+    for part in (system, inputs):
+        remedy = "A plan for each value would know it: declare it as a distribution."
+        refuse_intervals("Problem: feedback", placements(part), remedy)
     check_inputs(system, inputs)
     states = system.states
     signals = [*(name for name, one in inputs.items() if not isinstance(one, WhiteNoise)), *system.signals()]
