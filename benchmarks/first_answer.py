@@ -100,7 +100,7 @@ for _ in range(2):
 print(taken[0] - taken[1])
 """
 
-INTEGRATORS = ("RungeKutta4", "Tsit5", "Kvaerno5")
+INTEGRATORS = ("RungeKutta4", "Tsit5", "Rodas5P")
 SIMULATED = """
 import time
 import aleator as al

@@ -107,8 +107,8 @@ def test_what_has_no_meaning_with_events_is_refused_where_it_is_declared():
     for words, make in {
         "no event 'tip'.*Did you mean 'top'": lambda: problem(minimize=al.at("tip").mean),
         "no event 'land'": lambda: problem(grid=al.Grid(until="land", at_most=1.0, steps=4)),
-        "Kvaerno5 does not look for its event 'top'": lambda: problem(
-            minimize=top.mean, integrator=al.integrators.Kvaerno5()
+        "Rodas5P does not look for its event 'top'": lambda: problem(
+            minimize=top.mean, integrator=al.integrators.Rodas5P()
         ),
         "no output": lambda: problem(minimize=al.at("top", "z").mean),
         "each realisation ends at its own 'ground'": lambda: problem(minimize=al.time_integral(al.path("x").std)),

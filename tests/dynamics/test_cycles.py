@@ -101,13 +101,16 @@ def test_a_forced_vibration_repeats_with_the_period_of_its_force():
     assert float(found.mean) == pytest.approx(weights @ values / 2, rel=1e-7)
 
 
+SLOPE = float(np.radians(3.0))
+
+
 class Walker(al.System):
     """The compass gait of Goswami, Thuilot and Espiau (IJRR 17, 1998): angles of both legs from the vertical."""
 
     states = ("swing", "stance", "swing_rate", "stance_rate")
     hip: al.Number = 10.0
     m: al.Number = 5.0
-    slope: al.Number = float(np.radians(3.0))
+    slope: al.Number = SLOPE
     events: ClassVar = {
         "strike": al.Event(
             lambda self, t, z: z.swing + z.stance + 2 * self.slope,
@@ -168,9 +171,8 @@ def gait():
     return hips, *map(np.asarray, jax.jit(jax.vmap(one))(hips))
 
 
-def by_scipy(hip):
+def by_scipy(hip, slope=SLOPE):
     """The same by SciPy: the period, the first rate of the stance leg, and the derivatives of a step by differences."""
-    slope = np.radians(3.0)
     rates = jax.jit(lambda z: jnp.stack(walking(hip, 5.0, z)))
     strike: Any = lambda t, z: z[0] + z[1] + 2 * slope if t > 0.4 else 1.0  # noqa: E731
     strike.terminal, strike.direction = True, -1
@@ -208,6 +210,30 @@ def test_a_collocated_cycle_has_the_published_period_and_one_of_a_force_the_exac
     found = al.solve(al.Problem(Forced(al.Decision(0.1, 0.05, 0.9)), grid=grid, **limits), transcription=way)
     # The real part of its complex amplitude is 1 / (1 + c²).
     assert found.decisions["c"] == pytest.approx(1 / 3, rel=1e-7)
+
+
+@pytest.mark.slow
+def test_the_gentlest_slope_on_which_a_walker_is_stable_by_a_margin_is_that_of_scipy():
+    # Down a gentler slope it needs less energy for its way, and forgets a disturbance more slowly.
+    slope = al.Decision(*np.radians([3.0, 2.0, 4.0]))
+    problem = al.Problem(
+        Walker(hip=al.Uniform(10.0, half_width=1.0), slope=slope),
+        grid=al.Grid(until="strike", at_most=1.5, steps=80, periodic=True),
+        minimize=al.value("slope"),
+        subject_to=[al.floquet_multiplier().at_most(0.585, sigmas=2)],
+    )
+    solution = al.solve(problem)
+    assert solution.ok, solution
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+
+    def margin(slope):
+        largest = np.array([by_scipy(10.0 + node, slope)[2] for node in nodes])
+        mean = weights @ largest / 2
+        return mean + 2 * np.sqrt(weights @ (largest - mean) ** 2 / 2) - 0.585
+
+    # The derivatives by differences have errors of about 1e-5.
+    assert margin(solution.decisions["slope"]) == pytest.approx(0.0, abs=1e-4)
+    assert margin(solution.decisions["slope"] - 2e-3) > 1e-3
 
 
 def test_what_has_no_meaning_with_cycles_is_refused_where_it_is_declared():

@@ -291,7 +291,7 @@ def test_events_that_nothing_can_look_for_are_refused():
 
 
 @pytest.mark.parametrize(
-    "integrator", [al.integrators.Tsit5(), al.integrators.Kvaerno5()], ids=lambda one: type(one).__name__
+    "integrator", [al.integrators.Tsit5(), al.integrators.Rodas5P()], ids=lambda one: type(one).__name__
 )
 def test_an_adaptive_integrator_ends_at_an_event_with_the_derivatives_of_the_closed_form(integrator):
     def simulated(angle):

@@ -1,6 +1,6 @@
 """Regulators, computed torque and white noise, against closed forms; and what is refused."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -187,6 +187,12 @@ class Damping(AbstractController):
         return {"u": plan.states.v - measured.v}
 
 
+class Stopped(Mass):
+    """A mass that stops where its force is as large as its speed."""
+
+    events: ClassVar = {"stop": al.Event(lambda self, t, z, u: z.v - u, jump=lambda self, t, z, u: {"v": 0.0 * u})}
+
+
 WRONG = {
     r"Damping.command raised AttributeError.*expected one of \('x',\)": lambda: moved(al.Feedback(Damping(), of="x")),
     "destabilise": lambda: moved(al.Feedback(gains=[-4.0, 2.0])),
@@ -210,10 +216,7 @@ WRONG = {
         feedback=al.Feedback(gains=[4.0, 2.0]),
         minimize=al.terminal("x").mean,
     ),
-    "a system or phases": lambda: al.Problem(
-        al.Phases(only=al.Phase(Mass(), al.Grid(1.0, 10), inputs=STILL | {"w": al.processes.WhiteNoise(1.0)})),
-        minimize=al.terminal("x").mean,
-    ),
+    "'stop' of Stopped depends on inputs": lambda: moved(None, Stopped(), STILL | {"w": al.processes.WhiteNoise(1.0)}),
     "no negative number": lambda: al.processes.WhiteNoise(-1.0),
 }
 

@@ -298,7 +298,7 @@ def test_a_stiff_model_is_checked_by_a_method_that_can():
     )
     solution = al.solve(problem, transcription=al.Simultaneous(al.schemes.Radau(2)))
     assert solution.decisions["to"] == pytest.approx(0.5, rel=1e-6)
-    assert solution.certificate.grid_error.integrator == "Kvaerno5"
+    assert solution.certificate.grid_error.integrator == "Rodas5P"
     assert solution.certificate.opinion.agrees
 
 

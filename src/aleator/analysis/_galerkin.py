@@ -275,7 +275,7 @@ def _refuse_diverged(expanded: Expanded, times: np.ndarray) -> None:
         if not finite.all():
             raise SimulationError(
                 f"galerkin: output '{name}' is not finite from t = {times[np.argmin(finite)]:.4g} s on. Shorten the "
-                "time step, lower the order or use an implicit integrator (al.integrators.Kvaerno5)."
+                "time step, lower the order or use an implicit integrator (al.integrators.Rodas5P)."
             )
 
 

@@ -31,7 +31,7 @@ from aleator.design import (
     grid_at,
     statistics_in,
 )
-from aleator.dynamics import FINER, AbstractIntegrator, Grid, Kvaerno5, Simulation
+from aleator.dynamics import FINER, AbstractIntegrator, Grid, Rodas5P, Simulation
 from aleator.expansion import Collocation
 from aleator.statistics import Constants, Mean, Std
 from aleator.trajectories import AbstractTrajectory, BSpline, least_steps, piecewise_in
@@ -213,13 +213,13 @@ def checks_at(
             if transcribed.fineness == 1 or not problem.is_integrated:
                 return check
             if not check.is_finite:
-                check = begun(systems, Kvaerno5())()
+                check = begun(systems, Rodas5P())()
             # The parts of a time that is sought, or of several phases, cannot be simulated each by itself.
             has_parts = isinstance(problem.grid, Grid) and problem.grid.until is None
             if not has_parts or not (departed := _departed(transcribed, point, check)):
                 return check
             again = begun(systems, reference, departed)()
-            return again if again.is_finite else begun(systems, Kvaerno5(), departed)()
+            return again if again.is_finite else begun(systems, Rodas5P(), departed)()
 
         return checked
 

@@ -18,7 +18,7 @@ from aleator.certification._check import (
     spread_functionals,
 )
 from aleator.certification._limits import OWN_ERROR, limits_at, reach_of
-from aleator.design import Problem, functionals_of, is_over_time
+from aleator.design import Problem, functionals_of, instants_of, is_over_time
 from aleator.dynamics import Instant
 from aleator.nlp import Status
 from aleator.solution import COSTLY, TOLERATED, Deviation, GridError, Solution
@@ -66,7 +66,7 @@ def grid_error(
         # A quantity that has to be zero, and is, has no magnitude of its own.
         alone = value if value > _NEGLIGIBLE_VALUE * reach else reach
         size = max(min(magnitudes, default=alone), max(ROUNDING * reach, rounding[one], _TINY) / accuracy)
-        times = transcribed.times(point)[problem.grid.where(one.place)] if one.is_path else np.full(1, np.nan)
+        times = instants_of(one, problem.grid, transcribed.times(point))
         when = float(times[int(np.argmax(change.reshape(len(times), -1).max(axis=1)))])
         deviations[one.text()] = Deviation(OWN_ERROR * largest, accuracy * size, when, one.order)
     objective, floor = meaning.objective, _NEGLIGIBLE_VALUE * reach_of(problem.objective, reaches)

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from aleator._core.arrays import jax_array
 from aleator.certification._check import Check, parts_in, row_sizes
-from aleator.design import Constraint, Expression, Peak, Statistic, functionals_of, is_over_time, path_of
+from aleator.design import Constraint, Expression, Peak, Statistic, functionals_of, instants_of, is_over_time, path_of
 from aleator.dynamics import Simulation
 from aleator.nlp import NonlinearProgram
 from aleator.solution import Between
@@ -109,7 +109,7 @@ def limits_at(transcribed: AbstractTranscribed, point: Float[np.ndarray, " varia
     limits = []
     each = zip(transcribed.problem.constraints, meaning.constraints, check.values[1:], transcribed.rows, strict=True)
     for one, own, fine, place in each:
-        times = transcribed.times(point)[grid.where(path_of(one))] if one.is_path else np.full(1, np.nan)
+        times = instants_of(one, grid, transcribed.times(point))
         size = bound_size(one) or max(reach_of(one.expression, reaches), float(np.max(rows()[place])))
         own = transcribed.at_instants(one, own)
         by_row = own.reshape(len(times), -1), fine.reshape(len(fine) if one.is_path else 1, -1)

@@ -283,5 +283,5 @@ def diagnose(transcribed: AbstractTranscribed, decisions: Float[np.ndarray, " n"
         return f"{what}. Look for a root or logarithm of zero, or a division by zero. {where}"
     return (
         f"{what} from t = {instants_at(transcribed.problem, decisions)[instant]:.4g} s on. Shorten the time step, "
-        f"tighten the decisions' bounds or use an implicit integrator (al.integrators.Kvaerno5). {where}"
+        f"tighten the decisions' bounds or use an implicit integrator (al.integrators.Rodas5P). {where}"
     )

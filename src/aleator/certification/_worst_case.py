@@ -19,8 +19,8 @@ from aleator.design import (
     ends_by_event,
     functionals_of,
     grid_at,
+    instants_of,
     is_worst_case,
-    path_of,
     responses,
     step_at,
 )
@@ -74,7 +74,7 @@ def _reached(
             beyond = jnp.ravel(jnp.maximum(value - limit.upper, limit.lower - value))
             # The first NaN counts as the largest.
             worst = jnp.argmax(beyond)
-            own = times[problem.grid.where(path_of(limit))] if limit.is_path else times
+            own = instants_of(limit, problem.grid, times)
             time = own[worst * len(own) // beyond.size] if limit.is_path and not ends_by_event(problem) else jnp.nan
             reached.append((beyond[worst], jnp.ravel(value)[worst], time))
         return tuple(jnp.stack(part) for part in zip(*reached, strict=True))  # type: ignore[return-value]

@@ -90,6 +90,7 @@ from aleator.design._statistic import correlation as correlation
 from aleator.design._statistic import covariance as covariance
 from aleator.design._statistic import extreme_functionals as extreme_functionals
 from aleator.design._statistic import functionals_of as functionals_of
+from aleator.design._statistic import instants_of as instants_of
 from aleator.design._statistic import integrated_paths as integrated_paths
 from aleator.design._statistic import is_at_points as is_at_points
 from aleator.design._statistic import is_worst_case as is_worst_case

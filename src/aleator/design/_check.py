@@ -22,7 +22,6 @@ from aleator.design._statistic import (
 )
 from aleator.design._text import refuse_clashes
 from aleator.dynamics import (
-    AbstractExtended,
     AbstractIntegrator,
     AbstractSystem,
     AlgebraicSystem,
@@ -149,8 +148,7 @@ def _check_paths(problem: AbstractProblem) -> None:
 
 def _refuse_jumps_inside(system: System) -> None:
     """Refuse a control that jumps in the place of a number: only signals are told on which side of a jump a step is."""
-    while isinstance(system, AbstractExtended):
-        system = system.own
+    system = system.plain
     for field in dataclasses.fields(system):
         inside = () if field.name in system.signal_fields else piecewise_in(getattr(system, field.name))
         if any(one.degree == 0 for one in inside):

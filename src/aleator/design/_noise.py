@@ -10,7 +10,7 @@ from aleator._core.errors import ProblemError
 from aleator.design._functionals import Path, Terminal
 from aleator.design._response import AbstractProblem
 from aleator.design._statistic import Extreme, Statistic, functionals_of
-from aleator.dynamics import initial_state
+from aleator.dynamics import System, initial_state, named
 from aleator.feedback import VARIANCE, Noisy
 from aleator.statistics import Mean, Std, Variance
 from aleator.uncertainty import at_means, realise
@@ -46,14 +46,16 @@ def _told(atom: Any) -> Any:
 
 def refuse_infinite(problem: AbstractProblem) -> None:
     """Raise `ProblemError` for the spread of an output that contains white noise itself."""
-    if not isinstance(problem.system, Noisy):
+    if not any(isinstance(one.system, Noisy) for one in problem.simulation.phases.values()):
         return
-    start = jax_array(problem.placements.vector("initial"))
-    simulation = realise(at_means(problem.simulation), jnp.zeros(0), start)
-    at, system = simulation.start(), simulation.system
-    assert at is not None
-    assert isinstance(system, Noisy)
-    infinite = system.with_noise_itself(at.t, initial_state(system, at.t, at.inputs), at.inputs)
+    start, moved = jax_array(problem.placements.vector("initial")), dict[str, dict[str, None]]()
+    for phase, one in realise(at_means(problem.simulation), jnp.zeros(0), start).phases.items():
+        at, system, traced = one.start(), one.system, one.traced
+        assert at is not None
+        assert isinstance(system, Noisy)
+        assert isinstance(traced, System)
+        moved[phase] = dict.fromkeys(system.with_noise_itself(at.t, initial_state(traced, *at), at.inputs))
+    infinite = named(moved)
     for name in (name for one in functionals_of(problem.expressions) for name in one.outputs):
         if name.endswith(VARIANCE) and name.removesuffix(VARIANCE) in infinite:
             raise ProblemError(

@@ -37,7 +37,7 @@ from aleator.dynamics import (
     simulation_of,
 )
 from aleator.expansion import Expansion, MultiElement
-from aleator.feedback import Feedback, Noisy, closed_loop, noisy
+from aleator.feedback import Feedback, Noisy, closed_loop, noisy, surrounded
 from aleator.statistics import Mean
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import (
@@ -47,7 +47,6 @@ from aleator.uncertainty import (
     Integer,
     at_means,
     placements,
-    refuse_intervals,
     uncertain_again,
 )
 
@@ -94,12 +93,11 @@ class Problem(AbstractProblem):
             kinds = Decision, Integer, Choice
             one_of(f"Problem: decisions['{a_name('Problem: a name in decisions', name)}']", one, kinds)
         if feedback is not None:
-            remedy = "A plan for each value would know it: declare it as a distribution."
-            for part in (system, inputs):
-                refuse_intervals("Problem: feedback", placements(part), remedy)
-            system = closed_loop(system, inputs or {}, feedback)
-        system, inputs = noisy(system, inputs)
+            system = closed_loop(system, inputs or {}, feedback, grid)
+        system, inputs = noisy(system, inputs, grid)
         simulation = simulation_of(system, grid, inputs, integrator, dict(decisions))
+        if isinstance(system, Phases):
+            simulation = surrounded(simulation, system)
         # Later changes of NumPy arrays do not affect a problem.
         self.simulation = jax.tree.map(
             lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, with_controls(simulation)
@@ -119,14 +117,14 @@ class Problem(AbstractProblem):
             own = ((name, one) for name, phase in system.phases.items() for one in _flatten(phase.subject_to))
             limits += [limit_in_phases(one, names, name) for name, one in own]
         self.constraints = _told_apart(tuple(limits))
-        if isinstance(system, Noisy):
+        if any(isinstance(one.system, Noisy) for one in simulation.phases.values()):
             self.objective, self.constraints = with_noise((self.objective, self.constraints))
         self.expansion = Expansion() if expansion is None else expansion
         self.physics, self.code = Digest("", False), ""
         check(self)
-        refuse_infinite(self)
         equations, self.physics, self.code = declared(self)
         self.simulation = replace(self.simulation, equations=equations)
+        refuse_infinite(self)
 
     def on_grid(self, grid: AbstractGrid, integrator: AbstractIntegrator | None = None) -> "Problem":
         """The same problem on another grid, with another integrator if one is given. It is not checked again.

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, NamedTuple, Self, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
@@ -313,6 +314,11 @@ def path_of(limit: Constraint | AbstractFunctional) -> str:
         return ""
     every = functionals_of((limit.expression,)) if isinstance(limit, Constraint) else (limit,)
     return next((one.place for one in every if one.is_path), "")
+
+
+def instants_of(limit: Constraint | AbstractFunctional, grid: AbstractGrid, times: Any) -> Float[Any, " instants"]:
+    """Those of the instants of a grid at which a limit or a functional is known; one, NaN, if it is not over time."""
+    return times[grid.where(path_of(limit))] if limit.is_path else np.full(1, np.nan)
 
 
 def functionals_of(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctional, ...]:

@@ -1,6 +1,6 @@
 """Dynamical and algebraic systems and their simulation. Knows no randomness."""
 
-from aleator.dynamics._adaptive import Kvaerno5 as Kvaerno5
+from aleator.dynamics._adaptive import Rodas5P as Rodas5P
 from aleator.dynamics._adaptive import Tsit5 as Tsit5
 from aleator.dynamics._algebraic import AlgebraicSystem as AlgebraicSystem
 from aleator.dynamics._algebraic import explain_failure as explain_failure
@@ -35,12 +35,15 @@ from aleator.dynamics._integrators import RungeKutta4 as RungeKutta4
 from aleator.dynamics._multiple_shooting import MultipleShooting as MultipleShooting
 from aleator.dynamics._multiple_shooting import SegmentRate as SegmentRate
 from aleator.dynamics._newton import newton as newton
+from aleator.dynamics._phases import AbstractSurroundings as AbstractSurroundings
 from aleator.dynamics._phases import LinkedGrid as LinkedGrid
 from aleator.dynamics._phases import LinkedSystems as LinkedSystems
 from aleator.dynamics._phases import Phase as Phase
 from aleator.dynamics._phases import Phases as Phases
+from aleator.dynamics._phases import Wires as Wires
 from aleator.dynamics._phases import named as named
 from aleator.dynamics._phases import phase_of as phase_of
+from aleator.dynamics._phases import placed as placed
 from aleator.dynamics._phases import within as within
 from aleator.dynamics._record import ONLY_STATES as ONLY_STATES
 from aleator.dynamics._record import STATES as STATES
@@ -66,6 +69,7 @@ from aleator.dynamics._simulation import simulation_of as simulation_of
 from aleator.dynamics._switches import jump_times as jump_times
 from aleator.dynamics._switches import time_switches as time_switches
 from aleator.dynamics._system import AbstractSystem as AbstractSystem
+from aleator.dynamics._system import End as End
 from aleator.dynamics._system import System as System
 from aleator.dynamics._system import called as called
 from aleator.dynamics._system import check_inputs as check_inputs

@@ -220,7 +220,7 @@ class AbstractAdaptive(AbstractIntegrator):
                 f"rtol={_TIGHTEST_RELATIVE:g} or more."
             )
         if int(end.left) == 0 and _HOPELESS * self.max_steps * float(end.h) > reached - float(grid.t_start):
-            stiff = "" if self.tableau.is_implicit else "; or take al.integrators.Kvaerno5(), if the system is stiff"
+            stiff = "" if self.tableau.is_implicit else "; or take al.integrators.Rodas5P(), if the system is stiff"
             return (
                 f"{name} used up its {self.max_steps} steps at t = {reached:.4g} s of {last:.4g} s. "
                 f"Give it more, al.integrators.{name}(max_steps={10 * self.max_steps}), or larger tolerances{stiff}."
@@ -318,11 +318,10 @@ class Tsit5(AbstractAdaptive):
 
 
 @final
-class Kvaerno5(AbstractAdaptive):
-    """Adaptive and linearly implicit, of order 5, for stiff systems: Rodas5P (Steinebach, 2023).
+class Rodas5P(AbstractAdaptive):
+    """Adaptive and linearly implicit, of order 5, for stiff systems: a Rosenbrock method (Steinebach, 2023).
 
-    A stage solves linear equations with one Jacobian for each step, where the method of Kvaerno, which had this name
-    before, needs Newton's method.
+    A stage solves linear equations with one Jacobian for each step: no Newton iteration.
     """
 
     tableau: ClassVar[Tableau] = RODAS_5P

@@ -81,7 +81,6 @@ class AlgebraicSystem(AbstractSystem):
         del rho
         return ()
 
-    @override
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
         """`outputs(self)`, or `outputs(self, rho)` for a system with unknowns: quantities of interest by name.
 

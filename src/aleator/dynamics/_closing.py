@@ -5,6 +5,7 @@ without derivatives. Passes over the grid then correct it, and give its derivati
 record. All of these are one loop, whose body is compiled once.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -130,12 +131,16 @@ class _Cycle(NamedTuple):
         states = sought if until is None else sought[:-1]
         grid = grid if until is None else grid.ending(sought[-1])
         taken = self.record(self.system.beginning(states), grid, inputs, asked)
-        rows = taken.history[STATES]
+        rows, now = taken.history[STATES], inputs_on(grid, inputs)
         sizes = jnp.max(jnp.abs(rows), axis=0)
+        shapes = jax.eval_shape(lambda: initial_state(self.system, grid.t_start, now(grid.t_start)))
+        kin = np.repeat(np.arange(len(shapes)), [math.prod(one.shape) for one in shapes])
+        if len(shapes) < len(kin):  # one may be zero throughout: the numbers of a state share the largest magnitude
+            sizes = jnp.zeros(len(shapes)).at[kin].max(sizes)[kin]
         if until is None:
             return _Pass(rows[-1] - states, sizes, jnp.asarray(jnp.nan), taken)
         levels, _, end = _levels_along(self.system, grid, inputs, rows)
-        now, where = inputs_on(grid, inputs), list(self.system.declared_events).index(until)
+        where = list(self.system.declared_events).index(until)
         named = ravel_pytree(initial_state(self.system, grid.t_start, now(grid.t_start)))[1]
         arrived = after_events(self.system, grid.t_final, named(rows[-1]), now(grid.t_final))[where]
         left = jnp.append(arrived - states, levels[-1])

@@ -36,7 +36,7 @@ from aleator.dynamics._event import Event
 from aleator.dynamics._phases import LinkedSystems, linked_states, named
 from aleator.dynamics._record import zeros
 from aleator.dynamics._smooth import WIDTHS, Widths
-from aleator.dynamics._system import AbstractSystem, System, state_type
+from aleator.dynamics._system import AbstractSystem, End, System, state_type
 from aleator.trajectories import AbstractSignal
 
 FINER = 3
@@ -123,13 +123,16 @@ class Equations:
             states = None
             if phases:
                 before, last = next(reversed(phases.items()))
-                ended, z = system.phases[before], zeros(_shapes(last["initial"]))
+                ended, start, z = system.phases[before], starts[before], zeros(_shapes(last["initial"]))
 
-                def begun(ended: System, t: Any, z: Any, name: str = name, before: str = before) -> dict[str, Array]:
-                    return linked_states(name, system.phases[name], before, links.get(name), ended, t, z)
+                def begun(
+                    ended: System, t: Any, z: Any, name: str = name, one: System = one.plain, before: str = before
+                ) -> dict[str, Array]:
+                    return linked_states(name, one, before, links.get(name), ended, t, z)
 
-                functions[name] = TracedFunction(begun, ended, starts[before].t, z)
-                states = state_type(one.states)(**_shapes(functions[name]))
+                functions[name] = TracedFunction(begun, ended.plain, start.t, ended.plain_states(z))
+                end = End(TracedSystem(ended, last), start.t, z, lambda _, start=start: start.inputs)
+                states = state_type(one.states)(**eqx.filter_eval_shape(one.continuing, functions[name], ended, end))
             phases[name] = cls.of(one, starts[name], states)
         others = {
             kind: {name: getattr(one, kind) for name, one in phases.items() if getattr(one, kind) is not None}
@@ -345,7 +348,8 @@ class TracedSystem(System):
 
     @override
     def signals(self) -> Mapping[str, AbstractSignal]:
-        return self.equations["signals"](self.system)
+        signals = self.equations["signals"](self.system)
+        return signals if self.begun is None else self.system.signals_from(signals, self.begun)
 
     @override
     def focused(self, only: Collection[str]) -> System:

@@ -12,7 +12,8 @@ from typing_extensions import override
 from aleator._core.leaves import transparent
 from aleator.dynamics._evaluation import after_events, event_levels
 from aleator.dynamics._event import Event
-from aleator.dynamics._system import System, state_type
+from aleator.dynamics._record import Record
+from aleator.dynamics._system import End, System, state_type
 from aleator.trajectories import AbstractSignal
 
 
@@ -49,6 +50,11 @@ class AbstractExtended(System):
 
     @property
     @override
+    def plain(self) -> System:
+        return self.own.plain
+
+    @property
+    @override
     def title(self) -> str:
         return self.own.title
 
@@ -63,6 +69,11 @@ class AbstractExtended(System):
         return self.own.declared_events
 
     @property
+    def planned_events(self) -> Mapping[str, str]:
+        """The names that events of its plan have, by those of its own."""
+        return self.own.planned_events if isinstance(self.own, AbstractExtended) else {}
+
+    @property
     @override
     def solves_start(self) -> bool:
         return self.own.solves_start
@@ -70,13 +81,18 @@ class AbstractExtended(System):
     def with_plan(
         self, means: Any, inputs: Mapping[str, AbstractSignal], uncertain: tuple[str, ...]
     ) -> "AbstractExtended":
-        """Itself, knowing the means of its distributions, in a tree like its own, and the inputs at these.
+        """Itself, knowing the means of its plain system, in a tree like this, and the inputs at the means.
 
         `uncertain`: the inputs that differ from the realisation's.
         """
         if not isinstance(self.own, AbstractExtended):
             return self
-        return replace(self, own=self.own.with_plan(means.own, inputs, uncertain))
+        return replace(self, own=self.own.with_plan(means, inputs, uncertain))
+
+    def at_end(self, record: Record, end: End) -> Record:
+        """The record of a grid that an event ends; `end`: how."""
+        del end
+        return record
 
     def own_states(self, z: Any) -> Any:
         """The states of its own system, as this one names them."""
@@ -90,6 +106,12 @@ class AbstractExtended(System):
     @override
     def signals(self) -> Mapping[str, AbstractSignal]:
         return self.own.signals()
+
+    @override
+    def signals_from(
+        self, signals: Mapping[str, AbstractSignal], begun: Float[Array, " states"]
+    ) -> Mapping[str, AbstractSignal]:
+        return self.own.signals_from(signals, begun)
 
     @override
     def rhs(self, t: Any, z: Any, **inputs: Any) -> Any:

@@ -134,14 +134,19 @@ class Grid(AbstractGrid):
 
     @override
     def divided(self, steps: int) -> "Grid":
-        grid = copy(self)  # its times may be traced, and were checked
-        object.__setattr__(grid, "steps", _steps(steps))
-        return grid
+        return self._with("steps", _steps(steps))
 
     def ending(self, t_final: Scalar) -> "Grid":
         """The grid of a realisation that ends at this time by the event `until`."""
-        grid = copy(self)
-        object.__setattr__(grid, "t_final", t_final)
+        return self._with("t_final", t_final)
+
+    def ending_at(self, event: str) -> "Grid":
+        """The same, ending at another event."""
+        return self._with("until", event)
+
+    def _with(self, field: str, value: Any) -> "Grid":
+        grid = copy(self)  # its times may be traced, and were checked
+        object.__setattr__(grid, field, value)
         return grid
 
     @property

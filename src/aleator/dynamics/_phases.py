@@ -4,9 +4,11 @@ Names within a phase are preceded by its own: the output `m` of the phase `ascen
 functionals and reports need to know no more of phases than which instants are a name's.
 """
 
+import abc
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from types import MethodType
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,7 +19,7 @@ from typing_extensions import override
 from aleator._core.arrays import Scalar
 from aleator._core.border import meant, one_of, refusal, traceable
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import transparent
+from aleator._core.leaves import Module, transparent
 from aleator.dynamics._grid import AbstractGrid, Grid, Inputs
 from aleator.dynamics._record import STATES, Asked, Integrand, Occurrence, Record
 from aleator.dynamics._system import AbstractSystem, System, returned
@@ -30,7 +32,7 @@ class Phase:
     """One phase of a motion: what a `Problem` takes, without an objective. It begins where the one before it ends.
 
     - `system`: its physics; `grid`: its instants, from zero, or until an event; `inputs`: a signal for each input;
-    - `subject_to`: constraints, whose functionals are those of this phase.
+    - `subject_to`: constraints, whose functionals are those of this phase; `feedback`: an `al.Feedback`.
 
     Raises `ProblemError` for anything but a `System`, a `Grid` and signals by name.
     """
@@ -41,6 +43,7 @@ class Phase:
         grid: Grid,
         inputs: Mapping[str, Any] | None = None,
         subject_to: Iterable[Any] = (),
+        feedback: Any = None,
     ):
         self.system = one_of("Phase: system", system, System)
         self.grid = one_of("Phase: grid", grid, Grid, "al.Grid(10.0, 40)")
@@ -53,7 +56,7 @@ class Phase:
             raise refusal("Phase: inputs", "signals by name, such as {'thrust': ...}", inputs)
         if not isinstance(subject_to, Iterable) or isinstance(subject_to, str):
             raise refusal("Phase: subject_to", "constraints, such as [al.path('h').mean <= 1.0]", subject_to)
-        self.inputs, self.subject_to = dict(inputs or {}), tuple(subject_to)
+        self.inputs, self.subject_to, self.feedback = dict(inputs or {}), tuple(subject_to), feedback
 
 
 @final
@@ -99,14 +102,14 @@ class Phases:
         """System, grid and inputs of a simulation."""
         systems, inputs, wiring = dict[str, System](), Inputs(), []
         for name, phase in self.phases.items():
-            own = _placed(systems, name, phase.system)
-            wires = ((key, _placed(inputs, f"{name}.{key}", signal)) for key, signal in phase.inputs.items())
-            wiring.append((name, own, tuple(wires)))
+            own = placed(systems, name, phase.system)
+            wires = ((key, placed(inputs, f"{name}.{key}", signal)) for key, signal in phase.inputs.items())
+            wiring.append(Wires(name, own, tuple(wires)))
         grids = {name: phase.grid for name, phase in self.phases.items()}
         return LinkedSystems(systems, tuple(wiring), (*self.link.items(),)), LinkedGrid(grids, grids), inputs
 
 
-def _placed(known: dict[str, Any], name: str, one: Any) -> str:
+def placed(known: dict[str, Any], name: str, one: Any) -> str:
     """The name under which something stands among what is known; where it is new, this one."""
     for other, value in known.items():
         if value is one:
@@ -115,28 +118,56 @@ def _placed(known: dict[str, Any], name: str, one: Any) -> str:
     return name
 
 
+class Wires(NamedTuple):
+    """What belongs to a phase: its name, that of its system, and of each input the name among those of all phases."""
+
+    phase: str
+    system: str
+    inputs: tuple[tuple[str, str], ...]
+
+
+class AbstractSurroundings(Module):
+    """What is put around the systems of phases: plans with their controllers, noise."""
+
+    @abc.abstractmethod
+    def around(self, system: System, wires: Wires) -> System:
+        """The system of a phase with what is around it."""
+
+    @abc.abstractmethod
+    def with_plan(self, means: Any, inputs: Inputs, uncertain: tuple[str, ...]) -> "AbstractSurroundings":
+        """See `AbstractExtended.with_plan`: `means` are those of all systems by name, `inputs` those of all phases."""
+
+
 @final
-@transparent("systems")
+@transparent("systems", "surroundings")
 class LinkedSystems(AbstractSystem):
     """The systems of phases.
 
-    - `systems`: by the first phase of each; `wiring`: for each phase in order its name, that of its system, and of each
-      of its inputs the name among those of the simulation; `links`: what begins phases, by name.
+    - `systems`: by the first phase of each; `wiring`: of each phase, in order; `links`: what begins phases, by name;
+      `surroundings`: None where nothing is put around systems.
     """
 
     has_time: ClassVar[bool] = True
     systems: dict[str, System]
-    wiring: tuple[tuple[str, str, tuple[tuple[str, str], ...]], ...] = eqx.field(static=True)
+    wiring: tuple[Wires, ...] = eqx.field(static=True)
     links: tuple[tuple[str, Link], ...] = eqx.field(static=True)
+    surroundings: AbstractSurroundings | None = None
 
     @property
     def phases(self) -> dict[str, System]:
         """The system of each phase, in order."""
-        return {name: self.systems[own] for name, own, _ in self.wiring}
+        around = None if self.surroundings is None else self.surroundings.around
+        each = ((one, self.systems[one.system]) for one in self.wiring)
+        return {one.phase: system if around is None else around(system, one) for one, system in each}
 
     def wires(self, phase: str) -> tuple[tuple[str, str], ...]:
         """The inputs of a phase, each with its name among those of the simulation."""
-        return next(wires for name, _, wires in self.wiring if name == phase)
+        return next(one.inputs for one in self.wiring if one.phase == phase)
+
+    def with_plan(self, means: Any, inputs: Inputs, uncertain: tuple[str, ...]) -> "LinkedSystems":
+        """Itself, in whose phases plans are followed: see `AbstractSurroundings`."""
+        assert self.surroundings is not None
+        return replace(self, surroundings=self.surroundings.with_plan(means.systems, inputs, uncertain))
 
     def refuse_unknown(self, asked: Asked) -> None:
         """Raise `ProblemError` for names of no phase."""
@@ -173,13 +204,11 @@ class LinkedSystems(AbstractSystem):
         return {f"{name}.{key}": f"{name}.{one}" for name, key, one in every}
 
     @override
-    def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
-        raise NotImplementedError("Outputs are those of one phase.")
-
-    @override
     def diagnose(self, grid: Any) -> str:
-        each = (system.diagnose(grid.grids[name]) for name, system in self.phases.items())
-        return next(filter(None, each), "")
+        # What is around a system is judged where it begins, which is known of the first phase alone.
+        (name, first), *later = self.phases.items()
+        each = ((name, first), *((name, system.plain) for name, system in later))
+        return next(filter(None, (system.diagnose(grid.grids[name]) for name, system in each)), "")
 
 
 @final

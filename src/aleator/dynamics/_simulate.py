@@ -54,6 +54,8 @@ def simulate(
         one_of("simulate: integrator", integrator, AbstractIntegrator, "al.integrators.RungeKutta4()")
     if only is not None and (isinstance(only, str) or not isinstance(only, Collection)):
         raise refusal("simulate: only", "a list of outputs by name, such as ['x']", only)
+    if isinstance(system, Phases) and any(phase.feedback is not None for phase in system.phases.values()):
+        raise ProblemError("simulate: phases with feedback follow a plan: expected an al.Problem of them.")
     simulation = simulation_of(system, grid, inputs, integrator)
     history = _recorded(simulation, Asked(None if only is None else frozenset(only)))
     if not is_traced(history):

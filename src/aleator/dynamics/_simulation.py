@@ -25,11 +25,11 @@ from aleator.dynamics._equations import Equations, Start, TracedSystem
 from aleator.dynamics._evaluation import initial_state
 from aleator.dynamics._explained import explain_cycle
 from aleator.dynamics._extended import AbstractExtended
-from aleator.dynamics._grid import AbstractGrid, Grid, Inputs, Instant, check_signals, sampled
+from aleator.dynamics._grid import AbstractGrid, Grid, Inputs, Instant, check_signals, inputs_on, sampled
 from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator, RungeKutta4
 from aleator.dynamics._phases import LinkedSystems, Phases, asked_within, joined, phase_of, within
 from aleator.dynamics._record import ONLY_STATES, STATES, Asked, History, Occurrence, Record, chosen, observed
-from aleator.dynamics._system import AbstractSystem, System, check_variables
+from aleator.dynamics._system import AbstractSystem, End, System, check_variables
 from aleator.trajectories import AbstractSignal, least_steps
 
 
@@ -53,12 +53,13 @@ class Simulation(AbstractPlanned):
 
     @override
     def beside(self, means: Callable[[], Any]) -> "Simulation":
-        if not isinstance(self.system, AbstractExtended):
+        system = self.system
+        if not (isinstance(system, AbstractExtended) or getattr(system, "surroundings", None) is not None):
             return self
         known = means()
         uncertain = tuple(name for name, signal in known.inputs.items() if jax.tree.leaves(signal))
-        system = self.system.with_plan(known.system, eqx.combine(known.inputs, self.inputs), uncertain)
-        return replace(self, system=system)
+        inputs = eqx.combine(known.inputs, self.inputs)
+        return replace(self, system=system.with_plan(known.system.plain, inputs, uncertain))  # type: ignore[union-attr]
 
     @property
     def traced(self) -> AbstractSystem:
@@ -89,7 +90,7 @@ class Simulation(AbstractPlanned):
         if not isinstance(self.system, LinkedSystems):
             return self
         phase, equations = phase_of(name), self.equations
-        inputs = {key: self.inputs[wire] for key, wire in self.system.wires(phase)}
+        inputs = {key: self.inputs[wire] for key, wire in self.system.wires(phase) if wire in self.inputs}
         own = None if equations is None else equations.phases.get(phase)
         return Simulation(self.system.phases[phase], inputs, self.grid.of(name), self.integrator, {}, own)
 
@@ -130,48 +131,82 @@ class Simulation(AbstractPlanned):
             return self.integrator.record(system, grid, inputs, asked)._replace(grid=grid)
         if grid.periodic and self.equations is None:
             return self.declared().record(asked)
-        ending = partial(closed, self.integrator.record) if grid.periodic else self.integrator.ending
-        if grid.until not in asked.events:
-            return ending(system, grid, inputs, asked)
+        if grid.until is None or grid.until not in asked.events:
+            return self._closed(system, grid, inputs, asked)
         # The event that ends the grid is at its end.
         instants = None if asked.instants is None else asked.instants | asked.at_events
-        record = ending(system, grid, inputs, asked._replace(instants=instants))
+        record = self._closed(system, grid, inputs, asked._replace(instants=instants))
         end = Occurrence(record.grid.t_final, {name: values[-1] for name, values in record.history.items()})
         return record._replace(events={**(record.events or {}), grid.until: end})
 
+    def _closed(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
+        """The record of a grid that an event ends, or that repeats."""
+        ending = partial(closed, self.integrator.record) if grid.periodic else self.integrator.ending
+        if not isinstance(self.system, AbstractExtended):
+            return ending(system, grid, inputs, asked)
+        record = ending(system, grid, inputs, asked._replace(states=True))
+        end = self._end(record)
+        record = self.system.at_end(record, end)
+        history = {name: rows for name, rows in record.history.items() if asked.states or name != STATES}
+        if asked.multipliers:  # of the realisation, which its plan and its covariance do not move
+            n = sum(map(jnp.size, self.system.plain_states(end.z)))
+            record = record._replace(monodromy=record.monodromy[:n, :n])
+        return record._replace(history=history)
+
     def _in_order(self, asked: Asked) -> dict[str, Record]:
         """The record of each phase, which begins with the states that the one before ends with."""
-        records, begun, phases = dict[str, Record](), None, self.phases
+        records, before, phases = dict[str, Record](), None, self.phases
         for name, one in phases.items():
-            if records:
-                begun = self._begun(name, one, *next(reversed(records.items())))
+            one = one if before is None else self._begun(name, one, before, next(reversed(records.values())))
             states = asked.states or len(records) + 1 < len(phases)
-            records[name] = replace(one, begun=begun).record(asked_within(name, asked)._replace(states=states))
+            records[name] = one.record(asked_within(name, asked)._replace(states=states))
+            before = one
         return records
 
-    def _begun(self, name: str, one: "Simulation", before: str, record: Record) -> Float[Array, " states"]:
-        """The states, side by side, with which a phase begins, from the record of the one before."""
-        ended, equations = self.of(f"{before}."), self.equations
+    def _begun(self, name: str, one: "Simulation", before: "Simulation", record: Record) -> "Simulation":
+        """A phase with the states that it begins with, from the record of the one before."""
+        equations, system, plan = self.equations, one.system, before.plan
         assert equations is not None
-        last = ended.unravelled(record.history.get(STATES, jnp.zeros((1, 0)))[-1])
-        states = equations[name](ended.system, record.grid.t_final, last)
-        assert isinstance(one.system, System)
-        return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(states[state]) for state in one.system.states)])
+        assert isinstance(system, System)
+        end = before._end(record)
+        end = end._replace(plan=end if plan is None else plan._end(plan.record(ONLY_STATES)))
+        states = system.continuing(equations[name], before.system, end)
+        begun = jnp.concatenate([jnp.zeros(0), *(jnp.ravel(states[state]) for state in system.states)])
+        return replace(one, begun=begun)
+
+    def _end(self, record: Record) -> End:
+        """The end of a phase."""
+        system, grid = self.traced, record.grid
+        assert isinstance(system, System)
+        last = self.unravelled(record.history.get(STATES, jnp.zeros((1, 0)))[-1])
+        return End(system, grid.t_final, last, lambda t: inputs_on(grid, self.signals(system))(t))
+
+    @property
+    def plan(self) -> "Simulation | None":
+        """The same up to the event at which its plan ends; None if it has no plan, or this ends at the same time."""
+        system, grid = self.system, self.grid
+        if not (isinstance(system, AbstractExtended) and isinstance(grid, Grid)):
+            return None
+        planned = system.planned_events.get(grid.until or "")
+        return None if planned is None else self.on(grid.ending_at(planned))
 
     def resting(self) -> list[Float[Array, " _"]]:
         """The states, side by side, with which each phase begins if those before it end as they began."""
         assert self.traced is not None  # the equations of all phases are known
-        begun, before = list[Float[Array, " states"]](), ""
+        begun, before = list[Float[Array, " states"]](), None
         for name, one in self.phases.items():
             system, start = one.traced, one.start()
             assert isinstance(system, System)
             assert start is not None
-            if begun:
-                rests = Record({STATES: begun[-1][None]}, {}, (), grid=self.of(f"{before}.").grid)
-                begun.append(self._begun(name, one, before, rests))
+            if before is None:
+                states = ravel_pytree(initial_state(system, *start))[0]
             else:
-                begun.append(ravel_pytree(initial_state(system, *start))[0])
-            before = name
+                states = self._begun(
+                    name, one, before, Record({STATES: begun[-1][None]}, {}, (), grid=before.grid)
+                ).begun
+                assert states is not None
+            begun.append(states)
+            before = one
         return begun
 
     def unravelled(self, states: Float[Array, " states"]) -> Any:
@@ -262,15 +297,14 @@ class Simulation(AbstractPlanned):
 
     def _explain_phases(self, events: frozenset[str]) -> str:
         """The same of the first phase that has no solution."""
-        begun, before = None, None
+        before: tuple[Simulation, Record] | None = None
         for name, one in self.phases.items():
-            if before is not None:
-                begun = self._begun(name, one, *before)
-            one = replace(one, begun=begun)
-            if why := one.explain(within(name, events)):
+            one = one if before is None else self._begun(name, one, *before)
+            own = within(name, events)
+            if why := one.explain(own) or (one.plan.explain() if one.plan else ""):
                 return f"In the phase '{name}', {why}"
-            asked = ONLY_STATES._replace(events=within(name, events))
-            before = name, evaluate(lambda one=one, asked=asked: one.record(asked), use=Use.ONCE)
+            asked = ONLY_STATES._replace(events=own)
+            before = one, evaluate(lambda one=one, asked=asked: one.record(asked), use=Use.ONCE)
         return ""
 
     def on(self, grid: AbstractGrid, integrator: AbstractIntegrator | None = None) -> "Simulation":

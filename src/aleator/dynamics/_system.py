@@ -44,6 +44,11 @@ class AbstractSystem(Module, Printed):
         return self
 
     @property
+    def plain(self) -> Any:
+        """The system without what was put around it: itself."""
+        return self
+
+    @property
     def title(self) -> str:
         """The name of its class, for messages."""
         return type(self).__name__
@@ -52,10 +57,6 @@ class AbstractSystem(Module, Printed):
     @abc.abstractmethod
     def is_integrated(self) -> bool:
         """Whether it has states, which are integrated over time."""
-
-    @abc.abstractmethod
-    def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
-        """Quantities of interest by name: accelerations, distances, forces."""
 
     def diagnose(self, grid: Any) -> str:
         """What is wrong with the realised system on a grid, in a sentence with its remedy; empty if nothing.
@@ -79,7 +80,7 @@ class System(AbstractSystem):
     are written as `residual(self, t, z, road)`: as many numbers, all of them zero. The state then has them too,
     `z.pressure`, in `rhs`, `outputs` and `residual`. Their values near a solution come from
     `algebraic_guess(self, t, z, road)`, whose `z` has the states alone; zero by default. Of several solutions Newton's
-    method finds the one it reaches from this guess, so let the guess depend on what tells them apart; `Kvaerno5` takes
+    method finds the one it reaches from this guess, so let the guess depend on what tells them apart; `Rodas5P` takes
     the guess at the start alone, and then follows the solution from step to step. The equations must determine the
     algebraic variables at a fixed state (index 1).
 
@@ -106,7 +107,6 @@ class System(AbstractSystem):
         """`rhs(self, t, z, ...)`: the time derivatives of the states, as a sequence in the order of `states`."""
 
     @abc.abstractmethod
-    @override
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
         """`outputs(self, t, z, ...)`: quantities of interest by name, such as accelerations, distances and forces."""
 
@@ -188,14 +188,46 @@ class System(AbstractSystem):
             raise refusal(f"{type(self).__name__}.initial", "a method that returns values by state", self.initial)
         return self.initial()
 
+    def plain_states(self, z: Any) -> Any:
+        """Those of its plain system, which come first."""
+        return state_type(self.plain.states)(*z[: len(self.plain.states)])
+
+    def continuing(self, link: Callable[..., dict[str, Any]], ended: Any, end: "End") -> dict[str, Any]:
+        """The states with which it begins as a phase after another one, by name.
+
+        - `link(system, t, z)`: that of the plain systems; `ended`: the system of the phase before; `end`: its end.
+        """
+        return link(ended, end.t, ended.plain_states(end.z))
+
     def signals(self) -> Mapping[str, AbstractSignal]:
         """Inputs that are part of the system itself, by name, such as a prescribed motion or torques."""
         return {}
+
+    def signals_from(
+        self, signals: Mapping[str, AbstractSignal], begun: Float[Array, " states"]
+    ) -> Mapping[str, AbstractSignal]:
+        """Its signals where it begins with other states, side by side, than those of its equations."""
+        del begun
+        return signals
 
     def focused(self, only: Collection[str]) -> "System":
         """The same system where only the outputs `only` are needed, so that it may skip the work for others."""
         del only
         return self
+
+
+class End(NamedTuple):
+    """How a phase ends in a realisation.
+
+    - `system`: its equations; `t`, `z`: the time and the states; `inputs`: those at a time, by name; `plan`: the end of
+      the plan, which has its own time, if an event ends it.
+    """
+
+    system: System
+    t: Any
+    z: Any
+    inputs: Callable[[Any], dict[str, Any]]
+    plan: "End | None" = None
 
 
 def state_type(names: tuple[str, ...]) -> Any:

@@ -7,7 +7,7 @@ from typing import Any, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.border import meant, members, one_of, refusal
@@ -15,12 +15,16 @@ from aleator._core.errors import ProblemError
 from aleator._core.leaves import Known, Module, is_leaf, stored_number
 from aleator.dynamics import (
     AbstractExtended,
+    End,
+    Event,
     Grid,
+    Phases,
     System,
     called,
     check_inputs,
     derivative,
     derivative_and_observation,
+    event_levels,
     initial_state,
 )
 from aleator.dynamics._system import state_type
@@ -28,7 +32,7 @@ from aleator.feedback._controllers import AbstractController, Plan, proportional
 from aleator.feedback._lqr import LQR
 from aleator.feedback._stability import unstable
 from aleator.trajectories import AbstractSignal, WhiteNoise, as_array
-from aleator.uncertainty import AbstractDecision
+from aleator.uncertainty import AbstractDecision, placements, refuse_intervals
 
 # Signals of the closed loop: of the plan where it differs from the realisation, of sensors, of gains. Inputs have no
 # spaces in their names.
@@ -65,6 +69,7 @@ class Feedback(Module):
     limits: tuple[Any, ...]
     of: tuple[str, ...] | None = eqx.field(static=True)
     to: tuple[str, ...] | None = eqx.field(static=True)
+    is_judged: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -76,8 +81,11 @@ class Feedback(Module):
         limits: tuple[Any, Any] | None = None,
     ):
         self.gains = gains if isinstance(gains, AbstractController) else proportional(gains)
+        numbers = jax.tree.leaves(self.gains, is_leaf=is_leaf)
+        self.is_judged = not any(isinstance(number, AbstractDecision) for number in numbers)
         self.of = _names("of", tuple(gains) if of is None and isinstance(gains, Mapping) else of)
         self.to = _names("to", to)
+        self.is_judged &= self.to != ()
         by_name = noise if isinstance(noise, Mapping) else dict.fromkeys(self.of or (), noise) if noise else {}
         if noise is not None and not by_name:
             raise refusal("Feedback: noise", "signals by the names of measured states, or of=(...) and one", noise)
@@ -95,6 +103,19 @@ def _names(what: str, names: Any) -> tuple[str, ...] | None:
     return None if names is None else tuple(members(f"Feedback: {what}", names, str))
 
 
+@final
+class _Open(AbstractController):
+    """It commands nothing."""
+
+    @override
+    def command(self, t: Any, measured: Any, plan: Plan) -> Mapping[str, Any]:
+        return {}
+
+
+OPEN = Feedback(_Open(), of=(), to=())
+"""Of a phase without feedback, whose plan goes on for that of another one."""
+
+
 class Means(Known):
     """The model at the means of its distributions: these, in a tree like the system with None in all other places.
 
@@ -110,8 +131,7 @@ class Means(Known):
 class ClosedLoop(AbstractExtended):
     """A system with feedback: its states, then those of the plan, both with the same equations, evaluated at once.
 
-    `of`, `to`: the states that are measured and the inputs that are commanded; `means`: None until it is realised;
-    `is_judged`: whether gains that destabilise are refused.
+    `of`, `to`: the states that are measured and the inputs that are commanded; `means`: None until it is realised.
     """
 
     own: System
@@ -119,13 +139,24 @@ class ClosedLoop(AbstractExtended):
     taken: tuple[str, ...] = eqx.field(static=True)
     of: tuple[str, ...] = eqx.field(static=True)
     to: tuple[str, ...] = eqx.field(static=True)
-    is_judged: bool = eqx.field(static=True)
     means: Means | None = None
 
     @property
     def further(self) -> tuple[str, ...]:  # type: ignore[override]
         """The states of the plan."""
         return tuple(f"{name}_plan" for name in self.own.states)
+
+    @property
+    @override
+    def planned_events(self) -> Mapping[str, str]:
+        return {name: f"{name}_plan" for name in self.own.declared_events}
+
+    @property
+    @override
+    def declared_events(self) -> Mapping[str, Event]:
+        """Its own, then those of the plan: without jumps, which at most the event that ends a grid has."""
+        own = {name: replace(event, jump=None) for name, event in self.own.declared_events.items()}
+        return own | {self.planned_events[name]: event for name, event in own.items()}
 
     @property
     def white(self) -> dict[str, WhiteNoise]:
@@ -135,7 +166,7 @@ class ClosedLoop(AbstractExtended):
 
     @override
     def with_plan(self, means: Any, inputs: Mapping[str, AbstractSignal], uncertain: tuple[str, ...]) -> "ClosedLoop":
-        return replace(self, means=Means(means.own, dict(inputs), uncertain))
+        return replace(self, means=Means(means, dict(inputs), uncertain))
 
     @property
     def model(self) -> System:
@@ -153,6 +184,13 @@ class ClosedLoop(AbstractExtended):
         schedule = self.feedback.gains.schedule(self.model, self.means.inputs, self.to)
         signals |= {f"{name}{PLANNED}": one for name, one in planned.items()}
         return signals if schedule is None else signals | {SCHEDULE: schedule}
+
+    @override
+    def signals_from(
+        self, signals: Mapping[str, AbstractSignal], begun: Float[Array, " states"]
+    ) -> Mapping[str, AbstractSignal]:
+        schedule = signals.get(SCHEDULE)
+        return signals if schedule is None else {**signals, SCHEDULE: schedule.along(begun)}  # type: ignore[attr-defined]
 
     @override
     def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -175,6 +213,30 @@ class ClosedLoop(AbstractExtended):
         further |= {f"{name}.error": getattr(z, f"{name}_plan") - getattr(z, name) for name in self.of}
         further |= {"lqr.gains": inputs[SCHEDULE]} if isinstance(self.feedback.gains, LQR) else {}
         return [one[i] for i in (0, 1) for one in rates], {name: one[0] for name, one in outputs.items()} | further
+
+    @override
+    def event_levels(self, t: Any, z: Any, *args: Any, **inputs: Any) -> Float[Array, " events"]:
+        both = self._side_by_side(
+            lambda system, z, u: event_levels(system, t, z, u),
+            (self.own_states(z), self.seen_by_own(t, z, inputs)),
+            (self._planned_states(z), self._told_apart(inputs)[1]),
+        )
+        return jnp.ravel(both)
+
+    @override
+    def after_events(self, t: Any, z: Any, *args: Any, **inputs: Any) -> Float[Array, "events states"]:
+        states = jnp.concatenate([*map(jnp.ravel, z)])
+        return jnp.broadcast_to(states, (len(self.declared_events), states.size))
+
+    @override
+    def continuing(self, link: Callable[..., dict[str, Any]], ended: "ClosedLoop", end: End) -> dict[str, Any]:
+        """The plan goes on from its own end."""
+        plan = end if end.plan is None else end.plan
+        realised = link(ended.own, end.t, ended.own_states(end.z))
+        planned = link(ended.model, plan.t, ended._planned_states(plan.z))
+        return dict(
+            zip(self.states, [one[name] for one in (realised, planned) for name in self.own.states], strict=True)
+        )
 
     def _told_apart(self, inputs: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
         """The inputs of the realisation, and those of the plan."""
@@ -233,16 +295,20 @@ class ClosedLoop(AbstractExtended):
     @override
     def diagnose(self, grid: Grid) -> str:
         said = self.own.diagnose(grid)
-        if said or self.means is None or not self.is_judged:
+        if said or self.means is None or not self.feedback.is_judged:
             return said
         return unstable(self.feedback.gains, self.model, self.means.inputs, grid, self.of, self.to)
 
 
-def closed_loop(system: Any, inputs: Mapping[str, Any], feedback: Any) -> ClosedLoop:
+def closed_loop(system: Any, inputs: Mapping[str, Any], feedback: Any, grid: Any) -> ClosedLoop:
     """A system with feedback around its inputs. Raises `ProblemError` for what does not go together."""
     one_of("Problem: feedback", feedback, Feedback, "al.Feedback(gains=[4.0, 2.0], of=('x', 'v'))")
     if not (isinstance(system, System) and system.states):
-        raise ProblemError(f"Feedback: expected a system with states; received {type(system).__name__}.")
+        remedy = " Give each phase its own: al.Phase(..., feedback=...)." if isinstance(system, Phases) else ""
+        raise ProblemError(f"Feedback: expected a system with states; received {type(system).__name__}.{remedy}")
+    for part in (system, inputs):
+        remedy = "A plan for each value would know it: declare it as a distribution."
+        refuse_intervals("Problem: feedback", placements(part), remedy)
     check_inputs(system, inputs)
     states = system.states
     signals = [*(name for name, one in inputs.items() if not isinstance(one, WhiteNoise)), *system.signals()]
@@ -264,21 +330,21 @@ def closed_loop(system: Any, inputs: Mapping[str, Any], feedback: Any) -> Closed
             f"{signals}."
         )
     _refuse_unknown("to names inputs that it commands", to or (), signals)
-    jumps = [name for name, event in system.declared_events.items() if event.jump is not None]
+    last = getattr(grid, "until", None)
+    if getattr(grid, "periodic", False) and (last is not None or isinstance(feedback.gains, LQR)):
+        raise ProblemError(
+            "Feedback: a plan that repeats has no initial states for al.lqr, and a period of its own if an event ends "
+            "it: expected gains as numbers, and a known period, al.Grid(2.0, 40, periodic=True)."
+        )
+    jumps = [name for name, event in system.declared_events.items() if event.jump is not None and name != last]
     if jumps:
         raise ProblemError(
             f"Feedback: '{jumps[0]}' of {system.title} sets states anew, at another time in each realisation than in "
-            "the plan, and in between their difference is no error to correct: expected events without a jump."
+            "the plan, and in between their difference is no error to correct: expected events without a jump. Let it "
+            f"end a phase, al.Phase(system, al.Grid(until='{jumps[0]}', ...)), after which a link sets states anew."
         )
-    numbers = jax.tree.leaves(feedback.gains, is_leaf=is_leaf)
-    return ClosedLoop(
-        own=system,
-        feedback=feedback,
-        taken=tuple(inputs),
-        of=measured,
-        to=to or tuple(signals),
-        is_judged=not any(isinstance(one, AbstractDecision) for one in numbers),
-    )
+    to = tuple(signals) if to is None else to
+    return ClosedLoop(own=system, feedback=feedback, taken=tuple(inputs), of=measured, to=to)
 
 
 def _without_rates(names: Iterable[str], to: Collection[str]) -> list[str]:

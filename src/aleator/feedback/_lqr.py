@@ -1,6 +1,7 @@
 """The linear quadratic regulator along a plan: gains by the Riccati differential equation, backwards from its end."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, ClassVar, final
 
 import equinox as eqx
@@ -129,13 +130,14 @@ class Schedule(AbstractSignal):
     """The gains over time: they follow from the model and the inputs of a plan, whose equations are traced once.
 
     `numbers`: those of the law, the model and its inputs, flattened, so that nothing else that changes signals finds
-    them; `parts`: the rest of these.
+    them; `parts`: the rest of these; `begun`: the states of the loop, side by side, if it begins with others.
     """
 
     numbers: list[Array]
     parts: Any = eqx.field(static=True)
     to: tuple[str, ...] = eqx.field(static=True)
     equations: Equations = eqx.field(static=True)
+    begun: Array | None = None
 
     @classmethod
     def of(cls, law: LQR, model: System, inputs: dict[str, AbstractSignal], to: tuple[str, ...]) -> "Schedule":
@@ -145,6 +147,10 @@ class Schedule(AbstractSignal):
         numbers, rest = eqx.partition(numbers_to_arrays((law, model, inputs)), eqx.is_array)
         (leaves, structure), (others, frame) = jax.tree.flatten(numbers), jax.tree.flatten(rest)
         return cls(leaves, (structure, tuple(others), frame), to, Equations.of(model, start))
+
+    def along(self, begun: Array) -> "Schedule":
+        """The gains along a plan that begins with other states: those of the loop, side by side."""
+        return replace(self, begun=begun)
 
     @override
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
@@ -158,6 +164,9 @@ class Schedule(AbstractSignal):
         grid = Grid(1.0, 2 * law.steps)
         grid = eqx.tree_at(lambda one: (one.t_start, one.t_final), grid, (t_start, t_final))
         system = TracedSystem(model, self.equations)
+        if self.begun is not None:
+            n = sum(map(jnp.size, initial_state(model)))
+            system = system.beginning(self.begun[n : 2 * n])
         signals = {**system.signals(), **inputs}
         states = RungeKutta4().record(system, grid, signals, ONLY_STATES).history[STATES]
         values = sampled(signals, grid, grid.fractions)

@@ -1,19 +1,38 @@
 """White noise: the covariance of the states, beside each realisation, by its differential equation."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar, final
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, NamedTuple, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jax.interpreters.partial_eval import dce_jaxpr
+from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
-from aleator.dynamics import AbstractExtended, AbstractSystem, Phases, System, derivative_and_observation, initial_state
+from aleator.dynamics import (
+    AbstractExtended,
+    AbstractSystem,
+    End,
+    LinkedSystems,
+    Phases,
+    Record,
+    System,
+    after_events,
+    derivative,
+    derivative_and_observation,
+    event_levels,
+    initial_state,
+    observation,
+)
 from aleator.feedback._closed_loop import PLANNED, ClosedLoop
 from aleator.trajectories import AbstractSignal, WhiteNoise
+
+# The arguments of an event without inputs: the system, the time, the states.
+_PLAIN = 3
 
 VARIANCE = ".variance"
 """After the name of an output: the part of its variance that white noise causes."""
@@ -26,12 +45,14 @@ class Noisy(AbstractExtended):
     For small noise: `P' = A P + P A' + B W B'` with the derivatives `A` and `B` of the rates by states and noise along
     the realisation without noise, from `P = 0`; the variance of an output is `C P C'`.
 
-    `white`: the inputs that are white noise, as the problem names them: `inputs`.
+    Where an event sets states anew, the deviations of these jump too, and by those of its time (saltation): see
+    `_Crossing`. `inputs`: those that are white noise; `until`: the event that ends the grid.
     """
 
     own: System
     inputs: dict[str, WhiteNoise]
     taken: tuple[str, ...] = eqx.field(static=True)
+    until: str | None = eqx.field(static=True)
     further: ClassVar[tuple[str, ...]] = ("covariance",)
 
     @property
@@ -81,13 +102,79 @@ class Noisy(AbstractExtended):
         (rates, outputs), (slopes, changes) = jax.vmap(along, out_axes=(None, 0))(jnp.eye(numbers.size))
         n, P = len(z.covariance), z.covariance
         slopes = jnp.concatenate([getattr(slopes, name).reshape(numbers.size, -1) for name in moved], axis=1)
-        W = jnp.concatenate([one.covariance for _, one in sorted(self._noise.items())])
-        drift, effect = slopes[:n].T @ P, slopes[n:]
+        noise = [one.covariance for _, one in sorted(self._noise.items())]
+        W = jnp.concatenate(noise) if noise else jnp.zeros(0)
+        drift, effect = slopes[:n].T @ P + P @ slopes[:n], slopes[n:]
         variances = {
             f"{name}{VARIANCE}": jnp.einsum("i...,ij,j...->...", change[:n], P, change[:n])
             for name, change in changes.items()
         }
-        return [*rates, drift + drift.T + effect.T @ (W[:, None] * effect)], outputs | variances
+        return [*rates, drift + effect.T @ (W[:, None] * effect)], outputs | variances
+
+    @override
+    def after_events(self, t: Any, z: Any, *args: Any, **inputs: Any) -> Float[Array, "events states"]:
+        own, fixed = self.own_states(z), self.seen_by_own(t, z, inputs)
+        x, at, named = _deviating(own, n := len(z.covariance))
+
+        def rates(z: Any) -> Array:
+            return ravel_pytree(derivative(self.own, t, z, fixed))[0][:n]
+
+        rows, slopes = [], rates(own)
+        for i, (name, event) in enumerate(self.declared_events.items()):
+            after, P = after_events(self.own, t, own, fixed)[i], z.covariance
+            if event.jump is not None or name == self.until:
+                level = lambda t, x, i=i: event_levels(self.own, t, at(x), fixed)[i]  # noqa: E731
+                crossing = _crossing(level, slopes, t, x)
+                S = crossing.carried(lambda t, x, i=i: after_events(self.own, t, at(x), fixed)[i][:n], t, x)
+                if name != self.until:  # where the next grid begins with the event, the time of this is that of all
+                    S -= jnp.outer(rates(named(after)), crossing.later)
+                P = S @ P @ S.T
+            rows.append(jnp.concatenate([after, jnp.ravel(P)]))
+        return jnp.stack(rows)
+
+    @override
+    def continuing(self, link: Callable[..., dict[str, Any]], ended: "Noisy", end: End) -> dict[str, Any]:
+        """Its states when a phase begins: noise acts by the states that the phase before ends with, and by when."""
+        x, at, crossing = ended._ended(end)
+
+        def begun(t: Any, x: Array) -> Array:
+            states = link(ended.plain, t, ended.plain_states(at(x)))
+            return ravel_pytree([states[name] for name in self.plain.states])[0]
+
+        S = crossing.carried(begun, end.t, x)
+        return self.own.continuing(link, ended.own, end) | {"covariance": S @ end.z.covariance @ S.T}
+
+    @override
+    def at_end(self, record: Record, end: End) -> Record:
+        """At the event that ends a grid, outputs vary with its time too."""
+        names = [name for name in record.history if name.endswith(VARIANCE)]
+        if self.until is None or not names:
+            return record
+        x, at, crossing = self._ended(end)
+        system = end.system.focused([name.removesuffix(VARIANCE) for name in names])
+
+        def outputs(t: Any, x: Array) -> dict[str, Array]:
+            every = observation(system, t, at(x), end.inputs(t))
+            return {name: every[name.removesuffix(VARIANCE)] for name in names}
+
+        changes = crossing.carried(outputs, end.t, x)
+        P = end.z.covariance
+        last = {name: jnp.einsum("...i,ij,...j->...", one, P, one) for name, one in changes.items()}
+        history = {name: rows.at[-1].set(last[name]) for name, rows in record.history.items() if name in last}
+        return record._replace(history=record.history | history)
+
+    def _ended(self, end: End) -> "tuple[Array, Callable[[Array], Any], _Crossing]":
+        """The states that noise moves, all states by these, and the crossing of the event at the end of a grid."""
+        x, at, _ = _deviating(end.z, n := len(end.z.covariance))
+        if self.until is None:
+            return x, at, _Crossing(jnp.zeros(n), jnp.eye(n))
+        where = list(self.declared_events).index(self.until)
+
+        def level(t: Any, x: Array) -> Array:
+            return event_levels(end.system, t, at(x), end.inputs(t))[where]
+
+        slopes = ravel_pytree(derivative(end.system, end.t, end.z, end.inputs(end.t)))[0][:n]
+        return x, at, _crossing(level, slopes, end.t, x)
 
     def with_noise_itself(self, t: Any, z: Any, inputs: dict[str, Any]) -> set[str]:
         """The outputs that change with the noise at an instant, by its equations: their variance is infinite."""
@@ -103,43 +190,80 @@ class Noisy(AbstractExtended):
         return {name for name, inputs in zip(names, used, strict=True) if any(inputs)}
 
 
-def noisy(
-    system: AbstractSystem | Phases, inputs: Mapping[str, Any] | None
-) -> tuple[AbstractSystem | Phases, Mapping[str, Any] | None]:
-    """A system with the covariance of its states if there is white noise, and its inputs without this.
+def _deviating(z: Any, n: int) -> tuple[Array, Callable[[Array], Any], Callable[[Array], Any]]:
+    """The first numbers of states, these by such numbers, and by all of them."""
+    every, named = ravel_pytree(z)
+    return every[:n], lambda x: named(every.at[:n].set(x)), named
 
-    Raises `ProblemError` for events that set states anew, which change the covariance too.
+
+class _Crossing(NamedTuple):
+    """How much later an event is with a deviation of each of the states, and the states there with it.
+
+    - `later`: the derivatives of its time; `states`: those of the states at that time, a column for each deviation.
     """
-    if isinstance(system, Noisy):
+
+    later: Float[Array, " n"]
+    states: Float[Array, "n n"]
+
+    def carried(self, function: Callable[[Any, Array], Any], t: Any, x: Float[Array, " n"]) -> Any:
+        """The derivatives of a function of time and states at the event by the deviations before it, as last axis."""
+        at = jnp.asarray(t, dtype=float), x
+        along = jax.vmap(lambda *change: jax.jvp(function, at, change)[1], (0, 1), -1)
+        return along(self.later, self.states)
+
+
+def _crossing(
+    level: Callable[[Any, Array], Array], rates: Float[Array, " n"], t: Any, x: Float[Array, " n"]
+) -> _Crossing:
+    """That of zero by a `level` of time and states, at which these are `x` and have `rates`."""
+    by_time, by_states = jax.jacfwd(level, (0, 1))(jnp.asarray(t, dtype=float), x)
+    later = -by_states / (by_time + by_states @ rates)
+    return _Crossing(later, jnp.eye(x.size) + jnp.outer(rates, later))
+
+
+def noisy(
+    system: AbstractSystem | Phases, inputs: Mapping[str, Any] | None, grid: Any
+) -> tuple[AbstractSystem | Phases, Mapping[str, Any] | None]:
+    """A system with the covariance of its states if there is white noise, and its inputs without this."""
+    if isinstance(system, Noisy | Phases | LinkedSystems):
         return system, inputs
     every = inputs or {}
-    white = {name: one for name, one in every.items() if isinstance(one, WhiteNoise)}
-    others = {name: one for name, one in every.items() if name not in white}
-    elsewhere: list[Any] = [others]
-    if isinstance(system, Phases):
-        elsewhere += [(phase.system, phase.inputs) for phase in system.phases.values()]
-    elif isinstance(system, ClosedLoop):
-        noise = system.feedback.noise.values()
-        elsewhere += [system.own, *(one for one in noise if not _is_white(one))]
-    else:
-        elsewhere += [system]
-    if any(map(_is_white, jax.tree.leaves(elsewhere, is_leaf=_is_white))):
-        raise ProblemError(
-            "WhiteNoise: expected it as an input of a problem or as the noise of a sensor, by itself: "
-            "inputs={'w': al.processes.WhiteNoise(...)}; received it as a part of another signal, a system or phases."
-        )
-    if not white and not (isinstance(system, ClosedLoop) and system.white):
+    others = {name: one for name, one in every.items() if not is_white(one)}
+    if not is_noisy(system, every):
         return system, inputs
     if not (isinstance(system, System) and system.states):
         raise ProblemError(f"WhiteNoise: expected a system with states; received {type(system).__name__}.")
-    jumps = [name for name, event in system.declared_events.items() if event.jump is not None]
-    if jumps:
+    white = {name: one for name, one in every.items() if is_white(one)}
+    refuse_driven_events(system, grid)
+    return Noisy(own=system, inputs=white, taken=tuple(others), until=getattr(grid, "until", None)), others
+
+
+def is_noisy(system: Any, inputs: Mapping[str, Any]) -> bool:
+    """Whether there is white noise. Raises `ProblemError` where it is a part of something else."""
+    noise = list(system.feedback.noise.values()) if isinstance(system, ClosedLoop) else []
+    others = (one for one in [*inputs.values(), *noise, getattr(system, "plain", system)] if not is_white(one))
+    if any(map(is_white, jax.tree.leaves(list(others), is_leaf=is_white))):
         raise ProblemError(
-            f"WhiteNoise: '{jumps[0]}' of {system.title} sets states anew, and with them their covariance: expected "
-            "events without a jump, or noise with germ variables, al.processes.RandomProcess."
+            "WhiteNoise: expected it as an input of a problem or a phase, or as the noise of a sensor, by itself: "
+            "inputs={'w': al.processes.WhiteNoise(...)}; received it as a part of another signal or a system."
         )
-    return Noisy(own=system, inputs=white, taken=tuple(others)), others
+    return any(map(is_white, [*inputs.values(), *noise]))
 
 
-def _is_white(node: Any) -> bool:
+def refuse_driven_events(system: System, grid: Any) -> None:
+    """Raise `ProblemError` for events that noise moves along an input, whose rate is not known there."""
+    until, repeats = getattr(grid, "until", None), getattr(grid, "periodic", False)
+    for name, event in system.plain.declared_events.items():
+        functions = [one for one in (event.function, event.jump) if one is not None]
+        is_crossed = repeats if name == until else event.jump is not None
+        if is_crossed and any(len(inspect.signature(one).parameters) > _PLAIN for one in functions):
+            raise ProblemError(
+                f"WhiteNoise: '{name}' of {system.title} depends on inputs, by whose rates its time would vary: "
+                "expected functions of time and states, lambda self, t, z: ..., or noise with germ variables, "
+                "al.processes.RandomProcess."
+            )
+
+
+def is_white(node: Any) -> bool:
+    """Whether it is white noise."""
     return isinstance(node, WhiteNoise)

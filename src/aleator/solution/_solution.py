@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.leaves import Drawn, Printed
-from aleator.design import AbstractFunctional, Constraint, Problem, instants_at, path_of, problem_text
+from aleator.design import AbstractFunctional, Constraint, Problem, instants_at, instants_of, problem_text
 from aleator.nlp import HELD, Searched, Status
 from aleator.solution._branching import Branching
 from aleator.solution._certificate import Certificate, Moments, Objection
@@ -239,7 +239,7 @@ class Solution(Drawn):
 
     def times_of(self, path: Constraint | AbstractFunctional) -> Float[np.ndarray, " instants"]:
         """The instants of a path, or of a limit on one, s: those of its phase, where there are phases."""
-        return self.instants[self.problem.grid.where(path_of(path))]
+        return instants_of(path, self.problem.grid, self.instants)
 
     @property
     def inputs(self) -> Motions:

@@ -18,9 +18,9 @@ from aleator.design import (
     Problem,
     Rms,
     Statistic,
+    instants_of,
     is_at_points,
     is_worst_case,
-    path_of,
 )
 from aleator.nlp import HELD, UNBOUNDED, Evaluation, Matrix, Outcome, variable_range
 from aleator.statistics import Mean, Std, Variance
@@ -309,7 +309,7 @@ def refuse_unsatisfiable(
     for i, row in suspects:
         if all(other[i][row] == values[i][row] for other in others):
             one, value = problem.constraints[i], float(values[i][row])
-            own = times[problem.grid.where(path_of(one))] if one.is_path else times
+            own = instants_of(one, problem.grid, times)
             when = f" at t = {own[row * len(own) // len(values[i])]:.4g} s" if one.is_path else ""
             raise ProblemError(
                 f"Constraint '{one.name}' ({one}) is {value:.6g}{when} whatever the decisions are, so that no design "

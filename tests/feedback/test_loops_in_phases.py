@@ -1,0 +1,193 @@
+"""Closed loops that go on through phases, against one phase, and against SciPy."""
+
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy
+
+import aleator as al
+from aleator._core.arrays import jax_array
+from aleator.uncertainty import realise
+
+
+class Cart(al.System):
+    """A cart with an uncertain mass, which is pushed from place to place."""
+
+    states = ("x", "v")
+    m: al.Number
+    drag: al.Number = 0.5
+    events: ClassVar = {"gate": al.Event(lambda self, t, z: z.x - 0.4, direction=1)}
+
+    def initial(self):
+        return {"v": 1.0}
+
+    def rhs(self, t, z, u):
+        return z.v, (u - self.drag * z.v * jnp.abs(z.v)) / self.m
+
+    def outputs(self, t, z, u):
+        return {"x": z.x, "v": z.v}
+
+
+MASS = al.Uniform(1.0, half_width=0.2)
+
+
+def histories(problem, germs):
+    start = jax_array(problem.placements.vector("initial"))
+    every = jax.vmap(lambda germ: realise(problem.simulation, germ, start).history())
+    return jax.jit(every)(jnp.asarray(germs))
+
+
+def feedback(gains: Any = (8.0, 3.0), **options: Any) -> al.Feedback:
+    return al.Feedback(gains=list(gains), of=("x", "v"), **options)
+
+
+def push(value):
+    return {"u": al.StepFunction([9.0], [value, 0.0])}
+
+
+def test_a_loop_in_two_phases_is_that_of_one():
+    cart, loop = Cart(MASS), feedback([al.Decision(8.0, 1.0, 20.0), 3.0], noise={"x": al.processes.WhiteNoise(1e-4)})
+    options: dict[str, Any] = {"minimize": al.terminal("x").std}
+    whole = al.Problem(cart, grid=al.Grid(1.0, 40), inputs=push(0.7), feedback=loop, **options)
+    inputs = push(0.7)
+    parts = [al.Phase(cart, al.Grid(*one), inputs=inputs, feedback=loop) for one in ((0.4, 16), (0.6, 24))]
+    two = al.Problem(al.Phases(first=parts[0], second=parts[1]), **options)
+    # What is given to both phases is one.
+    assert list(two.placements.decisions) == ["feedback.first.gains.0"]
+    germs = [[-0.8], [0.0], [0.6]]
+    one, other = histories(whole, germs), histories(two, germs)
+    for name in ("x", "v", "x.error", "u.command", "x.variance"):
+        np.testing.assert_allclose(other[f"second.{name}"], one[name][:, 16:], rtol=1e-10, atol=1e-12)
+
+
+def by_scipy(m, gains, begun, pushed, end, place=None):
+    """The time and the states at the end, of a cart and of its plan, up to where one of them passes a place."""
+
+    def rates(t, z):
+        u = pushed + gains @ (z[2:] - z[:2])
+        return [z[1], (u - 0.5 * z[1] * abs(z[1])) / m, z[3], pushed - 0.5 * z[3] * abs(z[3])]
+
+    events: Any = [lambda t, z: z[0] - 0.4, lambda t, z: z[2] - 0.4]
+    for event in events:
+        event.terminal = True
+    events = [] if place is None else events[place : place + 1]
+    ran = scipy.integrate.solve_ivp(rates, (0, end), begun, "DOP853", events=events, rtol=1e-11, atol=1e-12)
+    return ran.t[-1], ran.y[:, -1]
+
+
+def test_where_an_event_ends_a_phase_the_plan_begins_the_next_from_its_own():
+    cart, first, second = Cart(MASS), (2.0, 1.0), np.array([8.0, 3.0])
+    phases = al.Phases(
+        free=al.Phase(cart, al.Grid(until="gate", at_most=2.0, steps=80), push(0.2), feedback=feedback(first)),
+        led=al.Phase(
+            cart,
+            al.Grid(0.8, 80),
+            push(0.7),
+            feedback=feedback(second),
+            subject_to=[al.terminal("x").mean >= al.at("gate_plan", phase="free").mean],
+        ),
+        coast=al.Phase(cart, al.Grid(0.1, 10), push(0.3)),
+        link={"led": lambda self, t, z: {"v": 0.9 * z.v + 0.1 * t}},
+    )
+    problem = al.Problem(phases, minimize=al.terminal("v").mean)
+    found = histories(problem, [[-0.8], [0.0]])
+    begun = [0.0, 1.0, 0.0, 1.0]
+    for k, m in enumerate((0.84, 1.0)):
+        (t, own), (t_plan, plan) = (by_scipy(m, np.array(first), begun, 0.2, 2.0, place) for place in (0, 1))
+        assert found["free.x"][k, -1] == pytest.approx(0.4, rel=1e-9)
+        states = [own[0], 0.9 * own[1] + 0.1 * t, plan[2], 0.9 * plan[3] + 0.1 * t_plan]
+        _, end = by_scipy(m, second, states, 0.7, 0.8)
+        assert [found[f"led.{name}"][k, -1] for name in ("x", "v")] == pytest.approx(end[:2], rel=1e-8)
+        assert float(found["led.x.error"][k, -1]) == pytest.approx(end[2] - end[0], abs=1e-9)
+        # A phase without feedback has a plan, but is not led.
+        _, end = by_scipy(m, np.zeros(2), end, 0.3, 0.1)
+        assert float(found["coast.v"][k, -1]) == pytest.approx(end[1], rel=1e-8)
+
+
+def test_a_regulator_of_a_later_phase_is_along_the_plan_of_that_phase():
+    class Started(Cart):
+        begun: tuple[al.Number, al.Number] = (0.0, 0.0)
+
+        def initial(self):
+            return {"x": self.begun[0], "v": self.begun[1]}
+
+    regulator, rise = al.Feedback(gains=al.lqr([1.0, 0.5], [0.2])), al.Grid(1.0, 40)
+    phases = al.Phases(
+        first=al.Phase(Cart(MASS), al.Grid(1.0, 40), push(2.0)),
+        led=al.Phase(Cart(MASS), rise, push(-1.0), (), regulator),
+    )
+    found = histories(al.Problem(phases, minimize=al.terminal("x").mean), [[0.5, -0.5]])
+    _, plan = by_scipy(1.0, np.zeros(2), [0.0, 1.0, 0.0, 1.0], 2.0, 1.0)
+    alone = al.Problem(
+        Started(MASS, begun=tuple(plan[2:])),
+        grid=rise,
+        inputs=push(-1.0),
+        feedback=regulator,
+        minimize=al.terminal("x").mean,
+    )
+    gains = np.asarray(found["led.lqr.gains"][0])
+    assert np.ptp(gains[:, 0, 1]) > 1e-2
+    np.testing.assert_allclose(gains, histories(alone, [[0.0]])["lqr.gains"][0], rtol=1e-7)
+
+
+def test_the_multiplier_of_a_led_cycle_is_that_of_the_loop():
+    class Unstable(al.System):
+        states = ("x", "v")
+        c: al.Number
+
+        def rhs(self, t, z, u):
+            return z.v, jnp.cos(t) - self.c * z.v + 0.3 * z.x + u
+
+        def outputs(self, t, z, u):
+            return {"x": z.x}
+
+    problem = al.Problem(
+        Unstable(al.Uniform(0.4, half_width=0.1)),
+        grid=al.Grid(2 * np.pi, 100, periodic=True),
+        inputs=push(0.0),
+        feedback=feedback([al.Decision(1.0, 0.5, 1.5), 0.1]),
+        minimize=al.floquet_multiplier().mean,
+    )
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    loops = (scipy.linalg.expm(2 * np.pi * np.array([[0, 1], [-0.2, -0.5 - 0.1 * node]])) for node in nodes)
+    expected = weights @ [np.abs(np.linalg.eigvals(one)).max() for one in loops] / 2
+    assert al.solve(problem).objective == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_plan_that_never_ends_is_named():
+    # With m = 2.3 it passes 0.4 m at 0.48 s; the plan, with m = 1.5, comes to 0.38 m in 0.5 s.
+    cart, loop = Cart(al.Uniform(1.5, half_width=0.8), drag=2.0), feedback((0.0, 0.0))
+    phases = al.Phases(
+        free=al.Phase(cart, al.Grid(until="gate", at_most=0.5, steps=40), push(0.0), feedback=loop),
+        led=al.Phase(cart, al.Grid(0.8, 40), push(0.7), feedback=loop),
+    )
+    simulation = al.Problem(phases, minimize=al.terminal("v").mean).simulation
+    why = realise(simulation, jnp.array([1.0]), jnp.zeros(0)).explain()
+    assert why.startswith("In the phase 'free', ")
+    assert "never meets 'gate_plan', at which its grid ends, from 0 to 0.5 s" in why
+
+
+def test_what_has_no_plan_is_refused():
+    cart, loop = Cart(MASS), feedback()
+    phases = al.Phases(only=al.Phase(cart, al.Grid(1.0, 10), push(0.1), feedback=loop))
+    with pytest.raises(al.ProblemError, match=r"simulate: phases with feedback.*al.Problem"):
+        al.simulate(phases)
+    grid = al.Grid(until="gate", at_most=1.0, steps=10, periodic=True)
+    with pytest.raises(al.ProblemError, match=r"a plan that repeats has .* a period of its own"):
+        al.Problem(cart, grid=grid, inputs=push(0.1), feedback=loop, minimize=al.terminal("v").mean)
+    with pytest.raises(al.ProblemError, match="Give each phase its own"):
+        al.Problem(phases, feedback=loop, minimize=al.terminal("v").mean)
+
+
+class Bouncing(Cart):
+    events: ClassVar = {"wall": al.Event(lambda self, t, z: z.x - 0.4, jump=lambda self, t, z: {"v": -z.v})}
+
+
+def test_a_jump_within_a_loop_is_refused_with_the_phase_that_it_may_end():
+    with pytest.raises(al.ProblemError, match=r"'wall' .*end a phase, al.Phase\(system, al.Grid\(until='wall'"):
+        al.Problem(
+            Bouncing(MASS), grid=al.Grid(1.0, 10), inputs=push(0.1), feedback=feedback(), minimize=al.terminal("v").std
+        )

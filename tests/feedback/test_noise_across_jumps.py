@@ -1,0 +1,193 @@
+"""White noise where states jump: at events, and between phases."""
+
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy
+
+import aleator as al
+from aleator._core.arrays import jax_array
+from aleator.uncertainty import realise
+from zoo import G
+
+INTENSITY = 4e-4
+STIFF, DAMPED = 2.0, 0.3
+
+
+def history(problem, germ=()):
+    """The outputs of a realisation at the initial decisions."""
+    start = jax_array(problem.placements.vector("initial"))
+    return jax.jit(lambda germ: realise(problem.simulation, germ, start).history())(jnp.asarray(germ, float))
+
+
+class Struck(al.System):
+    """An oscillator with a noisy force, which is struck where it passes a place."""
+
+    states = ("x", "v")
+    place: al.Number = 0.5
+    events: ClassVar = {
+        "strike": al.Event(
+            lambda self, t, z: z.x - self.place - 0.1 * t,
+            direction=1,
+            jump=lambda self, t, z: {"x": z.x + 0.2 * z.v, "v": -0.8 * z.v + 0.3 * t},
+        )
+    }
+
+    def initial(self):
+        return {"v": 1.5}
+
+    def rhs(self, t, z, w):
+        return z.v, -STIFF * z.x - DAMPED * z.v + w
+
+    def outputs(self, t, z):
+        return {"x": z.x, "v": z.v}
+
+
+NOISE = {"w": al.processes.WhiteNoise(INTENSITY)}
+A, B = np.array([[0.0, 1.0], [-STIFF, -DAMPED]]), np.array([0.0, 1.0])
+
+
+def carried(P, t):
+    """A covariance some time later, by the equation of Lyapunov."""
+    stationary = scipy.linalg.solve_continuous_lyapunov(A, -INTENSITY * np.outer(B, B))
+    grown = scipy.linalg.expm(A * t)
+    return stationary + grown @ (P - stationary) @ grown.T
+
+
+def struck():
+    """The time of the strike, and the states there."""
+    t = scipy.optimize.brentq(
+        lambda t: (scipy.linalg.expm(A * t) @ [0.0, 1.5])[0] - 0.5 - 0.1 * t, 0.1, 0.8, xtol=1e-14
+    )
+    return t, scipy.linalg.expm(A * t) @ [0.0, 1.5]
+
+
+def test_a_covariance_crosses_a_jump_by_the_saltation_matrix():
+    t, z = struck()
+    jump, by_time, level = np.array([[1.0, 0.2], [0.0, -0.8]]), np.array([0.0, 0.3]), np.array([1.0, 0.0])
+    after = jump @ z + by_time * t
+    rate = level @ A @ z - 0.1
+    S = jump + np.outer(A @ after - jump @ A @ z - by_time, level) / rate
+    P = carried(S @ carried(np.zeros((2, 2)), t) @ S.T, 1.0 - t)
+    problem = al.Problem(
+        Struck(al.Decision(0.5, 0.4, 0.6)), grid=al.Grid(1.0, 200), inputs=NOISE, minimize=al.terminal("x").std
+    )
+    found = history(problem)
+    assert [found[f"{name}.variance"][-1] for name in "xv"] == pytest.approx(np.diag(P), rel=1e-7)
+
+    def spread(place):
+        return realise(problem.simulation, jnp.zeros(0), place[None]).history()["x.variance"][-1]
+
+    slope, value = jax.jit(jax.jacfwd(spread)), jax.jit(spread)
+    by_differences = float(value(jnp.array(0.5001)) - value(jnp.array(0.4999))) / 2e-4
+    assert float(slope(jnp.array(0.5))) == pytest.approx(by_differences, rel=1e-5)
+
+
+class Ball(al.System):
+    """A ball in a noisy draught that bounces once."""
+
+    states = ("y", "v")
+    e: al.Number = 0.8
+    events: ClassVar = {
+        "floor": al.Event(lambda self, t, z: z.y, direction=-1, jump=lambda self, t, z: {"v": -self.e * z.v})
+    }
+
+    def initial(self):
+        return {"y": 1.0}
+
+    def rhs(self, t, z, w=0.0):
+        return z.v, w - G
+
+    def outputs(self, t, z):
+        return {"y": z.y, "v": z.v}
+
+
+DRAUGHT, END, LATER = 0.002, 0.8, 0.3
+
+
+def drawn(random, y, v, h):
+    """Where balls are a time later, without a floor: exactly."""
+    one, other = random.normal(size=(2, len(y))) * np.sqrt(DRAUGHT * h)
+    return y + h * v - G * h**2 / 2 + h * (one / 2 + other / np.sqrt(12)), v - G * h + one
+
+
+def bounced(samples=100_000, steps=100):
+    """Places and speeds at `END`, at the bounce, and `LATER` after it, of random simulations by NumPy."""
+    random, (begin, end) = np.random.default_rng(5), (0.435, 0.47)  # between which all balls bounce
+    h, free = (end - begin) / steps, (np.ones(samples), np.zeros(samples))
+    y, v = drawn(random, *free, begin)
+    at_bounce, times = np.full((2, samples), np.nan)
+    for k in range(steps):
+        y1, v1 = drawn(random, y, v, h)
+        now = y1 < 0
+        # Within a step it moves as with a constant acceleration.
+        a, share = (v1[now] - v[now]) / h, np.full(now.sum(), 0.5)
+        for _ in range(6):
+            share = (y[now] - a * h**2 / 2 * share * (1 - share)) / (y[now] - y1[now])
+        speed, rest = v[now] + share * h * a, h * (1 - share)
+        at_bounce[now], times[now] = speed, begin + (k + share) * h
+        y1[now], v1[now] = -0.8 * speed * rest + a * rest**2 / 2, -0.8 * speed + a * rest
+        y, v = y1, v1
+    return drawn(random, y, v, END - end), at_bounce, drawn(random, y, v, times + LATER - end)
+
+
+def agrees(variance, sample):
+    """Within three standard errors of a normal variable's variance."""
+    return abs(float(variance) - np.var(sample)) < 3 * np.var(sample) * np.sqrt(2 / len(sample))
+
+
+def test_a_ball_bounces_in_noise_as_random_simulations_do():
+    noise = {"w": al.processes.WhiteNoise(DRAUGHT)}
+    minimize, e = al.terminal("y").std, al.Decision(0.8, 0.7, 0.9)
+    whole = history(al.Problem(Ball(e), grid=al.Grid(END, 80), inputs=noise, minimize=minimize))
+    ball = Ball(e)
+    phases = al.Phases(
+        fall=al.Phase(ball, al.Grid(until="floor", at_most=1.0, steps=40), inputs=noise),
+        rise=al.Phase(ball, al.Grid(LATER, 20), inputs=noise),
+        link={"rise": lambda self, t, z: {"v": -self.e * z.v}},
+    )
+    parts = history(al.Problem(phases, minimize=minimize, subject_to=[al.terminal("v", phase="fall").std <= 1.0]))
+    ended, bounce, later = bounced()
+    for name, at_end, after in zip("yv", ended, later, strict=True):
+        assert agrees(whole[f"{name}.variance"][-1], at_end)
+        assert abs(float(whole[name][-1]) - at_end.mean()) < 3 * at_end.std() / np.sqrt(len(at_end))
+        assert agrees(parts[f"rise.{name}.variance"][-1], after)
+    # At its own floor each ball is at the same height.
+    assert agrees(parts["fall.v.variance"][-1], bounce)
+    assert float(parts["fall.y.variance"][-1]) == pytest.approx(0.0, abs=1e-15)
+
+
+def test_the_covariance_of_a_cycle_is_stationary():
+    class Forced(Struck):
+        events: ClassVar = {}
+
+        def rhs(self, t, z, w):
+            return z.v, jnp.cos(t) - STIFF * z.x - DAMPED * z.v + w
+
+    grid = al.Grid(2 * np.pi, 100, periodic=True)
+    found = history(al.Problem(Forced(), grid=grid, inputs=NOISE, minimize=al.terminal("x").std))
+    for name, variance in {"x": INTENSITY / (2 * DAMPED * STIFF), "v": INTENSITY / (2 * DAMPED)}.items():
+        np.testing.assert_allclose(found[f"{name}.variance"], variance, rtol=1e-5)
+
+
+def test_a_motion_in_two_phases_has_the_noise_of_one():
+    class Loaded(Struck):
+        events: ClassVar = {}
+
+        def rhs(self, t, z, w):
+            return z.v, -STIFF * z.x - self.place * z.v + w
+
+    system = Loaded(al.Uniform(0.5, half_width=0.2))
+    noise = {"w": al.processes.WhiteNoise(al.Decision(0.3, 0.1, 0.5))}
+    limit: Any = al.terminal("x").std <= 9.0
+    one = al.solve(al.Problem(system, grid=al.Grid(1.0, 40), inputs=noise, minimize=al.terminal("v").std))
+    phases = al.Phases(
+        first=al.Phase(system, al.Grid(0.4, 16), inputs=noise), second=al.Phase(system, al.Grid(0.6, 24), inputs=noise)
+    )
+    two = al.solve(al.Problem(phases, minimize=al.terminal("v").std, subject_to=[limit]))
+    assert two.ok
+    assert list(two.decisions.values()) == pytest.approx([0.1])
+    assert two.objective == pytest.approx(one.objective, rel=1e-8)
