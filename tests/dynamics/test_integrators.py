@@ -206,6 +206,27 @@ def test_many_scalar_states_and_second_derivatives_are_those_of_the_closed_form(
     np.testing.assert_allclose(middle(0.1), right, rtol=1e-7)
 
 
+class Padded(al.System):
+    """The same by one array, with ends of zero beside it and a number added at one place, which adds nothing."""
+
+    states = ("u",)
+
+    def initial(self):
+        return {"u": np.sin(np.pi * np.arange(1, 41) / 41)}
+
+    def rhs(self, t, z):
+        return (0.1 * 41**2 * jnp.diff(jnp.pad(z.u, 1), 2).at[0].add(0.0 * t),)
+
+    def outputs(self, t, z):
+        return {"middle": z.u[19]}
+
+
+def test_arrays_of_states_may_be_padded_and_changed_at_places():
+    found = al.simulate(Padded(), al.Grid(0.5, 5), integrator=al.integrators.Kvaerno5())["middle"]
+    rate = 4 * 41**2 * np.sin(np.pi / 82) ** 2 * 0.1
+    np.testing.assert_allclose(found[-1], np.sin(np.pi * 20 / 41) * np.exp(-rate * 0.5), rtol=1e-7)
+
+
 class Diode(al.System):
     """A capacitor behind a resistor and a diode, which is driven far into its exponential."""
 

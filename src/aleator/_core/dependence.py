@@ -45,7 +45,20 @@ _MOVING: dict[str, Callable[..., Any]] = {
     ),
 }
 # The same, by JAX.
-_MOVING_BY_JAX = {"pad", "gather", "dynamic_slice"}
+_MOVING_BY_JAX = {"pad", "dynamic_slice"}
+# The numbers of places, which follow from no variable, such as those of `x.at[0]` and `x[-indices]`.
+_COUNTED: dict[str, Callable[..., Any]] = _MOVING | {
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "lt": np.less,
+    "ge": np.greater_equal,
+    "select_n": lambda which, *cases: np.choose(which, cases),
+    "convert_element_type": lambda one, new_dtype, **_: np.asarray(one).astype(new_dtype),
+    "iota": lambda shape, dimension, **_: np.indices(shape)[dimension],
+}
+# Numbers are taken from such places, or brought there.
+_GATHERS, _SCATTERS = "gather", ("scatter", "scatter-add")
 # Primitives that contain other equations.
 _NESTED = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr"}
 # No table of dependences is larger than this: blocks of more numbers are full.
@@ -123,6 +136,7 @@ class _Following:
     def results(self, jaxpr: Any, arguments: Sequence[_Known]) -> list[_Known]:
         """The dependences of the results of some equations."""
         tables: dict[Any, _Known] = dict(zip(jaxpr.invars, arguments, strict=True))
+        counted: dict[Any, np.ndarray] = {}
 
         def read(variable: Any) -> _Known:
             return None if isinstance(variable, Literal) else tables.get(variable)
@@ -130,12 +144,20 @@ class _Following:
         for equation in jaxpr.eqns:
             operands = [read(one) for one in equation.invars]
             if any(one is not None for one in operands) and any(map(_is_smooth, equation.outvars)):
-                pairs = zip(equation.outvars, self._followed(equation, operands), strict=True)
+                pairs = zip(equation.outvars, self._followed(equation, operands, counted), strict=True)
                 tables.update((variable, table if _is_smooth(variable) else None) for variable, table in pairs)
+            elif (count := _COUNTED.get(equation.primitive.name)) and not any(map(_is_smooth, equation.outvars)):
+                values = [one.val if isinstance(one, Literal) else counted.get(one) for one in equation.invars]
+                if len(equation.outvars) == 1 and all(one is not None for one in values):
+                    counted[equation.outvars[0]] = count(*map(np.asarray, values), **equation.params)
         return [read(one) for one in jaxpr.outvars]
 
-    def _followed(self, equation: Any, operands: list[_Known]) -> Sequence[_Known]:
+    def _followed(self, equation: Any, operands: list[_Known], counted: dict[Any, np.ndarray]) -> Sequence[_Known]:
         name = equation.primitive.name
+        if name == _GATHERS or name in _SCATTERS:
+            places = counted.get(equation.invars[1])
+            if places is not None and (landed := _landed(equation, places)) is not None:
+                return [_brought(equation, landed, operands)]
         if name in _NESTED:
             return self.results(equation.params[_NESTED[name]].jaxpr, operands)
         if (name in _MOVING or name in _MOVING_BY_JAX) and _moves_by_known_places(equation):
@@ -204,6 +226,45 @@ def _is_smooth(variable: Any) -> bool:
     return jnp.issubdtype(variable.aval.dtype, jnp.inexact)
 
 
+def _landed(equation: Any, places: Int[np.ndarray, "... axes"]) -> Int[np.ndarray, " numbers"] | None:
+    """Where in its operand each number stands that an equation takes or brings; None if some are outside, and for
+    batches.
+    """
+    params, takes = equation.params["dimension_numbers"], equation.primitive.name == _GATHERS
+    shape, moved = equation.invars[0].aval.shape, (equation.outvars[0] if takes else equation.invars[2]).aval.shape
+    if takes:
+        within, without, axes = params.offset_dims, params.collapsed_slice_dims, params.start_index_map
+    else:
+        within, without, axes = (
+            params.update_window_dims,
+            params.inserted_window_dims,
+            params.scatter_dims_to_operand_dims,
+        )
+    if params.operand_batching_dims:
+        return None
+    numbers = np.indices(moved)
+    first = places[tuple(numbers[axis] for axis in range(len(moved)) if axis not in within)]
+    at = np.zeros((len(shape), *moved), dtype=int)
+    at[[axis for axis in range(len(shape)) if axis not in without]] = numbers[list(within)]
+    at[list(axes)] += np.moveaxis(np.broadcast_to(first, (*moved, len(axes))), -1, 0)
+    if any(one.size and not 0 <= one.min() <= one.max() < size for one, size in zip(at, shape, strict=True)):
+        return None
+    return np.ravel_multi_index(tuple(at), shape).ravel() if shape else np.zeros(math.prod(moved), dtype=int)
+
+
+def _brought(equation: Any, landed: Int[np.ndarray, " numbers"], operands: list[_Known]) -> _Known:
+    """Of numbers taken from their places, or with others brought there, beside what was there before."""
+    into, _, *others = operands
+    if equation.primitive.name == _GATHERS:
+        return None if into is None else into[landed]
+    (brought,) = others
+    if brought is None:
+        return into
+    table = np.zeros((equation.outvars[0].aval.size, brought.shape[1]), dtype=bool) if into is None else into.copy()
+    np.logical_or.at(table, landed, brought)
+    return table
+
+
 def _moves_by_known_places(equation: Any) -> bool:
     return all(_is_smooth(one) or isinstance(one, Literal) for one in equation.invars)
 
@@ -218,7 +279,9 @@ def _moved(equation: Any, operands: list[_Known]) -> list[_Known]:
     if move := _MOVING.get(equation.primitive.name):
         moved = move(*places, **equation.params)
     else:
-        moved = equation.primitive.bind(*places, **equation.primitive.get_bind_params(equation.params))
+        # Now, where some other function is being traced too.
+        with jax.ensure_compile_time_eval():
+            moved = equation.primitive.bind(*places, **equation.primitive.get_bind_params(equation.params))
     nothing = np.zeros((1, next(one for one in operands if one is not None).shape[1]), dtype=bool)
     tables = [
         np.repeat(nothing, size, axis=0) if one is None else one for one, size in zip(operands, sizes, strict=True)

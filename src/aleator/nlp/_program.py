@@ -92,7 +92,9 @@ class NonlinearProgram:
     - `values`: the objective, shape (k,), and the constraints, shape (k, m), at points of shape (k, n), without
       derivatives; NaN where the model cannot be evaluated. For searches, which call `evaluate` where it is None;
     - `least`: a lower bound of the objective, such as 0 for a norm: a point that attains it is optimal, even at a kink.
-      Minus infinity if none is known.
+      Minus infinity if none is known;
+    - `breadth`: how many variables are tied from one point of time to the next, where the program is such a chain: the
+      order in which sparse matrices are best factorised depends on it.
 
     Raises `ProblemError` if shapes differ, bounds cross, scales are not positive or the start is not finite.
     """
@@ -110,6 +112,7 @@ class NonlinearProgram:
     sizes: Callable[[np.ndarray, Evaluation], np.ndarray] | None = None
     least: float = -np.inf
     values: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None
+    breadth: int = 1
 
     def __post_init__(self) -> None:
         shape = rows, size = np.size(self.constraint_lower), np.size(self.start)

@@ -280,6 +280,11 @@ class ScaledProgram:
         return ((columns + columns.T) / 2)[np.tril_indices(self.size)]
 
     @property
+    def breadth(self) -> int:
+        """See `NonlinearProgram`."""
+        return self._program.breadth
+
+    @property
     def start_objective(self) -> float:
         """The size of the objective at the first start, scaled."""
         return abs(self._objective_origin) / self.scales.objective

@@ -70,8 +70,9 @@ UNSOLVED = (Status.INFEASIBLE, Status.FAILED, Status.ITERATION_LIMIT)
 
 # How often at most: an answer is left for a better one, bounds are tightened, and scenarios are added.
 _MOST_RESTARTS, _MOST_TIGHTENINGS, _MOST_SCENARIOS = 8, 12, 20
-# The tolerance of answers by which meshes are chosen.
-_ROUGH = 1e-3
+# The tolerance of answers by which meshes are chosen: of less accurate ones the errors are their own, and more meshes
+# follow.
+_ROUGH = 1e-4
 
 
 class Held(NamedTuple):

@@ -373,5 +373,6 @@ def program_of(
         hessian=assembled.hessian,
         sizes=lambda point, evaluation: judged(point, evaluation)[2],
         least=least_objective(problem),
+        breadth=numbers.states.shape[2],
     )
     return program, tuple(sizes)

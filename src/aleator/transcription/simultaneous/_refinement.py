@@ -216,5 +216,4 @@ def parts_of(errors: Float[np.ndarray, " intervals"], tolerance: float, order: i
     - `order`: by one more, the power of its length by which an interval's states are estimated to err. Between the
       stages of a collocation scheme rates are interpolated, and err by the power of their number.
     """
-    needed = np.ceil((_AHEAD * errors / tolerance) ** (1 / (order + 1))).astype(int)
-    return np.where(errors > tolerance, np.maximum(needed, 2), 1)
+    return np.maximum(np.ceil((_AHEAD * errors / tolerance) ** (1 / (order + 1))).astype(int), 1)
