@@ -6,7 +6,7 @@ heaviest payload. The straight line in joint space would hit a pillar.
 """
 
 import csv
-from importlib import resources
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -46,7 +46,7 @@ searches do not converge.
 
 def _table() -> list[dict[str, Any]]:
     """One row per joint with the link behind it, from public data."""
-    text = (resources.files("aleator.studies.six_axis_arm") / "ur5e.csv").read_text(encoding="utf-8")
+    text = (Path(__file__).parent / "ur5e.csv").read_text(encoding="utf-8")
     rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
     return [{key: value if key == "joint" else float(value) for key, value in row.items()} for row in rows]
 
