@@ -52,6 +52,7 @@ from aleator.reporting._numbers import interval as interval
 from aleator.reporting._numbers import number as number
 from aleator.reporting._numbers import percent as percent
 from aleator.reporting._numbers import share_text as share_text
+from aleator.reporting._numbers import unit_of_decision as unit_of_decision
 from aleator.reporting._numbers import values_text as values_text
 from aleator.reporting._numbers import words as words
 from aleator.reporting._page import Page as Page

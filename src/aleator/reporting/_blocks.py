@@ -106,7 +106,7 @@ class Drawing:
 @final
 @dataclass(frozen=True)
 class Schematic:
-    """Drawings of a system as SVG made by `sketch`, with its mathematics beside them."""
+    """Drawings of a system as SVG, with its mathematics beside them."""
 
     drawings: Sequence[str]
     heading: str
@@ -121,7 +121,7 @@ class Schematic:
         members(f"Schematic '{self.heading}': beside", self.beside, Code)
 
     def __html__(self) -> str:
-        """The drawings as markup for the template; `sketch` has escaped all text in them."""
+        """The drawings as markup for the template; they are trusted, as the study is."""
         return "".join(f'<div class="sketch">{one}</div>' for one in self.drawings)
 
 

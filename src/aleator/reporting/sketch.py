@@ -1,4 +1,4 @@
-"""Schematic drawings as SVG: lines, bodies, springs, dampers, angles and dimensions as text, in the page's own colour.
+"""Schematic drawings as SVG: lines, bodies, angles and dimensions as text, in the page's own colour.
 
 Every function returns the text of one element; points are in pixels of the drawing, `y` downwards. `View` converts a
 model's metres or millimetres to these. A `kind` becomes the element's class, by which it can be found.
@@ -78,44 +78,6 @@ def arrow(start: Point, end: Point, *, kind: str = "", both: bool = False) -> st
 def dimension(start: Point, end: Point, text: str, *, beside: Point, anchor: str = "middle", kind: str = "") -> str:
     """A dimension between two points: a line with two arrowheads, and its length `beside` it."""
     return arrow(start, end, kind=kind, both=True) + label(beside, text, anchor=anchor)
-
-
-def spring(start: Point, end: Point, *, kind: str = "", coils: int = 5, half_width: float = 11.0) -> str:
-    """A zigzag between two points, with straight ends."""
-    ends = [0.15 + 0.7 * (i + 0.5) / (2 * coils) for i in range(2 * coils)]
-    sides = [half_width * (-1) ** i for i in range(2 * coils)]
-    bends = [_beside(start, end, share, side) for share, side in zip(ends, sides, strict=True)]
-    return path([start, _beside(start, end, 0.15, 0), *bends, _beside(start, end, 0.85, 0), end], kind=kind)
-
-
-def damper(start: Point, end: Point, *, kind: str = "", half_width: float = 12.0) -> str:
-    """A piston in a cylinder between two points."""
-    cup = [
-        _beside(start, end, share, side)
-        for share, side in ((0.68, -half_width), (0.35, -half_width), (0.35, half_width), (0.68, half_width))
-    ]
-    piston = [_beside(start, end, 0.52, side) for side in (0.8 * half_width, -0.8 * half_width)]
-    rods = path([start, _beside(start, end, 0.35, 0)], kind=kind) + path([_beside(start, end, 0.52, 0), end])
-    return rods + path(cup) + path(piston)
-
-
-def ground(start: Point, end: Point, *, kind: str = "", spacing: float = 11.0) -> str:
-    """The fixed ground: a line with hatching on its right, seen from start to end."""
-    length = math.dist(start, end)
-    count = max(1, int(length / spacing))
-    strokes = []
-    for i in range(count):
-        share = (i + 0.5) / count
-        strokes.append(path([_beside(start, end, share, 0), _beside(start, end, share - 7 / length, 8)], width=1.0))
-    return path([start, end], kind=kind) + "".join(strokes)
-
-
-def _beside(start: Point, end: Point, share: float, side: float) -> Point:
-    """A point at the fraction `share` of the way, `side` pixels to its right in the drawing."""
-    length = math.dist(start, end)
-    along = ((end[0] - start[0]) / length, (end[1] - start[1]) / length)
-    x, y = (start[i] + share * (end[i] - start[i]) for i in (0, 1))
-    return x - side * along[1], y + side * along[0]
 
 
 def _head(start: Point, end: Point) -> str:

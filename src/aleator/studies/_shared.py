@@ -4,6 +4,7 @@ The second way is direct collocation, which shares neither discretisation nor so
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from importlib import resources
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,11 @@ if TYPE_CHECKING:
     import xarray
 
 _DIGITS = 8
+
+
+def picture(place: str) -> str:
+    """A drawing of a study as SVG, by its file: `suspension/car.svg`."""
+    return (resources.files("aleator.studies") / place).read_text(encoding="utf-8")
 
 
 def signed(change: float) -> str:

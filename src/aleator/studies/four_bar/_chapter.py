@@ -32,7 +32,7 @@ from aleator.reporting import (
     violations_table,
     words,
 )
-from aleator.studies._shared import comparison_table, signed, stored
+from aleator.studies._shared import comparison_table, picture, signed, stored
 from aleator.studies._study import Draft
 from aleator.studies.four_bar import (
     COST,
@@ -51,7 +51,6 @@ from aleator.studies.four_bar import (
     nominal_problem,
     robust_problem,
 )
-from aleator.studies.four_bar._drawing import linkage_drawing
 from aleator.studies.four_bar._elimination import (
     LEVELS,
     Counts,
@@ -133,7 +132,7 @@ def chapter(page: Draft, quick: bool) -> None:
         "Uncertain: six lengths, the place of each pin in its clearance, and the mass of the tool."
     )
     beside = [Code(f"The problem of {name} as mathematics", str(problem)) for name, problem in problems().items()]
-    page.add(Schematic([linkage_drawing()], "Hoeken's linkage", told, "", beside))
+    page.add(Schematic([picture("four_bar/linkage.svg")], "Hoeken's linkage", told, "", beside))
 
     page.section("The three designs")
     designs, evidence = dict[str, al.Solution](), dict[str, al.results.Evidence]()

@@ -20,17 +20,15 @@ from aleator.reporting import (
     signal_figure,
     trajectory_figure,
 )
-from aleator.studies._shared import comparison_table, margin_drawing
+from aleator.studies._shared import comparison_table, margin_drawing, picture
 from aleator.studies._study import Draft
 from aleator.studies.suspension import (
     GRID,
     apportionment_problem,
     deterministic_problem,
-    nominal,
     road,
     robust_problem,
 )
-from aleator.studies.suspension._drawing import car_drawing
 from aleator.studies.suspension._views import (
     HOLDING,
     HOLDING_TEXT,
@@ -106,10 +104,10 @@ def chapter(page: Draft, quick: bool) -> None:
 
     page.section("The car")
     profile = road()
-    heights, times = np.asarray(profile.values), np.asarray(profile.times)
+    heights = np.asarray(profile.values)
     page.add(
         Schematic(
-            [car_drawing(nominal(), times, heights)],
+            [picture("suspension/car.svg")],
             "Quarter car on its road",
             "The size of boxes shows their masses; the road is that of the model. ± is the half-width of a uniform "
             "distribution; means that a design chooses have the index 0. The damper is η times as strong in compression"

@@ -22,10 +22,10 @@ from aleator.reporting import (
     relative_figure,
     shadow_price_figure,
     share_text,
+    unit_of_decision,
     words,
 )
 from aleator.studies.suspension import COST
-from aleator.studies.suspension._drawing import UNITS
 
 TRAVEL, HOLDING, RIDE, NARROW = 0.203, 0.034, 220.0, 0.152
 SPREADS = {"k_s.half_width": "spring kₛ", "b_s.half_width": "damper bₛ", "eta.half_width": "damping ratio η"}
@@ -121,7 +121,7 @@ def constraints_active(solution: al.Solution) -> tuple[str, ...]:
 def _decided(solution: al.Solution, name: str) -> str:
     """A number of a design, and whether it was decided: `2.334e4 N/m (at its bound)`."""
     at = value_at(al.value(name), solution.problem, solution.vector)
-    text = number(at, 4, UNITS[name.split(".")[0]])
+    text = number(at, 4, unit_of_decision(name, solution.problem))
     if name in solution.at_bounds:
         return f"{text} (at its bound)"
     return text if name in solution.decisions else f"{text} (given)"
@@ -152,7 +152,7 @@ def published_table(
     for name, (printed, text) in CHANGES.items():
         start = apportioned.problem.placements.decisions[name].decision.initial
         change = float(apportioned.decisions[name]) - float(start)
-        widened = number(change, 4, UNITS[name.split(".")[0]])
+        widened = number(change, 4, unit_of_decision(name, apportioned.problem))
         pairs.append((f"Table 7.4, wider by: {SPREADS[name]}", printed, change, text, widened))
     rows = [
         [text, printed_text, ours_text, f"×{number(ours / printed, 3)}"]
@@ -266,8 +266,9 @@ def decision_path(fronts: Mapping[str, al.results.Front], lowest: float) -> Draw
 
 
 def apportioned(front: al.results.Front) -> Drawing:
-    decided = front.solutions[0].problem.placements.decisions
-    initial = {name: given(float(decided[name].decision.initial), UNITS[name.split(".")[0]]) for name in SPREADS}
+    problem = front.solutions[0].problem
+    starts = {name: float(problem.placements.decisions[name].decision.initial) for name in SPREADS}
+    initial = {name: given(start, unit_of_decision(name, problem)) for name, start in starts.items()}
     names = {name: f"{text} (initially ±{initial[name]})" for name, text in SPREADS.items()}
     figure = relative_figure(front, names, x="Travel limit R", x_unit="m", y="Half-width (% of its initial value)")
     caption = (
