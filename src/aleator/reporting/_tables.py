@@ -1,12 +1,13 @@
 """Tables of designs, certificates and evidence, from result objects."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from aleator.nlp import Status
 from aleator.reporting._blocks import Table
 from aleator.reporting._numbers import (
+    NOTHING,
     count,
     given,
     number,
@@ -39,7 +40,7 @@ def status_words(solution: Solution) -> str:
     return STATUS_WORDS[solution.status] if solution.objection is None else solution.objection.phrase
 
 
-def _union(groups: Sequence[Sequence[str]]) -> list[str]:
+def _union(groups: Iterable[Iterable[str]]) -> list[str]:
     return list(dict.fromkeys(name for group in groups for name in group))
 
 
@@ -47,10 +48,10 @@ def designs_table(solutions: Mapping[str, Solution], evidence: Mapping[str, Evid
     """The designs side by side: decisions, objective, constraints, active limits, and violations by Monte Carlo."""
     every = list(solutions.values())
     rows: list[list[str]] = [["Status", *map(status_words, every)]]
-    for name in _union([list(one.decisions) for one in every]):
+    for name in _union(one.decisions for one in every):
         rows.append([name, *(_decision(one, name) for one in every)])
     rows.append(["Objective", *(objective_text(one) for one in every)])
-    for name in _union([[part.name for part in one.constraints] for one in every]):
+    for name in _union((part.name for part in one.constraints) for one in every):
         rows.append([f"{name}: worst value", *(worst_text(one, name) for one in every)])
         rows.append([f"{name}: shadow price of the bound", *(_shadow_price(one, name) for one in every)])
     broken = [[part.name for part in one.violated] for one in every]
@@ -71,7 +72,7 @@ def _violation_rows(names: Sequence[str], evidence: Mapping[str, Evidence]) -> l
     if not evidence:
         return []
     found = [evidence.get(name) for name in names]
-    limits = _union([list(one.violations) for one in found if one])
+    limits = _union(one.violations for one in found if one)
     rows = [
         [f"Systems that violate {limit}", *(share_text(one.violations.get(limit)) if one else "–" for one in found)]
         for limit in limits
@@ -143,45 +144,49 @@ def violations_table(evidence: Mapping[str, Evidence]) -> Table:
 
 
 def certificate_table(solutions: Mapping[str, Solution]) -> Table:
-    """The certificate of each design: residuals of the optimality conditions, effort, quality of the expansion."""
+    """The certificate of each design: residuals of the optimality conditions, what was checked, and the effort."""
     every = list(solutions.values())
     certificates, efforts = [one.certificate for one in every], [one.effort for one in every]
-    times = [one.times for one in efforts]
-    expanded = [one.expansion for one in certificates if _expanded(one)]
+    residuals = ("violation", "stationarity", "complementarity")
+    said = [_checked(one) for one in certificates]
+    errors = [one.expansion.leave_one_out if one.expansion.points > 1 else {} for one in certificates]
     rows = [
         ["Status", *map(status_words, every)],
         ["Solver", *(one.solver for one in efforts)],
-        *([["States", *map(_found, every)]] if any(one.mesh for one in every) else []),
-        ["Violation (scaled)", *(residual(one.violation) for one in certificates)],
-        ["Stationarity (scaled)", *(residual(one.stationarity) for one in certificates)],
-        ["Complementarity (scaled)", *(residual(one.complementarity) for one in certificates)],
+        ["States", *map(_found, every)],
         *(
-            [["Limits between the instants", *map(_between, certificates)]]
-            if any(one.between for one in certificates)
-            else []
+            [f"{name.capitalize()} (scaled)", *(residual(getattr(one, name)) for one in certificates)]
+            for name in residuals
         ),
-        *_said(certificates),
-        *([["Search", *(str(one.searched or "–") for one in efforts)]] if any(one.searched for one in efforts) else []),
+        *([label.capitalize(), *(one.get(label, NOTHING) for one in said)] for label in _union(said)),
+        *(
+            [f"Leave-one-out error, {text}", *(residual(one[text]) if text in one else NOTHING for one in errors)]
+            for text in _union(errors)
+        ),
         ["Iterations / evaluations", *(f"{one.iterations} / {one.evaluations}" for one in efforts)],
-        ["Time to compile / to solve", *(f"{seconds(t.compile_)} / {seconds(t.solve)}" for t in times)],
-        ["Expansion: order, terms, points", *map(_expansion, certificates)],
+        ["Search", *(str(one.searched or NOTHING) for one in efforts)],
         [
-            "Condition number",
-            *(number(one.expansion.condition_number, 3) if _expanded(one) else "–" for one in certificates),
+            "Time to compile / to solve",
+            *(f"{seconds(one.times.compile_)} / {seconds(one.times.solve)}" for one in efforts),
         ],
     ]
-    for text in _union([list(one.leave_one_out) for one in expanded]):
-        rows.append([f"Leave-one-out error, {text}", *(_leave_one_out(one, text) for one in certificates)])
-    if any(one.expansion.tangents for one in certificates):
-        each = map(_tangent, certificates)
-        rows.append(["Worst leave-one-out error of a derivative by a distribution's parameter", *each])
+    shown = [row for row in rows if any(text not in (NOTHING, "integrated") for text in row[1:])]
     tolerances = words(sorted({f"{given(100 * one.expansion.tolerance)} %" for one in certificates}))
     note = (
         "Residuals are computed from the point and its multipliers, not taken from the solver. The leave-one-out error"
         " is the rms error of predicting each collocation point from all others, relative to the standard deviation:"
         f" up to {tolerances} it counts as resolved."
     )
-    return Table("Certificate", ["", *solutions], rows, note)
+    return Table("Certificate", ["", *solutions], shown, note)
+
+
+def _checked(certificate: Certificate) -> dict[str, str]:
+    """What else was checked, by the labels of the printed certificate."""
+    said: dict[str, str] = {}
+    for label, text in certificate.rows():
+        if label != "certificate":  # residuals, which have rows of their own
+            said[label] = f"{said[label]}; {text}" if label in said else text
+    return said
 
 
 def _found(solution: Solution) -> str:
@@ -189,43 +194,6 @@ def _found(solution: Solution) -> str:
     if solution.mesh is None:
         return "integrated"
     return f"variables, {solution.mesh.intervals} intervals of {solution.mesh.scheme}"
-
-
-def _said(certificates: list[Certificate]) -> list[list[str]]:
-    """The results of a finer grid, the worst case and fresh systems for each design, where there are any."""
-    rows = [
-        ["Error of the grid", *("–" if one.grid_error is None else str(one.grid_error) for one in certificates)],
-        ["Worst case", *("; ".join(one.worst_case.rows()) if one.worst_case else "–" for one in certificates)],
-        ["Fresh systems", *("–" if one.opinion is None else str(one.opinion) for one in certificates)],
-        ["Not seen", *(one.expansion.unseen.sentence() if one.expansion.unseen else "–" for one in certificates)],
-    ]
-    return [row for row in rows if any(text != "–" for text in row[1:])]
-
-
-def _between(certificate: Certificate) -> str:
-    one = certificate.between
-    if one is None:
-        return "–"
-    return "hold" if one.holds else f"{one.name} exceeded by {number(one.worst, 2)} of its scale"
-
-
-def _expanded(certificate: Certificate) -> bool:
-    return certificate.expansion.points > 1
-
-
-def _expansion(certificate: Certificate) -> str:
-    one = certificate.expansion
-    return f"{one.order}, {one.terms}, {one.points}" if _expanded(certificate) else "nothing is uncertain"
-
-
-def _leave_one_out(certificate: Certificate, text: str) -> str:
-    error = certificate.expansion.leave_one_out.get(text)
-    return "–" if error is None or not _expanded(certificate) else residual(error)
-
-
-def _tangent(certificate: Certificate) -> str:
-    worst = certificate.expansion.worst_tangent
-    return "–" if worst is None else f"{residual(worst.error)} ({worst.functional} by {worst.parameter})"
 
 
 def evidence_table(evidence: Mapping[str, Evidence]) -> Table:
@@ -287,7 +255,7 @@ def unresolved(solutions: Mapping[str, Solution]) -> dict[str, tuple[str, float]
     found = {}
     for name, one in solutions.items():
         quality = one.certificate.expansion
-        if _expanded(one.certificate) and quality.unresolved:
+        if quality.points > 1 and quality.unresolved:
             worst = max(quality.unresolved, key=lambda text: quality.leave_one_out[text])
             found[name] = (f"{worst}{quality.since(worst)}", quality.leave_one_out[worst])
     return found

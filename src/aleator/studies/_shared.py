@@ -1,7 +1,4 @@
-"""What several studies share: the search for a margin, numbers stored, a design in a second way.
-
-The second way is direct collocation, which shares neither discretisation nor solver with shooting.
-"""
+"""The stages that several studies share: designs solved, sampled and swept, a margin, and a design in a second way."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
@@ -10,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import aleator as al
-from aleator.reporting import Drawing, Table, calibration_figure, given, number, percent
+from aleator.reporting import Drawing, Table, calibration_figure, given, mesh_drawing, number, percent
+from aleator.studies._study import Draft
 
 if TYPE_CHECKING:
     import xarray
@@ -21,6 +19,49 @@ _DIGITS = 8
 def picture(place: str) -> str:
     """A drawing of a study as SVG, by its file: `suspension/car.svg`."""
     return (resources.files("aleator.studies") / place).read_text(encoding="utf-8")
+
+
+def solved(page: Draft, problems: Mapping[str, al.Problem], group: str = "designs") -> dict[str, al.Solution]:
+    """The designs of problems by name, kept as a group."""
+    designs = dict[str, al.Solution]()
+    for i, (name, problem) in enumerate(problems.items()):
+        page.progress(f"design {name}", i, len(problems))
+        designs[name] = al.solve(problem)
+        page.keep(group, {name: designs[name]})
+    return designs
+
+
+def sampled(
+    page: Draft, designs: Mapping[str, al.Solution], samples: int, group: str = "evidence"
+) -> dict[str, al.results.Evidence]:
+    """Evidence on designs by their names, kept as a group."""
+    evidence = dict[str, al.results.Evidence]()
+    for name, design in designs.items():
+        evidence[name] = al.validate(design, samples, seed=1, keep=60, progress=page.progress)
+        page.keep(group, {name: evidence[name]})
+    return evidence
+
+
+def swept(
+    page: Draft, group: str, problems: Mapping[str, al.Problem], bound: str, values: Sequence[float] | np.ndarray
+) -> dict[str, al.results.Front]:
+    """The fronts of problems over one bound by their names, kept as a group."""
+    fronts = dict[str, al.results.Front]()
+    for name, problem in problems.items():
+        fronts[name] = al.pareto(problem, bound, values, progress=page.progress)
+        page.keep(group, {name: fronts[name]})
+    return fronts
+
+
+def add_second_way(page: Draft, name: str, problem: al.Problem, most_states: int = 20_000) -> None:
+    """Solve by direct collocation too, which shares neither discretisation nor solver with shooting, and compare.
+
+    - `most_states`: see `al.cross_check`.
+    """
+    page.section("A second way", folded=True)
+    both = al.cross_check(problem, most_states=most_states, progress=page.progress)
+    page.keep("collocated", {name: both.second})
+    page.add(comparison_table(name, both), mesh_drawing(both.second.meshes, name))
 
 
 def signed(change: float) -> str:

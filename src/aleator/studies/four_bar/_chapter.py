@@ -24,7 +24,6 @@ from aleator.reporting import (
     linkage_animation,
     linked_front,
     looks,
-    mesh_drawing,
     number,
     recommendation,
     share_text,
@@ -32,7 +31,7 @@ from aleator.reporting import (
     violations_table,
     words,
 )
-from aleator.studies._shared import comparison_table, picture, signed, stored
+from aleator.studies._shared import add_second_way, picture, sampled, signed, solved, stored
 from aleator.studies._study import Draft
 from aleator.studies.four_bar import (
     COST,
@@ -135,14 +134,8 @@ def chapter(page: Draft, quick: bool) -> None:
     page.add(Schematic([picture("four_bar/linkage.svg")], "Hoeken's linkage", told, "", beside))
 
     page.section("The three designs")
-    designs, evidence = dict[str, al.Solution](), dict[str, al.results.Evidence]()
-    for i, (name, problem) in enumerate(problems().items()):
-        page.progress(f"design {name}", i, len(DESIGNS))
-        designs[name] = al.solve(problem)
-        page.keep("designs", {name: designs[name]})
-    for name, solution in designs.items():
-        evidence[name] = al.validate(solution, simulated, seed=1, keep=60, progress=page.progress)
-        page.keep("evidence", {name: evidence[name]})
+    designs = solved(page, problems())
+    evidence = sampled(page, designs, simulated)
     page.add(designs_table(designs), violations_table(evidence), printed=True)
     chosen: dict[str, Dimensions] = {name: (lengths_of(one), widths_of(one)) for name, one in designs.items()}
     told = (
@@ -203,10 +196,7 @@ def chapter(page: Draft, quick: bool) -> None:
     page.add(evidence_table(evidence))
 
     if not quick:  # the coordinates that follow the crank are variables too, its closed loop has multipliers
-        page.section("A second way", folded=True)
-        twice = al.cross_check(mean_problem(), progress=page.progress)
-        page.keep("collocated", {MEAN: twice.second})
-        page.add(comparison_table(MEAN, twice), mesh_drawing(twice.second.meshes, MEAN))
+        add_second_way(page, MEAN, mean_problem())
 
     page.section("Certificate", folded=True)
     page.add(certificate_table(designs))
