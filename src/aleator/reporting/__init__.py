@@ -46,6 +46,7 @@ from aleator.reporting._methods import effort_figure as effort_figure
 from aleator.reporting._motion import Scene as Scene
 from aleator.reporting._motion import linkage_animation as linkage_animation
 from aleator.reporting._motion import plane_figure as plane_figure
+from aleator.reporting._numbers import NOTHING as NOTHING
 from aleator.reporting._numbers import count as count
 from aleator.reporting._numbers import given as given
 from aleator.reporting._numbers import interval as interval

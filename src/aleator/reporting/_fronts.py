@@ -264,18 +264,16 @@ def decision_path_figure(
     return figure.update_yaxes(tickformat=",d")
 
 
-def relative_figure(
-    front: Front, names: Mapping[str, str], *, x: str, y: str, x_unit: str = "", reference: str = "initial value"
-) -> "Figure":
+def relative_figure(front: Front, names: Mapping[str, str], *, x: str, y: str, x_unit: str = "") -> "Figure":
     """Decisions along a front in percent of their initial values (figure 7.5); `names` are their labels."""
     (front, _), figure = in_order({"": front})[""], blank(label(x, x_unit), plain(y))
     places = front.solutions[0].problem.placements.decisions
     for (name, text), look, dash in zip(names.items(), looks(names).values(), DASHES, strict=False):
         values = [float(one.decisions[name]) if one else np.nan for one in front.optima]
-        hover = f"<b>{plain(text)}</b>: %{{customdata}}, %{{y:.4~g}} % of the {reference}"
+        hover = f"<b>{plain(text)}</b>: %{{customdata}}, %{{y:.4~g}} % of the initial value"
         shown = {"name": text, "customdata": [number(one) for one in values], "hover": hover, "line_dash": dash}
         draw(figure, front.values, 100 * np.array(values) / float(places[name].decision.initial), look, **shown)
-    limit_line(figure, 100.0, f"{reference} (100 %)")
+    limit_line(figure, 100.0, "initial value (100 %)")
     _shade_infeasible(figure, "design", front)
     return figure.update_yaxes(rangemode="tozero")
 

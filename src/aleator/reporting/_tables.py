@@ -158,7 +158,7 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
             [f"{name.capitalize()} (scaled)", *(residual(getattr(one, name)) for one in certificates)]
             for name in residuals
         ),
-        *([label.capitalize(), *(one.get(label, NOTHING) for one in said)] for label in _union(said)),
+        *([label, *(one.get(label, NOTHING) for one in said)] for label in _union(said)),
         *(
             [f"Leave-one-out error, {text}", *(residual(one[text]) if text in one else NOTHING for one in errors)]
             for text in _union(errors)
@@ -180,12 +180,17 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
     return Table("Certificate", ["", *solutions], shown, note)
 
 
+# Where the label of the printed certificate is short for want of room.
+_LABELS = {"between": "limits between the instants", "grid": "error of the grid", "fresh": "fresh systems"}
+
+
 def _checked(certificate: Certificate) -> dict[str, str]:
-    """What else was checked, by the labels of the printed certificate."""
+    """What else was checked, as in the printed certificate."""
     said: dict[str, str] = {}
     for label, text in certificate.rows():
         if label != "certificate":  # residuals, which have rows of their own
-            said[label] = f"{said[label]}; {text}" if label in said else text
+            name = _LABELS.get(label, label).capitalize()
+            said[name] = f"{said[name]}; {text}" if name in said else text
     return said
 
 

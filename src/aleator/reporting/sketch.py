@@ -44,11 +44,11 @@ def path(points: Sequence[Point], *, kind: str = "", width: float = 2.0, dash: s
     return f'<path d="M {steps}{" Z" if closed else ""}" {INK}{_look(kind, width, dash)}/>'
 
 
-def circle(centre: Point, radius: float, *, kind: str = "", width: float = 2.0, filled: bool = False) -> str:
+def circle(centre: Point, radius: float, *, kind: str = "", filled: bool = False) -> str:
     """A circle; a `filled` one is a joint or a point mass."""
     ink = INK.replace('fill="none"', 'fill="currentColor"') if filled else INK
     place = f'cx="{_text(centre[0])}" cy="{_text(centre[1])}" r="{_text(radius)}"'
-    return f"<circle {place} {ink}{_look(kind, width, '')}/>"
+    return f"<circle {place} {ink}{_look(kind, 2.0, '')}/>"
 
 
 def arc(
@@ -75,9 +75,9 @@ def arrow(start: Point, end: Point, *, kind: str = "", both: bool = False) -> st
     return path([start, end], kind=kind, width=1.4) + _head(start, end) + (_head(end, start) if both else "")
 
 
-def dimension(start: Point, end: Point, text: str, *, beside: Point, anchor: str = "middle", kind: str = "") -> str:
+def dimension(start: Point, end: Point, text: str, *, beside: Point, kind: str = "") -> str:
     """A dimension between two points: a line with two arrowheads, and its length `beside` it."""
-    return arrow(start, end, kind=kind, both=True) + label(beside, text, anchor=anchor)
+    return arrow(start, end, kind=kind, both=True) + label(beside, text)
 
 
 def _head(start: Point, end: Point) -> str:
