@@ -16,7 +16,7 @@ from aleator.reporting import (
     Text,
     Verdict,
     by_place,
-    footer,
+    page_of,
     proposal,
     sections,
     words,
@@ -110,10 +110,5 @@ def _page_of_designs(folder: Path, run: Recalled, study: AbstractStudy | None, m
             Section(name, [documents_table(name, {"Value": one}), Code("The problem", "\n".join(one["problem"]))])
             for name, one in written.items()
         ]
-    return Page(
-        title=title,
-        subtitle=f"Kept in {folder.resolve().name}: {words(names)}",
-        verdict=about,
-        sections=[*chapters, *([Section("Missing", [Text(missing)])] if missing else [])],
-        footer=footer(),
-    )
+    absent = [Section("Missing", [Text(missing)])] if missing else []
+    return page_of(title, f"Kept in {folder.resolve().name}: {words(names)}", about, [*chapters, *absent])

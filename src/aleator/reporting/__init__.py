@@ -64,9 +64,8 @@ from aleator.reporting._paths import histories_figure as histories_figure
 from aleator.reporting._paths import path_figure as path_figure
 from aleator.reporting._paths import signal_figure as signal_figure
 from aleator.reporting._paths import trajectory_figure as trajectory_figure
-from aleator.reporting._report import HOW_TO_READ as HOW_TO_READ
 from aleator.reporting._report import evidence_sections as evidence_sections
-from aleator.reporting._report import footer as footer
+from aleator.reporting._report import page_of as page_of
 from aleator.reporting._report import report as report
 from aleator.reporting._report import sections as sections
 from aleator.reporting._report import trade_offs_section as trade_offs_section

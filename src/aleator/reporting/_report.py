@@ -1,14 +1,16 @@
 """`report`: the results of any problem as one page, verdict first."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar, cast
+from types import MappingProxyType
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from aleator._core.border import a_name, positive
 from aleator._core.errors import ProblemError
-from aleator.reporting._blocks import Block, Code, Drawing, Section, Text
+from aleator.reporting._blocks import Block, Code, Drawing, Section, Table, Text, Verdict
 from aleator.reporting._choices import evidence_on
 from aleator.reporting._designs import mesh_drawing, search_drawings
 from aleator.reporting._files import as_path, check_writable
@@ -83,16 +85,12 @@ def report(
         _check_along(one, shown)
     checked = [each for one in sampled_along.values() for each in one.evidence if each is not None]
     check_writable(as_path(path).parent)
-    page = Page(
-        title=a_name("report: title", title),
-        subtitle=f"{words([str(name) for name in designs])}: result and evidence",
-        verdict=proposal(designs, sampled, positive("report: target", target, below=1.0)),
-        sections=[
-            *sections(designs, sampled, swept, checked),
-            provenance({"designs": designs, "evidence": sampled, "fronts": swept}),
-            Section("How to read this", [Text(HOW_TO_READ)]),
-        ],
-        footer=footer(),
+    page = page_of(
+        a_name("report: title", title),
+        f"{words([str(name) for name in designs])}: result and evidence",
+        proposal(designs, sampled, positive("report: target", target, below=1.0)),
+        sections(designs, sampled, swept, checked),
+        {"designs": designs, "evidence": sampled, "fronts": swept},
     )
     return write_page(page, path)
 
@@ -190,18 +188,27 @@ def trade_offs_section(
     return Section("Trade-offs", [*optima, *front_blocks(swept, known, shown), *trade_off_blocks(traded, known, shown)])
 
 
-def footer() -> str:
-    """The program that wrote the page, and the time."""
+def page_of(
+    title: str,
+    subtitle: str,
+    verdict: Verdict,
+    sections: Sequence[Section],
+    results: Mapping[str, Any] = MappingProxyType({}),
+    glossary: Sequence[Table] = (),
+) -> Page:
+    """A page: sections that are not empty, then where the numbers of the results come from, and how to read them."""
     import datetime
     from importlib.metadata import version
 
     import aleator
 
+    last = [replace(provenance(results), folded=True), Section("How to read this", [Text(HOW_TO_READ), *glossary])]
     now = datetime.datetime.now().astimezone()
-    return (
+    footer = (
         f"Written by aleator {aleator.__version__} with JAX {version('jax')} on {now:%Y-%m-%d at %H:%M}. This page is"
         " one file and needs no network."
     )
+    return Page(title, subtitle, verdict, [section for section in [*sections, *last] if section.blocks], footer)
 
 
 def _trajectory_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
