@@ -11,7 +11,7 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator._core.files import content_of, json_of
-from aleator.reporting import NOTHING, Table, percent, values_text
+from aleator.reporting import NOTHING, Table, percent, side_by_side, values_text
 from aleator.solution import Solution
 from aleator.validation import Evidence
 
@@ -55,10 +55,8 @@ def written_designs(folder: Path) -> Mapping[str, Any]:
 
 def documents_table(caption: str, designs: Mapping[str, Mapping[str, Any] | None]) -> Table:
     """Documents of designs side by side; None where there is no design."""
-    columns = [{label: text for label, text, _ in rows_of(one)} if one else {} for one in designs.values()]
-    labels = dict.fromkeys(label for one in columns for label in one)
-    rows = [[label, *(one.get(label, NOTHING) for one in columns)] for label in labels]
-    return Table(caption, ["", *designs], rows)
+    columns = {name: {label: text for label, text, _ in rows_of(one)} if one else {} for name, one in designs.items()}
+    return side_by_side(caption, columns)
 
 
 def rows_of(design: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:

@@ -1,6 +1,5 @@
 """Reports: figures, a self-contained HTML page, and files of results, made from result objects only."""
 
-from aleator.reporting._blocks import Band as Band
 from aleator.reporting._blocks import Block as Block
 from aleator.reporting._blocks import Choice as Choice
 from aleator.reporting._blocks import Code as Code
@@ -91,5 +90,6 @@ from aleator.reporting._sweeps import trade_off_blocks as trade_off_blocks
 from aleator.reporting._tables import certificate_table as certificate_table
 from aleator.reporting._tables import designs_table as designs_table
 from aleator.reporting._tables import evidence_table as evidence_table
+from aleator.reporting._tables import side_by_side as side_by_side
 from aleator.reporting._tables import unresolved as unresolved
 from aleator.reporting._tables import violations_table as violations_table

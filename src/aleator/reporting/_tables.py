@@ -1,6 +1,6 @@
 """Tables of designs, certificates and evidence, from result objects."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from aleator.reporting._numbers import (
     values_text,
     words,
 )
-from aleator.solution import Certificate, ConstraintResult, Solution
+from aleator.solution import Solution
 from aleator.validation import Checked, Evidence
 
 STATUS_WORDS = {
@@ -40,53 +40,56 @@ def status_words(solution: Solution) -> str:
     return STATUS_WORDS[solution.status] if solution.objection is None else solution.objection.phrase
 
 
-def _union(groups: Iterable[Iterable[str]]) -> list[str]:
-    return list(dict.fromkeys(name for group in groups for name in group))
+def side_by_side(caption: str, columns: Mapping[str, Mapping[str, str]], note: str = "") -> Table:
+    """Columns by their names, each with its cells by label; a dash where a column has none of a label.
+
+    Labels that some columns lack stand where the others have them.
+    """
+    labels: list[str] = []
+    for column in columns.values():
+        place = 0
+        for label in column:
+            if label not in labels:
+                labels.insert(place, label)
+            place = labels.index(label) + 1
+    rows = [[label, *(column.get(label, NOTHING) for column in columns.values())] for label in labels]
+    return Table(caption, ["", *columns], rows, note)
 
 
 def designs_table(solutions: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -> Table:
     """The designs side by side: decisions, objective, constraints, active limits, and violations by Monte Carlo."""
-    every = list(solutions.values())
-    rows: list[list[str]] = [["Status", *map(status_words, every)]]
-    for name in _union(one.decisions for one in every):
-        rows.append([name, *(_decision(one, name) for one in every)])
-    rows.append(["Objective", *(objective_text(one) for one in every)])
-    for name in _union((part.name for part in one.constraints) for one in every):
-        rows.append([f"{name}: worst value", *(worst_text(one, name) for one in every)])
-        rows.append([f"{name}: shadow price of the bound", *(_shadow_price(one, name) for one in every)])
-    broken = [[part.name for part in one.violated] for one in every]
-    held = [[name for name in one.active if name not in names] for one, names in zip(every, broken, strict=True)]
-    rows.append(["Active", *(words(names, "nothing") for names in held)])
-    if any(broken):
-        rows.append(["Violated", *(words(names, "nothing") for names in broken)])
-    rows += _violation_rows(list(solutions), evidence)
-    return Table(
-        "Decisions, limits and violations",
-        ["", *solutions],
-        rows,
-        "Shadow price: the decrease of the objective per unit by which the bound is relaxed.",
-    )
+    columns = {name: dict(_design(one)) | _violations(evidence.get(name)) for name, one in solutions.items()}
+    note = "Shadow price: the decrease of the objective per unit by which the bound is relaxed."
+    return side_by_side("Decisions, limits and violations", columns, note)
 
 
-def _violation_rows(names: Sequence[str], evidence: Mapping[str, Evidence]) -> list[list[str]]:
-    if not evidence:
-        return []
-    found = [evidence.get(name) for name in names]
-    limits = _union(one.violations for one in found if one)
-    rows = [
-        [f"Systems that violate {limit}", *(share_text(one.violations.get(limit)) if one else "–" for one in found)]
-        for limit in limits
-    ]
-    if not limits:
-        return []
-    return [*rows, ["Systems that violate any limit", *(share_text(one.joint) if one else "–" for one in found)]]
+def _design(solution: Solution) -> Iterator[tuple[str, str]]:
+    yield "Status", status_words(solution)
+    for name, value in solution.decisions.items():
+        text = values_text(value, 5, unit_of_decision(name, solution.problem))
+        yield name, f"{text} (at its bound)" if solution.is_at_bound(name) else text
+    yield "Objective", objective_text(solution)
+    for name in dict.fromkeys(part.name for part in solution.constraints):
+        yield f"{name}: worst value", worst_text(solution, name)
+        yield f"{name}: shadow price of the bound", number(solution.multiplier(name), 4)
+    broken = [part.name for part in solution.violated]
+    yield "Active", words([name for name in solution.active if name not in broken], "nothing")
+    if broken:
+        yield "Violated", words(broken)
 
 
-def _decision(solution: Solution, name: str) -> str:
-    if name not in solution.decisions:
-        return "–"
-    text = values_text(solution.decisions[name], 5, unit_of_decision(name, solution.problem))
-    return f"{text} (at its bound)" if solution.is_at_bound(name) else text
+def _violations(evidence: Evidence | None) -> dict[str, str]:
+    """How often fresh systems break each limit; nothing where no limit is counted."""
+    if evidence is None or not evidence.violations:
+        return {}
+    shares = {**evidence.violations, "any limit": evidence.joint}
+    return {f"Systems that violate {limit}": share_text(one) for limit, one in shares.items()}
+
+
+def violations_table(evidence: Mapping[str, Evidence]) -> Table:
+    """How many systems break each limit, a column for each design."""
+    columns = {name: _violations(one) for name, one in evidence.items()}
+    return side_by_side("Systems that violate limits", columns, "In brackets: 95 % confidence.")
 
 
 def decision_text(solution: Solution, name: str) -> str:
@@ -102,21 +105,12 @@ def objective_text(solution: Solution) -> str:
     return number(solution.objective, 5, unit_of_objective(solution.problem))
 
 
-def _parts(solution: Solution, name: str) -> list[tuple[ConstraintResult, str]]:
-    """The constraints of one name with their units."""
-    pairs = zip(solution.constraints, solution.problem.constraints, strict=True)
-    return [
-        (one, unit_of_expression(declared.expression, solution.problem)) for one, declared in pairs if one.name == name
-    ]
-
-
 def worst_text(solution: Solution, name: str) -> str:
     """The value closest to or furthest beyond a bound, and that bound."""
-    parts = _parts(solution, name)
-    if not parts:
-        return "–"
-    one, unit = max(parts, key=lambda part: float(np.max(part[0].excess)))
-    value = one.worst
+    pairs = zip(solution.constraints, solution.problem.constraints, strict=True)
+    parts = [(one, declared) for one, declared in pairs if one.name == name]
+    one, declared = max(parts, key=lambda part: float(np.max(part[0].excess)))
+    value, unit = one.worst, unit_of_expression(declared.expression, solution.problem)
     upper = one.lower == one.upper or value - one.upper >= one.lower - value
     relation, bound = ("=" if one.lower == one.upper else "≤", one.upper) if upper else ("≥", one.lower)
     when = "" if one.worst_time is None else f" at {number(one.worst_time, 4, 's')}"
@@ -133,72 +127,41 @@ def limit_rows(solution: Solution) -> list[tuple[str, str]]:
     return rows
 
 
-def _shadow_price(solution: Solution, name: str) -> str:
-    return number(solution.multiplier(name), 4) if any(one.name == name for one in solution.constraints) else "–"
-
-
-def violations_table(evidence: Mapping[str, Evidence]) -> Table:
-    """How many systems break each limit, a column for each design."""
-    rows = _violation_rows(list(evidence), evidence)
-    return Table("Systems that violate limits", ["", *evidence], rows, "In brackets: 95 % confidence.")
-
-
 def certificate_table(solutions: Mapping[str, Solution]) -> Table:
     """The certificate of each design: residuals of the optimality conditions, what was checked, and the effort."""
-    every = list(solutions.values())
-    certificates, efforts = [one.certificate for one in every], [one.effort for one in every]
-    residuals = ("violation", "stationarity", "complementarity")
-    said = [_checked(one) for one in certificates]
-    errors = [one.expansion.leave_one_out if one.expansion.points > 1 else {} for one in certificates]
-    rows = [
-        ["Status", *map(status_words, every)],
-        ["Solver", *(one.solver for one in efforts)],
-        ["States", *map(_found, every)],
-        *(
-            [f"{name.capitalize()} (scaled)", *(residual(getattr(one, name)) for one in certificates)]
-            for name in residuals
-        ),
-        *([label, *(one.get(label, NOTHING) for one in said)] for label in _union(said)),
-        *(
-            [f"Leave-one-out error, {text}", *(residual(one[text]) if text in one else NOTHING for one in errors)]
-            for text in _union(errors)
-        ),
-        ["Iterations / evaluations", *(f"{one.iterations} / {one.evaluations}" for one in efforts)],
-        ["Search", *(str(one.searched or NOTHING) for one in efforts)],
-        [
-            "Time to compile / to solve",
-            *(f"{seconds(one.times.compile_)} / {seconds(one.times.solve)}" for one in efforts),
-        ],
-    ]
-    shown = [row for row in rows if any(text not in (NOTHING, "integrated") for text in row[1:])]
-    tolerances = words(sorted({f"{given(100 * one.expansion.tolerance)} %" for one in certificates}))
+    tolerances = sorted({f"{given(100 * one.certificate.expansion.tolerance)} %" for one in solutions.values()})
     note = (
         "Residuals are computed from the point and its multipliers, not taken from the solver. The leave-one-out error"
         " is the rms error of predicting each collocation point from all others, relative to the standard deviation:"
-        f" up to {tolerances} it counts as resolved."
+        f" up to {words(tolerances)} it counts as resolved."
     )
-    return Table("Certificate", ["", *solutions], shown, note)
+    return side_by_side("Certificate", {name: dict(_certificate(one)) for name, one in solutions.items()}, note)
 
 
 # Where the label of the printed certificate is short for want of room.
 _LABELS = {"between": "limits between the instants", "grid": "error of the grid", "fresh": "fresh systems"}
 
 
-def _checked(certificate: Certificate) -> dict[str, str]:
-    """What else was checked, as in the printed certificate."""
-    said: dict[str, str] = {}
+def _certificate(solution: Solution) -> Iterator[tuple[str, str]]:
+    certificate, effort = solution.certificate, solution.effort
+    yield "Status", status_words(solution)
+    yield "Solver", effort.solver
+    if solution.mesh is not None:
+        yield "States", f"variables, {solution.mesh.intervals} intervals of {solution.mesh.scheme}"
+    for name in ("violation", "stationarity", "complementarity"):
+        yield f"{name.capitalize()} (scaled)", residual(getattr(certificate, name))
+    said: dict[str, list[str]] = {}
     for label, text in certificate.rows():
-        if label != "certificate":  # residuals, which have rows of their own
-            name = _LABELS.get(label, label).capitalize()
-            said[name] = f"{said[name]}; {text}" if name in said else text
-    return said
-
-
-def _found(solution: Solution) -> str:
-    """How the states of a design were found."""
-    if solution.mesh is None:
-        return "integrated"
-    return f"variables, {solution.mesh.intervals} intervals of {solution.mesh.scheme}"
+        said.setdefault(label, []).append(text)
+    del said["certificate"]  # the residuals
+    yield from ((_LABELS.get(label, label).capitalize(), "; ".join(texts)) for label, texts in said.items())
+    if certificate.expansion.points > 1:
+        for text, error in certificate.expansion.leave_one_out.items():
+            yield f"Leave-one-out error, {text}", residual(error)
+    yield "Iterations / evaluations", f"{effort.iterations} / {effort.evaluations}"
+    if effort.searched is not None:
+        yield "Search", str(effort.searched)
+    yield "Time to compile / to solve", f"{seconds(effort.times.compile_)} / {seconds(effort.times.solve)}"
 
 
 def evidence_table(evidence: Mapping[str, Evidence]) -> Table:
