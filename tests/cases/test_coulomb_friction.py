@@ -64,3 +64,52 @@ def test_the_fastest_way_out_and_back(limit):
     solution = al.solve(problem, transcription=al.Simultaneous(al.schemes.Radau(3), error=1e-4))
     faster, slower = limit + 0.6 * G, limit - 0.6 * G
     assert 2 * solution.objective == pytest.approx(2 * np.sqrt(20 * (faster + slower) / (faster * slower)), rel=5e-3)
+
+
+class Pulled(al.System):
+    states = ("v",)
+    algebraic = ("friction",)
+
+    ramp: al.Number
+    width: al.Number
+
+    def initial(self):
+        return {"v": SPEED}
+
+    def rhs(self, t, z):
+        return (self.ramp * t - 0.6 * G * z.friction,)
+
+    def residual(self, t, z):
+        return (al.smooth.sign_residual(z.friction, z.v, width=self.width),)
+
+    def algebraic_guess(self, t, z):
+        return {"friction": al.smooth.sign(z.v, width=self.width)}
+
+    def outputs(self, t, z):
+        return {"v": z.v}
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:At half the widths")
+def test_a_block_sticks_until_a_growing_force_pulls_it_loose():
+    # It stops where 3 - mu g t + k t²/2 = 0, and leaves where k t = mu g.
+    slope, end = 4.0, 2.0
+    stops = (0.6 * G - np.sqrt((0.6 * G) ** 2 - 2 * slope * SPEED)) / slope
+    leaves = 0.6 * G / slope
+    solution, errors = None, []
+    for width in (1e-2, 1e-3, 1e-4):
+        problem = al.Problem(
+            Pulled(al.Decision(4.5, 3.5, 5.0), width=width),
+            grid=al.Grid(end, 20),
+            minimize=al.value("ramp"),
+            subject_to=[al.terminal("v").mean >= slope * (end - leaves) ** 2 / 2],
+        )
+        transcription = al.Simultaneous(al.schemes.Radau(3), error=1e-5)
+        solution = al.solve(problem, transcription=transcription, warm_start=solution)
+        errors.append(abs(solution.decisions["ramp"] - slope))
+        speeds = solution.states["v"]
+        is_stuck = (speeds["time"] > stops + 0.05) & (speeds["time"] < leaves - 0.05)
+        assert np.max(np.abs(speeds["mean"].values[is_stuck])) < 3 * width
+    # In proportion to the width.
+    assert errors[2] < 1e-3
+    assert errors[1] / errors[2] == pytest.approx(10, rel=0.3)

@@ -301,8 +301,10 @@ def test_an_event_is_checked_where_it_is_declared():
         with pytest.raises(al.ProblemError, match=r"Event: .*expected"):
             al.Event(*typing.cast(Any, wrong))
     grid = al.Grid(1.0, 4)
-    with pytest.raises(al.ProblemError, match=r"events\['floor'\]: expected one number"):
+    with pytest.raises(al.ProblemError, match=r"events\['floor'\]: expected one real number"):
         al.simulate(declaring(lambda self, t, z: jnp.stack([z.y, z.v]), jump=lambda self, t, z: {}), grid)
+    with pytest.raises(al.ProblemError, match=r"crosses zero, such as z.y; received bool"):
+        al.simulate(declaring(lambda self, t, z: z.y <= 0, jump=lambda self, t, z: {}), grid)
     with pytest.raises(al.ProblemError, match=r"events\['floor'\].jump: expected new values by the names"):
         al.simulate(declaring(lambda self, t, z: z.y, jump=lambda self, t, z: {"w": 1.0}), grid)
     with pytest.raises(al.ProblemError, match=r"events\['floor'\].jump, 'v': expected a number|shape"):

@@ -72,3 +72,7 @@ def test_switches_are_those_without_width_some_widths_away():
     np.testing.assert_allclose(al.smooth.dead_zone(x, 1.0, width=0.01)[far], gap[far], atol=1e-12)
     with pytest.raises(al.ProblemError, match="smooth: width"):
         al.smooth.sign(x, width=0.0)
+    with pytest.raises(al.ProblemError, match="lower <= upper"):
+        al.smooth.saturated(x, 0.5, -0.5, width=0.1)
+    with pytest.raises(al.ProblemError, match="half_gap >= 0"):
+        al.smooth.dead_zone(x, -0.5, width=0.1)

@@ -62,6 +62,18 @@ def test_a_decay_measured_between_the_instants_is_fitted_as_scipy_fits_it(known_
     assert "correlation" in str(found)
 
 
+def test_a_whole_number_is_known_once_it_is_found():
+    model = Decay(rate=al.Decision(1.5, 0.01, 10.0), start=al.Integer(2, 1, 2))
+    found = al.posterior(al.solve(al.Problem(model, grid=GRID, minimize=al.residuals("x", TIMES, DECAYED))))
+    expected = curve_fit(
+        lambda t, b: 2 * np.exp(-b * t), DECAYED, (1.5,), lambda t, b: (-2 * t * np.exp(-b * t))[:, None]
+    )
+    assert found.names == ("rate",)
+    np.testing.assert_allclose(found.mean, expected[0], rtol=1e-6)
+    np.testing.assert_allclose(found.covariance, expected[1], rtol=1e-6)
+    assert found.system.start == 2.0
+
+
 def test_an_oscillator_with_two_measured_outputs_is_fitted_as_least_squares_fits_it():
     def motion(numbers):
         damping, stiffness = numbers

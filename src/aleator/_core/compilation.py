@@ -106,15 +106,10 @@ class Compiled:
             beside(program)
         return program
 
-    def begin(self, *arguments: Any) -> Callable[[], Any]:
-        """Begin a call on another core; the function returned waits for the result. Traced immediately."""
-        program, leaves = self._program(arguments)
-        return beside(lambda: program()(*leaves))
-
     def bound(self, *fixed: Any, packed: bool = True) -> "Bound":
         """The function with all arguments but the last fixed, for many calls that differ in that one: a tree of arrays.
 
-        - `packed`: whether real numbers of the result are passed in one vector too, as NumPy arrays, which are not to
+        - `packed`: whether real numbers are passed in one vector, those of the result as NumPy arrays, which are not to
           be written to.
         """
         return Bound(self, fixed, packed=packed)
@@ -298,7 +293,7 @@ class Bound:
     def __init__(self, compiled: Compiled, fixed: tuple[Any, ...], *, packed: bool):
         self._compiled, self._fixed, self._packed = compiled, fixed, packed
         arrays, self._static = eqx.partition(fixed, eqx.is_array)
-        self._layout = Layout.of(arrays, packed=True)
+        self._layout = Layout.of(arrays, packed=packed)
         device = placed(arrays)
         self._moves, self._inputs = device is None, jax.device_put(self._layout.arrays(arrays), device)
         self._copies: dict[Device, list[Any]] = {}

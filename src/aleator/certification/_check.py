@@ -7,7 +7,9 @@ are in no phase with those of the problem's: what is constant at these, such as 
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, NamedTuple, TypeVar
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Any, TypeVar, final
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +17,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import jax_array, numbers_to_arrays
-from aleator._core.compilation import Compiled, Use
+from aleator._core.compilation import Bound, Compiled, Use
+from aleator._core.parallel import beside
 from aleator.certification._fresh import FreshSystems, simulates_inside, systems_of
 from aleator.design import (
     AbstractFunctional,
@@ -46,13 +49,15 @@ _ROUNDING, ROUNDING, NEGLIGIBLE_SPREAD = 1e-12, 1e-9, 1e-6
 _DEPARTED, _SAME = 10.0, 1e-9
 
 
-class Check(NamedTuple):
+@final
+@dataclass(frozen=True)
+class Check:
     """A problem's numbers at one point by CHECK.
 
     - `values`: the objective, then the constraints, those of paths at every instant of the finer grid;
-    - `statistics`, `means`, `stds`: each statistic in the expressions; the moments of each functional;
+    - `statistics`: each statistic in the expressions;
     - `reaches`: how large each functional could be in a typical system, see `AbstractFunctional.reach`;
-    - `coefficients`: of the expansion of each functional;
+    - `coefficients`: of the expansion of each functional, whose moments are `means` and `stds`;
     - `fresh`: each functional at the fresh systems; `predicted`: what its expansion predicts there;
     - `systems`: the fresh systems; `factor`: how many times as many steps the finer grid has; `integrator`: its name;
     - `departed`: by how much a simulation from the first instant departs from a mesh, in a sentence, if by so much that
@@ -63,8 +68,6 @@ class Check(NamedTuple):
 
     values: tuple[Float[np.ndarray, "..."], ...]
     statistics: tuple[Float[np.ndarray, "..."], ...]
-    means: tuple[Float[np.ndarray, "..."], ...]
-    stds: tuple[Float[np.ndarray, "..."], ...]
     reaches: tuple[float, ...]
     coefficients: tuple[Float[np.ndarray, "terms ..."], ...]
     fresh: tuple[Float[np.ndarray, "fresh ..."], ...]
@@ -73,6 +76,20 @@ class Check(NamedTuple):
     factor: int
     integrator: str
     departed: str = ""
+
+    @cached_property
+    def means(self) -> tuple[Float[np.ndarray, "..."], ...]:
+        """The mean of each functional."""
+        return self._all_of(Mean())
+
+    @cached_property
+    def stds(self) -> tuple[Float[np.ndarray, "..."], ...]:
+        """The standard deviation of each functional."""
+        return self._all_of(Std())
+
+    def _all_of(self, kind: Mean | Std) -> tuple[Float[np.ndarray, "..."], ...]:
+        coefficients: tuple[Any, ...] = self.coefficients
+        return tuple(np.asarray(kind.of(one, ())) for one in coefficients)
 
     def at_own(self, problem: Problem) -> dict[Statistic, Float[np.ndarray, "..."]]:
         """The statistics in the expressions of a problem, those of paths at the instants of its own grid."""
@@ -95,11 +112,14 @@ def _check(
     problem: Problem,
     collocation: Collocation,
     constants: Constants,
-    systems: Float[Array, "fresh variables"],
     decisions: Float[Array, " n"],
-    courses: Float[Array, "systems parts states"] | None,
+    drawn: tuple[Float[Array, "fresh variables"], Float[Array, "systems parts states"] | None],
 ) -> tuple[Any, ...]:
-    """Values, statistics and reaches as in `Check`; coefficients of each functional, and its fresh samples."""
+    """Values, statistics and reaches as in `Check`; coefficients of each functional, and its fresh samples.
+
+    `drawn`: fresh systems, and the states from which parts of the time are simulated.
+    """
+    systems, courses = drawn
     functionals = functionals_of(problem.expressions)
     names = dict.fromkeys(name for one in functionals for name in one.outputs)
     peaks = tuple(Peak((name,)) for name in names)
@@ -124,10 +144,8 @@ def _check(
     return values, tuple(scope.taken), reaches, tuple(coefficients[one] for one in functionals), fresh
 
 
-def _use(
-    problem: Problem, collocation: Collocation, constants: Constants, systems: Float[Array, "fresh variables"], *_: Any
-) -> Use:
-    del constants
+def _use(problem: Problem, collocation: Collocation, *others: Any) -> Use:
+    systems, _ = others[-1]
     steps = problem.grid.steps * (len(collocation.points) + len(systems))
     return Use.BRIEF if steps <= _BRIEF else Use.ROWS
 
@@ -149,43 +167,58 @@ def begin_check(
     simulated again by an implicit one. Nor does a simulation from the first instant confirm the answer to an unstable
     one: where it departs by orders of magnitude, each step of the grid is simulated from the state that the mesh has.
     """
-    problem, decisions = transcribed.problem, transcribed.decisions(point)
-    systems = systems_of(problem, 0) if systems is None else systems
+    systems = systems_of(transcribed.problem, 0) if systems is None else systems
+    return checks_at(transcribed, point, factor)(systems)
 
-    def begun(integrator: AbstractIntegrator, departed: str = "") -> Callable[[], Check]:
-        finer = problem.finer(factor, integrator)
+
+def checks_at(
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], factor: int
+) -> Callable[[FreshSystems], Callable[[], Check]]:
+    """`begin_check` as a function of the fresh systems, for several draws at one point."""
+    problem = transcribed.problem
+
+    @cache
+    def bound(integrator: AbstractIntegrator, is_in_parts: bool) -> Bound:
+        del is_in_parts  # a program of its own
+        return _bound(problem.finer(factor, integrator), transcribed.discretised, transcribed.decisions(point))
+
+    def begun(systems: FreshSystems, integrator: AbstractIntegrator, departed: str = "") -> Callable[[], Check]:
         named = type(integrator).__name__ if problem.is_integrated else "Simpson's rule"
         courses = _courses(transcribed, point, systems) if departed else None
-        wait = CHECK.begin(*_arguments(finer, transcribed.discretised, systems, decisions, courses))
+        check, drawn = bound(integrator, bool(departed)), (systems.points, courses)
+        check.begin(drawn)
+        wait = beside(lambda: check(drawn))
 
         def result() -> Check:
             values, statistics, reaches, coefficients, fresh = jax.tree.map(np.asarray, wait())
-            means, stds = (tuple(np.asarray(kind.of(one, ())) for one in coefficients) for kind in (Mean(), Std()))
             predict = transcribed.discretised.basis.matrix(systems.points)
             predicted = tuple(np.tensordot(predict, one, axes=1) for one in coefficients)
-            largest = tuple(map(float, reaches))
-            numbers = values, statistics, means, stds, largest, coefficients, fresh, predicted
+            numbers = values, statistics, tuple(map(float, reaches)), coefficients, fresh, predicted
             return Check(*numbers, systems, factor, named, departed)
 
         return result
 
     reference = problem.integrator.reference()
-    explicit = begun(reference)
 
-    def checked() -> Check:
-        # Asked for next; computed here while the check runs on another core.
-        transcribed.resolve(point)
-        check = explicit()
-        if transcribed.fineness == 1 or not problem.is_integrated:
-            return check
-        if not check.is_finite:
-            check = begun(Kvaerno5())()
-        if not (departed := _departed(transcribed, point, check)):
-            return check
-        again = begun(reference, departed)()
-        return again if again.is_finite else begun(Kvaerno5(), departed)()
+    def begin(systems: FreshSystems) -> Callable[[], Check]:
+        explicit = begun(systems, reference)
 
-    return checked
+        def checked() -> Check:
+            # Asked for next; computed here while the check runs on another core.
+            transcribed.resolve(point)
+            check = explicit()
+            if transcribed.fineness == 1 or not problem.is_integrated:
+                return check
+            if not check.is_finite:
+                check = begun(systems, Kvaerno5())()
+            if not (departed := _departed(transcribed, point, check)):
+                return check
+            again = begun(systems, reference, departed)()
+            return again if again.is_finite else begun(systems, Kvaerno5(), departed)()
+
+        return checked
+
+    return begin
 
 
 def _departed(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check) -> str:
@@ -226,9 +259,10 @@ def prepare_check(factor: int, problem: Problem, discretised: Discretised) -> Ca
     """Begin to compile what `begin_check` will need, on another core; the function returned completes this."""
     if not is_checked(problem):
         return lambda: None
-    finer = problem.finer(factor, problem.integrator.reference())
-    start = problem.placements.vector("initial")
-    return CHECK.prepare(*_arguments(finer, discretised, systems_of(problem, 0), start))
+    finer, start = problem.finer(factor, problem.integrator.reference()), problem.placements.vector("initial")
+    bound, drawn = _bound(finer, discretised, start), (systems_of(problem, 0).points, None)
+    bound.begin(drawn)
+    return lambda: bound.prepare(drawn)
 
 
 def is_checked(problem: Problem) -> bool:
@@ -237,16 +271,10 @@ def is_checked(problem: Problem) -> bool:
     return has_parts and bool(functionals_of(problem.expressions))
 
 
-def _arguments(
-    problem: Problem,
-    discretised: Discretised,
-    systems: FreshSystems,
-    decisions: Float[np.ndarray, " n"],
-    courses: Float[np.ndarray, "systems steps states"] | None = None,
-) -> tuple[Any, ...]:
+def _bound(problem: Problem, discretised: Discretised, decisions: Float[np.ndarray, " n"]) -> Bound:
+    """CHECK of a problem, of fresh systems and the states of `_courses`."""
     _, collocation, constants = discretised
-    known = jax_array(systems.points), jax_array(decisions), None if courses is None else jax_array(courses)
-    return numbers_to_arrays(problem), collocation, constants, *known
+    return CHECK.bound(numbers_to_arrays(problem), collocation, constants, jax_array(decisions), packed=False)
 
 
 def check_factor(problem: Problem, between: int | None) -> int:

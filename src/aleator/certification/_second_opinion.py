@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import jax_array
-from aleator.certification._check import Check, begin_check, certain
+from aleator.certification._check import Check, certain, checks_at
 from aleator.certification._fresh import OF_THE_SHAPE, has_shape, systems_of
 from aleator.certification._shapes import corrected_shape, means, predicted_of_many
 from aleator.certification._tails import KnownStatistics, tail_objections
@@ -121,10 +121,11 @@ def second_opinion(
     systems = check.systems
     if not len(systems.points) or not functionals_of(transcribed.problem.expressions):
         return None
+    begin = checks_at(transcribed, point, check.factor)
 
     def drawn(first: int, last: int) -> list[Check]:
         draws = (systems_of(transcribed.problem, draw) for draw in range(first, last))
-        waiting = [begin_check(transcribed, point, check.factor, systems) for systems in draws]
+        waiting = [begin(systems) for systems in draws]
         return [one() for one in waiting]
 
     least, most = systems.draws

@@ -16,7 +16,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import jax_array
 from aleator._core.compilation import Use, evaluate
-from aleator.certification._check import ROUNDING, Check, begin_check
+from aleator.certification._check import ROUNDING, Check, checks_at
 from aleator.certification._fresh import FreshSystems
 from aleator.design import AbstractScopeOfInstants, Expression, Statistic, functionals_of, statistics_in
 from aleator.statistics import (
@@ -191,11 +191,12 @@ def _error(
     values, predicted, weights = (np.zeros(0) for _ in range(3))
     coefficients = check.coefficients[tail.functional][(slice(None), *tail.entry)]
     basis, lines = transcribed.discretised.basis, transcribed.constants.of(tail.kind)
+    begin = checks_at(transcribed, point, check.factor)
     proposal = tail_proposal(basis, lines, coefficients, tail.chance, lower=tail.kind.tail(tail.value)[1])
     while True:
         draws = range(len(values) // size, -(-max(least, size) // size))
         systems = (FreshSystems(*points_in_tail(proposal, basis, size, draw)) for draw in draws)
-        waiting = [begin_check(transcribed, point, check.factor, one) for one in systems]
+        waiting = [begin(drawn) for drawn in systems]
         for one in (begun() for begun in waiting):
             of = (slice(None), *tail.entry)
             values = np.concatenate([values, one.fresh[tail.functional][of]])

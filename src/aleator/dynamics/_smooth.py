@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from typing import Any, final
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.border import positive as positive_number
-from aleator._core.border import traceable
+from aleator._core.border import refusal, traceable
 from aleator._core.leaves import is_traced
 
 
@@ -50,6 +51,17 @@ def sign(x: Any, *, width: Any) -> Float[Array, "*shape"]:
     return jnp.tanh(traceable("smooth: x", x) / _over(width))
 
 
+def sign_residual(s: Any, x: Any, *, width: Any) -> Float[Array, "*shape"]:
+    """What is zero where `s = sign(x, width=...)`: the `residual` of an algebraic variable, for small widths.
+
+    It is the complementarity of friction and velocity, relaxed by the width (Chen and Mangasarian, 1996, A class of
+    smoothing functions for nonlinear and mixed complementarity problems). Its derivatives stay as large as one and `x`
+    for any width, so that `al.Simultaneous()`, where `s` is a variable too, follows widths down to nearly zero.
+    """
+    s, x = traceable("smooth: s", s), traceable("smooth: x", x)
+    return jnp.hypot(x, _over(width)) * (s - sign(x, width=width))
+
+
 def step(x: Any, *, width: Any) -> Float[Array, "*shape"]:
     """1 where `x` is positive, else 0."""
     return (1 + sign(x, width=width)) / 2
@@ -65,14 +77,27 @@ def positive(x: Any, *, width: Any) -> Float[Array, "*shape"]:
 
 
 def saturated(x: Any, lower: Any, upper: Any, *, width: Any) -> Float[Array, "*shape"]:
-    """`x` between two limits, `lower` or `upper` beyond them: an actuator that gives no more."""
+    """`x` between two limits, `lower` or `upper` beyond them: an actuator that gives no more.
+
+    Raises `ProblemError` for known limits in the wrong order.
+    """
     x, lower, upper = (
         traceable(f"smooth: {name}", one) for name, one in (("x", x), ("lower", lower), ("upper", upper))
     )
+    _refuse_negative("smooth: saturated", "lower <= upper", upper - lower)
     return lower + positive(x - lower, width=width) - positive(x - upper, width=width)
 
 
 def dead_zone(x: Any, half_gap: Any, *, width: Any) -> Float[Array, "*shape"]:
-    """How far `x` is beyond a gap on either side of zero: the twist that a shaft with backlash passes on."""
+    """How far `x` is beyond a gap on either side of zero: the twist that a shaft with backlash passes on.
+
+    Raises `ProblemError` for a known gap below zero.
+    """
     x, half_gap = traceable("smooth: x", x), traceable("smooth: half_gap", half_gap)
+    _refuse_negative("smooth: dead_zone", "half_gap >= 0", half_gap)
     return positive(x - half_gap, width=width) - positive(-x - half_gap, width=width)
+
+
+def _refuse_negative(what: str, expected: str, distance: Any) -> None:
+    if not is_traced(distance) and np.any(np.asarray(distance) < 0):
+        raise refusal(what, expected, np.asarray(distance).tolist())

@@ -139,9 +139,14 @@ class System(AbstractSystem):
         levels = []
         for name, event in self.declared_events.items():
             who = f"{self.title}.events['{name}']"
-            level = traceable(who, evaluated(self, MethodType(event.function, self.formulated), t, z, inputs, who))
-            if level.shape != ():
-                raise ProblemError(f"{who}: expected one number that crosses zero; received shape {level.shape}.")
+            value = evaluated(self, MethodType(event.function, self.formulated), t, z, inputs, who)
+            level, kind = traceable(who, value), jnp.result_type(value)
+            # A comparison jumps where the event is, and no whole number crosses zero.
+            if level.shape or not jnp.issubdtype(kind, jnp.floating):
+                raise ProblemError(
+                    f"{who}: expected one real number that crosses zero, such as z.y; received {kind} of shape "
+                    f"{level.shape}."
+                )
             levels.append(level)
         return jnp.stack(levels)
 

@@ -13,7 +13,8 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import numbers_to_arrays
-from aleator._core.border import whole
+from aleator._core.border import refusal, whole
+from aleator._core.errors import ProblemError
 from aleator._core.leaves import stored_numbers
 from aleator.dynamics import (
     ONLY_STATES,
@@ -33,6 +34,8 @@ from aleator.trajectories import AbstractSignal, as_array
 
 # Newton's method for the sign of a matrix converges quadratically once it is scaled.
 _ITERATIONS = 30
+# Entries of a weight on either side of its diagonal, and its least eigenvalue, may differ by rounding.
+_SYMMETRIC = 1e-12
 
 Matrix = Float[Array, "n n"]
 
@@ -97,8 +100,28 @@ def lqr(Q: Any, R: Any, *, final: Any = None, steps: int = 200) -> LQR:
 
     Weights may be decisions. Gains are the output `"lqr.gains"`. Raises `ProblemError` for weights that are none.
     """
-    Q, R = stored_numbers("lqr: Q", Q), stored_numbers("lqr: R", R)
-    return LQR(Q, R, None if final is None else stored_numbers("lqr: final", final), whole("lqr: steps", steps))
+    final = None if final is None else _weights("lqr: final", final)
+    return LQR(_weights("lqr: Q", Q), _weights("lqr: R", R, is_positive=True), final, whole("lqr: steps", steps))
+
+
+def _weights(what: str, value: Any, *, is_positive: bool = False) -> Any:
+    """A weight as it is stored. Raises `ProblemError` for known numbers that weigh nothing, or reward errors."""
+    weights = stored_numbers(what, value)
+    if isinstance(weights, np.ndarray | Array):
+        matrix = _matrix(np.asarray(weights, dtype=float), np)
+        is_square = matrix.ndim == 2 and len(matrix) == matrix.shape[1]
+        is_symmetric = is_square and np.allclose(matrix, matrix.T, rtol=_SYMMETRIC, atol=0)
+        least = np.linalg.eigvalsh(matrix)[0] if is_symmetric else -np.inf
+        if not (least > 0 or (least >= -_SYMMETRIC * np.abs(matrix).max() and not is_positive)):
+            sign = "positive" if is_positive else "not negative"
+            expected = f"a symmetric matrix whose eigenvalues are {sign}, or its diagonal"
+            raise refusal(what, expected, np.asarray(weights).tolist())
+    return weights
+
+
+def _matrix(weights: Any, library: Any = jnp) -> Any:
+    """Weights as a matrix: itself, or by its diagonal."""
+    return library.diag(weights) if weights.ndim == 1 else library.atleast_2d(weights)
 
 
 @final
@@ -150,7 +173,12 @@ class Schedule(AbstractSignal):
             return linearised(rates, z, u)
 
         A, B = jax.vmap(along)(grid.times, states, values)
-        Q, R = (jnp.diag(one) if one.ndim == 1 else jnp.atleast_2d(one) for one in map(as_array, (law.Q, law.R)))
+        Q, R = (_matrix(as_array(one)) for one in (law.Q, law.R))
+        final = None if law.final is None else _matrix(as_array(law.final))
+        n, m = B.shape[1:]
+        for name, one, size, of in (("Q", Q, n, "states"), ("R", R, m, "inputs"), ("final", final, n, "states")):
+            if one is not None and one.shape != (size, size):
+                raise ProblemError(f"lqr: {name}: expected weights of {size} {of}; received the shape {one.shape}.")
         h = 2 * grid.step
 
         def back_in_time(S: Array, A: Array, B: Array) -> Array:
@@ -164,8 +192,7 @@ class Schedule(AbstractSignal):
             S = S + h / 6 * (slopes[0] + 2 * slopes[1] + 2 * slopes[2] + slopes[3])
             return S, S
 
-        last = algebraic_riccati(A[-1], B[-1], Q, R) if law.final is None else as_array(law.final)
-        last = jnp.diag(last) if last.ndim == 1 else last
+        last = algebraic_riccati(A[-1], B[-1], Q, R) if final is None else final
         rows = jax.tree.map(lambda one: jnp.stack([one[2::2], one[1::2], one[:-1:2]], axis=1), (A, B))
         _, earlier = jax.lax.scan(step, last, rows, reverse=True)
         S = jnp.concatenate([earlier, last[None]])

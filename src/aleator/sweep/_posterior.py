@@ -7,7 +7,7 @@ from typing import Any, final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from aleator._core.arrays import jax_array, numbers_to_arrays
 from aleator._core.border import one_of
@@ -22,6 +22,7 @@ from aleator.uncertainty import (
     AbstractDistribution,
     LogNormal,
     Normal,
+    Placements,
     correlated,
     named_numbers,
     with_decisions,
@@ -38,7 +39,8 @@ _TAKES_PART = 0.1
 class Posterior(Printed):
     """The normal distribution of identified numbers, given their data, near the best fit.
 
-    - `names`: of the numbers, one for each entry of the decision vector; `mean`: their best values, shape (n,);
+    - `names`: of the numbers, one for each entry of the decision vector that may have any value: integers and choices
+      are known, once they are found; `mean`: their best values, shape (n,);
     - `covariance`: `s² (JᵀJ)⁻¹`, shape (n, n), by the exact Jacobian `J` of the residuals, shape (data, n);
     - `residuals`: `(model - data) / std`, shape (data,);
     - `variance`: `s²`, the sum of their squares over the degrees of freedom, data less numbers. About 1 where `std` is
@@ -72,7 +74,8 @@ class Posterior(Printed):
         They are normal; where a decision's lower bound is zero or above, log-normal with the same mean and spread, so
         that a mass stays positive. Raises `ProblemError` if no distributions have correlations so close to 1.
         """
-        lower = self.solution.problem.placements.vector("lower")
+        places = self.solution.problem.placements
+        lower = places.vector("lower")[_continuous(places)]
         each: dict[str, AbstractDistribution] = {
             name: (LogNormal if low >= 0 else Normal)(mean=float(mean), std=float(std))
             for name, mean, std, low in zip(self.names, self.mean, self.std, lower, strict=True)
@@ -87,6 +90,8 @@ class Posterior(Printed):
         """
 
         def placed(name: str, decision: AbstractDecision) -> Any:
+            if decision.values is not None:
+                return float(self.solution.decisions[name])
             if decision.shape:
                 raise ProblemError(
                     f"Posterior.system: '{name}' is an array of decisions, which no distribution replaces; take those "
@@ -131,9 +136,12 @@ def posterior(solution: Solution, *, known_std: bool = False) -> Posterior:
     """
     problem = one_of("posterior: solution", solution, Solution).problem
     one_of("posterior: known_std", known_std, bool)
-    names = problem.placements.entry_names()
+    places, every = problem.placements, problem.placements.entry_names()
+    free = _continuous(places)
+    names, mean = tuple(every[i] for i in np.flatnonzero(free)), solution.vector[free]
     _refuse_other_problems(solution, known_std)
     residuals, jacobian = map(np.asarray, _FITTED(numbers_to_arrays(problem), jax_array(solution.vector)))
+    jacobian = jacobian[:, free]
     freedom = len(residuals) - len(names)
     if freedom < (0 if known_std else 1):
         raise ProblemError(
@@ -156,7 +164,15 @@ def posterior(solution: Solution, *, known_std: bool = False) -> Posterior:
     variance = float(residuals @ residuals) / freedom if freedom else 1.0
     root = directions.T / singular / lengths[:, None]
     covariance = (1.0 if known_std else variance) * root @ root.T
-    return Posterior(solution, names, solution.vector, covariance, residuals, jacobian, variance)
+    return Posterior(solution, names, mean, covariance, residuals, jacobian, variance)
+
+
+def _continuous(places: Placements) -> Bool[np.ndarray, " entries"]:
+    """Which entries of the decision vector may have any value."""
+    free = np.ones(len(places.entry_names()), bool)
+    for place in places.decisions.values():
+        free[place.where] = place.decision.values is None
+    return free
 
 
 def _refuse_other_problems(solution: Solution, known_std: bool) -> None:
@@ -174,9 +190,10 @@ def _refuse_other_problems(solution: Solution, known_std: bool) -> None:
         )
     if not solution.ok:
         raise ProblemError(f"posterior: expected a fit that succeeded; received one that failed: {solution.why()}")
-    if solution.active:
+    chosen = {name for name, place in problem.placements.decisions.items() if place.decision.values is not None}
+    if active := [name for name in solution.active if name not in chosen]:
         raise ProblemError(
-            f"posterior: expected a fit inside all bounds and limits; received one at that of '{solution.active[0]}', "
+            f"posterior: expected a fit inside all bounds and limits; received one at that of '{active[0]}', "
             "where no normal distribution describes what the data say. Widen it, or make a number at its bound a plain "
             "one."
         )
