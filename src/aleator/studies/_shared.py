@@ -64,6 +64,11 @@ def add_second_way(page: Draft, name: str, problem: al.Problem, most_states: int
     page.add(comparison_table(name, both), mesh_drawing(both.second.meshes, name))
 
 
+def requirements_active(solution: al.Solution) -> list[str]:
+    """The active requirements of a design, without decisions at their bounds."""
+    return [name for name in solution.active if name not in solution.at_bounds]
+
+
 def signed(change: float) -> str:
     """A relative change with its sign: `+3.9 %`."""
     return f"{'+' if change >= 0 else '−'}{percent(abs(change))}"
