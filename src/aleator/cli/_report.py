@@ -16,9 +16,9 @@ from aleator.reporting import (
     Text,
     Verdict,
     by_place,
-    page_of,
     proposal,
     sections,
+    whole_page,
     words,
     write_page,
 )
@@ -111,4 +111,4 @@ def _page_of_designs(folder: Path, run: Recalled, study: AbstractStudy | None, m
             for name, one in written.items()
         ]
     absent = [Section("Missing", [Text(missing)])] if missing else []
-    return page_of(title, f"Kept in {folder.resolve().name}: {words(names)}", about, [*chapters, *absent])
+    return whole_page(title, f"Kept in {folder.resolve().name}: {words(names)}", about, [*chapters, *absent])

@@ -64,10 +64,10 @@ from aleator.reporting._paths import path_figure as path_figure
 from aleator.reporting._paths import signal_figure as signal_figure
 from aleator.reporting._paths import trajectory_figure as trajectory_figure
 from aleator.reporting._report import evidence_sections as evidence_sections
-from aleator.reporting._report import page_of as page_of
 from aleator.reporting._report import report as report
 from aleator.reporting._report import sections as sections
 from aleator.reporting._report import trade_offs_section as trade_offs_section
+from aleator.reporting._report import whole_page as whole_page
 from aleator.reporting._samples import calibration_figure as calibration_figure
 from aleator.reporting._samples import percentile_figure as percentile_figure
 from aleator.reporting._samples import shares_figure as shares_figure

@@ -85,7 +85,7 @@ def report(
         _check_along(one, shown)
     checked = [each for one in sampled_along.values() for each in one.evidence if each is not None]
     check_writable(as_path(path).parent)
-    page = page_of(
+    page = whole_page(
         a_name("report: title", title),
         f"{words([str(name) for name in designs])}: result and evidence",
         proposal(designs, sampled, positive("report: target", target, below=1.0)),
@@ -188,7 +188,7 @@ def trade_offs_section(
     return Section("Trade-offs", [*optima, *front_blocks(swept, known, shown), *trade_off_blocks(traded, known, shown)])
 
 
-def page_of(
+def whole_page(
     title: str,
     subtitle: str,
     verdict: Verdict,

@@ -22,9 +22,9 @@ from aleator.reporting import (
     Verdict,
     by_place,
     is_group,
-    page_of,
     savable,
     save_study,
+    whole_page,
     write_page,
 )
 
@@ -240,7 +240,7 @@ class Draft:
         glossary = [Table("Glossary", _TERMS, self._study.glossary)] if self._study.glossary else []
         ended = Section("This run", [Text([self._end()])] if self.stopped or self.failures else [])
         about = self.title, self._study.subtitle, self._verdict()
-        return page_of(*about, [ended, *self._sections], self.kept, glossary)
+        return whole_page(*about, [ended, *self._sections], self.kept, glossary)
 
     def _end_step(self) -> None:
         if self.present:
