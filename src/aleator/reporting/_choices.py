@@ -59,7 +59,7 @@ def choice(
         _table("Limits", [(one, worst_text(point, one)) for one in limits]),
         _table(f"Shadow prices{' in the weighted sum of the wishes' if wishes else ''}", _prices(point, limits)),
         _table("Statistics", _statistics(point)),
-        _table("Evidence", _counted(evidence), _alarms(evidence)),
+        _table("Evidence", _counted(evidence), _UNCHECKED if evidence is None else " ".join(_alarms(evidence))),
     ]
     certificate = _table("Certificate", _certified(point), "" if point.ok else point.why())
     # That there is no design comes first.
@@ -118,11 +118,8 @@ def _counted(evidence: Evidence | None) -> Iterator[tuple[str, str]]:
     yield "Agree with the expansion", "yes" if evidence.agrees else "no"
 
 
-def _alarms(evidence: Evidence | None) -> str:
-    if evidence is None:
-        return _UNCHECKED
-    alarms = [] if evidence.agrees else [evidence.alarm()]
-    return " ".join([*alarms, *(one.sentence() for one in evidence.compared)])
+def _alarms(evidence: Evidence) -> list[str]:
+    return [*([] if evidence.agrees else [evidence.alarm()]), *(one.sentence() for one in evidence.compared)]
 
 
 def _certified(solution: Solution) -> Iterator[tuple[str, str]]:

@@ -173,7 +173,8 @@ def _motions(designs: Mapping[str, Solution]) -> Iterator[Drawing]:
 
 def evidence_sections(evidence: Mapping[str, Evidence]) -> tuple[Section, Section]:
     """The chapters on sampled systems: over time, and counted."""
-    return Section("Trajectories", _trajectory_blocks(evidence)), Section("Evidence", _evidence_blocks(evidence))
+    paths, counted = [*_trajectory_blocks(evidence)], [*_evidence_blocks(evidence)]
+    return Section("Trajectories", paths), Section("Evidence", counted)
 
 
 def trade_offs_section(
@@ -211,49 +212,31 @@ def whole_page(
     return Page(title, subtitle, verdict, [section for section in [*sections, *last] if section.blocks], footer)
 
 
-def _trajectory_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
+def _trajectory_blocks(evidence: Mapping[str, Evidence]) -> Iterator[Drawing]:
     """One drawing for each design and path constraint."""
-    blocks: list[Block] = []
+    told = "Sampled systems over time; those that violate a limit are highlighted."
     for name, one in evidence.items():
-        problem = one.solution.problem
         for limit in dict.fromkeys(kept.name for kept in one.trajectories):
-            unit = unit_of_limit(limit, problem)
-            figure = trajectory_figure(one, limit, unit=unit)
-            blocks.append(
-                Drawing(
-                    [figure],
-                    f"{limit} of {name}",
-                    "Sampled systems over time; those that violate a limit are highlighted.",
-                )
+            figure = trajectory_figure(one, limit, unit=unit_of_limit(limit, one.solution.problem))
+            yield Drawing([figure], f"{limit} of {name}", told)
+
+
+def _evidence_blocks(evidence: Mapping[str, Evidence]) -> Iterator[Block]:
+    for name, one in evidence.items():
+        if not one.agrees:
+            yield Text([one.alarm()], lead=f"{name}: samples and solution disagree.")
+    for name, one in evidence.items():
+        if one.compared:
+            yield Text(
+                [each.sentence() for each in one.compared], lead=f"{name}: limits on statistics, by the samples."
             )
-    return blocks
-
-
-def _evidence_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
-    if not evidence:
-        return []
-    blocks: list[Block] = [
-        Text([one.alarm()], lead=f"{name}: samples and solution disagree.")
-        for name, one in evidence.items()
-        if not one.agrees
-    ]
-    blocks += [
-        Text([one.sentence() for one in each.compared], lead=f"{name}: limits on statistics, by the samples.")
-        for name, each in evidence.items()
-        if each.compared
-    ]
-    blocks += [one for one in (evidence_table(evidence), statistics_table(evidence)) if one is not None]
+    if evidence:
+        yield evidence_table(evidence)
+        yield from filter(None, [statistics_table(evidence)])
+    told = "Bars: 1 to 99 %, 5 to 95 % and 25 to 75 % of the systems."
     for text in dict.fromkeys(text for one in evidence.values() for text in one.functionals):
         group = {name: one.functionals[text] for name, one in evidence.items() if text in one.functionals}
-        if any(np.ndim(one.mean) or one.percentiles is None for one in group.values()):
-            continue
-        unit = units_of_moments(next(iter(evidence.values())).solution.problem).get(text, "")
-        figure = percentile_figure(group, x=text, unit=unit)
-        blocks.append(
-            Drawing(
-                [figure],
-                f"Spread of {text} over random systems",
-                "Bars: 1 to 99 %, 5 to 95 % and 25 to 75 % of the systems.",
-            )
-        )
-    return blocks
+        if not any(np.ndim(one.mean) or one.percentiles is None for one in group.values()):
+            unit = units_of_moments(next(iter(evidence.values())).solution.problem).get(text, "")
+            figure = percentile_figure(group, x=text, unit=unit)
+            yield Drawing([figure], f"Spread of {text} over random systems", told)

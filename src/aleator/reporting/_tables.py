@@ -23,7 +23,7 @@ from aleator.reporting._numbers import (
     words,
 )
 from aleator.solution import Solution
-from aleator.validation import Checked, Evidence
+from aleator.validation import Evidence
 
 STATUS_WORDS = {
     Status.SOLVED: "solved",
@@ -172,19 +172,12 @@ def evidence_table(evidence: Mapping[str, Evidence]) -> Table:
         for text, sampled in one.functionals.items():
             if np.ndim(sampled.mean) or sampled.percentiles is None:
                 continue
-            p5, p50, p95 = (sampled.percentiles[i] for i in (1, 3, 5))
-            rows.append(
-                [
-                    (f"{name}, {text}" if name else text) + (f" ({units[text]})" if units.get(text) else ""),
-                    f"{number(float(sampled.mean), 5)} ± {number(float(sampled.standard_error), 2)}",
-                    number(float(sampled.expanded_mean), 5),
-                    number(float(sampled.std), 4),
-                    number(float(sampled.expanded_std), 4),
-                    number(p5, 4),
-                    number(p50, 4),
-                    number(p95, 4),
-                ]
-            )
+            numbers = sampled.mean, sampled.standard_error, sampled.expanded_mean, sampled.std, sampled.expanded_std
+            mean, error, expanded, std, expanded_std = map(float, numbers)
+            means = f"{number(mean, 5)} ± {number(error, 2)}", number(expanded, 5)
+            percentiles = [number(sampled.percentiles[i], 4) for i in (1, 3, 5)]
+            label = _with_unit(f"{name}, {text}" if name else text, units.get(text, ""))
+            rows.append([label, *means, number(std, 4), number(expanded_std, 4), *percentiles])
     header = ["", "Mean, sampled", "Mean, expansion", "σ, sampled", "σ, expansion", "5 %", "Median", "95 %"]
     samples = words(sorted({count(one.samples) for one in evidence.values()}))
     note = (
@@ -194,28 +187,22 @@ def evidence_table(evidence: Mapping[str, Evidence]) -> Table:
     return Table("Monte Carlo and the expansion compared", header, rows, note)
 
 
+def _with_unit(name: str, unit: str) -> str:
+    return f"{name} ({unit})" if unit else name
+
+
 def statistics_table(evidence: Mapping[str, Evidence]) -> Table | None:
     """The other statistics in the problems, sampled and by the expansion; None if there are none."""
     rows = []
     for name, one in evidence.items():
         for text, checked in one.statistics.items():
-            if checked.statistic.is_moment:
-                continue
-            unit = unit_of_statistic(checked.statistic, one.solution.problem)
-            rows.append(
-                [
-                    f"{name}, {text}" + (f" ({unit})" if unit else ""),
-                    _estimated(checked),
-                    number(checked.expanded, 5),
-                ]
-            )
+            if not checked.statistic.is_moment:
+                unit = unit_of_statistic(checked.statistic, one.solution.problem)
+                error = "" if np.isnan(checked.standard_error) else f" ± {number(checked.standard_error, 2)}"
+                estimate = f"{number(checked.estimate, 5)}{error}"
+                rows.append([_with_unit(f"{name}, {text}", unit), estimate, number(checked.expanded, 5)])
     note = "± is one standard error of the sampled number."
     return Table("Other statistics", ["", "Sampled", "Expansion"], rows, note) if rows else None
-
-
-def _estimated(one: Checked) -> str:
-    error = "" if np.isnan(one.standard_error) else f" ± {number(one.standard_error, 2)}"
-    return f"{number(one.estimate, 5)}{error}"
 
 
 def unresolved(solutions: Mapping[str, Solution]) -> dict[str, tuple[str, float]]:

@@ -99,7 +99,7 @@ def comparison_table(name: str, found: al.results.CrossChecked) -> Table:
     ways = found.first, found.second
     rows = [
         ["Status", *("solved" if one.ok else one.why() for one in ways), ""],
-        ["Objective", *(number(one.objective, _DIGITS) for one in ways), _difference(found.objective)],
+        ["Objective", *(number(one.objective, _DIGITS) for one in ways), number(found.objective, 3)],
         *_decision_rows(found),
         ["Statistics, the largest difference", "", "", _largest(found.statistics)],
         ["Shadow prices, the largest difference", "", "", _largest(found.multipliers)],
@@ -122,15 +122,11 @@ def _decision_rows(found: al.results.CrossChecked) -> Iterator[Sequence[str]]:
             continue
         values = [np.asarray(one.decisions[name]) for one in (found.first, found.second)]
         shown = [number(float(one), _DIGITS) if one.ndim == 0 else f"{one.size} numbers" for one in values]
-        yield [name, *shown, _difference(difference) if np.isfinite(difference) else "on another mesh"]
+        yield [name, *shown, number(difference, 3) if np.isfinite(difference) else "on another mesh"]
 
 
 def _largest(differences: Mapping[str, float]) -> str:
     if not differences:
         return "–"
     name, worst = max(differences.items(), key=lambda one: one[1])
-    return f"{_difference(worst)} ({name})"
-
-
-def _difference(value: float) -> str:
-    return number(value, 3)
+    return f"{number(worst, 3)} ({name})"
