@@ -4,7 +4,6 @@ import enum
 import functools
 import threading
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager, nullcontext
 from typing import Any, ClassVar, final
@@ -19,9 +18,9 @@ from jaxtyping import Array
 
 from aleator._core import programs
 from aleator._core.arrays import Layout, Pytree, is_real
-from aleator._core.equations import TracedFunction, digest_of, ends_by_condition, must_run_alone, refuse_unsteady
+from aleator._core.equations import TracedFunction, ends_by_condition, must_run_alone
 from aleator._core.errors import ProblemError
-from aleator._core.identity import identity_of, lasting_name
+from aleator._core.identity import lasting_name, traced_once
 from aleator._core.parallel import Device, beside, devices, elsewhere, home, placed, undisturbed
 from aleator._core.programs import PROGRAMS, Executable, Program
 
@@ -355,50 +354,10 @@ def _evaluated(function: TracedFunction, constants: list[Any], leaves: list[Any]
 
 _EVALUATED = {use: Compiled(_evaluated, use=use) for use in Use}
 
-# Enough for a session's functions.
-_MOST_TRACES = 64
-_TRACES: OrderedDict[Hashable, TracedFunction] = OrderedDict()
-_TRACES_LOCK = threading.Lock()
-
 
 def evaluate(function: Callable[..., Pytree], *arguments: Pytree, use: Use = Use.LOOPS) -> Pytree:
     """The value of a function of arrays in compiled form: compiled once for equal equations."""
     return evaluate_traced(traced_once(function, function, *arguments), *arguments, use=use)
-
-
-def traced_once(
-    code: Pytree, function: Callable[..., Pytree], *arguments: Pytree, who: str | None = None
-) -> TracedFunction:
-    """A function traced for arguments like these, unless it has been: `code` tells all that it follows from.
-
-    What cannot be told is traced each time. Raises `ProblemError` in the name of `who`, if one is named, for code that
-    computes something else at each trace.
-    """
-    name = identity_of(code)
-    leaves, structure = jax.tree.flatten(arguments)
-    key = name, structure, tuple(map(_kind_of, leaves))
-    with _TRACES_LOCK:
-        known = _TRACES.pop(key, None)
-        if known is not None:
-            _TRACES[key] = known  # the last to go
-    if known is None:
-        known = TracedFunction(function, *arguments)
-        if who is not None:
-            again = functools.partial(TracedFunction, function, *arguments)
-            refuse_unsteady(who, digest_of(known.closed), lambda: digest_of(again().closed))
-        if name is not None and not any(isinstance(one, Tracer) for one in known.closed.consts):
-            with _TRACES_LOCK:
-                _TRACES[key] = known
-                while len(_TRACES) > _MOST_TRACES:
-                    _TRACES.popitem(last=False)
-    return known
-
-
-def _kind_of(leaf: Any) -> Hashable:
-    """What a trace depends on in a leaf of its arguments: not the value of a number."""
-    if hasattr(leaf, "dtype"):
-        return *leaf.shape, str(leaf.dtype)
-    return float if isinstance(leaf, float) else (type(leaf), leaf)
 
 
 def evaluate_traced(function: TracedFunction, *arguments: Pytree, use: Use = Use.LOOPS) -> Pytree:

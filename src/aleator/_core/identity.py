@@ -13,10 +13,12 @@ import os
 import platform
 import sys
 import sysconfig
+import threading
 import time
 import types
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from decimal import Decimal
 from fractions import Fraction
 from importlib import metadata
@@ -26,8 +28,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
+from jax.core import Tracer
 
-from aleator._core.equations import TracedFunction, array_digest
+from aleator._core.arrays import Pytree
+from aleator._core.equations import TracedFunction, array_digest, digest_of, refuse_unsteady
 from aleator._core.leaves import Module
 from aleator._core.parallel import CORES
 
@@ -329,3 +333,44 @@ def _constant(array: Any) -> str:
     if array.dtype.hasobject or not (type(array) is np.ndarray or isinstance(array, np.generic)):
         raise DoubtError(f"it holds an array of {_name_of(type(array))} with {array.dtype}")
     return array_digest(array)
+
+
+# Enough for a session's functions.
+_MOST_TRACES = 64
+_TRACES: OrderedDict[Hashable, TracedFunction] = OrderedDict()
+_TRACES_LOCK = threading.Lock()
+
+
+def traced_once(
+    code: Pytree, function: Callable[..., Pytree], *arguments: Pytree, who: str | None = None
+) -> TracedFunction:
+    """A function traced for arguments like these, unless it has been: `code` tells all that it follows from.
+
+    What cannot be told is traced each time. Raises `ProblemError` in the name of `who`, if one is named, for code that
+    computes something else at each trace.
+    """
+    name = identity_of(code)
+    leaves, structure = jax.tree.flatten(arguments)
+    key = name, structure, tuple(map(_kind_of, leaves))
+    with _TRACES_LOCK:
+        known = _TRACES.pop(key, None)
+        if known is not None:
+            _TRACES[key] = known  # the last to go
+    if known is None:
+        known = TracedFunction(function, *arguments)
+        if who is not None:
+            again = functools.partial(TracedFunction, function, *arguments)
+            refuse_unsteady(who, digest_of(known.closed), lambda: digest_of(again().closed))
+        if name is not None and not any(isinstance(one, Tracer) for one in known.closed.consts):
+            with _TRACES_LOCK:
+                _TRACES[key] = known
+                while len(_TRACES) > _MOST_TRACES:
+                    _TRACES.popitem(last=False)
+    return known
+
+
+def _kind_of(leaf: Any) -> Hashable:
+    """What a trace depends on in a leaf of its arguments: not the value of a number."""
+    if hasattr(leaf, "dtype"):
+        return *leaf.shape, str(leaf.dtype)
+    return float if isinstance(leaf, float) else (type(leaf), leaf)

@@ -20,8 +20,9 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree, jax_array
-from aleator._core.compilation import Use, evaluate, evaluate_traced, traced_once
+from aleator._core.compilation import Use, evaluate, evaluate_traced
 from aleator._core.errors import ExpansionWarning, ProblemError
+from aleator._core.identity import traced_once
 from aleator._core.leaves import Drawn, Module, is_traced
 from aleator.analysis._left_out import warn_of_shape, with_points_left_out
 from aleator.ensemble import at_levels, concrete, part, random_levels

@@ -19,9 +19,10 @@ from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
 from aleator._core.arrays import NUMBER, Pytree, jax_array, refuse_beyond_memory
-from aleator._core.compilation import evaluate_traced, traced_once
+from aleator._core.compilation import evaluate_traced
 from aleator._core.equations import TIME, TracedFunction, switches
 from aleator._core.errors import ProblemError
+from aleator._core.identity import traced_once
 from aleator._core.leaves import is_traced, named_leaves
 from aleator.ensemble._batches import Part, at_levels, each, fill, joined
 from aleator.ensemble._outputs import (
