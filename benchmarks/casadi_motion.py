@@ -36,7 +36,7 @@ DISC_CENTRE, DISC_RADIUS = (0.65, 0.80), 0.30
 PAYLOAD_MEAN, PAYLOAD_DEVIATION = 1.0, 0.5
 
 # Six-axis arm.
-ARM_DATA = Path(__file__).parents[1] / "src/aleator/studies/six_axis_arm/ur5e.csv"
+ARM_DATA = Path(__file__).parents[1] / "tests/ur5e.csv"
 ARM_START = np.deg2rad([-60.0, -60.0, 100.0, -130.0, -90.0, 0.0])  # the tool points down at both ends
 ARM_GOAL = np.deg2rad([60.0, -75.0, 90.0, -105.0, -90.0, 90.0])
 ARM_INSTANTS = 64  # 63 intervals, seven in each of the nine knot spans

@@ -27,7 +27,7 @@ STUDIES = {
     "suspension": "aleator.studies.suspension",
     "two-link arm, least effort": "aleator.studies.pick_and_place_effort",
     "two-link arm, least time": "aleator.studies.pick_and_place_time",
-    "six-axis arm": "aleator.studies.six_axis_arm",
+    "six-axis arm": "six_axis_arm",
 }
 TIMED = """
 import time; started = time.perf_counter()
@@ -132,7 +132,8 @@ def ran(script: str, folder: str) -> list[float]:
     """The numbers that a fresh process prints, with compiled programs kept in a folder."""
     # An installed package has its bytecode.
     others = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "PYTHONDONTWRITE"))}
-    own = others | {"ALEATOR_CACHE": folder}
+    paths = os.pathsep.join(filter(None, [str(HERE.parent / "tests"), others.get("PYTHONPATH", "")]))
+    own = others | {"ALEATOR_CACHE": folder, "PYTHONPATH": paths}
     done = subprocess.run([sys.executable, "-c", script], env=own, cwd=HERE, capture_output=True, text=True, check=True)
     return [float(word) for word in done.stdout.split()]
 

@@ -10,8 +10,10 @@ are printed beside, for a time to another optimum does not compare.
 """
 
 import statistics
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +23,9 @@ from rich.table import Table
 
 import aleator as al
 from aleator.studies import pick_and_place_time as planar
-from aleator.studies import six_axis_arm as six_axis
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+import six_axis_arm as six_axis  # pyright: ignore[reportMissingImports]
 
 TURNS = 15
 

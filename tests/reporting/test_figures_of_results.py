@@ -147,9 +147,9 @@ def test_a_limit_on_several_paths_together_is_drawn_itself_with_both_its_sides()
     np.testing.assert_allclose(numbers(figure.data[0].y), difference, rtol=1e-5, atol=1e-6)
     # A page shows the limit of a design that a reader chooses, not the paths of which it is made.
     shown = list(bands(solution))
-    assert [one.name for one in shown] == ["held 1", "held 2"]
-    assert [list(one.limits) for one in shown] == [[0.2], [-1.3]]
-    np.testing.assert_allclose(shown[0].mean, difference, rtol=1e-6, atol=1e-9)
+    assert [one.layout.meta for one in shown] == ["held 1", "held 2"]
+    assert [[line.y0 for line in one.layout.shapes] for one in shown] == [[0.2], [-1.3]]
+    np.testing.assert_allclose(numbers(shown[0].data[-1].y), difference, rtol=1e-5, atol=1e-6)
 
 
 def test_histories_are_those_of_random_systems_at_the_decisions():

@@ -11,11 +11,12 @@ from typer.testing import CliRunner
 import aleator as al
 from aleator import cli
 from aleator.reporting import page_html
-from aleator.studies import Draft, load, pick_and_place_effort, pick_and_place_time, six_axis_arm, swing_up
+from aleator.studies import Draft, load, pick_and_place_effort, pick_and_place_time, swing_up
 from aleator.studies._motion import TARGET as TOLERATED
 from aleator.studies.pick_and_place_time._chapter import MEAN, ONE, REFERENCE, WORST
 from aleator.studies.two_link_arm import START, TARGET, TwoLinkArm
 from aleator.uncertainty import realise
+from six_axis_arm import robust_problem as six_axis_problem
 
 pytestmark = pytest.mark.slow
 
@@ -73,7 +74,7 @@ def test_the_robust_swing_up_is_as_good_as_the_reference_and_holds_with_four_tim
 
 
 def test_the_six_axis_arm_is_as_fast_as_an_independent_program_finds():
-    solution = al.solve(six_axis_arm.robust_problem(1.0), between=1)
+    solution = al.solve(six_axis_problem(1.0), between=1)
     # CasADi and IPOPT, `benchmarks/casadi_motion.py`.
     assert solution.objective == pytest.approx(0.7866628406, rel=1e-6)
 

@@ -1,4 +1,4 @@
-"""The drawings of the studies: each whole and labelled, and that of the clutch to the scale of its dimensions."""
+"""The drawings of the studies: each whole and labelled, with the numbers and to the scale of its model."""
 
 import math
 import re
@@ -7,34 +7,30 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from aleator.reporting import given
+from aleator.studies import four_bar, suspension, swing_up, two_link_arm
+from aleator.studies._shared import picture
 from aleator.studies.clutch import MEANS
 from aleator.studies.clutch._drawing import clutch_drawing
-from aleator.studies.four_bar._drawing import linkage_drawing
-from aleator.studies.suspension import nominal, road
-from aleator.studies.suspension._drawing import car_drawing
-from aleator.studies.swing_up import DoublePendulum
-from aleator.studies.swing_up._drawing import pendulum_drawing
-from aleator.studies.two_link_arm import OBSTACLE, TwoLinkArm
-from aleator.studies.two_link_arm._views import arm_drawing
+from aleator.studies.four_bar._elimination import posture_of
 
 SVG = "{http://www.w3.org/2000/svg}"
 
 
-def arm():
-    return arm_drawing(TwoLinkArm(payload=1.0, obstacle=OBSTACLE))
-
-
-def car():
-    return car_drawing(nominal(), np.asarray(road().times), np.asarray(road().values))
-
-
-DRAWINGS = {
-    "clutch": (clutch_drawing, ["a", "b", "c", "e", "γ", "hub", "roller", "ring"]),
-    "arm": (arm, ["q₁, τ₁", "q₂, τ₂", "wall", "obstacle", "target", "start, M(ξ)"]),
-    "pendulum": (lambda: pendulum_drawing(DoublePendulum()), ["q₁, τ₁", "q₂ (free)", "m₂(ξ)", "g", "start", "target"]),
-    "car": (car, ["zₛ", "zᵤ", "road", "mᵤ = 94 kg", "mₛ(ξ) = 376 ± 47 kg", "kₛ(ξ) = kₛ⁰ ± 3750 N/m"]),
-    "linkage": (linkage_drawing, ["θ, τ", "crank", "coupler", "rocker", "tool"]),
+FILES = {
+    "arm": "two_link_arm/arm.svg",
+    "pendulum": "swing_up/pendulum.svg",
+    "car": "suspension/car.svg",
+    "linkage": "four_bar/linkage.svg",
 }
+SYMBOLS = {
+    "clutch": ["a", "b", "c", "e", "γ", "hub", "roller", "ring"],
+    "arm": ["q₁, τ₁", "q₂, τ₂", "wall", "obstacle", "target", "start, M(ξ)"],
+    "pendulum": ["q₁, τ₁", "q₂ (free)", "m₂(ξ)", "g", "start", "target"],
+    "car": ["zₛ", "zᵤ", "road", "mᵤ = 94 kg", "mₛ(ξ) = 376 ± 47 kg", "kₛ(ξ) = kₛ⁰ ± 3750 N/m"],
+    "linkage": ["θ, τ", "crank", "coupler", "rocker", "tool"],
+}
+DRAWINGS = {"clutch": clutch_drawing(), **{name: picture(place) for name, place in FILES.items()}}
 
 
 def part(svg, kind):
@@ -56,10 +52,10 @@ def words_of(svg):
 
 @pytest.mark.parametrize("name", DRAWINGS)
 def test_a_drawing_is_well_formed_names_its_parts_and_stays_inside_its_frame(name):
-    drawing, symbols = DRAWINGS[name]
-    tree = ElementTree.fromstring(drawing())
-    assert set(symbols) <= set(words_of(drawing()))
-    assert not re.search("#[0-9a-f]{3}", drawing())  # in the colour of the page
+    drawing = DRAWINGS[name]
+    tree = ElementTree.fromstring(drawing)
+    assert set(SYMBOLS[name]) <= set(words_of(drawing))
+    assert not re.search("#[0-9a-f]{3}", drawing)  # in the colour of the page
     _, _, width, height = map(float, tree.get("viewBox").split())
     for one in tree.iter(f"{SVG}path"):
         assert np.all((points(one) >= 0) & (points(one) <= [width, height]))
@@ -85,3 +81,33 @@ def test_the_roller_touches_hub_and_ring_where_the_closed_form_says(dimensions):
     chi = math.degrees(math.acos((a + c) / (e - c)))
     assert f"χ = {chi:.3f}°" in words_of(svg)
     assert math.degrees(math.atan2(x - origin[0], origin[1] - y)) == pytest.approx(chi, abs=0.02)
+
+
+def bars(svg, kind):
+    """The lengths of the bars of a chain."""
+    return np.hypot(*np.diff(points(part(svg, kind)), axis=0).T)
+
+
+def test_numbers_and_proportions_are_those_of_the_models():
+    car, said = suspension.nominal(), words_of(DRAWINGS["car"])
+    for symbol, one, unit in (("k", car.k_s, "N/m"), ("b", car.b_s, "N s/m")):
+        assert (
+            f"{symbol}ₛ(ξ) = {symbol}ₛ⁰ ± {given(float(one.parameters['half_width']), unit)}".replace("\u202f", " ")
+            in said
+        )
+    for symbol, one, unit in (("mₛ", car.m_s, " kg"), ("kᵤ", car.k_u, " N/m"), ("η", car.eta, "")):
+        mean, half = (given(float(one.parameters[name])) for name in ("mean", "half_width"))
+        assert f"{symbol}(ξ) = {mean} ± {half}{unit}" in said
+    arm, pendulum = two_link_arm.TwoLinkArm(payload=1.0), swing_up.DoublePendulum()
+    for name, model, chains in (("arm", arm, ("start", "target")), ("pendulum", pendulum, ("hanging", "swinging"))):
+        lengths = np.array([model.length_1, model.length_2])
+        for sign, length in zip("₁₂", lengths, strict=True):
+            assert f"l{sign} = {given(length, 'm')}" in words_of(DRAWINGS[name])
+        for chain in chains:
+            drawn = bars(DRAWINGS[name], chain)
+            np.testing.assert_allclose(drawn / drawn.sum(), lengths / lengths.sum(), atol=1e-3)
+    posture = posture_of(four_bar.LENGTHS, np.array(2.3))
+    coupler = np.hypot(*np.diff([posture.crank_pin, posture.rocker_pin, posture.tool], axis=0).T)
+    drawn = [*bars(DRAWINGS["linkage"], "crank"), *bars(DRAWINGS["linkage"], "coupler")]
+    lengths = np.array([four_bar.LENGTHS["crank"], *coupler])
+    np.testing.assert_allclose(np.array(drawn) / sum(drawn), lengths / lengths.sum(), atol=1e-3)

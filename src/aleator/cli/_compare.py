@@ -2,14 +2,16 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
 
 from aleator._core.errors import ProblemError
-from aleator.cli._folder import designs_and_evidence, study_of, value_text, written_designs
+from aleator.cli._designs import designs_and_evidence, documents_table, rows_of, written_designs
+from aleator.cli._folder import study_of
 from aleator.cli._terminal import Terminal
 from aleator.journalling import FILE, Recalled
-from aleator.reporting import Table, json_text, percent, solution_document, words
+from aleator.reporting import NOTHING, Table, json_text, solution_document, words
 
 
 def compare(folders: list[Path], as_json: bool) -> NoReturn:
@@ -65,38 +67,19 @@ def _name_in(designs: Mapping[str, Any], name: str, runs: Iterable[Mapping[str, 
     return next((own for own, design in designs.items() if design["problem"] in problems), None)
 
 
-def _numbers(design: Mapping[str, Any] | None) -> list[dict[str, tuple[Any, str]]]:
-    """The rows of a design in groups: status, decisions, objective, evidence; each number exactly and as text."""
-    if design is None:
-        return [{}, {}, {}, {}]
-
-    def number(document: Mapping[str, Any]) -> tuple[Any, str]:
-        return (document["value"], document["unit"]), value_text(document)
-
-    shares = design.get("evidence", {}).get("violations", {})
-    return [
-        {"Status": (design["status"], design["status"].partition(":")[0])},
-        {name: number(decision) for name, decision in design["decisions"].items()},
-        {"Objective": number(design["objective"])},
-        {f"Systems that violate {violated(limit)}": (share, share_text(share)) for limit, share in shares.items()},
-    ]
-
-
 def _table(name: str, names: Sequence[str | None], designs: Mapping[str, Any]) -> Table:
     """One design in every run."""
-    rows = [["There as", *(own or "–" for own in names)]] if set(names) - {None, name} else []
-    for groups in zip(*map(_numbers, designs.values()), strict=True):
-        labels = dict.fromkeys(label for group in groups for label in group)
-        rows += [[label, *(group[label][1] if label in group else "–" for group in groups)] for label in labels]
-    return Table(name, ["", *designs], rows, "")
+    table = documents_table(name, designs)
+    there = [["There as", *(own or NOTHING for own in names)]] if set(names) - {None, name} else []
+    return replace(table, rows=[*there, *table.rows])
 
 
 def _differing(first: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
     """What differs between two designs, down to the last digit."""
     whole, another = (
-        {label: number for group in _numbers(design) for label, (number, _) in group.items()}
-        | {"constraints": design["constraints"], "the problem": design["problem"]}
-        for design in (first, other)
+        {label: exact for label, _, exact in rows_of(one)}
+        | {"constraints": one["constraints"], "the problem": one["problem"]}
+        for one in (first, other)
     )
     labels = [label for label in {**whole, **another} if whole.get(label) != another.get(label)]
     # The digest is of decisions, objective and equations together.
@@ -108,13 +91,3 @@ def _sentence(first: str, other: str, differing: list[str] | None, without: Sequ
         absent = [label for label in (first, other) if label in without]
         return f"{words(absent)} {'does' if len(absent) == 1 else 'do'} not have it."
     return f"{first} and {other} {f'differ in {words(differing)}' if differing else 'are equal'}."
-
-
-def share_text(share: Mapping[str, Any]) -> str:
-    """The share of systems that break a limit, with its interval."""
-    return f"{percent(share['estimate'])} [{percent(share['lower'])} to {percent(share['upper'])}]"
-
-
-def violated(limit: str) -> str:
-    """A limit of evidence in a sentence."""
-    return "any limit" if limit == "any" else limit

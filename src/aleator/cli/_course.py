@@ -124,20 +124,16 @@ class _Course:
         if not self._interrupted(code):
             self.interruptions.rest()
             code = self._attempt(page, "the last word", lambda: self._print_results(page)) or code
-        if not self._interrupted(code):
-            if self._mistake is not None:
-                raise self._mistake
-            return self._judged(page, code)
-        self.interruptions.conclude()
-        self._terminal.last_words(self._last_words())
-        return self.interruptions.exit_code
-
-    def _judged(self, page: Draft, code: int) -> int:
-        """The exit code of a run that went through: that of a failure where something has no solution."""
-        if code or not page.unsolved:
-            return code
-        self._terminal.complain("error", "; ".join(page.unsolved))
-        return FAILED
+        if self._interrupted(code):
+            self.interruptions.conclude()
+            self._terminal.last_words(self._last_words())
+            return self.interruptions.exit_code
+        if self._mistake is not None:
+            raise self._mistake
+        if page.unsolved and not code:
+            self._terminal.complain("error", "; ".join(page.unsolved))
+            return FAILED
+        return code
 
     def _interrupted(self, code: int) -> bool:
         return self.interruptions.received is not None or code == self.interruptions.exit_code

@@ -1,36 +1,27 @@
-"""A run's folder: what began the run, so that `aleator resume FOLDER` goes on from it alone, and its designs.
-
-Designs are objects in the journal, with the evidence on each, and documents in `designs.json`, which are known without
-the model's code.
-"""
+"""A run's folder: what began the run, so that `aleator resume FOLDER` goes on from it alone."""
 
 import hashlib
 import os
 import re
 import sys
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, final
-
-import numpy as np
+from typing import final
 
 import aleator
 from aleator import studies
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.files import content_of, json_of
-from aleator.reporting import json_text, values_text, write_whole
-from aleator.solution import Solution
+from aleator.reporting import json_text, write_whole
 from aleator.studies import AbstractStudy, SweptStudy
-from aleator.validation import Evidence
 
 RECORD = "command.json"
 """The file in a run's folder that says what began it."""
 
-_FILES, _DESIGNS = (".py", ".toml"), "designs.json"
+_FILES = ".py", ".toml"
 
 
 @final
@@ -214,45 +205,3 @@ def _read(folder: Path) -> Record:
             f"'{path}' does not say what began the run ({type(error).__name__}: {error}): remove this file if you know "
             "it, and run the study by its name, with --out for this folder."
         ) from error
-
-
-def designs_and_evidence(results: Mapping[str, Any]) -> tuple[dict[str, Solution], dict[str, Evidence]]:
-    """The designs among results, and the last evidence on each of them, by the names of the designs.
-
-    Where a study names its designs (`designs/robust`), only these count, by the last part of their names.
-    """
-    solutions = {name: result for name, result in results.items() if isinstance(result, Solution)}
-    named = {name.rpartition("/")[2]: solution for name, solution in solutions.items() if "/" in name}
-    designs = named or solutions
-    evidence = [result for result in results.values() if isinstance(result, Evidence)]
-    return designs, {name: last for name, design in designs.items() for last in evidence if _is_on(last, design)}
-
-
-def _is_on(evidence: Evidence, design: Solution) -> bool:
-    sampled = evidence.solution
-    return (
-        type(sampled.problem.system) is type(design.problem.system)
-        and np.array_equal(sampled.vector, design.vector)
-        and sampled.problem_text == design.problem_text
-    )
-
-
-def written_designs(folder: Path) -> Mapping[str, Any]:
-    """The designs of a run as documents, by name; none if there is no file. Raises `ProblemError` for nonsense."""
-    path = folder / _DESIGNS
-    if not path.is_file():
-        return {}
-    try:
-        designs = json_of(content_of(path))
-        return {name: design for name, design in designs.items() if isinstance(design["decisions"], dict)}
-    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
-        raise ProblemError(
-            f"'{path}' cannot be read as the designs of a run ({type(error).__name__}: {error})."
-        ) from error
-
-
-def value_text(number: Mapping[str, Any] | None) -> str:
-    """A decision or an objective with its unit."""
-    if number is None or number["value"] is None:
-        return "–"
-    return values_text(number["value"], 6, number["unit"])

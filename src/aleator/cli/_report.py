@@ -1,12 +1,11 @@
 """`aleator report`: the page of what is in a run's folder."""
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from aleator._core.errors import AleatorError, ProblemError
-from aleator.cli._compare import share_text, violated
-from aleator.cli._folder import designs_and_evidence, is_stale, stale, study_of, value_text, written_designs
+from aleator.cli._designs import designs_and_evidence, documents_table, written_designs
+from aleator.cli._folder import is_stale, stale, study_of
 from aleator.cli._terminal import Terminal
 from aleator.journalling import Recalled, recalling
 from aleator.reporting import (
@@ -14,13 +13,12 @@ from aleator.reporting import (
     Code,
     Page,
     Section,
-    Table,
     Text,
     Verdict,
     by_place,
-    footer,
     proposal,
     sections,
+    whole_page,
     words,
     write_page,
 )
@@ -108,20 +106,9 @@ def _page_of_designs(folder: Path, run: Recalled, study: AbstractStudy | None, m
         missing.append(_WITHOUT_THE_MODEL)
         numbers = "The model's code cannot be read: these are the numbers of its run."
         names, about = list(written), Verdict("caution", "Numbers only", numbers)
-        chapters = [_section(name, design) for name, design in written.items()]
-    return Page(
-        title=title,
-        subtitle=f"Kept in {folder.resolve().name}: {words(names)}",
-        verdict=about,
-        sections=[*chapters, *([Section("Missing", [Text(missing)])] if missing else [])],
-        footer=footer(),
-    )
-
-
-def _section(name: str, design: Mapping[str, Any]) -> Section:
-    """A design on a page: decisions, objective, how often limits are broken, and the problem as mathematics."""
-    rows: list[Sequence[str]] = [["Status", design["status"]], ["Objective", value_text(design["objective"])]]
-    rows += [[decision, value_text(number)] for decision, number in design["decisions"].items()]
-    shares = design.get("evidence", {}).get("violations", {})
-    rows += [[f"Systems that violate {violated(limit)}", share_text(share)] for limit, share in shares.items()]
-    return Section(name, [Table(name, ["", "Value"], rows), Code("The problem", "\n".join(design["problem"]))])
+        chapters = [
+            Section(name, [documents_table(name, {"Value": one}), Code("The problem", "\n".join(one["problem"]))])
+            for name, one in written.items()
+        ]
+    absent = [Section("Missing", [Text(missing)])] if missing else []
+    return whole_page(title, f"Kept in {folder.resolve().name}: {words(names)}", about, [*chapters, *absent])

@@ -10,13 +10,14 @@ from typing import Any, NoReturn, final
 from aleator import studies
 from aleator._core.border import meant
 from aleator._core.errors import AleatorError, ProblemError
-from aleator.cli._folder import Record, designs_and_evidence, folder_of, is_stale, stale, study_of, value_text
+from aleator.cli._designs import designs_and_evidence, documents_table
+from aleator.cli._folder import Record, folder_of, is_stale, stale, study_of
 from aleator.cli._interruption import Interruptions
 from aleator.cli._progress import shown
 from aleator.cli._terminal import FAILED, Terminal
 from aleator.design import Problem
 from aleator.journalling import Journal, journal
-from aleator.reporting import Table, evidence_document, evidence_table, solution_document, violations_table
+from aleator.reporting import evidence_document, evidence_table, solution_document, violations_table
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
 from aleator.studies import AbstractStudy, executor_of, problems_of
@@ -41,7 +42,8 @@ def validate(place: str, samples: int, seed: int, design: str | None, workers: i
         code = sampling.of(designs, run, {} if study is None else study.solving)
     terminal.note(folder=str(folder), samples=samples, seed=seed, designs=sampling.documents)
     if sampling.evidence:
-        terminal.table(_decisions(sampling.evidence))
+        designs = {name: solution_document(one.solution) for name, one in sampling.evidence.items()}
+        terminal.table(documents_table("Designs", designs))
         terminal.table(violations_table(sampling.evidence))
         terminal.table(evidence_table(sampling.evidence))
     terminal.conclude(code)
@@ -80,15 +82,6 @@ def _selected(
             f"validate: there is no finished design in '{run.folder}' that can be read. {why or _NAME_IT}"
         )
     return designs if design is None else {design: designs[design]}
-
-
-def _decisions(evidence: Mapping[str, Evidence]) -> Table:
-    """What was sampled, a column for each design."""
-    designs = [solution_document(sampled.solution) for sampled in evidence.values()]
-    names = list(dict.fromkeys(name for design in designs for name in design["decisions"]))
-    rows = [[name, *(value_text(design["decisions"].get(name)) for design in designs)] for name in names]
-    rows.append(["Objective", *(value_text(design["objective"]) for design in designs)])
-    return Table("Designs", ["", *evidence], rows, "")
 
 
 @final

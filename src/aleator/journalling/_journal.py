@@ -1,11 +1,10 @@
 """`journal`: a folder in which every finished result is kept at once; `recalling`: what it has, for reading alone."""
 
-import abc
 import os
 import threading
 import time
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -77,15 +76,11 @@ def recalling(folder: Path) -> "Iterator[Recalled]":
 
 
 class AbstractRecord(AbstractJournal):
-    """The results of a folder, each read from its file when it is asked for."""
+    """The results of a folder, each read from its file when it is asked for; `tell` is told of those that cannot be."""
 
-    def __init__(self, folder: Path, entries: Iterable[Entry]):
-        self.folder, self._keys = folder, Keys()
+    def __init__(self, folder: Path, entries: Iterable[Entry], tell: Callable[[str], None]):
+        self.folder, self._keys, self._tell = folder, Keys(), tell
         self._known = {entry.key: entry for entry in entries}
-
-    @abc.abstractmethod
-    def _tell_unreadable(self, error: ProblemError) -> None:
-        """Tell of a result that cannot be read."""
 
     @property
     def entries(self) -> tuple[Entry, ...]:
@@ -117,7 +112,7 @@ class AbstractRecord(AbstractJournal):
         try:
             yield
         except ProblemError as error:
-            self._tell_unreadable(error)
+            self._tell(f"{error}")
 
 
 @final
@@ -128,8 +123,8 @@ class Recalled(AbstractRecord):
     """
 
     def __init__(self, folder: Path):
-        super().__init__(folder, entries_in(folder))
         self.missing = list[str]()
+        super().__init__(folder, entries_in(folder), self.missing.append)
 
     @override
     def entry(self, what: str, given: Mapping[str, Any]) -> AbstractEntry:
@@ -150,10 +145,6 @@ class Recalled(AbstractRecord):
         return NotKeptError(why)
 
     @override
-    def _tell_unreadable(self, error: ProblemError) -> None:
-        self.missing.append(f"{error}")
-
-    @override
     def expect(self, what: str, problems: Mapping[str, Any]) -> list[str]:
         return []
 
@@ -172,7 +163,7 @@ class Journal(AbstractRecord):
 
     def __init__(self, folder: Path, *, afresh: bool = False):
         entries, size = read(folder / FILE)
-        super().__init__(folder, entries.values())
+        super().__init__(folder, entries.values(), lambda said: self.warn(f"{said} It is computed again."))
         self.recalled, self.begun, self.taken = 0, 0, set[str]()
         self._earlier = {key for key, entry in entries.items() if entry.is_finished}
         self._outdated = set(self._earlier) if afresh else set[str]()
@@ -211,10 +202,6 @@ class Journal(AbstractRecord):
         elif waiting is not None:
             self.withdraw([waiting.key])
         return Settled(result)
-
-    @override
-    def _tell_unreadable(self, error: ProblemError) -> None:
-        self.warn(f"{error} It is computed again.")
 
     @override
     def expect(self, what: str, problems: Mapping[str, Any]) -> list[str]:

@@ -1,6 +1,5 @@
 """Reports: figures, a self-contained HTML page, and files of results, made from result objects only."""
 
-from aleator.reporting._blocks import Band as Band
 from aleator.reporting._blocks import Block as Block
 from aleator.reporting._blocks import Choice as Choice
 from aleator.reporting._blocks import Code as Code
@@ -46,12 +45,14 @@ from aleator.reporting._methods import effort_figure as effort_figure
 from aleator.reporting._motion import Scene as Scene
 from aleator.reporting._motion import linkage_animation as linkage_animation
 from aleator.reporting._motion import plane_figure as plane_figure
+from aleator.reporting._numbers import NOTHING as NOTHING
 from aleator.reporting._numbers import count as count
 from aleator.reporting._numbers import given as given
 from aleator.reporting._numbers import interval as interval
 from aleator.reporting._numbers import number as number
 from aleator.reporting._numbers import percent as percent
 from aleator.reporting._numbers import share_text as share_text
+from aleator.reporting._numbers import unit_of_decision as unit_of_decision
 from aleator.reporting._numbers import values_text as values_text
 from aleator.reporting._numbers import words as words
 from aleator.reporting._page import Page as Page
@@ -62,12 +63,11 @@ from aleator.reporting._paths import histories_figure as histories_figure
 from aleator.reporting._paths import path_figure as path_figure
 from aleator.reporting._paths import signal_figure as signal_figure
 from aleator.reporting._paths import trajectory_figure as trajectory_figure
-from aleator.reporting._report import HOW_TO_READ as HOW_TO_READ
 from aleator.reporting._report import evidence_sections as evidence_sections
-from aleator.reporting._report import footer as footer
 from aleator.reporting._report import report as report
 from aleator.reporting._report import sections as sections
 from aleator.reporting._report import trade_offs_section as trade_offs_section
+from aleator.reporting._report import whole_page as whole_page
 from aleator.reporting._samples import calibration_figure as calibration_figure
 from aleator.reporting._samples import percentile_figure as percentile_figure
 from aleator.reporting._samples import shares_figure as shares_figure
@@ -90,5 +90,6 @@ from aleator.reporting._sweeps import trade_off_blocks as trade_off_blocks
 from aleator.reporting._tables import certificate_table as certificate_table
 from aleator.reporting._tables import designs_table as designs_table
 from aleator.reporting._tables import evidence_table as evidence_table
+from aleator.reporting._tables import side_by_side as side_by_side
 from aleator.reporting._tables import unresolved as unresolved
 from aleator.reporting._tables import violations_table as violations_table

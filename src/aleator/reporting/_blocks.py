@@ -1,12 +1,9 @@
 """The parts of a page: a verdict, and sections of text, tables and figures. Each is checked when it is created."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, final, get_args
-
-import numpy as np
-from jaxtyping import Float
 
 from aleator._core.border import members, one_of, refusal
 
@@ -106,7 +103,7 @@ class Drawing:
 @final
 @dataclass(frozen=True)
 class Schematic:
-    """Drawings of a system as SVG made by `sketch`, with its mathematics beside them."""
+    """Drawings of a system as SVG, with its mathematics beside them."""
 
     drawings: Sequence[str]
     heading: str
@@ -121,40 +118,27 @@ class Schematic:
         members(f"Schematic '{self.heading}': beside", self.beside, Code)
 
     def __html__(self) -> str:
-        """The drawings as markup for the template; `sketch` has escaped all text in them."""
+        """The drawings as markup for the template; they are trusted, as the study is."""
         return "".join(f'<div class="sketch">{one}</div>' for one in self.drawings)
 
 
 @final
 @dataclass(frozen=True)
-class Band:
-    """A path of one design: its mean over time, shape (instants,), with `sigmas` standard deviations about it.
-
-    - `limits`: values, in `unit`, by which it is limited, each with its name.
+class Choice:
+    """A design that a reader can choose on a page: its name, what is known of it in tables, and a figure of each of its
+    paths, with the path's name in its `meta`.
     """
 
     name: str
-    unit: str
-    times: Float[np.ndarray, " instants"]
-    mean: Float[np.ndarray, " instants"]
-    std: Float[np.ndarray, " instants"]
-    sigmas: float
-    limits: Mapping[float, str]
-
-
-@final
-@dataclass(frozen=True)
-class Choice:
-    """A design that a reader can choose on a page: its name, what is known of it in tables, and its paths."""
-
-    name: str
     facts: Sequence[Table]
-    bands: Sequence[Band] = ()
+    bands: "Sequence[Figure]" = ()
 
     def __post_init__(self) -> None:
+        from plotly.graph_objects import Figure
+
         _texts(self, "name")
         members(f"Choice '{self.name}': facts", self.facts, Table)
-        members(f"Choice '{self.name}': bands", self.bands, Band)
+        members(f"Choice '{self.name}': bands", self.bands, Figure)
 
 
 @final

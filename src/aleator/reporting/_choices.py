@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from aleator.design import functionals_of
-from aleator.reporting._blocks import Band, Choice, Linked, Table
+from aleator.reporting._blocks import Choice, Linked, Table
 from aleator.reporting._numbers import (
     count,
     number,
@@ -23,7 +23,6 @@ from aleator.reporting._numbers import (
     words,
 )
 from aleator.reporting._paths import components, ends, limits_of, limits_text, path_figure, paths_of
-from aleator.reporting._style import padded, plain
 from aleator.reporting._tables import STATUS_WORDS, decision_text, objective_text, status_words, worst_text
 from aleator.solution import Moments, Solution
 from aleator.sweep import Refused
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
 
 # Instants of a path on a page: more would only make the page larger.
 _INSTANTS = 120
-# A band is written to this part of the range of its figure, finer than a pixel.
+# A curve is written to this part of its range.
 _FINE = 2000
 
 _UNCHECKED = "No fresh systems were simulated at this design: see al.validate_all."
@@ -60,7 +59,7 @@ def choice(
         _table("Limits", [(one, worst_text(point, one)) for one in limits]),
         _table(f"Shadow prices{' in the weighted sum of the wishes' if wishes else ''}", _prices(point, limits)),
         _table("Statistics", _statistics(point)),
-        _table("Evidence", _counted(evidence), _alarms(evidence)),
+        _table("Evidence", _counted(evidence), _UNCHECKED if evidence is None else " ".join(_alarms(evidence))),
     ]
     certificate = _table("Certificate", _certified(point), "" if point.ok else point.why())
     # That there is no design comes first.
@@ -119,11 +118,8 @@ def _counted(evidence: Evidence | None) -> Iterator[tuple[str, str]]:
     yield "Agree with the expansion", "yes" if evidence.agrees else "no"
 
 
-def _alarms(evidence: Evidence | None) -> str:
-    if evidence is None:
-        return _UNCHECKED
-    alarms = [] if evidence.agrees else [evidence.alarm()]
-    return " ".join([*alarms, *(one.sentence() for one in evidence.compared)])
+def _alarms(evidence: Evidence) -> list[str]:
+    return [*([] if evidence.agrees else [evidence.alarm()]), *(one.sentence() for one in evidence.compared)]
 
 
 def _certified(solution: Solution) -> Iterator[tuple[str, str]]:
@@ -138,7 +134,7 @@ def _certified(solution: Solution) -> Iterator[tuple[str, str]]:
         yield "Worst leave-one-out error", f"{residual(errors[worst])} ({worst})"
 
 
-def bands(solution: Solution) -> Iterator[Band]:
+def bands(solution: Solution) -> "Iterator[Figure]":
     """What is limited over time, at no more than 120 instants: limits on several paths together, then the other paths
     in the problem of a design.
     """
@@ -162,81 +158,57 @@ def bands(solution: Solution) -> Iterator[Band]:
 
 def _bands(
     name: str, unit: str, times: np.ndarray, moments: Moments, sigmas: float, limits: Mapping[float, str]
-) -> Iterator[Band]:
+) -> "Iterator[Figure]":
     """A path, of a vector each component."""
     shown = np.unique(np.linspace(0, len(times) - 1, min(_INSTANTS, len(times))).round().astype(int))
     for part, one in components(name, moments.mean, moments.std).items():
-        yield Band(part, unit, times[shown], one.mean[shown], one.std[shown], sigmas, limits)
+        paths = {f"mean of {part}" if sigmas else part: Moments(one.mean[shown], one.std[shown])}
+        figure = path_figure(times[shown], paths, y=part, unit=unit, sigmas=sigmas, limits=limits)
+        yield figure.update_layout(height=300, meta=part)
 
 
 def stages(block: Linked) -> "dict[str, Figure]":
-    """A figure for each path of the choices, by its name, as the choice with the widest band; all on the same axes."""
-    figures = {}
-    for name, each in _by_name(block).items():
-        widest = max(each, key=lambda band: band.sigmas * float(np.max(band.std)))
-        moments = {f"mean of {name}" if widest.sigmas else name: Moments(widest.mean, widest.std)}
-        named = {"y": name, "unit": widest.unit, "limits": widest.limits}
-        figure = path_figure(widest.times, moments, sigmas=widest.sigmas, **named).update_layout(height=300)
-        figure.update_xaxes(range=[min(one.times.min() for one in each), max(one.times.max() for one in each)])
-        figures[name] = figure.update_yaxes(range=padded(_reached(each), 0.1))
-    return figures
+    """A figure for each path of the choices, by its name, on axes that suit all of them."""
+    every: dict[str, list[Any]] = {}
+    for figure in (figure for one in block.choices for figure in one.bands):
+        every.setdefault(_path_of(figure), []).append(figure)
+    stages = {}
+    for name, figures in every.items():
+        times = [edge for one in figures for edge in ends(np.asarray(one.data[-1].x))]
+        reached = [edge for one in figures for edge in one.layout.yaxis.range]
+        stages[name] = type(figures[0])(figures[0]).update_xaxes(range=[min(times), max(times)])
+        stages[name].update_yaxes(range=[min(reached), max(reached)])
+    return stages
 
 
-def choices_data(block: Linked) -> dict[str, Any]:
+def choices_data(block: Linked) -> list[dict[str, Any]]:
     """Names, facts and paths of the choices, as JSON."""
-    grouped = _by_name(block)
-    finest = {
-        name: (_digits([edge for one in each for edge in ends(one.times)]), _digits(_reached(each)))
-        for name, each in grouped.items()
-    }
-    return {
-        "paths": list(grouped),
-        "choices": [
-            {
-                "name": one.name,
-                "facts": [
-                    {"caption": table.caption, "rows": [list(row) for row in table.rows], "note": table.note}
-                    for table in one.facts
-                ],
-                "bands": {band.name: _numbers(band, *finest[band.name]) for band in one.bands},
-            }
-            for one in block.choices
-        ],
-    }
+    return [
+        {
+            "name": one.name,
+            "facts": [{"caption": table.caption, "rows": table.rows, "note": table.note} for table in one.facts],
+            "bands": {_path_of(figure): _drawn(figure) for figure in one.bands},
+        }
+        for one in block.choices
+    ]
 
 
-def _by_name(block: Linked) -> dict[str, list[Band]]:
-    """The bands of all choices by the names of their paths."""
-    grouped: dict[str, list[Band]] = {}
-    for band in (band for one in block.choices for band in one.bands):
-        grouped.setdefault(band.name, []).append(band)
-    return grouped
+def _path_of(figure: Any) -> str:
+    return figure.layout.meta
 
 
-def _reached(bands: Sequence[Band]) -> list[float]:
-    """The ends of all bands, and their limits."""
-    edges = [edge for one in bands for sign in (-1, 1) for edge in ends(one.mean + sign * one.sigmas * one.std)]
-    return [*edges, *(value for one in bands for value in one.limits)]
+def _drawn(figure: Any) -> dict[str, Any]:
+    """What differs between the designs in the figure of a path: its curves and its limits."""
+    layout, traces = figure.layout.to_plotly_json(), [one.to_plotly_json() for one in figure.data]
+    limits = {kind: layout.get(kind, []) for kind in ("shapes", "annotations")}
+    numbers = ("x", "y", "customdata")
+    curves = [{key: _rounded(one) if key in numbers else one for key, one in each.items()} for each in traces]
+    return {"data": curves, "layout": limits}
 
 
-def _digits(values: Sequence[float]) -> int:
-    """The decimals by which a figure that reaches over these values is drawn exactly."""
-    wide = max(values, default=1.0) - min(values, default=0.0)
-    return math.ceil(-math.log10(wide / _FINE)) if wide > 0 else 6
-
-
-def _numbers(band: Band, seconds: int, digits: int) -> dict[str, Any]:
-    return {
-        "times": _rounded(band.times, seconds),
-        "mean": _rounded(band.mean, digits),
-        # One digit more: it is multiplied.
-        "std": _rounded(band.std, digits + 1),
-        "sigmas": band.sigmas,
-        "limits": [[value, plain(text)] for value, text in band.limits.items()],
-    }
-
-
-def _rounded(values: np.ndarray, digits: int) -> list[float | None]:
-    """Numbers as JSON, without a fraction where they have none; null where one is not finite."""
-    rounded = (round(float(one), digits) if math.isfinite(one) else None for one in values)
-    return [int(one) if one is not None and one.is_integer() else one for one in rounded]
+def _rounded(values: np.ndarray) -> list[float | None]:
+    """Numbers to a part of their range that is finer than a pixel; null where one is not finite."""
+    known = [*ends(values)]
+    wide = max(known, default=0.0) - min(known, default=0.0)
+    digits = math.ceil(-math.log10(wide / _FINE)) if wide > 0 else 6
+    return [round(float(one), digits) if math.isfinite(one) else None for one in values]

@@ -1,13 +1,13 @@
 """Figures of sweeps: what lies along a bound (optima, shadow prices, decisions), trade-offs, growing penalties."""
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from aleator.reporting._numbers import (
     given,
@@ -36,8 +36,6 @@ from aleator.sweep import Front, Refused, TradeOff
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
-
-Measure = Callable[[Solution], float]
 
 # Values that differ by less than this part are shown as equal: the rest is what solvers' tolerances leave.
 _FLAT = 1e-6
@@ -93,7 +91,6 @@ def front_figure(
     y_unit: str = "",
     limits: Mapping[str, float] = MappingProxyType({}),
     infeasible: Mapping[str, Front] = MappingProxyType({}),
-    title: str = "",
 ) -> "Figure":
     """The optimum against the bound, one line for each front.
 
@@ -101,14 +98,14 @@ def front_figure(
     solution are crosses on the axis; their hover text says what cannot be met. `limits` are drawn as lines;
     `infeasible` shades the bounds at which another design does not exist.
     """
-    figure = blank(label(x, x_unit), label(y, y_unit), title=title)
+    figure = blank(label(x, x_unit), label(y, y_unit))
     low, high = _range(fronts, list(limits.values()))
     step, rows = 0.07 * (high - low), 1
     for row, (name, (front, places)) in enumerate(in_order(fronts).items(), start=1):
         look = looks(fronts)[name]
         legend_entry(figure, name, look)
         texts = {"text": [_hover(front, i) for i in range(len(front.points))], "showlegend": False}
-        _add_points(figure, name, front, look, _objective, y_unit, "%{text}", places, **texts)
+        _add_points(figure, name, front, look, front.objectives, y_unit, "%{text}", places, **texts)
         if not front.solved.all():
             rows = row + 1
             _add_infeasible(figure, name, front, look, low - step * row, x_unit, places)
@@ -128,17 +125,9 @@ def shadow_price_figure(
     """The value of relaxing a bound: the multiplier along each front, times `scale`."""
     figure = blank(label(x, x_unit), label(y, y_unit), height=360)
     for name, (front, places) in in_order(fronts).items():
-        price, below = _price_of(front, scale), f"limit %{{x:.4~g}} {plain(x_unit)}"
+        price, below = scale * front.shadow_prices, f"limit %{{x:.4~g}} {plain(x_unit)}"
         _add_points(figure, name, front, looks(fronts)[name], price, y_unit, below, places, cliponaxis=False)
     return figure.update_yaxes(rangemode="tozero")
-
-
-def _price_of(front: Front, scale: float) -> Measure:
-    return lambda solution: scale * solution.multiplier(front.bound)
-
-
-def _objective(solution: Solution) -> float:
-    return solution.objective
 
 
 def _range(fronts: Mapping[str, Front], extra: list[float]) -> tuple[float, float]:
@@ -154,7 +143,7 @@ def _add_points(
     name: str,
     front: Front,
     look: Look,
-    measure: Measure,
+    values: Float[np.ndarray, " points"],
     unit: str,
     below: str,
     places: list[int],
@@ -166,7 +155,6 @@ def _add_points(
     active = [isinstance(one, Solution) and one.multiplier(front.bound) > 0 for one in front.points]
     symbols = [look.symbol if is_active else f"{look.symbol}-open" for is_active in active]
     hover = f"<b>{plain(name)}</b>: %{{y:.4~g}} {plain(unit)}<br>{below}"
-    values = [measure(one) if one else None for one in front.optima]
     marks = {"marker_symbol": symbols, "marker_line_width": 2, "marker_line_color": look.colour}
     linked = {"name": name, "legendgroup": plain(name), "meta": places, "hover": hover}
     draw(figure, front.values, values, look, **linked, **marks, **style)
@@ -264,18 +252,16 @@ def decision_path_figure(
     return figure.update_yaxes(tickformat=",d")
 
 
-def relative_figure(
-    front: Front, names: Mapping[str, str], *, x: str, y: str, x_unit: str = "", reference: str = "initial value"
-) -> "Figure":
+def relative_figure(front: Front, names: Mapping[str, str], *, x: str, y: str, x_unit: str = "") -> "Figure":
     """Decisions along a front in percent of their initial values (figure 7.5); `names` are their labels."""
     (front, _), figure = in_order({"": front})[""], blank(label(x, x_unit), plain(y))
     places = front.solutions[0].problem.placements.designed
     for (name, text), look, dash in zip(names.items(), looks(names).values(), DASHES, strict=False):
         values = [float(one.decisions[name]) if one else np.nan for one in front.optima]
-        hover = f"<b>{plain(text)}</b>: %{{customdata}}, %{{y:.4~g}} % of the {reference}"
+        hover = f"<b>{plain(text)}</b>: %{{customdata}}, %{{y:.4~g}} % of the initial value"
         shown = {"name": text, "customdata": [number(one) for one in values], "hover": hover, "line_dash": dash}
         draw(figure, front.values, 100 * np.array(values) / float(places[name].decision.initial), look, **shown)
-    limit_line(figure, 100.0, f"{reference} (100 %)")
+    limit_line(figure, 100.0, "initial value (100 %)")
     _shade_infeasible(figure, "design", front)
     return figure.update_yaxes(rangemode="tozero")
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.reporting._numbers import count, given, number, seconds
-from aleator.reporting._style import ALARM, MUTED, SIZE, blank, label, limit_line, looks, padded, plain
+from aleator.reporting._style import ALARM, MUTED, SIZE, blank, draw, label, limit_line, looks, padded, plain
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -28,19 +28,10 @@ def effort_figure(methods: Mapping[str, Sequence[Trial]], *, error: str, unit: s
     figure = blank(axis, label(error, unit))
     for name, look in looks(methods).items():
         trials = [one for one in methods[name] if one.error > 0]
-        figure.add_scatter(
-            x=[getattr(one, by) for one in trials],
-            y=[one.error for one in trials],
-            mode="lines+markers",
-            name=plain(name),
-            line={"color": look.colour, "width": 2},
-            marker={"symbol": look.symbol, "size": 9, "color": look.colour},
-            text=[f"{plain(one.name)}: {count(one.calls)} calls, {seconds(one.seconds)}" for one in trials],
-            hovertemplate=f"%{{text}}<br>error %{{y:.2e}} {plain(unit)}<extra></extra>",
-        )
-    figure.update_xaxes(type="log", exponentformat="power")
-    figure.update_yaxes(type="log", exponentformat="power")
-    return figure
+        texts = [f"{plain(one.name)}: {count(one.calls)} calls, {seconds(one.seconds)}" for one in trials]
+        efforts, hover = [getattr(one, by) for one in trials], f"%{{text}}<br>error %{{y:.2e}} {plain(unit)}"
+        draw(figure, efforts, [one.error for one in trials], look, name=name, text=texts, hover=hover)
+    return figure.update_xaxes(type="log").update_yaxes(type="log")
 
 
 def density_figure(
@@ -60,61 +51,28 @@ def density_figure(
     """
     figure = blank(label(x, unit), label("Density", _per(unit)), title=title, height=380)
     for name, look in looks(densities).items():
-        figure.add_scatter(
-            x=values,
-            y=densities[name],
-            mode="lines",
-            name=plain(name),
-            line={"color": look.colour, "width": 2},
-            hovertemplate=f"{plain(name)}: %{{y:.3g}} at %{{x:.4g}} {plain(unit)}<extra></extra>",
-        )
+        hover = f"{plain(name)}: %{{y:.3g}} at %{{x:.4g}} {plain(unit)}"
+        draw(figure, values, densities[name], look, name=name, mode="lines", hover=hover)
     if densities and len(limits) == 2:
         first = next(iter(densities.values()))
+        filled = {"fill": "tozeroy", "fillcolor": ALARM, "opacity": 0.5, "line_width": 0, "showlegend": False}
         for side, limit in zip((-1, 1), limits, strict=True):
-            x_beyond, y_beyond = _beyond(limit, side, values, first)
-            figure.add_scatter(
-                x=x_beyond,
-                y=y_beyond,
-                mode="lines",
-                line={"width": 0},
-                fill="tozeroy",
-                fillcolor=ALARM,
-                opacity=0.5,
-                showlegend=False,
-                hoverinfo="skip",
-            )
+            draw(figure, *_beyond(limit, side, values, first), ALARM, mode="lines", **filled)
     for limit in limits:
         limit_line(figure, limit, f"limit {given(limit, unit)}", axis="x")
+    above = {"yref": "paper", "y": 0.98, "yanchor": "top", "showarrow": False}
+    for text, limit, anchor, shift in zip(tails, limits, ("right", "left"), (-18, 6), strict=False):
+        font, written = {"size": SIZE - 1, "color": ALARM}, "<br>".join(map(plain, text.splitlines()))
+        figure.add_annotation(x=limit, text=written, xanchor=anchor, xshift=shift, font=font, **above)
     figure.update_xaxes(range=padded([*values[[0, -1]], *limits], 0.02))
-    if logarithmic:
-        figure.update_yaxes(type="log", exponentformat="power", dtick=2)
-    else:
-        figure.update_yaxes(rangemode="tozero")
-    for text, limit, anchor in zip(tails, limits, ("right", "left"), strict=False):
-        figure.add_annotation(
-            text="<br>".join(map(plain, text.splitlines())),
-            x=limit,
-            xanchor=anchor,
-            xshift={"right": -18, "left": 6}[anchor],
-            yref="paper",
-            y=0.98,
-            yanchor="top",
-            showarrow=False,
-            font={"size": SIZE - 1, "color": ALARM},
-        )
-    return figure
+    return figure.update_yaxes({"type": "log", "dtick": 2} if logarithmic else {"rangemode": "tozero"})
 
 
 def _beyond(limit: float, side: int, values: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The part of a density below (`side` -1) or above (1) a limit, which need not be among the values."""
-    chosen = side * (values - limit) > 0
-    if not chosen.any():
-        return values[chosen], density[chosen]
-    place = 0 if side > 0 else int(chosen.sum())
-    return (
-        np.insert(values[chosen], place, limit),
-        np.insert(density[chosen], place, np.interp(limit, values, density)),
-    )
+    chosen = values[side * (values - limit) > 0]
+    x = np.sort(np.append(chosen, limit)) if chosen.size else chosen
+    return x, np.interp(x, values, density)
 
 
 def _per(unit: str) -> str:
@@ -126,17 +84,10 @@ def bars_figure(groups: Mapping[str, Mapping[str, float]], *, y: str, unit: str 
     """Grouped bars: one colour for each group, one position for each name."""
     figure = blank("", label(y, unit), height=360)
     for name, look in looks(groups).items():
-        shown = groups[name]
-        figure.add_bar(
-            x=[plain(one) for one in shown],
-            y=list(shown.values()),
-            name=plain(name),
-            marker={"color": look.colour},
-            text=[number(value, 3) if value % 1 else count(int(value)) for value in shown.values()],
-            textposition="outside",
-            cliponaxis=False,
-            hovertemplate=f"{plain(name)}, %{{x}}: %{{y:.4g}} {plain(unit)}<extra></extra>",
-        )
+        shown, hover = groups[name], f"{plain(name)}, %{{x}}: %{{y:.4g}} {plain(unit)}<extra></extra>"
+        texts = [number(value, 3) if value % 1 else count(int(value)) for value in shown.values()]
+        written = {"text": texts, "textposition": "outside", "cliponaxis": False, "hovertemplate": hover}
+        places, color = [plain(one) for one in shown], look.colour
+        figure.add_bar(x=places, y=list(shown.values()), name=plain(name), marker_color=color, **written)
     figure.update_layout(barmode="group", bargap=0.35)
-    figure.update_yaxes(rangemode="tozero", linecolor=MUTED)
-    return figure
+    return figure.update_yaxes(rangemode="tozero", linecolor=MUTED)

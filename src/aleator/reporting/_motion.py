@@ -48,17 +48,9 @@ def plane_figure(
         if chosen.any():
             counted = f"{name} ({int(chosen.sum())} of {len(bad)} drawn)"
             draw(figure, *_strokes(rows[chosen]), colour, name=counted, mode="lines", line_width=0.9, opacity=0.8)
-    hover = "x %{x:.3f} m, y %{y:.3f} m"
-    draw(
-        figure,
-        short(nominal[:, 0]),
-        short(nominal[:, 1]),
-        look,
-        name="nominal system",
-        mode="lines",
-        hover=hover,
-        line_width=2.5,
-    )
+    thick = {"name": "nominal system", "hover": "x %{x:.3f} m, y %{y:.3f} m", "line_width": 2.5}
+    x, y = short(nominal.T)
+    draw(figure, x, y, look, mode="lines", **thick)
     _add_cross(figure, target)
     return figure
 

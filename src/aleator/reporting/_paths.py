@@ -231,12 +231,10 @@ def bands_figure(
     return figure
 
 
-def signal_figure(
-    times: np.ndarray, values: np.ndarray, *, name: str, unit: str = "", x: str = "Time", x_unit: str = "s"
-) -> "Figure":
-    """An input over time, or along another quantity `x` (figure 6.2)."""
-    figure = blank(label(x, x_unit), label(name, unit), height=300)
-    hover = f"%{{y:.4~g}} {plain(unit)} at %{{x:.3f}} {plain(x_unit)}"
+def signal_figure(times: np.ndarray, values: np.ndarray, *, name: str, unit: str = "") -> "Figure":
+    """An input over time (figure 6.2)."""
+    figure = blank(label("Time", "s"), label(name, unit), height=300)
+    hover = f"%{{y:.4~g}} {plain(unit)} at %{{x:.3f}} s"
     draw(figure, short(times), short(values), looks([name])[name], name=name, mode="lines", hover=hover, line_width=1.5)
     return figure
 

@@ -1,14 +1,16 @@
 """`report`: the results of any problem as one page, verdict first."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar, cast
+from types import MappingProxyType
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from aleator._core.border import a_name, positive
 from aleator._core.errors import ProblemError
-from aleator.reporting._blocks import Block, Code, Drawing, Section, Text
+from aleator.reporting._blocks import Block, Code, Drawing, Section, Table, Text, Verdict
 from aleator.reporting._choices import evidence_on
 from aleator.reporting._designs import mesh_drawing, search_drawings
 from aleator.reporting._files import as_path, check_writable
@@ -83,16 +85,12 @@ def report(
         _check_along(one, shown)
     checked = [each for one in sampled_along.values() for each in one.evidence if each is not None]
     check_writable(as_path(path).parent)
-    page = Page(
-        title=a_name("report: title", title),
-        subtitle=f"{words([str(name) for name in designs])}: result and evidence",
-        verdict=proposal(designs, sampled, positive("report: target", target, below=1.0)),
-        sections=[
-            *sections(designs, sampled, swept, checked),
-            provenance({"designs": designs, "evidence": sampled, "fronts": swept}),
-            Section("How to read this", [Text(HOW_TO_READ)]),
-        ],
-        footer=footer(),
+    page = whole_page(
+        a_name("report: title", title),
+        f"{words([str(name) for name in designs])}: result and evidence",
+        proposal(designs, sampled, positive("report: target", target, below=1.0)),
+        sections(designs, sampled, swept, checked),
+        {"designs": designs, "evidence": sampled, "fronts": swept},
     )
     return write_page(page, path)
 
@@ -175,7 +173,8 @@ def _motions(designs: Mapping[str, Solution]) -> Iterator[Drawing]:
 
 def evidence_sections(evidence: Mapping[str, Evidence]) -> tuple[Section, Section]:
     """The chapters on sampled systems: over time, and counted."""
-    return Section("Trajectories", _trajectory_blocks(evidence)), Section("Evidence", _evidence_blocks(evidence))
+    paths, counted = [*_trajectory_blocks(evidence)], [*_evidence_blocks(evidence)]
+    return Section("Trajectories", paths), Section("Evidence", counted)
 
 
 def trade_offs_section(
@@ -190,63 +189,54 @@ def trade_offs_section(
     return Section("Trade-offs", [*optima, *front_blocks(swept, known, shown), *trade_off_blocks(traded, known, shown)])
 
 
-def footer() -> str:
-    """The program that wrote the page, and the time."""
+def whole_page(
+    title: str,
+    subtitle: str,
+    verdict: Verdict,
+    sections: Sequence[Section],
+    results: Mapping[str, Any] = MappingProxyType({}),
+    glossary: Sequence[Table] = (),
+) -> Page:
+    """A page: sections that are not empty, then where the numbers of the results come from, and how to read them."""
     import datetime
     from importlib.metadata import version
 
     import aleator
 
+    last = [replace(provenance(results), folded=True), Section("How to read this", [Text(HOW_TO_READ), *glossary])]
     now = datetime.datetime.now().astimezone()
-    return (
+    footer = (
         f"Written by aleator {aleator.__version__} with JAX {version('jax')} on {now:%Y-%m-%d at %H:%M}. This page is"
         " one file and needs no network."
     )
+    return Page(title, subtitle, verdict, [section for section in [*sections, *last] if section.blocks], footer)
 
 
-def _trajectory_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
+def _trajectory_blocks(evidence: Mapping[str, Evidence]) -> Iterator[Drawing]:
     """One drawing for each design and path constraint."""
-    blocks: list[Block] = []
+    told = "Sampled systems over time; those that violate a limit are highlighted."
     for name, one in evidence.items():
-        problem = one.solution.problem
         for limit in dict.fromkeys(kept.name for kept in one.trajectories):
-            unit = unit_of_limit(limit, problem)
-            figure = trajectory_figure(one, limit, unit=unit)
-            blocks.append(
-                Drawing(
-                    [figure],
-                    f"{limit} of {name}",
-                    "Sampled systems over time; those that violate a limit are highlighted.",
-                )
+            figure = trajectory_figure(one, limit, unit=unit_of_limit(limit, one.solution.problem))
+            yield Drawing([figure], f"{limit} of {name}", told)
+
+
+def _evidence_blocks(evidence: Mapping[str, Evidence]) -> Iterator[Block]:
+    for name, one in evidence.items():
+        if not one.agrees:
+            yield Text([one.alarm()], lead=f"{name}: samples and solution disagree.")
+    for name, one in evidence.items():
+        if one.compared:
+            yield Text(
+                [each.sentence() for each in one.compared], lead=f"{name}: limits on statistics, by the samples."
             )
-    return blocks
-
-
-def _evidence_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
-    if not evidence:
-        return []
-    blocks: list[Block] = [
-        Text([one.alarm()], lead=f"{name}: samples and solution disagree.")
-        for name, one in evidence.items()
-        if not one.agrees
-    ]
-    blocks += [
-        Text([one.sentence() for one in each.compared], lead=f"{name}: limits on statistics, by the samples.")
-        for name, each in evidence.items()
-        if each.compared
-    ]
-    blocks += [one for one in (evidence_table(evidence), statistics_table(evidence)) if one is not None]
+    if evidence:
+        yield evidence_table(evidence)
+        yield from filter(None, [statistics_table(evidence)])
+    told = "Bars: 1 to 99 %, 5 to 95 % and 25 to 75 % of the systems."
     for text in dict.fromkeys(text for one in evidence.values() for text in one.functionals):
         group = {name: one.functionals[text] for name, one in evidence.items() if text in one.functionals}
-        if any(np.ndim(one.mean) or one.percentiles is None for one in group.values()):
-            continue
-        unit = units_of_moments(next(iter(evidence.values())).solution.problem).get(text, "")
-        figure = percentile_figure(group, x=text, unit=unit)
-        blocks.append(
-            Drawing(
-                [figure],
-                f"Spread of {text} over random systems",
-                "Bars: 1 to 99 %, 5 to 95 % and 25 to 75 % of the systems.",
-            )
-        )
-    return blocks
+        if not any(np.ndim(one.mean) or one.percentiles is None for one in group.values()):
+            unit = units_of_moments(next(iter(evidence.values())).solution.problem).get(text, "")
+            figure = percentile_figure(group, x=text, unit=unit)
+            yield Drawing([figure], f"Spread of {text} over random systems", told)

@@ -82,12 +82,12 @@ def _rows(results: Mapping[str, Any]) -> Iterator[list[str]]:
     for names, one in leaves(results):
         here = ": ".join(names)
         if isinstance(one, Solution):
-            yield [here, design_digest(one), one.effort.solver, "–", _seconds(_time_of(one))]
+            yield [here, design_digest(one), one.effort.solver, "–", number(_time_of(one), 3)]
         elif isinstance(one, Evidence):
-            sample = [f"{count(one.samples)} fresh systems", str(one.seed), _seconds(one.seconds)]
+            sample = [f"{count(one.samples)} fresh systems", str(one.seed), number(one.seconds, 3)]
             yield [here, design_digest(one.solution), *sample]
         elif isinstance(one, Calibration):
-            fresh = ["–", "–"] if one.evidence is None else [str(one.evidence.seed), _seconds(one.evidence.seconds)]
+            fresh = ["–", "–"] if one.evidence is None else [str(one.evidence.seed), number(one.evidence.seconds, 3)]
             yield [here, design_digest(one.solution), f"{count(len(one.trials))} trials", *fresh]
         elif isinstance(one, Front | TradeOff) and one.solutions:
             yield [here, *_of_front(one.solutions)]
@@ -97,16 +97,12 @@ def _of_front(solutions: Any) -> list[str]:
     """A front's row: one digest for all of its designs."""
     together = _digest("".join(map(design_digest, solutions)).encode())
     solvers = ", ".join(dict.fromkeys(one.effort.solver for one in solutions))
-    return [together, f"{count(len(solutions))} designs: {solvers}", "–", _seconds(sum(map(_time_of, solutions)))]
+    return [together, f"{count(len(solutions))} designs: {solvers}", "–", number(sum(map(_time_of, solutions)), 3)]
 
 
 def _time_of(solution: Solution) -> float:
     times = solution.effort.times
     return times.compile_ + times.solve
-
-
-def _seconds(value: float) -> str:
-    return number(value, 3)
 
 
 def _digest(content: bytes) -> str:

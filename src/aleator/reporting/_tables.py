@@ -1,12 +1,13 @@
 """Tables of designs, certificates and evidence, from result objects."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from aleator.nlp import Status
 from aleator.reporting._blocks import Table
 from aleator.reporting._numbers import (
+    NOTHING,
     count,
     given,
     number,
@@ -21,8 +22,8 @@ from aleator.reporting._numbers import (
     values_text,
     words,
 )
-from aleator.solution import Certificate, ConstraintResult, Solution
-from aleator.validation import Checked, Evidence
+from aleator.solution import Solution
+from aleator.validation import Evidence
 
 STATUS_WORDS = {
     Status.SOLVED: "solved",
@@ -39,53 +40,56 @@ def status_words(solution: Solution) -> str:
     return STATUS_WORDS[solution.status] if solution.objection is None else solution.objection.phrase
 
 
-def _union(groups: Sequence[Sequence[str]]) -> list[str]:
-    return list(dict.fromkeys(name for group in groups for name in group))
+def side_by_side(caption: str, columns: Mapping[str, Mapping[str, str]], note: str = "") -> Table:
+    """Columns by their names, each with its cells by label; a dash where a column has none of a label.
+
+    Labels that some columns lack stand where the others have them.
+    """
+    labels: list[str] = []
+    for column in columns.values():
+        place = 0
+        for label in column:
+            if label not in labels:
+                labels.insert(place, label)
+            place = labels.index(label) + 1
+    rows = [[label, *(column.get(label, NOTHING) for column in columns.values())] for label in labels]
+    return Table(caption, ["", *columns], rows, note)
 
 
 def designs_table(solutions: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -> Table:
     """The designs side by side: decisions, objective, constraints, active limits, and violations by Monte Carlo."""
-    every = list(solutions.values())
-    rows: list[list[str]] = [["Status", *map(status_words, every)]]
-    for name in _union([list(one.decisions) for one in every]):
-        rows.append([name, *(_decision(one, name) for one in every)])
-    rows.append(["Objective", *(objective_text(one) for one in every)])
-    for name in _union([[part.name for part in one.constraints] for one in every]):
-        rows.append([f"{name}: worst value", *(worst_text(one, name) for one in every)])
-        rows.append([f"{name}: shadow price of the bound", *(_shadow_price(one, name) for one in every)])
-    broken = [[part.name for part in one.violated] for one in every]
-    held = [[name for name in one.active if name not in names] for one, names in zip(every, broken, strict=True)]
-    rows.append(["Active", *(words(names, "nothing") for names in held)])
-    if any(broken):
-        rows.append(["Violated", *(words(names, "nothing") for names in broken)])
-    rows += _violation_rows(list(solutions), evidence)
-    return Table(
-        "Decisions, limits and violations",
-        ["", *solutions],
-        rows,
-        "Shadow price: the decrease of the objective per unit by which the bound is relaxed.",
-    )
+    columns = {name: dict(_design(one)) | _violations(evidence.get(name)) for name, one in solutions.items()}
+    note = "Shadow price: the decrease of the objective per unit by which the bound is relaxed."
+    return side_by_side("Decisions, limits and violations", columns, note)
 
 
-def _violation_rows(names: Sequence[str], evidence: Mapping[str, Evidence]) -> list[list[str]]:
-    if not evidence:
-        return []
-    found = [evidence.get(name) for name in names]
-    limits = _union([list(one.violations) for one in found if one])
-    rows = [
-        [f"Systems that violate {limit}", *(share_text(one.violations.get(limit)) if one else "–" for one in found)]
-        for limit in limits
-    ]
-    if not limits:
-        return []
-    return [*rows, ["Systems that violate any limit", *(share_text(one.joint) if one else "–" for one in found)]]
+def _design(solution: Solution) -> Iterator[tuple[str, str]]:
+    yield "Status", status_words(solution)
+    for name, value in solution.decisions.items():
+        text = values_text(value, 5, unit_of_decision(name, solution.problem))
+        yield name, f"{text} (at its bound)" if solution.is_at_bound(name) else text
+    yield "Objective", objective_text(solution)
+    for name in dict.fromkeys(part.name for part in solution.constraints):
+        yield f"{name}: worst value", worst_text(solution, name)
+        yield f"{name}: shadow price of the bound", number(solution.multiplier(name), 4)
+    broken = [part.name for part in solution.violated]
+    yield "Active", words([name for name in solution.active if name not in broken], "nothing")
+    if broken:
+        yield "Violated", words(broken)
 
 
-def _decision(solution: Solution, name: str) -> str:
-    if name not in solution.decisions:
-        return "–"
-    text = values_text(solution.decisions[name], 5, unit_of_decision(name, solution.problem))
-    return f"{text} (at its bound)" if solution.is_at_bound(name) else text
+def _violations(evidence: Evidence | None) -> dict[str, str]:
+    """How often fresh systems break each limit; nothing where no limit is counted."""
+    if evidence is None or not evidence.violations:
+        return {}
+    shares = {**evidence.violations, "any limit": evidence.joint}
+    return {f"Systems that violate {limit}": share_text(one) for limit, one in shares.items()}
+
+
+def violations_table(evidence: Mapping[str, Evidence]) -> Table:
+    """How many systems break each limit, a column for each design."""
+    columns = {name: _violations(one) for name, one in evidence.items()}
+    return side_by_side("Systems that violate limits", columns, "In brackets: 95 % confidence.")
 
 
 def decision_text(solution: Solution, name: str) -> str:
@@ -101,21 +105,12 @@ def objective_text(solution: Solution) -> str:
     return number(solution.objective, 5, unit_of_objective(solution.problem))
 
 
-def _parts(solution: Solution, name: str) -> list[tuple[ConstraintResult, str]]:
-    """The constraints of one name with their units."""
-    pairs = zip(solution.constraints, solution.problem.constraints, strict=True)
-    return [
-        (one, unit_of_expression(declared.expression, solution.problem)) for one, declared in pairs if one.name == name
-    ]
-
-
 def worst_text(solution: Solution, name: str) -> str:
     """The value closest to or furthest beyond a bound, and that bound."""
-    parts = _parts(solution, name)
-    if not parts:
-        return "–"
-    one, unit = max(parts, key=lambda part: float(np.max(part[0].excess)))
-    value = one.worst
+    pairs = zip(solution.constraints, solution.problem.constraints, strict=True)
+    parts = [(one, declared) for one, declared in pairs if one.name == name]
+    one, declared = max(parts, key=lambda part: float(np.max(part[0].excess)))
+    value, unit = one.worst, unit_of_expression(declared.expression, solution.problem)
     upper = one.lower == one.upper or value - one.upper >= one.lower - value
     relation, bound = ("=" if one.lower == one.upper else "≤", one.upper) if upper else ("≥", one.lower)
     when = "" if one.worst_time is None else f" at {number(one.worst_time, 4, 's')}"
@@ -132,100 +127,41 @@ def limit_rows(solution: Solution) -> list[tuple[str, str]]:
     return rows
 
 
-def _shadow_price(solution: Solution, name: str) -> str:
-    return number(solution.multiplier(name), 4) if any(one.name == name for one in solution.constraints) else "–"
-
-
-def violations_table(evidence: Mapping[str, Evidence]) -> Table:
-    """How many systems break each limit, a column for each design."""
-    rows = _violation_rows(list(evidence), evidence)
-    return Table("Systems that violate limits", ["", *evidence], rows, "In brackets: 95 % confidence.")
-
-
 def certificate_table(solutions: Mapping[str, Solution]) -> Table:
-    """The certificate of each design: residuals of the optimality conditions, effort, quality of the expansion."""
-    every = list(solutions.values())
-    certificates, efforts = [one.certificate for one in every], [one.effort for one in every]
-    times = [one.times for one in efforts]
-    expanded = [one.expansion for one in certificates if _expanded(one)]
-    rows = [
-        ["Status", *map(status_words, every)],
-        ["Solver", *(one.solver for one in efforts)],
-        *([["States", *map(_found, every)]] if any(one.mesh for one in every) else []),
-        ["Violation (scaled)", *(residual(one.violation) for one in certificates)],
-        ["Stationarity (scaled)", *(residual(one.stationarity) for one in certificates)],
-        ["Complementarity (scaled)", *(residual(one.complementarity) for one in certificates)],
-        *(
-            [["Limits between the instants", *map(_between, certificates)]]
-            if any(one.between for one in certificates)
-            else []
-        ),
-        *_said(certificates),
-        *([["Search", *(str(one.searched or "–") for one in efforts)]] if any(one.searched for one in efforts) else []),
-        ["Iterations / evaluations", *(f"{one.iterations} / {one.evaluations}" for one in efforts)],
-        ["Time to compile / to solve", *(f"{seconds(t.compile_)} / {seconds(t.solve)}" for t in times)],
-        ["Expansion: order, terms, points", *map(_expansion, certificates)],
-        [
-            "Condition number",
-            *(number(one.expansion.condition_number, 3) if _expanded(one) else "–" for one in certificates),
-        ],
-    ]
-    for text in _union([list(one.leave_one_out) for one in expanded]):
-        rows.append([f"Leave-one-out error, {text}", *(_leave_one_out(one, text) for one in certificates)])
-    if any(one.expansion.tangents for one in certificates):
-        each = map(_tangent, certificates)
-        rows.append(["Worst leave-one-out error of a derivative by a distribution's parameter", *each])
-    tolerances = words(sorted({f"{given(100 * one.expansion.tolerance)} %" for one in certificates}))
+    """The certificate of each design: residuals of the optimality conditions, what was checked, and the effort."""
+    tolerances = sorted({f"{given(100 * one.certificate.expansion.tolerance)} %" for one in solutions.values()})
     note = (
         "Residuals are computed from the point and its multipliers, not taken from the solver. The leave-one-out error"
         " is the rms error of predicting each collocation point from all others, relative to the standard deviation:"
-        f" up to {tolerances} it counts as resolved."
+        f" up to {words(tolerances)} it counts as resolved."
     )
-    return Table("Certificate", ["", *solutions], rows, note)
+    return side_by_side("Certificate", {name: dict(_certificate(one)) for name, one in solutions.items()}, note)
 
 
-def _found(solution: Solution) -> str:
-    """How the states of a design were found."""
-    if solution.mesh is None:
-        return "integrated"
-    return f"variables, {solution.mesh.intervals} intervals of {solution.mesh.scheme}"
+# Where the label of the printed certificate is short for want of room.
+_LABELS = {"between": "limits between the instants", "grid": "error of the grid", "fresh": "fresh systems"}
 
 
-def _said(certificates: list[Certificate]) -> list[list[str]]:
-    """The results of a finer grid, the worst case and fresh systems for each design, where there are any."""
-    rows = [
-        ["Error of the grid", *("–" if one.grid_error is None else str(one.grid_error) for one in certificates)],
-        ["Worst case", *("; ".join(one.worst_case.rows()) if one.worst_case else "–" for one in certificates)],
-        ["Fresh systems", *("–" if one.opinion is None else str(one.opinion) for one in certificates)],
-        ["Not seen", *(one.expansion.unseen.sentence() if one.expansion.unseen else "–" for one in certificates)],
-    ]
-    return [row for row in rows if any(text != "–" for text in row[1:])]
-
-
-def _between(certificate: Certificate) -> str:
-    one = certificate.between
-    if one is None:
-        return "–"
-    return "hold" if one.holds else f"{one.name} exceeded by {number(one.worst, 2)} of its scale"
-
-
-def _expanded(certificate: Certificate) -> bool:
-    return certificate.expansion.points > 1
-
-
-def _expansion(certificate: Certificate) -> str:
-    one = certificate.expansion
-    return f"{one.order}, {one.terms}, {one.points}" if _expanded(certificate) else "nothing is uncertain"
-
-
-def _leave_one_out(certificate: Certificate, text: str) -> str:
-    error = certificate.expansion.leave_one_out.get(text)
-    return "–" if error is None or not _expanded(certificate) else residual(error)
-
-
-def _tangent(certificate: Certificate) -> str:
-    worst = certificate.expansion.worst_tangent
-    return "–" if worst is None else f"{residual(worst.error)} ({worst.functional} by {worst.parameter})"
+def _certificate(solution: Solution) -> Iterator[tuple[str, str]]:
+    certificate, effort = solution.certificate, solution.effort
+    yield "Status", status_words(solution)
+    yield "Solver", effort.solver
+    if solution.mesh is not None:
+        yield "States", f"variables, {solution.mesh.intervals} intervals of {solution.mesh.scheme}"
+    for name in ("violation", "stationarity", "complementarity"):
+        yield f"{name.capitalize()} (scaled)", residual(getattr(certificate, name))
+    said: dict[str, list[str]] = {}
+    for label, text in certificate.rows():
+        said.setdefault(label, []).append(text)
+    del said["certificate"]  # the residuals
+    yield from ((_LABELS.get(label, label).capitalize(), "; ".join(texts)) for label, texts in said.items())
+    if certificate.expansion.points > 1:
+        for text, error in certificate.expansion.leave_one_out.items():
+            yield f"Leave-one-out error, {text}", residual(error)
+    yield "Iterations / evaluations", f"{effort.iterations} / {effort.evaluations}"
+    if effort.searched is not None:
+        yield "Search", str(effort.searched)
+    yield "Time to compile / to solve", f"{seconds(effort.times.compile_)} / {seconds(effort.times.solve)}"
 
 
 def evidence_table(evidence: Mapping[str, Evidence]) -> Table:
@@ -236,19 +172,12 @@ def evidence_table(evidence: Mapping[str, Evidence]) -> Table:
         for text, sampled in one.functionals.items():
             if np.ndim(sampled.mean) or sampled.percentiles is None:
                 continue
-            p5, p50, p95 = (sampled.percentiles[i] for i in (1, 3, 5))
-            rows.append(
-                [
-                    (f"{name}, {text}" if name else text) + (f" ({units[text]})" if units.get(text) else ""),
-                    f"{number(float(sampled.mean), 5)} ± {number(float(sampled.standard_error), 2)}",
-                    number(float(sampled.expanded_mean), 5),
-                    number(float(sampled.std), 4),
-                    number(float(sampled.expanded_std), 4),
-                    number(p5, 4),
-                    number(p50, 4),
-                    number(p95, 4),
-                ]
-            )
+            numbers = sampled.mean, sampled.standard_error, sampled.expanded_mean, sampled.std, sampled.expanded_std
+            mean, error, expanded, std, expanded_std = map(float, numbers)
+            means = f"{number(mean, 5)} ± {number(error, 2)}", number(expanded, 5)
+            percentiles = [number(sampled.percentiles[i], 4) for i in (1, 3, 5)]
+            label = _with_unit(f"{name}, {text}" if name else text, units.get(text, ""))
+            rows.append([label, *means, number(std, 4), number(expanded_std, 4), *percentiles])
     header = ["", "Mean, sampled", "Mean, expansion", "σ, sampled", "σ, expansion", "5 %", "Median", "95 %"]
     samples = words(sorted({count(one.samples) for one in evidence.values()}))
     note = (
@@ -258,28 +187,22 @@ def evidence_table(evidence: Mapping[str, Evidence]) -> Table:
     return Table("Monte Carlo and the expansion compared", header, rows, note)
 
 
+def _with_unit(name: str, unit: str) -> str:
+    return f"{name} ({unit})" if unit else name
+
+
 def statistics_table(evidence: Mapping[str, Evidence]) -> Table | None:
     """The other statistics in the problems, sampled and by the expansion; None if there are none."""
     rows = []
     for name, one in evidence.items():
         for text, checked in one.statistics.items():
-            if checked.statistic.is_moment:
-                continue
-            unit = unit_of_statistic(checked.statistic, one.solution.problem)
-            rows.append(
-                [
-                    f"{name}, {text}" + (f" ({unit})" if unit else ""),
-                    _estimated(checked),
-                    number(checked.expanded, 5),
-                ]
-            )
+            if not checked.statistic.is_moment:
+                unit = unit_of_statistic(checked.statistic, one.solution.problem)
+                error = "" if np.isnan(checked.standard_error) else f" ± {number(checked.standard_error, 2)}"
+                estimate = f"{number(checked.estimate, 5)}{error}"
+                rows.append([_with_unit(f"{name}, {text}", unit), estimate, number(checked.expanded, 5)])
     note = "± is one standard error of the sampled number."
     return Table("Other statistics", ["", "Sampled", "Expansion"], rows, note) if rows else None
-
-
-def _estimated(one: Checked) -> str:
-    error = "" if np.isnan(one.standard_error) else f" ± {number(one.standard_error, 2)}"
-    return f"{number(one.estimate, 5)}{error}"
 
 
 def unresolved(solutions: Mapping[str, Solution]) -> dict[str, tuple[str, float]]:
@@ -287,7 +210,7 @@ def unresolved(solutions: Mapping[str, Solution]) -> dict[str, tuple[str, float]
     found = {}
     for name, one in solutions.items():
         quality = one.certificate.expansion
-        if _expanded(one.certificate) and quality.unresolved:
+        if quality.points > 1 and quality.unresolved:
             worst = max(quality.unresolved, key=lambda text: quality.leave_one_out[text])
             found[name] = (f"{worst}{quality.since(worst)}", quality.leave_one_out[worst])
     return found

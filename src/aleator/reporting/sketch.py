@@ -1,4 +1,4 @@
-"""Schematic drawings as SVG: lines, bodies, springs, dampers, angles and dimensions as text, in the page's own colour.
+"""Schematic drawings as SVG: lines, bodies, angles and dimensions as text, in the page's own colour.
 
 Every function returns the text of one element; points are in pixels of the drawing, `y` downwards. `View` converts a
 model's metres or millimetres to these. A `kind` becomes the element's class, by which it can be found.
@@ -44,11 +44,11 @@ def path(points: Sequence[Point], *, kind: str = "", width: float = 2.0, dash: s
     return f'<path d="M {steps}{" Z" if closed else ""}" {INK}{_look(kind, width, dash)}/>'
 
 
-def circle(centre: Point, radius: float, *, kind: str = "", width: float = 2.0, filled: bool = False) -> str:
+def circle(centre: Point, radius: float, *, kind: str = "", filled: bool = False) -> str:
     """A circle; a `filled` one is a joint or a point mass."""
     ink = INK.replace('fill="none"', 'fill="currentColor"') if filled else INK
     place = f'cx="{_text(centre[0])}" cy="{_text(centre[1])}" r="{_text(radius)}"'
-    return f"<circle {place} {ink}{_look(kind, width, '')}/>"
+    return f"<circle {place} {ink}{_look(kind, 2.0, '')}/>"
 
 
 def arc(
@@ -75,47 +75,9 @@ def arrow(start: Point, end: Point, *, kind: str = "", both: bool = False) -> st
     return path([start, end], kind=kind, width=1.4) + _head(start, end) + (_head(end, start) if both else "")
 
 
-def dimension(start: Point, end: Point, text: str, *, beside: Point, anchor: str = "middle", kind: str = "") -> str:
+def dimension(start: Point, end: Point, text: str, *, beside: Point, kind: str = "") -> str:
     """A dimension between two points: a line with two arrowheads, and its length `beside` it."""
-    return arrow(start, end, kind=kind, both=True) + label(beside, text, anchor=anchor)
-
-
-def spring(start: Point, end: Point, *, kind: str = "", coils: int = 5, half_width: float = 11.0) -> str:
-    """A zigzag between two points, with straight ends."""
-    ends = [0.15 + 0.7 * (i + 0.5) / (2 * coils) for i in range(2 * coils)]
-    sides = [half_width * (-1) ** i for i in range(2 * coils)]
-    bends = [_beside(start, end, share, side) for share, side in zip(ends, sides, strict=True)]
-    return path([start, _beside(start, end, 0.15, 0), *bends, _beside(start, end, 0.85, 0), end], kind=kind)
-
-
-def damper(start: Point, end: Point, *, kind: str = "", half_width: float = 12.0) -> str:
-    """A piston in a cylinder between two points."""
-    cup = [
-        _beside(start, end, share, side)
-        for share, side in ((0.68, -half_width), (0.35, -half_width), (0.35, half_width), (0.68, half_width))
-    ]
-    piston = [_beside(start, end, 0.52, side) for side in (0.8 * half_width, -0.8 * half_width)]
-    rods = path([start, _beside(start, end, 0.35, 0)], kind=kind) + path([_beside(start, end, 0.52, 0), end])
-    return rods + path(cup) + path(piston)
-
-
-def ground(start: Point, end: Point, *, kind: str = "", spacing: float = 11.0) -> str:
-    """The fixed ground: a line with hatching on its right, seen from start to end."""
-    length = math.dist(start, end)
-    count = max(1, int(length / spacing))
-    strokes = []
-    for i in range(count):
-        share = (i + 0.5) / count
-        strokes.append(path([_beside(start, end, share, 0), _beside(start, end, share - 7 / length, 8)], width=1.0))
-    return path([start, end], kind=kind) + "".join(strokes)
-
-
-def _beside(start: Point, end: Point, share: float, side: float) -> Point:
-    """A point at the fraction `share` of the way, `side` pixels to its right in the drawing."""
-    length = math.dist(start, end)
-    along = ((end[0] - start[0]) / length, (end[1] - start[1]) / length)
-    x, y = (start[i] + share * (end[i] - start[i]) for i in (0, 1))
-    return x - side * along[1], y + side * along[0]
+    return arrow(start, end, kind=kind, both=True) + label(beside, text)
 
 
 def _head(start: Point, end: Point) -> str:

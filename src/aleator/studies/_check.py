@@ -13,7 +13,7 @@ from aleator._core.leaves import AbstractLeaf
 from aleator.design import Problem, problem_text
 from aleator.dynamics import Grid
 from aleator.examining import examine
-from aleator.reporting import Code, Table, number
+from aleator.reporting import Code, Table, number, side_by_side
 from aleator.studies._own import Study
 from aleator.studies._study import AbstractStudy
 from aleator.studies._swept import problems_of
@@ -75,19 +75,17 @@ class Check:
 
     def numbers(self) -> Table | None:
         """The numbers of each model in the units that it declares, as a file may have changed them."""
-        numbers = {name: _numbers(problem) for name, problem in self._problems.items()}
-        names = dict.fromkeys(name for each in numbers.values() for name in each)
-        rows = [[name, *(str(each.get(name, "–")) for each in numbers.values())] for name in names]
-        return Table("Numbers of the model", ["", *numbers], rows) if rows else None
+        columns = {
+            name: {key: str(one) for key, one in _numbers(each).items()} for name, each in self._problems.items()
+        }
+        return side_by_side("Numbers of the model", columns) if any(columns.values()) else None
 
     def table(self) -> Table:
         """A column for each problem."""
-        columns = [_column(one) for one in self.facts.values()]
-        rows = [[row, *(one[row] for one in columns)] for row in columns[0]]
         count = self._study.solves if isinstance(self._study, Study) else 0
         solves = f", and {count} {'solve' if count == 1 else 'solves'} in all" if count else ""
         note = f"Times on this machine, at the start: {_EVALUATIONS} evaluations for a solve{solves}."
-        return Table("What will be done", ["", *self.facts], rows, note)
+        return side_by_side("What will be done", {name: _column(one) for name, one in self.facts.items()}, note)
 
     def document(self) -> Mapping[str, Any]:
         """The same for programs."""

@@ -24,8 +24,8 @@ from aleator.reporting import (
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
 from aleator.studies._study import AbstractStudy, Draft
-from aleator.studies._swept import check_sweepable, distinct, executor_of, front_of
-from aleator.sweep import Front, TradeOff, trade_off, validate_all
+from aleator.studies._swept import check_sweepable, distinct, executor_of
+from aleator.sweep import Front, TradeOff, pareto, trade_off, validate_all
 from aleator.transcription import DEFAULT, AbstractTranscription
 from aleator.validation import Evidence, validate
 
@@ -180,8 +180,9 @@ class Study(AbstractStudy):
         page.tables.append(certificate_table(designs))
         for bound, values in self._sweeps.items():
             page.step(f"front over {bound}")
-            sweeping = {"processes": self._workers, "solving": self.solving, "progress": page.progress}
-            self._show(page, designs, evidence, bound, front_of(self._last, bound, values, **sweeping))
+            with executor_of(self._workers) as executor:
+                front = pareto(self._last, bound, values, executor=executor, progress=page.progress, **self.solving)
+            self._show(page, designs, evidence, bound, front)
         if self._wishes:
             page.step("trade-off")
             front = trade_off(self._last, self._wishes, self._points, progress=page.progress, **self.solving)

@@ -13,7 +13,6 @@ from aleator._core.errors import AleatorError, ProblemError
 from aleator.design import Problem
 from aleator.nlp import Status
 from aleator.reporting import (
-    HOW_TO_READ,
     PAGE,
     Block,
     Page,
@@ -22,11 +21,10 @@ from aleator.reporting import (
     Text,
     Verdict,
     by_place,
-    footer,
     is_group,
-    provenance,
     savable,
     save_study,
+    whole_page,
     write_page,
 )
 
@@ -240,19 +238,9 @@ class Draft:
     def page(self) -> Page:
         """The page so far: the recommendation, how the run ended, the sections, and how to read them."""
         glossary = [Table("Glossary", _TERMS, self._study.glossary)] if self._study.glossary else []
-        every = [
-            Section("This run", [Text([self._end()])] if self.stopped or self.failures else []),
-            *self._sections,
-            replace(provenance(self.kept), folded=True),
-            Section("How to read this", [Text(HOW_TO_READ), *glossary]),
-        ]
-        return Page(
-            title=self.title,
-            subtitle=self._study.subtitle,
-            verdict=self._verdict(),
-            sections=[section for section in every if section.blocks],
-            footer=footer(),
-        )
+        ended = Section("This run", [Text([self._end()])] if self.stopped or self.failures else [])
+        about = self.title, self._study.subtitle, self._verdict()
+        return whole_page(*about, [ended, *self._sections], self.kept, glossary)
 
     def _end_step(self) -> None:
         if self.present:

@@ -9,7 +9,7 @@ from typing import Any, final
 import numpy as np
 from typing_extensions import override
 
-from aleator._core.border import Progress, meant, one_of, real_array, refusal, whole
+from aleator._core.border import meant, one_of, real_array, refusal, whole
 from aleator._core.errors import ProblemError
 from aleator.design import Problem
 from aleator.reporting import Section, Verdict, count, front_table, number, sections, words
@@ -26,20 +26,6 @@ def executor_of(processes: int | None) -> Iterator[Executor | None]:
         return
     with workers(processes) as executor:
         yield executor
-
-
-def front_of(
-    problem: Problem,
-    bound: str,
-    values: np.ndarray,
-    *,
-    processes: int | None,
-    solving: Mapping[str, Any],
-    progress: Progress,
-) -> Front:
-    """The front of a problem over one bound, by this process or by several; `solving` as for `al.solve`."""
-    with executor_of(processes) as executor:
-        return pareto(problem, bound, values, executor=executor, progress=progress, **solving)
 
 
 @final
@@ -84,14 +70,9 @@ class SweptStudy(AbstractStudy):
     @override
     def chapter(self, page: Draft) -> None:
         page.step(f"front over {self._bound}")
-        front = front_of(
-            self._problem,
-            self._bound,
-            self._values,
-            processes=self._workers,
-            solving=self._solving,
-            progress=page.progress,
-        )
+        with executor_of(self._workers) as executor:
+            how = {"executor": executor, "progress": page.progress, **self._solving}
+            front = pareto(self._problem, self._bound, self._values, **how)
         solved = {_place(front, i): one for i, one in enumerate(front.points) if isinstance(one, Solution) and one.ok}
         page.recommend(self._verdict(front, len(solved)))
         if front.points and not solved:

@@ -33,9 +33,6 @@ _SAID = {
 }
 # Parameters of distributions that are pure numbers.
 _PURE = ("alpha", "beta", "shape", "cp", "cpk", "sigmas")
-_HEADER = re.compile(r"\s*\[\[?(?P<path>[^\]]+)\]\]?\s*(?:#.*)?$")
-_KEY = re.compile(r"\s*(?P<path>(?:\"[^\"]*\"|'[^']*'|[\w.\-])+)\s*=")
-_PART = re.compile(r"\"([^\"]*)\"|'([^']*)'|([\w\-]+)")
 
 
 class _File(NamedTuple):
@@ -155,25 +152,22 @@ def _first(file: _File, errors: Sequence[Any], known: Mapping[str, Any]) -> Prob
 
 def _line_of(text: str, place: Sequence[str | int]) -> int:
     """The line on which a place begins, or the nearest table around it; 1 if it is nowhere."""
-    wanted = [str(one) for one in place]
-    best, longest, table = 1, 0, list[str]()
-    for number, line in enumerate(text.splitlines(), 1):
-        if header := _HEADER.match(line):
-            table = path = _parts(header["path"])
-        elif key := _KEY.match(line):
-            path = [*table, *_parts(key["path"])]
-        else:
+    lines = text.splitlines()
+    best, deepest, read = 1, 0, 0
+    for number in range(1, len(lines) + 1):
+        try:
+            data: Any = tomllib.loads("\n".join(lines[:number]))
+        except tomllib.TOMLDecodeError:  # within a value of several lines
             continue
-        shared = next(
-            (i for i, (a, b) in enumerate(zip(path, wanted, strict=False)) if a != b), min(len(path), len(wanted))
-        )
-        if shared == len(path) and shared > longest:
-            best, longest = number, shared
+        depth = 0
+        for part in place:
+            if not isinstance(data, dict) or str(part) not in data:
+                break
+            data, depth = data[str(part)], depth + 1
+        if depth > deepest:
+            best, deepest = read + 1, depth
+        read = number
     return best
-
-
-def _parts(path: str) -> list[str]:
-    return [next(part for part in found if part) for found in _PART.findall(path)]
 
 
 def _overridden(problem: Problem, name: str, value: Any) -> Problem:

@@ -1,13 +1,13 @@
 
 /** A front linked with its designs: a click on a point, or a choice in the table, shows the design beside it. */
 function link(figure) {
-  const { choices, paths } = dataFor(figure);
+  const choices = dataFor(figure);
   const buttons = [...figure.querySelectorAll("input[type=radio]")];
   const plots = [...figure.querySelectorAll(".chooser .plot")];
   const bands = [...figure.querySelectorAll(".chosen .plot")];
   // A page that draws its figures on scroll may link them before.
   for (const plot of [...plots, ...bands]) if (!plot.data) draw(plot);
-  const stages = bands.map(dataFor);
+  const paths = bands.map((plot) => dataFor(plot).layout.meta);
   const name = figure.querySelector(".chosen-name");
 
   function show(place) {
@@ -17,7 +17,7 @@ function link(figure) {
     box.scrollTop = buttons[place].closest("tr").offsetTop - box.clientHeight / 2;
     name.querySelector("strong").textContent = choice.name;
     figure.querySelector(".facts").replaceChildren(...choice.facts.flatMap(factsOf));
-    bands.forEach((plot, i) => showBand(plot, stages[i], choice.bands[paths[i]]));
+    bands.forEach((plot, i) => showBand(plot, choice.bands[paths[i]]));
     for (const plot of plots) mark(plot, place);
   }
 
@@ -59,26 +59,10 @@ function element(tag, text = "") {
   return made;
 }
 
-/** A path of the chosen design in the figure that all designs share; hidden where it has none. */
-function showBand(plot, stage, band) {
+/** A path of the chosen design with its limits, on axes that suit all designs; hidden where it has none. */
+function showBand(plot, band) {
   plot.closest(".panel").hidden = !band;
-  if (!band) return;
-  const { times, mean, std, sigmas } = band;
-  // What is not finite is null, which would count as zero.
-  const edge = (sign) =>
-    mean.map((value, i) => (value === null || std[i] === null ? null : value + sign * sigmas * std[i]));
-  const around = { x: [...times, ...[...times].reverse()], y: [...edge(1), ...edge(-1).reverse()] };
-  const data = stage.data.map((trace) =>
-    trace.fill ? { ...trace, ...around } : { ...trace, x: times, y: mean, customdata: std });
-  Plotly.react(plot, data, { ...plot.layout, ...limitsOf(stage.layout, band.limits) });
-}
-
-/** The lines of the limits of a design, and their names, in the style of the stage's. */
-function limitsOf({ shapes: [line] = [], annotations: [note] = [] }, limits) {
-  return {
-    shapes: limits.map(([value]) => ({ ...line, y0: value, y1: value })),
-    annotations: limits.map(([value, text]) => ({ ...note, y: value, yanchor: value < 0 ? "top" : "bottom", text })),
-  };
+  if (band) Plotly.react(plot, band.data, { ...plot.layout, ...band.layout });
 }
 
 function ring() {

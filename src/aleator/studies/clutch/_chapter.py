@@ -13,6 +13,7 @@ import aleator as al
 from aleator._core.border import Progress
 from aleator.journalling import kept
 from aleator.reporting import (
+    NOTHING,
     Code,
     Drawing,
     Schematic,
@@ -31,6 +32,7 @@ from aleator.reporting import (
     percent,
     recommendation,
     share_text,
+    side_by_side,
     words,
 )
 from aleator.studies._shared import stored
@@ -340,31 +342,28 @@ def counts_table(
     expanded: Mapping[str, float],
 ) -> Table:
     """The given, the cheapest and the safe tolerances, each with a count and the exact worst case."""
-    widths, every = list(tolerances.values()), [counts[name] for name in tolerances]
-    rows = [[f"{NAMES[part]}, ± (mm)", *(number(one[part], 4) for one in widths)] for part in TOLERANCES]
-    shares = {
-        f"Below {given(LIMITS[0])}°, counted (ppm)": [per_million(one["limits"].low) for one in every],
-        f"Above {given(LIMITS[1])}°, counted (ppm)": [per_million(one["limits"].high) for one in every],
-        "Both, counted (ppm)": [per_million(one["limits"].either) for one in every],
-        "Both, exact (ppm)": [number(1e6 * sum(exact_rejects(one)), 3) for one in widths],
-        "Outside nominal ± 0.6°, counted": [share_text(one["deviation"].either) for one in every],
-        "Outside nominal ± 0.6°, by the expansion": [
-            percent(expanded[name]) if name in expanded else "–" for name in tolerances
-        ],
-    }
-    rows += [
-        [f"Cost {COST} (1/mm)", *(number(cost(one), 4) for one in widths)],
-        ["Worst case", *map(worst_text, widths)],
-        *([name, *texts] for name, texts in shares.items()),
-    ]
     note = (
         f"Specification of the allocation: {number(DEVIATION[0], 5)}° to {number(DEVIATION[1], 5)}°, with no more "
-        f"rejects than the given tolerances have. {count(every[0]['limits'].low.samples)} assemblies counted for each "
-        "column, in closed form; 95 % confidence intervals in brackets. The worst case is over all dimensions within "
-        "their tolerances. Dimensions are normally distributed, and one part in 370 lies outside its tolerance: a few "
-        "assemblies may exceed the limits even where the worst case does not."
+        f"rejects than the given tolerances have. {count(counts[GIVEN]['limits'].low.samples)} assemblies counted for "
+        "each column, in closed form; 95 % confidence intervals in brackets. The worst case is over all dimensions "
+        "within their tolerances. Dimensions are normally distributed, and one part in 370 lies outside its "
+        "tolerance: a few assemblies may exceed the limits even where the worst case does not."
     )
-    return Table("Three sets of tolerances, counted", ["", *(name.capitalize() for name in tolerances)], rows, note)
+    columns = {}
+    for name, widths in tolerances.items():
+        function, outside = counts[name]["limits"], counts[name]["deviation"].either
+        columns[name.capitalize()] = {
+            **{f"{NAMES[part]}, ± (mm)": number(widths[part], 4) for part in TOLERANCES},
+            f"Cost {COST} (1/mm)": number(cost(widths), 4),
+            "Worst case": worst_text(widths),
+            f"Below {given(LIMITS[0])}°, counted (ppm)": per_million(function.low),
+            f"Above {given(LIMITS[1])}°, counted (ppm)": per_million(function.high),
+            "Both, counted (ppm)": per_million(function.either),
+            "Both, exact (ppm)": number(1e6 * sum(exact_rejects(widths)), 3),
+            "Outside nominal ± 0.6°, counted": share_text(outside),
+            "Outside nominal ± 0.6°, by the expansion": percent(expanded[name]) if name in expanded else NOTHING,
+        }
+    return side_by_side("Three sets of tolerances, counted", columns, note)
 
 
 def recommended(

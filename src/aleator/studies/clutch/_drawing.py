@@ -34,7 +34,8 @@ def clutch_drawing(dimensions: Mapping[str, float] = MEANS) -> str:
         sketch.path([at(0, a), at(0, e)], width=1.2, dash=sketch.DASHED),
         sketch.path([at(b, a), at(b, a + 2.2 * c)], width=1.2, dash=sketch.DASHED),
     ]
-    return sketch.drawing(parts + _sizes(at, (a, b, c, e), chi, slope), width=WIDTH, height=HEIGHT, title=_title(chi))
+    title = f"Quarter of a roller clutch: hub, roller and ring, with a pressure angle of {chi:.3f} degrees"
+    return sketch.drawing(parts + _sizes(at, (a, b, c, e), chi, slope), width=WIDTH, height=HEIGHT, title=title)
 
 
 def _sizes(at: View, sizes: tuple[float, float, float, float], chi: float, slope: float) -> list[str]:
@@ -60,7 +61,3 @@ def _sizes(at: View, sizes: tuple[float, float, float, float], chi: float, slope
         sketch.label(at(b + 1.15 * c, a + 0.35 * c), "roller", anchor="start"),
         sketch.label(at(0.75 * e, 0.75 * e), "ring", anchor="start"),
     ]
-
-
-def _title(chi: float) -> str:
-    return f"Quarter of a roller clutch: hub, roller and ring, with a pressure angle of {chi:.3f} degrees"

@@ -1,6 +1,6 @@
 """The four-bar study: three designs, their linkages simulated and counted by elimination, and which to build."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,15 +24,15 @@ from aleator.reporting import (
     linkage_animation,
     linked_front,
     looks,
-    mesh_drawing,
     number,
     recommendation,
     share_text,
+    side_by_side,
     trajectory_figure,
     violations_table,
     words,
 )
-from aleator.studies._shared import comparison_table, signed, stored
+from aleator.studies._shared import add_second_way, picture, requirements_active, sampled, signed, solved, stored
 from aleator.studies._study import Draft
 from aleator.studies.four_bar import (
     COST,
@@ -51,7 +51,6 @@ from aleator.studies.four_bar import (
     nominal_problem,
     robust_problem,
 )
-from aleator.studies.four_bar._drawing import linkage_drawing
 from aleator.studies.four_bar._elimination import (
     LEVELS,
     Counts,
@@ -133,17 +132,11 @@ def chapter(page: Draft, quick: bool) -> None:
         "Uncertain: six lengths, the place of each pin in its clearance, and the mass of the tool."
     )
     beside = [Code(f"The problem of {name} as mathematics", str(problem)) for name, problem in problems().items()]
-    page.add(Schematic([linkage_drawing()], "Hoeken's linkage", told, "", beside))
+    page.add(Schematic([picture("four_bar/linkage.svg")], "Hoeken's linkage", told, "", beside))
 
     page.section("The three designs")
-    designs, evidence = dict[str, al.Solution](), dict[str, al.results.Evidence]()
-    for i, (name, problem) in enumerate(problems().items()):
-        page.progress(f"design {name}", i, len(DESIGNS))
-        designs[name] = al.solve(problem)
-        page.keep("designs", {name: designs[name]})
-    for name, solution in designs.items():
-        evidence[name] = al.validate(solution, simulated, seed=1, keep=60, progress=page.progress)
-        page.keep("evidence", {name: evidence[name]})
+    designs = solved(page, problems())
+    evidence = sampled(page, designs, simulated)
     page.add(designs_table(designs), violations_table(evidence), printed=True)
     chosen: dict[str, Dimensions] = {name: (lengths_of(one), widths_of(one)) for name, one in designs.items()}
     told = (
@@ -204,10 +197,7 @@ def chapter(page: Draft, quick: bool) -> None:
     page.add(evidence_table(evidence))
 
     if not quick:  # the coordinates that follow the crank are variables too, its closed loop has multipliers
-        page.section("A second way", folded=True)
-        twice = al.cross_check(mean_problem(), progress=page.progress)
-        page.keep("collocated", {MEAN: twice.second})
-        page.add(comparison_table(MEAN, twice), mesh_drawing(twice.second.meshes, MEAN))
+        add_second_way(page, MEAN, mean_problem())
 
     page.section("Certificate", folded=True)
     page.add(certificate_table(designs))
@@ -233,57 +223,48 @@ def cost(solution: al.Solution) -> float:
 
 def designs_table(designs: Mapping[str, al.Solution]) -> Table:
     """The three designs in an engineer's terms."""
-    every = list(designs.values())
-    lengths, widths = [lengths_of(one) for one in every], [widths_of(one) for one in every]
-    rows = [
-        [
-            f"{text} (mm)",
-            *(
-                f"{number(one[name], 5)} ± {number(two[f'{name}.tolerance'], 3)}"
-                for one, two in zip(lengths, widths, strict=True)
-            ),
-        ]
-        for name, text in TEXTS.items()
-    ]
-    rows += [[f"{text} (mm)", *(number(one[name], 3) for one in widths)] for name, text in PLAYS.items()]
-    rows.append(["Zone that it promises, ± (mm)", *(number(float(one.decisions["zone"]), 4) for one in every)])
-    rows.append(["Cost of tolerances and clearances", *(f"${cost(one):.2f}" for one in every)])
-    for path, (most, text) in EXTREMES.items():
-        moments = [one.moments[f"{path}(t)"] for one in every]
-        at = [int(most(one.mean)) for one in moments]
-        rows.append(
-            [text, *(f"{number(m.mean[i], 4)} ± {number(m.std[i], 2)}" for m, i in zip(moments, at, strict=True))]
-        )
-    rows.append(["Active limits", *(words(_active(one)) for one in every)])
     note = (
         f"Limits hold with a margin of {given(SIGMAS)} σ, for dOpt in the mean only. ± of a length is its tolerance, "
         "three standard deviations. The limit 'line' is each design's own zone."
     )
-    return Table("Decisions and performance", ["", *designs], rows, note)
+    return side_by_side("Decisions and performance", {name: dict(_column(one)) for name, one in designs.items()}, note)
 
 
-def _active(solution: al.Solution) -> list[str]:
-    """The active requirements of a design, without decisions at their bounds."""
-    return [name for name in solution.active if name not in solution.at_bounds]
+def _column(design: al.Solution) -> Iterator[tuple[str, str]]:
+    lengths, widths = lengths_of(design), widths_of(design)
+    for name, text in TEXTS.items():
+        yield f"{text} (mm)", f"{number(lengths[name], 5)} ± {number(widths[f'{name}.tolerance'], 3)}"
+    for name, text in PLAYS.items():
+        yield f"{text} (mm)", number(widths[name], 3)
+    yield "Zone that it promises, ± (mm)", number(float(design.decisions["zone"]), 4)
+    yield "Cost of tolerances and clearances", f"${cost(design):.2f}"
+    for path, (most, text) in EXTREMES.items():
+        moments = design.moments[f"{path}(t)"]
+        at = int(most(moments.mean))
+        yield text, f"{number(moments.mean[at], 4)} ± {number(moments.std[at], 2)}"
+    yield "Active limits", words(requirements_active(design))
 
 
 def counts_table(counts: Mapping[str, Counts]) -> Table:
     """The paths of all designs, counted by elimination."""
-    every = list(counts.values())
-    rows = [
-        [f"Linkages that leave ±{given(ZONE, 'mm')} on the stroke", *(share_text(one.outside) for one in every)],
-        [f"Linkages below {given(TRANSMISSION)}° of transmission", *(share_text(one.flat) for one in every)],
-        [f"Zone of μ ± {given(SIGMAS)} σ at each place, ± (mm)", *(number(one.zone, 4) for one in every)],
-        *(
-            [f"Largest deviation that {given(100 * level)} % keep (mm)", *(number(one.largest[i], 3) for one in every)]
-            for i, level in enumerate(LEVELS)
-        ),
-    ]
     note = (
-        f"{count(every[0].outside.samples)} linkages of each design, by the triangle of coupler and rocker: without "
-        f"constraints, multipliers or expansion. {PUBLISHED} has the published lengths and the given tolerances."
+        f"{count(counts[PUBLISHED].outside.samples)} linkages of each design, by the triangle of coupler and rocker: "
+        f"without constraints, multipliers or expansion. {PUBLISHED} has the published lengths and the given "
+        "tolerances."
     )
-    return Table("Paths counted by elimination", ["", *counts], rows, note)
+    columns = {
+        name: {
+            f"Linkages that leave ±{given(ZONE, 'mm')} on the stroke": share_text(one.outside),
+            f"Linkages below {given(TRANSMISSION)}° of transmission": share_text(one.flat),
+            f"Zone of μ ± {given(SIGMAS)} σ at each place, ± (mm)": number(one.zone, 4),
+        }
+        | {
+            f"Largest deviation that {given(100 * level)} % keep (mm)": number(size, 3)
+            for level, size in zip(LEVELS, one.largest, strict=True)
+        }
+        for name, one in counts.items()
+    }
+    return side_by_side("Paths counted by elimination", columns, note)
 
 
 def recommended(

@@ -11,7 +11,6 @@ import numpy as np
 
 import aleator as al
 from aleator.studies.two_link_arm import (
-    OBSTACLE,
     START,
     TARGET,
     TORQUE,
@@ -36,53 +35,36 @@ whose spreads matter, have an error of a fiftieth.
 """
 
 
-def deterministic_problem(
-    obstacle: al.shapes.Sphere | None = OBSTACLE, *, guess: np.ndarray | None = None
-) -> al.Problem:
+def deterministic_problem() -> al.Problem:
     """The plan of minimum effort for the mean payload (72)."""
-    return al.deterministic(robust_problem(0.0, obstacle, guess=guess))
+    return al.deterministic(robust_problem(0.0))
 
 
 def robust_problem(
-    sigmas: float = 1.0,
-    obstacle: al.shapes.Sphere | None = OBSTACLE,
-    *,
-    payload: al.Uniform = PAYLOAD,
-    guess: np.ndarray | None = None,
+    sigmas: float = 1.0, *, payload: al.Uniform = PAYLOAD, guess: np.ndarray | None = None
 ) -> al.Problem:
     """The plan of minimum effort with `sigmas` standard deviations of clearance, on target in the mean."""
-    arm = TwoLinkArm(payload=payload, obstacle=obstacle)
-    return _problem(arm, al.objectives.effort(*TORQUES), sigmas, guess)
+    return _problem(al.objectives.effort(*TORQUES), sigmas, payload, guess)
 
 
-def terminal_variance_problem(
-    sigmas: float = 1.0,
-    obstacle: al.shapes.Sphere | None = OBSTACLE,
-    *,
-    effort: float | None = None,
-    guess: np.ndarray | None = None,
-) -> al.Problem:
-    """The plan with the smallest final spread of the tip (86), under the same constraints and an optional bound on
-    effort.
+def terminal_variance_problem(effort: float, *, guess: np.ndarray | None = None) -> al.Problem:
+    """The plan with the smallest final spread of the tip (86), with one standard deviation of clearance and a bound on
+    the effort.
     """
-    arm = TwoLinkArm(payload=PAYLOAD, obstacle=obstacle)
-    limits = [] if effort is None else [(al.objectives.effort(*TORQUES) <= effort).named("effort")]
-    return _problem(arm, al.objectives.terminal_variance(*TIP), sigmas, guess, limits)
+    limit = (al.objectives.effort(*TORQUES) <= effort).named("effort")
+    return _problem(al.objectives.terminal_variance(*TIP), 1.0, PAYLOAD, guess, limit)
 
 
 def _problem(
-    arm: TwoLinkArm,
-    objective: al.Expression,
-    sigmas: float,
-    guess: np.ndarray | None,
-    limits: list[al.Constraint] | None = None,
+    objective: al.Expression, sigmas: float, payload: al.Uniform, guess: np.ndarray | None, *limits: al.Constraint
 ) -> al.Problem:
+    arm = TwoLinkArm(payload=payload)
     torque = al.BSpline(al.Decision(start_torques() if guess is None else guess, -TORQUE, TORQUE))
     return al.Problem(
         al.ForwardDynamics(arm, torque=torque, start=dict(zip(arm.names, START, strict=True))),
         grid=al.Grid(DURATION, STEPS),
         minimize=objective,
-        subject_to=[*on_target(), *clear_of_wall_and_obstacle(arm, sigmas), *(limits or [])],
+        subject_to=[*on_target(), *clear_of_wall_and_obstacle(sigmas), *limits],
         expansion=al.Expansion(order=5, tolerance=TOLERANCE),
     )
 
@@ -100,6 +82,8 @@ def start_torques(bend: float = 1.9) -> np.ndarray:
     """
     ends: dict[str, Any] = {"start": (START, 0, 0), "end": (TARGET, 0, 0)}
     motion = al.BSpline(al.fit_control_points(bent_path(bend), 10, degree=5, **ends), degree=5, **ends)
-    found = al.simulate(al.InverseDynamics(TwoLinkArm(payload=1.0), motion=motion), al.Grid(DURATION, STEPS))
+    found = al.simulate(
+        al.InverseDynamics(TwoLinkArm(payload=1.0), motion=motion), al.Grid(DURATION, STEPS), only=TORQUES
+    )
     torques = np.stack([np.asarray(found[name]) for name in TORQUES], axis=1)
     return np.clip(al.fit_control_points(torques, FREE), -TORQUE, TORQUE)

@@ -96,7 +96,7 @@ LESSON = (
 
 def problems() -> dict[str, al.Problem]:
     """The problems of the plans."""
-    return {MEAN: deterministic_problem(), ROBUST: robust_problem(), LEAST: terminal_variance_problem(effort=MOST)}
+    return {MEAN: deterministic_problem(), ROBUST: robust_problem(), LEAST: terminal_variance_problem(MOST)}
 
 
 def chapter(page: Draft, quick: bool) -> None:
@@ -158,7 +158,7 @@ def chapter(page: Draft, quick: bool) -> None:
 
     if not quick:
         page.section("Effort against spread")
-        bare = terminal_variance_problem(effort=MOST, guess=plans[LEAST].decisions["torque.free"])
+        bare = terminal_variance_problem(MOST, guess=plans[LEAST].decisions["torque.free"])
         # From where more effort brings no gain down to that of the robust plan.
         efforts = np.linspace(effort(families[LEAST]), 1.01 * plans[ROBUST].objective, 7)
         front = al.pareto(bare, "effort", efforts, progress=page.progress)

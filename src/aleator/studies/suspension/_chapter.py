@@ -20,17 +20,15 @@ from aleator.reporting import (
     signal_figure,
     trajectory_figure,
 )
-from aleator.studies._shared import comparison_table, margin_drawing
+from aleator.studies._shared import add_second_way, margin_drawing, picture, sampled, solved, swept
 from aleator.studies._study import Draft
 from aleator.studies.suspension import (
     GRID,
     apportionment_problem,
     deterministic_problem,
-    nominal,
     road,
     robust_problem,
 )
-from aleator.studies.suspension._drawing import car_drawing
 from aleator.studies.suspension._views import (
     HOLDING,
     HOLDING_TEXT,
@@ -106,10 +104,10 @@ def chapter(page: Draft, quick: bool) -> None:
 
     page.section("The car")
     profile = road()
-    heights, times = np.asarray(profile.values), np.asarray(profile.times)
+    heights = np.asarray(profile.values)
     page.add(
         Schematic(
-            [car_drawing(nominal(), times, heights)],
+            [picture("suspension/car.svg")],
             "Quarter car on its road",
             "The size of boxes shows their masses; the road is that of the model. ± is the half-width of a uniform "
             "distribution; means that a design chooses have the index 0. The damper is η times as strong in compression"
@@ -126,7 +124,8 @@ def chapter(page: Draft, quick: bool) -> None:
     )
 
     page.section("The three designs")
-    designs, evidence = _sampled(page, "", problems(), samples)
+    designs = solved(page, problems())
+    evidence = sampled(page, designs, samples)
     caption = "Points are means, boxes extend one σ to each side. dOpt has no spread, and lies on the holding limit. "
     page.add(designs_table("Decisions, performance and violations", designs, evidence), printed=True)
     page.add(
@@ -156,7 +155,8 @@ def chapter(page: Draft, quick: bool) -> None:
     chosen = designs | {name: one.solution for name, one in built.items()}
 
     page.section("How often cars exceed a narrow travel")
-    narrow, narrow_evidence = _sampled(page, "narrow", narrow_problems(), samples)
+    narrow = solved(page, narrow_problems(), "narrow")
+    narrow_evidence = sampled(page, narrow, samples, "narrow_evidence")
     lessons = {
         "dOpt": ("6.9", "The deterministic design: best for the nominal car, without reserve for the others."),
         "uOpt, 1 σ": ("6.10 a", "The robust design with a margin of 1 σ: a narrow bundle, with few cars outside."),
@@ -174,7 +174,7 @@ def chapter(page: Draft, quick: bool) -> None:
     page.section("Trade-offs of ride")
     shown = list(evidence.values()), chosen["uOpt"]
     nominal_and_robust = {"dOpt": deterministic_problem(), "uOpt": robust_problem()}
-    over_travel = _fronts(page, "travel_fronts", nominal_and_robust, "travel", np.linspace(0.25, 0.145, points))
+    over_travel = swept(page, "travel_fronts", nominal_and_robust, "travel", np.linspace(0.25, 0.145, points))
     rides = curves(over_travel, "Travel limit R", "Ride ∫ z̈ₛ² dt, μ + σ", RIDE_UNIT)
     told = f"{FILLED} {transition(over_travel, 'travel')} Accounting for uncertainty shifts the whole trade-off up; "
     told += "where the curves are flat, holding is active and more travel brings no gain."
@@ -182,7 +182,7 @@ def chapter(page: Draft, quick: bool) -> None:
         linked_front(over_travel, [rides], f"Ride against the travel limit, H = {HOLDING:g} m", told, "6.4", *shown),
         shadow_price(over_travel, "Travel limit R", "centimetre of travel", 0.01, "cm"),
     )
-    over_holding = _fronts(page, "holding_fronts", nominal_and_robust, "holding", np.linspace(0.0365, 0.0280, points))
+    over_holding = swept(page, "holding_fronts", nominal_and_robust, "holding", np.linspace(0.0365, 0.0280, points))
     rides = curves(over_holding, "Holding limit H", "Ride ∫ z̈ₛ² dt, μ + σ", RIDE_UNIT)
     told = f"{FILLED} {transition(over_holding, 'holding')} The robust design changes its active limit first, because "
     told += "its box meets the travel limit earlier (figure 6.7). Crosses: no design meets all limits."
@@ -197,14 +197,14 @@ def chapter(page: Draft, quick: bool) -> None:
             "travel limit, which keeps its mean away from both.",
         ),
     )
-    boxes = _fronts(page, "boxes", nominal_and_robust, "holding", (0.0305, 0.032, 0.0335, 0.035))
+    boxes = swept(page, "boxes", nominal_and_robust, "holding", (0.0305, 0.032, 0.0335, 0.035))
     page.add(
         holding_boxes(boxes),
         decision_path(over_holding, float(designs["dOpt"].problem.placements.decisions["k_s.mean"].decision.lower)),
     )
 
     page.section("Apportioned spreads")
-    costs = _fronts(
+    costs = swept(
         page, "travel_fronts", {"aOpt": apportionment_problem(ride=RIDE)}, "travel", over_travel["uOpt"].values
     )
     initial = cost(designs["uOpt"])
@@ -239,10 +239,7 @@ def chapter(page: Draft, quick: bool) -> None:
     page.add(published_table(designs, narrow_evidence, costs["aOpt"], over_holding), printed=True)
 
     if not quick:  # one car on 2800 steps: the states of 168 cars would be two million variables
-        page.section("A second way", folded=True)
-        twice = al.cross_check(problems()["dOpt"], most_states=STATES, progress=page.progress)
-        page.keep("collocated", {"dOpt": twice.second})
-        page.add(comparison_table("dOpt", twice))
+        add_second_way(page, "dOpt", problems()["dOpt"], most_states=STATES)
 
     page.section("Certificate", folded=True)
     page.add(certificate_table(designs), certificate_table({f"{name} (narrow)": one for name, one in narrow.items()}))
@@ -265,31 +262,6 @@ def narrow_problems() -> dict[str, al.Problem]:
         "uOpt, 1 σ": robust_problem(NARROW, HOLDING, 1.0),
         "uOpt, 1.25 σ": robust_problem(NARROW, HOLDING, 1.25),
     }
-
-
-def _sampled(
-    page: Draft, group: str, every: Mapping[str, al.Problem], samples: int
-) -> tuple[dict[str, al.Solution], dict[str, al.results.Evidence]]:
-    """Designs and evidence on each, kept as a group."""
-    designs, evidence = dict[str, al.Solution](), dict[str, al.results.Evidence]()
-    for i, (name, problem) in enumerate(every.items()):
-        page.progress(f"design {name}", i, len(every))
-        designs[name] = al.solve(problem)
-    page.keep(group or "designs", designs)
-    for name, design in designs.items():
-        evidence[name] = al.validate(design, samples, seed=1, keep=60, progress=page.progress)
-    page.keep(f"{group}_evidence" if group else "evidence", evidence)
-    return designs, evidence
-
-
-def _fronts(
-    page: Draft, group: str, every: Mapping[str, al.Problem], bound: str, values: Any
-) -> dict[str, al.results.Front]:
-    fronts = {}
-    for name, problem in every.items():
-        fronts[name] = al.pareto(problem, bound, values, progress=page.progress)
-        page.keep(group, {name: fronts[name]})
-    return fronts
 
 
 # --- What to build -------------------------------------------------------------------------------------------------

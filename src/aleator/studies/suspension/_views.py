@@ -1,6 +1,7 @@
 """Tables and figures of the suspension study: its designs, their limits, the published numbers beside ours."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,10 +23,12 @@ from aleator.reporting import (
     relative_figure,
     shadow_price_figure,
     share_text,
+    side_by_side,
+    unit_of_decision,
     words,
 )
+from aleator.studies._shared import requirements_active
 from aleator.studies.suspension import COST
-from aleator.studies.suspension._drawing import UNITS
 
 TRAVEL, HOLDING, RIDE, NARROW = 0.203, 0.034, 220.0, 0.152
 SPREADS = {"k_s.half_width": "spring kₛ", "b_s.half_width": "damper bₛ", "eta.half_width": "damping ratio η"}
@@ -63,38 +66,32 @@ def margins_text(margins: Mapping[str, float]) -> str:
 
 
 def designs_table(
-    caption: str,
-    designs: Mapping[str, al.Solution],
-    evidence: Mapping[str, al.results.Evidence | None],
-    first: Sequence[Sequence[str]] = (),
+    caption: str, designs: Mapping[str, al.Solution], evidence: Mapping[str, al.results.Evidence | None]
 ) -> Table:
     """Designs in an engineer's terms, a column each."""
-    every, boxes = list(designs.values()), [box(one, name) for name, one in designs.items()]
-    sampled = [evidence.get(name) for name in designs]
-    decided = {"k_s.mean": "Spring, mean kₛ", "b_s.mean": "Damper, mean bₛ"}
-    decided |= {name: f"± half-width, {text}" for name, text in SPREADS.items()}
-    limits = dict.fromkeys(limit for one in sampled if one for limit in one.violations)
-    rows = [
-        *first,
-        *([text, *(_decided(one, name) for one in every)] for name, text in decided.items()),
-        [f"Ride, μ ± σ ({RIDE_UNIT})", *(_spread(one, "ride") for one in boxes)],
-        ["Ride, μ + σ", *(number(one.centre["ride"] + one.half["ride"], 4) for one in boxes)],
-        [f"Travel, μ ± σ (m), limit ±{TRAVEL:g}", *(_spread(one, "travel") for one in boxes)],
-        [f"Holding, μ ± σ (m), limit {HOLDING:g}", *(_spread(one, "holding") for one in boxes)],
-        ["Cost of the spreads", *(dollars(cost(one)) for one in every)],
-        ["Active limits", *(words(constraints_active(one), "none") for one in every)],
-        *(
-            [f"Cars beyond {limit}", *(share_text(one and one.violations.get(limit)) for one in sampled)]
-            for limit in limits
-        ),
-        ["Cars beyond any limit", *(share_text(one and one.joint) for one in sampled)],
-    ]
     note = (
         "dOpt is evaluated on the nominal car, so its σ is 0. Travel is at its most critical instant, with the spread "
         "of equation (119): σ of z_s plus σ of z_u. Intervals are 95 % confidence (Clopper and Pearson). Ride is a "
         f"limit ({given(RIDE, RIDE_UNIT)}) for aOpt only; for dOpt and uOpt it is the objective."
     )
-    return Table(caption, ["", *designs], rows, note)
+    columns = {name: dict(_column(box(one, name), one, evidence.get(name))) for name, one in designs.items()}
+    return side_by_side(caption, columns, note)
+
+
+def _column(placed: Box, design: al.Solution, counted: al.results.Evidence | None) -> Iterator[tuple[str, str]]:
+    yield "Spring, mean kₛ", _decided(design, "k_s.mean")
+    yield "Damper, mean bₛ", _decided(design, "b_s.mean")
+    for name, text in SPREADS.items():
+        yield f"± half-width, {text}", _decided(design, name)
+    yield f"Ride, μ ± σ ({RIDE_UNIT})", _spread(placed, "ride")
+    yield "Ride, μ + σ", number(placed.centre["ride"] + placed.half["ride"], 4)
+    yield f"Travel, μ ± σ (m), limit ±{TRAVEL:g}", _spread(placed, "travel")
+    yield f"Holding, μ ± σ (m), limit {HOLDING:g}", _spread(placed, "holding")
+    yield "Cost of the spreads", dollars(cost(design))
+    yield "Active limits", words(requirements_active(design))
+    if counted is not None:
+        for limit, share in {**counted.violations, "any limit": counted.joint}.items():
+            yield f"Cars beyond {limit}", share_text(share)
 
 
 def built_table(
@@ -109,19 +106,14 @@ def built_table(
         solutions |= {f"{name}, printed": designs[name], f"{name}, to build": one.solution}
         counted |= {f"{name}, printed": evidence[name], f"{name}, to build": one.evidence}
         margins += [dict.fromkeys(one.names, 1.0), one.margins]
-    first = [["Margins", *map(margins_text, margins)]]
-    return designs_table("The designs to build and the printed ones", solutions, counted, first)
-
-
-def constraints_active(solution: al.Solution) -> tuple[str, ...]:
-    """The active requirements of a design, without decisions at their bounds."""
-    return tuple(name for name in solution.active if name not in solution.at_bounds)
+    table = designs_table("The designs to build and the printed ones", solutions, counted)
+    return replace(table, rows=[["Margins", *map(margins_text, margins)], *table.rows])
 
 
 def _decided(solution: al.Solution, name: str) -> str:
     """A number of a design, and whether it was decided: `2.334e4 N/m (at its bound)`."""
     at = value_at(al.value(name), solution.problem, solution.vector)
-    text = number(at, 4, UNITS[name.split(".")[0]])
+    text = number(at, 4, unit_of_decision(name, solution.problem))
     if name in solution.at_bounds:
         return f"{text} (at its bound)"
     return text if name in solution.decisions else f"{text} (given)"
@@ -152,14 +144,14 @@ def published_table(
     for name, (printed, text) in CHANGES.items():
         start = apportioned.problem.placements.decisions[name].decision.initial
         change = float(apportioned.decisions[name]) - float(start)
-        widened = number(change, 4, UNITS[name.split(".")[0]])
+        widened = number(change, 4, unit_of_decision(name, apportioned.problem))
         pairs.append((f"Table 7.4, wider by: {SPREADS[name]}", printed, change, text, widened))
     rows = [
         [text, printed_text, ours_text, f"×{number(ours / printed, 3)}"]
         for text, printed, ours, printed_text, ours_text in pairs
     ]
     for name, printed in HELD.items():
-        active = constraints_active(designs[name])
+        active = requirements_active(designs[name])
         same = "the same" if set(active) == {printed} else "not the same"
         same = f"{words(sorted(set(active) - {printed}))} as well" if set(active) > {printed} else same
         rows.append(
@@ -266,8 +258,9 @@ def decision_path(fronts: Mapping[str, al.results.Front], lowest: float) -> Draw
 
 
 def apportioned(front: al.results.Front) -> Drawing:
-    decided = front.solutions[0].problem.placements.decisions
-    initial = {name: given(float(decided[name].decision.initial), UNITS[name.split(".")[0]]) for name in SPREADS}
+    problem = front.solutions[0].problem
+    starts = {name: float(problem.placements.decisions[name].decision.initial) for name in SPREADS}
+    initial = {name: given(start, unit_of_decision(name, problem)) for name, start in starts.items()}
     names = {name: f"{text} (initially ±{initial[name]})" for name, text in SPREADS.items()}
     figure = relative_figure(front, names, x="Travel limit R", x_unit="m", y="Half-width (% of its initial value)")
     caption = (

@@ -50,15 +50,10 @@ class DoublePendulum(al.Mechanical):
     names = ("q1", "q2")
     actuator_names = ("q1_torque",)
     units: ClassVar = {
-        "q1": "rad",
-        "q2": "rad",
-        "q1_rate": "rad/s",
-        "q2_rate": "rad/s",
+        **dict.fromkeys(names, "rad"),
+        **dict.fromkeys(("q1_rate", "q2_rate"), "rad/s"),
         "q1_torque": "N m",
-        "tip_x": "m",
-        "tip_y": "m",
-        "gap_1": "m",
-        "gap_2": "m",
+        **dict.fromkeys(("tip_x", "tip_y"), "m"),
     }
 
     mass_1: al.Number = al.parameter("kg", positive=True, default=1.0)
@@ -67,7 +62,6 @@ class DoublePendulum(al.Mechanical):
     length_2: al.Number = al.parameter("m", positive=True, default=1.0)
     damping: al.Number = al.parameter("N m s/rad", default=0.1)
     gravity: al.Number = al.parameter("m/s²", default=9.81)
-    obstacle: al.shapes.Sphere | None = None
 
     def mass_matrix(self, q: Float[Array, " 2"]) -> Float[Array, "2 2"]:
         """`M(q)`, kg m²."""
@@ -93,42 +87,28 @@ class DoublePendulum(al.Mechanical):
         return jnp.array([[1.0], [0.0]])
 
     def outputs(self, motion: al.Motion) -> dict[str, Any]:
-        """The position of the tip relative to the first joint, and the links' distances from an obstacle, m."""
+        """The position of the tip relative to the first joint, m."""
         first, second = motion.q[0], motion.q[0] + motion.q[1]
         elbow = self.length_1 * jnp.array([-jnp.sin(first), jnp.cos(first)])
         tip = elbow + self.length_2 * jnp.array([-jnp.sin(second), jnp.cos(second)])
-        places = {"tip_x": tip[0], "tip_y": tip[1]}
-        if self.obstacle is None:
-            return places
-        links = al.shapes.Capsule((0.0, 0.0), elbow), al.shapes.Capsule(elbow, tip)
-        return places | {f"gap_{i}": al.shapes.distance(link, self.obstacle) for i, link in enumerate(links, 1)}
+        return {"tip_x": tip[0], "tip_y": tip[1]}
 
 
 POWER = {"q1_torque": "q1_rate"}
 TIP = ("tip_x", "tip_y")
 
 
-def deterministic_problem(
-    obstacle: al.shapes.Sphere | None = None,
-    *,
-    guess: np.ndarray | None = None,
-    duration: float = DURATION,
-    smoothing: float = SMOOTHING,
-) -> al.Problem:
+def deterministic_problem() -> al.Problem:
     """The swing-up with minimum energy exchange, for the mean pendulum (74)."""
-    plan = _plan(DoublePendulum(mass_2=MASS_2, obstacle=obstacle), np.array(SWINGS) if guess is None else guess)
-    return al.deterministic(_problem(plan, al.objectives.power(POWER, smoothing=smoothing), 0.0, [], duration))
+    return al.deterministic(_problem(al.objectives.power(POWER, smoothing=SMOOTHING), 0.0, np.array(SWINGS), DURATION))
 
 
 def robust_problem(
     sigmas: float = 1.0,
-    obstacle: al.shapes.Sphere | None = None,
     *,
     expected: str = "torque",
     guess: np.ndarray | None = None,
     duration: float = FAMILY_DURATION,
-    mass_2: al.Uniform = MASS_2,
-    smoothing: float = SMOOTHING,
 ) -> al.Problem:
     """The swing-up with minimum energy exchange for the family (81), (92).
 
@@ -136,34 +116,23 @@ def robust_problem(
     certain) or the expected energy (`"energy"`).
     """
     energy = al.objectives.coefficient_power if expected == "torque" else al.objectives.power
-    plan = _plan(DoublePendulum(mass_2=mass_2, obstacle=obstacle), np.array(FAMILY_SWINGS) if guess is None else guess)
     spread = (al.objectives.terminal_variance(*TIP) <= VARIANCE).named("terminal variance")
-    return _problem(plan, energy(POWER, smoothing=smoothing), sigmas, [spread], duration)
-
-
-def _plan(pendulum: DoublePendulum, points: np.ndarray) -> al.HybridDynamics:
-    motion = al.BSpline(al.Decision(points, -12.0, 12.0), degree=DEGREE, **ENDS)
-    return al.HybridDynamics(pendulum, motion={"q1": motion})
+    points = np.array(FAMILY_SWINGS) if guess is None else guess
+    return _problem(energy(POWER, smoothing=SMOOTHING), sigmas, points, duration, spread)
 
 
 def _problem(
-    plan: al.HybridDynamics,
-    objective: al.Expression,
-    sigmas: float,
-    limits: list[al.Constraint],
-    duration: float,
+    objective: al.Expression, sigmas: float, points: np.ndarray, duration: float, *limits: al.Constraint
 ) -> al.Problem:
-    pendulum = plan.model
-    gaps = ("gap_1", "gap_2") if isinstance(pendulum, DoublePendulum) and pendulum.obstacle is not None else ()
+    motion = al.BSpline(al.Decision(points, -12.0, 12.0), degree=DEGREE, **ENDS)
     return al.Problem(
-        plan,
+        al.HybridDynamics(DoublePendulum(mass_2=MASS_2), motion={"q1": motion}),
         grid=al.Grid(al.Decision(duration, 2.0, 8.0), STEPS),
         minimize=objective,
         subject_to=[
             al.path("q1_torque").within(-TORQUE, TORQUE, sigmas=sigmas).named("torque"),
             *(al.terminal(name).mean.equals(0.0).named("upright") for name in ("q2", "q2_rate")),
             *limits,
-            *(al.path(name).at_least(0.0, sigmas=sigmas) for name in gaps),
         ],
         expansion=al.Expansion(order=5),
     )

@@ -37,7 +37,7 @@ from aleator.studies._motion import (
     to_build,
     torques_figure,
 )
-from aleator.studies._shared import margin_drawing
+from aleator.studies._shared import margin_drawing, picture
 from aleator.studies._study import Draft
 from aleator.studies.swing_up import (
     MASS_2,
@@ -45,11 +45,9 @@ from aleator.studies.swing_up import (
     STEPS,
     TORQUE,
     VARIANCE,
-    DoublePendulum,
     deterministic_problem,
     robust_problem,
 )
-from aleator.studies.swing_up._drawing import pendulum_drawing
 from aleator.studies.swing_up._starts import FAMILY_SWINGS, SWINGS, swing
 
 MEAN, EXPECTED, ENERGY = "deterministic", "robust, expected torque", "robust, expected energy"
@@ -119,7 +117,7 @@ def chapter(page: Draft, quick: bool) -> None:
     page.section("The system")
     page.add(
         Schematic(
-            [pendulum_drawing(DoublePendulum())],
+            [picture("swing_up/pendulum.svg")],
             "Double pendulum",
             f"To scale, hanging at the start and upright at the target. The mass of the second link in kg: {MASS_2}."
             " Only the first joint is driven; both have friction.",

@@ -19,7 +19,7 @@ OBSTACLE = al.shapes.Sphere((0.65, 0.80), 0.30)
 class TwoLinkArm(al.Mechanical):
     """Two uniform rods and a point mass at the tip; `q2` is measured from the first link, and gravity does no work.
 
-    `obstacle` is a shape that the links must avoid, or None.
+    `obstacle` is a shape that the links must avoid.
     """
 
     names = ("q1", "q2")
@@ -32,7 +32,7 @@ class TwoLinkArm(al.Mechanical):
     }
 
     payload: al.Number = al.parameter("kg", positive=True)
-    obstacle: al.shapes.Sphere | None = None
+    obstacle: al.shapes.Sphere = OBSTACLE
     mass_1: al.Number = al.parameter("kg", positive=True, default=1.0)
     mass_2: al.Number = al.parameter("kg", positive=True, default=1.0)
     length_1: al.Number = al.parameter("m", positive=True, default=1.0)
@@ -55,8 +55,6 @@ class TwoLinkArm(al.Mechanical):
         """The positions of elbow and tip, and the links' distances from the obstacle, m."""
         elbow, tip = self.places(motion.q)
         places = {"elbow_x": elbow[0], "elbow_y": elbow[1], "tip_x": tip[0], "tip_y": tip[1]}
-        if self.obstacle is None:
-            return places
         links = al.shapes.Capsule((0.0, 0.0), elbow), al.shapes.Capsule(elbow, tip)
         return places | {f"gap_{i}": al.shapes.distance(link, self.obstacle) for i, link in enumerate(links, 1)}
 
@@ -79,10 +77,9 @@ def bent_path(bend: float = 1.9, instants: int = 61) -> Float[np.ndarray, "insta
     return line + np.sin(np.pi * fractions)[:, None] ** 2 * bend * np.array([-0.5, 1.0])
 
 
-def clear_of_wall_and_obstacle(arm: TwoLinkArm, sigmas: float = 0.0) -> list[al.Constraint]:
+def clear_of_wall_and_obstacle(sigmas: float = 0.0) -> list[al.Constraint]:
     """Elbow and tip stay before the wall at x = 0, and both links clear of the obstacle, by `sigmas` standard
     deviations.
     """
-    kept = {"elbow_x": "wall", "tip_x": "wall"}
-    kept |= {} if arm.obstacle is None else {"gap_1": "obstacle", "gap_2": "obstacle"}
-    return [al.path(name).at_least(0.0, sigmas=sigmas).named(limit) for name, limit in kept.items()]
+    distances = {"elbow_x": "wall", "tip_x": "wall", "gap_1": "obstacle", "gap_2": "obstacle"}
+    return [al.path(name).at_least(0.0, sigmas=sigmas).named(limit) for name, limit in distances.items()]

@@ -6,7 +6,7 @@ heaviest payload. The straight line in joint space would hit a pillar.
 """
 
 import csv
-from importlib import resources
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -28,25 +28,11 @@ STEPS = 63
 """Nine spans of seven steps: all knots are among the instants."""
 
 DURATION = 0.8
-MEAN_PLAN = (
-    (-1.00, -1.09, 1.84, -2.19, -1.77, 0.20),
-    (-0.72, -1.07, 1.78, -1.89, -2.02, 0.45),
-    (-0.45, -1.12, 1.93, -1.65, -2.12, 0.62),
-    (-0.17, -1.15, 1.96, -1.35, -1.84, 0.89),
-    (0.10, -1.26, 2.16, -1.45, -1.57, 1.17),
-    (0.38, -1.38, 2.17, -1.82, -1.29, 1.41),
-    (0.65, -1.44, 1.83, -1.58, -1.74, 1.71),
-    (0.93, -1.43, 1.85, -2.03, -1.21, 1.21),
-)
-"""The start of the search for the mean payload, rad: the fastest plan for all payloads, rounded. At its optimum joints
-move at their speed limits, so that limits at neighbouring instants are nearly dependent; from distant starts some
-searches do not converge.
-"""
 
 
 def _table() -> list[dict[str, Any]]:
     """One row per joint with the link behind it, from public data."""
-    text = (resources.files("aleator.studies.six_axis_arm") / "ur5e.csv").read_text(encoding="utf-8")
+    text = (Path(__file__).parent / "ur5e.csv").read_text(encoding="utf-8")
     rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
     return [{key: value if key == "joint" else float(value) for key, value in row.items()} for row in rows]
 
@@ -66,7 +52,7 @@ class SixAxisArm(al.Multibody):
 
     payload: al.Number = al.parameter("kg", positive=True)
     offset: al.Number = al.parameter("m")
-    pillar: al.shapes.Capsule | None = PILLAR
+    pillar: al.shapes.Capsule = PILLAR
 
     def bodies(self) -> tuple[al.Body, ...]:
         """The links of the table, and the payload."""
@@ -80,12 +66,12 @@ class SixAxisArm(al.Multibody):
     def outputs(self, motion: al.Motion) -> dict[str, Any]:
         """The height of the tool, and the distances of forearm and tool from the pillar, m."""
         tool = self.point(motion.q, "wrist_3", (0.0, 0.0, 0.05))
-        found: dict[str, Any] = {"height": tool[2]}
-        if self.pillar is not None:
-            near, far = (self.point(motion.q, "elbow", (x, 0.0, 0.0265)) for x in (0.0, -0.3922))
-            found["forearm_gap"] = al.shapes.distance(al.shapes.Capsule(near, far, 0.06), self.pillar)
-            found["tool_gap"] = al.shapes.distance(al.shapes.Sphere(tool, 0.10), self.pillar)
-        return found
+        near, far = (self.point(motion.q, "elbow", (x, 0.0, 0.0265)) for x in (0.0, -0.3922))
+        return {
+            "height": tool[2],
+            "forearm_gap": al.shapes.distance(al.shapes.Capsule(near, far, 0.06), self.pillar),
+            "tool_gap": al.shapes.distance(al.shapes.Sphere(tool, 0.10), self.pillar),
+        }
 
 
 def _link(row: dict[str, Any], parent: str | None) -> al.Body:
@@ -101,24 +87,14 @@ def _link(row: dict[str, Any], parent: str | None) -> al.Body:
     )
 
 
-def deterministic_problem(
-    obstacle: al.shapes.Capsule | None = PILLAR, *, guess: np.ndarray | None = None
-) -> al.Problem:
-    """The fastest plan for the mean payload."""
-    return al.deterministic(robust_problem(0.0, obstacle, guess=np.array(MEAN_PLAN) if guess is None else guess))
-
-
-def robust_problem(
-    sigmas: float = 1.0, obstacle: al.shapes.Capsule | None = PILLAR, *, guess: np.ndarray | None = None
-) -> al.Problem:
+def robust_problem(sigmas: float = 1.0) -> al.Problem:
     """The fastest plan whose torques keep `sigmas` standard deviations from their limits."""
-    arm = SixAxisArm(payload=PAYLOAD, offset=OFFSET, pillar=obstacle)
+    arm = SixAxisArm(payload=PAYLOAD, offset=OFFSET)
     ends: dict[str, Any] = {"start": (START, 0.0), "end": (TARGET, 0.0)}
-    points = al.fit_control_points(raised_path(), FREE, **ends) if guess is None else guess
+    points = al.fit_control_points(raised_path(), FREE, **ends)
     reach = np.array([row["position_limit"] for row in LINKS])
     motion = al.BSpline(al.Decision(points, *np.broadcast_arrays(-reach, reach, points)[:2]), **ends)
     torque = {row["joint"]: SHARE_OF_TORQUE * row["torque_limit"] for row in LINKS}
-    gaps = ["tool_gap", "forearm_gap"] if obstacle is not None else []
     return al.Problem(
         al.InverseDynamics(arm, motion=motion),
         grid=al.Grid(al.Decision(DURATION, 0.1, 20.0), STEPS),
@@ -127,7 +103,7 @@ def robust_problem(
             *(al.path(f"{name}_torque").within(-limit, limit, sigmas=sigmas) for name, limit in torque.items()),
             *(al.path(f"{row['joint']}_rate").within(-row["speed_limit"], row["speed_limit"]) for row in LINKS),
             al.path("height").at_least(FLOOR),
-            *(al.path(name).at_least(0.0) for name in gaps),
+            *(al.path(name).at_least(0.0) for name in ("tool_gap", "forearm_gap")),
         ],
         expansion=al.Expansion(order=3),
     )
