@@ -373,6 +373,6 @@ def program_of(
         hessian=assembled.hessian,
         sizes=lambda point, evaluation: judged(point, evaluation)[2],
         least=least_objective(problem),
-        breadth=numbers.states.shape[2],
+        breadth=max(own.states.shape[2] for own in numbers.phases),
     )
     return program, tuple(sizes)
