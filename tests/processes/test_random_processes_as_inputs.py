@@ -64,6 +64,7 @@ def test_the_response_of_a_lag_to_exponential_noise_has_the_variance_of_the_clos
     assert -1e-9 < missing < 0.3**2 * following * (1 - np.exp(-3.0 * T)) / 3.0
 
 
+@pytest.mark.slow
 def test_the_noise_that_an_output_may_bear_is_found_by_the_optimiser():
     problem = al.Problem(
         Lag(),
