@@ -332,15 +332,14 @@ def _variables(inputs: Inputs) -> _Variables:
     """Each variable at the nodes of its quadrature."""
     rules = [_rule(germ) for germ in inputs.germs.values()]
     points, weights = (np.stack(parts, axis=1) for parts in zip(*rules, strict=True))
-    library, numbers = in_library(evaluate(jax.vmap(inputs.numbers), jax_array(points), use=Use.ONCE))
-    names = list(inputs.distributions)
+    numbers, names = jax.vmap(inputs.numbers)(jnp.asarray(points)), list(inputs.distributions)
     values = [
-        numbers[:, names.index(inputs.owned[germ])] if germ in inputs.owned else points[:, i]
+        numbers[:, names.index(inputs.owned[germ])] if germ in inputs.owned else jnp.asarray(points[:, i])
         for i, germ in enumerate(inputs.germs)
     ]
-    columns = library.stack(values, axis=1)
-    means = library.sum(weights * columns, axis=0)
-    return _Variables(jax_array(means), jax_array(columns - means[None]), weights)
+    columns = jnp.stack(values, axis=1)
+    means = jnp.sum(weights * columns, axis=0)
+    return _Variables(means, columns - means[None], weights)
 
 
 def _rule(germ: AbstractGerm) -> tuple[Float[np.ndarray, " nodes"], Float[np.ndarray, " nodes"]]:
