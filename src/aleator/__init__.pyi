@@ -120,6 +120,7 @@ from .uncertainty import Exponential as Exponential
 from .uncertainty import Gamma as Gamma
 from .uncertainty import Gumbel as Gumbel
 from .uncertainty import Integer as Integer
+from .uncertainty import Interval as Interval
 from .uncertainty import LogNormal as LogNormal
 from .uncertainty import Normal as Normal
 from .uncertainty import Sample as Sample

@@ -1,8 +1,10 @@
 """What analyses, sweeps and evidence give back: for type hints and `isinstance`."""
 
+from aleator.analysis import Bounds as Bounds
 from aleator.analysis import Contribution as Contribution
 from aleator.analysis import ElementExpanded as ElementExpanded
 from aleator.analysis import Expanded as Expanded
+from aleator.analysis import OverIntervals as OverIntervals
 from aleator.analysis import ToleranceAnalysis as ToleranceAnalysis
 from aleator.analysis import Zone as Zone
 from aleator.examining import Examination as Examination

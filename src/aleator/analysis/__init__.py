@@ -5,6 +5,8 @@ from aleator.analysis._element_expanded import ElementExpanded as ElementExpande
 from aleator.analysis._expand import expand as expand
 from aleator.analysis._expanded import Expanded as Expanded
 from aleator.analysis._galerkin import galerkin as galerkin
+from aleator.analysis._over_intervals import Bounds as Bounds
+from aleator.analysis._over_intervals import OverIntervals as OverIntervals
 from aleator.analysis._sampling import fresh_points as fresh_points
 from aleator.analysis._tolerance import Contribution as Contribution
 from aleator.analysis._tolerance import ToleranceAnalysis as ToleranceAnalysis

@@ -13,9 +13,11 @@ from aleator._core.arrays import Pytree, in_library, jax_array
 from aleator._core.border import real_array, refuse_not_finite
 from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ExpansionWarning, ProblemError
+from aleator._core.leaves import is_traced
 from aleator.analysis._abstract_expanded import extrapolates
 from aleator.analysis._element_expanded import ElementExpanded
 from aleator.analysis._expanded import Expanded
+from aleator.analysis._over_intervals import OverIntervals, over_intervals
 from aleator.analysis._sampling import Sampler
 from aleator.ensemble import Function, concrete
 from aleator.expansion import (
@@ -32,7 +34,7 @@ from aleator.expansion import (
     fresh_error,
     resolved_instants,
 )
-from aleator.uncertainty import AbstractGerm, constant
+from aleator.uncertainty import AbstractGerm, constant, refuse_intervals
 
 # Fresh points by which elements of a function are checked that is called, which may take long.
 _CALLED = 128
@@ -57,7 +59,7 @@ def expand(
     *,
     times: Any = None,
     traced: bool = True,
-) -> Expanded | ElementExpanded:
+) -> Expanded | ElementExpanded | OverIntervals:
     """Expand a function of uncertain inputs: `al.expand(f, {"w": al.Normal(1.0, 0.1)}, al.Expansion(order=10))`.
 
     - `function`: takes the model with plain numbers in the place of its distributions and returns an array or a dict of
@@ -69,10 +71,11 @@ def expand(
     - `times`: instants of the outputs' leading axis, so that a warning can say from when on the order is too low;
     - `traced`: False calls the function with plain numbers, point by point, if JAX cannot trace it.
 
-    Returns an `Expanded`, or with `MultiElement()` an `ElementExpanded`: statistics, densities, errors. Differentiable
-    by JAX with respect to all numbers of the model, as far as the function is continuous: derivatives at fixed points
-    miss jumps that move between them. The derivative by the shape parameter of a distribution has a weak singularity at
-    the ends of its support, which `al.points.GaussPoints` integrates best.
+    Returns an `Expanded`: statistics, densities, errors; with `MultiElement()` an `ElementExpanded`, and where numbers
+    are `Interval`s an `OverIntervals`, which has bounds of statistics. Differentiable by JAX with respect to all
+    numbers of the model, as far as the function is continuous: derivatives at fixed points miss jumps that move between
+    them. The derivative by the shape parameter of a distribution has a weak singularity at the ends of its support,
+    which `al.points.GaussPoints` integrates best.
 
     Besides its collocation points the function is evaluated at a few random ones, by which the expansion is checked: 8
     or a tenth as many, two with `traced=False` or for a black box.
@@ -83,6 +86,7 @@ def expand(
     """
     sampler = Sampler(function, model, traced=traced)
     if isinstance(expansion, MultiElement):
+        refuse_intervals("expand by MultiElement", sampler.places, "Take an al.Expansion of a higher order.")
         return _in_elements(sampler, expansion)
     if not isinstance(expansion, Expansion | None):
         raise ProblemError(f"expand: expected an Expansion or a MultiElement; received {expansion!r}.")
@@ -102,7 +106,27 @@ def expand(
     errors = jax.tree.map(lambda values, terms: error(values[kept:], terms), values, terms)
     told = partial(Expanded, sampler.distributions, basis, fresh_error=errors, tolerance=expansion.tolerance)
     _warn_of_doubts(told(terms, known, at_points), known, times)
-    return told(coefficients, collocation, samples)
+    expanded = told(coefficients, collocation, samples)
+    if not sampler.intervals:
+        return expanded
+    over = over_intervals(expanded, sampler.random, sampler.intervals)
+    _warn_of_intervals(over)
+    return over
+
+
+def _warn_of_intervals(over: OverIntervals) -> None:
+    """Warn of outputs that are resolved beside what intervals change, but not beside what is random."""
+    pairs = zip(*map(jax.tree.leaves, (over.joint.error, over.error)), strict=True)
+    known = [(float(whole), float(random)) for whole, random in pairs if not is_traced((whole, random))]
+    missed = [random for whole, random in known if whole <= over.joint.tolerance]
+    worst = max(missed, default=0.0)
+    if worst > over.joint.tolerance:
+        warnings.warn(
+            f"The expansion of order {over.joint.basis.order} follows the intervals, but errs by {worst:.2g} of the "
+            "spread that the uncertain inputs cause: spreads and probabilities are unreliable. Raise the order.",
+            ExpansionWarning,
+            stacklevel=3,
+        )
 
 
 def _in_elements(sampler: Sampler, settings: MultiElement) -> ElementExpanded:

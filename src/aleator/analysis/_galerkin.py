@@ -36,7 +36,7 @@ from aleator.dynamics._newton import constant_terms, newton
 from aleator.ensemble import concrete, is_finite
 from aleator.expansion import Adaptive, Basis, Expansion, GaussPoints, SmolyakPoints
 from aleator.trajectories import AbstractSignal
-from aleator.uncertainty import placements, realise
+from aleator.uncertainty import placements, realise, refuse_intervals
 
 # Beyond this many quadrature nodes per evaluation of the equations, collocation is far better.
 _MOST_NODES = 20_000
@@ -210,6 +210,7 @@ def galerkin(
     model = _Model(system, dict(inputs or {}))
     _check(system, grid, model, integrator)
     places = placements(model)
+    refuse_intervals("galerkin", places, "Take al.expand.")
     if isinstance(expansion.index_set, Adaptive):
         raise ProblemError("galerkin: an Adaptive index set needs samples; expected a fixed one, such as TotalDegree.")
     basis = Basis(places.germs, expansion.index_set.indices(places.germ_names, expansion.order))

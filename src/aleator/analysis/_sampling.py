@@ -19,7 +19,7 @@ from aleator.ensemble import (
     uncertain_places,
 )
 from aleator.expansion import plain
-from aleator.uncertainty import AbstractDistribution, AbstractGerm
+from aleator.uncertainty import AbstractDistribution, AbstractGerm, Interval, placements
 
 # Fresh points of a traced function: so many, and at least this part of the collocation points; of a called one, which
 # may take long.
@@ -46,7 +46,10 @@ class Sampler:
     """
 
     def __init__(self, function: Function, model: Pytree, *, traced: bool):
-        self.places = uncertain_places("expand", function, model)
+        self.places = uncertain_places("expand", function, model, takes_intervals=True)
+        self.random = placements(model).distributions
+        decisions = {name: place.decision for name, place in self.places.decisions.items()}
+        self.intervals = {name: one for name, one in decisions.items() if isinstance(one, Interval)}
         model = numbers_to_arrays(model) if traced else model
         ensemble = ensemble_for(function, model, self.places, traced=traced)
         self._box = ensemble if isinstance(ensemble, BoxEnsemble) else None

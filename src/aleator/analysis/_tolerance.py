@@ -40,6 +40,7 @@ from aleator.uncertainty import (
     at_means,
     placements,
     realise,
+    refuse_intervals,
     with_distributions,
 )
 
@@ -219,6 +220,7 @@ def tolerance_analysis(
     if expansion is not None:
         one_of("tolerance_analysis: expansion", expansion, Expansion)
     function, name = _function(model, output)
+    refuse_intervals("tolerance_analysis", placements(model))
     zones = zones_of(placements(model), one_of("tolerance_analysis: tolerances", tolerances or {}, Mapping))
     expanded = _expanded(function, model, expansion)
     if not isinstance(expanded.mean, jax.Array) or expanded.mean.ndim:

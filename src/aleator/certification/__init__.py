@@ -11,6 +11,8 @@ from aleator.certification._grids import magnitudes_at as magnitudes_at
 from aleator.certification._grids import misled_at as misled_at
 from aleator.certification._grids import refinement as refinement
 from aleator.certification._grids import unconverged as unconverged
+from aleator.certification._limits import OWN_ERROR as OWN_ERROR
+from aleator.certification._limits import Margins as Margins
 from aleator.certification._limits import excess_between as excess_between
 from aleator.certification._limits import margins_for as margins_for
 from aleator.certification._limits import tightened as tightened
@@ -29,3 +31,4 @@ from aleator.certification._worst_case import idle_scenarios as idle_scenarios
 from aleator.certification._worst_case import scenarios_at_start as scenarios_at_start
 from aleator.certification._worst_case import worst_case_limits as worst_case_limits
 from aleator.certification._worst_case import worst_case_of as worst_case_of
+from aleator.certification._worst_case import worth_imposing as worth_imposing

@@ -52,6 +52,7 @@ from aleator.design._problem import deterministic as deterministic
 from aleator.design._problem import frozen as frozen
 from aleator.design._problem import has_random_signals as has_random_signals
 from aleator.design._problem import uncertain as uncertain
+from aleator.design._problem import with_simulation as with_simulation
 from aleator.design._residuals import SquaredResiduals as SquaredResiduals
 from aleator.design._residuals import residuals as residuals
 from aleator.design._response import Estimated as Estimated

@@ -17,6 +17,7 @@ from aleator.design._scope import AbstractComposite, Value
 from aleator.design._statistic import (
     Extreme,
     functionals_of,
+    is_worst_case,
     statistics_in,
 )
 from aleator.design._text import refuse_clashes
@@ -43,9 +44,11 @@ from aleator.trajectories import piecewise_in
 from aleator.uncertainty import (
     AbstractGerm,
     at_means,
+    intervals_of,
     named_numbers,
     placements,
     realise,
+    refuse_intervals,
     refuse_nonpositive,
     tables_of,
     uncertain_numbers,
@@ -178,6 +181,12 @@ def _check_time(problem: AbstractProblem) -> None:
 def _check_worst_cases(problem: AbstractProblem) -> None:
     """Refuse the worst case of an output in an objective, or in a function of expressions: realisations are limited."""
     composite = [atom for one in problem.expressions for atom in one.atoms if isinstance(atom, AbstractComposite)]
+    intervals = list(intervals_of(problem.placements))
+    if intervals and (limits := [one.name for one in problem.constraints if is_worst_case(one)]):
+        raise ProblemError(
+            f"worst_case of '{limits[0]}': beside '{intervals[0]}', an al.Interval, limits hold for statistics. A "
+            f"worst case needs no probability: declare '{intervals[0]}' as an al.Uniform, whose ends alone count there."
+        )
     misplaced = [*problem.objective.leaves, *(part for atom in composite for part in atom.parts)]
     for atom in misplaced:
         if isinstance(atom, Extreme):
@@ -191,7 +200,9 @@ def _check_worst_cases(problem: AbstractProblem) -> None:
 
 def _check_values(problem: AbstractProblem) -> None:
     """Refuse tables that do not go together, and numbers in expressions that the model does not have."""
-    tables_of(problem.placements)
+    if tables_of(problem.placements):
+        remedy = "Solve for each whole number or row, declared as a number."
+        refuse_intervals("Problem with al.Integer or al.Choice", problem.placements, remedy)
     numbers = named_numbers(problem.simulation, jax_array(problem.placements.vector("initial")))
     for expression in problem.expressions:
         for atom in expression.leaves:

@@ -40,7 +40,16 @@ from aleator.expansion import Expansion, MultiElement
 from aleator.feedback import Feedback, Noisy, closed_loop, noisy
 from aleator.statistics import Mean
 from aleator.trajectories import AbstractSignal
-from aleator.uncertainty import AbstractDecision, Choice, Decision, Integer, at_means, placements, uncertain_again
+from aleator.uncertainty import (
+    AbstractDecision,
+    Choice,
+    Decision,
+    Integer,
+    at_means,
+    placements,
+    refuse_intervals,
+    uncertain_again,
+)
 
 
 @final
@@ -85,6 +94,9 @@ class Problem(AbstractProblem):
             kinds = Decision, Integer, Choice
             one_of(f"Problem: decisions['{a_name('Problem: a name in decisions', name)}']", one, kinds)
         if feedback is not None:
+            remedy = "A plan for each value would know it: declare it as a distribution."
+            for part in (system, inputs):
+                refuse_intervals("Problem: feedback", placements(part), remedy)
             system = closed_loop(system, inputs or {}, feedback)
         system, inputs = noisy(system, inputs)
         simulation = simulation_of(system, grid, inputs, integrator, dict(decisions))
@@ -125,16 +137,16 @@ class Problem(AbstractProblem):
             raise ProblemError(
                 "Phases have grids of their own: declare the problem again with others; received one grid."
             )
-        return _with_simulation(self, self.simulation.on(grid, integrator))
+        return with_simulation(self, self.simulation.on(grid, integrator))
 
     def finer(self, factor: int, integrator: AbstractIntegrator) -> "Problem":
         """The same problem with so many times as many steps, by another integrator. It is not checked again."""
-        return _with_simulation(self, self.simulation.finer(factor, integrator))
+        return with_simulation(self, self.simulation.finer(factor, integrator))
 
     def narrower(self) -> "Problem | None":
         """The same problem with half the widths of `al.smooth`; None without any. It is not checked again."""
         simulation = self.simulation.narrower()
-        return None if simulation is None else _with_simulation(self, simulation)
+        return None if simulation is None else with_simulation(self, simulation)
 
     def with_bound(self, name: str, bound: float | tuple[float, float]) -> Self:
         """The same problem with the bound of the constraints called `name` set to `bound`.
@@ -262,13 +274,13 @@ def declared_anew(
 
 def deterministic(problem: Problem) -> Problem:
     """The same problem with every distribution held at its mean (dOpt, equations 93 and 113)."""
-    return _with_simulation(one_of("deterministic", problem, Problem), at_means(problem.simulation))
+    return with_simulation(one_of("deterministic", problem, Problem), at_means(problem.simulation))
 
 
 def uncertain(problem: Problem) -> Problem:
     """The problem with its distributions restored: the inverse of `deterministic`."""
     one_of("uncertain", problem, Problem)
-    return _with_simulation(problem, uncertain_again(problem.simulation))
+    return with_simulation(problem, uncertain_again(problem.simulation))
 
 
 def has_random_signals(problem: Problem) -> bool:
@@ -293,11 +305,12 @@ def frozen(problem: Problem) -> tuple[Problem, Int[np.ndarray, " direct"]]:
     whole, system = problem.simulation, problem.system
     for name in system.signal_fields:  # type: ignore[union-attr]
         system = eqx.tree_at(lambda tree, name=name: getattr(tree, name), system, still(getattr(system, name)))
-    fixed = _with_simulation(problem, replace(whole, system=system, inputs=still(whole.inputs), grid=still(whole.grid)))
+    fixed = with_simulation(problem, replace(whole, system=system, inputs=still(whole.inputs), grid=still(whole.grid)))
     places = problem.placements.decisions
     where = [np.arange(places[name].where.start, places[name].where.stop) for name in fixed.placements.decisions]
     return fixed, np.concatenate([np.zeros(0, dtype=int), *where])
 
 
-def _with_simulation(problem: Problem, simulation: Simulation) -> Problem:
+def with_simulation(problem: Problem, simulation: Simulation) -> Problem:
+    """The problem with another simulation of the same equations. It is not checked again."""
     return eqx.tree_at(lambda tree: tree.simulation, problem, simulation)

@@ -25,6 +25,7 @@ from aleator.uncertainty import (
     correlations_at,
     ends,
     fields_of,
+    intervals_of,
 )
 
 # The parameters of distributions that have the unit of the uncertain number itself.
@@ -161,7 +162,10 @@ def problem_rows(problem: AbstractProblem, mesh: str = "") -> list[tuple[str, st
     """The lines of `problem_text`, each with its label, which is empty where that of the line before holds."""
     places = problem.placements
     rows = [("minimise", str(problem.objective))]
-    rows += _labelled("over", [_decision_text(name, place.decision) for name, place in places.decisions.items()])
+    rows += _labelled("over", [_decision_text(name, place.decision) for name, place in places.designed.items()])
+    rows += _labelled(
+        "for all", [f"{name} ∈ {places.decisions[name].decision.domain()}" for name in intervals_of(places)]
+    )
     rows += _labelled("subject to", [f"{one.name}: {one}" for one in problem.constraints])
     rows += _labelled("where", list(_distribution_texts(places.distributions)))
     rows += _labelled("correlated", _correlation_texts(places))

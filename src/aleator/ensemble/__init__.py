@@ -12,6 +12,10 @@ from aleator.ensemble._batches import fill as fill
 from aleator.ensemble._batches import in_batches as in_batches
 from aleator.ensemble._batches import parts as parts
 from aleator.ensemble._batches import random_levels as random_levels
+from aleator.ensemble._box import Points as Points
+from aleator.ensemble._box import corners_of as corners_of
+from aleator.ensemble._box import search as search
+from aleator.ensemble._box import spread_over as spread_over
 from aleator.ensemble._ensemble import AbstractBox as AbstractBox
 from aleator.ensemble._ensemble import AbstractEnsemble as AbstractEnsemble
 from aleator.ensemble._ensemble import Alone as Alone

@@ -34,7 +34,7 @@ from aleator.ensemble._outputs import (
     outputs_of,
     refuse_nonfinite,
 )
-from aleator.uncertainty import Placements, placements, realise
+from aleator.uncertainty import Placements, placements, realised_over, refuse_intervals, with_germs
 
 
 class Realisation(NamedTuple):
@@ -71,11 +71,18 @@ class AbstractBox(abc.ABC):
 Points: TypeAlias = Float[np.ndarray, "points variables"] | Float[Array, "points variables"]
 
 
-def uncertain_places(verb: str, function: Function, model: Pytree) -> Placements:
-    """The placements of a model. Raises `ProblemError` if nothing is uncertain, or if `function` is not callable."""
+def uncertain_places(verb: str, function: Function, model: Pytree, *, takes_intervals: bool = False) -> Placements:
+    """The placements of a model, with germ variables of intervals if a method takes any.
+
+    Raises `ProblemError` if nothing is uncertain, or if `function` is not callable.
+    """
     if not callable(function):
         raise ProblemError(f"{verb}: expected a function of the model; received {type(function).__name__}.")
     places = placements(model)
+    if takes_intervals:
+        places = with_germs(places)
+    else:
+        refuse_intervals(verb, places)
     if not places.distributions:
         raise ProblemError(
             f"{verb}: nothing in the model is uncertain; put a distribution, such as al.Uniform.bounds(0.9, 1.1), in "
@@ -147,7 +154,7 @@ class AbstractEnsemble(abc.ABC):
 
     def _at(self, model: Pytree, decisions: Float[Array, " n_x"], point: Any, library: Any) -> Pytree:
         """The outputs at one realisation, as arrays of `library`."""
-        realised = self._given(realise(model, jnp.asarray(point), decisions))
+        realised = self._given(realised_over(model, jnp.asarray(point), decisions))
         return outputs_of(self._function, realised, library, None if self.at_once else lambda: self._place(point))
 
     def _place(self, point: Any) -> str:
@@ -295,9 +302,10 @@ class BoxEnsemble(AbstractEnsemble):
         return [self._realisation(number, point) for number, point in enumerate(points, before + 1)]
 
     def _realisation(self, number: int, point: Any) -> Realisation:
-        model = jax.tree.map(_as_python, realise(self._model, jnp.asarray(point), self._decisions))
+        model = jax.tree.map(_as_python, realised_over(self._model, jnp.asarray(point), self._decisions))
         numbers = dict(zip(self._names, jax.tree.leaves(model), strict=True))
-        return Realisation(number, model, {name: float(numbers[name]) for name in self.places.distributions})
+        named = {name: float(numbers[name]) for name in self.places.distributions if name in numbers}
+        return Realisation(number, model, named)
 
 
 def ensemble_for(

@@ -8,6 +8,7 @@ from aleator.expansion._basis import Basis as Basis
 from aleator.expansion._basis import HyperbolicCross as HyperbolicCross
 from aleator.expansion._basis import TensorProduct as TensorProduct
 from aleator.expansion._basis import TotalDegree as TotalDegree
+from aleator.expansion._basis import sorted_terms as sorted_terms
 from aleator.expansion._collocation import ROUNDING as ROUNDING
 from aleator.expansion._collocation import UNRESOLVED as UNRESOLVED
 from aleator.expansion._collocation import Collocation as Collocation

@@ -269,7 +269,7 @@ def relative_figure(
 ) -> "Figure":
     """Decisions along a front in percent of their initial values (figure 7.5); `names` are their labels."""
     (front, _), figure = in_order({"": front})[""], blank(label(x, x_unit), plain(y))
-    places = front.solutions[0].problem.placements.decisions
+    places = front.solutions[0].problem.placements.designed
     for (name, text), look, dash in zip(names.items(), looks(names).values(), DASHES, strict=False):
         values = [float(one.decisions[name]) if one else np.nan for one in front.optima]
         hover = f"<b>{plain(text)}</b>: %{{customdata}}, %{{y:.4~g}} % of the {reference}"

@@ -142,7 +142,7 @@ def _optimum(front: Front, point: Solution | Refused) -> list[str]:
 
 def _numbers_in(problem: Problem) -> list[str]:
     """The decisions that are single numbers."""
-    return [name for name, place in problem.placements.decisions.items() if np.ndim(place.decision.initial) == 0]
+    return [name for name, place in problem.placements.designed.items() if np.ndim(place.decision.initial) == 0]
 
 
 def _decided(point: Solution | Refused, names: Sequence[str]) -> list[str]:

@@ -213,7 +213,9 @@ class WorstCase(Printed):
     - `scenarios`: the germ points at which the program imposed the limits, shape (scenarios, variables);
     - `rounds`: how often the program was solved, with more scenarios each time; `is_found`: whether no realisation was
       found in the end that breaks a limit by more than these;
-    - `searched`: the number of realisations that were simulated.
+    - `searched`: the number of realisations that were simulated, or whatever else `of` says.
+
+    Of intervals (see `Interval`) they are the values at which statistics are worst, and `scenarios` are values too.
     """
 
     realisations: tuple[WorstRealisation, ...]
@@ -221,12 +223,13 @@ class WorstCase(Printed):
     rounds: int
     searched: int
     is_found: bool = True
+    of: str = "realisations of the model"
 
     def rows(self) -> list[str]:
         """A line for each limit, then how they were found."""
         return [
             *map(str, self.realisations),
-            f"the worst of {self.searched} realisations of the model, in {self.rounds} rounds",
+            f"the worst of {self.searched} {self.of}, in {self.rounds} rounds",
         ]
 
     def __str__(self) -> str:

@@ -176,7 +176,10 @@ class Solution(Drawn):
     - `mesh_states`: of all realisations of a simultaneous program, at the points of its mesh; `costates`: by what a
       push of a state would change the objective; `switching`: by what a push of an input would. None where states are
       simulated, the latter two also where the search was not finished;
-    - `branching`: how integers and choices were found, and what is known of all others; None if there are none.
+    - `branching`: how integers and choices were found, and what is known of all others; None if there are none;
+    - `over_intervals`: the same design at single values of the intervals (see `Interval`), those that hold it first,
+      each a solution of the problem with these numbers; empty if there are no intervals. Of these, `constraints` has
+      the worst of each limit and `objective` the worst; everything else is that of the value of the worst objective.
 
     `inputs`, `states` and `outputs` are the motions, computed when they are asked for: `solution.inputs["force"]` is an
     `xarray.Dataset` of its mean and standard deviation over time and of its course in each system of the expansion.
@@ -202,6 +205,7 @@ class Solution(Drawn):
     costates: Costates | None = None
     switching: Switching | None = None
     branching: Branching | None = None
+    over_intervals: tuple["Solution", ...] = ()
 
     @property
     def ok(self) -> bool:

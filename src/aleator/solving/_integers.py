@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from aleator._core.errors import ProblemError
-from aleator.design import Problem
+from aleator.design import Problem, with_simulation
 from aleator.nlp import AbstractLocalSolver, AbstractSolver, Outcome, Status
 from aleator.solution import Branching, Solution
 from aleator.transcription import AbstractTranscribed, AbstractTranscription, transcribe
@@ -247,4 +247,4 @@ def _as_declared(solution: Solution, problem: Problem, branching: Branching | No
 
 
 def _with_decisions(problem: Problem, choose: Callable[[str, Any], Any]) -> Problem:
-    return eqx.tree_at(lambda one: one.simulation, problem, with_decisions(problem.simulation, choose))
+    return with_simulation(problem, with_decisions(problem.simulation, choose))

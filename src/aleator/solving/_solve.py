@@ -28,9 +28,10 @@ from aleator.design import Problem, deterministic
 from aleator.nlp import HELD, AbstractSearch, AbstractSolver, Status
 from aleator.solution import AtMeans, Solution
 from aleator.solving._integers import branched
-from aleator.solving._stages import Stages, with_opinion
+from aleator.solving._intervals import robust
+from aleator.solving._stages import Held, Stages, with_opinion
 from aleator.transcription import DEFAULT, OF_ROUNDING, AbstractTranscription, started_from
-from aleator.uncertainty import tables_of
+from aleator.uncertainty import intervals_of, tables_of
 
 # The finest accuracy of a grid that may be asked for.
 _FINEST = 1e-9
@@ -213,13 +214,13 @@ def _solved_at_once(call: Call) -> Solution:
         at_means = None
         if call.deterministic_first and problem.placements.germs:
             stages, first, at_means = _from_means(stages, problem, first)
-        solution, held = stages.answer_in_elements(problem, first, *known)
+        solution, held = _answer(stages, problem, first, *known)
         solutions = [solution]
         while call.refine and (plan := refinement(solutions)) is not None:
             stages = stages._replace(transcription=stages.transcription.starting_from(solution))
-            solution, held = stages.answer_in_elements(plan, solution.vector)
+            solution, held = _answer(stages, plan, solution.vector)
             solutions.append(solution)
-        reason, solution = unconverged(solutions), with_opinion(solution, held)
+        reason, solution = unconverged(solutions), solution if held is None else with_opinion(solution, held)
         times = replace(solution.effort.times, compile_=Compiled.seconds - before)
         effort = replace(solution.effort, at_means=at_means, times=times)
         solution = replace(solution, effort=effort, message=reason or solution.message)
@@ -227,12 +228,19 @@ def _solved_at_once(call: Call) -> Solution:
     return solution
 
 
+def _answer(stages: Stages, problem: Problem, first: np.ndarray | None, *known: Any) -> tuple[Solution, Held | None]:
+    """The solution of a problem on its grid, and what has yet to be asked for an opinion of fresh systems."""
+    if intervals_of(problem.placements):
+        return robust(stages, problem, first), None
+    return stages.answer_in_elements(problem, first, *known)
+
+
 def _from_means(
     stages: Stages, problem: Problem, first: np.ndarray | None
 ) -> tuple[Stages, np.ndarray | None, AtMeans | None]:
     """The stages and the decisions that start from the answer to the deterministic problem, if it has one."""
     try:
-        mean, _ = stages._replace(between=1).answer(deterministic(problem), first)
+        mean, _ = _answer(stages._replace(between=1), deterministic(problem), first)
     except ProblemError:
         # Without spreads a limit may be impossible that the problem itself can meet. What is wrong with both is told by
         # the problem itself.

@@ -121,14 +121,14 @@ class Stages(NamedTuple):
             transcribed, point, outcome = self._on_fine_mesh(transcribed, point)
         problem, factor, oracle = transcribed.problem, check_factor(transcribed.problem, self.between), None
         if worst_case_limits(problem) and problem.placements.germs:
-            oracle, outcome = Oracle(problem, factor if self._judges_between(problem) else 1), None
+            oracle, outcome = Oracle(problem, factor if self.judges_between(problem) else 1), None
             transcribed = transcribed.at_scenarios(scenarios_at_start(transcribed, oracle, point, known))
         # Search.
         first = transcribed.program.start if point is None else point
         begun = magnitudes_at(transcribed, first)
-        outcome = searched = self._searched(transcribed, point, multipliers) if outcome is None else outcome
+        outcome = searched = self.searched(transcribed, point, multipliers) if outcome is None else outcome
         if multipliers is None and outcome.status is not Status.INTERRUPTED:
-            outcome = _looked_around(transcribed, self.solver.local, outcome, first)
+            outcome = looked_around(transcribed, self.solver.local, outcome, first)
         outcome = self._with_limits_met(transcribed, outcome)
         # The mesh is fine enough for what was searched, not for an answer elsewhere.
         is_elsewhere = outcome.status is Status.SOLVED and outcome.point is not searched.point
@@ -178,7 +178,7 @@ class Stages(NamedTuple):
             solution, held = stages.answer(finer, solution.vector, solution.multipliers, certificate.worst_case)
         return solution, held
 
-    def _searched(
+    def searched(
         self,
         transcribed: AbstractTranscribed,
         start: np.ndarray | None,
@@ -217,7 +217,7 @@ class Stages(NamedTuple):
         least = least_excess(Ipopt(), program, groups, (), range(len(groups)), [program.start])
         if least.total <= HELD:
             start = transcribed.point(simulated.decisions(least.point))
-            further = self._searched(transcribed, start, None, goes_on=True)
+            further = self.searched(transcribed, start, None, goes_on=True)
             if further.violation <= HELD:
                 return further.with_effort_of(outcome)
             missed = "A design meets all limits, but the search leaves it: start from al.conflict(problem).nearest"
@@ -242,7 +242,7 @@ class Stages(NamedTuple):
         rough = replace(self.solver, tolerance=max(self.solver.tolerance, _ROUGH))
         stages, multipliers = self._replace(solver=rough), None
         while True:
-            outcome, finer = stages._searched(transcribed, start, multipliers), None
+            outcome, finer = stages.searched(transcribed, start, multipliers), None
             if outcome.status is Status.INTERRUPTED:
                 raise KeyboardInterrupt
             if outcome.status is Status.SOLVED:
@@ -255,7 +255,8 @@ class Stages(NamedTuple):
             else:
                 stages = self
 
-    def _judges_between(self, problem: Problem) -> bool:
+    def judges_between(self, problem: Problem) -> bool:
+        """Whether limits are to hold between the instants too."""
         return self.between != 1 and any(map(is_over_time, problem.constraints))
 
     def _held_between(self, held: Held, factor: int) -> Held:
@@ -268,7 +269,7 @@ class Stages(NamedTuple):
         if outcome.status is not Status.SOLVED or not is_checked(transcribed.problem):
             return held
         check = begin_check(transcribed, outcome.point, factor)()
-        if factor == 1 or not self._judges_between(transcribed.problem):
+        if factor == 1 or not self.judges_between(transcribed.problem):
             return held._replace(check=check)
         between, shifts = excess_between(transcribed, outcome.point, check)
         best = outcome, check, between
@@ -277,7 +278,7 @@ class Stages(NamedTuple):
             # Margins may shrink in the first rounds; later they only grow, so that the iteration ends.
             margins = margins_for(margins, shifts, relax=len(rounds) <= _MOST_TIGHTENINGS // 2)
             program, last = tightened(transcribed, margins), rounds[-1]
-            again = self._searched(transcribed, last.point, last.multipliers, program, goes_on=True)
+            again = self.searched(transcribed, last.point, last.multipliers, program, goes_on=True)
             if again.status is Status.INTERRUPTED:
                 return held._replace(outcome=again)
             if again.status is not Status.SOLVED:
@@ -290,8 +291,7 @@ class Stages(NamedTuple):
             elif best[2].holds:
                 break  # Tighter bounds may make the plan bulge more between them.
         answer, check, between = best
-        loosest, tightest = outcome.evaluation.objective, answer.evaluation.objective
-        cost = (tightest - loosest) / max(abs(loosest), abs(tightest)) if tightest > loosest else 0.0
+        cost = cost_of_margins(outcome.evaluation.objective, answer.evaluation.objective)
         is_strict = self.between is not None or len(rounds) > 1 or pieces(transcribed.problem) > 0
         answer = answer.with_effort_of(*(one for one in rounds if one is not answer))
         return held._replace(outcome=answer, between=replace(between, is_strict=is_strict, cost=cost), check=check)
@@ -311,7 +311,7 @@ class Stages(NamedTuple):
             idle = idle_scenarios(transcribed, before.point)
             transcribed = transcribed.at_scenarios(transcribed.scenarios.joined(new, idle))
             start = transcribed.point(transcribed.decisions(before.point))
-            again = self._searched(transcribed, start, before.multipliers, goes_on=True)
+            again = self.searched(transcribed, start, before.multipliers, goes_on=True)
             held = self._held_between(Held(transcribed, again), factor)
             held = held._replace(outcome=held.outcome.with_effort_of(before))
             rounds += 1
@@ -336,7 +336,12 @@ def with_opinion(solution: Solution, held: Held) -> Solution:
     return replace(solution, certificate=certificate)
 
 
-def _looked_around(
+def cost_of_margins(loosest: float, tightest: float) -> float:
+    """How much worse an objective is by bounds that were tightened, relative to the larger one."""
+    return (tightest - loosest) / max(abs(loosest), abs(tightest)) if tightest > loosest else 0.0
+
+
+def looked_around(
     transcribed: AbstractTranscribed, solver: AbstractSolver, outcome: Outcome, begun: np.ndarray
 ) -> Outcome:
     """The outcome of a start of which nothing is known, or a better one found by points elsewhere."""

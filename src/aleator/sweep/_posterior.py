@@ -25,6 +25,7 @@ from aleator.uncertainty import (
     Placements,
     correlated,
     named_numbers,
+    refuse_intervals,
     with_decisions,
 )
 
@@ -136,6 +137,7 @@ def posterior(solution: Solution, *, known_std: bool = False) -> Posterior:
     """
     problem = one_of("posterior: solution", solution, Solution).problem
     one_of("posterior: known_std", known_std, bool)
+    refuse_intervals("posterior", problem.placements)
     places, every = problem.placements, problem.placements.entry_names()
     free = _continuous(places)
     names, mean = tuple(every[i] for i in np.flatnonzero(free)), solution.vector[free]

@@ -14,6 +14,7 @@ from aleator.design import Problem, refuse_changed_code
 from aleator.nlp import Evaluation, NonlinearProgram
 from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning, Meanwhile
 from aleator.transcription.sequential import Sequential
+from aleator.uncertainty import refuse_intervals
 
 DEFAULT = Sequential()
 """The default transcription."""
@@ -39,6 +40,8 @@ def transcribe(
     if the problem has no decisions, or if functions of one's own in it have changed since it was declared.
     """
     refuse_changed_code(problem)
+    instead = "Limits are held for all of its values by al.solve, and by what makes each of its steps such a solve."
+    refuse_intervals(type(problem).__name__, problem.placements, instead)
     numbers = jax.tree.leaves(problem)
     with _LOCK:
         recent = list(_RECENT)

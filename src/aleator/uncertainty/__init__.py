@@ -25,6 +25,12 @@ from aleator.uncertainty._families import Beta as Beta
 from aleator.uncertainty._families import Gamma as Gamma
 from aleator.uncertainty._families import Normal as Normal
 from aleator.uncertainty._families import Uniform as Uniform
+from aleator.uncertainty._interval import Interval as Interval
+from aleator.uncertainty._interval import at_values as at_values
+from aleator.uncertainty._interval import intervals_of as intervals_of
+from aleator.uncertainty._interval import realised_over as realised_over
+from aleator.uncertainty._interval import refuse_intervals as refuse_intervals
+from aleator.uncertainty._interval import with_germs as with_germs
 from aleator.uncertainty._placements import Placements as Placements
 from aleator.uncertainty._placements import at_means as at_means
 from aleator.uncertainty._placements import correlations_at as correlations_at

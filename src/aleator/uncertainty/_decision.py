@@ -29,6 +29,11 @@ class AbstractDecision(AbstractLeaf):
         """The values that it may have; None for all between its bounds."""
         return None
 
+    @property
+    def is_designed(self) -> bool:
+        """Whether the optimiser chooses it, rather than an opponent."""
+        return True
+
     @abc.abstractmethod
     def domain(self) -> str:
         """What it may be, in words."""

@@ -71,6 +71,11 @@ class Placements(NamedTuple):
         }
 
     @property
+    def designed(self) -> dict[str, Place]:
+        """The decisions that the optimiser chooses: all but intervals."""
+        return {name: place for name, place in self.decisions.items() if place.decision.is_designed}
+
+    @property
     def size(self) -> int:
         """Length of the decision vector."""
         return sum(np.size(place.decision.initial) for place in self.decisions.values())

@@ -109,7 +109,10 @@ class Evidence(Drawn):
       all systems; empty where `agrees`;
     - `alone`: where nothing is uncertain, the refinement factor of the grid on which the one system was simulated; else
       None;
-    - `broken`: by constraint name, which sampled systems violate it, shape (samples,).
+    - `broken`: by constraint name, which sampled systems violate it, shape (samples,);
+    - `over_intervals`: the evidence at each of `Solution.over_intervals`, if there are any. Then a proportion is the
+      largest of these (see `least_violation`), `disagreements` are those of all, and everything else is that of the
+      values at which most systems violate a limit.
     """
 
     solution: Solution
@@ -124,6 +127,7 @@ class Evidence(Drawn):
     compared: tuple[Compared, ...] = ()
     disagreements: tuple[Disagreement, ...] = ()
     alone: int | None = None
+    over_intervals: tuple["Evidence", ...] = ()
 
     @property
     def violations(self) -> dict[str, Proportion]:
@@ -164,8 +168,19 @@ class Evidence(Drawn):
         Raises `ProblemError` for no names, and for names against which no system is counted.
         """
         check_counted("violation", names, self.broken)
+        if self.over_intervals:
+            return max((one.violation(*names) for one in self.over_intervals), key=lambda one: one.count)
         mask = np.any([self.broken[name] for name in names], axis=0)
         return Proportion(int(mask.sum()), self.samples)
+
+    def _share(self, *names: str) -> str:
+        least = f"{self.least_violation(*names)} to " if self.over_intervals else ""
+        return f"{least}{self.violation(*names)}"
+
+    def least_violation(self, *names: str) -> Proportion:
+        """The same at the values of the intervals at which it is least: between both, nothing is more likely."""
+        every = self.over_intervals or (self,)
+        return min((one.violation(*names) for one in every), key=lambda one: one.count)
 
     def __str__(self) -> str:
         rows = [] if self.agrees else [f"DISAGREES: {self.alarm()}"]
@@ -174,8 +189,10 @@ class Evidence(Drawn):
         else:
             steps = f" with {self.alone} times as many steps" if self.alone > 1 else ""
             rows.append(f"nothing is uncertain: the one system simulated again{steps}")
-        rows += [f"  violates {name}: {share}" for name, share in self.violations.items()]
-        rows.append(f"  violates any: {self.joint} (95 % confidence)" if self.violations else _NO_LIMITS)
+        rows += [f"  violates {name}: {self._share(name)}" for name in self.broken]
+        rows.append(f"  violates any: {self._share(*self.broken)} (95 % confidence)" if self.broken else _NO_LIMITS)
+        if self.over_intervals:
+            rows.append(f"  over {len(self.over_intervals)} values of intervals; below, where most systems violate any")
         rows += [] if self.instants is None else [f"  limits over time counted at {self.instants} instants"]
         rows += [f"  compared: {one}" for one in self.compared]
         rows += [f"  not counted: {text} ({why})" for text, why in self.uncounted.items()]

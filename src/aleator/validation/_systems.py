@@ -24,6 +24,7 @@ from aleator.design import (
 from aleator.ensemble import fill, inputs_at, listed, parts
 from aleator.nlp import HELD
 from aleator.solution import Solution
+from aleator.uncertainty import refuse_intervals
 from aleator.validation._batches import SIMULATE, Batch, folds
 from aleator.validation._limits import is_counted
 
@@ -70,6 +71,8 @@ class Systems:
     def __init__(self, solution: Solution, who: str):
         refuse_changed_code(solution.problem)
         self.problem = uncertain(solution.problem)
+        remedy = "Ask this of the design at single values of the intervals, solution.over_intervals."
+        refuse_intervals(who, self.problem.placements, remedy)
         self.germs = tuple(self.problem.placements.germs.values())
         if not functionals_of(self.problem.expressions):
             raise ProblemError(

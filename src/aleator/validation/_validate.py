@@ -55,6 +55,10 @@ def validate(
     Every sampled statistic is compared with the expansion's (see `Disagreement`), and limits on statistics are compared
     with their bounds. Where nothing is uncertain, the one system is simulated on a grid ten times finer.
 
+    Where numbers are intervals (see `Interval`), which have no probability, so many systems are simulated at each of
+    `Solution.over_intervals`: the scenarios of the design, corners of the box and points inside. Proportions are then
+    the largest of these.
+
     Issues an `ExpansionWarning` where samples and solution disagree. Raises `ProblemError` if there is nothing to
     simulate or if the results would not fit into memory, and `SimulationError` if a system's results are not finite,
     naming its parameter values.
@@ -64,6 +68,12 @@ def validate(
     samples, batch, seed, keep = (whole(f"validate: {name}", one, least=n) for name, (one, n) in least.items())
     check_executor("validate", executor)
     check_progress("validate", progress)
+    if solution.over_intervals:
+        how = {"seed": seed, "batch": batch, "keep": keep, "executor": executor, "progress": progress}
+        every = tuple(validate(one, samples, **how) for one in solution.over_intervals)
+        worst = max(every, key=lambda one: one.joint.count)
+        disagreements = tuple(itertools.chain.from_iterable(one.disagreements for one in every))
+        return replace(worst, solution=solution, disagreements=disagreements, over_intervals=every)
     given = validated_from(solution, samples, seed=seed, batch=batch, keep=keep)
     evidence = journalled("validate", given, lambda: _sampled(solution, samples, seed, batch, keep, executor, progress))
     if not evidence.agrees:

@@ -200,7 +200,7 @@ class SolutionPlots(AbstractPlots[Solution]):
         """
         solution, shown = self._result, self._between_bounds()
         if not shown:
-            known = list(solution.problem.placements.decisions)
+            known = list(solution.problem.placements.designed)
             raise ProblemError(f"plot.decisions: expected a decision with two finite bounds; received {known} without.")
         figure = blank(label("Way from the lower to the upper bound", "%"), "", height=130 + 44 * len(shown))
         look = looks(["design"])["design"]
@@ -282,7 +282,7 @@ class SolutionPlots(AbstractPlots[Solution]):
 
     def _between_bounds(self) -> dict[str, AbstractDecision]:
         """The decisions that have two finite bounds."""
-        every = self._result.problem.placements.decisions.items()
+        every = self._result.problem.placements.designed.items()
         places = {name: one.decision for name, one in every}
         return {name: one for name, one in places.items() if np.all(np.isfinite(np.subtract(one.upper, one.lower)))}
 

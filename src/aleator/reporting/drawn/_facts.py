@@ -149,6 +149,8 @@ def _value(value: Any) -> str:
     """A number, distribution or decision in words; arrays and others shortened."""
     if isinstance(value, AbstractDistribution):
         return str(value)
+    if isinstance(value, AbstractDecision) and not value.is_designed:
+        return str(value)
     if isinstance(value, AbstractDecision):
         many = f"{np.size(value.initial)} numbers" if np.ndim(value.initial) else f"from {float(value.initial):g}"
         return f"Decision in [{np.min(value.lower):g}, {np.max(value.upper):g}], {many}"

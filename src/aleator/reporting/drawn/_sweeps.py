@@ -74,7 +74,7 @@ class FrontPlots(AbstractPlots[Front]):
         """A decision against the bound, of an array each entry; by default the first."""
         (front, _) = in_order({"": self._solved("plot.decision")})[""]
         problem, nothing = front.solutions[0].problem, "expected a decision; received none."
-        name, place = chosen("plot.decision", name, problem.placements.decisions, nothing)
+        name, place = chosen("plot.decision", name, problem.placements.designed, nothing)
         unit = unit_of_decision(name, problem)
         figure = blank(label(f"Limit of {front.bound}", bound_unit(front)), label(name, unit))
         shape = np.shape(place.decision.initial)

@@ -1,0 +1,317 @@
+"""Numbers known to lie in an interval, without any probability: bounds of statistics, and designs for the worst."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.stats import norm
+
+import aleator as al
+
+SPREAD = 0.2
+
+
+# --- Designs ---------------------------------------------------------------------------------------------------------
+
+RULES = {
+    "linear": (lambda a, z: a * (1.0 + z), 2.0, 2.0),
+    "falling": (lambda a, z: jnp.exp(-a) * (1.0 + z), np.exp(1.0), -1.0),
+    "a maximum inside": (lambda a, z: jnp.sin(a) * (1.0 + z), 1.0, np.pi / 2),
+    "least at zero": (lambda a, z: a**2 * (1.0 + z), 4.0, 2.0),
+    "two maxima inside": (lambda a, z: (jnp.cos(4 * a) + 0.1 * a) * (1.0 + z), None, None),
+    "not at all": (lambda a, z: 0.0 * a + z, None, None),
+}
+
+
+class Part(al.AlgebraicSystem):
+    """A strength, and a load that is a rule of a random and of an unknown number: which rule, is data."""
+
+    strength: al.Number
+    z: al.Number
+    a: al.Number
+    weights: Any
+
+    def outputs(self):
+        rules = (rule(self.a, self.z) for rule, *_ in RULES.values())
+        return {
+            "load": sum(weight * one for weight, one in zip(self.weights, rules, strict=True)),
+            "strength": self.strength,
+            "off": (self.strength - self.a) ** 2 + self.z,
+        }
+
+
+LOAD, OFF = al.output("load"), al.output("off")
+STRENGTH = al.output("strength").mean
+
+
+def part(name: str = "linear", a: Any = None, z: Any = None) -> Part:
+    weights = np.array([float(one == name) for one in RULES])
+    z = al.Normal(0.0, SPREAD) if z is None else z
+    return Part(al.Decision(5.0, 0.0, 20.0), z, al.Interval(-1.0, 2.0) if a is None else a, weights)
+
+
+def weakest(name: str = "linear", **numbers: Any) -> al.Problem:
+    """The least strength that the load does not exceed by two standard deviations."""
+    limit = (LOAD.mean + 2 * LOAD.std <= al.value("strength")).named("load")
+    return al.Problem(part(name, **numbers), minimize=STRENGTH, subject_to=[limit])
+
+
+def worst_of(solution: al.Solution) -> Any:
+    assert solution.certificate.worst_case is not None
+    return solution.certificate.worst_case.realisations
+
+
+def tried(name: str) -> tuple[float, float]:
+    """The largest mean load plus two standard deviations over the interval, and where, by trying many values."""
+    values = np.linspace(-1.0, 2.0, 300_001)
+    rule = RULES[name][0]
+    # All rules are affine in the random number.
+    mean, slope = np.asarray(rule(values, 0.0)), np.asarray(rule(values, 1.0) - rule(values, 0.0))
+    highest = mean + 2 * SPREAD * np.abs(slope)
+    return float(highest.max()), float(values[np.argmax(highest)])
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_a_limit_holds_for_the_worst_value_wherever_it_lies(name):
+    _, load, where = RULES[name]
+    highest, place = tried(name) if load is None else ((1 + 2 * SPREAD) * load, where)
+    solution = al.solve(weakest(name))
+    assert solution.decisions == {"strength": pytest.approx(highest, rel=1e-6)}
+    assert solution.objective == pytest.approx(highest, rel=1e-6)
+    assert solution.multiplier("load") == pytest.approx(1.0, rel=1e-5)
+    worst, _ = worst_of(solution)
+    assert worst.beyond <= 1e-6 * highest
+    if name != "not at all":
+        assert worst.numbers == {"a": pytest.approx(place, abs=1e-3)}
+
+
+def test_an_objective_is_its_worst_value_over_the_interval():
+    # The middle of the interval: both ends are equally far.
+    solution = al.solve(al.Problem(part(), minimize=OFF.mean))
+    assert solution.decisions["strength"] == pytest.approx(0.5, abs=1e-5)
+    assert solution.objective == pytest.approx(1.5**2)
+    ends = {round(float(one.vector[-1]), 6): one.objective for one in solution.over_intervals}
+    assert ends[-1.0] == pytest.approx(1.5**2, abs=1e-5)
+    assert ends[2.0] == pytest.approx(1.5**2, abs=1e-5)
+
+
+def test_a_parameter_of_a_distribution_may_be_an_interval():
+    # sup of a (1 + m + 2 s) over m and s: both at their upper ends.
+    z = al.Normal(al.Interval(-0.1, 0.1), al.Interval(0.1, 0.3))
+    solution = al.solve(weakest(a=2.0, z=z))
+    assert solution.decisions["strength"] == pytest.approx(2.0 * (1.1 + 2 * 0.3))
+    assert worst_of(solution)[0].numbers == {"z.mean": 0.1, "z.std": 0.3}
+
+
+def test_without_distributions_every_limit_holds_for_the_one_system():
+    solution = al.solve(weakest(z=al.Interval(-0.5, 0.5)))
+    assert solution.decisions["strength"] == pytest.approx(2.0 * 1.5)
+    assert al.validate(solution).joint.count == 0
+
+
+def test_the_least_strength_of_a_small_probability_of_failure_and_its_share_of_violations_are_bounded():
+    # P[a (1 + Z) > strength] = 0.01 at a = 2, and next to nothing at a = 0.5.
+    limit = LOAD.quantile(0.99) <= al.value("strength")
+    problem = al.Problem(part(a=al.Interval(0.5, 2.0)), minimize=STRENGTH, subject_to=[limit.named("load")])
+    solution = al.solve(problem)
+    assert solution.decisions["strength"] == pytest.approx(2.0 * norm.ppf(0.99, 1.0, SPREAD), rel=1e-6)
+    each = al.solve(
+        al.Problem(part(a=al.Interval(0.5, 2.0)), minimize=STRENGTH, subject_to=[LOAD.at_most(2.8, sigmas=2)])
+    )
+    evidence = al.validate(each, 20_000)
+    least, largest = evidence.least_violation("load"), evidence.violation("load")
+    assert least.count == 0
+    assert largest.lower <= norm.sf(2.8, 2.0, 2 * SPREAD) <= largest.upper
+    assert f"{least} to {largest}" in str(evidence)
+    assert evidence.agrees
+
+
+class Oscillator(al.System):
+    """A damped oscillator of unknown stiffness, driven by `sin 3 t`, that starts nearly at rest."""
+
+    states = ("x", "v")
+
+    stiffness: al.Number
+    damping: al.Number
+    start: al.Number
+
+    def rhs(self, t, z):
+        return z.v, jnp.sin(3 * t) - self.stiffness * z.x - self.damping * z.v
+
+    def initial(self):
+        return {"x": self.start, "v": 0.0}
+
+    def outputs(self, t, z):
+        return {"x": z.x, "damping": self.damping}
+
+
+def test_the_least_damping_for_all_stiffnesses_is_that_of_a_brute_search():
+    model = Oscillator(al.Interval(6.0, 12.0), al.Decision(1.0, 0.05, 20.0), al.Normal(0.0, 0.1))
+    limit = al.path("x").within(-0.5, 0.5, sigmas=2)
+    problem = al.Problem(model, grid=al.Grid(6.0, 60), minimize=al.terminal("damping").mean, subject_to=[limit])
+    damping = al.solve(problem).decisions["damping"]
+
+    def highest(stiffness: float) -> float:
+        """The largest magnitude of the mean plus two standard deviations: the model is linear in its start."""
+
+        def rates(t, y):
+            mean, own = (np.array([v, -stiffness * x - damping * v]) for x, v in (y[:2], y[2:]))
+            return np.concatenate([mean + np.array([0.0, np.sin(3 * t)]), own])
+
+        times = np.linspace(0.0, 6.0, 601)
+        states = solve_ivp(rates, (0.0, 6.0), [0.0, 0.0, 0.1, 0.0], t_eval=times, rtol=1e-8, atol=1e-10).y
+        return float(np.max(np.abs(states[0]) + 2 * np.abs(states[2])))
+
+    most = max(highest(one) for one in np.linspace(6.0, 12.0, 61))
+    assert most == pytest.approx(0.5, rel=1e-3)
+    assert max(highest(6.0), highest(12.0)) < 0.45  # the worst stiffness is no end
+
+
+# --- Expansions ------------------------------------------------------------------------------------------------------
+
+
+def test_a_sum_of_an_interval_and_a_normal_number_has_the_probability_box_of_two_normal_distributions():
+    box = al.expand(lambda one: one["a"] + one["z"], {"a": al.Interval(-1.0, 2.0), "z": al.Normal(0.0, 1.0)})
+    values = np.linspace(-3.0, 4.0, 15)
+    bounds = box.cdf(jnp.asarray(values))
+    np.testing.assert_allclose(bounds.lower, norm.cdf(values, 2.0), atol=1e-6)
+    np.testing.assert_allclose(bounds.upper, norm.cdf(values, -1.0), atol=1e-6)
+    np.testing.assert_allclose([box.mean.lower, box.mean.upper], [-1.0, 2.0], atol=1e-12)
+    np.testing.assert_allclose([box.std.lower, box.std.upper], [1.0, 1.0], rtol=1e-12)
+    assert box.quantile(0.9).upper == pytest.approx(norm.ppf(0.9, 2.0))
+    assert box.quantile(0.9).at_upper == {"a": pytest.approx(2.0)}
+    chance = box.probability(above=2.5)
+    assert (chance.lower, chance.upper) == (pytest.approx(norm.sf(3.5)), pytest.approx(norm.sf(0.5)))
+
+
+def test_bounds_are_found_inside_and_of_each_output():
+    model = {"a": al.Interval(0.0, 3.0), "z": al.Normal(0.0, 0.1)}
+    outputs = al.expand(
+        lambda one: {"wave": jnp.sin(one["a"]) * (1 + one["z"]), "square": (one["a"] - 1) ** 2 + one["z"]},
+        model,
+        al.Expansion(order=11),
+    )
+    wave, square = outputs["wave"], outputs["square"]
+    assert wave.mean.upper == pytest.approx(1.0, abs=1e-6)
+    assert wave.std.upper == pytest.approx(0.1, rel=1e-6)
+    assert wave.std.at_upper["a"] == pytest.approx(np.pi / 2, abs=1e-3)
+    assert square.mean.lower == pytest.approx(0.0, abs=1e-8)
+    assert square.mean.at_lower["a"] == pytest.approx(1.0, abs=1e-3)
+    assert outputs.mean["square"].upper == pytest.approx(4.0)
+    ratio = outputs.bounds(lambda given: given["wave"].std / (1 + given["square"].mean))
+    values = np.linspace(0.0, 3.0, 100_001)
+    assert ratio.upper == pytest.approx(np.max(0.1 * np.abs(np.sin(values)) / (1 + (values - 1) ** 2)), rel=1e-5)
+    assert outputs.at({"a": 1.0})["wave"].mean == pytest.approx(np.sin(1.0), abs=1e-6)
+
+
+def test_statistics_of_a_limit_state_with_an_uncertain_mean_and_spread_are_bounded():
+    failure = al.expand(lambda one: one["x"], {"x": al.Normal(al.Interval(-1.0, 2.0), al.Interval(0.5, 1.0))})
+    chance = failure.probability(above=3.0)
+    assert chance.upper == pytest.approx(norm.sf(1.0))
+    assert chance.at_upper == {"x.mean": pytest.approx(2.0), "x.std": pytest.approx(1.0)}
+    given = failure.at({"x.mean": 0.5, "x.std": 0.7})
+    assert given.probability(above=1.0) == pytest.approx(norm.sf(1.0, 0.5, 0.7))
+    assert str(given.distributions["x"]) == "Normal(mean=0.5, std=0.7)"
+
+
+def test_histories_have_bounds_at_each_instant_and_derivatives_at_values_of_the_interval():
+    times = np.linspace(0.0, 1.0, 41)
+
+    def decay(one):
+        return jnp.exp(-one["rate"] * times) * one["x"]
+
+    def spread(std):
+        return al.expand(decay, {"rate": al.Interval(0.5, 2.0), "x": al.Normal(1.0, std)}, al.Expansion(order=8))
+
+    bounds = spread(0.1).mean
+    np.testing.assert_allclose(bounds.lower, np.exp(-2.0 * times), atol=1e-6)
+    np.testing.assert_allclose(bounds.upper, np.exp(-0.5 * times), atol=1e-6)
+    np.testing.assert_allclose(bounds.at_lower["rate"][1:], 2.0)
+    slope = jax.grad(lambda std: spread(std).at({"rate": 2.0}).std[-1])(0.1)
+    assert slope == pytest.approx(np.exp(-2.0), rel=1e-5)
+    with pytest.raises(al.ProblemError, match=r"outside of jax\.grad"):
+        jax.grad(lambda std: spread(std).std.upper[-1])(0.1)
+
+
+def test_a_spread_that_the_interval_outshines_is_doubted():
+    def steep(one):
+        return jnp.exp(3.0 * one["a"]) + 1e-6 * jnp.sin(20 * one["a"]) * one["z"]
+
+    model = {"a": al.Interval(-0.2, 0.2), "z": al.Normal(0.0, 1.0)}
+    with pytest.warns(al.ExpansionWarning, match="of the spread that the uncertain inputs cause"):
+        al.expand(steep, model, al.Expansion(order=5))
+
+
+# --- What is said ----------------------------------------------------------------------------------------------------
+
+Z = al.Uniform(0.0, half_width=0.3)
+WITH_BOTH = {"a": al.Interval(-1.0, 2.0), "z": al.Normal(0.0, 1.0)}
+
+
+def product(one):
+    return one["a"] * one["z"]
+
+
+@pytest.mark.parametrize(
+    ("declare", "match"),
+    [
+        (lambda: al.Interval(2.0, 1.0), "expected lower < upper; received 2 and 1"),
+        (lambda: al.Interval(1.0, 1.0), "A number that is known is no interval"),
+        (lambda: al.Interval(0.0, np.inf), "upper: expected a finite number"),
+        (lambda: al.Interval([0.0, 1.0], 2.0), "lower: expected a finite number"),
+        (lambda: al.Interval(al.Decision(1.0), 2.0), r"share=al\.Interval\(-1\.0, 1\.0\)"),
+        (
+            lambda: al.Problem(part(z=Z), minimize=STRENGTH, subject_to=[LOAD.at_most(9.0, worst_case=True)]),
+            "declare 'a' as an al.Uniform",
+        ),
+        (
+            lambda: al.Problem(part(z=Z), minimize=STRENGTH, subject_to=[LOAD.mean <= al.value("a.mean")]),
+            "no number of the model 'a.mean'",
+        ),
+        (
+            lambda: al.Problem(Part(al.Integer(5, 0, 9), 0.1, al.Interval(0.0, 1.0), np.ones(6)), minimize=STRENGTH),
+            "al.Integer or al.Choice: 'a' is an al.Interval",
+        ),
+        (
+            lambda: al.Problem(
+                Oscillator(al.Interval(6.0, 12.0), 1.0, al.Normal(0.0, 0.1)),
+                grid=al.Grid(1.0, 10),
+                minimize=al.terminal("x").std,
+                feedback=al.Feedback(gains=[1.0, 1.0], of=("x", "v")),
+            ),
+            "feedback: 'stiffness' is an al.Interval",
+        ),
+        (lambda: al.conflict(weakest()), "Limits are held for all of its values by al.solve"),
+        (lambda: al.solve(weakest(), al.solvers.NelderMead()), "a solver by derivatives"),
+        (lambda: al.solve(weakest(), transcription=al.Simultaneous()), r"expected transcription=al\.Sequential"),
+        (lambda: al.references.sobol_indices(product, WITH_BOTH), "sobol_indices: 'a' is an al.Interval"),
+        (lambda: al.references.monte_carlo(product, WITH_BOTH), "monte_carlo: 'a' is an al.Interval"),
+        (lambda: al.tolerance_analysis(WITH_BOTH, product, upper=1.0), "tolerance_analysis: 'a' is an al.Interval"),
+        (lambda: al.correlated(WITH_BOTH, {("a", "z"): 0.5}), "only distributions can be correlated"),
+        (lambda: al.expand(product, WITH_BOTH, al.MultiElement()), "expand by MultiElement: 'a' is an al.Interval"),
+        (lambda: al.expand(product, WITH_BOTH).at({"a": 3.0}), "expected 'a' from -1 to 2; received 3"),
+        (lambda: al.expand(product, WITH_BOTH).at({"b": 1.0}), "a number of each of"),
+    ],
+)
+def test_what_has_no_meaning_is_refused_in_a_sentence(declare, match):
+    with pytest.raises(al.ProblemError, match=match):
+        declare()
+
+
+def test_a_rare_violation_is_that_of_one_value():
+    solution = al.solve(weakest())
+    with pytest.raises(al.ProblemError, match=r"solution\.over_intervals"):
+        al.rare_violation(solution, "load")
+    assert all(one.problem.placements.size == len(one.vector) for one in solution.over_intervals)
+
+
+def test_intervals_are_told_apart_from_decisions():
+    problem = weakest()
+    assert "for all     a ∈ [-1, 2]" in str(problem)
+    solution = al.solve(problem)
+    assert "decision     strength" in str(solution)
+    assert "decision     a" not in str(solution)
+    assert al.solve(problem, warm_start=solution).decisions == solution.decisions
