@@ -186,7 +186,6 @@ def test_a_sparse_grid_that_leaves_nothing_to_check_is_judged_by_its_highest_deg
         al.expand(lambda m: jnp.cos(200 * m["b"]) * m["u"], DECAY, sparse)
 
 
-@pytest.mark.slow
 def test_a_gauss_grid_that_interpolates_along_its_axes_does_not_pass_for_resolved():
     distributions = {name: al.Uniform.bounds(-1.0, 1.0) for name in ("x", "y")}
     grid = al.Expansion(order=5, points=GaussPoints(), fit=Projection())
