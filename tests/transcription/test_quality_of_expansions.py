@@ -150,7 +150,6 @@ def test_an_optimum_that_follows_from_derivatives_that_are_not_resolved_is_no_an
     assert "the derivative of y by x.mode" in solution.why()
 
 
-@pytest.mark.slow
 def test_as_many_points_as_terms_leave_nothing_to_check_by():
     with pytest.warns(al.ExpansionWarning, match="5 points for 5 terms leave nothing to check the expansion"):
         solution = al.solve(bent_problem("smooth", 4, points=5))
