@@ -60,6 +60,7 @@ def test_the_best_design_lies_between_the_loose_and_the_tightened_one(way):
     assert al.solve(ride(2.0), transcription=way).certificate.between.cost == 0.0  # they hold by themselves
 
 
+@pytest.mark.slow
 def test_what_costs_nothing_at_the_instants_costs_all_of_the_objective_between_them():
     class Hop(al.System):
         """A height that follows a rate, and an obstacle between two instants."""

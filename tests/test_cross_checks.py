@@ -77,6 +77,7 @@ def test_ctrl_c_after_the_first_solve_is_itself():
         al.cross_check(decay(most=0.9), progress=stop)
 
 
+@pytest.mark.slow
 def test_a_distance_that_becomes_zero_is_judged_by_what_it_is_made_of():
     distance = (al.terminal("x").mean - 0.25) ** 2 + (al.value("rate") - np.log(4.0)) ** 2
     problem = al.Problem(Decay(al.Decision(1.0, 0.1, 3.0)), grid=al.Grid(1.0, 10), minimize=distance)

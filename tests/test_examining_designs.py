@@ -79,6 +79,7 @@ STEEP = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", STEEP)
 def test_what_is_merely_steep_is_not_accused(what):
     rule, start = STEEP[what]
@@ -98,6 +99,7 @@ def test_a_smooth_problem_has_nothing_to_tell_and_at_a_bound_one_side_is_enough(
     assert al.examine(of(RULES["wrong"], **at_bound)).wrong
 
 
+@pytest.mark.slow
 def test_scales_far_from_those_of_others_are_told():
     three = of(lambda a, b: 1e-9 * a + b, Z, a=al.Decision(1e-3, -2e-3, 2e-3))
     assert al.examine(three).unfit == ()  # In its limit, the decision acts as others do.

@@ -83,6 +83,7 @@ def test_moments_of_a_distribution_of_ones_own_are_those_of_its_closed_form():
     np.testing.assert_allclose(expanded.variance, [0.2**2 / 2, 2 * 0.3**2 * 0.2**2 + 0.2**4 / 8], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_decision_in_a_distribution_of_ones_own_is_optimised():
     found = al.solve(problem(al.terminal("x").std, rate=Arcsine(1.0, al.Decision(0.2, 0.05, 0.4))))
     assert found.decisions["rate.amplitude"] == pytest.approx(0.05, abs=1e-6)
@@ -143,6 +144,7 @@ def held():
     return al.solve(al.Problem(bar, minimize=MASS.mean, subject_to=[al.output("mass").statistic(Kept()) >= 1.0]))
 
 
+@pytest.mark.slow
 def test_a_statistic_may_prepare_numbers_and_code_that_it_reads_may_change(monkeypatch):
     first = held()
     assert first.objective == pytest.approx(1.1, abs=1e-6)

@@ -91,6 +91,7 @@ def test_a_robust_design_with_an_integer_is_the_next_one_that_is_strong_enough()
     assert al.solve(solution.problem, warm_start=solution).decisions == solution.decisions
 
 
+@pytest.mark.slow
 def test_an_integer_may_be_a_parameter_of_a_distribution():
     load = al.Uniform(10.0, half_width=al.Integer(2, 1, 5))
     strong = (STRESS.mean + 3 * STRESS.std <= 0.5).named("stress")
@@ -125,6 +126,7 @@ class Ripple(al.AlgebraicSystem):
         return {"height": jnp.sin(self.waves * self.off), "waves": self.waves}
 
 
+@pytest.mark.slow
 def test_a_combination_whose_certificate_fails_is_passed_over_and_that_is_told():
     model = Ripple(al.Choice([1.0, 25.0]), al.Normal(0.0, 0.5))
     problem = al.Problem(model, minimize=-al.output("waves").mean + al.output("height").std)

@@ -109,7 +109,7 @@ def test_code_that_changed_is_told_and_the_work_done_again(work, calls, monkeypa
     assert len(calls) == 2
 
 
-WEIGHTS = jnp.array([1.0, 2.0])
+WEIGHTS = jax.device_put(np.array([1.0, 2.0]))
 
 
 def weighted(count: int, progress) -> float:

@@ -10,6 +10,7 @@ import xarray
 
 import aleator as al
 from compiling import compiled
+from zoo import cases
 
 HALF = 0.1
 
@@ -46,9 +47,9 @@ MEAN = math.log((1 + HALF) / (1 - HALF)) / (2 * HALF)
 SPREAD = math.sqrt(1 / (1 - HALF**2) - MEAN**2)
 
 
-@pytest.mark.parametrize("transcription", [None, al.Simultaneous()], ids=["shooting", "collocation"])
+@pytest.mark.parametrize("transcription", cases([al.Sequential(), al.Simultaneous()]))
 def test_motions_are_those_of_each_system_of_the_expansion(transcription, tmp_path):
-    solution = al.solve(problem(), **({} if transcription is None else {"transcription": transcription}))
+    solution = al.solve(problem(), transcription=transcription)
     assert solution.ok
     x, v, force = solution.outputs["x"], solution.states["v"], solution.inputs["force"]
     course = x.systems * x.m  # the same for every system
@@ -93,6 +94,7 @@ def test_random_systems_at_a_design_have_its_spread():
     assert solution.outputs["x"].sizes["system"] == 1
 
 
+@pytest.mark.slow
 def test_an_algebraic_system_has_outputs_without_time():
     class Gap(al.AlgebraicSystem):
         a: al.Number

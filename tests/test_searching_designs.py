@@ -13,6 +13,7 @@ import aleator as al
 from aleator.extending import save
 from aleator.nlp import FilterSQP
 from aleator.transcription import transcribe
+from zoo import cases
 
 POPULATION = al.solvers.DifferentialEvolution(evaluations=600, population=24)
 
@@ -53,7 +54,7 @@ def searched():
 
 @pytest.mark.parametrize(
     "solver",
-    [POPULATION, al.solvers.Direct(), al.solvers.DualAnnealing(), al.solvers.CmaEs()],
+    cases([POPULATION, al.solvers.Direct(), al.solvers.DualAnnealing(), al.solvers.CmaEs()]),
     ids=lambda one: type(one).__name__,
 )
 def test_the_global_optimum_of_a_design_is_reached(solver):
@@ -63,6 +64,7 @@ def test_the_global_optimum_of_a_design_is_reached(solver):
     assert design.effort.evaluations > design.effort.searched.evaluations
 
 
+@pytest.mark.slow
 def test_limits_hold_at_the_answer_of_a_search_and_of_each_point_of_a_front():
     front = al.pareto(declared(), "low", [-0.6, -0.5], solver=POPULATION)
     assert [design.ok for design in front.points] == [True, True]
@@ -117,6 +119,7 @@ def test_what_a_search_cannot_do_is_refused_by_name():
         al.solve(declared(limits=[X.mean.equals(0.2)]), al.solvers.DifferentialEvolution(polish=False))
 
 
+@pytest.mark.slow
 def test_values_choose_where_derivatives_cannot():
     wish = (al.output("rounded").mean - 2.0) ** 2 + (al.output("other").mean - 1.0) ** 2
     problem = declared(phase=(1.4, -4.0, 4.0), minimize=wish, limits=[])

@@ -9,7 +9,7 @@ import pytest
 
 import aleator as al
 from aleator.nlp import DifferentialEvolution
-from zoo import ONE_STEP, RESPONSE, Gain, block_problem
+from zoo import ONE_STEP, RESPONSE, Gain, block_problem, cases
 
 FILTER, IPOPT, SLSQP = al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()
 
@@ -37,7 +37,7 @@ def wild(limit, unit=1.0):
     return al.Problem(system, minimize=al.output("cost").mean, subject_to=[limit])
 
 
-@pytest.mark.parametrize("solver", [FILTER, IPOPT], ids=name_of)
+@pytest.mark.parametrize("solver", cases([FILTER, IPOPT]), ids=name_of)
 def test_a_wild_gradient_at_the_start_makes_no_infeasible_problem_solved_and_loosens_no_constraint(solver):
     with pytest.raises(al.SolveError, match=r"'x' is violated by .* where = 3 is asked \(μ\[x\] = 3\)") as caught:
         al.solve(wild(al.output("x").mean.equals(3.0)), solver)
@@ -118,7 +118,7 @@ def plane(kind, reach=10.0, limits=(), start=-1.2):
     return al.Problem(system, minimize=al.output("f").mean, subject_to=limits)
 
 
-@pytest.mark.parametrize("solver", [FILTER, IPOPT, DifferentialEvolution(evaluations=8)], ids=name_of)
+@pytest.mark.parametrize("solver", cases([FILTER, IPOPT, DifferentialEvolution(evaluations=8)]), ids=name_of)
 def test_a_search_that_jumps_over_a_step_from_a_feasible_start_finds_no_infeasible_problem(solver):
     problem = plane("gain", limits=[al.output("beyond").mean <= 0.5], start=1.5)
     solution = al.solve(problem, solver, throw=False)
@@ -141,7 +141,8 @@ def test_the_problems_own_start_counts_where_the_search_begins_elsewhere():
     assert not solution.violated
 
 
-@pytest.mark.parametrize("solver", [FILTER, SLSQP], ids=name_of)
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", cases([FILTER, SLSQP]), ids=name_of)
 def test_a_spread_is_optimal_at_zero_where_it_has_its_kink(solver):
     gain = Gain(gain=al.Decision(0.7, -1.0, 2.0), theta=al.Uniform(0.0, half_width=0.1))
     solution = al.solve(al.Problem(gain, grid=ONE_STEP, minimize=RESPONSE.std), solver, throw=False)
@@ -150,7 +151,8 @@ def test_a_spread_is_optimal_at_zero_where_it_has_its_kink(solver):
 
 
 @pytest.mark.parametrize(
-    ("limit", "price"), [(RESPONSE.std <= 0.0, np.sqrt(3) / 0.1), (RESPONSE.at_most(0.0, sigmas=2.0), np.sqrt(3) / 0.2)]
+    ("limit", "price"),
+    cases([(RESPONSE.std <= 0.0, np.sqrt(3) / 0.1), (RESPONSE.at_most(0.0, sigmas=2.0), np.sqrt(3) / 0.2)]),
 )
 def test_the_price_of_a_limit_on_a_spread_that_is_zero_is_that_of_its_slope_beside_the_kink(limit, price):
     gain = Gain(gain=al.Decision(0.7, -1.0, 2.0), theta=al.Uniform(0.0, half_width=0.1))

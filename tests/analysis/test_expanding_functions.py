@@ -162,6 +162,7 @@ def test_the_derivative_of_the_standard_deviation_is_that_of_the_closed_form():
     assert float(slope) == pytest.approx(float(by), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_derivative_by_a_shape_parameter_is_that_of_the_exact_moments():
     def variance(alpha):
         return al.expand(lambda m: m["x"] ** 2, {"x": al.Beta(alpha=alpha, beta=3.0)}, FINE).variance
@@ -201,6 +202,7 @@ def expanded(function, model):
     return float(al.expand(function, model, al.Expansion(order=3)).mean)
 
 
+@pytest.mark.slow
 def test_a_changed_global_is_read(monkeypatch):
     def response(m):
         return GAIN["value"] + 0.0 * m["x"]

@@ -1,5 +1,6 @@
 """Multi-element expansions of jumps, kinks and long times against closed forms, quadrature and plain sampling."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +10,7 @@ from scipy import stats
 import aleator as al
 from aleator.expansion._elements import Cell, RestrictedGerm
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
+from compiling import compiled
 
 WIDE = {"w": al.Uniform.bounds(0.7, 1.3)}
 
@@ -70,16 +72,18 @@ def test_a_jump_across_two_variables_ends_at_the_budget_and_says_so():
     assert set(pieces.splits) == {"a", "b"}
 
 
+@pytest.mark.slow
 def test_kinked_responses_are_differentiable_through_the_distributions():
-    def mean(h):
-        return al.expand(
-            lambda m: jnp.abs(m["w"] - 0.94), {"w": al.Uniform(1.0, half_width=h)}, al.MultiElement(error=1e-6)
-        ).mean
+    def mean_and_quantile(h):
+        model = {"w": al.Uniform(1.0, half_width=h)}
+        expanded = al.expand(lambda m: jnp.abs(m["w"] - 0.94), model, al.MultiElement(error=1e-6))
+        return expanded.mean, expanded.quantile(0.9)
 
-    # E|w - c| = (h^2 + d^2) / (2 h) for d = 1 - c inside, whose derivative by h is 1/2 - d^2 / (2 h^2).
-    value, slope = jax.value_and_grad(mean)(0.1)
-    assert float(value) == pytest.approx((0.01 + 0.0036) / 0.2, rel=1e-6)
-    assert float(slope) == pytest.approx(0.5 - 0.0036 / 0.02, rel=1e-5)
+    # E|w - c| = (h² + d²) / (2 h) for d = 1 - c inside, and P(|w - c| < q) = (q + h - d) / (2 h) for q near h + d.
+    (mean, quantile), slopes = jax.jvp(mean_and_quantile, (0.1,), (1.0,))
+    assert float(mean) == pytest.approx((0.01 + 0.0036) / 0.2, rel=1e-6)
+    assert float(slopes[0]) == pytest.approx(0.5 - 0.0036 / 0.02, rel=1e-5)
+    assert (float(quantile), float(slopes[1])) == pytest.approx((0.8 * 0.1 + 0.06, 0.8), abs=1e-8)
 
 
 def test_elements_cannot_be_sought_while_compiling():
@@ -130,18 +134,16 @@ def test_a_jump_far_in_a_tail_that_the_first_samples_miss_is_found_at_fresh_poin
     assert float(pieces.variance) == pytest.approx(second - first**2, abs=1e-6)
 
 
-def test_a_quantile_over_elements_moves_with_the_spread_as_in_closed_form():
-    def quantile(half_width):
-        model = {"w": al.Uniform(1.0, half_width=half_width)}
-        return al.expand(lambda m: jnp.abs(m["w"] - 0.94), model, al.MultiElement(error=1e-4)).quantile(0.9)
-
-    # P(|w - c| < q) = (q + h - d) / (2 h) for d = 1 - c and q between h - d and h + d.
-    value, slope = jax.value_and_grad(quantile)(0.1)
-    assert float(value) == pytest.approx(0.8 * 0.1 + 0.06, abs=1e-8)
-    assert float(slope) == pytest.approx(0.8, abs=1e-8)
-
-
 def test_tails_over_elements_are_exact_far_out():
     expanded = al.expand(lambda at: jnp.abs(at["x"]), {"x": al.Normal(0.0, 1.0)}, al.MultiElement(order=2, error=1e-2))
     assert float(expanded.probability(above=4.5)) == pytest.approx(2 * stats.norm.sf(4.5), rel=1e-5)
-    assert float(expanded.quantile(0.9)) == pytest.approx(stats.norm.ppf(0.95), abs=1e-7)
+
+
+def test_a_quantile_over_elements_grows_with_its_expansion():
+    expanded = al.expand(lambda at: jnp.abs(at["x"]), {"x": al.Normal(0.0, 1.0)}, al.MultiElement(order=2, error=1e-2))
+
+    def grown(factor):
+        return eqx.tree_at(lambda one: one.coefficients, expanded, factor * expanded.coefficients).quantile(0.9)
+
+    value, slope = compiled(jax.value_and_grad(grown))(1.0)
+    assert [float(value), float(slope)] == pytest.approx([stats.norm.ppf(0.95)] * 2, abs=1e-7)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import aleator as al
+from zoo import cases
 
 UNIT = {"x": al.Uniform.bounds(0.0, 1.0)}
 RIPPLE_STD = np.sqrt(1 / 12 + 2.5**2 / 2)
@@ -38,7 +39,7 @@ def test_what_vanishes_at_all_nodes_of_a_gauss_grid_is_told():
     assert float(expanded.fresh_error) == pytest.approx(np.sqrt(1 / 9 / (1 / 3 + 1 / 9)), rel=0.5)
 
 
-@pytest.mark.parametrize(("centre", "width"), [(0.2345, 1e-3), (0.5012, 3e-3), (0.777, 1e-2)])
+@pytest.mark.parametrize(("centre", "width"), cases([(0.2345, 1e-3), (0.5012, 3e-3), (0.777, 1e-2)]))
 def test_elements_resolve_a_narrow_spike_to_its_closed_form(centre, width):
     def spiked(at):
         return at["x"] + 30.0 * jnp.exp(-(((at["x"] - at["centre"]) / at["width"]) ** 2))

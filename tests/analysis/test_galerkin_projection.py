@@ -26,6 +26,7 @@ def test_the_uncertain_decay_has_its_published_moments(integrator):
     assert float(expanded.variance["x"][-1]) == pytest.approx(DECAY_VARIANCE, abs=1e-7)
 
 
+@pytest.mark.slow
 def test_the_coefficients_of_a_linear_system_are_those_of_the_projected_equations():
     """`x' = -(m + h xi) x`: with Legendre's recurrence the coefficients obey `c' = -(m I + h J) c`, J of Jacobi."""
     expanded = al.galerkin(Decay(rate=al.Uniform(0.5, half_width=0.3)), al.Grid(2.0, 400), al.Expansion(4))
@@ -193,6 +194,7 @@ class Chain(al.AlgebraicSystem):
 CHAIN = Chain(stiffness=al.Normal(3.0, 0.2), end=al.Uniform(2.0, half_width=0.4))
 
 
+@pytest.mark.slow
 def test_nonlinear_equations_with_arrays_agree_with_collocation_of_high_order():
     intrusive = al.galerkin(CHAIN, expansion=al.Expansion(4, points=SmolyakPoints(5)))
     other = al.expand(lambda m: {name: value[0] for name, value in al.simulate(m).items()}, CHAIN, al.Expansion(6))

@@ -27,7 +27,7 @@ def expanded_and_resolved(order):
 
 def test_each_order_resolves_the_phase_that_its_polynomials_can_follow():
     """A phase of +-0.3 t rad needs about one order for each radian (the Bessel functions of Jacobi and Anger)."""
-    orders = np.array([2, 6, 10])
+    orders = np.array([2, 10])
     until = TIMES[[expanded_and_resolved(order)[1] - 1 for order in orders.tolist()]]
     assert 0.5 < np.polyfit(orders, 0.3 * until, 1)[0] < 1.5
     assert np.all(np.diff(until) > 0)
@@ -44,14 +44,15 @@ def test_up_to_the_instant_the_standard_deviation_is_right_and_after_it_is_not()
 
 def test_the_history_of_errors_is_relative_to_the_largest_variance_so_far():
     expanded = al.expand(lambda m: jnp.stack([m["w"], 10 * m["w"] ** 3, m["w"] ** 4]), FREQUENCY, al.Expansion(2))
-    parts = expanded.collocation, expanded.samples, expanded.coefficients
-    errors = np.asarray(leave_one_out_history(*parts))
-    single = [float(leave_one_out(parts[0], parts[1][:, i], parts[2][:, i])) for i in range(3)]
-    variances = np.var(np.asarray(parts[1]), axis=0)
+    samples, coefficients = np.asarray(expanded.samples), np.asarray(expanded.coefficients)
+    errors = np.asarray(leave_one_out_history(expanded.collocation, samples, coefficients))
+    single = [float(leave_one_out(expanded.collocation, samples[:, i], coefficients[:, i])) for i in range(3)]
+    variances = np.var(samples, axis=0)
     assert errors[:2] == pytest.approx(single[:2], rel=1e-10)
     assert errors[2] == pytest.approx(single[2] * np.sqrt(variances[2] / variances[1]), rel=1e-10)
 
 
+@pytest.mark.slow
 def test_a_start_that_is_certain_and_crossings_do_not_count_as_unresolved():
     times = np.linspace(0.0, 6.0, 200)
     expanded = al.expand(lambda m: jnp.sin(m["w"] * times) * jnp.cos(times), FREQUENCY, al.Expansion(6))

@@ -56,6 +56,7 @@ def test_effects_of_linear_functions_of_correlated_normals_are_exact():
         np.testing.assert_allclose(expanded.shapley(name), exact, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_effects_of_independent_inputs_are_equal_parts_of_their_sobol_indices():
     distributions = {"x": al.Uniform.bounds(-1.0, 1.0), "y": al.Normal(0.0, 1.0), "z": al.Gamma(mean=1.0, std=0.2)}
     expanded = al.expand(lambda at: at["x"] * at["y"] + at["z"] * (1 + at["x"]), distributions, al.Expansion(order=4))
@@ -67,6 +68,7 @@ def test_effects_of_independent_inputs_are_equal_parts_of_their_sobol_indices():
         np.testing.assert_allclose(effect, sum(shared), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_effects_of_arrays_and_constants_have_shapes_and_derivatives():
     def effect(slope):
         model = correlated("abc")

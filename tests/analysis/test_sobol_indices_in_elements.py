@@ -28,6 +28,7 @@ def test_a_kink_in_a_product():
     assert float(pieces.total_sobol("y")) == pytest.approx(1 / 4, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_jump_and_a_kink_that_add_up():
     """Var[2 1(x > 0)] = 1 and Var|y| = 1/12: nothing acts together."""
     pieces = al.expand(lambda m: 2 * (m["x"] > 0) + jnp.abs(m["y"]), BOTH, al.MultiElement())

@@ -73,19 +73,7 @@ def test_statistics_over_elements_are_those_of_a_large_sample():
         np.testing.assert_allclose(found, expected, atol=accuracy)
 
 
-def test_the_distribution_of_an_expanded_function_is_the_closed_form():
-    """`exp(x)` for normal x is lognormal."""
-    distribution = stats.lognorm(0.1)
-    expanded = al.expand(lambda m: jnp.exp(m["x"]), {"x": al.Normal(0.0, 0.1)}, al.Expansion(order=6))
-    at = distribution.ppf([0.05, 0.3, 0.9])
-    questions = [lambda e: e.quantile(0.99), lambda e: e.cdf(at), lambda e: e.conditional_value_at_risk(0.9)]
-    quantile, levels, beyond = answers(expanded, questions)
-    assert float(quantile) == pytest.approx(distribution.ppf(0.99), rel=1e-6)
-    assert np.asarray(levels) == pytest.approx([0.05, 0.3, 0.9], abs=1e-6)
-    tail = distribution.expect(lambda y: y, lb=distribution.ppf(0.9)) / 0.1
-    assert float(beyond) == pytest.approx(tail, rel=1e-5)
-
-
+@pytest.mark.slow
 def test_extremes_of_one_expansion_and_of_elements_are_those_of_the_response():
     """A parabola and `|u - 0.25|` on (0, 1)."""
     model = {"u": al.Uniform.bounds(0.0, 1.0)}
@@ -111,6 +99,7 @@ def test_every_moment_and_index_is_differentiable_through_the_distributions():
     assert np.asarray(slope(0.1)) == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_shapes_that_change_with_every_point_are_warned_of_and_others_are_not(recwarn):
     gamma = al.expand(lambda model: jnp.exp(-model["x"]), {"x": al.Gamma(shape=0.6, scale=2.0)}, al.Expansion(8))
     # SciPy's kurtosis, of a million quantiles, is 1.58.

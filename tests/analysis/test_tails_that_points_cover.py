@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import aleator as al
+from zoo import cases
 
 NORMAL = al.Normal(0.0, 1.0)
 
@@ -38,7 +39,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("order", [3, 10])
+@pytest.mark.parametrize("order", cases([10, 3]))
 @pytest.mark.parametrize("case", CASES)
 def test_spreads_by_default_points_are_those_of_the_closed_form_or_warned_of(case, order):
     function, distributions, std = CASES[case]
@@ -47,7 +48,7 @@ def test_spreads_by_default_points_are_those_of_the_closed_form_or_warned_of(cas
     assert order < 10 or not told
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", cases(CASES))
 def test_even_points_that_extrapolate_are_told_of_with_the_points_to_take(case):
     function, distributions, std = CASES[case]
     try:

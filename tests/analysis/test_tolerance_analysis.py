@@ -46,6 +46,7 @@ def test_zones_add_up_and_contributions_are_all_of_the_variance(normal_stack):
     assert normal_stack.contributions["plate"].sensitivity == pytest.approx(-2.0, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_zones_are_those_of_the_distributions_unless_given():
     model = stack(housing=al.Toleranced(10.0, plus=0.05, minus=0.02), plate=al.Uniform.bounds(3.9, 4.2))
     one = al.tolerance_analysis(model, "gap", lower=0.0)
@@ -98,6 +99,7 @@ def test_rejects_in_a_tail_that_the_expansion_misses_are_those_of_the_assembly()
     assert analysis.rejects_error < 0.2 * exact.sum()
 
 
+@pytest.mark.slow
 def test_shares_of_the_variance_are_total_ones():
     """Of (a - 1)^2 + 0.01 b with deviations of 0.1: 2e-4 from a, whose slope is zero, and 1e-6 from b."""
     parts = {"a": al.Normal(1.0, 0.1), "b": al.Normal(0.0, 0.1)}

@@ -46,6 +46,7 @@ class Hires(al.System):
         return z._asdict()
 
 
+@pytest.mark.slow
 def test_all_substances_end_as_published():
     found = al.simulate(Hires(), al.Grid(321.8122, 400), integrator=al.integrators.Rodas5P())
     assert [found[name][-1] for name in Hires.states] == pytest.approx(END, rel=1e-6)

@@ -59,6 +59,7 @@ class Amplifier(al.System):
         return {f"y{node}": voltage for node, voltage in enumerate(self.voltages(z), start=1)}
 
 
+@pytest.mark.slow
 def test_the_amplifier_ends_as_published():
     found = al.simulate(Amplifier(), al.Grid(0.2, 1000), integrator=al.integrators.Rodas5P())
     assert {name: found[name][150] for name in EARLY} == pytest.approx(EARLY, rel=1e-5)

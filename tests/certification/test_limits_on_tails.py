@@ -94,6 +94,7 @@ def test_probabilities_and_means_beyond_quantiles_are_confirmed_too(limit, order
     assert exact is None or float(solution.decisions["d"]) == pytest.approx(exact, rel=1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning", "ignore::aleator.GridWarning")
 def test_a_limit_on_a_path_with_a_probability_is_active_and_held_by_systems_drawn_at_random():
     """The suspension with fewer steps: 0.9 of all cars keep the limit at each instant, at the worst one no more."""

@@ -50,6 +50,7 @@ def test_a_problem_that_does_not_fit_its_kind_of_system_is_refused(declare, mess
         declare()
 
 
+@pytest.mark.slow
 def test_a_margin_on_a_deflection_gives_the_tolerance_of_exact_quadrature_and_evidence_counts_it():
     solution = al.solve(tolerance_problem(X.at_most(1.1, sigmas=1.0), expansion=al.Expansion(6)))
     width = solution.decisions["a.half_width"]

@@ -10,6 +10,7 @@ import pytest
 
 import aleator as al
 import changing_physics
+from zoo import cases
 
 GOAL = 1.0
 ARRAY = np.array([0.0, 1.0])
@@ -100,6 +101,7 @@ def test_sweeps_do_not_mix_two_states_of_the_code():
     assert [point.decisions["a.mean"] for point in front.solutions] == pytest.approx([1.0, 1.0], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_no_method_of_a_model_is_called_once_it_is_declared():
     calls = []
 
@@ -145,10 +147,12 @@ WEIGHT = 1.0
 
 @pytest.mark.parametrize(
     "objective",
-    [
-        lambda: al.expressions.function(lambda mean: WEIGHT * mean, al.output("x").mean),
-        lambda: al.output("x").mean + al.cost.cost_curve("a.mean", lambda a: 0.0 * a + WEIGHT),
-    ],
+    cases(
+        [
+            lambda: al.expressions.function(lambda mean: WEIGHT * mean, al.output("x").mean),
+            lambda: al.output("x").mean + al.cost.cost_curve("a.mean", lambda a: 0.0 * a + WEIGHT),
+        ]
+    ),
 )
 def test_functions_of_ones_own_in_expressions_are_refused_once_they_have_changed(objective, monkeypatch):
     one, _ = through_global()
@@ -179,6 +183,7 @@ def test_a_problem_changed_as_a_tree_where_it_has_no_number_is_refused(name, val
         al.solve(changed)
 
 
+@pytest.mark.slow
 def test_arrays_of_a_model_are_those_of_its_declaration():
     """A problem is data: what becomes of an array that it was declared with is no concern of it."""
 

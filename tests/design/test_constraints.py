@@ -6,7 +6,20 @@ import pytest
 import aleator as al
 from aleator.design import statistics_in
 from aleator.reporting._numbers import unit_of_statistic
-from zoo import HALF_WIDTH, LOSS, MASS, ONE_STEP, RESPONSE, SPREAD, STRESS, Gain, bar_problem, gain_problem, optimum
+from zoo import (
+    HALF_WIDTH,
+    LOSS,
+    MASS,
+    ONE_STEP,
+    RESPONSE,
+    SPREAD,
+    STRESS,
+    Gain,
+    bar_problem,
+    cases,
+    gain_problem,
+    optimum,
+)
 
 Y, PATH = al.rms("y"), al.path("y")
 
@@ -168,15 +181,17 @@ def test_the_unit_of_a_statistic_follows_from_what_it_is():
 
 @pytest.mark.parametrize(
     ("limit", "width", "printed"),
-    [
-        (STRESS.mean.equals(al.value("width")), 1.0, "μ[stress] − width = 0"),
-        (STRESS.within(0.0, al.value("width")), 1.0, "μ[stress] ≥ 0 and μ[stress] − width ≤ 0"),
-        (
-            STRESS.within(-al.value("width"), 4 * al.value("width"), sigmas=3.0),
-            np.sqrt((1.0 + 3.0 * SPREAD) / 4.0),
-            "μ[stress] − 3 σ[stress] + width ≥ 0 and μ[stress] + 3 σ[stress] − 4 width ≤ 0",
-        ),
-    ],
+    cases(
+        [
+            (
+                STRESS.within(-al.value("width"), 4 * al.value("width"), sigmas=3.0),
+                np.sqrt((1.0 + 3.0 * SPREAD) / 4.0),
+                "μ[stress] − 3 σ[stress] + width ≥ 0 and μ[stress] + 3 σ[stress] − 4 width ≤ 0",
+            ),
+            (STRESS.mean.equals(al.value("width")), 1.0, "μ[stress] − width = 0"),
+            (STRESS.within(0.0, al.value("width")), 1.0, "μ[stress] ≥ 0 and μ[stress] − width ≤ 0"),
+        ]
+    ),
 )
 def test_a_bound_may_be_a_number_of_the_model(limit, width, printed):
     # The mean stress is 1 / width, its standard deviation SPREAD / width.

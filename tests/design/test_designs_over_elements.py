@@ -20,6 +20,7 @@ class Turning(al.System):
         return {"x": self.gain * jnp.cos(z.phase)}
 
 
+@pytest.mark.slow
 def test_an_oscillation_is_followed_for_a_hundred_periods():
     """Phases spread evenly over ten periods at the end."""
     gain = al.value("gain")
@@ -52,6 +53,7 @@ class Fork(al.System):
         return {"x": z.x}
 
 
+@pytest.mark.slow
 def test_a_bifurcation_has_the_moments_of_its_closed_form():
     """`x(t)² = x0² E / (1 + A x0²)` with `E = exp(2 t)`, `A = E - 1`, for a start between -0.5 and 1."""
     end, growth = al.terminal("x"), al.value("growth")
@@ -69,36 +71,6 @@ def test_a_bifurcation_has_the_moments_of_its_closed_form():
     mean = (last - first) / 1.5
     expected = [1.0, mean, (high - low) / 1.5 - mean**2]
     assert [one.values[0] for one in solution.constraints] == pytest.approx(expected, abs=1e-3)
-
-
-class Modes(al.System):
-    states = ("y1", "y2", "y3")
-    first: al.Number
-    second: al.Number
-
-    def initial(self):
-        return {"y1": self.first, "y2": self.second}
-
-    def rhs(self, t, z):
-        return z.y1 * z.y3, -z.y2 * z.y3, -(z.y1**2) + z.y2**2
-
-    def outputs(self, t, z):
-        return z._asdict()
-
-
-def test_three_modes_of_kraichnan_and_orszag_keep_their_variances():
-    """Wan and Karniadakis (2005); variances at t = 10 as in `tests/cases`."""
-    first = al.value("first")
-    problem = al.Problem(
-        Modes(first=al.Decision(0.95, 0.8, 1.2), second=al.Uniform(0.0, half_width=0.1)),
-        grid=al.Grid(10.0, 200),
-        minimize=-first,
-        subject_to=[first <= 1.0, *(al.terminal(name).variance <= 2.0 for name in Modes.states)],
-        expansion=al.MultiElement(error=1e-3),
-    )
-    solution = al.solve(problem)
-    variances = [one.values[0] for one in solution.constraints[1:]]
-    assert variances == pytest.approx([0.084779, 0.065730, 0.499854], abs=1e-3)
 
 
 class Kinked(al.AlgebraicSystem):
@@ -176,6 +148,7 @@ def test_a_quantile_that_many_systems_share_moves_with_them():
     assert (float(solution.decisions["away"]), solution.objective) == pytest.approx((0.6, 0.6), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_limit_on_a_path_that_is_certain_at_its_start_is_confirmed():
     """All systems start at `gain`, where the limit holds them."""
     problem = al.Problem(

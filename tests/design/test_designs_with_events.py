@@ -88,6 +88,7 @@ def problem(system=None, grid=LANDED, minimize=None, **options):
     return al.Problem(system, grid=grid, minimize=al.terminal("x").mean if minimize is None else minimize, **options)
 
 
+@pytest.mark.slow
 def test_a_system_that_never_meets_the_event_is_named_with_the_share_of_such():
     grid = al.Grid(until="ground", at_most=2.45, steps=20)
     with pytest.raises(al.SimulationError, match=r"never meets 'ground'.*from 0 to 2.45 s.*one of 4 that fail"):

@@ -218,6 +218,7 @@ def test_a_target_with_a_variance_a_quotient_and_an_own_function_have_their_clos
     assert found.objective == pytest.approx((at - 4) ** 2 + at**2 * VARIANCE + SPREAD / at, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_target_with_a_variance_is_least_inside():
     """`(w - 2)² + w (1/w - 1)₊` and the smoothed distance from 2: both are least at a width of 2."""
     bar = bar_problem().system
@@ -251,7 +252,8 @@ def test_units_follow_products_quotients_and_powers():
         assert expression.unit(units_of(expression, problem)) == unit
 
 
-@pytest.mark.parametrize("way", BOTH, ids=WAYS)
+@pytest.mark.slow
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
 def test_an_own_function_is_asked_for_each_instant_by_itself(way):
     """A sum over instants would grow with every finer grid that judges the answer."""
     clipped = al.expressions.function(lambda now: jnp.max(now), al.path("response").mean)

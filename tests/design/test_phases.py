@@ -168,6 +168,7 @@ class Switched(Lander):
         return self.burn(z, throttle)
 
 
+@pytest.mark.slow
 def test_a_coast_between_two_burns_is_the_same_design_in_three_phases_by_both_transcriptions_and_in_one():
     thrust, coast = al.Normal(60.0, 0.5).shared("thrust"), al.Decision(8.0, 1.0, 20.0)
     limits = {"minimize": -al.terminal("m").mean, "subject_to": [al.terminal("h").at_least(10.0, sigmas=3)]}
@@ -268,6 +269,7 @@ def test_a_chain_of_delays_costs_what_betts_publishes():
     assert found.objective == pytest.approx(3.10812211, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_one_phase_is_what_it_was():
     rocket, grid, limit = Rocket(al.Decision(300.0, 250.0, 400.0), 1.0), al.Grid(2.0, 8), al.terminal("h").mean <= 40.0
     alone = al.solve(al.Problem(rocket, grid=grid, minimize=-al.terminal("v").mean, subject_to=[limit]))
@@ -297,6 +299,7 @@ def test_a_system_in_two_phases_has_the_same_numbers_in_both():
     assert "b: Rocket(h, v, m), 4 steps to t_final, RungeKutta4" in str(problem)
 
 
+@pytest.mark.slow
 def test_a_phase_that_never_ends_is_named_with_the_states_that_it_begins_with():
     phases = al.Phases(
         first=al.Phase(Rocket(al.Decision(500.0, 400.0, 600.0), 2.0), al.Grid(1.0, 4)),

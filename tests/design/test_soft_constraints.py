@@ -94,6 +94,7 @@ def test_a_limit_at_every_instant_is_integrated_over_time(way):
     assert found.decisions["gain"] == pytest.approx(pulled(2.5 * WEIGHT, slope), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_only_the_constraints_named_become_penalties():
     both = apart(lambda r: [(r.mean <= LIMIT).named("soft"), (r.mean >= 2.5).named("hard")])
     softened = al.soft(both, "soft", weight=WEIGHT)
@@ -145,6 +146,7 @@ def test_penalties_of_any_weight_are_solved_to_their_own_minimum():
         assert found == pytest.approx(12.0 - (24**2 + 12**2) / (4 * weight), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_slack_with_a_bound_can_be_searched_and_is_hard_beyond_it():
     # `(g - 3)² + w (g - 2)` is least at 3 - w/2.
     hard, search = apart(lambda r: r.mean <= LIMIT), al.solvers.DifferentialEvolution(evaluations=400, population=24)

@@ -79,7 +79,7 @@ def test_unknowns_may_be_arrays_and_have_derivatives():
 
     both = compiled(lambda x: (places(x), jax.jacrev(places)(x)))
     point = np.array([2.0])
-    values, jacobian = both(point)
+    values, jacobian = map(np.asarray, both(point))
     reference = root(equations, np.linspace(0.2, 1.8, 5), tol=1e-14).x
     np.testing.assert_allclose(values[:5], reference, rtol=1e-11)
     assert values[5] == 1.0

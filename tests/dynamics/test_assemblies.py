@@ -59,6 +59,7 @@ def outputs_of(assembly):
     return {name: np.asarray(value[0]) for name, value in compiled(lambda: al.simulate(assembly))().items()}
 
 
+@pytest.mark.slow
 def test_clutches_within_many_tolerances_are_those_of_the_closed_form():
     dimensions, found, _ = clutches()
     exact = clutch_in_closed_form(*dimensions.T).T
@@ -119,6 +120,7 @@ def test_a_four_bar_linkage_and_its_features_are_those_of_the_closed_form():
     np.testing.assert_allclose(outputs["height"], 80 * np.sin(np.deg2rad(phi)), rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_angles_may_be_relative_to_the_vector_before_and_tied_by_an_equation():
     # The joints' turns in the place of directions; they add up to a full turn, back to the crank's own direction.
     assembly = al.Assembly(
@@ -152,6 +154,7 @@ def test_a_stack_of_plates_needs_no_unknowns():
     assert explain_failure(al.Assembly({"x": 1.0})) == ""
 
 
+@pytest.mark.slow
 def test_loops_may_be_spatial():
     # A strut from the origin to a point in space: its length, azimuth and elevation.
     assembly = al.Assembly(

@@ -9,6 +9,7 @@ import aleator as al
 from aleator.design import functionals_of, integrated_paths, responses, sampled
 from aleator.transcription import transcribe
 from compiling import compiled
+from zoo import cases
 
 STEPS = np.array([20, 40, 80])
 RATE, START, END = 0.7, 2.0, 1.5
@@ -72,7 +73,7 @@ def values(*declared, at=RATE):
     return np.array([float(number) for number in compiled(all_of)(np.array([at]))])
 
 
-@pytest.mark.parametrize(("functional", "exact"), [WORK, RMS], ids=["work", "rms"])
+@pytest.mark.parametrize(("functional", "exact"), cases([WORK, RMS]))
 def test_integrals_converge_with_the_order_of_the_integrator(functional, exact):
     errors = np.abs(values(*(problem(functional, n) for n in STEPS)) - exact)
     assert np.polyfit(np.log(STEPS), np.log(errors), 1)[0] == pytest.approx(-4.0, abs=0.25)

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 import aleator as al
 from compiling import compiled
-from zoo import Decay, Oscillator, derivative_error
+from zoo import Decay, Oscillator, cases, derivative_error
 
 TIMES = np.linspace(0.0, 5.0, 41)
 PUSH = np.cos(1.7 * TIMES) + 0.3 * np.sin(5.0 * TIMES)
@@ -88,7 +88,7 @@ def test_runge_kutta_agrees_with_scipy_on_a_nonlinear_system_with_a_tabulated_in
     np.testing.assert_allclose(outputs["u"], np.interp(grid.times, TIMES, PUSH), atol=1e-14)
 
 
-@pytest.mark.parametrize("integrator", [al.integrators.RungeKutta4(), al.integrators.RungeKutta4().reference()])
+@pytest.mark.parametrize("integrator", cases([al.integrators.RungeKutta4(), al.integrators.RungeKutta4().reference()]))
 def test_many_equations_are_integrated_by_the_same_steps(integrator):
     inputs = {"push": al.Tabulated(TIMES, PUSH)}
     few, many = (al.simulate(one, al.Grid(5.0, 20), inputs, integrator) for one in (Pendulum(), LargePendulum()))
@@ -161,7 +161,7 @@ class Driven(al.System):
         return {"x": 1.0}
 
 
-@pytest.mark.parametrize("integrator", [al.integrators.Tsit5, al.integrators.Rodas5P])
+@pytest.mark.parametrize("integrator", cases([al.integrators.Tsit5, al.integrators.Rodas5P]))
 def test_adaptive_methods_have_order_five_with_algebraic_variables_too(integrator):
     def rates(t, x):
         y = np.roots([1.0, 0.0, 1.0, -x[0] * (1 + 0.5 * np.cos(2 * t))])
@@ -336,16 +336,19 @@ def test_what_runs_away_is_named_at_its_first_time():
 
 @pytest.mark.parametrize(
     ("system", "end", "steps", "message"),
-    [
-        (Explosion(), 2.0, 300, r"is not finite at any instant\. .* stops at t = 1 s"),
-        (
-            Robertson(),
-            4000.0,
-            1000,
-            r"used up its 1000 steps at t = .* or take al.integrators.Rodas5P\(\), if .* stiff",
-        ),
-        (Decay(1.0), 50.0, 3, r"used up its 3 steps at t = .* al.integrators.Tsit5\(max_steps=30\)"),
-    ],
+    cases(
+        [
+            (Explosion(), 2.0, 300, r"is not finite at any instant\. .* stops at t = 1 s"),
+            (Decay(1.0), 50.0, 3, r"used up its 3 steps at t = .* al.integrators.Tsit5\(max_steps=30\)"),
+            (
+                Robertson(),
+                4000.0,
+                1000,
+                r"used up its 1000 steps at t = .* or take al.integrators.Rodas5P\(\), if .* stiff",
+            ),
+        ],
+        2,
+    ),
 )
 def test_adaptive_integration_that_fails_gives_no_number(system, end, steps, message):
     with pytest.warns(al.SimulationWarning, match=message):

@@ -21,8 +21,7 @@ def table(tmp_path):
 
 def test_a_table_is_linear_between_its_samples():
     signal = al.Tabulated(np.array([0.0, 1.0, 3.0]), np.array([2.0, 4.0, -2.0]))
-    assert float(signal(jnp.asarray(0.25))) == pytest.approx(2.5)
-    assert float(signal(jnp.asarray(2.5))) == pytest.approx(-0.5)
+    assert np.asarray(signal.sampled(np.array([0.25, 2.5]) / 3.0, 0.0, 3.0)) == pytest.approx([2.5, -0.5])
     assert signal.span() == (0.0, 3.0)
 
 

@@ -38,6 +38,7 @@ def test_other_numbers_need_no_other_program():
     assert _HISTORY.compilations - before == 1
 
 
+@pytest.mark.slow
 def test_a_number_that_code_branches_on_is_taken_as_it_is():
     np.testing.assert_allclose(al.simulate(Branching(2.0), GRID)["x"][-1], np.exp(-2.0), rtol=1e-5)
     np.testing.assert_array_equal(al.simulate(Branching(-2.0), GRID)["x"], np.ones(21))

@@ -7,6 +7,7 @@ import pytest
 
 from aleator.dynamics._sparse import Sparsity
 from compiling import compiled
+from zoo import cases
 
 GENERATOR = np.random.default_rng(3)
 
@@ -30,7 +31,7 @@ PATTERNS = {
 }
 
 
-@pytest.mark.parametrize("name", PATTERNS)
+@pytest.mark.parametrize("name", cases(PATTERNS, 3))
 def test_equations_are_solved_as_dense_ones_with_pivots_and_derivatives(name):
     pattern, tangents, band = PATTERNS[name]
     sparsity, n = Sparsity.of(pattern), len(pattern)

@@ -1,10 +1,10 @@
 """Right-hand sides that switch, over a stated width, against the motions without it."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aleator as al
+from compiling import compiled
 
 GRAVITY = 9.81
 
@@ -61,15 +61,19 @@ def test_least_time_over_a_rough_floor_and_what_it_owes_to_the_width():
 
 
 def test_switches_are_those_without_width_some_widths_away():
-    x = jnp.linspace(-2.0, 2.0, 81)
-    away = np.asarray(abs(x) > 0.2)
-    smooth = al.smooth.sign(x, width=0.01), al.smooth.step(x, width=0.01), al.smooth.positive(x, width=0.01)
-    for values, sharp in zip(smooth, (np.sign(x), x > 0, np.maximum(x, 0)), strict=True):
-        np.testing.assert_allclose(values[away], sharp[away], atol=1e-12)
-    far = np.asarray(abs(abs(x) - 1.0) > 0.2)
-    np.testing.assert_allclose(al.smooth.saturated(x, -1.0, 1.0, width=0.01)[far], np.clip(x, -1, 1)[far], atol=1e-12)
-    gap = np.sign(x) * np.maximum(abs(x) - 1.0, 0)
-    np.testing.assert_allclose(al.smooth.dead_zone(x, 1.0, width=0.01)[far], gap[far], atol=1e-12)
+    x = np.linspace(-2.0, 2.0, 81)
+    away, far = abs(x) > 0.2, abs(abs(x) - 1.0) > 0.2
+    smooth = al.smooth
+    found = compiled(
+        lambda x: [
+            *(switch(x, width=0.01) for switch in (smooth.sign, smooth.step, smooth.positive)),
+            smooth.saturated(x, -1.0, 1.0, width=0.01),
+            smooth.dead_zone(x, 1.0, width=0.01),
+        ]
+    )(x)
+    sharp = [np.sign(x), x > 0, np.maximum(x, 0), np.clip(x, -1, 1), np.sign(x) * np.maximum(abs(x) - 1.0, 0)]
+    for values, expected, where in zip(found, sharp, (away, away, away, far, far), strict=True):
+        np.testing.assert_allclose(np.asarray(values)[where], expected[where], atol=1e-12)
     with pytest.raises(al.ProblemError, match="smooth: width"):
         al.smooth.sign(x, width=0.0)
     with pytest.raises(al.ProblemError, match="lower <= upper"):

@@ -23,6 +23,7 @@ from aleator.ensemble import (
     uncertain_places,
 )
 from aleator.uncertainty import placements
+from zoo import cases
 
 # Uniform on [0.5, 1.5] by its decision's initial value, normal, and a number that is certain.
 MODEL = {"a": al.Uniform(al.Decision(1.0, 0.0, 3.0), half_width=0.5), "b": al.Normal(2.0, 0.1), "c": 3.0}
@@ -42,7 +43,7 @@ def ensemble(kind, function=outputs, model=MODEL):
 
 
 @KINDS
-@pytest.mark.parametrize("size", [5, 13, 100])
+@pytest.mark.parametrize("size", cases([5, 13, 100]))
 def test_outputs_are_those_of_the_realisations_whatever_the_batches(kind, size):
     found = list(ensemble(kind).in_parts(parts(LEVELS, size), size))
     np.testing.assert_array_equal(np.concatenate([part.points for part, _ in found]), LEVELS)
@@ -105,7 +106,9 @@ def broken_from(limit):
 
 
 @KINDS
-@pytest.mark.parametrize(("size", "where"), [(10, "2 of 10 points: output"), (4, "1 of 4 points after 4 finite ones")])
+@pytest.mark.parametrize(
+    ("size", "where"), cases([(4, "1 of 4 points after 4 finite ones"), (10, "2 of 10 points: output")])
+)
 def test_what_is_not_finite_is_named_with_its_point_and_its_inputs(kind, size, where):
     # a = 0.5 + level: beyond 1.2 at the sixth point and at the tenth.
     levels = np.full((10, 2), 0.5)
@@ -191,7 +194,7 @@ def test_a_program_is_compiled_for_one_size_by_the_thread_that_asks(count):
     assert ran_by == [threading.current_thread()]
 
 
-@pytest.mark.parametrize("count", [7, 120])
+@pytest.mark.parametrize("count", cases([120, 7]))
 def test_few_points_at_once_give_what_all_do(count):
     points = np.linspace(0.0, 1.0, 2 * count).reshape(count, 2)
     found = jax.jit(lambda points: few_at_once(lambda point: {"sum": point.sum()}, points))(points)

@@ -92,6 +92,7 @@ def test_no_point_is_solved_twice_and_none_is_lost():
     assert np.array_equal(np.concatenate(asked), collocation.points)
 
 
+@pytest.mark.slow
 def test_the_error_asked_for_is_the_leave_one_out_error_of_every_output():
     def model(xi):
         return {"small": 1e-6 * np.exp(2 * xi[:, 0]), "path": np.sin(np.outer(1 + xi[:, 1], np.arange(1, 6)))}

@@ -11,6 +11,7 @@ from sympy.physics import mechanics as me
 
 import aleator as al
 from compiling import compiled
+from zoo import cases
 
 M, L, D, G = sp.symbols("m l d g")
 A, B, U_A, U_B, T_A, T_B = me.dynamicsymbols("a b u_a u_b t_a t_b")
@@ -132,7 +133,7 @@ def states(count):
     return [generator.normal(size=(count, 2)) * scale for scale in (2.0, 4.0, 5.0)]
 
 
-@pytest.mark.parametrize("method", RODS_OF)
+@pytest.mark.parametrize("method", cases(RODS_OF))
 def test_accelerations_of_a_double_pendulum_and_their_derivatives_are_those_of_bodies_and_joints(method):
     at = states(50)
     (found, slopes), (expected, expected_slopes) = (
@@ -188,6 +189,7 @@ def test_holonomic_constraints_hold_exactly_and_multipliers_are_those_of_sympy()
     np.testing.assert_allclose(found["tension"], 2 * (2 * 9.81 * (-0.4 - y)) / 0.5 - 2 * 9.81 * y / 0.5, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_inverse_dynamics_of_a_model_with_a_wind_that_changes_gives_the_force():
     x, speed, force, wind = me.dynamicsymbols("x speed force wind")
     block = me.Point("P")

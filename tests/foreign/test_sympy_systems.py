@@ -44,6 +44,7 @@ def test_plain_symbols_may_be_states_and_the_time_may_stand_in_rates():
     np.testing.assert_allclose(found["x"], closed, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_mass_matrix_stands_before_the_rates():
     mass = sp.Matrix([[1, 0], [C, M]])
     coupled = al.foreign.from_sympy({X: V, V: -K * X}, NUMBERS, mass_matrix=mass, start={X: 0.3})

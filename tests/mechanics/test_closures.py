@@ -253,6 +253,7 @@ class Coupled(FourBar):
         return (*super().closures(), gear)
 
 
+@pytest.mark.slow
 def test_equations_of_ones_own_and_couplings_stand_beside_loops():
     q = jnp.array([0.4, -0.1, 1.2, 0.5])
     for model in (Geared(), Coupled()):

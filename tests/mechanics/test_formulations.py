@@ -20,6 +20,7 @@ from scipy.integrate import solve_ivp
 import aleator as al
 from aleator.mechanics._dynamics import scheme
 from compiling import compiled
+from zoo import cases
 
 NAMES = ("shoulder", "elbow")
 GRID = al.Grid(1.2, 48)
@@ -51,15 +52,15 @@ def test_coriolis_matrices_of_energies_make_the_mass_matrix_s_rate_skew():
     @compiled
     def parts(q, v):
         rate = jax.jvp(model.mass_matrix, (q,), (v,))[1]
-        return rate, model.coriolis(q, v), model.bias(q, v)
+        return rate, model.coriolis(q, v), model.bias(q, v), Matrices().forces(q, v)
 
     q, v = random(0, 2, 2)
-    rate, C, bias = map(np.asarray, parts(q, v))
+    rate, C, bias, forces = map(np.asarray, parts(q, v))
     skew = rate - 2 * C
     np.testing.assert_allclose(skew, -skew.T, rtol=0, atol=1e-12)
     assert np.abs(skew).max() > 0.01
     # What is left of the bias is weight and friction, which textbooks give.
-    np.testing.assert_allclose(bias - C @ v, Matrices().forces(q, v), rtol=1e-10)
+    np.testing.assert_allclose(bias - C @ v, forces, rtol=1e-10)
 
 
 BROUGHT = al.BSpline(np.array(random(1, 6, 2)), degree=3)
@@ -89,7 +90,7 @@ class Swapped(Matrices):
     actuator_names = ("elbow_torque", "shoulder_torque")
 
 
-@pytest.mark.parametrize("model", [Swapped(), Rates()])
+@pytest.mark.parametrize("model", cases([Swapped(), Rates()]))
 def test_inverse_dynamics_takes_the_torques_of_the_motion_and_their_rates(model):
     grid = al.Grid(1.2, 300)
     found = simulate(al.InverseDynamics(model, motion=MOTION), grid)

@@ -46,6 +46,7 @@ def test_torques_spread_as_the_process_that_they_work_against():
     np.testing.assert_allclose(torque.std, 0.4 * np.sqrt(1 - deficit), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_decided_signal_is_planned_like_any_other_number():
     # What a second engine pushes over time is decided: rest to rest in a second takes an effort of 12.
     push = al.BSpline(al.Decision(np.zeros(3), -20.0, 20.0), degree=1)
@@ -60,6 +61,7 @@ def test_a_decided_signal_is_planned_like_any_other_number():
     np.testing.assert_allclose(solution.decisions["wind.free"], [6.0, 0.0, -6.0], rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_fastest_way_of_an_uncertain_mass_is_bang_bang_where_a_knot_lies_in_the_middle():
     # Of degree 2 the acceleration is constant from knot to knot: 6 control points make 4 spans, a knot in the middle.
     # An odd number of steps: no instant at the knot itself, where the acceleration jumps.

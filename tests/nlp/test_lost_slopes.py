@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import aleator as al
+from zoo import cases
 
 
 class Bar(al.AlgebraicSystem):
@@ -39,6 +40,7 @@ def test_a_rounded_objective_is_refused_by_name():
     assert any("by width" in one for one in al.examine(problem(kind)).wrong)
 
 
+@pytest.mark.slow
 def test_an_objective_that_is_flat_in_part_is_solved():
     kind = "never thinner"
     assert al.solve(problem(kind)).objective == pytest.approx(3.5, rel=1e-9)
@@ -62,7 +64,7 @@ class Halved(al.AlgebraicSystem):
         return {"cost": square - 2 * self.k + self.a, "load": square * self.a}
 
 
-@pytest.mark.parametrize("of_a_limit", [False, True])
+@pytest.mark.parametrize("of_a_limit", cases([False, True]))
 def test_a_derivative_that_is_lost_in_part_is_contradicted_by_values(of_a_limit):
     # By its derivatives the cost is least at k = 2, where it is 0 and not -1; the limit has twice its true price.
     limits = [al.output("load").std <= 0.4] if of_a_limit else []
@@ -90,6 +92,7 @@ def test_a_wrong_rule_in_an_expression_is_contradicted_by_values():
         al.solve(problem)
 
 
+@pytest.mark.slow
 def test_rules_of_differentiation_that_are_right_are_not_doubted():
     class Smooth(al.AlgebraicSystem):
         k: al.Number

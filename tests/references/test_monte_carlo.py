@@ -52,6 +52,7 @@ def slope(counts, errors):
     return np.polyfit(np.log(counts), np.log(errors), 1)[0]
 
 
+@pytest.mark.slow
 def test_standard_errors_of_quasi_monte_carlo_fall_faster_for_a_smooth_function():
     counts = [16 * 2**k for k in (3, 6, 10)]
     means = [al.references.quasi_monte_carlo(smooth, SMOOTH, count, seed=count).mean for count in counts]

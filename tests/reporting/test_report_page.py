@@ -5,7 +5,6 @@ from dataclasses import replace
 from html import unescape
 from html.parser import HTMLParser
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import report_problems as given
@@ -17,7 +16,7 @@ from aleator.reporting._first_screen import proposal
 from aleator.reporting._numbers import number
 from aleator.reporting._tables import certificate_table, designs_table, evidence_table
 from aleator.validation._comparisons import Disagreement
-from zoo import MASS, STRESS, bar_problem
+from zoo import MASS, STRESS, TwoBasins, bar_problem
 
 
 class Reader(HTMLParser):
@@ -112,15 +111,6 @@ def test_a_solution_by_collocation_tells_its_equalities_what_is_violated_and_how
     assert broken.name not in rows["Active"]
 
 
-class TwoBasins(al.AlgebraicSystem):
-    """A loss with minima 1 at `a = 1` and 3 at `a = 5`, which meet at `a = 3.25`."""
-
-    a: al.Number
-
-    def outputs(self):
-        return {"loss": jnp.minimum((self.a - 1) ** 2 + 1, (self.a - 5) ** 2 + 3), "a": self.a}
-
-
 def test_a_page_tells_that_a_front_found_a_better_optimum_than_its_design(tmp_path):
     limit = (al.output("a").mean <= 6.0).named("a")
     problem = al.Problem(TwoBasins(al.Decision(4.5, 0.0, 8.0)), minimize=al.output("loss").mean, subject_to=[limit])
@@ -132,6 +122,7 @@ def test_a_page_tells_that_a_front_found_a_better_optimum_than_its_design(tmp_pa
     assert "optima" not in reported(tmp_path, {"mine": design}, fronts={"mine": alone}).text
 
 
+@pytest.mark.slow
 def test_where_no_limit_is_counted_the_verdict_says_so_and_why_and_claims_no_share():
     limit = (STRESS.std <= 0.3).named("spread")
     solution = al.solve(al.Problem(bar_problem().system, minimize=MASS.mean, subject_to=[limit]))

@@ -14,6 +14,7 @@ from aleator import statistics
 from aleator.statistics import AbstractStatistic, prepare
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 from compiling import compiled
+from zoo import cases
 
 BOUNDED = basis_of([LegendreGerm(), JacobiGerm(2.0, 3.0)], 3)
 MIXED = basis_of([HermiteGerm(), LegendreGerm(), HermiteGerm(), LaguerreGerm(3.0)], 2)
@@ -114,12 +115,14 @@ def test_moments_shapes_and_indices_have_the_derivatives_of_finite_differences()
         assert np.asarray(reverse) == pytest.approx(np.asarray(forward), rel=1e-9, abs=1e-12), one
 
 
-NUMBERS = [
-    (statistics.Quantile(0.9), lambda one: one.level),
-    (statistics.ConditionalValueAtRisk(0.9), lambda one: one.level),
-    (statistics.Probability(above=0.3), lambda one: one.above),
-    pytest.param(statistics.CornishFisher(0.9), lambda one: one.level, marks=pytest.mark.slow),
-]
+NUMBERS = cases(
+    [
+        (statistics.ConditionalValueAtRisk(0.9), lambda one: one.level),
+        (statistics.Quantile(0.9), lambda one: one.level),
+        (statistics.Probability(above=0.3), lambda one: one.above),
+        (statistics.CornishFisher(0.9), lambda one: one.level),
+    ]
+)
 TWO = basis_of([HermiteGerm(), LegendreGerm()], 2)
 
 

@@ -43,7 +43,7 @@ def test_moments_of_powers_are_exact_in_an_expansion_of_their_degree():
     for ours, oracle in DISTRIBUTIONS.values():
         collocation = collocate({"x": ours.germ()}, Expansion(3)).collocation
         location, scale, _ = ours.canonical()
-        numbers = float(location) + float(scale) * np.asarray(collocation.points[:, 0])
+        numbers = float(location) + float(scale) * np.asarray(collocation.points)[:, 0]
         powers = np.stack([numbers, numbers**2, numbers**3], axis=1)
         means, variances, spreads = map(np.asarray, moments_of(collocation.coefficients(powers)))
         first, second = ([moment_of(oracle, n * power) for power in (1, 2, 3)] for n in (1, 2))
@@ -76,8 +76,9 @@ def test_moments_of_the_uncertain_decay_converge_exponentially_with_the_order():
     for order in orders:
         collocation = collocate(placements(DECAY).germs, Expansion(int(order))).collocation
         b, u = np.asarray(collocation.points).T
-        coefficients = collocation.coefficients((1.5 + 0.2 * u) * np.exp(-10.0 * (0.15 + 0.05 * b)))
-        found.append([float(coefficients[0]), float(np.sum(np.square(coefficients[1:])))])
+        values = (1.5 + 0.2 * u) * np.exp(-10.0 * (0.15 + 0.05 * b))
+        coefficients = np.asarray(collocation.coefficients(values))
+        found.append([float(coefficients[0]), float(np.sum(coefficients[1:] ** 2))])
     errors = np.abs(np.array(found) / exact - 1)
     assert (-np.polyfit(orders, np.log10(errors), 1)[0] > 1).all()
     assert (errors[-1] < 1e-7).all()

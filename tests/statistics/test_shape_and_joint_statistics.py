@@ -14,6 +14,7 @@ from aleator.statistics import _shape as shape_module
 from aleator.statistics._shape import square
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 from compiling import compiled
+from zoo import cases
 
 of = compiled(lambda statistic, coefficients, constants: statistic.of(coefficients, constants))
 
@@ -22,7 +23,7 @@ def value(statistic, coefficients, basis):
     return np.asarray(of(statistic, coefficients, prepare([statistic], basis).of(statistic)))
 
 
-@pytest.mark.parametrize("order", [2, 8])
+@pytest.mark.parametrize("order", cases([8, 2]))
 def test_skewness_and_kurtosis_of_a_distribution_are_those_of_scipy_at_any_order(order):
     germs = [(LegendreGerm(), stats.uniform(-1, 2)), (JacobiGerm(2.0, 5.0), stats.beta(2, 5, -1, 2))]
     germs += [(HermiteGerm(), stats.norm()), (LaguerreGerm(3.0), stats.gamma(3))]
@@ -59,6 +60,7 @@ def test_many_instants_are_the_same_as_each_alone_and_a_constant_has_no_shape():
     assert all(np.isfinite(slope).all() for slope in slopes)
 
 
+@pytest.mark.slow
 def test_the_cornish_fisher_quantile_is_exact_for_a_normal_distribution_and_close_for_a_skewed_one():
     basis = basis_of([HermiteGerm()], 3)
     normal = coefficients_of_polynomial(basis, lambda a: 2 + 3 * a)

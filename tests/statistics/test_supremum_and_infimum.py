@@ -33,7 +33,7 @@ def test_extremes_of_one_variable_are_those_found_by_scipy_and_a_constant_is_its
     assert high == pytest.approx([-found.fun, 3.0], rel=1e-9)
     assert -found.fun <= upper[0] <= -found.fun + 1e-3
     assert upper[1] == pytest.approx(3.0, rel=1e-12)
-    lower = compiled(Infimum().of)(several, prepare([Infimum()], basis).of(Infimum()))
+    lower = np.asarray(compiled(Infimum().of)(several, prepare([Infimum()], basis).of(Infimum())))
     assert polynomial(-1.0) - 1e-3 <= lower[0] <= polynomial(-1.0)
     assert lower[1] == pytest.approx(3.0, rel=1e-12)
 

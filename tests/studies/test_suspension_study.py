@@ -102,6 +102,7 @@ def test_the_second_way_is_within_its_budget():
     assert al.Simultaneous().count(problems()["dOpt"]) == STATES
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_number_of_samples():
     solution = al.solve(oscillator_problem())
     al.validate(solution, 2_000)

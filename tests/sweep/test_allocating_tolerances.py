@@ -40,6 +40,7 @@ def test_half_widths_of_a_linear_stack_are_those_of_lagrange():
     assert lines[1].split()[:3] == ["housing", "±", "0.1"]
 
 
+@pytest.mark.slow
 def test_one_sided_zones_grow_from_their_nominal_side_and_others_about_their_middle():
     one_sided = stack(plate=al.toleranced("13.0 +0.1/-0", cp=1.33), shim=al.toleranced("0.6 -0.01/-0.05"))
     found = al.allocate(one_sided, COSTS | {"housing": (1.0, 0.1)}, "gap", lower=-1.0, upper=0.6).worst_case
@@ -51,6 +52,7 @@ def test_one_sided_zones_grow_from_their_nominal_side_and_others_about_their_mid
     assert 3 * found.zones["plate"][1] + minus - 0.01 == pytest.approx(1.4, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_what_no_tolerances_can_keep_is_said_and_the_rest_is_given():
     found = al.allocate(stack(), {"shim": (0.0, 0.1)}, "gap", lower=0.1, upper=0.7, cpk=0.5)
     assert found.statistical is not None

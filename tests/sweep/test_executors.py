@@ -173,6 +173,7 @@ def test_samples_by_an_executor_are_those_of_this_process_to_the_last_bit(travel
     assert here["sum"].mean.value == pytest.approx(2.0, abs=0.2)
 
 
+@pytest.mark.slow
 def test_local_searches_of_a_portfolio_by_an_executor_that_a_journal_has_are_not_repeated(
     tmp_path: Path, travelling: Executor, monkeypatch: pytest.MonkeyPatch
 ):
@@ -239,6 +240,7 @@ def test_a_search_by_an_executor_is_that_of_this_process_to_the_last_bit(tmp_pat
     assert len(sent) == calls
 
 
+@pytest.mark.slow
 def test_a_worker_makes_a_population_once_for_all_generations(travelling: Executor, monkeypatch: pytest.MonkeyPatch):
     made = []
     monkeypatch.setattr(_population, "refuse_other_code", made.append)
@@ -261,6 +263,7 @@ def test_ctrl_c_in_a_worker_keeps_the_best_so_far():
     assert 0 < found.effort.searched.evaluations < 60
 
 
+@pytest.mark.slow
 def test_a_front_of_a_population_by_an_executor_is_that_of_this_process(travelling, sent):
     pytest.importorskip("pymoo")
     problem, own = al.Problem(bar_problem().system, minimize=MASS.mean), {"method": "population", "evaluations": 80}

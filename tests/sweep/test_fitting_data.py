@@ -8,12 +8,13 @@ import scipy
 
 import aleator as al
 from aleator.uncertainty import correlations_at, placements
-from zoo import Decay, Gain, Launched, Oscillator, sine
+from zoo import Decay, Gain, Oscillator, sine
 
 GRID = al.Grid(3.0, 120)
 TIMES = np.sort(np.random.default_rng(0).uniform(0.0, 3.0, 25))
 NOISE = 0.02 * np.random.default_rng(1).normal(size=25)
 DECAYED = 2.0 * np.exp(-0.7 * TIMES) + NOISE
+SPREAD = np.linspace(0.01, 0.03, 25)
 
 
 def decay_problem(times: Any = TIMES, data: Any = DECAYED, **options: Any) -> al.Problem:
@@ -31,30 +32,21 @@ def by_name(posterior, *names):
     return posterior.mean[order], posterior.covariance[np.ix_(order, order)]
 
 
-def test_a_straight_line_is_that_of_linear_regression():
-    data = 1.0 + 0.5 * TIMES + NOISE
-    line = Launched(place=al.Decision(0.0), speed=al.Decision(1.0))
-    still = {"force": al.Tabulated([0.0, 3.0], [0.0, 0.0])}
-    problem = al.Problem(line, grid=GRID, inputs=still, minimize=al.residuals("x", TIMES, data))
-    mean, covariance = by_name(al.posterior(al.solve(problem)), "place", "speed")
-    expected = curve_fit(
-        lambda t, a, b: a + b * t, data, (0.0, 1.0), lambda t, a, b: np.stack([np.ones_like(t), t], axis=1)
-    )
-    np.testing.assert_allclose(mean, expected[0], rtol=1e-6)
-    np.testing.assert_allclose(covariance, expected[1], rtol=1e-6)
+@pytest.fixture(scope="module")
+def decay():
+    return al.solve(decay_problem(std=SPREAD))
 
 
 @pytest.mark.parametrize("known_std", [False, True])
-def test_a_decay_measured_between_the_instants_is_fitted_as_scipy_fits_it(known_std):
-    spread = np.linspace(0.01, 0.03, 25)
-    found = al.posterior(al.solve(decay_problem(std=spread)), known_std=known_std)
+def test_a_decay_measured_between_the_instants_is_fitted_as_scipy_fits_it(decay, known_std):
+    found = al.posterior(decay, known_std=known_std)
     mean, covariance = by_name(found, "start", "rate")
     expected = curve_fit(
         lambda t, a, b: a * np.exp(-b * t),
         DECAYED,
         (1.0, 1.5),
         lambda t, a, b: np.stack([np.exp(-b * t), -a * t * np.exp(-b * t)], axis=1),
-        sigma=spread,
+        sigma=SPREAD,
         absolute_sigma=known_std,
     )
     np.testing.assert_allclose(mean, expected[0], rtol=1e-6)
@@ -100,6 +92,7 @@ def test_an_oscillator_with_two_measured_outputs_is_fitted_as_least_squares_fits
     assert found.variance == pytest.approx(squares, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_several_experiments_are_the_entries_of_a_state():
     starts = np.array([1.0, 2.0])
     data = starts * np.exp(-0.7 * TIMES[:, None]) + np.stack([NOISE, NOISE[::-1]], axis=1)
@@ -112,6 +105,7 @@ def test_several_experiments_are_the_entries_of_a_state():
     assert len(found.residuals) == 50
 
 
+@pytest.mark.slow
 def test_of_an_uncertain_model_the_mean_is_fitted():
     def rate_of(start):
         model = Decay(rate=al.Decision(1.5, 0.01, 10.0), start=start)
@@ -120,8 +114,8 @@ def test_of_an_uncertain_model_the_mean_is_fitted():
     assert rate_of(al.Normal(2.0, 0.1)) == pytest.approx(rate_of(2.0), rel=1e-6)
 
 
-def test_the_spread_of_a_fit_is_ready_for_the_next_design():
-    found = al.posterior(al.solve(decay_problem()))
+def test_the_spread_of_a_fit_is_ready_for_the_next_design(decay):
+    found = al.posterior(decay)
     places = placements(found.system)
     assert isinstance(places.distributions["rate"], al.LogNormal)
     assert isinstance(places.distributions["start"], al.Normal)
@@ -153,9 +147,9 @@ def test_data_that_no_model_has_are_refused(declare, message):
 @pytest.mark.parametrize(
     ("output", "times", "message"),
     [
-        ("gain", [0.0, 0.3, 0.6], "received 'shift', by which no residual changes"),
+        pytest.param("gain", [0.0, 0.3, 0.6], "received 'shift', by which no residual changes", marks=pytest.mark.slow),
         ("response", [0.0, 0.3, 0.6], "received 'gain' and 'shift', which can change together"),
-        ("response", [0.0, 0.3], "received 2 data and 2 numbers: gain, shift"),
+        pytest.param("response", [0.0, 0.3], "received 2 data and 2 numbers: gain, shift", marks=pytest.mark.slow),
     ],
 )
 def test_numbers_that_the_data_do_not_tell_are_named(output, times, message):
@@ -165,6 +159,7 @@ def test_numbers_that_the_data_do_not_tell_are_named(output, times, message):
         al.posterior(fit)
 
 
+@pytest.mark.slow
 def test_a_spread_is_refused_where_it_would_not_be_normal_or_is_none_of_a_fit():
     bounded = Decay(rate=al.Decision(1.5, 1.0, 10.0), start=2.0)
     fit = al.solve(al.Problem(bounded, grid=GRID, minimize=al.residuals("x", TIMES, DECAYED)))

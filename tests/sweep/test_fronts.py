@@ -47,6 +47,7 @@ def decaying():
     )
 
 
+@pytest.mark.slow
 def test_a_refused_point_is_kept_with_what_was_said_drawn_and_saved_and_the_others_are_solved():
     front = al.pareto(decaying(), "x", [0.9, 1.2])
     assert front.values.tolist() == [0.9, 1.2]

@@ -36,6 +36,7 @@ def test_the_excess_falls_with_the_weight_as_the_closed_form_says_and_ctrl_c_kee
     assert str(found).endswith("interrupted by the user")
 
 
+@pytest.mark.slow
 def test_an_exact_penalty_holds_once_its_weight_is_above_the_shadow_price():
     price = 2.0  # of `(a - 3)²` at the limit
     found = al.harden(problem(LOW), weight=0.3 * price, factor=2.0, exact=True)
@@ -43,6 +44,7 @@ def test_an_exact_penalty_holds_once_its_weight_is_above_the_shadow_price():
     assert found.best.decisions["width"] == pytest.approx(LIMIT, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_only_named_constraints_grow_and_the_others_hold():
     found = al.harden(problem(LOW, (MASS.mean >= 2.5).named("high")), "low", most=3)
     assert not found.holds

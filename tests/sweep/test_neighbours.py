@@ -3,12 +3,12 @@
 import itertools
 from concurrent.futures import ThreadPoolExecutor
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aleator as al
 from aleator.sweep._front import Place, doubtful
+from zoo import TwoBasins
 
 CURVES = {
     "1/b": (lambda b: 1 / b, lambda b: -1 / b**2),
@@ -33,15 +33,6 @@ def test_a_point_above_the_curve_is_in_doubt_from_each_neighbour(name):
     for i, relaxing in itertools.product((0, 4, 8), (1, 0)):
         pairs = set(doubtful(places(*CURVES[name], lifted=[BOUNDS[i]]), relaxing, 4.0))
         assert pairs == {(BOUNDS[i], BOUNDS[j]) for j in (i - 1, i + 1) if 0 <= j < len(BOUNDS)}
-
-
-class TwoBasins(al.AlgebraicSystem):
-    """A loss with minima 1 at `a = 1` and 3 at `a = 5`, which meet at `a = 3.25`."""
-
-    a: al.Number
-
-    def outputs(self):
-        return {"loss": jnp.minimum((self.a - 1) ** 2 + 1, (self.a - 5) ** 2 + 3), "a": self.a}
 
 
 def two_basins(start: float, limit) -> al.Problem:

@@ -59,6 +59,7 @@ def test_how_sure_one_may_be_is_the_share_of_boender_and_rinnooy_kan(random, uns
     assert ("%" in found.sure()) == (unseen < 1)
 
 
+@pytest.mark.slow
 def test_an_objective_at_its_lower_bound_is_proven_best_and_one_optimum_wherever_it_is_found():
     # Every `phase` has a `depth`, or none, at which the objective is zero, to rounding.
     found = al.portfolio(problem(minimize=(X.mean - 0.2) ** 2), 8, search=None)
@@ -70,6 +71,7 @@ def test_an_objective_at_its_lower_bound_is_proven_best_and_one_optimum_wherever
     assert found.random == 7
 
 
+@pytest.mark.slow
 def test_a_problem_without_a_design_gives_the_least_violated_one():
     impossible = X.at_most(-3.0, sigmas=1.0)
     found = al.portfolio(problem(subject_to=[impossible]), 3, search=replace(SEARCH, evaluations=100))

@@ -80,6 +80,7 @@ def test_wishes_of_any_size_and_name_have_the_same_front():
     assert "do not conflict" in str(found)
 
 
+@pytest.mark.slow
 def test_a_concave_front_is_found_and_weights_cannot():
     # Fonseca and Fleming 1995: 1 - exp(-|x ∓ 1/√3|²), best on the diagonal; far out both are flat.
     side = np.full(3, 1 / np.sqrt(3))
@@ -176,7 +177,7 @@ def test_no_end_of_a_front_is_dominated_where_a_slope_is_infinite():
 WAYS = {"boundary": {}, "starts": {"starts": 4}, "population": POPULATION}
 
 
-@pytest.mark.parametrize("way", ["boundary", pytest.param("starts", marks=pytest.mark.slow), "population"])
+@pytest.mark.parametrize("way", cases(["boundary", "starts", "population"]))
 def test_both_parts_of_a_front_with_a_hole_are_found(way):
     found = curve(16, slope=-1.0, wave=-0.25, upper=0.7, **WAYS[way])
     a = np.linspace(0.0, 0.7, 200_001)
@@ -235,7 +236,7 @@ def test_no_point_is_weakly_efficient(seed):
 
 
 @pytest.mark.usefixtures("python_interrupts")
-@pytest.mark.parametrize(("stage", "after", "options"), [("trade-off", 2, {}), ("population", 200, POPULATION)])
+@pytest.mark.parametrize(("stage", "after", "options"), cases([("trade-off", 2, {}), ("population", 200, POPULATION)]))
 def test_ctrl_c_keeps_the_points_found(stage, after, options):
     found = al.trade_off(near(HERE, THERE), WISHES, 5, progress=pressed(stage, after), **options)
     assert found.interrupted

@@ -65,9 +65,10 @@ def test_derivatives_by_the_middle_its_time_and_the_duration_agree_with_differen
     at = (np.array([0.8, 0.35]), np.array(1.4))
     for along in ((np.array([1.0, 0.0]), 0.0), (np.array([0.0, 1.0]), 0.0), (np.zeros(2), 1.0)):
         along = tuple(map(np.asarray, along))
-        found = jax.jvp(values, at, along)[1]
+        found = np.asarray(jax.jvp(values, at, along)[1])
         h = 1e-5
-        ahead, behind = (values(at[0] + s * h * along[0], at[1] + s * h * along[1]) for s in (1.0, -1.0))
+        moved = ((at[0] + s * h * along[0], at[1] + s * h * along[1]) for s in (1.0, -1.0))
+        ahead, behind = (np.asarray(values(*one)) for one in moved)
         np.testing.assert_allclose(found, (ahead - behind) / (2 * h), rtol=1e-6, atol=1e-5)
         assert np.abs(found).max() > 0.1
 

@@ -10,7 +10,7 @@ from aleator.transcription import transcribe
 from aleator.transcription.sequential import _instantaneous as instantaneous
 from aleator.transcription.sequential._affine import affine_features, anchored
 from compiling import compiled
-from zoo import Pendulum, derivative_error
+from zoo import Pendulum, cases, derivative_error
 
 # --- Derivatives -----------------------------------------------------------------------------------------------------
 
@@ -66,7 +66,7 @@ def fixed_plan():
     )
 
 
-@pytest.mark.parametrize("declared", [codesign, fixed_plan], ids=["co-design", "uncertain motion"])
+@pytest.mark.parametrize("declared", cases([codesign, fixed_plan]))
 def test_derivatives_agree_with_finite_differences(declared):
     problem = declared()
     program = transcribe(problem).program

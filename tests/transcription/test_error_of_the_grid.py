@@ -45,6 +45,7 @@ def states_its_error(solution):
     return cost
 
 
+@pytest.mark.slow
 def test_a_grid_that_sees_too_little_of_a_control_is_coarse_and_as_many_steps_as_it_advises_give_the_optimum():
     coarse = al.solve(least_effort(), throw=False)
     assert "grid is too coarse" in coarse.verdict
@@ -156,6 +157,7 @@ def test_a_limit_that_breaks_on_a_finer_grid_makes_the_design_none():
     assert "'place'" in solution.why()
 
 
+@pytest.mark.slow
 def test_a_search_that_an_unstable_grid_leads_astray_is_told_so():
     problem = al.Problem(
         Mount((2 * np.pi * 50.0) ** 2, al.Decision(1.0, 0.0, 10.0)),
@@ -189,6 +191,7 @@ def moved(stiffness, centre):
     return solve_ivp(rhs, (0.0, END), [0.0, 0.0], **exact).y[0]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_a_pulse_between_the_steps_is_no_solution_though_the_limit_holds_by_luck():
     centre = 1.0042
@@ -202,6 +205,7 @@ def test_a_pulse_between_the_steps_is_no_solution_though_the_limit_holds_by_luck
         assert words in solution.why()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_a_limit_that_only_the_grid_breaks_is_told_to_be_one_of_the_grid():
     # An instant in the pulse makes it stronger, so that no spring seems stiff enough.

@@ -48,6 +48,7 @@ def lost_variance():
     return energy[ORDER + 1 :].sum(axis=0)[1:] / variance[1:]
 
 
+@pytest.mark.slow
 def test_a_long_simulation_is_followed_until_an_instant_that_the_warning_names():
     expected = float(TIMES[1 + np.argmax(lost_variance() > 0.05**2)])
     with pytest.warns(al.ExpansionWarning, match=r"order 4 does not resolve x\(t\) .* from t = 1\d.* s on"):
@@ -119,6 +120,7 @@ def test_the_figure_of_derivatives_is_the_error_of_their_own_expansion():
         assert exact[name] <= error <= 4 * exact[name]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_a_kink_in_the_slope_spoils_the_derivatives_before_the_values_and_that_is_said():
     solution = al.solve(bent_problem("kink", 5))
@@ -154,6 +156,7 @@ def test_as_many_points_as_terms_leave_nothing_to_check_by():
     assert not solution.certificate.expansion.can_be_checked
 
 
+@pytest.mark.slow
 def test_a_derivative_that_does_not_vary_is_resolved_whatever_an_integrator_makes_of_it():
     class Rising(al.System):
         states = ("x",)

@@ -133,6 +133,7 @@ class Cell(al.System):
         return {"q": z.q}
 
 
+@pytest.mark.slow
 def test_a_limit_of_zero_on_what_may_be_rounding_is_told():
     problem = al.Problem(
         Cell(al.Decision(0.5, 0.0, 10.0)),

@@ -8,7 +8,7 @@ from typing_extensions import override
 
 import aleator as al
 from aleator import extending as ext
-from zoo import Decay, gain_problem
+from zoo import Decay, cases, gain_problem
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +91,7 @@ def fading():
     return al.Problem(decay, grid=al.Grid(1.0, 20), minimize=al.value("start"), subject_to=[limit])
 
 
-@pytest.mark.parametrize("declared", [gain_problem, fading])
+@pytest.mark.parametrize("declared", cases([gain_problem, fading]))
 def test_a_problem_has_the_same_answer_and_certificate_by_another_transcription(declared):
     problem = declared()
     usual, other = al.solve(problem), al.solve(problem, transcription=Epigraph())

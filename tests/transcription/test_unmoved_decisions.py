@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from zoo import block_problem
+from zoo import block_problem, cases
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -96,7 +96,7 @@ def test_three_factors_of_a_product_leave_zero_together():
     assert al.solve(problem).objective == pytest.approx(-1.0, rel=1e-6)
 
 
-@pytest.mark.parametrize("way", [al.Sequential(), al.Simultaneous()], ids=["shooting", "collocation"])
+@pytest.mark.parametrize("way", cases([al.Sequential(), al.Simultaneous()]))
 def test_two_controls_whose_product_drives_leave_zero_together(way):
     class Motor(al.System):
         """A motor driven by the product of the currents in its field and in its armature."""
@@ -156,6 +156,7 @@ def test_a_constraint_that_is_flat_at_the_start_alone_is_not_refused():
         answer("minimum", (0.5, 0.0, 4.0), limit="fixed", upper=1.0)
 
 
+@pytest.mark.slow
 def test_every_decision_of_many_leaves_a_maximum_as_far_as_a_limit_lets():
     """All pieces end at a bound; the last speed is their mean: at most a half if fifteen go up, and five down."""
     problem = block_problem(

@@ -62,6 +62,7 @@ def test_a_spline_whose_knots_contain_the_old_ones_begins_as_the_same_curve(begu
     np.testing.assert_allclose(after, before, rtol=0, atol=1e-11 * np.abs(before).max())
 
 
+@pytest.mark.slow
 def test_a_coarser_spline_comes_as_close_as_least_squares_does(begun):
     before, after = begun(problem(spline(RANDOM)), RANDOM, problem(spline(np.zeros(5))))
     many = np.linspace(0.0, 1.0, 4001)
@@ -71,6 +72,7 @@ def test_a_coarser_spline_comes_as_close_as_least_squares_does(begun):
     np.testing.assert_allclose(after, closest(TIMES), rtol=0, atol=2e-3 * np.abs(before).max())
 
 
+@pytest.mark.slow
 def test_from_coarse_to_fine_the_optimum_of_the_closed_form_is_reached():
     # With the way limited to h, the least effort is 4 / (9 h), by straight lines whose corners are at 3 h and 1 - 3 h:
     # between the knots of the coarse spline, on those of the fine one.

@@ -13,7 +13,7 @@ from aleator.solving import _stages
 from aleator.transcription import transcribe
 from aleator.transcription.sequential import EVALUATE
 from compiling import compiled
-from zoo import Decay, optimum
+from zoo import Decay, cases, optimum
 
 Y = al.output("y")
 WIDE = al.Uniform(0.0, half_width=1.0)
@@ -121,6 +121,7 @@ class Many(al.AlgebraicSystem):
         return {"y": self.gain * (total + 0.02 * total**2)}
 
 
+@pytest.mark.slow
 def test_the_worst_of_many_variables_is_found_at_its_corner():
     system = Many(al.Decision(0.01, 0.001, 5.0), [al.Uniform(0.0, half_width=0.5) for _ in range(12)])
     first_order = al.Expansion(order=1)
@@ -180,6 +181,7 @@ def test_a_limit_at_the_points_of_an_unbounded_distribution_is_active_at_the_wor
     assert 0 < al.validate(solution, 20_000).violations["y"].estimate < 0.05
 
 
+@pytest.mark.slow
 def test_limits_at_points_and_on_the_worst_case_stand_beside_each_other():
     limits = (AT_POINTS.named("points"), Y.at_most(2.0, worst_case=True).named("worst"))
     solution = al.solve(largest_gain("a square", limits, a=al.Uniform(1.0, half_width=0.5), b=0.0))
@@ -187,7 +189,7 @@ def test_limits_at_points_and_on_the_worst_case_stand_beside_each_other():
     assert [one.name for one in solution.certificate.worst_case.realisations] == ["worst"]
 
 
-@pytest.mark.parametrize("way", [al.Sequential(), al.Simultaneous()], ids=["shooting", "collocation"])
+@pytest.mark.parametrize("way", cases([al.Sequential(), al.Simultaneous()]))
 def test_limits_over_time_hold_at_each_point(way):
     problem = al.Problem(
         Decay(al.Normal(1.0, 0.1), start=al.Decision(1.0, 0.1, 9.0)),

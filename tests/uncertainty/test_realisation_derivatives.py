@@ -191,7 +191,7 @@ def first_and_second_difference(function, x, relative_step=2e-2):
     [
         ("weibull", "triangular", "lognormal"),
         ("beta",),
-        ("gamma",),
+        pytest.param(("gamma",), marks=pytest.mark.slow),
         pytest.param(("truncated normal",), marks=pytest.mark.slow),
     ],
     ids=lambda names: names[0],

@@ -118,6 +118,7 @@ def test_limits_on_statistics_are_compared_with_their_bounds():
     assert "within its error of the bound" in str(evidence)
 
 
+@pytest.mark.slow
 def test_any_system_beyond_a_limit_for_all_systems_is_an_alarm():
     # Flat around the hill: no corner is on it, and no search by slopes finds it.
     evidence = alarmed(solved("hill", limits=(X.at_most(2.6, worst_case=True),)))

@@ -110,6 +110,7 @@ def test_a_deterministic_design_is_validated_on_the_uncertain_systems():
     assert float(evidence.functionals["response(t_f)"].expanded_std) == 0.0
 
 
+@pytest.mark.slow
 def test_constraints_on_moments_alone_are_left_out_and_joint_counts_a_system_once():
     problem = al.Problem(
         Gain(al.Decision(0.5, 0.0, 10.0), al.Uniform(1.0, half_width=HALF_WIDTH)),
@@ -159,6 +160,7 @@ def test_what_is_certain_is_simulated_on_a_finer_grid_which_finds_out_a_coarse_o
     assert evidence.instants == 21
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_systems_are_simulated_on_a_grid_whose_error_is_an_order_below_what_is_tolerated():
     problem = al.Problem(

@@ -60,6 +60,7 @@ def test_the_share_that_breaks_a_limit_is_that_at_all_times_and_not_at_the_insta
     assert instants > 100
 
 
+@pytest.mark.slow
 def test_moments_and_kept_systems_stay_those_of_the_design_s_own_grid(solution):
     # As though its error were an order below what is tolerated: otherwise all is sampled on a finer grid.
     certificate = dataclasses.replace(solution.certificate, grid_error=None)
@@ -156,6 +157,7 @@ def test_limits_on_an_end_of_a_distribution_count_systems_and_limits_on_its_widt
 THETA_STD, SHIFT_STD, BOUND = 0.1, 0.2, 2.0
 
 
+@pytest.mark.slow
 def test_a_robust_design_and_its_evidence_know_the_correlation():
     """More germ variables than one stand behind a number."""
     correlation = -0.8

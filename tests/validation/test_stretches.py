@@ -88,6 +88,7 @@ def test_only_what_can_be_told_instant_by_instant_is_folded():
     assert not folds(decaying_problem(integrator=al.integrators.Tsit5()))
 
 
+@pytest.mark.slow
 def test_a_system_that_is_not_finite_is_named_where_it_is_folded(folded: None):
     with pytest.warns(al.ExpansionWarning, match="does not resolve"):
         rooted = al.solve(rooted_problem(), throw=False, between=1)

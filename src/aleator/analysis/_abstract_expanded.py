@@ -19,7 +19,7 @@ import scipy
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Pytree, jax_array
+from aleator._core.arrays import Pytree, in_library, jax_array
 from aleator._core.compilation import Use, evaluate, evaluate_traced
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator._core.identity import traced_once
@@ -111,7 +111,7 @@ class AbstractExpanded(Module, Drawn, AbstractMeasured[Pytree]):
                 _warn_of_integral(kind, np.asarray(value), np.asarray(error), np.asarray(Std().of(terms, ())))
             if without is not None:
                 warn_of_shape(kind, np.asarray(value), without[:, 0])
-                value = value[0]
+                value = jax_array(np.asarray(value)[0])
             values.append(value)
         return jax.tree.unflatten(structure, values)
 
@@ -190,11 +190,11 @@ def _use(terms: Float[Array, "terms *shape"]) -> Use:
 
 def paired(outputs: Pytree, first: str, second: str) -> Array:
     """Two outputs of a dict, stacked along a new last axis."""
-    both = part(outputs, first), part(outputs, second)
+    library, both = in_library((part(outputs, first), part(outputs, second)))
     shapes = [jax.tree.map(lambda values: values.shape[1:], output) for output in both]
     if shapes[0] != shapes[1]:
         raise ProblemError(f"'{first}' and '{second}' have different shapes: {shapes[0]} and {shapes[1]}.")
-    return jnp.stack(both, axis=-1)
+    return jax_array(library.stack(both, axis=-1))
 
 
 def checked_points(points: Any, germs: Mapping[str, AbstractGerm]) -> Float[np.ndarray, "n variables"]:

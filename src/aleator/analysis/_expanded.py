@@ -177,9 +177,10 @@ def _step(basis: AbstractBasis) -> int:
 
 
 def _part_of_variance(terms: Float[Array, "terms *shape"], matrix: Float[Array, "terms terms"]) -> Array:
-    part = jnp.sum(terms * jnp.tensordot(matrix, terms, axes=1), axis=0)
-    total, spreads = jnp.sum(terms[1:] ** 2, axis=0), varies(terms)
-    return jnp.where(spreads, part / jnp.where(spreads, total, 1.0), 0.0)
+    library, terms, matrix, spreads = in_library(terms, matrix, varies(terms))
+    part = library.sum(terms * library.tensordot(matrix, terms, axes=1), axis=0)
+    total = library.sum(terms[1:] ** 2, axis=0)
+    return jax_array(library.where(spreads, part / library.where(spreads, total, 1.0), 0.0))
 
 
 def _larger(first: Float[Array, "*shape"], second: Float[Array, "*shape"]) -> Float[Array, "*shape"]:

@@ -38,8 +38,8 @@ def with_points_left_out(
         return None
     if any(map(is_traced, (samples, terms, collocation.points))):
         return None
-    most = min(_PRODUCTS // max(constants.values.size * terms[0].size, 1), _MOST)
     known = np.asarray(terms)
+    most = min(_PRODUCTS // max(constants.values.size * known[0].size, 1), _MOST)
     return np.concatenate([known[:, None], left_out(collocation, np.asarray(samples), known, most)], axis=1)
 
 

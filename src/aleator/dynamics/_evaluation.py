@@ -257,8 +257,8 @@ def explain_from(system: System, t: float, z: Any, step: float, now: Callable[[A
         root = solved_algebraic(*at)[0]
         return root, place, guessed_algebraic(*at), root.converged
 
-    *places, converged = onward(jnp.asarray(shares))
-    if np.all(converged):
+    *places, converged = jax.tree.map(np.asarray, onward(jnp.asarray(shares)))
+    if converged.all():
         return ""
     first = int(np.argmin(converged))
     root, place, guess = jax.tree.map(lambda one: one[first], places)

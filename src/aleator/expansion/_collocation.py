@@ -202,8 +202,9 @@ def resolved_instants(
 
     An instant is unresolved if its `leave_one_out_history` exceeds `tolerance` or is NaN.
     """
-    unresolved = ~(leave_one_out_history(collocation, samples, coefficients) <= tolerance)
-    return jnp.where(unresolved.any(), jnp.argmax(unresolved), len(unresolved))
+    library, errors = in_library(leave_one_out_history(collocation, samples, coefficients))
+    unresolved = ~(errors <= tolerance)
+    return jax_array(library.where(unresolved.any(), library.argmax(unresolved), len(unresolved)))
 
 
 def components(

@@ -129,13 +129,13 @@ class Division(Module):
 
     def elements(self, whole: Float[Array, "all_terms *shape"]) -> Float[Array, "elements terms *shape"]:
         """The coefficients in each element, in polynomials that are orthonormal there."""
+        _, whole = in_library(whole)
         count = len(self.roots)
         return self._turned(whole.reshape(count, len(whole) // count, *whole.shape[1:]), first=True)
 
     def whole(self, elements: Float[Array, "elements terms *shape"]) -> Float[Array, "all_terms *shape"]:
         """The reverse."""
-        turned = self._turned(elements, first=False)
-        return turned.reshape(-1, *turned.shape[2:])
+        return self._turned(elements, first=False)
 
     def _turned(self, parts: Any, *, first: bool) -> Any:
         library, parts, mirror, roots = in_library(parts, self.mirror, self.roots)
@@ -143,7 +143,7 @@ class Division(Module):
         parts = parts if first else parts * factors
         constants = library.tensordot(mirror, parts[:, :1], axes=1)
         parts = library.concatenate([constants, parts[:, 1:]], axis=1)
-        return jax_array(parts / factors if first else parts)
+        return jax_array(parts / factors if first else parts.reshape(-1, *parts.shape[2:]))
 
 
 @final

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Number
+from aleator._core.arrays import Number, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf, Module, lowest, realised_shape, stored_numbers
 
@@ -192,7 +192,7 @@ class Box(AbstractBounded):
     def _directions(self, dimension: int) -> Float[Array, "d d"]:
         """The box's axes, one a row."""
         if self.orientation is None:
-            return jnp.eye(dimension)
+            return jax_array(np.eye(dimension))
         orientation = realised("Box", "orientation", self.orientation)
         if dimension == 3:
             return orientation.T

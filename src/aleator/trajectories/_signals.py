@@ -18,7 +18,7 @@ from typing_extensions import override
 from aleator._core.arrays import in_library, jax_array
 from aleator._core.equations import as_time
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import Module, realised_shape, stored_numbers
+from aleator._core.leaves import Module, is_traced, realised_shape, stored_numbers
 
 Fractions = Float[np.ndarray, " n"] | Float[Array, " n"]
 
@@ -53,7 +53,12 @@ class AbstractSignal(Module):
     def sampled(self, fractions: Fractions, t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
         """Its values at some fractions of the time from `t_start` to `t_final`."""
         over, times = self.over(t_start, t_final), instants(fractions, t_start, t_final)
-        return jax.vmap(over)(times if self.declares_jumps else as_time(times))
+        # What is known is one program, not one for each operation.
+        return (_along if is_traced((over, times)) else eqx.filter_jit(_along))(over, times)
+
+
+def _along(signal: AbstractSignal, times: Float[Array, " n"]) -> Float[Array, "n ..."]:
+    return jax.vmap(signal)(times if signal.declares_jumps else as_time(times))
 
 
 def instants(fractions: Fractions, t_start: Any, t_final: Any) -> Float[Array, " n"]:

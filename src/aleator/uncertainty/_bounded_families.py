@@ -134,10 +134,11 @@ class Triangular(AbstractDistribution):
         return scale * jnp.sqrt((1 - mode + mode**2) * 2 / 9)
 
 
-def _standardised(bound: Scalar, location: Scalar, scale: Scalar) -> Array:
+def _standardised(bound: Scalar, location: Scalar, scale: Scalar) -> Scalar:
     """The bound in scales from the location. Infinite bounds are kept as they are: their derivatives would be NaN."""
-    finite = jnp.isfinite(bound)
-    return jnp.where(finite, (jnp.where(finite, bound, location) - location) / scale, bound)
+    xp, bound, location, scale = in_library(bound, location, scale)
+    finite = xp.isfinite(bound)
+    return xp.where(finite, (xp.where(finite, bound, location) - location) / scale, bound)
 
 
 def _mass(low: Array, high: Array) -> Array:

@@ -6,6 +6,7 @@ from typing import Any, ClassVar, final
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax.scipy import special
 from jaxtyping import Array, Float
 from typing_extensions import override
@@ -138,7 +139,8 @@ class LogNormal(AbstractDistribution):
             lambda median, log_std, lower: Canonical(lower, median - lower, (log_std,)), frozenset({"log_std"})
         ),
         ("log_mean", "log_std", "lower"): Form(
-            lambda log_mean, log_std, lower: Canonical(lower, jnp.exp(log_mean), (log_std,)), frozenset({"log_std"})
+            lambda log_mean, log_std, lower: Canonical(lower, in_library(log_mean)[0].exp(log_mean), (log_std,)),
+            frozenset({"log_std"}),
         ),
     }
     REQUIRES: ClassVar[str] = "finite parameters, a mean or median above lower, and a std or log_std above 0"
@@ -195,8 +197,10 @@ class LogNormal(AbstractDistribution):
 
 
 def _weibull_from_moments(mean: Scalar, std: Scalar, lower: Scalar) -> Canonical:
-    inverse = weibull_inverse_shape(jnp.log1p((std / (mean - lower)) ** 2))
-    return Canonical(lower, (mean - lower) / jnp.exp(special.gammaln(1 + inverse)), (1 / inverse,))
+    xp, mean, std, lower = in_library(mean, std, lower)
+    xp, inverse = in_library(weibull_inverse_shape(xp.log1p((std / (mean - lower)) ** 2)))
+    logarithm = scipy.special.gammaln if xp is np else special.gammaln
+    return Canonical(lower, (mean - lower) / xp.exp(logarithm(1 + inverse)), (1 / inverse,))
 
 
 @final

@@ -7,7 +7,7 @@ import pytest
 from collocated_problems import Regulated
 
 import aleator as al
-from zoo import block_problem, optimum
+from zoo import block_problem, cases, optimum
 
 EFFORT = al.integral("effort").mean
 
@@ -27,8 +27,9 @@ def pushed(scheme: Any, steps: int, least: float | None = None, **options: Any) 
 
 @pytest.mark.parametrize(
     "scheme",
-    [al.schemes.Radau(3), al.schemes.MultipleShooting(2), al.schemes.HermiteSimpson(), al.schemes.GaussLegendre(2)],
-    ids=lambda one: type(one).__name__,
+    cases(
+        [al.schemes.Radau(3), al.schemes.HermiteSimpson(), al.schemes.MultipleShooting(2), al.schemes.GaussLegendre(2)]
+    ),
 )
 def test_least_effort_to_move_a_block(scheme):
     """From rest to rest in one second, u = 6 - 12 t: with J = 6 (1 - x)², a push of x costs -12 a metre."""
@@ -82,6 +83,7 @@ def test_a_regulated_lag_has_the_costate_of_its_riccati_equation():
     assert costates["x"][0] == pytest.approx(2 * riccati * at_nodes, abs=2e-4)
 
 
+@pytest.mark.slow
 def test_costates_of_all_realisations_add_up_to_a_push_of_all():
     lag, push = al.Uniform(1.0, half_width=0.4), 1e-3
 
@@ -109,6 +111,7 @@ def test_a_solution_tells_costates_of_a_search_that_was_finished_alone():
     assert weak.switching is None
 
 
+@pytest.mark.slow
 def test_no_switching_function_is_told_that_lacks_an_integral_of_statistics():
     over_time = al.time_integral(al.path("effort").mean)
     costates, switching, _ = pushed(al.schemes.HermiteSimpson(), 4, minimize=over_time)

@@ -81,6 +81,7 @@ def moved():
     return al.solve(pushed(), transcription=al.Simultaneous(), between=1)
 
 
+@pytest.mark.slow
 def test_decisions_that_a_solution_has_are_where_a_program_starts(moved):
     """The force in another spline is fitted; a decision of another name keeps its own start."""
     problem = pushed(al.Decision(1.0, 0.5, 2.0), points=9)

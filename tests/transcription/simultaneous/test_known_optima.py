@@ -56,6 +56,7 @@ def test_brachistochrone():
     assert optimum(problem, al.schemes.GaussLegendre(2)) == pytest.approx(exact, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_bryson_and_denham():
     """Bryson, Denham and Dreyfus 1963: 4 / (9 l), with forces that are linear between thirds of the time."""
     limit, pieces = 1 / 9, 60
@@ -73,6 +74,7 @@ def test_bryson_and_denham():
     assert optimum(problem, al.schemes.HermiteSimpson()) == pytest.approx(4 / (9 * limit), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_van_der_pol():
     pieces = 100
     problem = al.Problem(

@@ -59,6 +59,7 @@ def unstable(scheme, steps=200, **options):
     return al.solve(problem, transcription=al.Simultaneous(scheme), **options)
 
 
+@pytest.mark.slow
 def test_a_plan_of_an_unstable_system_is_checked_from_its_own_states():
     solution = unstable(al.schemes.Radau(3))
     # Errors grow by e^40 on the way.

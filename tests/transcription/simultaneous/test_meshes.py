@@ -91,6 +91,7 @@ def test_intervals_are_divided_at_a_kink_and_nowhere_else():
     assert solution.mesh_states["w"][0, -1] == pytest.approx((kink**2 + (end - kink) ** 2) / 2, rel=20 * ASKED)
 
 
+@pytest.mark.slow
 def test_errors_are_told_of_each_realisation_and_the_worst_system_by_its_numbers():
     problem = al.Problem(
         Swing(damping=al.Uniform(0.5, half_width=0.4), first=1.0),
@@ -141,6 +142,7 @@ def test_a_control_follows_a_mesh_that_is_refined_for_which_rates_are_not_compil
     assert finer.decisions(point) == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", [al.schemes.Radau(3), al.schemes.MultipleShooting(2)], ids=["Radau", "shooting"])
 def test_a_finer_mesh_compiles_nothing(scheme):
     problem = al.Problem(
