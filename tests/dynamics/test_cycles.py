@@ -90,6 +90,11 @@ class Forced(al.System):
         return {"x": z.x}
 
 
+def test_a_grid_that_is_no_period_of_the_force_does_not_repeat():
+    with pytest.warns(al.SimulationWarning, match="a time that does not come again"):
+        al.simulate(Forced(0.3), al.Grid(3.5, 20, periodic=True))
+
+
 def test_a_forced_vibration_repeats_with_the_period_of_its_force():
     # Its complex amplitude is 1 / (k - 1 + i c).
     found = al.expand(

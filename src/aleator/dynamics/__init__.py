@@ -24,6 +24,7 @@ from aleator.dynamics._evaluation import observation as observation
 from aleator.dynamics._evaluation import solved_algebraic as solved_algebraic
 from aleator.dynamics._evaluation import with_algebraic as with_algebraic
 from aleator.dynamics._event import Event as Event
+from aleator.dynamics._explained import refuse_unknown_event as refuse_unknown_event
 from aleator.dynamics._extended import AbstractExtended as AbstractExtended
 from aleator.dynamics._grid import AbstractGrid as AbstractGrid
 from aleator.dynamics._grid import Grid as Grid
@@ -64,7 +65,6 @@ from aleator.dynamics._schemes import Radau as Radau
 from aleator.dynamics._schemes import Trapezoid as Trapezoid
 from aleator.dynamics._simulate import simulate as simulate
 from aleator.dynamics._simulation import Simulation as Simulation
-from aleator.dynamics._simulation import refuse_unknown_event as refuse_unknown_event
 from aleator.dynamics._simulation import simulation_of as simulation_of
 from aleator.dynamics._switches import jump_times as jump_times
 from aleator.dynamics._switches import time_switches as time_switches

@@ -16,6 +16,7 @@ from aleator._core import border
 from aleator._core.compilation import Use, evaluate
 from aleator._core.dependence import dependence
 from aleator._core.equations import as_time
+from aleator.dynamics._closing import met_about
 from aleator.dynamics._evaluation import (
     algebraic_residuals,
     completed,
@@ -207,7 +208,11 @@ class AbstractAdaptive(AbstractIntegrator):
             lambda: self._course(system, grid, inputs, Asked(frozenset())), use=Use.ONCE
         )
         if np.all(np.asarray(shares) == 1.0):
-            return super().explain(system, grid, inputs, events) or explain_end(system, grid)
+            why = super().explain(system, grid, inputs, events)
+            if why or grid.until is None:
+                return why
+            about = evaluate(lambda: met_about(self.record, system, grid, inputs), use=Use.ONCE)
+            return explain_end(system, grid, float(about))
         name, now = type(self).__name__, inputs_on(grid, inputs)
         reached, last = float(grid.t_start + np.asarray(shares) @ np.asarray(steps.h)), float(grid.t_final)
         states, named = ravel_pytree(initial_state(system, grid.times[0], now(grid.times[0])))

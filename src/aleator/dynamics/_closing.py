@@ -30,6 +30,8 @@ _PASSES = 5
 _MOST, _LEAST = 60, 2.0**-8
 # The shortest period, as a part of the time until the latest end. An event before that is the one at the start.
 _SHORTEST = 0.05
+# Rates that differ by this part of the largest one are the same.
+_SAME = 1e-6
 
 Vector = Float[Array, " n"]
 Recorded = Callable[[System, Grid, Inputs, Asked], Record]
@@ -58,11 +60,34 @@ def closed(record: Recorded, system: System, grid: Grid, inputs: Inputs, asked: 
     taken = jax.tree.map(lambda one: zero + one, (start, zero, zeros(shapes)))
     searches = jnp.asarray(np.arange(_PASSES + 1 + (not grid.periodic)) < (not grid.periodic))
     (_, (sought, length, taken)), _ = jax.lax.scan(passed, (zero + start, taken), searches)
+    if isinstance(closing, _Cycle):
+        states, end = (sought, grid.t_final) if grid.until is None else (sought[:-1], sought[-1])
+        length = jnp.where(repeats(system, grid, inputs, states, end), length, jnp.inf)
     sought, taken = jax.tree.map(lambda one: jnp.where(length <= CLOSE, one, jnp.nan), (sought, taken))
     if asked.multipliers and isinstance(closing, _Cycle):
         taken = taken._replace(monodromy=closing.monodromy(sought))
     history = {name: values for name, values in taken.history.items() if asked.states or name != STATES}
     return taken._replace(history=history, grid=grid.ending(sought[-1]) if grid.until else grid)
+
+
+def repeats(
+    system: System, grid: Grid, inputs: Inputs, states: Vector | None = None, end: Any = None
+) -> Bool[Array, ""]:
+    """Whether rates after a cycle are those before it, of the same states and inputs: a time in the equations
+    themselves may not come again.
+
+    - `states`, `end`: by default those of the system and the grid.
+    """
+    t, now = jnp.asarray(grid.t_start, dtype=float), inputs_on(grid, inputs)(grid.t_start)
+    own, named = ravel_pytree(initial_state(system, t, now))
+    z, last = named(own if states is None else states), jnp.asarray(grid.t_final if end is None else end)
+    before, after = (ravel_pytree(derivative(system, at, z, now))[0] for at in (t, last))
+    return jnp.max(jnp.abs(after - before)) <= _SAME * jnp.max(jnp.abs(before))
+
+
+def met_about(record: Recorded, system: System, grid: Grid, inputs: Inputs) -> Float[Array, ""]:
+    """About when the event that ends a grid happens, up to its latest end, between two instants; NaN if it does not."""
+    return _Ending(record, system, grid, inputs).over(jnp.asarray(grid.t_final)[None], ONLY_STATES).end[0]
 
 
 class _Pass(NamedTuple):

@@ -1,9 +1,13 @@
 """Why an event that is needed is not found in a realisation, or a cycle does not close."""
 
+import math
+
 import jax.numpy as jnp
 import numpy as np
 
+from aleator._core.border import meant
 from aleator._core.compilation import Use, evaluate
+from aleator._core.errors import ProblemError
 from aleator.dynamics._crossings import AT_START, LOST, MANY, STAYS, TOGETHER, course, needed, watched
 from aleator.dynamics._grid import Grid, Inputs
 from aleator.dynamics._newton import listed, numbers_in
@@ -36,18 +40,43 @@ def explain_events(tableau: Tableau, system: System, grid: Grid, inputs: Inputs,
     return ""
 
 
-def explain_end(system: System, grid: Grid) -> str:
-    """That the event that ends a grid is not met, with the numbers of the realisation; empty if none ends it."""
+def explain_end(system: System, grid: Grid, about: float = math.nan) -> str:
+    """That the event that ends a grid is not met, with the numbers of the realisation; empty if none ends it.
+
+    `about`: when it seems to happen between two instants; NaN if it does not.
+    """
     if grid.until is None or grid.periodic:
         return ""
+    if math.isfinite(about):
+        return (
+            f"{_named(system)} meets '{grid.until}', at which its grid ends, at about t = {about:.4g} s, but the "
+            "search for that time does not converge: take more steps of the grid, from whose instants it starts."
+        )
     return (
         f"{_named(system)} never meets '{grid.until}', at which its grid ends, from {float(grid.t_start):.4g} to "
         f"{float(grid.t_final):.4g} s: raise at_most, or bound the distributions and decisions that lead past it."
     )
 
 
-def explain_cycle(system: System, grid: Grid) -> str:
-    """That a cycle does not close, with the numbers of the realisation."""
+def refuse_unknown_event(system: System, name: str | None) -> None:
+    """Raise `ProblemError` for the name of an event that a system does not have."""
+    if name is not None and name not in system.declared_events:
+        known = list(system.declared_events)
+        remedy = meant(name, known) if known else " Write events = {...: al.Event(...)} in the class."
+        raise ProblemError(f"{system.title} has no event '{name}'; expected one of {known}.{remedy}")
+
+
+def explain_cycle(system: System, grid: Grid, *, is_timed: bool) -> str:
+    """That a cycle does not close, with the numbers of the realisation.
+
+    `is_timed`: because rates tell the end from the start.
+    """
+    if is_timed:
+        return (
+            f"{_named(system)} does not repeat: its equations contain a time that does not come again, so that the "
+            "rates at the end of the grid are not those at its start. A grid of known length is as long as the period "
+            "of what depends on time, and one from event to event needs equations without time."
+        )
     event = "" if grid.until is None else f" after '{grid.until}', which it meets by t = {float(grid.t_final):.4g} s"
     return (
         f"{_named(system)} does not close its cycle: from the values of initial(), Newton's method finds no states to "

@@ -15,21 +15,20 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import in_library, jax_array, numbers_to_arrays
-from aleator._core.border import meant, refuse_missing
 from aleator._core.compilation import Use, evaluate
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import AbstractPlanned, is_leaf, named_leaves, transparent
+from aleator._core.leaves import AbstractPlanned, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, explain_failure
-from aleator.dynamics._closing import closed
+from aleator.dynamics._closing import closed, repeats
 from aleator.dynamics._equations import Equations, Start, TracedSystem
 from aleator.dynamics._evaluation import initial_state
-from aleator.dynamics._explained import explain_cycle
+from aleator.dynamics._explained import explain_cycle, refuse_unknown_event
 from aleator.dynamics._extended import AbstractExtended
 from aleator.dynamics._grid import AbstractGrid, Grid, Inputs, Instant, check_signals, inputs_on, sampled
 from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator, RungeKutta4
 from aleator.dynamics._phases import LinkedSystems, Phases, asked_within, joined, phase_of, within
 from aleator.dynamics._record import ONLY_STATES, STATES, Asked, History, Occurrence, Record, chosen, observed
-from aleator.dynamics._system import AbstractSystem, End, System, check_variables
+from aleator.dynamics._system import AbstractSystem, End, System, check_variables, refuse_unrealised
 from aleator.trajectories import AbstractSignal, least_steps
 
 
@@ -293,7 +292,11 @@ class Simulation(AbstractPlanned):
         if why or not self.grid.periodic:
             return why
         rows = evaluate(lambda: self.record(ONLY_STATES).history[STATES], use=Use.ONCE)
-        return "" if jnp.isfinite(rows).all() else explain_cycle(system, self.grid)
+        if jnp.isfinite(rows).all():
+            return ""
+        grid, inputs = self.grid, self.signals(system)
+        is_timed = not evaluate(lambda: repeats(system, grid, inputs), use=Use.ONCE)
+        return explain_cycle(system, grid, is_timed=is_timed)
 
     def _explain_phases(self, events: frozenset[str]) -> str:
         """The same of the first phase that has no solution."""
@@ -385,28 +388,3 @@ def simulation_of(
     instants = Instant() if grid is None and not has_time else grid
     integrator = RungeKutta4() if integrator is None else integrator
     return Simulation(system, dict(inputs or {}), instants, integrator, dict(numbers))  # type: ignore[arg-type]
-
-
-def refuse_unknown_event(system: System, name: str | None) -> None:
-    """Raise `ProblemError` for the name of an event that a system does not have."""
-    if name is not None and name not in system.declared_events:
-        known = list(system.declared_events)
-        remedy = meant(name, known) if known else " Write events = {...: al.Event(...)} in the class."
-        raise ProblemError(f"{system.title} has no event '{name}'; expected one of {known}.{remedy}")
-
-
-def refuse_unrealised(**parts: Any) -> None:
-    """Raise `ProblemError` if a distribution or a decision is left in the parts to simulate; traced numbers pass."""
-    for name, leaf in named_leaves(parts):
-        refuse_missing(name, leaf)
-    leaves = [
-        f"'{jax.tree_util.keystr(path, simple=True, separator='.')}' is a {type(leaf).__name__}"
-        for path, leaf in jax.tree_util.tree_leaves_with_path(parts, is_leaf=is_leaf)
-        if is_leaf(leaf)
-    ]
-    if leaves:
-        raise ProblemError(
-            f"simulate: expected one realised system, with plain numbers throughout; received {', '.join(leaves)}. "
-            "Replace these by numbers, declare an al.Problem, or pass a function that simulates to al.expand or "
-            "al.references.monte_carlo, which realise the system."
-        )

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.border import refusal, traceable
+from aleator._core.border import refusal, refuse_missing, traceable
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.leaves import Module, Printed
+from aleator._core.leaves import Module, Printed, is_leaf, named_leaves
 from aleator.dynamics._event import Event
 from aleator.trajectories import AbstractSignal
 
@@ -371,3 +371,20 @@ def check_inputs(system: System, inputs: Collection[str]) -> None:
     unknown = [] if is_open else sorted(set(inputs) - set(input_names(system)))
     if missing or unknown:
         raise ProblemError(f"{name} takes the inputs {sorted(input_names(system))}; received {sorted(inputs)}.")
+
+
+def refuse_unrealised(**parts: Any) -> None:
+    """Raise `ProblemError` if a distribution or a decision is left in the parts to simulate; traced numbers pass."""
+    for name, leaf in named_leaves(parts):
+        refuse_missing(name, leaf)
+    leaves = [
+        f"'{jax.tree_util.keystr(path, simple=True, separator='.')}' is a {type(leaf).__name__}"
+        for path, leaf in jax.tree_util.tree_leaves_with_path(parts, is_leaf=is_leaf)
+        if is_leaf(leaf)
+    ]
+    if leaves:
+        raise ProblemError(
+            f"simulate: expected one realised system, with plain numbers throughout; received {', '.join(leaves)}. "
+            "Replace these by numbers, declare an al.Problem, or pass a function that simulates to al.expand or "
+            "al.references.monte_carlo, which realise the system."
+        )
