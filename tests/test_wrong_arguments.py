@@ -134,6 +134,7 @@ USUAL: dict[str, Any] = {
     "rate": 1.0,
     "rates": {_X: -_K * _X},
     "references": {"x": 1.0},
+    "s": 1.0,
     "scale": 1.0,
     "second": al.output("mass"),
     "signals": al.Tabulated([0.0, 1.0], [0.0, 1.0]),

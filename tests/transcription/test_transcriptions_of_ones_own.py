@@ -72,6 +72,10 @@ class Lifted(ext.AbstractTranscribed):
         return self.inner.at(point[1:])
 
     @override
+    def times(self, point):
+        return self.inner.times(point[1:])
+
+    @override
     def at_scenarios(self, scenarios):
         return Lifted.of(self.inner.at_scenarios(scenarios))
 

@@ -63,13 +63,13 @@ class Root(NamedTuple):
     steps: Float[Array, ""]
 
     @property
-    def regular(self) -> Bool[Array, ""]:
+    def regular(self) -> Bool[Any, ""]:
         """Whether the Jacobian determines the step; false where `regularity` is NaN."""
         steady = (self.shrinkage <= _REGULAR_SHRINKAGE) & (self.change <= _REGULAR_CHANGE)
         return (self.regularity >= _LEAST_REGULARITY) & steady
 
     @property
-    def converged(self) -> Bool[Array, ""]:
+    def converged(self) -> Bool[Any, ""]:
         """Whether `point` is an isolated solution."""
         return self.regular & (self.step <= _CLOSE) & jnp.isfinite(self.point).all()
 

@@ -56,6 +56,8 @@ class Phase:
             raise refusal("Phase: inputs", "signals by name, such as {'thrust': ...}", inputs)
         if not isinstance(subject_to, Iterable) or isinstance(subject_to, str):
             raise refusal("Phase: subject_to", "constraints, such as [al.path('h').mean <= 1.0]", subject_to)
+        if not isinstance(feedback, Module | None):
+            raise refusal("Phase: feedback", "an al.Feedback, such as al.Feedback(gains=[4.0, 2.0])", feedback)
         self.inputs, self.subject_to, self.feedback = dict(inputs or {}), tuple(subject_to), feedback
 
 
