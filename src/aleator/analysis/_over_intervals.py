@@ -142,14 +142,14 @@ class OverIntervals(Module, Printed, AbstractMeasured[Pytree]):
             rows = np.stack([np.concatenate([np.ravel(np.asarray(one, dtype=float)) for one in row]) for row in leaves])
             return np.concatenate([-rows, rows], axis=1)
 
-        tried = spread_over(len(self.intervals), 0)
-        if tried.shape[1] == 1 and ends[-1] > _CONTINUED:
-            tried = np.linspace(0.0, 1.0, _SCANNED)[:, None]
-        seen = both(tried)
+        points = spread_over(len(self.intervals), 0)
+        if points.shape[1] == 1 and ends[-1] > _CONTINUED:
+            points = np.linspace(0.0, 1.0, _SCANNED)[:, None]
+        seen = both(points)
         if not (finite := np.isfinite(seen).all(axis=1)).all():
-            where = ", ".join(f"{name} = {x:.6g}" for name, x in self._values(tried[~finite][0]).items())
+            where = ", ".join(f"{name} = {x:.6g}" for name, x in self._values(points[~finite][0]).items())
             raise ProblemError(f"bounds: the statistic is not finite where {where}: narrow the interval.")
-        best = np.column_stack([seen.max(axis=0), tried[np.argmax(seen, axis=0)]])
+        best = np.column_stack([seen.max(axis=0), points[np.argmax(seen, axis=0)]])
         for i, range_ in enumerate(np.ptp(seen, axis=0)):
             if ends[-1] <= _CONTINUED and range_ > 0:
                 further = scipy.optimize.minimize(
@@ -162,13 +162,13 @@ class OverIntervals(Module, Printed, AbstractMeasured[Pytree]):
                 best[i] = reached if reached[0] > best[i, 0] else best[i]
         lower, upper = np.split(best, 2)
 
-        def told(one: Any, end: int) -> Bounds:
+        def bounds_of(one: Any, end: int) -> Bounds:
             some, shape = slice(end - np.size(one), end), np.shape(one)
             places = (self._values(side[some, 1:].T) for side in (lower, upper))
             at = [{name: x.reshape(shape)[()] for name, x in one.items()} for one in places]
             return Bounds(-lower[some, 0].reshape(shape)[()], upper[some, 0].reshape(shape)[()], *at)
 
-        return jax.tree.unflatten(structure, [told(one, end) for one, end in zip(first, ends, strict=True)])
+        return jax.tree.unflatten(structure, [bounds_of(one, end) for one, end in zip(first, ends, strict=True)])
 
     def _values(self, points: Float[np.ndarray, "intervals *some"]) -> dict[str, Any]:
         """The numbers of the intervals at points of their unit box."""

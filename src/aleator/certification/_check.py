@@ -150,7 +150,7 @@ def _use(problem: Problem, collocation: Collocation, *others: Any) -> Use:
         return Use.ONCE
     systems, _ = others[-1]
     steps = problem.grid.steps * (len(collocation.points) + len(systems))
-    return Use.BRIEF if steps <= _BRIEF else Use.ROWS
+    return Use.BRIEF if steps <= _BRIEF else Use.LOOPS
 
 
 CHECK = Compiled(_check, use=_use)

@@ -25,8 +25,8 @@ MOST_CORNERS = 128
 
 # Values closer than this part of the box are the same.
 _SAME = 1e-3
-# Corners, and random points inside, at which a design is told besides its scenarios.
-_TOLD_CORNERS, _TOLD_INSIDE = 16, 2
+# Corners, and random points inside, at which a design is shown besides its scenarios.
+_SHOWN_CORNERS, _SHOWN_INSIDE = 16, 2
 
 
 class Scenario(NamedTuple):
@@ -135,7 +135,7 @@ class Game:
         excess = single.limits.excess(values)
         return np.stack([excess[:, rows].max(axis=1) for rows in self.transcribed.rows], axis=1)
 
-    def tried(self, scenarios: Sequence[Scenario], seed: int) -> Float[np.ndarray, "points intervals"]:
+    def candidates(self, scenarios: Sequence[Scenario], seed: int) -> Float[np.ndarray, "points intervals"]:
         """Points of the unit box at which a search begins, the scenarios first."""
         held = [(one.numbers - self.low) / (self.high - self.low) for one in scenarios]
         return np.concatenate([np.stack(held), spread_over(len(self.low), seed)])
@@ -151,14 +151,14 @@ class Game:
         self, single: NonlinearProgram, outcome: Outcome, scenarios: Sequence[Scenario], seed: int
     ) -> tuple[list[Scenario], int]:
         """Scenarios that break a limit by more than the present ones do, and how many values were tried."""
-        tried, count = self.tried(scenarios, seed), 0
+        candidates, count = self.candidates(scenarios, seed), 0
 
         def excess_at(points: Float[np.ndarray, "points intervals"]) -> Float[np.ndarray, "points limits"]:
             nonlocal count
             count += len(points)
             return self.beyond(single, outcome.point, points)
 
-        beyond = excess_at(tried)
+        beyond = excess_at(candidates)
         imposed = np.stack([one.imposed for one in scenarios])
         held = np.where(imposed, beyond[: len(scenarios)], -np.inf).max(axis=0)
         sizes, ends = np.zeros(imposed.shape[1]), np.cumsum([0, *(len(self.rows(one)) for one in scenarios)])
@@ -167,7 +167,7 @@ class Game:
             own[self.rows(scenario)] = outcome.sizes[first:last]
             sizes = np.maximum(sizes, [own[rows].max(initial=0.0) for rows in self.transcribed.rows])
         allowed = np.fmax(held, 0.0) + HELD / 2 * sizes  # NaN is worse than anything
-        new = worth_imposing(search(excess_at, tried, beyond, seed), allowed)
+        new = worth_imposing(search(excess_at, candidates, beyond, seed), allowed)
         limits = np.arange(len(new))
         return [
             Scenario(self.numbers(one), limits == i)
@@ -190,7 +190,7 @@ class Game:
             parts = {"multipliers": multipliers, "active": active, "sizes": single.sizes(point, own)}
             yield replace(outcome, point=point, evaluation=own, **parts)
 
-    def told(self, solution: Solution, numbers: Float[np.ndarray, " intervals"]) -> Solution:
+    def within_problem(self, solution: Solution, numbers: Float[np.ndarray, " intervals"]) -> Solution:
         """The solution in a scenario as that of the problem in which the intervals have these values."""
         others = {*self.where, LEVEL}
 
@@ -213,8 +213,8 @@ class Game:
     def others(self, scenarios: Sequence[Scenario]) -> list[Scenario]:
         """Corners and points inside that are no scenarios, with nothing imposed."""
         generator, count = np.random.default_rng(0), len(self.low)
-        corners = corners_of(count, _TOLD_CORNERS, generator)
-        points = self.numbers(np.concatenate([corners, generator.random((_TOLD_INSIDE, count))]))
+        corners = corners_of(count, _SHOWN_CORNERS, generator)
+        points = self.numbers(np.concatenate([corners, generator.random((_SHOWN_INSIDE, count))]))
         known = {one.numbers.tobytes() for one in scenarios}
         none = np.zeros(len(self.transcribed.rows), dtype=bool)
         return [Scenario(one, none) for one in points if one.tobytes() not in known]

@@ -62,8 +62,8 @@ def robust(stages: Stages, problem: Problem, start: Float[np.ndarray, " n"] | No
         if outcome.status is not Status.SOLVED:
             break
         point = outcome.point
-        new, tried = game.worse(single, outcome, scenarios, rounds)
-        searched += tried
+        new, count = game.worse(single, outcome, scenarios, rounds)
+        searched += count
         if new:
             scenarios = [*scenarios, *new]
             continue
@@ -171,12 +171,15 @@ def _solution(
             away = float(np.max(np.abs(check.values[-1] - transcribed.at(point).constraints[-1])))
             error = replace(error, objective=replace(error.objective, error=OWN_ERROR * away))
         solution = solution_of(transcribed, one.outcome, one.between, error, None, "", check)
-        each.append(game.told(with_opinion(solution, one), numbers))
+        each.append(game.within_problem(with_opinion(solution, one), numbers))
     highest = max(each, key=lambda one: one.objective)
     main = next((one for one in each if one.objection), highest)
     others = game.others(scenarios) if outcome.status is Status.SOLVED else []
-    told = [
-        replace(game.told(solution_of(transcribed, own, None, None, None, "", None), one.numbers), effort=main.effort)
+    further = [
+        replace(
+            game.within_problem(solution_of(transcribed, own, None, None, None, "", None), one.numbers),
+            effort=main.effort,
+        )
         for one, own in zip(others, game.within(others, outcome), strict=True)
     ]
     results, realisations = [], []
@@ -210,5 +213,5 @@ def _solution(
         objective=highest.objective,
         constraints=tuple(results),
         certificate=replace(main.certificate, worst_case=worst_case),
-        over_intervals=(*each, *(replace(one, certificate=main.certificate) for one in told)),
+        over_intervals=(*each, *(replace(one, certificate=main.certificate) for one in further)),
     )
