@@ -74,11 +74,13 @@ def test_a_start_that_depends_on_the_instant_is_that_of_the_simulation():
         expansion=al.Expansion(order=1),
     )
     transcribed = transcribe(problem, al.Simultaneous(al.schemes.Radau(1)))
-    crank, rod, slider = np.moveaxis(transcribed.layout.view(transcribed.program.start).states[:, 0, :3], 1, 0)
+    crank, rod, slider = np.moveaxis(
+        transcribed.layout.view(transcribed.program.start).phases[0].states[:, 0, :3], 1, 0
+    )
     np.testing.assert_allclose(crank, 0.3, rtol=1e-14)
     np.testing.assert_allclose(np.sin(rod), -0.1 / 0.35 * np.sin(0.3), rtol=1e-9)
     np.testing.assert_allclose(slider, 0.1 * np.cos(0.3) + 0.35 * np.cos(rod), rtol=1e-9)
     tied = transcribed.assembled.rows.ties.rows
     first = transcribed.program.evaluate(transcribed.program.start).constraints[tied]
-    begun = np.isin(transcribed.assembled.rows.ties.variables, transcribed.layout.numbers.states[:, 0])
+    begun = np.isin(transcribed.assembled.rows.ties.variables, transcribed.layout.numbers.phases[0].states[:, 0])
     np.testing.assert_allclose(first[begun], 0.0, atol=1e-12)
