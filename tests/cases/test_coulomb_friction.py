@@ -103,6 +103,7 @@ def test_a_block_sticks_until_a_growing_force_pulls_it_loose():
             grid=al.Grid(end, 20),
             minimize=al.value("ramp"),
             subject_to=[al.terminal("v").mean >= slope * (end - leaves) ** 2 / 2],
+            integrator=al.integrators.Rodas5P(),  # by which the answer is checked
         )
         transcription = al.Simultaneous(al.schemes.Radau(3), error=1e-5)
         solution = al.solve(problem, transcription=transcription, warm_start=solution)
