@@ -164,7 +164,7 @@ def test_a_search_that_is_not_finished_tells_its_gap(monkeypatch):
             lambda: pack_problem(*[al.Choice.table("part", {"a": [1.0, 2.0]})["a"]] * 2),
             "'a' of the table 'part' stands",
         ),
-        (lambda: al.portfolio(pack_problem(al.Integer(3, 1, 9), 1.0)), "received 'a', an Integer"),
+        (lambda: al.portfolio(pack_problem(al.Integer(3, 1, 9), 1.0)), "received 'a', an al.Integer"),
     ],
 )
 def test_what_cannot_be_chosen_is_refused(declare, message):

@@ -193,5 +193,5 @@ def refuse_choices(who: str, places: Placements) -> None:
     if names := [name for name, place in places.decisions.items() if place.decision.values is not None]:
         raise ProblemError(
             f"{who}: expected decisions that may have any value between their bounds; received '{names[0]}', an "
-            f"{type(places.decisions[names[0]].decision).__name__}. al.solve and al.pareto take these."
+            f"al.{type(places.decisions[names[0]].decision).__name__}. al.solve and al.pareto take these."
         )
