@@ -64,6 +64,13 @@ def test_the_angle_of_the_best_mean_less_spread_is_that_which_scipy_finds():
     assert values[2] == pytest.approx(mean[0], abs=1e-6)
 
 
+def test_no_program_tells_instants_that_nobody_asks_for(monkeypatch):
+    monkeypatch.setattr("aleator.design._response._INSTANTS", None)
+    limits = [al.at("ground").mean <= 100.0]
+    shot = Shot(angle=al.Decision(0.6, 0.1, 1.5), c=al.Uniform(0.02, half_width=0.01), height=1.0)
+    assert al.solve(al.Problem(shot, grid=LANDED, minimize=-al.terminal("x").mean, subject_to=limits)).ok
+
+
 def test_a_solution_tells_the_times_at_the_means_and_those_of_each_system():
     found = solution()
     assert found.instants[-1] == pytest.approx(landing(found.decisions["angle"], 0.02)[2], abs=1e-7)

@@ -1,6 +1,7 @@
 """The error of a problem's own grid, by comparison with a finer one, and the finer grids to solve it on."""
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float
@@ -48,7 +49,7 @@ def grid_error(
     functionals = functionals_of(problem.expressions)
     reaches = dict(zip(functionals, finer.reaches, strict=True))
     rounding, spreads = rounding_at(transcribed, point, finer.reaches), spread_functionals(problem)
-    deviations = {}
+    deviations, every = {}, cache(lambda: transcribed.times(point))
     for one, *moments in zip(functionals, finer.means, finer.stds, strict=True):
         own, reach = resolved[one.text()], reaches[one]
         mean, std = (np.atleast_1d(part)[:: finer.factor if one.is_path else 1] for part in moments)
@@ -66,7 +67,7 @@ def grid_error(
         # A quantity that has to be zero, and is, has no magnitude of its own.
         alone = value if value > _NEGLIGIBLE_VALUE * reach else reach
         size = max(min(magnitudes, default=alone), max(ROUNDING * reach, rounding[one], _TINY) / accuracy)
-        times = instants_of(one, problem.grid, transcribed.times(point))
+        times = instants_of(one, problem.grid, every)
         when = float(times[int(np.argmax(change.reshape(len(times), -1).max(axis=1)))])
         deviations[one.text()] = Deviation(OWN_ERROR * largest, accuracy * size, when, one.order)
     objective, floor = meaning.objective, _NEGLIGIBLE_VALUE * reach_of(problem.objective, reaches)

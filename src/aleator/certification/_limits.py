@@ -104,12 +104,12 @@ class Limit(NamedTuple):
 def limits_at(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], check: Check) -> list[Limit]:
     """All limits of a problem at a point, on both grids."""
     meaning, rows = transcribed.at(point), functools.cache(lambda: row_sizes(transcribed, point))
-    grid = transcribed.problem.grid
+    grid, every = transcribed.problem.grid, functools.cache(lambda: transcribed.times(point))
     reaches = dict(zip(functionals_of(transcribed.problem.expressions), check.reaches, strict=True))
     limits = []
     each = zip(transcribed.problem.constraints, meaning.constraints, check.values[1:], transcribed.rows, strict=True)
     for one, own, fine, place in each:
-        times = instants_of(one, grid, transcribed.times(point))
+        times = instants_of(one, grid, every)
         size = bound_size(one) or max(reach_of(one.expression, reaches), float(np.max(rows()[place])))
         own = transcribed.at_instants(one, own)
         by_row = own.reshape(len(times), -1), fine.reshape(len(fine) if one.is_path else 1, -1)

@@ -74,7 +74,7 @@ def _reached(
             beyond = jnp.ravel(jnp.maximum(value - limit.upper, limit.lower - value))
             # The first NaN counts as the largest.
             worst = jnp.argmax(beyond)
-            own = instants_of(limit, problem.grid, times)
+            own = instants_of(limit, problem.grid, lambda: times)
             time = own[worst * len(own) // beyond.size] if limit.is_path and not ends_by_event(problem) else jnp.nan
             reached.append((beyond[worst], jnp.ravel(value)[worst], time))
         return tuple(jnp.stack(part) for part in zip(*reached, strict=True))  # type: ignore[return-value]

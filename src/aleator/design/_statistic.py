@@ -1,7 +1,7 @@
 """`AbstractFunctional`, the base class of functionals, and its atoms in expressions: `Statistic` and `Extreme`."""
 
 import abc
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Self, final
@@ -316,9 +316,14 @@ def path_of(limit: Constraint | AbstractFunctional) -> str:
     return next((one.place for one in every if one.is_path), "")
 
 
-def instants_of(limit: Constraint | AbstractFunctional, grid: AbstractGrid, times: Any) -> Float[Any, " instants"]:
-    """Those of the instants of a grid at which a limit or a functional is known; one, NaN, if it is not over time."""
-    return times[grid.where(path_of(limit))] if limit.is_path else np.full(1, np.nan)
+def instants_of(
+    limit: Constraint | AbstractFunctional, grid: AbstractGrid, times: Callable[[], Any]
+) -> Float[Any, " instants"]:
+    """Those of the instants of a grid at which a limit or a functional is known; one, NaN, if it is not over time.
+
+    `times`: all instants, which take a program where events end realisations: asked for only if they are needed.
+    """
+    return times()[grid.where(path_of(limit))] if limit.is_path else np.full(1, np.nan)
 
 
 def functionals_of(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctional, ...]:

@@ -239,7 +239,7 @@ class Solution(Drawn):
 
     def times_of(self, path: Constraint | AbstractFunctional) -> Float[np.ndarray, " instants"]:
         """The instants of a path, or of a limit on one, s: those of its phase, where there are phases."""
-        return instants_of(path, self.problem.grid, self.instants)
+        return instants_of(path, self.problem.grid, lambda: self.instants)
 
     @property
     def inputs(self) -> Motions:

@@ -309,7 +309,7 @@ def refuse_unsatisfiable(
     for i, row in suspects:
         if all(other[i][row] == values[i][row] for other in others):
             one, value = problem.constraints[i], float(values[i][row])
-            own = instants_of(one, problem.grid, times)
+            own = instants_of(one, problem.grid, lambda: times)
             when = f" at t = {own[row * len(own) // len(values[i])]:.4g} s" if one.is_path else ""
             raise ProblemError(
                 f"Constraint '{one.name}' ({one}) is {value:.6g}{when} whatever the decisions are, so that no design "
