@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from aleator._core.compilation import Compiled, Use
-from aleator._core.loops import loop_while_any
+from aleator._core.equations import loop_while_any
 from aleator._core.programs import Programs
 
 

@@ -296,7 +296,7 @@ class Bound:
         device = placed(arrays)
         self._moves, self._inputs = device is None, jax.device_put(self._layout.arrays(arrays), device)
         self._copies: dict[Device, list[Any]] = {}
-        self._executable: Executable | None = None
+        self._executables: dict[Any, Executable] = {}
 
     def is_known(self, last: Any) -> bool:
         """Whether there is a program for this structure already."""
@@ -304,9 +304,10 @@ class Bound:
 
     def prepare(self, last: Any) -> Executable:
         """The executable for arguments of this structure, compiled now if it has not been."""
-        if self._executable is None:
-            self._executable = self._program(last)()
-        return self._executable
+        structure = jax.tree.structure(last)
+        if structure not in self._executables:
+            self._executables[structure] = self._program(last)()
+        return self._executables[structure]
 
     def begin(self, last: Any) -> Pytree | None:
         """Begin to compile on another core what calls with arguments of this structure run; traced here and now.

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from types import FunctionType
-from typing import Any, NamedTuple, TypeAlias, final
+from typing import Any, NamedTuple, TypeAlias, TypeVar, final
 
 import equinox as eqx
 import jax
@@ -15,8 +15,10 @@ import numpy as np
 from jax.ad_checkpoint import checkpoint_name
 from jax.core import Tracer, eval_jaxpr
 from jax.custom_derivatives import SymbolicZero
-from jax.extend.core import ClosedJaxpr, Literal
+from jax.extend.core import ClosedJaxpr, Literal, Primitive
+from jax.interpreters import batching, mlir
 from jax.interpreters.partial_eval import dce_jaxpr
+from jaxtyping import Array, Bool
 
 from aleator._core.arrays import Pytree, numbers_to_arrays
 from aleator._core.errors import ProblemError
@@ -134,6 +136,30 @@ def _every(jaxpr: Any) -> Iterator[Any]:
         for part in jax.tree.leaves(equation.params):
             if hasattr(part, "eqns"):
                 yield from _every(part)
+
+
+_State = TypeVar("_State")
+
+# Whether something is so in any realisation: itself, where there is one.
+_anywhere = Primitive("anywhere")
+_anywhere.def_impl(lambda is_true: is_true)
+_anywhere.def_abstract_eval(lambda is_true: is_true)
+mlir.register_lowering(_anywhere, lambda _, is_true: [is_true])
+batching.primitive_batchers[_anywhere] = lambda each, axes: (jnp.any(each[0], axis=axes[0]), None)
+
+
+def loop_while_any(
+    goes_on: Callable[[_State], Bool[Array, ""]], advance: Callable[[_State], _State], begin: _State
+) -> _State:
+    """`jax.lax.while_loop`, vectorised without a choice between old and new for each part of the state: `advance` must
+    leave a state that does not go on as it is.
+    """
+
+    def step(carried: tuple[Array, _State]) -> tuple[Array, _State]:
+        state = advance(carried[1])
+        return _anywhere.bind(goes_on(state)), state
+
+    return jax.lax.while_loop(lambda carried: carried[0], step, (_anywhere.bind(goes_on(begin)), begin))[1]
 
 
 def ends_by_condition(jaxpr: Any) -> bool:

@@ -181,14 +181,13 @@ def checks_at(
     problem = transcribed.problem
 
     @cache
-    def bound(integrator: AbstractIntegrator, is_in_parts: bool) -> Bound:
-        del is_in_parts  # a program of its own
+    def bound(integrator: AbstractIntegrator) -> Bound:
         return _bound(problem.finer(factor, integrator), transcribed.discretised, transcribed.decisions(point))
 
     def begun(systems: FreshSystems, integrator: AbstractIntegrator, departed: str = "") -> Callable[[], Check]:
         named = type(integrator).__name__ if problem.is_integrated else "Simpson's rule"
         courses = _courses(transcribed, point, systems) if departed else None
-        check, drawn = bound(integrator, bool(departed)), (systems.points, courses)
+        check, drawn = bound(integrator), (systems.points, courses)
         check.begin(drawn)
         wait = beside(lambda: check(drawn))
 

@@ -17,8 +17,7 @@ from jax.flatten_util import ravel_pytree
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
-from aleator._core.equations import as_time
-from aleator._core.loops import loop_while_any
+from aleator._core.equations import as_time, loop_while_any
 from aleator.dynamics._evaluation import (
     after_events,
     completed,

@@ -53,7 +53,8 @@ class Simulation(AbstractPlanned):
     @override
     def beside(self, means: Callable[[], Any]) -> "Simulation":
         system = self.system
-        if not (isinstance(system, AbstractExtended) or getattr(system, "surroundings", None) is not None):
+        is_surrounded = isinstance(system, LinkedSystems) and system.surroundings is not None
+        if not (isinstance(system, AbstractExtended) or is_surrounded):
             return self
         known = means()
         uncertain = tuple(name for name, signal in known.inputs.items() if jax.tree.leaves(signal))

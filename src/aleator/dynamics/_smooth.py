@@ -81,10 +81,10 @@ def saturated(x: Any, lower: Any, upper: Any, *, width: Any) -> Float[Array, "*s
 
     Raises `ProblemError` for known limits in the wrong order.
     """
+    _refuse_crossed("smooth: saturated", "lower <= upper", lower, upper, (lower, upper))
     x, lower, upper = (
         traceable(f"smooth: {name}", one) for name, one in (("x", x), ("lower", lower), ("upper", upper))
     )
-    _refuse_negative("smooth: saturated", "lower <= upper", upper - lower)
     return lower + positive(x - lower, width=width) - positive(x - upper, width=width)
 
 
@@ -93,11 +93,13 @@ def dead_zone(x: Any, half_gap: Any, *, width: Any) -> Float[Array, "*shape"]:
 
     Raises `ProblemError` for a known gap below zero.
     """
+    _refuse_crossed("smooth: dead_zone", "half_gap >= 0", 0.0, half_gap, half_gap)
     x, half_gap = traceable("smooth: x", x), traceable("smooth: half_gap", half_gap)
-    _refuse_negative("smooth: dead_zone", "half_gap >= 0", half_gap)
     return positive(x - half_gap, width=width) - positive(-x - half_gap, width=width)
 
 
-def _refuse_negative(what: str, expected: str, distance: Any) -> None:
-    if not is_traced(distance) and np.any(np.asarray(distance) < 0):
-        raise refusal(what, expected, np.asarray(distance).tolist())
+def _refuse_crossed(what: str, expected: str, lower: Any, upper: Any, received: Any) -> None:
+    """Raise `ProblemError` for plain numbers in the wrong order: what is computed is traced where equations are."""
+    plain = int | float | np.ndarray | np.generic
+    if isinstance(lower, plain) and isinstance(upper, plain) and np.any(np.asarray(lower) > np.asarray(upper)):
+        raise refusal(what, expected, received)

@@ -227,27 +227,31 @@ def noisy(
     """A system with the covariance of its states if there is white noise, and its inputs without this."""
     if isinstance(system, Noisy | Phases | LinkedSystems):
         return system, inputs
-    every = inputs or {}
-    others = {name: one for name, one in every.items() if not is_white(one)}
-    if not is_noisy(system, every):
+    if not is_noisy(system, inputs or {}):
         return system, inputs
     if not (isinstance(system, System) and system.states):
         raise ProblemError(f"WhiteNoise: expected a system with states; received {type(system).__name__}.")
-    white = {name: one for name, one in every.items() if is_white(one)}
+    white, others = parted(inputs or {})
     refuse_driven_events(system, grid)
     return Noisy(own=system, inputs=white, taken=tuple(others), until=getattr(grid, "until", None)), others
+
+
+def parted(inputs: Mapping[str, Any]) -> tuple[dict[str, WhiteNoise], dict[str, Any]]:
+    """The inputs that are white noise, and the others."""
+    white = {name: one for name, one in inputs.items() if _is_white(one)}
+    return white, {name: one for name, one in inputs.items() if name not in white}
 
 
 def is_noisy(system: Any, inputs: Mapping[str, Any]) -> bool:
     """Whether there is white noise. Raises `ProblemError` where it is a part of something else."""
     noise = list(system.feedback.noise.values()) if isinstance(system, ClosedLoop) else []
-    others = (one for one in [*inputs.values(), *noise, getattr(system, "plain", system)] if not is_white(one))
-    if any(map(is_white, jax.tree.leaves(list(others), is_leaf=is_white))):
+    others = (one for one in [*inputs.values(), *noise, getattr(system, "plain", system)] if not _is_white(one))
+    if any(map(_is_white, jax.tree.leaves(list(others), is_leaf=_is_white))):
         raise ProblemError(
             "WhiteNoise: expected it as an input of a problem or a phase, or as the noise of a sensor, by itself: "
             "inputs={'w': al.processes.WhiteNoise(...)}; received it as a part of another signal or a system."
         )
-    return any(map(is_white, [*inputs.values(), *noise]))
+    return any(map(_is_white, [*inputs.values(), *noise]))
 
 
 def refuse_driven_events(system: System, grid: Any) -> None:
@@ -264,6 +268,5 @@ def refuse_driven_events(system: System, grid: Any) -> None:
             )
 
 
-def is_white(node: Any) -> bool:
-    """Whether it is white noise."""
+def _is_white(node: Any) -> bool:
     return isinstance(node, WhiteNoise)

@@ -18,7 +18,7 @@ from aleator.dynamics import (
     placed,
 )
 from aleator.feedback._closed_loop import OPEN, ClosedLoop, Feedback, Means, closed_loop
-from aleator.feedback._noisy import Noisy, is_noisy, refuse_driven_events
+from aleator.feedback._noisy import Noisy, is_noisy, parted, refuse_driven_events
 from aleator.trajectories import WhiteNoise
 
 
@@ -88,8 +88,7 @@ def surrounded(simulation: Simulation, phases: Phases) -> Simulation:
         return simulation
     for phase in phases.phases.values() if any(are_noisy) else ():
         refuse_driven_events(phase.system, phase.grid)
-    white = {name: one for name, one in simulation.inputs.items() if isinstance(one, WhiteNoise)}
-    others = {name: one for name, one in simulation.inputs.items() if name not in white}
+    white, others = parted(simulation.inputs)
     around = Surroundings(feedback, white, tuple(parts), any(are_noisy))
     assert isinstance(simulation.system, LinkedSystems)
     return replace(simulation, system=replace(simulation.system, surroundings=around), inputs=others)

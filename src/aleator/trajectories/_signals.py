@@ -53,7 +53,7 @@ class AbstractSignal(Module):
     def sampled(self, fractions: Fractions, t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
         """Its values at some fractions of the time from `t_start` to `t_final`."""
         over, times = self.over(t_start, t_final), instants(fractions, t_start, t_final)
-        # What is known is one program, not one for each operation.
+        # What is known is one program, not one for each operation; within a trace an equation, which tells of jumps.
         return (_along if is_traced((over, times)) else eqx.filter_jit(_along))(over, times)
 
 

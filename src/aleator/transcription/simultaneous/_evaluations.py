@@ -2,7 +2,7 @@
 ends it.
 """
 
-from typing import Any
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -21,34 +21,24 @@ Source = tuple[Problem, str]
 """A problem with its numbers as arrays, and the name of a phase."""
 
 
-def _evaluated(operate: Any, pointwise: Pointwise, points: Any, places: Any, at: tuple[Array, ...]) -> Array:
-    """What a method of `Pointwise` says at some places of all realisations: see `evaluated_at`."""
-    model, duration, signals, states = at
+def _evaluated(what: str, source: Source, points: Array, places: Array, at: tuple[Array, ...]) -> Array:
+    """See `evaluated_at`."""
+    pointwise, (model, duration, signals, states) = Pointwise.of(*source), at
     shared = model if pointwise.is_open else jnp.append(model, duration)
 
     def one(germ: Array, own: Array, place: Array, signal: Array, state: Array) -> Array:
-        return operate(germ, place, shared, jnp.concatenate([signal, own, state]))
+        return getattr(pointwise, what)(germ, place, shared, jnp.concatenate([signal, own, state]))
 
     inner = jax.vmap(one, in_axes=(None, None, 0, 0, 0))
     durations = duration if pointwise.is_open else jnp.zeros((len(points), 0))
     return jax.vmap(inner, in_axes=(0, 0, None, None, 0))(points, durations, places, signals, states)
 
 
-def _algebraic(source: Source, points: Array, places: Array, at: tuple[Array, ...]) -> Array:
-    pointwise = Pointwise.of(*source)
-    return _evaluated(pointwise.algebraic, pointwise, points, places, at)
-
-
-def _levels(source: Source, points: Array, places: Array, at: tuple[Array, ...]) -> Array:
-    pointwise = Pointwise.of(*source)
-    return _evaluated(pointwise.level, pointwise, points, places, at)
-
-
-ALGEBRAIC, LEVELS = Compiled(_algebraic, use=Use.ONCE), Compiled(_levels, use=Use.ONCE)
+EVALUATED = Compiled(_evaluated, use=Use.ONCE)
 
 
 def evaluated_at(
-    program: Compiled,
+    what: Literal["algebraic", "level"],
     source: Source,
     points: Float[np.ndarray, "realisations germs"],
     places: Float[np.ndarray, "places 2"],
@@ -57,14 +47,14 @@ def evaluated_at(
     signals: Float[np.ndarray, "places signals"],
     states: Float[np.ndarray, "realisations places states"],
 ) -> Float[np.ndarray, "realisations places numbers"]:
-    """The algebraic variables (`ALGEBRAIC`), or the levels (`LEVELS`), at some places of all realisations.
+    """Algebraic variables, or the level of the event that ends a phase, at some places of all realisations.
 
     - `model`: the decisions of the model itself, see `Pointwise.direct`; `duration`: see `PhaseVariables`.
     """
     parts = []
     for which, count in in_chunks(places):
         at = model, duration, signals[which], states[:, which]
-        parts.append(np.asarray(program(source, points, places[which], at))[:, :count])
+        parts.append(np.asarray(EVALUATED(what, source, points, places[which], at))[:, :count])
     return np.concatenate(parts, axis=1)
 
 

@@ -21,7 +21,7 @@ from numpy.polynomial import legendre
 from aleator.design import Problem
 from aleator.dynamics import AbstractCollocation, AbstractScheme, MultipleShooting
 from aleator.transcription.simultaneous._blocks import Family
-from aleator.transcription.simultaneous._evaluations import ALGEBRAIC, evaluated_at
+from aleator.transcription.simultaneous._evaluations import evaluated_at
 from aleator.transcription.simultaneous._families import RATES, number_of
 from aleator.transcription.simultaneous._layout import Layout
 from aleator.transcription.simultaneous._mesh import Mesh
@@ -62,7 +62,7 @@ def state_rates(
     parts.append(states)
     if phase.shapes.algebraic:
         at = model, duration, signals, states
-        parts.append(evaluated_at(ALGEBRAIC, (traced, phase.name), points, places[:, 0], *at))
+        parts.append(evaluated_at("algebraic", (traced, phase.name), points, places[:, 0], *at))
     own = np.concatenate(parts, axis=2)
     numbers = shared.size + np.arange(own.size).reshape(own.shape)
     family = Family(pointwise.rates, np.arange(shared.size), numbers, points, places)

@@ -17,7 +17,7 @@ from aleator.design import Problem, deterministic, grid_at, unsolved
 from aleator.dynamics import ONLY_STATES, STATES, System, initial_state, named
 from aleator.solution import Solution
 from aleator.transcription._warm_start import started_from
-from aleator.transcription.simultaneous._evaluations import ALGEBRAIC, LEVELS, evaluated_at, first_crossing
+from aleator.transcription.simultaneous._evaluations import evaluated_at, first_crossing
 from aleator.transcription.simultaneous._guesses import (
     WHO,
     Guess,
@@ -222,7 +222,7 @@ def levels_at(
     """The function of the event that ends a phase along a course of the states, known at some fractions of it."""
     places = np.stack([fractions, np.zeros_like(fractions)], axis=1)
     at = decisions, course.duration, np.zeros((len(places), 0)), course.states
-    return evaluated_at(LEVELS, source, points, places, *at)[..., 0]
+    return evaluated_at("level", source, points, places, *at)[..., 0]
 
 
 def _courses_of(
@@ -305,7 +305,7 @@ def started(
             continue
         mesh, duration, signals = phase.mesh, variables[own.duration], variables[own.signals]
         at = decisions[phase.pointwise.direct], duration, signals, course.states[:, mesh.sides]
-        algebraic = evaluated_at(ALGEBRAIC, (traced, phase.name), points, mesh.places, *at)
+        algebraic = evaluated_at("algebraic", (traced, phase.name), points, mesh.places, *at)
         if (failed := ~np.isfinite(algebraic[:, 0]).all(axis=1)).any():
             first = int(np.argmax(failed))
             reason = unsolved(traced, jax_array(points[first]), jax_array(decisions))
