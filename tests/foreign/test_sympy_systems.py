@@ -8,7 +8,7 @@ from sympy.physics.mechanics import dynamicsymbols
 
 import aleator as al
 from aleator.dynamics._simulate import _HISTORY
-from aleator.foreign._sympy_program import written
+from aleator.foreign._sympy_expressions import written
 from compiling import compiled
 from zoo import Oscillator
 

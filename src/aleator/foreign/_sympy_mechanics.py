@@ -1,6 +1,6 @@
 """Equations of motion of SymPy (`sympy.physics.mechanics`) as mechanical systems."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
@@ -8,20 +8,22 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.border import meant, refusal
+from aleator._core.border import refusal
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
-from aleator.foreign._sympy_program import Program, load_sympy, written
-from aleator.foreign._sympy_symbols import (
-    Contents,
+from aleator.foreign._sympy_expressions import (
+    Program,
     contents_of,
     expressions_by_name,
+    load_sympy,
     names_of,
     numbers_for,
+    refuse_others,
     structure,
     symbols_given,
     time_symbol,
     units_for,
+    written,
 )
 from aleator.mechanics import AbstractMechanical, Motion
 
@@ -109,14 +111,13 @@ class SymPyMechanical(AbstractMechanical):
 class _Equations(NamedTuple):
     """Equations of motion `M v̇ = forcing` in SymPy's expressions, with `q̇ = kinematics` and `constraints = 0`."""
 
-    who: str
     q: list[Any]
     v: list[Any]
     mass: Any
     forcing: Any
     kinematics: Any
-    constraints: list[Any]
-    multipliers: list[Any]
+    constraints: Sequence[Any] = ()
+    multipliers: Sequence[Any] = ()
 
 
 def from_kane(
@@ -143,22 +144,18 @@ def from_kane(
     Raises `ProblemError` for symbols without a number, for numbers that are not used, for dependent coordinates or
     speeds, for equations that contain the time, and for functions that JAX lacks; `MissingExtraError` without SymPy.
     """
-    who = "from_kane"
-    sympy = load_sympy(who)
-    if not isinstance(kane, sympy.physics.mechanics.KanesMethod):
-        raise refusal(who, "a sympy.physics.mechanics.KanesMethod", kane)
+    sympy = load_sympy("from_kane")
+    mass, forcing = _formed("from_kane", kane, sympy.physics.mechanics.KanesMethod, "kanes_equations")
     if len(kane._udep) or len(kane._qdep):
         raise ProblemError(
-            f"{who}: expected independent coordinates and speeds; received dependent ones: "
+            "from_kane: expected independent coordinates and speeds; received dependent ones: "
             f"{[*kane._qdep, *kane._udep]}. Use LagrangesMethod with hol_coneqs and from_lagrange, or from_sympy with "
             "mass_matrix_full and forcing_full."
         )
     rates = kane.kindiffdict()
-    mass, forcing = _formed(who, kane, "kanes_equations")
-    q, v = list(kane.q), list(kane.u)
-    kinematics = sympy.Matrix([rates[coordinate.diff(time_symbol())] for coordinate in q])
-    given = _Equations(who, q, v, mass.xreplace(rates), forcing.xreplace(rates), kinematics, [], [])
-    return _mechanical(given, numbers, outputs, units)
+    kinematics = sympy.Matrix([rates[coordinate.diff(time_symbol())] for coordinate in kane.q])
+    given = _Equations([*kane.q], [*kane.u], mass.xreplace(rates), forcing.xreplace(rates), kinematics)
+    return _mechanical("from_kane", given, numbers, outputs, units)
 
 
 def from_lagrange(
@@ -178,62 +175,73 @@ def from_lagrange(
     and no gains are needed. SymPy's multipliers may stand in `outputs`; the standard output `constraint_1_multiplier`
     has the other sign (see `al.Lagrangian`). Nonholonomic constraints are refused.
     """
-    who = "from_lagrange"
-    sympy = load_sympy(who)
-    if not isinstance(lagrange, sympy.physics.mechanics.LagrangesMethod):
-        raise refusal(who, "a sympy.physics.mechanics.LagrangesMethod", lagrange)
-    constraints = list(lagrange._hol_coneqs)
+    sympy = load_sympy("from_lagrange")
+    mass, forcing = _formed(
+        "from_lagrange", lagrange, sympy.physics.mechanics.LagrangesMethod, "form_lagranges_equations"
+    )
+    constraints, q = [*lagrange._hol_coneqs], [*lagrange.q]
     if len(lagrange.coneqs) > len(constraints):
         raise ProblemError(
-            f"{who}: expected holonomic constraints, hol_coneqs; received nonholonomic ones. Use KanesMethod, "
+            "from_lagrange: expected holonomic constraints, hol_coneqs; received nonholonomic ones. Use KanesMethod, "
             "and from_sympy with its mass_matrix_full and forcing_full."
         )
-    mass, forcing = _formed(who, lagrange, "form_lagranges_equations")
-    q = list(lagrange.q)
     v = [coordinate.diff(time_symbol()) for coordinate in q]
-    given = _Equations(who, q, v, mass[:, : len(q)], forcing, sympy.Matrix(v), constraints, list(lagrange.lam_vec))
-    return _mechanical(given, numbers, outputs, units)
+    given = _Equations(q, v, mass[:, : len(q)], forcing, sympy.Matrix(v), constraints, [*lagrange.lam_vec])
+    return _mechanical("from_lagrange", given, numbers, outputs, units)
 
 
-def _formed(who: str, method: Any, former: str) -> tuple[Any, Any]:
+def _formed(who: str, method: Any, kind: Any, former: str) -> tuple[Any, Any]:
+    """The mass matrix and the forcing of a method of SymPy's mechanics, whose equations `former` forms."""
+    if not isinstance(method, kind):
+        raise refusal(who, f"a sympy.physics.mechanics.{kind.__name__}", method)
     try:
         return method.mass_matrix, method.forcing
     except ValueError as error:
         raise ProblemError(f"{who}: the equations are not formed yet; call {former}() first.") from error
 
 
-def _mechanical(given: _Equations, numbers: Any, outputs: Any, units: Any) -> SymPyMechanical:
-    who, q, v = given.who, given.q, given.v
-    sympy, time = load_sympy(who), time_symbol()
+def _mechanical(who: str, given: _Equations, numbers: Any, outputs: Any, units: Any) -> SymPyMechanical:
+    sympy, time, q, v = load_sympy(who), time_symbol(), given.q, given.v
     numbers = symbols_given(f"{who}: numbers", numbers)
     formulas = expressions_by_name(f"{who}: outputs", {} if outputs is None else outputs)
     moving = contents_of(who, [*given.mass, *given.forcing, *given.kinematics, *given.constraints])
     of_outputs = contents_of(f"{who}: outputs", formulas.values())
-    if time in (*moving.symbols, *of_outputs.symbols):
-        raise ProblemError(
-            f"{who}: the time {time} stands in the model; put a function of time in its place (dynamicsymbols), and "
-            "give this in numbers as a signal."
-        )
-    _refuse_derivatives(who, moving, (*q, *v))
     free = [symbol for symbol in moving.functions if symbol not in (*q, *v)]
     torques = [symbol for symbol in free if symbol not in numbers]
     parameters = [symbol for symbol in free if symbol in numbers]
-    parameters += sorted({*moving.symbols, *of_outputs.symbols}, key=str)
-
+    parameters += sorted({*moving.symbols, *of_outputs.symbols} - {time}, key=str)
+    posture = [*q, *parameters]
+    refuse_others(
+        f"{who}: the forces",
+        given.forcing,
+        [*posture, *v, *torques],
+        "Make a motion that is prescribed a coordinate, and prescribe it by al.HybridDynamics; put a function of time "
+        "(dynamicsymbols) in the place of the time itself, and give it in numbers as a signal.",
+    )
     effect = given.forcing.jacobian(torques) if torques else sympy.zeros(len(v), 0)
-    _refuse_nonlinear(given, effect, torques)
     bias = -given.forcing.xreplace(dict.fromkeys(torques, sympy.S.Zero))
     forms = given.kinematics.jacobian(v)
-    _refuse_driven(given, forms)
-    direct = len(q) == len(v) and forms == sympy.eye(len(q))
+    if any(not rate.equals(0) for rate in given.kinematics.xreplace(dict.fromkeys(v, 0))):
+        raise ProblemError(
+            f"{who}: expected rates of coordinates that are linear in the speeds, without further terms; received "
+            f"{list(given.kinematics)}. Choose other speeds."
+        )
+    linear = (
+        "Actuators and speeds enter linearly, by factors that depend on the coordinates alone; give others in numbers, "
+        "as a number or a signal."
+    )
 
-    moving, parameter_names = names_of(who, (*q, *v, *torques), parameters)
-    coordinates, speeds, actuators = moving[: len(q)], moving[len(q) : len(q) + len(v)], moving[len(q) + len(v) :]
-    posture, time = [*q, *parameters], time_symbol()
+    def at_posture(what: str, expressions: Iterable[Any]) -> Program:
+        return written(f"{who}: {what}", expressions, posture, linear)
+
+    names, parameter_names = names_of(who, (*q, *v, *torques), parameters)
+    coordinates, speeds, actuators = names[: len(q)], names[len(q) : len(q) + len(v)], names[len(q) + len(v) :]
     # Of Lagrange's method the rates of speeds are the accelerations too.
     dots = [*(speed.diff(time) for speed in v), *(q_i.diff(time) for q_i in q), *(q_i.diff(time, 2) for q_i in q)]
     known = [*posture, *v, *torques, *dots, *given.multipliers]
-    _refuse_unknown_outputs(who, of_outputs, known)
+    meaning = "Expected coordinates, speeds, their rates, actuators and what is given in numbers."
+    standard = [f"{name}{end}" for name in coordinates for end in ("", "_rate", "_acceleration")]
+    standard += [f"{name}{end}" for name in (*speeds, *actuators) for end in ("", "_rate")]
     return SymPyMechanical(
         numbers_for(who, parameters, numbers),
         Mechanics(
@@ -242,63 +250,13 @@ def _mechanical(given: _Equations, numbers: Any, outputs: Any, units: Any) -> Sy
             actuators=actuators,
             parameters=parameter_names,
             constraints=tuple(f"constraint_{i}" for i in range(1, len(given.constraints) + 1)),
-            mass=written(who, given.mass, posture),
+            mass=at_posture("the mass matrix", given.mass),
             bias=written(who, bias, [*posture, *v]),
-            torques=written(who, effect, posture),
-            rates=None if direct else written(who, forms, posture),
-            closed=written(who, given.constraints, posture),
+            torques=at_posture("the effect of an actuator", effect),
+            rates=None if forms == sympy.eye(len(q)) else at_posture("the rates of coordinates", forms),
+            closed=at_posture("constraints", given.constraints),
             names=tuple(formulas),
-            outputs=written(f"{who}: outputs", formulas.values(), known),
-            units=units_for(who, units, [*formulas, *_standard(coordinates, speeds, actuators)]),
+            outputs=written(f"{who}: outputs", formulas.values(), known, meaning),
+            units=units_for(who, units, [*formulas, *standard]),
         ),
     )
-
-
-def _standard(coordinates: Sequence[str], speeds: Sequence[str], actuators: Sequence[str]) -> list[str]:
-    """The names of the outputs that every mechanical system has."""
-    motion = [f"{name}{end}" for name in coordinates for end in ("", "_rate", "_acceleration")]
-    return motion + [f"{name}{end}" for name in (*speeds, *actuators) for end in ("", "_rate")]
-
-
-def _refuse_derivatives(who: str, moving: Contents, motion: Collection[Any]) -> None:
-    """Refuse derivatives of anything but the motion: prescribed motions."""
-    for derivative in moving.derivatives:
-        if derivative not in motion:
-            raise ProblemError(
-                f"{who}: the equations of motion contain {derivative}. Make {derivative.expr} a coordinate, and "
-                "prescribe its motion by al.HybridDynamics."
-            )
-
-
-def _refuse_nonlinear(given: _Equations, effect: Any, torques: Sequence[Any]) -> None:
-    """Refuse functions of time that are neither given nor torques."""
-    elsewhere = contents_of(given.who, [*given.mass, *given.kinematics, *given.constraints]).functions
-    for i, torque in enumerate(torques):
-        factors = contents_of(given.who, effect[:, i])
-        if torque in elsewhere or {*factors.functions, *factors.derivatives} & {*torques, *given.v}:
-            raise ProblemError(
-                f"{given.who}: an actuator enters linearly, by factors that depend on the coordinates alone; received "
-                f"{torque}, which does not. Give it in numbers, as a number or a signal."
-            )
-
-
-def _refuse_driven(given: _Equations, forms: Any) -> None:
-    """Refuse rates of coordinates that are not linear in the speeds."""
-    at_rest = given.kinematics.xreplace(dict.fromkeys(given.v, 0))
-    inside = contents_of(given.who, forms)
-    if any(not rate.equals(0) for rate in at_rest) or {*given.v} & {*inside.functions, *inside.derivatives}:
-        raise ProblemError(
-            f"{given.who}: expected rates of coordinates that are linear in the speeds, without further terms; "
-            f"received {list(given.kinematics)}. Choose other speeds."
-        )
-
-
-def _refuse_unknown_outputs(who: str, of_outputs: Contents, known: Sequence[Any]) -> None:
-    """Refuse what outputs contain, but no equation of motion."""
-    names = {str(symbol): symbol for symbol in known}
-    for symbol in (*of_outputs.functions, *of_outputs.derivatives):
-        if symbol not in known:
-            raise ProblemError(
-                f"{who}: outputs: the equations of motion do not contain {symbol}.{meant(str(symbol), names)} Expected "
-                "coordinates, speeds, their rates, actuators and what is given in numbers."
-            )

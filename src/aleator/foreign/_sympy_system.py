@@ -13,12 +13,12 @@ from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
 from aleator.dynamics import AlgebraicSystem, System
 from aleator.dynamics._system import state_type
-from aleator.foreign._sympy_program import Program, load_sympy, written
-from aleator.foreign._sympy_symbols import (
-    Contents,
+from aleator.foreign._sympy_expressions import (
+    Program,
     contents_of,
     expression,
     expressions_by_name,
+    load_sympy,
     name_of,
     names_of,
     number_of,
@@ -28,6 +28,7 @@ from aleator.foreign._sympy_symbols import (
     symbols_given,
     time_symbol,
     units_for,
+    written,
 )
 
 _WHO = "from_sympy"
@@ -128,101 +129,74 @@ def from_sympy(
     Raises `ProblemError` for symbols without a number, for numbers that are not used, for equations that are not solved
     for the rates, and for functions that JAX lacks; `MissingExtraError` without SymPy.
     """
-    sympy = load_sympy(_WHO)
+    sympy, time = load_sympy(_WHO), time_symbol()
     rates = {
         state: expression(f"{_WHO}: the rate of '{state}'", rate)
         for state, rate in symbols_given(f"{_WHO}: rates", rates).items()
     }
     given = symbols_given(f"{_WHO}: numbers", numbers)
-    states = tuple(rates)
+    states, size = tuple(rates), len(rates)
     if not states:
         raise ProblemError(f"{_WHO}: expected the rate of one state at least; received none.")
-    mass = _mass_matrix(sympy, mass_matrix, len(states))
-    formulas = expressions_by_name(
-        f"{_WHO}: outputs", {name_of(state): state for state in states} if outputs is None else outputs
-    )
-    values, follow = _started(start, states)
+    if mass_matrix is not None and getattr(mass_matrix, "shape", None) != (size, size):
+        raise refusal(
+            f"{_WHO}: mass_matrix", f"a SymPy matrix of shape ({size}, {size}), for as many rates", mass_matrix
+        )
+    mass = [expression(f"{_WHO}: mass_matrix", entry) for entry in ([] if mass_matrix is None else mass_matrix)]
+    outputs = {name_of(state): state for state in states} if outputs is None else outputs
+    formulas = expressions_by_name(f"{_WHO}: outputs", outputs)
+    begun = symbols_given(f"{_WHO}: start", {} if start is None else start)
+    refuse_unknown(f"{_WHO}: start", begun, states)
+    follow = {
+        state: expression(f"{_WHO}: start", value) for state, value in begun.items() if isinstance(value, sympy.Basic)
+    }
 
-    moving = contents_of(_WHO, [*rates.values(), *mass])
-    if moving.derivatives:
-        raise ProblemError(
-            f"{_WHO}: expected rates without derivatives; received {moving.derivatives[0]}. Solve the equations for "
-            "the rates (sympy.solve), or give their matrix as mass_matrix."
-        )
-    of_outputs = contents_of(f"{_WHO}: outputs", formulas.values())
-    inputs = [symbol for symbol in moving.functions if symbol not in states]
-    inputs += [symbol for symbol in of_outputs.functions if symbol not in (*states, *inputs)]
-    if signalled := [symbol for symbol in inputs if symbol in given]:
-        raise ProblemError(
-            f"{_WHO}: {signalled[0]} is an input, not one of numbers; give it as a signal: al.Problem(..., "
-            f"inputs={{'{name_of(signalled[0])}': ...}})."
-        )
-    parameters = _parameters(states, moving, of_outputs, contents_of(f"{_WHO}: start", follow.values()))
+    moving, begins = contents_of(_WHO, [*rates.values(), *mass]), contents_of(f"{_WHO}: start", follow.values())
+    shown = contents_of(f"{_WHO}: outputs", formulas.values())
+    inputs = [symbol for symbol in dict.fromkeys((*moving.functions, *shown.functions)) if symbol not in states]
+    for symbol in inputs:
+        if symbol in given:
+            raise ProblemError(
+                f"{_WHO}: {symbol} is an input, not one of numbers; give it as a signal: al.Problem(..., "
+                f"inputs={{'{name_of(symbol)}': ...}})."
+            )
+    symbols = {*moving.symbols, *shown.symbols, *begins.symbols} - {*states, time}
+    parameters = sorted(symbols, key=str)
     names, parameter_names = names_of(_WHO, (*states, *inputs), parameters)
-    state_type(names[: len(states)])
-    known, dots = [*states, *inputs, *parameters, time_symbol()], {state: sympy.Dummy() for state in states}
-    slopes = _slopes(of_outputs, rates, dots, mass_matrix is None)
+    state_type(names[:size])
+
+    # What derivatives in outputs mean: the first ones of states, and second ones where the first is a state. Plain
+    # symbols have no derivatives by time: SymPy gives zero.
+    dots, slopes = {state: sympy.Dummy(f"{name_of(state)}_rate") for state in states}, dict[Any, Any]()
+    for state, rate in ((state, rate) for state, rate in rates.items() if state.is_Function):
+        slopes[state.diff(time)] = dots[state]
+        if not mass and rate in rates:
+            slopes[state.diff(time, 2)] = dots[rate]
+    known = [*states, *inputs, *parameters, time]
+    unsolved = "Solve the equations for the rates (sympy.solve), or give their matrix as mass_matrix."
     equations = _Equations(
-        states=names[: len(states)],
-        inputs=names[len(states) :],
+        states=names[:size],
+        inputs=names[size:],
         parameters=parameter_names,
-        rates=written(_WHO, rates.values(), known),
-        mass=written(_WHO, mass, known) if mass else None,
+        rates=written(f"{_WHO}: rates", rates.values(), known, unsolved),
+        mass=written(f"{_WHO}: mass_matrix", mass, known, unsolved) if mass else None,
         names=tuple(formulas),
         outputs=written(
-            f"{_WHO}: outputs", [formula.xreplace(slopes) for formula in formulas.values()], [*known, *dots.values()]
+            f"{_WHO}: outputs",
+            [formula.xreplace(slopes) for formula in formulas.values()],
+            [*known, *dots.values()],
+            "Of derivatives, the rates of states may stand there; give an input's as an input of its own.",
         ),
         started=tuple(map(name_of, follow)),
-        start=written(f"{_WHO}: start", follow.values(), parameters),
+        start=written(f"{_WHO}: start", follow.values(), parameters, "Give numbers, or expressions of parameters."),
         units=units_for(_WHO, units, formulas),
     )
-    start_values = {name_of(state): value for state, value in values.items()}
+    start_values = {
+        name_of(state): number_of(f"{_WHO}: start", "start", state, value)
+        for state, value in begun.items()
+        if state not in follow
+    }
     return SymPySystem(numbers_for(_WHO, parameters, given), start_values, equations)
-
-
-def _mass_matrix(sympy: Any, given: Any, size: int) -> list[Any]:
-    """The entries of a mass matrix, row by row; none if there is none."""
-    if given is None:
-        return []
-    if not isinstance(given, sympy.MatrixBase) or given.shape != (size, size):
-        raise refusal(f"{_WHO}: mass_matrix", f"a SymPy matrix of shape ({size}, {size}), for as many rates", given)
-    return [expression(f"{_WHO}: mass_matrix", entry) for entry in given]
-
-
-def _started(given: Any, states: Sequence[Any]) -> tuple[dict[Any, Any], dict[Any, Any]]:
-    """Initial values that are numbers, distributions or decisions, and those that are expressions."""
-    what = f"{_WHO}: start"
-    start = symbols_given(what, {} if given is None else given)
-    refuse_unknown(what, start, states, "Expected initial values of states.")
-    sympy = load_sympy(_WHO)
-    follow = {state: expression(what, value) for state, value in start.items() if isinstance(value, sympy.Basic)}
-    values = {state: number_of(what, "start", state, value) for state, value in start.items() if state not in follow}
-    return values, follow
-
-
-def _parameters(states: Sequence[Any], moving: Contents, of_outputs: Contents, of_start: Contents) -> list[Any]:
-    """The symbols whose numbers are given: neither states nor the time."""
-    if of_start.functions or of_start.derivatives or any(symbol in states for symbol in of_start.symbols):
-        raise ProblemError(f"{_WHO}: start: expected numbers, or expressions of the parameters alone.")
-    symbols = dict.fromkeys((*moving.symbols, *of_outputs.symbols, *of_start.symbols))
-    return sorted((symbol for symbol in symbols if symbol not in states and symbol != time_symbol()), key=str)
-
-
-def _slopes(of_outputs: Contents, rates: Mapping[Any, Any], dots: Mapping[Any, Any], explicit: bool) -> dict[Any, Any]:
-    """What derivatives in outputs mean: the first ones of states, and second ones where the first is a state."""
-    time, known = time_symbol(), {}
-    # Plain symbols have no derivatives by time: SymPy gives zero.
-    for state, rate in ((state, rate) for state, rate in rates.items() if state.is_Function):
-        known[state.diff(time)] = dots[state]
-        if explicit and rate in rates:
-            known[state.diff(time, 2)] = dots[rate]
-    for derivative in of_outputs.derivatives:
-        if derivative not in known:
-            raise ProblemError(
-                f"{_WHO}: outputs: expected rates of states at most; received {derivative}. Give an input's derivative "
-                "as an input of its own."
-            )
-    return known
 
 
 class _Formulas(NamedTuple):
@@ -268,16 +242,9 @@ def from_sympy_formulas(
     who = "from_sympy_formulas"
     formulas = expressions_by_name(f"{who}: outputs", outputs)
     given = symbols_given(f"{who}: numbers", numbers)
-    found = contents_of(who, formulas.values())
-    if found.functions or found.derivatives:
-        raise ProblemError(
-            f"{who}: expected formulas without time; received {(*found.derivatives, *found.functions)[0]}. Use "
-            "al.foreign.from_sympy for a system that moves."
-        )
-    _, names = names_of(who, (), found.symbols)
-    return SymPyFormulas(
-        numbers_for(who, found.symbols, given),
-        _Formulas(
-            names, tuple(formulas), written(who, formulas.values(), found.symbols), units_for(who, units, formulas)
-        ),
-    )
+    symbols = contents_of(who, formulas.values()).symbols
+    _, names = names_of(who, (), symbols)
+    moves = "Use al.foreign.from_sympy for a system that moves."
+    program = written(who, formulas.values(), symbols, moves)
+    units_of = units_for(who, units, formulas)
+    return SymPyFormulas(numbers_for(who, symbols, given), _Formulas(names, tuple(formulas), program, units_of))

@@ -1,0 +1,343 @@
+"""What SymPy gives: expressions, against the symbols and numbers that they may have, and their programs in JAX.
+
+A program is plain text: equal models are equal, and can be pickled.
+"""
+
+import contextlib
+import functools
+import math
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import jax.scipy.special  # The text names it.
+import numpy as np
+from jaxtyping import Array
+
+from aleator._core.border import meant, refusal, shown
+from aleator._core.errors import MissingExtraError, ProblemError
+from aleator._core.leaves import AbstractLeaf, highest, lowest, realised_shape, stored_numbers
+from aleator.trajectories import AbstractSignal, AbstractTrajectory
+
+# Functions that SymPy's printer does not know of JAX.
+_SPECIAL = MappingProxyType(
+    {name: f"jax.scipy.special.{ours}" for name, ours in (("erf", "erf"), ("erfc", "erfc"), ("loggamma", "gammaln"))}
+)
+# Weights of a number within a range that is no fraction of it.
+_GOLDEN = np.array([(5**0.5 - 1) / 2, (3 - 5**0.5) / 2])
+
+
+def load_sympy(who: str) -> Any:
+    """SymPy, imported late. Raises `MissingExtraError` if it is not installed."""
+    try:
+        import sympy
+        import sympy.physics.mechanics
+    except ImportError as error:
+        raise MissingExtraError(
+            f"{who} needs the library SymPy: install it with `pip install 'aleator[sympy]'`."
+        ) from error
+    return sympy
+
+
+def structure(field: str, name: str, kind: Callable[[Any], Any] = tuple) -> Any:
+    """A property of a system of SymPy that its structure, in a field, has under this name."""
+    return property(lambda system: kind(getattr(getattr(system, field), name)))
+
+
+# --- Expressions and what they contain --------------------------------------------------------------------------------
+
+
+def expression(what: str, given: Any) -> Any:
+    """One real expression or number, of SymPy or Python. Raises `ProblemError` for anything else."""
+    sympy = load_sympy(what)
+    found: Any = None
+    with contextlib.suppress(sympy.SympifyError, TypeError, ValueError):
+        found = sympy.sympify(given, strict=True)
+    if not isinstance(found, sympy.Expr) or isinstance(found, sympy.MatrixExpr):
+        solved = " (solve equations first, by sympy.solve)" * isinstance(found, sympy.Equality)
+        raise refusal(what, f"one SymPy expression{solved}", given)
+    inside = [derivative.expr for derivative in found.atoms(sympy.Derivative)]
+    return found if all(isinstance(inner, sympy.core.function.AppliedUndef) for inner in inside) else found.doit()
+
+
+def expressions_by_name(what: str, given: Any) -> dict[str, Any]:
+    """Expressions by name. Raises `ProblemError` for anything but a mapping of texts."""
+    if not isinstance(given, Mapping) or not all(isinstance(name, str) and name for name in given):
+        raise refusal(what, "expressions by name, in a dict", given)
+    return {name: expression(f"{what}, '{name}'", formula) for name, formula in given.items()}
+
+
+class Contents(NamedTuple):
+    """What some expressions contain, each in the order of its name.
+
+    - `functions`: functions of time without an equation of their own, such as `q(t)`; `derivatives` of these;
+    - `symbols`: plain symbols, the time too where it stands outside of functions.
+    """
+
+    functions: tuple[Any, ...]
+    derivatives: tuple[Any, ...]
+    symbols: tuple[Any, ...]
+
+
+def contents_of(who: str, expressions: Iterable[Any]) -> Contents:
+    """What expressions contain. Raises `ProblemError` for functions of anything but the time."""
+    sympy = load_sympy(who)
+    whole, time, applied = sympy.Tuple(*expressions), time_symbol(), sympy.core.function.AppliedUndef
+    functions = whole.atoms(applied)
+    derivatives = {derivative for derivative in whole.atoms(sympy.Derivative) if derivative.has(applied)}
+    for function in functions:
+        if function.args != (time,):
+            raise ProblemError(
+                f"{who}: expected functions of the time {time} alone (sympy.physics.mechanics.dynamicsymbols); "
+                f"received {function}."
+            )
+    plain = whole.xreplace({part: sympy.Dummy() for part in derivatives | functions})
+    symbols = (symbol for symbol in plain.free_symbols if not isinstance(symbol, sympy.Dummy))
+    return Contents(*(tuple(sorted(part, key=str)) for part in (functions, derivatives, symbols)))
+
+
+def refuse_others(what: str, expressions: Iterable[Any], known: Collection[Any], remedy: str) -> None:
+    """Raise `ProblemError`, with what to do, if expressions contain anything that is not known."""
+    found = contents_of(what, expressions)
+    for part in (*found.derivatives, *found.functions, *found.symbols):
+        if part not in known:
+            names = sorted(map(str, known))
+            listed = f"{', '.join(names[:8])}{', ...' * (len(names) > 8)}" or "none"
+            raise ProblemError(f"{what}: expected no other symbols than {listed}; received {part}. {remedy}")
+
+
+def time_symbol() -> Any:
+    """The time of SymPy's mechanics."""
+    mechanics: Any = load_sympy("from_sympy").physics.mechanics
+    return mechanics.dynamicsymbols._t
+
+
+# --- Symbols and their numbers ----------------------------------------------------------------------------------------
+
+
+def name_of(symbol: Any) -> str:
+    """The name of a symbol, or of a function of time without its argument: `q`; `q_rate` of its derivative."""
+    if symbol.is_Derivative:
+        return f"{name_of(symbol.expr)}_rate"
+    return symbol.func.__name__ if getattr(symbol, "args", ()) else symbol.name
+
+
+def names_of(who: str, moving: Sequence[Any], parameters: Sequence[Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The names of symbols that move continuously, and of parameters.
+
+    Raises `ProblemError` where two have the same, and where SymPy takes what moves to be integer, or zero.
+    """
+    found: dict[str, Any] = {}
+    for symbol in moving:
+        _refuse_stepping(who, symbol)
+    for symbol in (*moving, *parameters):
+        if found.setdefault(name_of(symbol), symbol) != symbol:
+            raise ProblemError(
+                f"{who}: two different symbols are called '{name_of(symbol)}'. Rename one; symbols with other "
+                "assumptions, such as Symbol('m') and Symbol('m', positive=True), are different."
+            )
+    return tuple(map(name_of, moving)), tuple(map(name_of, parameters))
+
+
+def symbols_given(what: str, given: Any) -> dict[Any, Any]:
+    """A mapping whose keys are symbols or functions of time. Raises `ProblemError` for anything else."""
+    sympy = load_sympy(what)
+    kinds = sympy.Symbol, sympy.core.function.AppliedUndef
+    if not isinstance(given, Mapping) or not all(isinstance(symbol, kinds) for symbol in given):
+        raise refusal(what, "a dict by SymPy symbols, or functions of time", given)
+    return dict(given)
+
+
+def numbers_for(who: str, symbols: Collection[Any], given: Mapping[Any, Any]) -> dict[str, Any]:
+    """The number, distribution or decision of each parameter, by name; a signal may be that of a function of time.
+
+    Raises `ProblemError` for a parameter without one, for numbers of symbols that nothing contains, and for numbers
+    that contradict their symbol's assumptions, by which SymPy has simplified.
+    """
+    refuse_unknown(f"{who}: numbers", given, symbols)
+    if missing := sorted(name_of(symbol) for symbol in symbols if symbol not in given):
+        raise ProblemError(
+            f"{who}: expected a number, a distribution or a decision for each parameter in numbers; received none for "
+            f"{missing}."
+        )
+    return {name_of(symbol): number_of(who, "number", symbol, given[symbol]) for symbol in symbols}
+
+
+def number_of(who: str, what: str, symbol: Any, given: Any) -> Any:
+    """One number of a symbol. Raises `ProblemError` for what is none, or contradicts what SymPy assumes of it."""
+    name = name_of(symbol)
+    if is_signal := isinstance(given, AbstractSignal) and what == "number":
+        if not symbol.is_Function:
+            # Its rate would be missing wherever SymPy has differentiated by time.
+            raise refusal(f"{who}: '{name}'", "a constant; signals are for functions of time (dynamicsymbols)", given)
+        _refuse_stepping(who, symbol)
+        shape = given.shape if isinstance(given, AbstractTrajectory) else ()
+    else:
+        shape = () if isinstance(given, AbstractLeaf) else realised_shape(given)
+    if shape != ():
+        raise ProblemError(f"{who}: expected one number for '{name}'; received shape {shape}.")
+    if is_signal:
+        return given
+    number = stored_numbers(f"{who}: {what} of '{name}'", given)
+    _refuse_contradiction(who, symbol, number)
+    return number
+
+
+def _refuse_stepping(who: str, symbol: Any) -> None:
+    """Raise `ProblemError` for a function of time that SymPy takes to be integer, or zero: it moves continuously."""
+    if kind := next((kind for kind in ("integer", "zero") if getattr(symbol, f"is_{kind}")), None):
+        raise ProblemError(
+            f"{who}: SymPy takes '{name_of(symbol)}' to be {kind}, and simplifies by it; expected a symbol without "
+            "this assumption for what moves continuously."
+        )
+
+
+def _refuse_contradiction(who: str, symbol: Any, number: Any) -> None:
+    """Raise `ProblemError` if a number can take a value that contradicts what SymPy assumes of its symbol."""
+    low, high = lowest(number), highest(number)
+    if low is None or high is None:  # traced: it has been looked at before
+        return
+    sympy = load_sympy(who)
+    # A range has its ends, zero between them, and a number that is not whole.
+    ends = np.nan_to_num([low, high], posinf=1e6, neginf=-1e6)
+    values = [*ends.tolist(), *([0.0] if low < 0 < high else ()), *([float(ends @ _GOLDEN)] if low < high else ())]
+    exact = [sympy.Integer(int(value)) if value.is_integer() else sympy.Float(value) for value in values]
+    # What the user wrote comes before what follows from it.
+    assumed = {**getattr(symbol, "_assumptions_orig", {}), **symbol.assumptions0}
+    for kind, holds in assumed.items():
+        if any(getattr(value, f"is_{kind}") is (not holds) for value in exact):
+            raise ProblemError(
+                f"{who}: SymPy takes '{name_of(symbol)}' to be {'' if holds else 'not '}{kind}, and simplifies by it; "
+                f"received {shown(low if low == high else number)}. Change the number, or the assumption of the symbol."
+            )
+
+
+def refuse_unknown(what: str, symbols: Iterable[Any], known: Collection[Any]) -> None:
+    """Raise `ProblemError` for the first of `symbols` that is not `known`."""
+    names = [name_of(other) for other in known]
+    for symbol in symbols:
+        if symbol not in known:
+            why = (
+                " is another symbol than the model's of this name: one is a function of time, or their assumptions "
+                "differ. Use the very same symbol."
+                if name_of(symbol) in names
+                else f" is not known.{meant(name_of(symbol), names)} Expected some of {names}."
+            )
+            raise ProblemError(f"{what}: '{symbol}'{why}")
+
+
+def units_for(who: str, units: Any, outputs: Collection[str]) -> tuple[tuple[str, str], ...]:
+    """Units of outputs. Raises `ProblemError` for units of anything else."""
+    given = {} if units is None else units
+    if not isinstance(given, Mapping) or not all(isinstance(text, str) for text in (*given, *given.values())):
+        raise refusal(f"{who}: units", "units as texts by output, in a dict", units)
+    for name in given:
+        if name not in outputs:
+            raise ProblemError(f"{who}: units has '{name}', which is no output.{meant(name, outputs)}")
+    return tuple(given.items())
+
+
+# --- Programs ---------------------------------------------------------------------------------------------------------
+
+
+class Program(NamedTuple):
+    """A function of some numbers in order: `text` defines `value`, which takes those at the places it needs."""
+
+    places: tuple[int, ...]
+    text: str
+
+    def __call__(self, values: Sequence[Any] | Mapping[int, Any]) -> list[Array]:
+        """The value of each expression, scalars."""
+        found = _function(self.text)(*(values[place] for place in self.places))
+        return [jnp.asarray(value, dtype=float) for value in found]
+
+
+def written(who: str, expressions: Iterable[Any], symbols: Iterable[Any], remedy: str = "") -> Program:
+    """The program of some expressions as a function of the values of `symbols`, in their order.
+
+    Raises `ProblemError` for other symbols, with a `remedy`, for what JAX has no function for, and for numbers that are
+    not real and finite.
+    """
+    sympy, expressions = load_sympy(who), list(expressions)
+    places = {symbol: i for i, symbol in enumerate(symbols)}
+    refuse_others(who, expressions, places, remedy)
+    # Real, so that `re(x)` and the derivative of `Abs(x)` become what they are for numbers.
+    real = {symbol: sympy.Symbol(f"v{i}", real=True) for symbol, i in places.items()}
+    plain = [expression.xreplace(real) for expression in expressions]
+    plain = [expression.doit() if expression.has(sympy.Derivative) else expression for expression in plain]
+    for ours, theirs in zip(plain, expressions, strict=True):
+        infinite = any(math.isinf(float(number)) for number in ours.atoms(sympy.Float, sympy.Rational))
+        if infinite or ours.has(sympy.I, sympy.oo, sympy.zoo, sympy.nan):
+            raise ProblemError(f"{who}: expected real numbers below 1e308; received {str(theirs)[:80]}.")
+    used = set[Any]().union(*(expression.free_symbols for expression in plain))
+    program = _program({i: real[symbol] for symbol, i in places.items() if real[symbol] in used}, plain)
+    if not _is_traceable(program):
+        parts = [part for one in plain for part in sympy.postorder_traversal(one) if isinstance(part, sympy.Expr)]
+        # Of nested functions the innermost is the one that is not known.
+        unknown = next(
+            part for part in parts if not _is_traceable(_program(dict(enumerate(part.free_symbols)), [part]))
+        )
+        raise ProblemError(
+            f"{who}: JAX has no function for {type(unknown).__name__}; rewrite it by elementary ones "
+            "(expression.rewrite(...), .doit()), or write the model as an al.System."
+        )
+    return program
+
+
+def _program(symbols: Mapping[int, Any], expressions: Sequence[Any]) -> Program:
+    """Common subexpressions first. The text has the symbols' numbers, whatever they are called."""
+    sympy = load_sympy("")
+    common, reduced = sympy.cse(expressions, symbols=sympy.numbered_symbols("x"))
+    printed = _printer().doprint
+    lines = [f"    {symbol} = {printed(part)}" for symbol, part in common]
+    values = ", ".join(map(printed, reduced))
+    head = f"def value({', '.join(map(str, symbols.values()))}):"
+    return Program(tuple(symbols), "\n".join([head, *lines, f"    return [{values}]"]))
+
+
+def _is_traceable(program: Program) -> bool:
+    """Whether JAX has all functions of a program, and traces it: no choice or loop of Python depends on a number."""
+    try:
+        jax.eval_shape(
+            lambda *values: program(dict(zip(program.places, values, strict=True))), *[0.5] * len(program[0])
+        )
+    except Exception:  # whatever Python and JAX raise for what they cannot read or trace
+        return False
+    return True
+
+
+@functools.lru_cache(maxsize=1024)
+def _function(text: str) -> Any:
+    names: dict[str, Any] = {"jax": jax, "functools": functools}
+    exec(text, names)
+    return names["value"]
+
+
+@functools.cache
+def _printer() -> Any:
+    from sympy.printing.numpy import JaxPrinter
+
+    class Printer(JaxPrinter):
+        """SymPy's printer of JAX, with numbers to their last bit, and reciprocals as quotients.
+
+        SymPy writes 15 digits of a float, integers that no array can hold, and `x**(-1.0)`, a general power.
+        """
+
+        def _print_Float(self, expr: Any) -> str:  # noqa: N802
+            return repr(float(expr))
+
+        def _print_Integer(self, expr: Any) -> str:  # noqa: N802
+            return str(expr.p) if abs(expr.p) < 2**53 else repr(float(expr))
+
+        def _print_Rational(self, expr: Any) -> str:  # noqa: N802
+            return f"({expr.p}/{expr.q})" if max(abs(expr.p), expr.q) < 2**53 else repr(float(expr))
+
+        def _print_Pow(self, expr: Any, rational: bool = False) -> str:  # noqa: N802
+            if expr.exp.is_Integer and expr.exp < 0:
+                return f"(1/({self._print(expr.base**-expr.exp)}))"
+            return super()._print_Pow(expr, rational=rational)
+
+    # What it does not know it writes as it is called, which no program then finds.
+    return Printer({"fully_qualified_modules": True, "allow_unknown_functions": True, "user_functions": _SPECIAL})
