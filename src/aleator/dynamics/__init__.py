@@ -33,8 +33,6 @@ from aleator.dynamics._grid import Instant as Instant
 from aleator.dynamics._grid import check_signals as check_signals
 from aleator.dynamics._integrators import AbstractIntegrator as AbstractIntegrator
 from aleator.dynamics._integrators import RungeKutta4 as RungeKutta4
-from aleator.dynamics._multiple_shooting import MultipleShooting as MultipleShooting
-from aleator.dynamics._multiple_shooting import SegmentRate as SegmentRate
 from aleator.dynamics._newton import newton as newton
 from aleator.dynamics._phases import AbstractSurroundings as AbstractSurroundings
 from aleator.dynamics._phases import LinkedGrid as LinkedGrid
@@ -61,7 +59,9 @@ from aleator.dynamics._schemes import AbstractMeanRate as AbstractMeanRate
 from aleator.dynamics._schemes import AbstractScheme as AbstractScheme
 from aleator.dynamics._schemes import GaussLegendre as GaussLegendre
 from aleator.dynamics._schemes import HermiteSimpson as HermiteSimpson
+from aleator.dynamics._schemes import MultipleShooting as MultipleShooting
 from aleator.dynamics._schemes import Radau as Radau
+from aleator.dynamics._schemes import SegmentRate as SegmentRate
 from aleator.dynamics._schemes import Trapezoid as Trapezoid
 from aleator.dynamics._simulate import simulate as simulate
 from aleator.dynamics._simulation import Simulation as Simulation

@@ -11,15 +11,14 @@ from jaxtyping import Array, Float
 
 from aleator._core.border import refusal, refuse_missing, traceable, whole
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import stored_numbers
+from aleator._core.leaves import stored_number
 from aleator.geometry._shapes import (
     AbstractBounded,
     AbstractShape,
     Body,
     HalfSpace,
-    check_number,
     cross,
-    plain,
+    refuse_small,
     sign_table,
     unit,
 )
@@ -244,11 +243,8 @@ def smallest(distances: Any, sharpness: Any = 1e3) -> Float[Array, ""]:
 
     Raises `ProblemError` if there are no distances, or if a plain sharpness is not positive.
     """
-    sharpness = stored_numbers("smallest: 'sharpness'", sharpness)
-    check_number("smallest", "sharpness", sharpness)
-    known = plain(sharpness)
-    if known is not None and not known > 0:
-        raise ProblemError(f"smallest: 'sharpness' must be positive; received {known}.")
+    sharpness = stored_number("smallest: 'sharpness'", sharpness)
+    refuse_small("smallest: 'sharpness'", sharpness, may_vanish=False)
     refuse_missing("smallest: distances", distances)
     values = jnp.ravel(traceable("smallest: 'distances'", distances))
     if values.size == 0:

@@ -14,7 +14,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import Number, jax_array
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import AbstractLeaf, Module, lowest, realised_shape, stored_numbers
+from aleator._core.leaves import AbstractLeaf, Module, lowest, realised_shape, stored_number, stored_numbers
 
 TINY = 1e-200
 """A squared length below which a vector has no direction."""
@@ -112,16 +112,13 @@ class Sphere(AbstractBounded):
     radius: Number
 
     def __init__(self, center: Any, radius: Any = 0.0):
-        self.center = stored_numbers("Sphere: 'center'", center)
-        self.radius = stored_numbers("Sphere: 'radius'", radius)
-        check_point("Sphere", "center", self.center)
-        check_radius("Sphere", self.radius)
+        self.center = _stored_point("Sphere: 'center'", center)
+        self.radius = _stored_radius("Sphere: 'radius'", radius)
 
     @override
     def body(self) -> Body:
-        center = realised_point("Sphere", "center", self.center)
-        radius = realised("Sphere", "radius", self.radius)
-        return Body(center, jnp.zeros((0, center.size)), jnp.zeros(0), radius)
+        center = _realised_point("Sphere: 'center'", self.center)
+        return Body(center, jnp.zeros((0, center.size)), jnp.zeros(0), _realised("Sphere: 'radius'", self.radius))
 
 
 @final
@@ -140,20 +137,18 @@ class Capsule(AbstractBounded):
     radius: Number
 
     def __init__(self, start: Any, end: Any, radius: Any = 0.0):
-        self.start = stored_numbers("Capsule: 'start'", start)
-        self.end = stored_numbers("Capsule: 'end'", end)
-        self.radius = stored_numbers("Capsule: 'radius'", radius)
-        check_point("Capsule", "start", self.start)
-        check_same_size("Capsule", start=self.start, end=self.end)
-        check_radius("Capsule", self.radius)
+        self.start, self.end = (
+            _stored_point(f"Capsule: {name}", one) for name, one in (("'start'", start), ("'end'", end))
+        )
+        _refuse_other_sizes("Capsule", start=self.start, end=self.end)
+        self.radius = _stored_radius("Capsule: 'radius'", radius)
 
     @override
     def body(self) -> Body:
-        start = realised_point("Capsule", "start", self.start)
-        end = realised_point("Capsule", "end", self.end)
+        start, end = _realised_point("Capsule: 'start'", self.start), _realised_point("Capsule: 'end'", self.end)
         direction, half_length, is_long = unit((end - start) / 2, TINY)
         direction = jnp.where(is_long, direction, jnp.eye(start.size)[0])
-        radius = realised("Capsule", "radius", self.radius)
+        radius = _realised("Capsule: 'radius'", self.radius)
         return Body((start + end) / 2, direction[None, :], half_length[None], radius)
 
 
@@ -174,26 +169,25 @@ class Box(AbstractBounded):
     orientation: Any
 
     def __init__(self, center: Any, half_sizes: Any, orientation: Any = None):
-        self.center = stored_numbers("Box: 'center'", center)
+        self.center = _stored_point("Box: 'center'", center)
         self.half_sizes = stored_numbers("Box: 'half_sizes'", half_sizes)
+        _refuse_other_sizes("Box", center=self.center, half_sizes=self.half_sizes)
+        refuse_small("Box: 'half_sizes'", self.half_sizes, may_vanish=False)
         self.orientation = None if orientation is None else stored_numbers("Box: 'orientation'", orientation)
-        check_point("Box", "center", self.center)
-        check_same_size("Box", center=self.center, half_sizes=self.half_sizes)
-        check_lengths("Box", "half_sizes", self.half_sizes)
         if self.orientation is not None:
             _check_orientation(self.orientation, realised_shape(self.center)[0])
 
     @override
     def body(self) -> Body:
-        center = realised_point("Box", "center", self.center)
-        half_sizes = realised("Box", "half_sizes", self.half_sizes)
+        center = _realised_point("Box: 'center'", self.center)
+        half_sizes = _realised("Box: 'half_sizes'", self.half_sizes)
         return Body(center, self._directions(center.size), half_sizes, jnp.zeros(()))
 
     def _directions(self, dimension: int) -> Float[Array, "d d"]:
         """The box's axes, one a row."""
         if self.orientation is None:
             return jax_array(np.eye(dimension))
-        orientation = realised("Box", "orientation", self.orientation)
+        orientation = _realised("Box: 'orientation'", self.orientation)
         if dimension == 3:
             return orientation.T
         cos, sin = jnp.cos(orientation), jnp.sin(orientation)
@@ -215,11 +209,9 @@ class HalfSpace(AbstractShape):
     offset: Number
 
     def __init__(self, normal: Any, offset: Any):
-        self.normal = stored_numbers("HalfSpace: 'normal'", normal)
-        self.offset = stored_numbers("HalfSpace: 'offset'", offset)
-        check_point("HalfSpace", "normal", self.normal)
-        check_number("HalfSpace", "offset", self.offset)
-        normal = plain(self.normal)
+        self.normal = _stored_point("HalfSpace: 'normal'", normal)
+        self.offset = stored_number("HalfSpace: 'offset'", offset)
+        normal = _plain(self.normal)
         if normal is not None and not normal.any():
             raise ProblemError(
                 f"HalfSpace: 'normal' must not be zero; received {normal}. Give the direction that points out of the "
@@ -228,9 +220,9 @@ class HalfSpace(AbstractShape):
 
     def plane(self) -> tuple[Float[Array, " d"], Float[Array, ""]]:
         """The unit normal, and the plane's distance from the origin along it."""
-        normal = realised_point("HalfSpace", "normal", self.normal)
+        normal = _realised_point("HalfSpace: 'normal'", self.normal)
         length = jnp.linalg.norm(normal)
-        return normal / length, realised("HalfSpace", "offset", self.offset) / length
+        return normal / length, _realised("HalfSpace: 'offset'", self.offset) / length
 
 
 def _check_orientation(orientation: Any, dimension: int) -> None:
@@ -239,79 +231,71 @@ def _check_orientation(orientation: Any, dimension: int) -> None:
         raise ProblemError(
             f"Box: in {dimension} dimensions 'orientation' takes {words}; received shape {realised_shape(orientation)}."
         )
-    matrix = plain(orientation)
+    matrix = _plain(orientation)
     if dimension == 3 and matrix is not None and not np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=1e-6):
         raise ProblemError(f"Box: 'orientation' is not a rotation matrix: its columns are not orthonormal; {matrix}.")
 
 
-def plain(value: Any) -> np.ndarray | None:
+def _plain(value: Any) -> np.ndarray | None:
     """The values of a stored field if they are known; `None` where they are uncertain, decided or traced."""
     return value if isinstance(value, np.ndarray) else None
 
 
-def check_point(owner: str, name: str, value: Any) -> None:
-    """Raise `ProblemError` unless `value` is a vector of the plane or of space."""
-    if realised_shape(value) not in ((2,), (3,)):
+def _stored_point(what: str, value: Any) -> Any:
+    """A vector of the plane or of space as it is stored. Raises `ProblemError` for another shape."""
+    numbers = stored_numbers(what, value)
+    _refuse_no_point(what, numbers)
+    return numbers
+
+
+def _refuse_no_point(what: str, numbers: Any) -> None:
+    if realised_shape(numbers) not in ((2,), (3,)):
         raise ProblemError(
-            f"{owner}: '{name}' takes 2 numbers in the plane or 3 in space; received shape {realised_shape(value)}. "
-            "For a batch of shapes, use `jax.vmap`."
+            f"{what} takes 2 numbers in the plane or 3 in space; received shape {realised_shape(numbers)}. For a batch "
+            "of shapes, use `jax.vmap`."
         )
 
 
-def check_same_size(owner: str, **fields: Any) -> None:
-    """Raise `ProblemError` unless two vectors have one size."""
+def _refuse_other_sizes(owner: str, **fields: Any) -> None:
     sizes = {name: realised_shape(value) for name, value in fields.items()}
     if len(set(sizes.values())) > 1:
         received = " and ".join(f"'{name}' of shape {size}" for name, size in sizes.items())
         raise ProblemError(f"{owner}: expected vectors of the same size; received {received}.")
 
 
-def check_number(owner: str, name: str, value: Any) -> None:
-    """Raise `ProblemError` unless `value` is one number."""
-    if realised_shape(value) != ():
-        raise ProblemError(f"{owner}: '{name}' takes one number; received shape {realised_shape(value)}.")
+def _stored_radius(what: str, value: Any) -> Any:
+    number = stored_number(what, value)
+    refuse_small(what, number, may_vanish=True)
+    return number
 
 
-def check_radius(owner: str, value: Any) -> None:
-    """Raise `ProblemError` unless `value` is one number that cannot become negative, as far as that is known."""
-    check_number(owner, "radius", value)
-    least = lowest(value)
-    if least is not None and least < 0:
-        raise ProblemError(f"{owner}: 'radius' must be zero or more; {_received(value, least)}")
-
-
-def check_lengths(owner: str, name: str, value: Any) -> None:
-    """Raise `ProblemError` if one of several numbers can become zero or negative, as far as they are known."""
-    least = lowest(value)
-    if least is not None and least <= 0:
-        raise ProblemError(f"{owner}: '{name}' must be positive; {_received(value, least)}")
-
-
-def _received(value: Any, least: float) -> str:
-    known = plain(value)
-    if known is not None:
-        return f"received {known}."
+def refuse_small(what: str, numbers: Any, *, may_vanish: bool) -> None:
+    """Raise `ProblemError` if one of some numbers can become negative, or zero where it may not, as far as known."""
+    least = lowest(numbers)
+    if least is None or least > 0 or (may_vanish and least == 0):
+        return
     reach = "numbers that are unbounded below" if least == -np.inf else f"numbers that can reach {least:g}"
-    return (
-        f"received {reach}. Give larger numbers, distributions that are bounded or spread less, or decisions with "
-        "higher lower bounds."
+    remedy = (
+        ". Give larger numbers, distributions that are bounded or spread less, or decisions with higher lower bounds"
     )
+    received = reach + remedy if _plain(numbers) is None else f"{numbers}"
+    raise ProblemError(f"{what} must be {'zero or more' if may_vanish else 'positive'}; received {received}.")
 
 
-def realised(owner: str, name: str, value: Any) -> Float[Array, "..."]:
+def _realised(what: str, value: Any) -> Float[Array, "..."]:
     """A field as an array. Raises `ProblemError` if it still holds a distribution or a decision."""
     if isinstance(value, list | tuple):
-        return jnp.stack([realised(owner, name, part) for part in value])
+        return jnp.stack([_realised(what, part) for part in value])
     if isinstance(value, AbstractLeaf):
         raise ProblemError(
-            f"{owner}: '{name}' holds {value}, which has no value yet. Take distances where the model is realised: in "
-            "a system's outputs."
+            f"{what} holds {value}, which has no value yet. Take distances where the model is realised: in a system's "
+            "outputs."
         )
     return jnp.asarray(value, dtype=float)
 
 
-def realised_point(owner: str, name: str, value: Any) -> Float[Array, " d"]:
+def _realised_point(what: str, value: Any) -> Float[Array, " d"]:
     """A vector of the plane or of space as an array, checked again: batches show only when distances are taken."""
-    point = realised(owner, name, value)
-    check_point(owner, name, point)
+    point = _realised(what, value)
+    _refuse_no_point(what, point)
     return point
