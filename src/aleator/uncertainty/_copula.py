@@ -64,7 +64,7 @@ def correlated(
     factor = np.linalg.cholesky(normal)
     group = "~".join(members) if name is None else a_name("correlated: name", name)
     return {
-        member: distribution.correlated(Dependence(group, members, index, factor))
+        member: distribution.with_fields(dependence=Dependence(group, members, index, factor))
         for index, (member, distribution) in enumerate(distributions.items())
     }
 
@@ -90,11 +90,10 @@ def _matrix(members: tuple[str, ...], correlations: Any) -> Float[np.ndarray, "n
     """The correlations as a matrix, in the order of the members."""
     count = len(members)
     if not isinstance(correlations, Mapping):
-        matrix = real_array("Correlations", correlations, "plain numbers")
+        expected = f"a number for each pair by its names, or a matrix of shape ({count}, {count})"
+        matrix = real_array("correlations", correlations, expected)
         if matrix.shape != (count, count):
-            raise ProblemError(
-                f"A correlation matrix of {count} distributions has shape ({count}, {count}); received {matrix.shape}."
-            )
+            raise refusal("correlations", expected, correlations)
         return matrix
     matrix = np.eye(count)
     named: set[frozenset[str]] = set()
@@ -113,29 +112,15 @@ def _matrix(members: tuple[str, ...], correlations: Any) -> Float[np.ndarray, "n
 
 def _check_matrix(matrix: Float[np.ndarray, "n n"], members: tuple[str, ...]) -> None:
     """Refuse anything but a correlation matrix, naming the entry or the eigenvalue."""
-
-    def refuse(what: str, wrong: np.ndarray, remedy: str) -> None:
-        if np.any(wrong):
-            i, j = map(int, np.argwhere(wrong)[0])
-            raise ProblemError(f"{what}: received {matrix[i, j]:g} for '{members[i]}' and '{members[j]}'. {remedy}")
-
-    refuse("Correlations are finite numbers", ~np.isfinite(matrix), "Give a number between -1 and 1.")
-    off_diagonal = ~np.eye(len(members), dtype=bool)
-    refuse(
-        "A correlation matrix has ones on its diagonal",
-        ~off_diagonal & (np.abs(matrix - 1) > 1e-12),
-        "Give correlations, not covariances; the spread belongs to the distributions.",
-    )
-    refuse(
-        "A correlation matrix is symmetric",
-        np.abs(matrix - matrix.T) > 1e-12,
-        "Give both entries of the pair the same number.",
-    )
-    refuse(
-        "Correlations lie between -1 and 1, without the ends",
-        off_diagonal & (np.abs(matrix) >= 1),
-        "Reduce it, or use `shared` for numbers that are always equal.",
-    )
+    possible = np.where(np.eye(len(members)), np.abs(matrix - 1) <= _ROUNDING, np.abs(matrix) < 1)
+    wrong = ~(possible & (np.abs(matrix - matrix.T) <= _ROUNDING))
+    if wrong.any():
+        i, j = map(int, np.argwhere(wrong)[0])
+        raise ProblemError(
+            "correlations: expected a symmetric matrix with ones on its diagonal and numbers between -1 and 1 "
+            f"elsewhere (`shared` makes two numbers always equal); received {matrix[i, j]:g} for '{members[i]}' and "
+            f"'{members[j]}', {matrix[j, i]:g} for '{members[j]}' and '{members[i]}'."
+        )
     _refuse_indefinite(matrix, "These correlations contradict each other: no random variables have them")
 
 

@@ -19,7 +19,7 @@ from aleator._core.border import refusal, refuse_missing
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf, AbstractPlanned, is_leaf, is_traced, named_leaves
 from aleator.uncertainty._copula import pearson
-from aleator.uncertainty._decision import AbstractDecision, start_given
+from aleator.uncertainty._decisions import AbstractDecision, start_given
 from aleator.uncertainty._distribution import AbstractDistribution
 from aleator.uncertainty._polynomials import AbstractGerm, Dependence
 
